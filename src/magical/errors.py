@@ -1,0 +1,33 @@
+"""Errors a user can cause. Each message says what was expected, what was found and what to do."""
+
+
+class MagicalError(Exception):
+    """Base of every error that the package raises on purpose."""
+
+
+class UnknownNameError(MagicalError, ValueError):
+    """A task, variant, preset, view, shape or colour that does not exist."""
+
+
+class InvalidSceneError(MagicalError, ValueError):
+    """A scene that cannot be built: overlapping or outside bodies, or values out of range."""
+
+
+class PlacementError(MagicalError, RuntimeError):
+    """No room was found for a body or region after a bounded number of proposals."""
+
+
+class InvalidActionError(MagicalError, ValueError):
+    """An action out of range or of the wrong type."""
+
+
+class ResetNeededError(MagicalError, RuntimeError):
+    """`step` was called before `reset`, or after the end of the episode."""
+
+
+class InvalidStateError(MagicalError, ValueError):
+    """A saved environment state that does not fit the environment or is damaged."""
+
+
+class RecordingError(MagicalError, ValueError):
+    """A recording file that is damaged or not in the documented format."""

@@ -1,0 +1,25 @@
+"""What a world is, as plain frozen data. Nothing here moves, draws or scores."""
+
+from magical.scene.actions import ACTION_NAMES, ACTIONS, NOOP, NUM_ACTIONS, Action
+from magical.scene.poses import Poses
+from magical.scene.scene import Block, Dynamics, Pose, Region, Scene
+from magical.scene.vocabulary import COLOURS, SHAPES, Colour, Shape, View
+
+__all__ = [
+    "ACTIONS",
+    "ACTION_NAMES",
+    "COLOURS",
+    "NOOP",
+    "NUM_ACTIONS",
+    "SHAPES",
+    "Action",
+    "Block",
+    "Colour",
+    "Dynamics",
+    "Pose",
+    "Poses",
+    "Region",
+    "Scene",
+    "Shape",
+    "View",
+]

@@ -1,0 +1,168 @@
+"""Outlines of blocks and robot, transforms, and exact overlap tests between convex pieces.
+
+A shape is a list of convex `Piece`s: polygons (counter-clockwise vertices) grown by a radius, or
+discs (one vertex grown by a radius). Sources: details.md, sections 2, 3 and 8.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from functools import cache
+from typing import NamedTuple
+
+from magical.scene import constants as c
+from magical.scene.scene import Block, Pose, Region
+from magical.scene.vocabulary import Shape
+
+Point = tuple[float, float]
+Polygon = tuple[Point, ...]
+
+
+class Piece(NamedTuple):
+    """A convex polygon, or a point, grown by `radius`."""
+
+    vertices: Polygon
+    radius: float = 0.0
+
+
+def rotate(point: Point, angle: float) -> Point:
+    """The point turned about the origin, counter-clockwise."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    return cos * point[0] - sin * point[1], sin * point[0] + cos * point[1]
+
+
+def to_world(point: Point, pose: Pose) -> Point:
+    """A point of a body's own frame in the world."""
+    x, y = rotate(point, pose.angle)
+    return pose.x + x, pose.y + y
+
+
+def rectangle(width: float, height: float) -> Polygon:
+    """A rectangle about the origin, counter-clockwise from its top right corner."""
+    x, y = width / 2, height / 2
+    return (x, y), (-x, y), (-x, -y), (x, -y)
+
+
+def regular_polygon(count: int, radius: float) -> Polygon:
+    """`count` vertices on a circle, counter-clockwise, the first straight up."""
+    return tuple(rotate((0.0, radius), 2 * math.pi * i / count) for i in range(count))
+
+
+def star_polygon(outer: float, inner: float) -> Polygon:
+    """A five-pointed star, counter-clockwise, the first outer vertex straight up."""
+    return tuple(rotate((0.0, inner if i % 2 else outer), math.pi * i / 5) for i in range(10))
+
+
+def shift(polygon: Iterable[Point], dx: float, dy: float) -> Polygon:
+    """The polygon moved by (dx, dy)."""
+    return tuple((x + dx, y + dy) for x, y in polygon)
+
+
+def finger_polygons(side: int, shrink: float = 0.0) -> tuple[Polygon, Polygon]:
+    """Upper arm and forearm of a finger in its own frame; lengths and thickness less `shrink`."""
+    thickness = c.FINGER_THICKNESS - shrink
+    upper_length, fore_length = c.UPPER_ARM_LENGTH - shrink, c.FOREARM_LENGTH - shrink
+    upper = shift(rectangle(thickness, upper_length), 0.0, upper_length / 2)
+    bend = side * c.FOREARM_BEND
+    turned = [rotate(vertex, bend) for vertex in rectangle(thickness, fore_length)]
+    elbow_x, elbow_y = rotate((-side * thickness / 2, fore_length / 2), bend)
+    return upper, shift(turned, side * thickness / 2 + elbow_x, upper_length + elbow_y)
+
+
+@cache
+def block_outline(shape: Shape) -> Polygon:
+    """The polygon of a square, pentagon or star in its own frame (a circle has none)."""
+    if shape == Shape.SQUARE:
+        return rectangle(c.SQUARE_SIDE, c.SQUARE_SIDE)
+    if shape == Shape.PENTAGON:
+        return regular_polygon(5, c.PENTAGON_RADIUS)
+    if shape == Shape.STAR:
+        return star_polygon(c.STAR_OUTER_RADIUS, c.STAR_INNER_RADIUS)
+    raise ValueError("a circle has no vertices; use BLOCK_SIZE")
+
+
+@cache
+def block_pieces(shape: Shape) -> tuple[Piece, ...]:
+    """Convex pieces of a block as it collides, in its own frame."""
+    if shape == Shape.CIRCLE:
+        return (Piece(((0.0, 0.0),), c.BLOCK_SIZE),)
+    outline = block_outline(shape)
+    if shape == Shape.SQUARE:
+        return (Piece(outline, c.SQUARE_MARGIN),)
+    if shape == Shape.PENTAGON:
+        return (Piece(outline),)
+    kites = [(outline[i - 1], outline[i], outline[i + 1], (0.0, 0.0)) for i in range(0, 10, 2)]
+    return tuple(Piece(kite) for kite in kites)
+
+
+@cache
+def robot_pieces() -> tuple[Piece, ...]:
+    """Convex pieces of the robot with open fingers, in its own frame."""
+    pieces = [Piece(((0.0, 0.0),), c.ROBOT_RADIUS)]
+    for side in c.SIDES:
+        finger = Pose(side * c.FINGER_ROOT_X, c.FINGER_ROOT_Y, -side * c.FINGER_OPEN)
+        pieces += place((Piece(polygon) for polygon in finger_polygons(side)), finger)
+    return tuple(pieces)
+
+
+def place(pieces: Iterable[Piece], pose: Pose) -> tuple[Piece, ...]:
+    """Pieces of a body's own frame in the world."""
+    return tuple(Piece(tuple(to_world(v, pose) for v in p.vertices), p.radius) for p in pieces)
+
+
+def placed_block(block: Block) -> tuple[Piece, ...]:
+    """A block's pieces in the world."""
+    return place(block_pieces(block.shape), block.pose)
+
+
+def placed_robot(pose: Pose) -> tuple[Piece, ...]:
+    """The robot's pieces in the world, fingers open."""
+    return place(robot_pieces(), pose)
+
+
+def placed_region(region: Region) -> tuple[Piece, ...]:
+    """A goal region's rectangle."""
+    return (Piece(shift(rectangle(region.width, region.height), *region.centre)),)
+
+
+def inside_workspace(pieces: Iterable[Piece], slack: float = 0.0) -> bool:
+    """Whether every piece lies within the walls (up to `slack` units beyond them)."""
+    limit = c.WORKSPACE_HALF + slack
+    return all(
+        max(abs(x), abs(y)) + piece.radius <= limit for piece in pieces for x, y in piece.vertices
+    )
+
+
+def depth(a: Piece, b: Piece) -> float:
+    """How far two pieces overlap along the best separating direction; negative when apart.
+
+    The separating axis test over edge normals and, where pieces are rounded, vertex pairs.
+    """
+    least = math.inf
+    for nx, ny in _axes(a, b):
+        a_along = [nx * x + ny * y for x, y in a.vertices]
+        b_along = [nx * x + ny * y for x, y in b.vertices]
+        gap = max(min(b_along) - max(a_along), min(a_along) - max(b_along))
+        least = min(least, a.radius + b.radius - gap)
+    return least
+
+
+def overlap(first: Sequence[Piece], second: Sequence[Piece], slack: float = 0.0) -> bool:
+    """Whether any two pieces overlap by more than `slack` units."""
+    return any(depth(a, b) > slack for a in first for b in second)
+
+
+def _axes(a: Piece, b: Piece) -> Iterable[Point]:
+    for piece in (a, b):
+        count = len(piece.vertices)
+        for i in range(count if count > 1 else 0):
+            (x0, y0), (x1, y1) = piece.vertices[i], piece.vertices[(i + 1) % count]
+            yield _unit(y1 - y0, x0 - x1)
+    if a.radius or b.radius:
+        for ax, ay in a.vertices:
+            for bx, by in b.vertices:
+                yield _unit(bx - ax, by - ay)
+
+
+def _unit(x: float, y: float) -> Point:
+    length = math.hypot(x, y) or 1.0
+    return x / length, y / length

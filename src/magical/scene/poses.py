@@ -1,0 +1,54 @@
+"""Where every body of a world is at one moment."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical.scene.constants import FINGER_OPEN, FINGER_ROOT_X, FINGER_ROOT_Y, SIDES
+from magical.scene.geometry import to_world
+from magical.scene.scene import Pose, Scene
+
+ROBOT = 0  # row of the robot's body
+FINGERS = slice(1, 3)  # rows of the fingers, left and right
+EYES = slice(3, 5)  # rows of the eyes, left and right; x and y are the robot's
+FIRST_BLOCK = 5  # row of the scene's first block
+
+
+@dataclass(frozen=True, slots=True)
+class Poses:
+    """The pose (x, y, angle) of every body, in the rows named above.
+
+    A finger's position is its root, its angle that of the finger's own frame in the world (open,
+    the left finger is at the robot's angle + pi/8). An eye's angle turns its pupil.
+    """
+
+    bodies: NDArray[np.float64]  # (5 + number of blocks, 3)
+
+    @property
+    def robot(self) -> Pose:
+        """The robot's pose."""
+        return Pose(*self.bodies[ROBOT].tolist())
+
+    @property
+    def blocks(self) -> NDArray[np.float64]:
+        """The blocks' poses in the scene's order, (number of blocks, 3)."""
+        return self.bodies[FIRST_BLOCK:]
+
+    @property
+    def finger_angles(self) -> NDArray[np.float64]:
+        """The fingers' angles in the world, left and right, (2,)."""
+        return self.bodies[FINGERS, 2]
+
+    @staticmethod
+    def at_rest(scene: Scene) -> "Poses":
+        """The poses a scene starts from: fingers fully open, eyes straight ahead."""
+        x, y, angle = scene.robot
+        roots = [to_world((side * FINGER_ROOT_X, FINGER_ROOT_Y), scene.robot) for side in SIDES]
+        rows = [
+            (x, y, angle),
+            *((*root, angle - side * FINGER_OPEN) for root, side in zip(roots, SIDES, strict=True)),
+            *((x, y, angle) for _ in SIDES),
+            *(block.pose for block in scene.blocks),
+        ]
+        return Poses(np.array(rows, dtype=np.float64))

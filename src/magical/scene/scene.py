@@ -1,0 +1,172 @@
+"""What a world is, as plain frozen data: poses, blocks, goal regions, scenes, dynamics."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, astuple, dataclass, fields
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from magical.errors import InvalidSceneError
+from magical.scene.vocabulary import Colour, Shape, parse_word
+
+
+class Pose(NamedTuple):
+    """A position in workspace units and an angle in radians, counter-clockwise."""
+
+    x: float
+    y: float
+    angle: float
+
+
+def _finite(what: str, values: Sequence[float]) -> None:
+    if not all(isinstance(v, (int, float)) and math.isfinite(v) for v in values):
+        raise InvalidSceneError(f"{what}: expected finite numbers, found {tuple(values)}")
+
+
+def _pose(what: str, values: Sequence[float]) -> Pose:
+    if len(values) != 3:
+        raise InvalidSceneError(f"{what}: expected (x, y, angle), found {values!r}")
+    _finite(what, values)
+    return Pose(*map(float, values))
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """A movable block; raises `UnknownNameError` or `InvalidSceneError` for bad values."""
+
+    shape: Shape
+    colour: Colour
+    pose: Pose
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "shape", parse_word(Shape, self.shape))
+        object.__setattr__(self, "colour", parse_word(Colour, self.colour))
+        object.__setattr__(self, "pose", _pose(f"{self.colour} {self.shape}", self.pose))
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """A goal region: the axis-aligned rectangle with left `x`, top `y` (details.md, section 4)."""
+
+    colour: Colour
+    x: float
+    y: float
+    height: float
+    width: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "colour", parse_word(Colour, self.colour))
+        _finite(f"{self.colour} region", (self.x, self.y, self.height, self.width))
+        if self.height <= 0 or self.width <= 0:
+            raise InvalidSceneError(
+                f"{self.colour} region: expected positive height and width, "
+                f"found {self.height} x {self.width}"
+            )
+
+    @property
+    def centre(self) -> tuple[float, float]:
+        """The rectangle's centre (x, y)."""
+        return self.x + self.width / 2, self.y - self.height / 2
+
+    def contains(self, x: float, y: float) -> bool:
+        """Whether the point lies inside, edges included (details.md, section 4)."""
+        return self.x <= x <= self.x + self.width and self.y - self.height <= y <= self.y
+
+    @staticmethod
+    def from_centre(colour: str, x: float, y: float, height: float, width: float) -> "Region":
+        """The region with its centre at (x, y)."""
+        return Region(Colour(colour), x - width / 2, y + height / 2, height, width)
+
+
+@dataclass(frozen=True, slots=True)
+class Dynamics:
+    """The five parameters that the Dynamics variant draws (details.md, section 5)."""
+
+    body_pivot_max_force: float = 3.0
+    body_gear_max_force: float = 1.0
+    finger_motor_max_force: float = 4.0
+    block_pivot_max_force: float = 1.5
+    block_gear_max_force: float = 0.1
+
+    def __post_init__(self) -> None:
+        values = astuple(self)
+        _finite("dynamics", values)
+        if min(values) <= 0:
+            raise InvalidSceneError(f"dynamics: expected positive forces, found {values}")
+
+    @staticmethod
+    def sample(rng: np.random.Generator) -> "Dynamics":
+        """One uniform draw within `DYNAMICS_RANGES`."""
+        return Dynamics(*(float(rng.uniform(low, high)) for low, high in DYNAMICS_RANGES))
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any] | Sequence[float]) -> "Dynamics":
+        """From `to_dict()`'s form, or from the five numbers in order."""
+        names = [field.name for field in fields(Dynamics)]
+        if not isinstance(data, Mapping):
+            data = dict(zip(names, data, strict=len(data) != len(names)))
+        if set(data) - set(names) or len(data) > len(names):
+            raise InvalidSceneError(f"dynamics: expected some of {names}, found {sorted(data)}")
+        return Dynamics(**data)
+
+    def to_dict(self) -> dict[str, float]:
+        """Plain data for JSON."""
+        return asdict(self)
+
+
+DYNAMICS_RANGES = ((2.2, 3.5), (0.7, 1.5), (2.5, 4.5), (1.0, 1.8), (0.07, 0.15))
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A world at rest before it moves: robot with open fingers, blocks, goal regions.
+
+    Bodies are made and drawn in order: regions, blocks, robot; with `robot_first` the robot comes
+    before (under) the blocks, as in MoveToCorner (details.md, section 6).
+    """
+
+    robot: Pose
+    blocks: tuple[Block, ...] = ()
+    regions: tuple[Region, ...] = ()
+    robot_first: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "robot", _pose("robot", self.robot))
+        object.__setattr__(self, "blocks", tuple(self.blocks))
+        object.__setattr__(self, "regions", tuple(self.regions))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON, in the recordings' format.
+
+        `robot` [x, y, angle]; `blocks` [[shape, colour, x, y, angle], ...]; `regions`
+        [[colour, centre x, centre y, height, width], ...]; `robot_first`.
+        """
+        return {
+            "robot": list(self.robot),
+            "blocks": [[str(b.shape), str(b.colour), *b.pose] for b in self.blocks],
+            "regions": [[str(r.colour), *r.centre, r.height, r.width] for r in self.regions],
+            "robot_first": self.robot_first,
+        }
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> "Scene":
+        """The inverse of `to_dict`; raises `InvalidSceneError` or `UnknownNameError`."""
+        try:
+            return Scene(
+                robot=data["robot"],
+                blocks=tuple(Block(b[0], b[1], tuple(b[2:])) for b in data.get("blocks", ())),
+                regions=tuple(_region(r) for r in data.get("regions", ())),
+                robot_first=bool(data.get("robot_first", False)),
+            )
+        except (KeyError, IndexError, TypeError) as error:
+            raise InvalidSceneError(
+                "scene: expected robot [x, y, angle], blocks [[shape, colour, x, y, angle], ...] "
+                f"and regions [[colour, centre x, centre y, height, width], ...], found {data!r}"
+            ) from error
+
+
+def _region(row: Sequence[Any]) -> Region:
+    parse_word(Colour, row[0])
+    _finite("region", row[1:])
+    return Region.from_centre(*row)

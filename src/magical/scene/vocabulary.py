@@ -1,0 +1,48 @@
+"""The words scenes are made of: shapes, colours, views (details.md, sections 3 and 6)."""
+
+from enum import StrEnum
+from typing import TypeVar
+
+from magical.errors import UnknownNameError
+
+
+class Shape(StrEnum):
+    """A block's shape."""
+
+    SQUARE = "square"
+    CIRCLE = "circle"
+    PENTAGON = "pentagon"
+    STAR = "star"
+
+
+class Colour(StrEnum):
+    """A block's or goal region's colour."""
+
+    RED = "red"
+    GREEN = "green"
+    BLUE = "blue"
+    YELLOW = "yellow"
+
+
+class View(StrEnum):
+    """A camera: robot-centred (egocentric) or fixed (allocentric); appendix A.1."""
+
+    EGO = "ego"
+    ALLO = "allo"
+
+
+SHAPES = tuple(Shape)
+COLOURS = tuple(Colour)
+
+Word = TypeVar("Word", bound=StrEnum)
+
+
+def parse_word(kind: type[Word], value: object) -> Word:
+    """Return the member of `kind` spelt `value`; raise `UnknownNameError` listing the members."""
+    try:
+        return kind(value)
+    except ValueError:
+        known = ", ".join(kind)
+        raise UnknownNameError(
+            f"{value!r} is no {kind.__name__.lower()}; expected one of: {known}"
+        ) from None
