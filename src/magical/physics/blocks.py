@@ -1,0 +1,73 @@
+"""Blocks and walls in a pymunk space (details.md, sections 3 and 4)."""
+
+import pymunk
+import pymunk.autogeometry
+
+from magical.scene import constants as c
+from magical.scene.geometry import block_outline
+from magical.scene.scene import Block, Dynamics
+from magical.scene.vocabulary import Shape
+
+
+def add_walls(space: pymunk.Space) -> None:
+    """Four static segments around the workspace."""
+    far = c.WORKSPACE_HALF + c.WALL_DISTANCE
+    corners = ((-far, far), (far, far), (far, -far), (-far, -far))
+    for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
+        wall = pymunk.Segment(space.static_body, start, end, c.WALL_RADIUS)
+        wall.friction = c.WALL_FRICTION
+        space.add(wall)
+
+
+def add_block(space: pymunk.Space, block: Block, dynamics: Dynamics, group: int) -> pymunk.Body:
+    """One block with its drag on the floor; `group` is a collision group of its own."""
+    body, shapes = _MAKERS[block.shape]()
+    body.position, body.angle = block.pose[:2], block.pose.angle
+    space.add(body)
+    for shape in shapes:
+        shape.friction = c.BLOCK_FRICTION
+        shape.filter = pymunk.ShapeFilter(group=group)
+        space.add(shape)
+    pivot = pymunk.PivotJoint(space.static_body, body, (0, 0), (0, 0))
+    pivot.max_bias = 0
+    pivot.max_force = dynamics.block_pivot_max_force
+    gear = pymunk.GearJoint(space.static_body, body, 0.0, 1.0)
+    gear.max_bias = 0
+    gear.max_force = dynamics.block_gear_max_force
+    space.add(pivot)
+    space.add(gear)
+    return body
+
+
+def _square() -> tuple[pymunk.Body, list[pymunk.Shape]]:
+    outline = block_outline(Shape.SQUARE)
+    body = pymunk.Body(c.BLOCK_MASS, pymunk.moment_for_poly(c.BLOCK_MASS, outline))
+    return body, [pymunk.Poly(body, outline, None, c.SQUARE_MARGIN)]
+
+
+def _circle() -> tuple[pymunk.Body, list[pymunk.Shape]]:
+    body = pymunk.Body(c.BLOCK_MASS, pymunk.moment_for_circle(c.BLOCK_MASS, 0, c.BLOCK_SIZE))
+    return body, [pymunk.Circle(body, c.BLOCK_SIZE)]
+
+
+def _pentagon() -> tuple[pymunk.Body, list[pymunk.Shape]]:
+    outline = block_outline(Shape.PENTAGON)
+    body = pymunk.Body(c.BLOCK_MASS, pymunk.moment_for_poly(c.BLOCK_MASS, outline))
+    return body, [pymunk.Poly(body, outline)]
+
+
+def _star() -> tuple[pymunk.Body, list[pymunk.Shape]]:
+    outline = list(block_outline(Shape.STAR))
+    hull = outline[::2]  # the outer vertices
+    body = pymunk.Body(c.BLOCK_MASS, pymunk.moment_for_poly(c.BLOCK_MASS, hull))
+    closed = outline + outline[:1]
+    parts = pymunk.autogeometry.convex_decomposition(closed, 0)
+    return body, [pymunk.Poly(body, part) for part in parts]
+
+
+_MAKERS = {
+    Shape.SQUARE: _square,
+    Shape.CIRCLE: _circle,
+    Shape.PENTAGON: _pentagon,
+    Shape.STAR: _star,
+}

@@ -1,0 +1,147 @@
+"""The robot's bodies, joints and shapes, and its control law (details.md, section 2)."""
+
+import math
+from collections.abc import Callable
+
+import pymunk
+from pymunk._chipmunk_cffi import lib
+
+from magical.scene import constants as c
+from magical.scene.actions import ACTIONS, Gripper, Longitudinal, Turn
+from magical.scene.geometry import Polygon, finger_polygons, to_world
+from magical.scene.scene import Dynamics, Pose
+
+ROBOT_GROUP = 1  # collision group shared by all shapes of the robot
+
+_SPEED = {
+    Longitudinal.STOP: 0.0,
+    Longitudinal.FORWARD: c.DRIVE_SPEED_FORWARD,
+    Longitudinal.BACK: c.DRIVE_SPEED_BACK,
+}
+_LEAD = {Turn.STRAIGHT: 0.0, Turn.LEFT: c.TURN_LEAD, Turn.RIGHT: -c.TURN_LEAD}
+_TARGET = {Gripper.OPEN: c.FINGER_OPEN, Gripper.CLOSED: 0.0}
+# What each action asks for: drive speed (units / s), lead of the control body (rad), finger target.
+COMMANDS = tuple((_SPEED[a.longitudinal], _LEAD[a.turn], _TARGET[a.gripper]) for a in ACTIONS)
+
+
+class Robot:
+    """The robot in a pymunk space.
+
+    `steer(speed, lead, target)` is to be called before every substep, with one of `COMMANDS`.
+    """
+
+    def __init__(self, space: pymunk.Space, pose: Pose, dynamics: Dynamics) -> None:
+        self.body = _add_body(space, pose)
+        self._control = _add_drive(space, self.body, pose, dynamics)
+        self.eyes = [_add_eye(space, self.body, pose) for _ in c.SIDES]
+        fingers = [_add_finger(space, self.body, side, pose, dynamics) for side in c.SIDES]
+        self.fingers = [finger for finger, _ in fingers]
+        self._motors = [motor for _, motor in fingers]
+        shapes: list[pymunk.Shape] = [pymunk.Circle(self.body, c.ROBOT_RADIUS)]
+        shapes[0].friction = c.ROBOT_FRICTION
+        for finger, side in zip(self.fingers, c.SIDES, strict=True):
+            for polygon in finger_polygons(side):
+                shapes.append(pymunk.Poly(finger, polygon))
+                shapes[-1].friction = c.FINGER_FRICTION
+        for shape in shapes:
+            shape.filter = pymunk.ShapeFilter(group=ROBOT_GROUP)
+            space.add(shape)
+        self.steer = _control_law(self.body, self._control, self.fingers, self._motors)
+
+
+def _control_law(
+    body: pymunk.Body,
+    control: pymunk.Body,
+    fingers: list[pymunk.Body],
+    motors: list[pymunk.SimpleMotor],
+) -> Callable[[float, float, float], None]:
+    """The function `steer(speed, lead, target)` that sets control body and finger motors.
+
+    It runs before each of ten substeps and would be a third of a control step through pymunk's
+    properties; calling Chipmunk through pymunk's own bindings more than halves that. The tests
+    hold it against the same law written with the properties.
+    """
+    robot, controller = body._body, control._body
+    left, right = (finger._body for finger in fingers)
+    left_motor, right_motor = (motor._constraint for motor in motors)
+    get_angle, set_angle = lib.cpBodyGetAngle, lib.cpBodySetAngle
+    set_velocity, set_rate = lib.cpBodySetVelocity, lib.cpSimpleMotorSetRate
+    sin, cos = math.sin, math.cos
+
+    def steer(speed: float, lead: float, target: float) -> None:
+        angle = get_angle(robot)
+        set_angle(controller, angle + lead)
+        set_velocity(controller, (-sin(angle) * speed, cos(angle) * speed))
+        set_rate(left_motor, motor_rate(get_angle(left) - angle - target))
+        set_rate(right_motor, motor_rate(get_angle(right) - angle + target))
+
+    return steer
+
+
+def motor_rate(error: float) -> float:
+    """A finger motor's rate (rad / s) for a finger `error` radians from its target."""
+    rate = c.FINGER_GAIN * error
+    if abs(rate) < c.FINGER_DEAD_RATE:
+        return 0.0
+    return max(-c.FINGER_MAX_RATE, min(c.FINGER_MAX_RATE, rate))
+
+
+def _add_body(space: pymunk.Space, pose: Pose) -> pymunk.Body:
+    body = pymunk.Body(c.ROBOT_MASS, pymunk.moment_for_circle(c.ROBOT_MASS, 0, c.ROBOT_RADIUS))
+    body.position, body.angle = pose[:2], pose.angle
+    space.add(body)
+    return body
+
+
+def _add_drive(
+    space: pymunk.Space, body: pymunk.Body, pose: Pose, dynamics: Dynamics
+) -> pymunk.Body:
+    control = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
+    control.position, control.angle = pose[:2], pose.angle
+    pivot = pymunk.PivotJoint(control, body, (0, 0), (0, 0))
+    pivot.max_bias = 0
+    pivot.max_force = dynamics.body_pivot_max_force
+    gear = pymunk.GearJoint(control, body, 0.0, 1.0)
+    gear.error_bias = 0
+    gear.max_bias = c.TURN_MAX_BIAS
+    gear.max_force = dynamics.body_gear_max_force
+    for part in (control, pivot, gear):
+        space.add(part)
+    return control
+
+
+def _add_eye(space: pymunk.Space, body: pymunk.Body, pose: Pose) -> pymunk.Body:
+    # The spring's max_force stays unlimited: a limit changes how the robot turns.
+    eye = pymunk.Body(c.EYE_MASS, pymunk.moment_for_circle(c.EYE_MASS, 0, c.ROBOT_RADIUS))
+    eye.position, eye.angle = pose[:2], pose.angle
+    spring = pymunk.DampedRotarySpring(body, eye, 0, c.EYE_SPRING_STIFFNESS, c.EYE_SPRING_DAMPING)
+    space.add(eye)
+    space.add(spring)
+    return eye
+
+
+def _add_finger(
+    space: pymunk.Space, body: pymunk.Body, side: int, pose: Pose, dynamics: Dynamics
+) -> tuple[pymunk.Body, pymunk.SimpleMotor]:
+    upper, forearm = finger_polygons(side)
+    finger = pymunk.Body(c.FINGER_MASS, _finger_moment(upper, forearm))
+    root = (side * c.FINGER_ROOT_X, c.FINGER_ROOT_Y)
+    finger.position, finger.angle = to_world(root, pose), pose.angle - side * c.FINGER_OPEN
+    # A pin joint of zero length, as published; a pivot joint grips visibly differently.
+    pin = pymunk.PinJoint(body, finger, root, (0, 0))
+    pin.error_bias = 0
+    limits = (0.0, c.FINGER_OPEN) if side < 0 else (-c.FINGER_OPEN, 0.0)
+    limit = pymunk.RotaryLimitJoint(body, finger, *limits)
+    limit.error_bias = 0
+    motor = pymunk.SimpleMotor(body, finger, 0)
+    motor.max_bias = 0
+    motor.max_force = dynamics.finger_motor_max_force
+    for part in (finger, pin, limit, motor):
+        space.add(part)
+    return finger, motor
+
+
+def _finger_moment(upper: Polygon, forearm: Polygon) -> float:
+    # The polygon through both rectangles' vertices in this order crosses itself; the published
+    # moment (0.005006 left, 0.004983 right) is this polygon's.
+    return pymunk.moment_for_poly(c.FINGER_MASS, upper + forearm)
