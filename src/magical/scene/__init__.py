@@ -3,6 +3,7 @@
 from magical.scene.actions import ACTION_NAMES, ACTIONS, NOOP, NUM_ACTIONS, Action
 from magical.scene.poses import Poses
 from magical.scene.scene import Block, Dynamics, Pose, Region, Scene
+from magical.scene.state import State
 from magical.scene.vocabulary import COLOURS, SHAPES, Colour, Shape, View
 
 __all__ = [
@@ -21,5 +22,6 @@ __all__ = [
     "Region",
     "Scene",
     "Shape",
+    "State",
     "View",
 ]
