@@ -1,0 +1,32 @@
+"""MAGICAL: the benchmark for robust imitation learning.
+
+Importing registers the environments with Gymnasium and does nothing else:
+
+    import gymnasium, magical
+    env = gymnasium.make("magical/MoveToCorner-Demo-LoRes4E-v0")
+"""
+
+from magical.envs import all_env_ids, parse_env_id, register_all, register_envs
+from magical.tasks import TASKS, Task, get_task
+from magical.tasks import register_task as _register_task
+
+__version__ = "0.1.0"
+
+
+def register_task(task: Task) -> None:
+    """Add a task from outside the package: its environments get their names at once."""
+    _register_task(task)
+    register_envs(task)
+
+
+register_all()
+
+__all__ = [
+    "TASKS",
+    "Task",
+    "__version__",
+    "all_env_ids",
+    "get_task",
+    "parse_env_id",
+    "register_task",
+]

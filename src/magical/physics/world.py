@@ -66,11 +66,11 @@ class World:
 
     def poses(self) -> Poses:
         """Where every body is now."""
-        return Poses(self.read()[:, :3])
+        return Poses(self.read()[:, :3].copy())
 
     def velocities(self) -> NDArray[np.float64]:
         """Velocity (x, y, angular) of every body in the rows of `Poses`, (5 + blocks, 3)."""
-        return self.read()[:, 3:]
+        return self.read()[:, 3:].copy()
 
     def read(self) -> NDArray[np.float64]:
         """Pose and velocity of every body in one pass: x, y, angle, their velocities.

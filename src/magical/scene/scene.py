@@ -136,16 +136,17 @@ class Scene:
         object.__setattr__(self, "blocks", tuple(self.blocks))
         object.__setattr__(self, "regions", tuple(self.regions))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self, exact: bool = False) -> dict[str, Any]:
         """Plain data for JSON, in the recordings' format.
 
         `robot` [x, y, angle]; `blocks` [[shape, colour, x, y, angle], ...]; `regions`
-        [[colour, centre x, centre y, height, width], ...]; `robot_first`.
+        [[colour, centre x, centre y, height, width], ...]; `robot_first`. With `exact`, regions are
+        mappings of their own fields instead: going through the centre can cost a rounding error.
         """
         return {
             "robot": list(self.robot),
             "blocks": [[str(b.shape), str(b.colour), *b.pose] for b in self.blocks],
-            "regions": [[str(r.colour), *r.centre, r.height, r.width] for r in self.regions],
+            "regions": [_region_data(region, exact) for region in self.regions],
             "robot_first": self.robot_first,
         }
 
@@ -166,7 +167,15 @@ class Scene:
             ) from error
 
 
-def _region(row: Sequence[Any]) -> Region:
-    parse_word(Colour, row[0])
-    _finite("region", row[1:])
-    return Region.from_centre(*row)
+def _region_data(region: Region, exact: bool) -> dict[str, Any] | list[Any]:
+    if exact:
+        return {**asdict(region), "colour": str(region.colour)}
+    return [str(region.colour), *region.centre, region.height, region.width]
+
+
+def _region(data: Mapping[str, Any] | Sequence[Any]) -> Region:
+    if isinstance(data, Mapping):
+        return Region(**data)
+    parse_word(Colour, data[0])
+    _finite("region", data[1:])
+    return Region.from_centre(*data)

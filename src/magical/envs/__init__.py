@@ -1,0 +1,6 @@
+"""The Gymnasium environments, and their names."""
+
+from magical.envs.ids import EnvId, all_env_ids, parse_env_id
+from magical.envs.registration import register_all, register_envs
+
+__all__ = ["EnvId", "all_env_ids", "parse_env_id", "register_all", "register_envs"]
