@@ -1,0 +1,46 @@
+# Needs Python 3.11 or newer and make; everything else is set up in .venv, from pinned versions.
+
+SHELL := /bin/bash
+.DEFAULT_GOAL := help
+.PHONY: help setup test check test-all quickstart clean
+
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+EXTRAS := dev,learning,report,video,window,minari,lerobot,sb3,tensorboard
+# The first interpreter that runs; `make PYTHON=/path/to/python` overrules it.
+PYTHON ?= $(firstword $(foreach name,python3.11 python3.12 python3.13 python3,\
+	$(shell $(name) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $(name))))
+PYTEST_FLAGS ?= -q -n auto --dist loadfile
+
+help: ## this list
+	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
+
+setup: $(READY) ## the virtual environment in .venv, pinned versions, editable
+
+$(READY): pyproject.toml constraints.txt
+	@test -n "$(PYTHON)" || { echo "error: no Python 3.11 or newer found; set PYTHON=" >&2; exit 1; }
+	@echo "setting up $(VENV) with $(PYTHON)"
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@$(BIN)/python tools/install.py $(EXTRAS)
+	@touch $@
+
+test: $(READY) ## all tests on one Python
+	@$(BIN)/python -m pytest $(PYTEST_FLAGS)
+
+check: $(READY) ## lint, format, types, layers, file and function length
+	@$(BIN)/ruff check --quiet .
+	@$(BIN)/ruff format --check --quiet . || { $(BIN)/ruff format --check .; exit 1; }
+	@$(BIN)/python tools/check_sizes.py src tests benchmarks tools
+	@$(BIN)/lint-imports --no-timing
+	@$(BIN)/mypy
+
+test-all: $(READY) ## the tests on Python 3.11, 3.12 and 3.13, without PyTorch
+	@$(BIN)/python tools/test_all.py
+
+quickstart: $(READY) ## the package's main job, from nothing to a result
+	@$(BIN)/magical quickstart
+
+clean: ## remove the virtual environments, caches and build products
+	rm -rf .venv .venv-3.* build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	find src tests benchmarks tools -name __pycache__ -type d -prune -exec rm -rf {} +

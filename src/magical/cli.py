@@ -1,0 +1,68 @@
+"""The `magical` command: a thin door to the rooms.
+
+A command is one file in `magical/commands/` with `HELP`, `configure(parser)` and `run(args)`; the
+file's name is the command's. Commands are listed in alphabetical order. Exit status: 0 good, 1 a
+check failed or an error was met, 2 wrong usage, 130 interrupted.
+"""
+
+import argparse
+import importlib
+import os
+import pkgutil
+import sys
+from collections.abc import Iterator, Sequence
+from types import ModuleType
+
+from magical import commands
+from magical._version import __version__
+from magical.errors import MagicalError, UnknownNameError
+
+GOOD, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit status; errors go to standard error."""
+    try:
+        arguments = build_parser().parse_args(argv)
+        status = int(arguments.run(arguments))
+        sys.stdout.flush()
+    except SystemExit as stop:  # argparse: --help, --version, wrong usage
+        return stop.code if isinstance(stop.code, int) else USAGE
+    except UnknownNameError as error:
+        return _complain(error, USAGE)
+    except BrokenPipeError:
+        # The reader has left (`magical envs | head`); keep the exit's own flush from failing too.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
+    except (MagicalError, OSError) as error:
+        return _complain(error, FAILED)
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return INTERRUPTED
+    return status
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser of the whole command line."""
+    parser = argparse.ArgumentParser(
+        prog="magical", description="The MAGICAL benchmark for robust imitation learning."
+    )
+    parser.add_argument("--version", action="version", version=f"magical {__version__}")
+    subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+    for name, module in find_commands():
+        sub = subparsers.add_parser(name, help=module.HELP, description=module.__doc__)
+        module.configure(sub)
+        sub.set_defaults(run=module.run)
+    return parser
+
+
+def find_commands() -> Iterator[tuple[str, ModuleType]]:
+    """Every command's name and module, alphabetically; names with an underscore are helpers."""
+    for name in sorted(entry.name for entry in pkgutil.iter_modules(commands.__path__)):
+        if not name.startswith("_"):
+            yield name, importlib.import_module(f"{commands.__name__}.{name}")
+
+
+def _complain(error: Exception, status: int) -> int:
+    print(f"error: {error}", file=sys.stderr)
+    return status

@@ -1,0 +1,1 @@
+"""The commands of `magical`, a file each: `HELP`, `configure(parser)`, `run(args) -> int`."""

@@ -1,0 +1,84 @@
+"""What commands share: machine-readable results, tables, messages, pictures."""
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Offer `--json`: the last line of standard output is one JSON object."""
+    parser.add_argument(
+        "--json", action="store_true", help="end standard output with one line of JSON"
+    )
+
+
+def print_json(result: Mapping[str, Any]) -> None:
+    """Print the one JSON object that `--json` promises."""
+    print(json.dumps(result))
+
+
+def log(message: str) -> None:
+    """Say something that is not the result: progress and remarks, on standard error."""
+    print(message, file=sys.stderr)
+
+
+def print_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """Print a table in aligned columns; columns of numbers are aligned to the right."""
+    cells = [[str(cell) for cell in row] for row in rows]
+    widths = [max(map(len, column)) for column in zip(header, *cells, strict=True)]
+    numeric = [
+        all(isinstance(cell, int | float) for cell in column) for column in zip(*rows, strict=True)
+    ] or [False] * len(header)
+    for line in [list(header), ["-" * width for width in widths], *cells]:
+        padded = [
+            cell.rjust(width) if right else cell.ljust(width)
+            for cell, width, right in zip(line, widths, numeric, strict=True)
+        ]
+        print("  ".join(padded).rstrip())
+
+
+def write_image(path: Path, pixels: NDArray[np.uint8]) -> None:
+    """Write an (H, W, 3) picture as PNG, to a temporary name first.
+
+    Raises:
+        OSError: the folder cannot be made or written to.
+    """
+    from PIL import Image
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with NamedTemporaryFile(dir=path.parent, suffix=".png", delete=False) as temporary:
+        try:
+            Image.fromarray(pixels).save(temporary, format="PNG")
+        except BaseException:
+            Path(temporary.name).unlink()
+            raise
+    os.chmod(temporary.name, 0o644)  # noqa: PTH101
+    Path(temporary.name).replace(path)
+
+
+def non_negative_int(text: str) -> int:
+    """An argparse type: an integer of at least 0."""
+    return _at_least(0, text)
+
+
+def positive_int(text: str) -> int:
+    """An argparse type: an integer of at least 1."""
+    return _at_least(1, text)
+
+
+def _at_least(least: int, text: str) -> int:
+    try:
+        value = int(text)
+    except ValueError:
+        value = least - 1
+    if value < least:
+        raise argparse.ArgumentTypeError(f"expected an integer of at least {least}, found {text!r}")
+    return value

@@ -1,0 +1,26 @@
+"""Install this project, editable, with some extras, into the environment that runs this file.
+
+    python tools/install.py dev,report
+
+Every version comes from constraints.txt, the build backend's too.
+"""
+
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def main(extras: str) -> int:
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "install", "-qq"]
+    pip += ["--constraint", str(ROOT / "constraints.txt")]
+    backend = subprocess.run([*pip, "hatchling"], check=False)
+    if backend.returncode:
+        return backend.returncode
+    project = [*pip, "--no-build-isolation", "--editable", f"{ROOT}[{extras}]"]
+    return subprocess.run(project, check=False).returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))
