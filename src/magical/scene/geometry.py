@@ -65,7 +65,9 @@ def finger_polygons(side: int, shrink: float = 0.0) -> tuple[Polygon, Polygon]:
     bend = side * c.FOREARM_BEND
     turned = [rotate(vertex, bend) for vertex in rectangle(thickness, fore_length)]
     elbow_x, elbow_y = rotate((-side * thickness / 2, fore_length / 2), bend)
-    return upper, shift(turned, side * thickness / 2 + elbow_x, upper_length + elbow_y)
+    # Summed in the order details.md gives: where fingers grip, the last bit matters.
+    centre_x, centre_y = side * thickness / 2 + elbow_x, upper_length / 2 + elbow_y
+    return upper, shift(turned, centre_x, centre_y + upper_length / 2)
 
 
 @cache
@@ -137,18 +139,25 @@ def depth(a: Piece, b: Piece) -> float:
 
     The separating axis test over edge normals and, where pieces are rounded, vertex pairs.
     """
-    least = math.inf
-    for nx, ny in _axes(a, b):
-        a_along = [nx * x + ny * y for x, y in a.vertices]
-        b_along = [nx * x + ny * y for x, y in b.vertices]
-        gap = max(min(b_along) - max(a_along), min(a_along) - max(b_along))
-        least = min(least, a.radius + b.radius - gap)
-    return least
+    return min(_depths(a, b))
+
+
+def penetrates(a: Piece, b: Piece, slack: float = 0.0) -> bool:
+    """Whether `depth(a, b) > slack`, found out at the first direction that separates the two."""
+    return all(along > slack for along in _depths(a, b))
 
 
 def overlap(first: Sequence[Piece], second: Sequence[Piece], slack: float = 0.0) -> bool:
     """Whether any two pieces overlap by more than `slack` units."""
-    return any(depth(a, b) > slack for a in first for b in second)
+    return any(penetrates(a, b, slack) for a in first for b in second)
+
+
+def _depths(a: Piece, b: Piece) -> Iterable[float]:
+    for nx, ny in _axes(a, b):
+        a_along = [nx * x + ny * y for x, y in a.vertices]
+        b_along = [nx * x + ny * y for x, y in b.vertices]
+        gap = max(min(b_along) - max(a_along), min(a_along) - max(b_along))
+        yield a.radius + b.radius - gap
 
 
 def _axes(a: Piece, b: Piece) -> Iterable[Point]:

@@ -1,0 +1,1 @@
+"""Holds the package against recordings of the published environments."""

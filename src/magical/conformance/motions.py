@@ -1,0 +1,134 @@
+"""Holds the physics against recorded motions (`motions.json`)."""
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical.conformance.files import read_json, write_text
+from magical.conformance.report import Line
+from magical.errors import MagicalError, RecordingError
+from magical.physics import World
+from magical.scene.actions import NUM_ACTIONS
+from magical.scene.scene import Block, Pose, Scene
+from magical.scene.vocabulary import Colour
+
+POSITION_LIMIT = 0.02  # units: driving, turning and pushing, robot and blocks, at every step
+ANGLE_LIMIT = 0.02  # rad: the robot's angle while driving, turning and pushing
+GRIP_LIMIT = 0.12  # units: gripping, where the published physics itself is chaotic
+_ANSWERS = ("robot_pose", "finger_angles", "block_poses")
+
+Motion = dict[str, Any]
+
+
+def load(path: Path | str) -> dict[str, Motion]:
+    """Read a motions file: name -> `robot`, `blocks`, `actions` and, where known, the answers.
+
+    Raises `RecordingError` for a damaged file.
+    """
+    data = read_json(path)
+    if not isinstance(data, dict):
+        raise RecordingError(f"{path}: expected an object of motions, found {type(data).__name__}")
+    for name, motion in data.items():
+        try:
+            _scene(motion)
+            if not all(a in range(NUM_ACTIONS) for a in motion["actions"]):
+                raise ValueError(f"actions: expected integers from 0 to {NUM_ACTIONS - 1}")
+            for key in _ANSWERS:
+                if key in motion and len(motion[key]) != len(motion["actions"]) + 1:
+                    raise ValueError(f"{key}: expected one entry more than actions")
+        except (KeyError, IndexError, TypeError, ValueError, MagicalError) as error:
+            raise RecordingError(
+                f"{path}: motion {name!r} is damaged; expected robot [[x, y], angle], blocks "
+                f"[[shape, [x, y], angle], ...] and actions: {error!r}"
+            ) from error
+    return data
+
+
+def compute(data: Mapping[str, Motion]) -> dict[str, Motion]:
+    """Act the motions out: name -> `robot_pose`, `finger_angles`, `block_poses` at every step."""
+    return {name: _act(_scene(motion), motion["actions"]) for name, motion in data.items()}
+
+
+def compare(data: Mapping[str, Motion], computed: Mapping[str, Motion]) -> list[Line]:
+    """One line for each kind of motion and quantity: the largest difference at any step.
+
+    Differences of the blocks' angles are reported in the detail and have no limit: where corners
+    meet they depend on the last bit of the arithmetic (docs/determinism.md).
+    """
+    groups: dict[str, list[str]] = {}
+    for name, motion in data.items():
+        if all(key in motion for key in _ANSWERS):
+            groups.setdefault(_kind(name), []).append(name)
+    return [line for kind, names in groups.items() for line in _lines(kind, names, data, computed)]
+
+
+def write(computed: Mapping[str, Motion], out: Path | str) -> None:
+    """Write what was computed as JSON."""
+    write_text(out, json.dumps(computed))
+
+
+def _lines(
+    kind: str, names: Sequence[str], data: Mapping[str, Motion], computed: Mapping[str, Motion]
+) -> list[Line]:
+    errors = np.array([_errors(data[name], computed[name]) for name in names])
+    position, angle, block_angle = errors.max(axis=0).tolist()
+    worst = names[int(errors[:, 0].argmax())]
+    limit = GRIP_LIMIT if kind == "grip" else POSITION_LIMIT
+    detail = f"{len(names)} motions, worst {worst}; robot {angle:.4f} rad, blocks {block_angle:.4f} rad"
+    lines = [Line(f"{kind} position", position, limit, "units", position <= limit, detail)]
+    if kind != "grip":
+        lines.append(Line(f"{kind} robot angle", angle, ANGLE_LIMIT, "rad", angle <= ANGLE_LIMIT))
+    return lines
+
+
+def _errors(recorded: Motion, computed: Motion) -> tuple[float, float, float]:
+    """Largest difference in any body's position, the robot's angle, any block's angle."""
+    robot = np.array(computed["robot_pose"]) - np.array(recorded["robot_pose"])  # (T + 1, 3)
+    count = len(recorded["robot_pose"])
+    blocks = np.array(computed["block_poses"]) - np.array(recorded["block_poses"])
+    blocks = blocks.reshape(count, -1, 3)  # (T + 1, blocks, 3)
+    position = float(np.hypot(robot[:, 0], robot[:, 1]).max())
+    block_position = np.hypot(blocks[..., 0], blocks[..., 1])
+    return (
+        max(position, float(block_position.max(initial=0.0))),
+        float(_turn(robot[:, 2]).max()),
+        float(_turn(blocks[..., 2]).max(initial=0.0)),
+    )
+
+
+def _turn(difference: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angle differences without whole turns, as absolute values."""
+    return np.abs((difference + math.pi) % (2 * math.pi) - math.pi)
+
+
+def _kind(name: str) -> str:
+    for kind, words in {"grip": ("grip",), "push": ("push",), "turn": ("turn", "arc")}.items():
+        if name.startswith(words):
+            return kind
+    return "drive"
+
+
+def _scene(motion: Motion) -> Scene:
+    (x, y), angle = motion["robot"]
+    blocks = tuple(
+        Block(shape, Colour.RED, Pose(bx, by, turn)) for shape, (bx, by), turn in motion["blocks"]
+    )
+    return Scene(Pose(x, y, angle), blocks)
+
+
+def _act(scene: Scene, actions: Sequence[int]) -> Motion:
+    world = World(scene)
+    history = [world.poses()]
+    for action in actions:
+        world.step(action)
+        history.append(world.poses())
+    return {
+        "robot_pose": [list(poses.robot) for poses in history],
+        "finger_angles": [poses.finger_angles.tolist() for poses in history],
+        "block_poses": [poses.blocks.tolist() for poses in history],
+    }
