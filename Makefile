@@ -32,7 +32,7 @@ check: $(READY) ## lint, format, types, layers, file and function length
 	@$(BIN)/ruff check --quiet .
 	@$(BIN)/ruff format --check --quiet . || { $(BIN)/ruff format --check .; exit 1; }
 	@$(BIN)/python tools/check_sizes.py src tests benchmarks tools
-	@$(BIN)/lint-imports --no-timing
+	@$(BIN)/lint-imports --no-logo
 	@$(BIN)/mypy
 
 test-all: $(READY) ## the tests on Python 3.11, 3.12 and 3.13, without PyTorch

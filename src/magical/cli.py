@@ -13,8 +13,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from types import ModuleType
 
-from magical import commands
-from magical._version import __version__
+from magical import __version__, commands
 from magical.errors import MagicalError, UnknownNameError
 
 GOOD, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130

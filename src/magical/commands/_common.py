@@ -2,15 +2,15 @@
 
 import argparse
 import json
-import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from tempfile import NamedTemporaryFile
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from magical.files import write_atomically
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
@@ -46,22 +46,15 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> None
 
 
 def write_image(path: Path, pixels: NDArray[np.uint8]) -> None:
-    """Write an (H, W, 3) picture as PNG, to a temporary name first.
+    """Write an (H, W, 3) picture as PNG, in one go.
 
     Raises:
         OSError: the folder cannot be made or written to.
     """
     from PIL import Image
 
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with NamedTemporaryFile(dir=path.parent, suffix=".png", delete=False) as temporary:
-        try:
-            Image.fromarray(pixels).save(temporary, format="PNG")
-        except BaseException:
-            Path(temporary.name).unlink()
-            raise
-    os.chmod(temporary.name, 0o644)  # noqa: PTH101
-    Path(temporary.name).replace(path)
+    with write_atomically(path) as file:
+        Image.fromarray(pixels).save(file, format="PNG")
 
 
 def non_negative_int(text: str) -> int:

@@ -1,0 +1,42 @@
+"""List the tasks, their horizons and variants, and the observation presets."""
+
+import argparse
+
+from magical.commands._common import add_json, print_json, print_table
+from magical.envs import all_env_ids
+from magical.observe import PRESETS
+from magical.tasks import TASKS
+
+HELP = "list tasks, variants, horizons"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Describe the command's arguments."""
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the registry."""
+    ids = all_env_ids(presets=True)
+    rows = [(task.name, task.horizon, " ".join(task.variants)) for task in TASKS.values()]
+    print_table(("task", "horizon", "variants"), rows)
+    print()
+    print("environment ids: magical/<task>-<variant>[-<preset>]-v0")
+    print(f"presets: {' '.join(PRESETS)}")
+    print(f"{len(all_env_ids())} environments, {len(ids)} ids with presets")
+    if args.json:
+        print_json(
+            {
+                "tasks": {
+                    task.name: {
+                        "horizon": task.horizon,
+                        "variants": list(task.variants),
+                        "summary": task.summary,
+                    }
+                    for task in TASKS.values()
+                },
+                "presets": list(PRESETS),
+                "ids": ids,
+            }
+        )
+    return 0

@@ -1,0 +1,209 @@
+"""The command line: discovery, exit statuses, output."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from magical import cli
+from magical.commands import envs
+from magical.errors import PlacementError, UnknownNameError
+
+COMMANDS = dict(cli.find_commands())
+
+
+@pytest.fixture
+def fail_with(monkeypatch: pytest.MonkeyPatch) -> Callable[[BaseException], int]:
+    """Run `magical envs` while that command raises the given exception."""
+
+    def call(error: BaseException) -> int:
+        def run(_: object) -> int:
+            raise error
+
+        monkeypatch.setattr(envs, "run", run)
+        return cli.main(["envs"])
+
+    return call
+
+
+def test_commands_are_found_in_order() -> None:
+    assert list(COMMANDS) == sorted(COMMANDS)
+    assert {"conformance", "envs", "show"} <= set(COMMANDS)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert COMMANDS[name].HELP
+    assert cli.main([name, "--help"]) == 0
+    assert capsys.readouterr().out.startswith(f"usage: magical {name}")
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["--version"]) == 0
+    assert capsys.readouterr().out == f"magical {cli.__version__}\n"
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [
+        [],
+        ["fly"],
+        ["envs", "--fast"],
+        ["show"],
+        ["show", "magical/MoveToCorner-Demo-v0", "--seed", "-1"],
+        ["show", "magical/MoveToCorner-Demo-v0", "--seed", "one"],
+        ["show", "magical/MoveToMoon-Demo-v0"],
+        ["show", "magical/MoveToCorner-TestLayout-v0"],
+        ["conformance", "smells", "x.json"],
+    ],
+)
+def test_wrong_usage_exits_2(argv: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(argv) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "error: " in captured.err
+
+
+def test_a_variant_that_a_task_lacks_is_answered_with_those_it_has(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    cli.main(["show", "magical/MoveToCorner-TestLayout-v0"])
+    message = capsys.readouterr().err
+    assert "TestLayout" in message
+    assert "TestJitter" in message
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "message"),
+    [
+        (UnknownNameError("no such task"), 2, "error: no such task\n"),
+        (PlacementError("no room"), 1, "error: no room\n"),
+        (
+            FileNotFoundError(2, "No such file", "x.png"),
+            1,
+            "error: [Errno 2] No such file: 'x.png'\n",
+        ),
+        (KeyboardInterrupt(), 130, "interrupted\n"),
+    ],
+)
+def test_errors_become_exit_statuses(
+    fail_with: Callable[[BaseException], int],
+    capsys: pytest.CaptureFixture[str],
+    error: BaseException,
+    status: int,
+    message: str,
+) -> None:
+    assert fail_with(error) == status
+    assert capsys.readouterr().err == message
+
+
+def test_an_unforeseen_exception_is_not_hidden(fail_with: Callable[[BaseException], int]) -> None:
+    with pytest.raises(ZeroDivisionError):
+        fail_with(ZeroDivisionError())
+
+
+def test_a_reader_that_leaves_is_no_traceback() -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-m", "magical", "envs", "--json"]
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, check=False)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (1, b"")
+
+
+def test_envs_lists_the_registry(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["envs", "--json"]) == 0
+    *table, last = capsys.readouterr().out.splitlines()
+    report = json.loads(last)
+    assert len(report["ids"]) == 360
+    assert report["tasks"]["MoveToCorner"]["horizon"] == 80
+    assert "TestLayout" not in report["tasks"]["MoveToCorner"]["variants"]
+    rows = [line.split() for line in table]
+    for name, task in report["tasks"].items():
+        assert [name, str(task["horizon"]), *task["variants"]] in rows
+
+
+def test_show_writes_both_views(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "new" / "scene.png"
+    argv = ["show", "magical/FindDupe-TestAll-LoRes4E-v0", "--seed", "3", "--out", str(out)]
+    assert cli.main(argv) == 0
+    assert capsys.readouterr().out == f"wrote {out}\n"
+    assert list(out.parent.iterdir()) == [out]
+    first = out.read_bytes()
+    with Image.open(out) as image:
+        assert image.size == (768, 384)
+        assert len(set(image.getdata())) > 50
+    cli.main(argv)
+    assert out.read_bytes() == first
+    argv[3] = "4"
+    cli.main(argv)
+    assert out.read_bytes() != first
+
+
+def test_show_chooses_a_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["show", "magical/MoveToRegion-Demo-v0", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert report["out"] == "magical-MoveToRegion-Demo-v0.png"
+    assert (tmp_path / report["out"]).is_file()
+
+
+def test_show_names_a_place_it_cannot_write_to(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    argv = ["show", "magical/MoveToRegion-Demo-v0", "--out", str(tmp_path / "file" / "x.png")]
+    assert cli.main(argv) == 1
+    assert str(tmp_path / "file") in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", ["frames", "motions", "scenes", "scores"])
+def test_conformance_names_a_missing_recording(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["conformance", kind, str(tmp_path / "missing")]) == 1
+    assert "missing" in capsys.readouterr().err
+
+
+def motions(path: Path, *, wrong: float | None) -> Path:
+    """A file with one motion: standing still; `wrong` is what its answer is off by."""
+    motion = {"robot": [[0.0, 0.0], 0.0], "blocks": [], "actions": [0]}
+    if wrong is not None:
+        still = [0.0, 0.0, 0.0]
+        motion["robot_pose"] = [still, [wrong, 0.0, 0.0]]
+        motion["finger_angles"] = [[0.3927, -0.3927]] * 2
+        motion["block_poses"] = [[], []]
+    path.write_text(json.dumps({"drive-still": motion}))
+    return path
+
+
+@pytest.mark.parametrize(("wrong", "status", "word"), [(0.0, 0, "ok"), (0.5, 1, "MISSED")])
+def test_conformance_exits_1_when_a_limit_is_missed(
+    wrong: float, status: int, word: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = motions(tmp_path / "motions.json", wrong=wrong)
+    assert cli.main(["conformance", "motions", str(data), "--json"]) == status
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.startswith(word) and "drive" in line for line in lines)
+    report = json.loads(lines[-1])
+    assert report["passed"] is (status == 0)
+    assert {"name", "figure", "limit"} <= set(report["lines"][0])
+
+
+def test_conformance_without_answers_computes_and_writes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = motions(tmp_path / "motions.json", wrong=None)
+    out = tmp_path / "out.json"
+    assert cli.main(["conformance", "motions", str(data), "--out", str(out)]) == 0
+    assert len(json.loads(out.read_text())["drive-still"]["robot_pose"]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "nothing compared" in captured.err

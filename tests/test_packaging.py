@@ -1,0 +1,84 @@
+"""The wheel holds everything and works outside the tree; importing stays light."""
+
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+HEAVY = ("torch", "numba", "scipy", "pandas", "pymunk", "PIL", "matplotlib", "rich")
+
+
+def run_python(*args: str, cwd: Path, path: Path | None = None) -> str:
+    """The standard output of a fresh interpreter; `path` is searched before all else."""
+    environment = {**os.environ, **({"PYTHONPATH": str(path)} if path else {})}
+    done = subprocess.run(
+        [sys.executable, *args],
+        cwd=cwd,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def wheel(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The built wheel; nothing is fetched."""
+    folder = tmp_path_factory.mktemp("wheel")
+    run_python(
+        *("-m", "build", "--wheel", "--no-isolation", "--outdir", str(folder), str(root)),
+        cwd=folder,
+    )
+    (built,) = folder.glob("magical_benchmark-*-py3-none-any.whl")
+    return built
+
+
+def test_wheel_holds_every_file_of_the_package(wheel: Path, root: Path) -> None:
+    source = root / "src"
+    expected = {
+        path.relative_to(source).as_posix()
+        for path in (source / "magical").rglob("*")
+        if path.is_file() and path.suffix not in {".pyc", ".nbi", ".nbc"}
+    }
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+    assert "magical/py.typed" in expected
+    assert expected <= names
+    assert {name.split("/")[0].split("-")[0] for name in names} == {"magical", "magical_benchmark"}
+
+
+def test_installed_wheel_runs_an_environment(wheel: Path, tmp_path: Path) -> None:
+    site = tmp_path / "site"
+    pip = ("-m", "pip", "--disable-pip-version-check", "install", "--quiet", "--no-index")
+    run_python(*pip, "--no-deps", "--target", str(site), str(wheel), cwd=tmp_path)
+    script = """
+import gymnasium, magical
+env = gymnasium.make("magical/FindDupe-TestAll-LoRes4E-v0", horizon=2)
+first, _ = env.reset(seed=1)
+env.step(0)
+second, _, _, truncated, info = env.step(1)
+print(magical.__file__, second.shape, bool((first != second).any()), truncated, sorted(info))
+"""
+    printed = run_python("-c", script, cwd=tmp_path, path=site).split(maxsplit=1)
+    assert Path(printed[0]).is_relative_to(site)
+    assert printed[1].startswith("(96, 96, 12) True True ['eval_score'")
+    version = run_python("-m", "magical", "--version", cwd=tmp_path, path=site)
+    assert version.split()[0] == "magical"
+
+
+def test_importing_loads_nothing_heavy(tmp_path: Path) -> None:
+    script = f"import sys, magical; print([m for m in {HEAVY} if m in sys.modules])"
+    assert run_python("-c", script, cwd=tmp_path).strip() == "[]"
+
+
+def test_command_line_loads_nothing_heavy(tmp_path: Path) -> None:
+    script = (
+        "import sys; from magical.cli import main; main(['envs']);"
+        f"print([m for m in {HEAVY} if m in sys.modules])"
+    )
+    assert run_python("-c", script, cwd=tmp_path).splitlines()[-1] == "[]"
