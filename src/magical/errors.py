@@ -31,3 +31,7 @@ class InvalidStateError(MagicalError, ValueError):
 
 class RecordingError(MagicalError, ValueError):
     """A recording file that is damaged or not in the documented format."""
+
+
+class InvalidTaskError(MagicalError, ValueError):
+    """A task that cannot be registered: a name already taken, or fields that do not fit."""

@@ -1,0 +1,23 @@
+"""The eight tasks: Demo scenes, variants and scores. One file a task; see `Task`."""
+
+from magical.tasks.axes import VARIANTS, Axis
+from magical.tasks.checking import check_placement
+from magical.tasks.placement import Placing
+from magical.tasks.registry import TASKS, discover, get_task, register_task, unregister_task
+from magical.tasks.task import Task
+from magical.tasks.validation import validate_scene
+
+__all__ = [
+    "TASKS",
+    "VARIANTS",
+    "Axis",
+    "Placing",
+    "Task",
+    "check_placement",
+    "get_task",
+    "register_task",
+    "unregister_task",
+    "validate_scene",
+]
+
+discover(__name__, __path__)

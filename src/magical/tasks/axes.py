@@ -1,0 +1,37 @@
+"""What a test variant changes: a set of axes, never a flag per class (appendix, Table 2)."""
+
+from collections.abc import Mapping
+from enum import Flag, auto
+from types import MappingProxyType
+
+
+class Axis(Flag):
+    """One way in which a variant's scenes differ from the Demo scene (details.md, section 8)."""
+
+    JITTER = auto()  # small changes of poses and region sizes
+    LAYOUT = auto()  # poses anywhere in the workspace, region sizes in their whole range
+    COLOUR = auto()  # colours of blocks and regions
+    SHAPE = auto()  # shapes of blocks
+    COUNT = auto()  # number of blocks; only together with LAYOUT, COLOUR and SHAPE
+    DYNAMICS = auto()  # friction and motor forces (details.md, section 5)
+
+
+NOTHING = Axis(0)
+EVERYTHING = ~NOTHING
+DEMO = "Demo"
+ALL = "TestAll"
+
+# The names used in environment ids. `TestAll` is what a task that supports every axis varies; see
+# `Task.axes_of` for the others.
+VARIANTS: Mapping[str, Axis] = MappingProxyType(
+    {
+        DEMO: NOTHING,
+        "TestJitter": Axis.JITTER,
+        "TestLayout": Axis.LAYOUT,
+        "TestColour": Axis.COLOUR,
+        "TestShape": Axis.SHAPE,
+        "TestCountPlus": Axis.LAYOUT | Axis.COLOUR | Axis.SHAPE | Axis.COUNT,
+        "TestDynamics": Axis.DYNAMICS,
+        ALL: EVERYTHING & ~Axis.JITTER,
+    }
+)

@@ -1,0 +1,63 @@
+"""ClusterColour: push the blocks into clusters of the same colour (appendix A.2.7).
+
+Horizon 320 control steps (the published code and the human demonstrations: 240). The score rises
+linearly from 0 to 1 as the fraction of correctly clustered blocks rises from 0.5 to 1; a block is
+correctly clustered when its squared distance to the centroid of its own colour is less than a third
+of that to the nearest centroid of another; see `clustering`.
+"""
+
+from magical.scene import COLOURS, Block, Colour, Pose, Poses, Scene, Shape
+from magical.tasks import clustering
+from magical.tasks.axes import EVERYTHING
+from magical.tasks.task import Task
+
+DEMO = Scene(
+    robot=Pose(0.71692, -0.34374, 0.83693),
+    blocks=(
+        Block(Shape.CIRCLE, Colour.BLUE, Pose(-0.5147, 0.14149, -0.38871)),
+        Block(Shape.STAR, Colour.BLUE, Pose(-0.1347, -0.71414, 1.0533)),
+        Block(Shape.SQUARE, Colour.BLUE, Pose(-0.74247, -0.097592, 1.1571)),
+        Block(Shape.PENTAGON, Colour.GREEN, Pose(-0.077363, -0.42964, -0.64379)),
+        Block(Shape.PENTAGON, Colour.GREEN, Pose(0.51978, 0.1853, -1.1762)),
+        Block(Shape.SQUARE, Colour.RED, Pose(-0.5278, -0.21642, 2.9356)),
+        Block(Shape.STAR, Colour.YELLOW, Pose(-0.54039, 0.48292, 0.072818)),
+        Block(Shape.PENTAGON, Colour.YELLOW, Pose(-0.16761, 0.64303, -2.3255)),
+    ),
+)
+
+
+def colour_of(block: Block) -> str:
+    """The attribute that clusters are made by."""
+    return block.colour
+
+
+def score(scene: Scene, poses: Poses) -> float:
+    """The appendix's score by colour (appendix A.2.7)."""
+    return clustering.score(scene, poses, colour_of)
+
+
+def published_score(scene: Scene, poses: Poses) -> float:
+    """The published code's score by colour (details.md, section 9)."""
+    return clustering.published_score(scene, poses, colour_of)
+
+
+def fault(scene: Scene) -> str:
+    """Why the scene does not fit the task, or an empty text."""
+    return clustering.fault(scene, colour_of, COLOURS)
+
+
+TASK = Task(
+    name="ClusterColour",
+    summary="Push the blocks into clusters of the same colour.",
+    section="A.2.7",
+    horizon=clustering.HORIZON,
+    published_horizon=clustering.PUBLISHED_HORIZON,
+    demo=DEMO,
+    axes=EVERYTHING,
+    redraw=clustering.redraw,
+    rule=score,
+    published_rule=published_score,
+    max_blocks=clustering.BLOCKS[1],
+    max_regions=0,
+    fault=fault,
+)

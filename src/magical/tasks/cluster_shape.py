@@ -1,0 +1,63 @@
+"""ClusterShape: push the blocks into clusters of the same shape (appendix A.2.7).
+
+Horizon 320 control steps (the published code and the human demonstrations: 240). The score rises
+linearly from 0 to 1 as the fraction of correctly clustered blocks rises from 0.5 to 1; a block is
+correctly clustered when its squared distance to the centroid of its own shape is less than a third
+of that to the nearest centroid of another; see `clustering`.
+"""
+
+from magical.scene import SHAPES, Block, Colour, Pose, Poses, Scene, Shape
+from magical.tasks import clustering
+from magical.tasks.axes import EVERYTHING
+from magical.tasks.task import Task
+
+DEMO = Scene(
+    robot=Pose(0.286, -0.202, -1.878),
+    blocks=(
+        Block(Shape.SQUARE, Colour.YELLOW, Pose(-0.414, 0.297, -1.731)),
+        Block(Shape.PENTAGON, Colour.BLUE, Pose(0.068, 0.705, 2.184)),
+        Block(Shape.PENTAGON, Colour.RED, Pose(0.821, 0.220, 0.650)),
+        Block(Shape.PENTAGON, Colour.RED, Pose(-0.461, -0.749, -2.673)),
+        Block(Shape.CIRCLE, Colour.GREEN, Pose(0.867, -0.149, -2.215)),
+        Block(Shape.STAR, Colour.YELLOW, Pose(-0.785, -0.140, -0.405)),
+        Block(Shape.STAR, Colour.BLUE, Pose(-0.305, -0.226, 1.341)),
+        Block(Shape.CIRCLE, Colour.GREEN, Pose(0.758, -0.708, -2.140)),
+    ),
+)
+
+
+def shape_of(block: Block) -> str:
+    """The attribute that clusters are made by."""
+    return block.shape
+
+
+def score(scene: Scene, poses: Poses) -> float:
+    """The appendix's score by shape (appendix A.2.7)."""
+    return clustering.score(scene, poses, shape_of)
+
+
+def published_score(scene: Scene, poses: Poses) -> float:
+    """The published code's score by shape (details.md, section 9)."""
+    return clustering.published_score(scene, poses, shape_of)
+
+
+def fault(scene: Scene) -> str:
+    """Why the scene does not fit the task, or an empty text."""
+    return clustering.fault(scene, shape_of, SHAPES)
+
+
+TASK = Task(
+    name="ClusterShape",
+    summary="Push the blocks into clusters of the same shape.",
+    section="A.2.7",
+    horizon=clustering.HORIZON,
+    published_horizon=clustering.PUBLISHED_HORIZON,
+    demo=DEMO,
+    axes=EVERYTHING,
+    redraw=clustering.redraw,
+    rule=score,
+    published_rule=published_score,
+    max_blocks=clustering.BLOCKS[1],
+    max_regions=0,
+    fault=fault,
+)

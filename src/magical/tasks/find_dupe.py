@@ -1,0 +1,106 @@
+"""FindDupe: push a duplicate of the region's query block into the region (appendix A.2.5).
+
+Horizon 100 control steps. With q the query block, T the other blocks of its shape and colour, D
+the distractors and R the blocks that end inside the goal region, the score is
+
+    [q in R]  x  [T & R not empty]  x  (1 - |D & R| / |R|).
+
+In the published code any two blocks like the query will do, q need not stay (details.md, section
+9). Blocks are in the order other outside blocks, duplicate, query.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from magical.scene import Block, Colour, Pose, Poses, Region, Scene, Shape
+from magical.tasks.attributes import draw_count, repaint, take
+from magical.tasks.axes import EVERYTHING, Axis
+from magical.tasks.placement import Placing
+from magical.tasks.scoring import blocks_inside
+from magical.tasks.task import Task
+
+OTHERS = (1, 5)  # least and most outside blocks besides the duplicate in CountPlus
+MARGIN = 0.06  # units from the query's centre to the region's nearest edge
+
+DEMO = Scene(
+    robot=Pose(-0.57, 0.25, 3.83),
+    blocks=(
+        Block(Shape.PENTAGON, Colour.GREEN, Pose(-0.066751, 0.7552, -2.9266)),
+        Block(Shape.CIRCLE, Colour.RED, Pose(-0.05195, 0.31468, 1.5418)),
+        Block(Shape.CIRCLE, Colour.RED, Pose(0.57528, -0.46865, -2.2141)),
+        Block(Shape.SQUARE, Colour.YELLOW, Pose(0.40594, -0.74977, 0.24582)),
+        Block(Shape.STAR, Colour.BLUE, Pose(0.45254, 0.3681, -1.0834)),
+        Block(Shape.PENTAGON, Colour.YELLOW, Pose(0.76849, -0.10652, 0.10028)),
+        Block(Shape.PENTAGON, Colour.YELLOW, Pose(-0.33, -0.49, -0.51)),
+    ),
+    regions=(Region(Colour.YELLOW, x=-0.72, y=-0.22, height=0.67, width=0.72),),
+)
+
+
+def query_in_region(count: int) -> Mapping[int, int]:
+    """The last block is enclosed by the region."""
+    return {count - 1: 0}
+
+
+def redraw(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
+    """The query's colour and shape, the others' number, colours and shapes."""
+    *others, duplicate, query = scene.blocks
+    (query,) = repaint([query], axes, rng)
+    if Axis.COUNT in axes:
+        others = list(take(others, draw_count(*OTHERS, rng)))
+    duplicate = replace(query, pose=duplicate.pose)
+    return replace(
+        scene,
+        blocks=(*repaint(others, axes, rng), duplicate, query),
+        regions=(replace(scene.regions[0], colour=query.colour),),
+    )
+
+
+def score(scene: Scene, poses: Poses) -> float:
+    """Query satisfied, less the distractor penalty, 0 to 1 (appendix A.2.5)."""
+    query = len(scene.blocks) - 1
+    alike, inside = _alike(scene), blocks_inside(scene.regions[0], scene, poses)
+    satisfied = query in inside and len(alike & inside) > 1
+    return len(inside & alike) / len(inside) if satisfied else 0.0
+
+
+def published_score(scene: Scene, poses: Poses) -> float:
+    """As `score`, with any two blocks like the query inside (details.md, section 9)."""
+    alike, inside = _alike(scene), blocks_inside(scene.regions[0], scene, poses)
+    return len(inside & alike) / len(inside) if len(alike & inside) > 1 else 0.0
+
+
+def _alike(scene: Scene) -> set[int]:
+    """The query and all blocks of its shape and colour; the rest are the distractors."""
+    query = scene.blocks[-1]
+    wanted = query.shape, query.colour
+    return {i for i, block in enumerate(scene.blocks) if (block.shape, block.colour) == wanted}
+
+
+def fault(scene: Scene) -> str:
+    """Why the scene does not fit the task, or an empty text."""
+    if len(scene.regions) != 1 or not scene.blocks:
+        return "expected 1 goal region and the query as the last block, found fewer; add them"
+    found = len(_alike(scene)) > 1
+    return (
+        "" if found else "expected a duplicate of the last block (the query), found none; add one"
+    )
+
+
+TASK = Task(
+    name="FindDupe",
+    summary="Push a duplicate of the query block in the goal region into the region.",
+    section="A.2.5",
+    horizon=100,
+    demo=DEMO,
+    axes=EVERYTHING,
+    redraw=redraw,
+    placing=Placing(enclosed=query_in_region, margin=MARGIN),
+    rule=score,
+    published_rule=published_score,
+    max_blocks=OTHERS[1] + 2,
+    max_regions=1,
+    fault=fault,
+)

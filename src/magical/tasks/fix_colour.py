@@ -1,0 +1,102 @@
+"""FixColour: push the one block of another colour than its region out of it (appendix A.2.6).
+
+Horizon 60 control steps. Each goal region starts with one block inside, block i in region i. The
+score is 1 if the mismatched block ends outside its region while every other region contains
+exactly the block that it started with, otherwise 0.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from magical.scene import COLOURS, Block, Colour, Pose, Poses, Region, Scene, Shape
+from magical.tasks.attributes import draw, draw_count, repaint, take
+from magical.tasks.axes import EVERYTHING, Axis
+from magical.tasks.placement import Placing
+from magical.tasks.scoring import blocks_inside
+from magical.tasks.task import Task
+
+PAIRS = (2, 3)  # least and most blocks with their regions in CountPlus
+REGION_SIZE = (0.4, 0.5)  # units
+MARGIN = 0.12  # units from a block's centre to its region's nearest edge
+
+DEMO = Scene(
+    robot=Pose(0.368, 0.586, 0.718),
+    blocks=(
+        Block(Shape.PENTAGON, Colour.GREEN, Pose(0.289, 0.030, 0.307)),
+        Block(Shape.SQUARE, Colour.GREEN, Pose(0.133, -0.561, 1.699)),
+        Block(Shape.PENTAGON, Colour.BLUE, Pose(-0.336, 0.000, -1.529)),
+    ),
+    regions=(
+        Region(Colour.GREEN, x=-0.032, y=0.348, height=0.427, width=0.468),
+        Region(Colour.GREEN, x=0.019, y=-0.391, height=0.460, width=0.458),
+        Region(Colour.RED, x=-0.681, y=0.196, height=0.498, width=0.418),
+    ),
+)
+
+
+def own_region(count: int) -> Mapping[int, int]:
+    """Block i is enclosed by region i."""
+    return {i: i for i in range(count)}
+
+
+def redraw(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
+    """The number of pairs, the blocks' shapes, the regions' colours and the mismatch."""
+    count = draw_count(*PAIRS, rng) if Axis.COUNT in axes else len(scene.blocks)
+    blocks = list(repaint(take(scene.blocks, count), axes & Axis.SHAPE, rng))
+    regions = scene.regions[:count]
+    if Axis.COLOUR in axes:
+        regions = tuple(replace(region, colour=draw(COLOURS, rng)) for region in regions)
+        colours = [region.colour for region in regions]
+        odd = draw_count(0, count - 1, rng)
+        colours[odd] = draw([colour for colour in COLOURS if colour != colours[odd]], rng)
+        blocks = [replace(b, colour=c) for b, c in zip(blocks, colours, strict=True)]
+    return replace(scene, blocks=tuple(blocks), regions=regions)
+
+
+def score(scene: Scene, poses: Poses) -> float:
+    """Whether the mismatch is fixed and nothing else disturbed, 0 or 1 (appendix A.2.6)."""
+    mismatched = mismatches(scene)
+    inside = [blocks_inside(region, scene, poses) for region in scene.regions]
+    fixed = all(
+        i not in found if i in mismatched else found == {i} for i, found in enumerate(inside)
+    )
+    return float(fixed)
+
+
+def mismatches(scene: Scene) -> set[int]:
+    """Numbers of the blocks whose colour is not their region's."""
+    pairs = zip(scene.blocks, scene.regions, strict=True)
+    return {i for i, (block, region) in enumerate(pairs) if block.colour != region.colour}
+
+
+def fault(scene: Scene) -> str:
+    """Why the scene does not fit the task, or an empty text."""
+    if len(scene.blocks) != len(scene.regions):
+        return (
+            "expected a region for every block (block i in region i), found "
+            f"{len(scene.blocks)} blocks and {len(scene.regions)} regions"
+        )
+    if len(odd := mismatches(scene)) != 1:
+        return f"expected exactly 1 block of another colour than its region, found {len(odd)}"
+    for i, (block, region) in enumerate(zip(scene.blocks, scene.regions, strict=True)):
+        if not region.contains(block.pose.x, block.pose.y):
+            return f"expected block {i} inside region {i}, found it outside; move it there"
+    return ""
+
+
+TASK = Task(
+    name="FixColour",
+    summary="Push the block that differs in colour from its goal region out of the region.",
+    section="A.2.6",
+    horizon=60,
+    demo=DEMO,
+    axes=EVERYTHING,
+    redraw=redraw,
+    placing=Placing(region_size=REGION_SIZE, enclosed=own_region, margin=MARGIN),
+    rule=score,
+    max_blocks=PAIRS[1],
+    max_regions=PAIRS[1],
+    fault=fault,
+)

@@ -1,0 +1,99 @@
+"""MakeLine: arrange all blocks in a line, wherever and in whatever direction (appendix A.2.4).
+
+Horizon 180 control steps. For a pair of blocks, the inliers are the blocks at most 0.18 units
+from the geometric line through the pair. Sorted along that line, they fall into subsets wherever
+neighbours are more than 0.42 units apart. With n blocks and m the size of the largest subset over
+all pairs, the score is 1 if m = n, 0.5 if m = n - 1, otherwise 0. Colours and shapes do not
+count. The published code gives nothing for two blocks in line (details.md, section 9).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations, pairwise
+
+import numpy as np
+
+from magical.scene import Block, Colour, Pose, Poses, Scene, Shape
+from magical.tasks.attributes import draw_count, repaint, take
+from magical.tasks.axes import EVERYTHING, Axis
+from magical.tasks.scoring import Point, positions
+from magical.tasks.task import Task
+
+INLIER_DISTANCE = 0.18  # units from the line, d_i
+NEIGHBOUR_DISTANCE = 0.42  # units along the line, d_c
+BLOCKS = (3, 4)  # least and most in CountPlus
+PUBLISHED_SHORTEST = 3  # blocks: shorter lines count for nothing in the published code
+
+DEMO = Scene(
+    robot=Pose(0.702, -0.255, 0.347),
+    blocks=(
+        Block(Shape.STAR, Colour.BLUE, Pose(0.790, -0.820, -0.721)),
+        Block(Shape.CIRCLE, Colour.YELLOW, Pose(-0.177, 0.383, -1.733)),
+        Block(Shape.STAR, Colour.RED, Pose(-0.051, -0.128, 2.696)),
+        Block(Shape.PENTAGON, Colour.GREEN, Pose(-0.292, -0.745, -0.159)),
+    ),
+)
+
+
+def redraw(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
+    """The number of blocks, each block's colour and shape."""
+    blocks = scene.blocks
+    if Axis.COUNT in axes:
+        blocks = take(blocks, draw_count(*BLOCKS, rng))
+    return replace(scene, blocks=repaint(blocks, axes, rng))
+
+
+def score(scene: Scene, poses: Poses) -> float:
+    """1 for a line of all blocks, 0.5 for all but one, otherwise 0 (appendix A.2.4)."""
+    blocks = positions(scene, poses)
+    missing = len(blocks) - longest_line(blocks)
+    return {0: 1.0, 1: 0.5}.get(missing, 0.0)
+
+
+def published_score(scene: Scene, poses: Poses) -> float:
+    """As `score`, but two blocks of three in line give 0 (details.md, section 9)."""
+    blocks = positions(scene, poses)
+    longest = longest_line(blocks)
+    if longest < min(PUBLISHED_SHORTEST, len(blocks)):
+        return 0.0
+    return {0: 1.0, 1: 0.5}.get(len(blocks) - longest, 0.0)
+
+
+def longest_line(blocks: Sequence[Point]) -> int:
+    """The number of blocks in the largest line through any pair."""
+    lines = (_line_through(a, b, blocks) for a, b in combinations(blocks, 2) if a != b)
+    return max(lines, default=1)
+
+
+def _line_through(a: Point, b: Point, blocks: Sequence[Point]) -> int:
+    length = math.dist(a, b)
+    ux, uy = (b[0] - a[0]) / length, (b[1] - a[1]) / length
+    offsets = [(x - a[0], y - a[1]) for x, y in blocks]
+    along = sorted(ux * x + uy * y for x, y in offsets if abs(ux * y - uy * x) <= INLIER_DISTANCE)
+    longest = current = 1
+    for previous, following in pairwise(along):
+        current = current + 1 if following - previous <= NEIGHBOUR_DISTANCE else 1
+        longest = max(longest, current)
+    return longest
+
+
+def fault(scene: Scene) -> str:
+    """Why the scene does not fit the task, or an empty text."""
+    return "" if len(scene.blocks) > 1 else "expected at least 2 blocks, found fewer; add blocks"
+
+
+TASK = Task(
+    name="MakeLine",
+    summary="Arrange all blocks in a line.",
+    section="A.2.4",
+    horizon=180,
+    demo=DEMO,
+    axes=EVERYTHING,
+    redraw=redraw,
+    rule=score,
+    published_rule=published_score,
+    max_blocks=BLOCKS[1],
+    max_regions=0,
+    fault=fault,
+)

@@ -1,0 +1,95 @@
+"""MatchRegions: gather all blocks of the goal region's colour, and no others (appendix A.2.3).
+
+Horizon 120 control steps. With T the target blocks (of the region's colour), D the distractors
+(of other colours) and R the blocks that end inside the region, the score is
+
+    |T & R| / |T|  x  (1 - |D & R| / |R|)      (0 where R is empty).
+
+CountPlus varies the number of blocks only, one region staying one goal.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from magical.scene import COLOURS, Block, Colour, Pose, Poses, Region, Scene, Shape
+from magical.tasks.attributes import draw, draw_count, repaint, take
+from magical.tasks.axes import EVERYTHING, Axis
+from magical.tasks.scoring import blocks_inside
+from magical.tasks.task import Task
+
+TARGETS = (1, 2)  # least and most in CountPlus
+DISTRACTORS = (0, 2)  # least and most of each other colour in CountPlus
+
+# Targets first, then distractors by colour in the vocabulary's order.
+DEMO = Scene(
+    robot=Pose(-0.5, 0.1, -1.2 * math.pi),
+    blocks=(
+        Block(Shape.STAR, Colour.GREEN, Pose(0.8, -0.7, 2.37)),
+        Block(Shape.SQUARE, Colour.GREEN, Pose(-0.68, 0.72, 1.28)),
+        Block(Shape.PENTAGON, Colour.BLUE, Pose(-0.05, -0.2, -1.09)),
+        Block(Shape.CIRCLE, Colour.YELLOW, Pose(-0.75, -0.55, 2.78)),
+        Block(Shape.PENTAGON, Colour.YELLOW, Pose(0.3, -0.82, -1.15)),
+    ),
+    regions=(Region(Colour.GREEN, x=0.1, y=0.7, height=0.7, width=0.6),),
+)
+
+
+def redraw(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
+    """The target colour with the others in order, then numbers of blocks, then shapes."""
+    region, blocks = scene.regions[0], scene.blocks
+    target = draw(COLOURS, rng) if Axis.COLOUR in axes else region.colour
+    renamed = dict(zip(_target_first(region.colour), _target_first(target), strict=True))
+    colours = [renamed[block.colour] for block in blocks]
+    if Axis.COUNT in axes:
+        counts = [draw_count(*TARGETS, rng), *(draw_count(*DISTRACTORS, rng) for _ in range(3))]
+        groups = zip(_target_first(target), counts, strict=True)
+        colours = [colour for colour, count in groups for _ in range(count)]
+    blocks = tuple(
+        replace(block, colour=colour)
+        for block, colour in zip(take(blocks, len(colours)), colours, strict=True)
+    )
+    return replace(
+        scene,
+        blocks=repaint(blocks, axes & Axis.SHAPE, rng),
+        regions=(replace(region, colour=target),),
+    )
+
+
+def _target_first(target: Colour) -> list[Colour]:
+    return [target, *(colour for colour in COLOURS if colour != target)]
+
+
+def score(scene: Scene, poses: Poses) -> float:
+    """Target bonus times one less the distractor penalty, 0 to 1 (appendix A.2.3)."""
+    region = scene.regions[0]
+    targets = {i for i, block in enumerate(scene.blocks) if block.colour == region.colour}
+    inside = blocks_inside(region, scene, poses)
+    if not inside:
+        return 0.0
+    return len(targets & inside) / len(targets) * (1 - len(inside - targets) / len(inside))
+
+
+def fault(scene: Scene) -> str:
+    """Why the scene does not fit the task, or an empty text."""
+    if len(scene.regions) != 1:
+        return "expected 1 goal region, found none"
+    colour = scene.regions[0].colour
+    found = any(block.colour == colour for block in scene.blocks)
+    return "" if found else f"expected a block of the region's colour {colour}, found none; add one"
+
+
+TASK = Task(
+    name="MatchRegions",
+    summary="Gather all blocks of the goal region's colour, and only those, in the region.",
+    section="A.2.3",
+    horizon=120,
+    demo=DEMO,
+    axes=EVERYTHING,
+    redraw=redraw,
+    rule=score,
+    max_blocks=TARGETS[1] + DISTRACTORS[1] * (len(COLOURS) - 1),
+    max_regions=1,
+    fault=fault,
+)

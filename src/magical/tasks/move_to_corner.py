@@ -1,0 +1,60 @@
+"""MoveToCorner: push the one block from the bottom right to the top left corner (appendix A.2.1).
+
+Horizon 80 control steps. The score is 1 while the block's centre ends within sqrt(2)/2 units of
+the top left corner of the workspace, 0 beyond sqrt(2) units, and linear in the distance between.
+Variants jitter the poses or draw the block's colour or shape. A layout drawn freely would leave
+open which corner is meant, and so would a second block.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from magical.scene import Block, Colour, Pose, Poses, Scene, Shape
+from magical.scene.constants import WORKSPACE_HALF
+from magical.tasks.attributes import repaint
+from magical.tasks.axes import Axis
+from magical.tasks.scoring import positions
+from magical.tasks.task import Task
+
+GOAL = (-WORKSPACE_HALF, WORKSPACE_HALF)  # the top left corner
+FAR = math.sqrt(2.0)  # units: no score from here on
+NEAR = FAR / 2  # units: full score within
+
+DEMO = Scene(
+    robot=Pose(0.4, 0.0, 0.55 * math.pi),
+    blocks=(Block(Shape.SQUARE, Colour.RED, Pose(0.1, -0.65, 0.13 * math.pi)),),
+    robot_first=True,
+)
+
+
+def redraw(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
+    """The block's colour and shape."""
+    return replace(scene, blocks=repaint(scene.blocks, axes, rng))
+
+
+def score(scene: Scene, poses: Poses) -> float:
+    """How near the block is to the top left corner, 0 to 1 (appendix A.2.1)."""
+    (block,) = positions(scene, poses)
+    return min(max((FAR - math.dist(block, GOAL)) / (FAR - NEAR), 0.0), 1.0)
+
+
+def fault(scene: Scene) -> str:
+    """Why the scene does not fit the task, or an empty text."""
+    return "" if len(scene.blocks) == 1 else f"expected 1 block, found {len(scene.blocks)}"
+
+
+TASK = Task(
+    name="MoveToCorner",
+    summary="Push the block from the bottom right corner to the top left corner.",
+    section="A.2.1",
+    horizon=80,
+    demo=DEMO,
+    axes=Axis.JITTER | Axis.COLOUR | Axis.SHAPE | Axis.DYNAMICS,
+    redraw=redraw,
+    rule=score,
+    max_blocks=1,
+    max_regions=0,
+    fault=fault,
+)

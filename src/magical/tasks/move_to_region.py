@@ -1,0 +1,51 @@
+"""MoveToRegion: drive the robot into the goal region (appendix A.2.2).
+
+Horizon 40 control steps. The score is 1 if the centre of the robot's body ends inside the goal
+region, otherwise 0. There are no blocks, so variants have no shapes or counts to draw.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from magical.scene import COLOURS, Colour, Pose, Poses, Region, Scene
+from magical.tasks.attributes import draw
+from magical.tasks.axes import Axis
+from magical.tasks.task import Task
+
+DEMO = Scene(
+    robot=Pose(0.058, 0.53, -2.13),
+    regions=(Region(Colour.BLUE, x=-0.62, y=-0.17, height=0.76, width=0.75),),
+)
+
+
+def redraw(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
+    """The region's colour."""
+    if Axis.COLOUR not in axes:
+        return scene
+    return replace(scene, regions=(replace(scene.regions[0], colour=draw(COLOURS, rng)),))
+
+
+def score(scene: Scene, poses: Poses) -> float:
+    """Whether the robot's centre is inside the goal region, 0 or 1 (appendix A.2.2)."""
+    return float(scene.regions[0].contains(poses.robot.x, poses.robot.y))
+
+
+def fault(scene: Scene) -> str:
+    """Why the scene does not fit the task, or an empty text."""
+    return "" if len(scene.regions) == 1 else "expected 1 goal region, found none"
+
+
+TASK = Task(
+    name="MoveToRegion",
+    summary="Drive the robot into the goal region.",
+    section="A.2.2",
+    horizon=40,
+    demo=DEMO,
+    axes=Axis.JITTER | Axis.LAYOUT | Axis.COLOUR | Axis.DYNAMICS,
+    redraw=redraw,
+    rule=score,
+    max_blocks=0,
+    max_regions=1,
+    fault=fault,
+)

@@ -1,0 +1,48 @@
+"""Every task by name: those of this package, and those that others register."""
+
+import importlib
+import pkgutil
+from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
+from types import MappingProxyType
+
+from magical.errors import InvalidTaskError, UnknownNameError
+from magical.tasks.task import Task
+
+_tasks: dict[str, Task] = {}
+TASKS: Mapping[str, Task] = MappingProxyType(_tasks)  # in the appendix's order
+
+
+def register_task(task: Task) -> Task:
+    """Add a task to `TASKS`; raises `InvalidTaskError` if another has its name."""
+    if _tasks.get(task.name, task) is not task:
+        raise InvalidTaskError(
+            f"expected a new task name, found {task.name!r}, which is registered; choose another"
+        )
+    _tasks[task.name] = task
+    return task
+
+
+def unregister_task(name: str) -> Task:
+    """Take a task out of `TASKS` and return it; raises `UnknownNameError`."""
+    task = get_task(name)
+    del _tasks[name]
+    return task
+
+
+def get_task(name: str) -> Task:
+    """The task of that exact name; raises `UnknownNameError` that lists the names."""
+    if name in _tasks:
+        return _tasks[name]
+    close = get_close_matches(str(name), _tasks, n=1)
+    hint = f"; did you mean {close[0]!r}?" if close else ""
+    raise UnknownNameError(f"{name!r} is no task; expected one of: {', '.join(_tasks)}{hint}")
+
+
+def discover(package: str, path: Iterable[str]) -> None:
+    """Register the `TASK` of every module in a package, in the order of the appendix's sections."""
+    names = [f"{package}.{module.name}" for module in pkgutil.iter_modules(path)]
+    modules = [importlib.import_module(name) for name in names]
+    tasks = [module.TASK for module in modules if hasattr(module, "TASK")]
+    for task in sorted(tasks, key=lambda task: (not task.section, task.section, task.name)):
+        register_task(task)

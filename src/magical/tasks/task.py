@@ -1,0 +1,117 @@
+"""What a task is: a Demo scene, how variants change it, and how final states are scored."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+
+import numpy as np
+
+from magical.errors import InvalidSceneError, InvalidTaskError, UnknownNameError
+from magical.scene import Dynamics, Poses, Scene
+from magical.tasks.axes import ALL, VARIANTS, Axis
+from magical.tasks.placement import Placing, scatter
+from magical.tasks.validation import validate_scene
+
+Redraw = Callable[[Scene, Axis, np.random.Generator], Scene]
+Rule = Callable[[Scene, Poses], float]
+
+
+def _no_fault(scene: Scene) -> str:
+    return ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """One task of the benchmark; raises `InvalidTaskError` where the fields do not fit."""
+
+    name: str  # as in environment ids, for instance MoveToCorner
+    summary: str  # one line: what the robot must do
+    section: str = ""  # of the appendix; tasks are listed in its order, those without come last
+    horizon: int  # control steps (appendix A.2)
+    published_horizon: int = 0  # that of the published code; 0: the same
+    demo: Scene  # the Demo variant's scene (details.md, section 8)
+    axes: Axis  # the axes that its variants may change (appendix, Table 2)
+    redraw: Redraw  # draws counts, colours and shapes along the given axes; poses are drawn after
+    placing: Placing = field(default_factory=Placing)  # how regions and blocks are placed
+    rule: Rule  # the appendix's score of a final state, 0 to 1
+    published_rule: Rule | None = None  # the published code's, where different (section 9)
+    max_blocks: int  # over all variants
+    max_regions: int  # over all variants
+    fault: Callable[[Scene], str] = _no_fault  # why a scene does not fit the task, or ""
+
+    def __post_init__(self) -> None:
+        if not self.name.isalnum():
+            raise InvalidTaskError(
+                f"task name: expected letters and digits as in environment ids, found {self.name!r}"
+            )
+        if not self.published_horizon:
+            object.__setattr__(self, "published_horizon", self.horizon)
+        if self.horizon < 1 or self.published_horizon < 1:
+            raise InvalidTaskError(
+                f"{self.name}: expected a positive horizon, found {self.horizon}"
+            )
+        self._check_axes()
+        self.validate(self.demo)
+
+    def _check_axes(self) -> None:
+        needed = VARIANTS["TestCountPlus"]
+        if Axis.COUNT in self.axes and needed not in self.axes:
+            raise InvalidTaskError(
+                f"{self.name}: expected {needed} for the axis COUNT, found {self.axes}"
+            )
+
+    @property
+    def variants(self) -> tuple[str, ...]:
+        """Names of the variants that the task has, in the order of `VARIANTS`."""
+        return tuple(name for name, axes in VARIANTS.items() if name == ALL or axes in self.axes)
+
+    def axes_of(self, variant: str) -> Axis:
+        """The axes along which a variant differs from Demo; raises `UnknownNameError`.
+
+        TestAll changes everything that the task supports, and jitters poses only where they
+        cannot be laid out freely (details.md, section 8).
+        """
+        if variant not in self.variants:
+            raise UnknownNameError(self._unknown_variant(variant))
+        if variant != ALL:
+            return VARIANTS[variant]
+        return self.axes & ~Axis.JITTER if Axis.LAYOUT in self.axes else self.axes
+
+    def _unknown_variant(self, variant: str) -> str:
+        known = ", ".join(self.variants)
+        if variant in VARIANTS:
+            return f"{self.name} has no variant {variant!r}; it has: {known}"
+        close = get_close_matches(str(variant), self.variants, n=1)
+        hint = f"; did you mean {close[0]!r}?" if close else ""
+        return f"{variant!r} is no variant; {self.name} has: {known}{hint}"
+
+    def sample(self, variant: str, rng: np.random.Generator) -> tuple[Scene, Dynamics]:
+        """Draw an episode's initial scene and dynamics.
+
+        Raises:
+            UnknownNameError: the task lacks the variant; says which it has.
+            PlacementError: no room was found for a body.
+        """
+        axes = self.axes_of(variant)
+        scene = scatter(self.redraw(self.demo, axes, rng), axes, rng, self.placing)
+        return scene, Dynamics.sample(rng) if Axis.DYNAMICS in axes else Dynamics()
+
+    def score(self, scene: Scene, poses: Poses) -> float:
+        """The appendix's score, 0 to 1, of final poses in an episode that began with `scene`."""
+        return self.rule(scene, poses)
+
+    def published_code_score(self, scene: Scene, poses: Poses) -> float:
+        """The published code's score of the same (details.md, section 9)."""
+        return (self.published_rule or self.rule)(scene, poses)
+
+    def validate(self, scene: Scene) -> None:
+        """Raise `InvalidSceneError` where an episode of this task cannot start from the scene."""
+        validate_scene(scene)
+        found = len(scene.blocks), len(scene.regions)
+        if found[0] > self.max_blocks or found[1] > self.max_regions:
+            raise InvalidSceneError(
+                f"{self.name}: expected at most {self.max_blocks} blocks and {self.max_regions} "
+                f"regions, found {found[0]} and {found[1]}; remove some"
+            )
+        if fault := self.fault(scene):
+            raise InvalidSceneError(f"{self.name}: {fault}")
