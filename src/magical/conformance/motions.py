@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.conformance.files import read_json, write_text
+from magical.conformance.files import read_json
 from magical.conformance.report import Line
 from magical.errors import MagicalError, RecordingError
+from magical.files import write_atomically
 from magical.physics import World
 from magical.scene.actions import NUM_ACTIONS
 from magical.scene.scene import Block, Pose, Scene
@@ -69,7 +70,8 @@ def compare(data: Mapping[str, Motion], computed: Mapping[str, Motion]) -> list[
 
 def write(computed: Mapping[str, Motion], out: Path | str) -> None:
     """Write what was computed as JSON."""
-    write_text(out, json.dumps(computed))
+    with write_atomically(out) as file:
+        file.write(json.dumps(computed).encode())
 
 
 def _lines(
@@ -79,7 +81,9 @@ def _lines(
     position, angle, block_angle = errors.max(axis=0).tolist()
     worst = names[int(errors[:, 0].argmax())]
     limit = GRIP_LIMIT if kind == "grip" else POSITION_LIMIT
-    detail = f"{len(names)} motions, worst {worst}; robot {angle:.4f} rad, blocks {block_angle:.4f} rad"
+    detail = (
+        f"{len(names)} motions, worst {worst}; robot {angle:.4f} rad, blocks {block_angle:.4f} rad"
+    )
     lines = [Line(f"{kind} position", position, limit, "units", position <= limit, detail)]
     if kind != "grip":
         lines.append(Line(f"{kind} robot angle", angle, ANGLE_LIMIT, "rad", angle <= ANGLE_LIMIT))

@@ -163,7 +163,7 @@ def observation_form(task: Task, observation: Observation) -> PixelSpec | StateL
 
 def check_options(task: Task, horizon: int | None, reward: str) -> None:
     """Raise for a horizon or reward that cannot be."""
-    if horizon is not None and (not isinstance(horizon, int) or horizon < 1):
+    if horizon is not None and (operator.index(horizon) < 1):
         raise ValueError(f"horizon: expected a positive integer or None, found {horizon!r}")
     if reward not in REWARDS:
         raise UnknownNameError(f"reward {reward!r} is unknown; expected one of {REWARDS}")

@@ -52,9 +52,7 @@ class Episode:
         self.world: World
         self.table: NDArray[np.float64]  # (5 + blocks, 6): poses and velocities
 
-    def start(
-        self, rng: np.random.Generator, options: Mapping[str, Any] | None = None
-    ) -> None:
+    def start(self, rng: np.random.Generator, options: Mapping[str, Any] | None = None) -> None:
         """Begin an episode from the variant's draw, or from what `options` give in its place.
 
         Raises `InvalidSceneError` for a scene that cannot be, `ValueError` for unknown options.

@@ -41,7 +41,7 @@ class StateLayout:
     @property
     def names(self) -> tuple[str, ...]:
         """One name for each entry, such as `robot.x` or `block3.star`."""
-        slots = [("robot", _ROBOT)]
+        slots: list[tuple[str, tuple[str, ...]]] = [("robot", _ROBOT)]
         slots += [(f"block{i}", _BLOCK) for i in range(self.max_blocks)]
         slots += [(f"region{i}", _REGION) for i in range(self.max_regions)]
         return tuple(f"{slot}.{entry}" for slot, entries in slots for entry in entries)

@@ -48,7 +48,9 @@ class Action(NamedTuple):
         return f"{self.longitudinal.name}-{self.turn.name}-{self.gripper.name}".lower()
 
 
-ACTIONS = tuple(Action(lon, turn, grip) for grip in Gripper for turn in Turn for lon in Longitudinal)
+ACTIONS = tuple(
+    Action(lon, turn, grip) for grip in Gripper for turn in Turn for lon in Longitudinal
+)
 ACTION_NAMES = tuple(action.name for action in ACTIONS)
 NUM_ACTIONS = len(ACTIONS)
 NOOP = Action().id

@@ -19,7 +19,7 @@ class Pose(NamedTuple):
     angle: float
 
 
-def _finite(what: str, values: Sequence[float]) -> None:
+def _finite(what: str, values: Sequence[Any]) -> None:
     if not all(isinstance(v, (int, float)) and math.isfinite(v) for v in values):
         raise InvalidSceneError(f"{what}: expected finite numbers, found {tuple(values)}")
 
@@ -156,7 +156,7 @@ class Scene:
         try:
             return Scene(
                 robot=data["robot"],
-                blocks=tuple(Block(b[0], b[1], tuple(b[2:])) for b in data.get("blocks", ())),
+                blocks=tuple(Block(b[0], b[1], Pose(*b[2:])) for b in data.get("blocks", ())),
                 regions=tuple(_region(r) for r in data.get("regions", ())),
                 robot_first=bool(data.get("robot_first", False)),
             )

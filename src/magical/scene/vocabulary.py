@@ -1,7 +1,7 @@
 """The words scenes are made of: shapes, colours, views (details.md, sections 3 and 6)."""
 
 from enum import StrEnum
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from magical.errors import UnknownNameError
 
@@ -37,7 +37,7 @@ COLOURS = tuple(Colour)
 Word = TypeVar("Word", bound=StrEnum)
 
 
-def parse_word(kind: type[Word], value: object) -> Word:
+def parse_word(kind: type[Word], value: Any) -> Word:
     """Return the member of `kind` spelt `value`; raise `UnknownNameError` listing the members."""
     try:
         return kind(value)

@@ -1,0 +1,119 @@
+"""Every registered environment keeps the promises."""
+
+import json
+import subprocess
+import sys
+import warnings
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import magical
+from magical.envs.env import MagicalEnv
+
+ENV_IDS = magical.all_env_ids()
+ALL_IDS = magical.all_env_ids(presets=True)
+
+
+def _make(env_id: str, **options: Any) -> MagicalEnv:
+    env = gym.make(env_id, **options).unwrapped
+    assert isinstance(env, MagicalEnv)
+    return env
+
+
+def _equal(first: Any, second: Any) -> bool:
+    if isinstance(first, dict):
+        return first.keys() == second.keys() and all(_equal(first[k], second[k]) for k in first)
+    return first.dtype == second.dtype and np.array_equal(first, second)
+
+
+def test_count() -> None:
+    assert len(ENV_IDS) == 60
+    assert len(ALL_IDS) == 360
+    assert all(env_id in gym.registry for env_id in ALL_IDS)
+
+
+@pytest.mark.parametrize("env_id", ALL_IDS)
+def test_gymnasium_s_checker_has_nothing_to_say(env_id: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(gym.make(env_id, render_mode="rgb_array").unwrapped, skip_render_check=False)
+
+
+@pytest.mark.parametrize("env_id", ENV_IDS)
+def test_same_seed_and_actions_same_bits(env_id: str) -> None:
+    spec = env_id.replace("-v0", "-LoResStack-v0")
+    actions = np.random.default_rng(0).integers(18, size=12).tolist()
+    runs = []
+    for _ in range(2):
+        env = gym.make(spec)
+        history = [env.reset(seed=5)[0]]
+        history += [env.step(action)[0] for action in actions]
+        runs.append(history)
+    assert all(_equal(a, b) for a, b in zip(*runs, strict=True))
+
+
+@pytest.mark.parametrize("env_id", ENV_IDS)
+def test_state_continues_bit_equally_in_the_middle(env_id: str) -> None:
+    spec = env_id.replace("-v0", "-LoRes3EA-v0")
+    env, other = _make(spec), _make(spec)
+    env.reset(seed=7)
+    actions = np.random.default_rng(1).choice([1, 4, 7, 10, 13, 16], size=30).tolist()
+    for action in actions[:20]:
+        shown = env.step(action)[0]
+    state = json.loads(json.dumps(env.get_state()))
+    assert _equal(other.set_state(state), shown)
+    for action in actions[20:]:
+        assert _equal(env.step(action)[0], other.step(action)[0])
+    assert np.array_equal(env.state().poses.bodies, other.state().poses.bodies)
+
+
+_OTHER_PROCESS = """
+import hashlib, json, sys, gymnasium as gym, magical
+env = gym.make(sys.argv[1]).unwrapped
+digest = hashlib.sha256(env.set_state(json.loads(sys.stdin.read())).tobytes())
+for action in (1, 13, 13, 4, 10):
+    digest.update(env.step(action)[0].tobytes())
+print(digest.hexdigest())
+"""
+
+
+def test_state_continues_in_another_process() -> None:
+    import hashlib
+
+    env_id = "magical/ClusterShape-TestAll-LoRes4E-v0"
+    env = _make(env_id)
+    env.reset(seed=2)
+    for action in (1, 1, 1, 10, 13, 16, 1, 1):
+        shown = env.step(action)[0]
+    result = subprocess.run(
+        [sys.executable, "-c", _OTHER_PROCESS, env_id],
+        input=json.dumps(env.get_state()), capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    digest = hashlib.sha256(shown.tobytes())
+    for action in (1, 13, 13, 4, 10):
+        digest.update(env.step(action)[0].tobytes())
+    assert result.stdout.strip() == digest.hexdigest()
+
+
+@pytest.mark.parametrize("env_id", ENV_IDS)
+def test_whole_episode_with_state_observation(env_id: str) -> None:
+    env = _make(env_id, observation="state", reward="score")
+    rng = np.random.default_rng(3)
+    observation, info = env.reset(seed=11)
+    keys, steps, truncated = set(info), 0, False
+    while not truncated:
+        assert observation in env.observation_space
+        observation, reward, terminated, truncated, info = env.step(int(rng.integers(18)))
+        steps += 1
+        assert set(info) == keys
+        assert not terminated
+    assert steps == env.horizon
+    assert reward == info["eval_score"]
+    assert 0.0 <= info["eval_score"] <= 1.0
+    assert 0.0 <= info["published_code_score"] <= 1.0
+    positions = env.state().poses.bodies[:, :2]
+    assert np.abs(positions).max() < 1.0

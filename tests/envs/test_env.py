@@ -1,0 +1,190 @@
+"""The Gymnasium environment: promises, errors, options."""
+
+import json
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import magical
+from magical.envs.env import MagicalEnv
+from magical.errors import (
+    InvalidActionError,
+    InvalidSceneError,
+    InvalidStateError,
+    ResetNeededError,
+    UnknownNameError,
+)
+from magical.scene import ACTION_NAMES, Block, Colour, Dynamics, Pose, Scene, Shape
+
+CORNER = "magical/MoveToCorner-Demo-v0"
+
+
+def _make(env_id: str = CORNER, **options: Any) -> MagicalEnv:
+    env = gym.make(env_id, **{"observation": "state", **options}).unwrapped
+    assert isinstance(env, MagicalEnv)
+    return env
+
+
+def test_episode_truncates_at_the_horizon_and_scores_there() -> None:
+    env = _make(reward="score", horizon=5)
+    _, info = env.reset(seed=0)
+    assert info == {"eval_score": 0.0, "published_code_score": 0.0}
+    for step in range(5):
+        _, reward, terminated, truncated, info = env.step(0)
+        assert not terminated
+        assert truncated == (step == 4)
+    assert set(info) == {"eval_score", "published_code_score"}
+    assert reward == info["eval_score"] == env.scores().score
+
+
+def test_default_reward_is_zero() -> None:
+    scene = Scene(Pose(0.5, 0, 0), (Block(Shape.STAR, Colour.RED, Pose(-0.7, 0.7, 0)),))
+    env = _make(horizon=1)
+    env.reset(seed=0, options={"scene": scene})
+    _, reward, _, _, info = env.step(0)
+    assert (reward, info["eval_score"]) == (0.0, 1.0)
+
+
+def test_horizons_are_the_appendix_s() -> None:
+    horizons = {name: _make(f"magical/{name}-Demo-v0").horizon for name in magical.TASKS}
+    assert horizons == {
+        "MoveToCorner": 80, "MoveToRegion": 40, "MatchRegions": 120, "MakeLine": 180,
+        "FindDupe": 100, "FixColour": 60, "ClusterColour": 320, "ClusterShape": 320,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("action", [-1, 18, 1.0, "3", None, True, np.array([1, 2]), np.float32(2)])
+def test_bad_actions(action: Any) -> None:
+    env = _make()
+    env.reset(seed=0)
+    with pytest.raises(InvalidActionError, match="0 to 17"):
+        env.step(action)
+    env.step(np.int64(3))  # still usable
+
+
+def test_order_of_calls() -> None:
+    env = gym.make(CORNER, observation="state", horizon=1)
+    with pytest.raises(ResetNeededError, match="reset"):
+        env.step(0)
+    env.reset(seed=0)
+    env.step(0)
+    with pytest.raises(ResetNeededError, match="reset"):
+        env.step(0)
+
+
+@pytest.mark.parametrize(
+    ("env_id", "hint"),
+    [
+        ("magical/MoveToMars-Demo-v0", "MoveToCorner"),
+        ("magical/MoveToCorner-TestLayout-v0", "TestJitter"),
+        ("magical/MoveToRegion-TestShape-v0", "TestLayout"),
+        ("magical/MoveToCorner-Demo-LoRes9-v0", "LoRes4E"),
+        ("MoveToCorner", "expected"),
+        ("magical/MoveToCorner-Demo-v7", "expected"),
+    ],
+)
+def test_unknown_ids(env_id: str, hint: str) -> None:
+    with pytest.raises(UnknownNameError, match=hint):
+        magical.parse_env_id(env_id)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"observation": "LoRes5"}, {"reward": "lots"}, {"render_mode": "human"}, {"horizon": 0}],
+)
+def test_bad_construction(options: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="expected"):
+        MagicalEnv("MoveToCorner", "Demo", **options)
+
+
+def test_reset_from_a_scene_and_dynamics_as_dataclasses_or_dicts() -> None:
+    scene = Scene(Pose(0, 0, 0), (Block(Shape.STAR, Colour.BLUE, Pose(0.5, 0.5, 1.0)),))
+    dynamics = Dynamics(body_pivot_max_force=2.5)
+    first, second = _make(), _make()
+    start, _ = first.reset(seed=0, options={"scene": scene, "dynamics": dynamics})
+    again, _ = second.reset(
+        seed=1, options={"scene": scene.to_dict(), "dynamics": dynamics.to_dict()}
+    )
+    assert np.array_equal(start, again)
+    for action in (1, 4, 13, 13):
+        start, again = first.step(action)[0], second.step(action)[0]
+    assert np.array_equal(start, again)
+    default = _make()
+    default.reset(seed=0, options={"scene": scene})
+    for action in (1, 4, 13, 13):
+        other = default.step(action)[0]
+    assert not np.array_equal(start, other)
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        {"robot": [0, 0, 0], "blocks": [["star", "red", 0.05, 0.1, 0]]},
+        {"robot": [0, 0, 0], "blocks": [["star", "red", 0.95, 0.5, 0]]},
+        {"robot": [0, 0, 0], "blocks": [["star", "pink", 0.5, 0.5, 0]]},
+        {"robot": [0, 0, 0], "blocks": [["cube", "red", 0.5, 0.5, 0]]},
+        {"robot": [0, float("nan"), 0]},
+        {"robot": [0, 0]},
+        {"blocks": []},
+    ],
+)
+def test_impossible_scenes(scene: dict[str, Any]) -> None:
+    env = _make(CORNER)
+    with pytest.raises((InvalidSceneError, UnknownNameError)):
+        env.reset(seed=0, options={"scene": scene})
+    with pytest.raises(ResetNeededError):
+        env.step(0)
+    env.reset(seed=0)
+
+
+def test_unknown_reset_options() -> None:
+    with pytest.raises(ValueError, match="scene"):
+        _make().reset(options={"colour": "red"})
+
+
+def test_action_names_and_keys() -> None:
+    env = _make()
+    assert env.action_names == ACTION_NAMES
+    assert ACTION_NAMES[0] == "stop-straight-open"
+    assert ACTION_NAMES[1 + 3 * 2 + 9] == "forward-right-closed"
+    keys = env.get_keys_to_action()
+    assert keys[("w", "a", " ")] == 1 + 3 * 1 + 9
+    assert sorted(keys.values()) == list(range(1, 18))
+
+
+def test_state_of_another_task_or_damaged() -> None:
+    env, other = _make(), _make("magical/MoveToRegion-Demo-v0")
+    env.reset(seed=0)
+    other.reset(seed=0)
+    state = env.get_state()
+    with pytest.raises(InvalidStateError, match="MoveToRegion"):
+        other.set_state(state)
+    damages: list[dict[str, Any]]
+    damages = [{"actions": [99]}, {"scene": None}, {"rng": {}}, {"dynamics": {"a": 1}}]
+    for damage in damages:
+        with pytest.raises(InvalidStateError):
+            env.set_state({**state, **damage})
+    json.dumps(state)
+    env.set_state(state)
+    env.step(0)
+
+
+def test_state_keeps_the_random_generator() -> None:
+    env, other = (
+        _make("magical/MoveToCorner-TestJitter-v0"),
+        _make("magical/MoveToCorner-TestJitter-v0"),
+    )
+    env.reset(seed=3)
+    other.set_state(json.loads(json.dumps(env.get_state())))
+    assert np.array_equal(env.reset()[0], other.reset()[0])
+
+
+def test_variant_only_draws_what_it_says() -> None:
+    env = _make("magical/MatchRegions-TestDynamics-v0")
+    env.reset(seed=0)
+    first = env.get_state()
+    env.reset(seed=1)
+    assert first["scene"] == env.get_state()["scene"]
+    assert first["dynamics"] != env.get_state()["dynamics"]
