@@ -35,3 +35,15 @@ class RecordingError(MagicalError, ValueError):
 
 class InvalidTaskError(MagicalError, ValueError):
     """A task that cannot be registered: a name already taken, or fields that do not fit."""
+
+
+class PolicyError(MagicalError, ValueError):
+    """A policy that cannot be loaded, or that returned something else than actions."""
+
+
+class NoExpertError(MagicalError, LookupError):
+    """A task for which there is no scripted expert."""
+
+
+class NoSolutionError(MagicalError, ValueError):
+    """A scene in which a task cannot be solved, such as FindDupe without a duplicate."""
