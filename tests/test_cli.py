@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+import magical
 from magical import cli
 from magical.commands import envs
 from magical.errors import PlacementError, UnknownNameError
@@ -45,7 +46,7 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--version"]) == 0
-    assert capsys.readouterr().out == f"magical {cli.__version__}\n"
+    assert capsys.readouterr().out == f"magical {magical.__version__}\n"
 
 
 @pytest.mark.parametrize(

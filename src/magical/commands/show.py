@@ -24,12 +24,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Reset the environment and save its rendering."""
     import gymnasium
+    import numpy as np
 
     parsed = parse_env_id(args.env_id)
     out = args.out or Path(f"{str(parsed).replace('/', '-')}.png")
     env = gymnasium.make(str(parsed), render_mode="rgb_array")
     env.reset(seed=args.seed)
-    write_image(out, env.render())
+    write_image(out, np.asarray(env.render(), dtype=np.uint8))
     env.close()
     print(f"wrote {out}")
     if args.json:

@@ -1,0 +1,35 @@
+"""How long `import magical` takes in a fresh interpreter, and how much of it is not ours.
+
+python benchmarks/import_time.py [--repeats N]
+"""
+
+import argparse
+import statistics
+import subprocess
+import sys
+
+SCRIPT = "import time; start = time.perf_counter(); import {}; print(time.perf_counter() - start)"
+
+
+def seconds(modules: str) -> float:
+    """The time of one import in an interpreter of its own."""
+    command = [sys.executable, "-c", SCRIPT.format(modules)]
+    return float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+
+
+def main() -> None:
+    """Print the median and the slowest of several imports."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--repeats", type=int, default=20)
+    repeats = parser.parse_args().repeats
+    for modules in ("numpy", "gymnasium", "magical"):
+        seconds(modules)  # the first import compiles to .pyc
+        times = [seconds(modules) for _ in range(repeats)]
+        print(
+            f"import {modules:10} median {statistics.median(times):.3f} s, "
+            f"slowest {max(times):.3f} s of {repeats}"
+        )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,89 @@
+"""README and docs say what is: tables, commands, code, links, versions."""
+
+import re
+import runpy
+import shlex
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import magical
+from magical import cli
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+# Commands that take too long here; their arguments are parsed, their own tests run them.
+PARSED_ONLY = {"bench", "evaluate", "quickstart", "train"}
+
+
+def blocks(language: str) -> Iterator[tuple[str, str]]:
+    """Every code block in a language, with its page's name."""
+    for page in PAGES:
+        for block in re.findall(rf"```{language}\n(.*?)```", page.read_text(), re.DOTALL):
+            yield page.name, block
+
+
+def command_lines() -> Iterator[list[str]]:
+    """Every command in the pages, as words."""
+    for _, block in blocks("bash"):
+        for line in block.replace("\\\n", " ").splitlines():
+            if words := shlex.split(line, comments=True):
+                yield words
+
+
+COMMANDS = list(command_lines())
+MAGICAL = [words[1:] for words in COMMANDS if words[0] == "magical"]
+OTHERS = [words for words in COMMANDS if words[0] != "magical"]
+
+
+@pytest.mark.parametrize("argv", MAGICAL, ids=" ".join)
+def test_magical_commands_work(
+    argv: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if argv[0] in PARSED_ONLY:
+        cli.build_parser().parse_args(argv)
+        return
+    outside = [word for word in argv if word.startswith("../")]
+    if any(not (ROOT / word).exists() for word in outside):
+        pytest.skip(f"{outside} is not there")
+    argv = [str((ROOT / word).resolve()) if word in outside else word for word in argv]
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(argv) == 0
+
+
+@pytest.mark.parametrize("words", OTHERS, ids=" ".join)
+def test_other_commands_exist(words: list[str]) -> None:
+    if words[0] == "make":
+        assert re.search(rf"^{words[1]}:", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    elif words[0] == "python":
+        assert (ROOT / words[1]).is_file()
+    else:
+        assert words[:2] == ["pip", "install"]
+
+
+@pytest.mark.parametrize(("page", "code"), list(blocks("python")))
+def test_python_blocks_run(page: str, code: str, tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, f"{page}:\n{code}\n{done.stderr}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text()):
+        assert target.startswith("https://") or (page.parent / target).exists(), target
+
+
+def test_generated_tables_are_up_to_date() -> None:
+    tool = runpy.run_path(str(ROOT / "tools" / "readme_tables.py"))
+    assert tool["main"](["--check"]) == 0, "run python tools/readme_tables.py"
+
+
+def test_one_version_everywhere() -> None:
+    assert f"\nversion: {magical.__version__}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f"\n## [{magical.__version__}]" in (ROOT / "CHANGELOG.md").read_text()
