@@ -47,3 +47,7 @@ class NoExpertError(MagicalError, LookupError):
 
 class NoSolutionError(MagicalError, ValueError):
     """A scene in which a task cannot be solved, such as FindDupe without a duplicate."""
+
+
+class ScoresError(MagicalError, ValueError):
+    """A file of scores that is damaged or not in the documented format."""

@@ -1,0 +1,42 @@
+"""Policies, evaluation with fixed seeds, statistics, and the published scores. Needs no torch."""
+
+from magical.evaluation.loading import BUILT_IN, as_policy, load_policy
+from magical.evaluation.policies import FunctionPolicy, NoopPolicy, RandomPolicy
+from magical.evaluation.policy import Policy
+from magical.evaluation.published import (
+    published_methods,
+    published_score,
+    published_table,
+    published_tasks,
+)
+from magical.evaluation.rollouts import environments, evaluate
+from magical.evaluation.scores import (
+    RolloutScore,
+    by_variant,
+    read_scores,
+    summarise,
+    write_scores,
+)
+from magical.evaluation.seeds import rollout_seed
+
+__all__ = [
+    "BUILT_IN",
+    "FunctionPolicy",
+    "NoopPolicy",
+    "Policy",
+    "RandomPolicy",
+    "RolloutScore",
+    "as_policy",
+    "by_variant",
+    "environments",
+    "evaluate",
+    "load_policy",
+    "published_methods",
+    "published_score",
+    "published_table",
+    "published_tasks",
+    "read_scores",
+    "rollout_seed",
+    "summarise",
+    "write_scores",
+]

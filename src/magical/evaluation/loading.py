@@ -1,0 +1,114 @@
+"""Policies by name: `random`, `noop`, `expert`, or a user's own `module:name`."""
+
+import importlib
+import importlib.util
+import inspect
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from magical.errors import PolicyError, UnknownNameError
+from magical.evaluation.policies import FunctionPolicy, NoopPolicy, RandomPolicy
+from magical.evaluation.policy import Policy
+
+
+def _expert() -> Policy:
+    from magical.evaluation.expert import ExpertPolicy  # only who asks for experts loads them
+
+    return ExpertPolicy()
+
+
+BUILT_IN: dict[str, Callable[[], Policy]] = {
+    "random": RandomPolicy,
+    "noop": NoopPolicy,
+    "expert": _expert,
+}
+
+
+def load_policy(name: str) -> Policy:
+    """The policy of a name: one of `BUILT_IN`, `module:name` or `path/to/file.py:name`.
+
+    The name in the module may be a policy (an object with `act` and `reset`), a class or function
+    that makes one when called without arguments, or a plain function
+    `(observations, env_ids, rng) -> actions` for a policy without memory. The working directory
+    is searched for modules first.
+
+    Raises:
+        UnknownNameError: neither a built-in policy nor of the form `module:name`.
+        PolicyError: the module or what it should hold cannot be found, or is no policy.
+    """
+    if name in BUILT_IN:
+        return BUILT_IN[name]()
+    module_name, colon, attribute = name.rpartition(":")
+    if not colon or not module_name or not attribute:
+        raise UnknownNameError(
+            f"policy {name!r}: expected one of {', '.join(BUILT_IN)}, a run folder, module:name "
+            "or file.py:name"
+        )
+    return as_policy(_find(_import(module_name), attribute, name), name)
+
+
+def as_policy(thing: Any, name: str = "policy") -> Policy:
+    """Make a policy of what `load_policy` accepts in a module; raises `PolicyError`."""
+    if not inspect.isclass(thing) and isinstance(thing, Policy):
+        return thing
+    if not callable(thing):
+        raise PolicyError(f"{name}: {_EXPECTED}, found {type(thing).__name__} {thing!r}")
+    if not _needs_arguments(thing):
+        made = thing()
+        if not isinstance(made, Policy):
+            raise PolicyError(f"{name}: called without arguments; {_EXPECTED}, found {made!r}")
+        return made
+    if inspect.isclass(thing):
+        raise PolicyError(
+            f"{name}: expected a class that can be made without arguments, found one that needs "
+            f"{inspect.signature(thing)}; name a function that makes it"
+        )
+    return FunctionPolicy(thing)
+
+
+_EXPECTED = (
+    "expected an object with act(observations, env_ids, rng) and reset(mask), something that "
+    "makes one when called without arguments, or a function (observations, env_ids, rng) -> actions"
+)
+
+
+def _needs_arguments(thing: Callable[..., Any]) -> bool:
+    try:
+        inspect.signature(thing).bind()
+    except TypeError:
+        return True
+    return False
+
+
+def _import(name: str) -> ModuleType:
+    if name.endswith(".py"):
+        return _import_file(Path(name))
+    if str(Path.cwd()) not in sys.path:
+        sys.path.insert(0, str(Path.cwd()))
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        raise PolicyError(
+            f"policy module {name!r} cannot be imported: {error}; give a module on the import "
+            "path or in the working directory, or a path ending in .py"
+        ) from error
+
+
+def _import_file(path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if not path.is_file() or spec is None or spec.loader is None:
+        raise PolicyError(f"policy file {path}: expected a Python file, found none")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules.setdefault(path.stem, module)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _find(module: ModuleType, attribute: str, name: str) -> Any:
+    if not hasattr(module, attribute):
+        known = ", ".join(word for word in vars(module) if not word.startswith("_"))
+        raise PolicyError(f"policy {name!r}: no {attribute!r} in the module, which has: {known}")
+    return getattr(module, attribute)

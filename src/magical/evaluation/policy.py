@@ -1,0 +1,79 @@
+"""The one protocol that every policy follows, and the check of what policies return."""
+
+from collections.abc import Sequence
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical.errors import PolicyError
+from magical.scene import NUM_ACTIONS
+
+Actions = NDArray[np.int64]  # (B,)
+Mask = NDArray[np.bool_]  # (B,)
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """Chooses actions for a batch of B worlds.
+
+    A policy may also have these attributes; what is missing counts as `False` or `None`:
+
+    - `privileged` (bool): it wants true states; `observations` is then a list of B `State`s.
+    - `observation`: the observation it was made for, as in `gymnasium.make(..., observation=...)`.
+    - `tasks` (sequence of names): the tasks it was made for.
+    """
+
+    def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
+        """Choose one action for each world.
+
+        Args:
+            observations: a batch of observations, an array (B, ...) or a dict of such arrays; for
+                a privileged policy a list of B `State`s. Valid during the call only: copy what
+                you keep.
+            env_ids: B environment ids without presets, for instance `magical/FindDupe-Demo-v0`.
+            rng: the only source of randomness to use.
+
+        Returns:
+            Integers from 0 to 17, shape (B,).
+        """
+
+    def reset(self, mask: Mask) -> None:
+        """Forget everything about the worlds where `mask` (B,) is true: they begin an episode.
+
+        Called before the first `act`, with all true; the size of the batch may change then.
+        """
+
+
+def is_privileged(policy: Policy) -> bool:
+    """Whether the policy wants true states in place of observations."""
+    return bool(getattr(policy, "privileged", False))
+
+
+def checked_actions(actions: Any, count: int) -> Actions:
+    """What a policy returned as an integer array (count,).
+
+    Raises:
+        PolicyError: wrong shape, wrong type, or numbers that are no actions.
+    """
+    try:
+        array = np.asarray(actions)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise PolicyError(f"{_EXPECTED.format(count)}, found {actions!r}: {error}") from error
+    if array.shape != (count,):
+        raise PolicyError(f"{_EXPECTED.format(count)}, found shape {array.shape}")
+    if array.dtype.kind not in "iu":
+        hint = "; sample or take the argmax, then convert" if array.dtype.kind == "f" else ""
+        raise PolicyError(f"{_EXPECTED.format(count)}, found type {array.dtype}{hint}")
+    wrong = np.flatnonzero((array < 0) | (array >= NUM_ACTIONS))
+    if wrong.size:
+        raise PolicyError(
+            f"{_EXPECTED.format(count)}, found {array[wrong[0]]} in row {wrong[0]} "
+            f"({wrong.size} of {count} rows are out of range)"
+        )
+    return array.astype(np.int64, copy=False)
+
+
+_EXPECTED = (
+    f"policy: expected act() to return integers from 0 to {NUM_ACTIONS - 1} of shape ({{}},)"
+)

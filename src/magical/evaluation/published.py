@@ -1,0 +1,60 @@
+"""The appendix's Tables 5 to 8: published scores of the baselines, as data.
+
+Each is the mean and the standard deviation over five runs of the mean of 100 rollouts. They were
+computed by the published code: compare them with `published_code_score` and evaluate with
+`horizon="published"` (details.md, sections 1 and 9).
+"""
+
+import csv
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
+from types import MappingProxyType
+
+from magical.errors import UnknownNameError
+from magical.evaluation.statistics import Spread
+from magical.evaluation.variants import full_variant, short_variant
+
+RUNS = 5
+Table = Mapping[tuple[str, str, str], Spread]  # (task, method, short variant)
+
+
+@cache
+def published_table() -> Table:
+    """All 660 entries: (task, method, short variant) -> mean and standard deviation."""
+    text = files("magical.evaluation").joinpath("data/published-scores.csv").read_text("utf-8")
+    return MappingProxyType(
+        {
+            (row["task"], row["method"], row["variant"]): Spread(
+                float(row["mean"]), float(row["std"])
+            )
+            for row in csv.DictReader(text.splitlines())
+        }
+    )
+
+
+def published_methods() -> tuple[str, ...]:
+    """The methods of the published tables, for instance `BC (ST)`; ST is single-task."""
+    return tuple(dict.fromkeys(method for _, method, _ in published_table()))
+
+
+def published_tasks() -> tuple[str, ...]:
+    """The tasks of the published tables."""
+    return tuple(dict.fromkeys(task for task, _, _ in published_table()))
+
+
+def published_score(task: str, method: str, variant: str) -> Spread | None:
+    """The published mean and standard deviation; `None` where the table has a dash.
+
+    `variant` may be short (`Jitter`) or as in ids (`TestJitter`). Raises `UnknownNameError` for a
+    task, method or variant that the tables do not know.
+    """
+    for what, name, known in (
+        ("task", task, published_tasks()),
+        ("method", method, published_methods()),
+    ):
+        if name not in known:
+            raise UnknownNameError(
+                f"{name!r} is no {what} of the published tables; they have: {', '.join(known)}"
+            )
+    return published_table().get((task, method, short_variant(full_variant(variant))))
