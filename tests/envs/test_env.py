@@ -1,6 +1,7 @@
 """The Gymnasium environment: promises, errors, options."""
 
 import json
+import math
 from typing import Any
 
 import gymnasium as gym
@@ -16,7 +17,7 @@ from magical.errors import (
     ResetNeededError,
     UnknownNameError,
 )
-from magical.scene import ACTION_NAMES, Block, Colour, Dynamics, Pose, Scene, Shape
+from magical.scene import ACTION_NAMES, Block, Colour, Dynamics, Pose, Region, Scene, Shape
 
 CORNER = "magical/MoveToCorner-Demo-v0"
 
@@ -45,6 +46,26 @@ def test_default_reward_is_zero() -> None:
     env.reset(seed=0, options={"scene": scene})
     _, reward, _, _, info = env.step(0)
     assert (reward, info["eval_score"]) == (0.0, 1.0)
+
+
+def test_dense_reward_is_the_way_made_towards_the_goal() -> None:
+    env = _make("magical/MoveToRegion-Demo-v0", reward="dense")
+    facing = Scene(Pose(0, 0.7, math.pi), regions=(Region(Colour.RED, -0.4, 0.0, 0.7, 0.7),))
+    env.reset(seed=0, options={"scene": facing})
+    goal = env.state().scene.regions[0].centre
+    before = math.dist(env.state().poses.robot[:2], goal)
+    rewards = [env.step(1)[1] for _ in range(6)]
+    assert sum(rewards) == pytest.approx(before - math.dist(env.state().poses.robot[:2], goal))
+    assert max(rewards) > 0.05
+
+
+def test_dense_reward_of_pushing() -> None:
+    env = _make(reward="dense")
+    behind = Scene(Pose(0.5, -0.6, 0.7), (Block(Shape.CIRCLE, Colour.RED, Pose(0.2, -0.3, 0)),))
+    env.reset(seed=0, options={"scene": behind})
+    assert sum(env.step(1)[1] for _ in range(8)) > 0.3
+    with pytest.raises(UnknownNameError, match="MoveToCorner, MoveToRegion"):
+        _make("magical/MakeLine-Demo-v0", reward="dense")
 
 
 def test_horizons_are_the_appendix_s() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from gymnasium import spaces
 
 from magical.envs.episode import Episode, Scores
-from magical.envs.ids import EnvId, check_variant
+from magical.envs.ids import EnvId
 from magical.envs.keys import KEYS_TO_ACTION
 from magical.errors import InvalidActionError, InvalidStateError, ResetNeededError, UnknownNameError
 from magical.observe.spec import Observation, PixelSpec, parse_observation
@@ -19,8 +19,7 @@ from magical.scene.constants import CONTROL_RATE
 from magical.scene.state import State
 from magical.tasks import Task, get_task
 
-Reward = Literal["none", "score"]
-REWARDS = ("none", "score")
+Reward = Literal["none", "score", "dense"]
 RENDER_SIZE = 384  # pixels: the published raw frame
 
 
@@ -29,8 +28,10 @@ class MagicalEnv(gym.Env[Any, np.int64]):
 
     Actions: `Discrete(18)`, named in `ACTION_NAMES`. Observations: see `observe.PixelSpec` and
     `observe.StateLayout`. Episodes are truncated at the horizon and never terminate. The reward is
-    0, or with `reward="score"` the score at the last step. `info` always holds `eval_score` and
-    `published_code_score`, 0.0 before the last step. `render()` shows both views side by side.
+    0, or with `reward="score"` the score at the last step, or with `reward="dense"` (MoveToCorner,
+    MoveToRegion) the increase of the task's `progress` since the last step. `info` always holds
+    `eval_score` and `published_code_score`, 0.0 before the last step. `render()` shows both views
+    side by side.
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
@@ -49,19 +50,17 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         render_mode: str | None = None,
     ) -> None:
         self.task: Task = get_task(task)
-        check_variant(self.task, variant)
+        self.task.axes_of(variant)  # raises for a variant that the task lacks
         self.variant = variant
         self.form = observation_form(self.task, observation)
-        check_options(self.task, horizon, reward)
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise UnknownNameError(
                 f"render mode {render_mode!r} is unknown; expected rgb_array or None"
             )
-        self.reward = reward
         self.render_mode = render_mode
         self.observation_space = self.form.space
         self.action_space = spaces.Discrete(NUM_ACTIONS)
-        self._episode = Episode(self.task, variant, self.form, horizon)
+        self._episode = Episode(self.task, variant, self.form, horizon, reward)
         self._running = False
 
     @property
@@ -99,9 +98,8 @@ class MagicalEnv(gym.Env[Any, np.int64]):
                 "call reset() first"
             )
         truncated = self._episode.step(checked_action(action))
-        scores = self._episode.scores() if truncated else Scores()
+        reward, scores = self._episode.outcome(truncated)
         self._running = not truncated
-        reward = scores.score if self.reward == "score" else 0.0
         return self._episode.observer.copy(), reward, False, truncated, score_info(scores)
 
     def render(self) -> Any:
@@ -159,14 +157,6 @@ def observation_form(task: Task, observation: Observation) -> PixelSpec | StateL
     """What `observation=` means for a task; raises `UnknownNameError`."""
     form = parse_observation(observation)
     return form if isinstance(form, PixelSpec) else StateLayout(task.max_blocks, task.max_regions)
-
-
-def check_options(task: Task, horizon: int | None, reward: str) -> None:
-    """Raise for a horizon or reward that cannot be."""
-    if horizon is not None and (operator.index(horizon) < 1):
-        raise ValueError(f"horizon: expected a positive integer or None, found {horizon!r}")
-    if reward not in REWARDS:
-        raise UnknownNameError(f"reward {reward!r} is unknown; expected one of {REWARDS}")
 
 
 def checked_action(action: Any) -> int:

@@ -1,5 +1,6 @@
 """One world being acted in: what the single and the vector environment have in common."""
 
+import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.errors import InvalidStateError, MagicalError
+from magical.errors import InvalidStateError, MagicalError, UnknownNameError
 from magical.observe.observer import Observer, frames_shown, make_observer
 from magical.observe.spec import PixelSpec
 from magical.observe.vector import StateLayout
@@ -16,9 +17,10 @@ from magical.scene.actions import NUM_ACTIONS
 from magical.scene.poses import Poses
 from magical.scene.scene import Dynamics, Scene
 from magical.scene.state import State
-from magical.tasks import Task, validate_scene
+from magical.tasks import TASKS, Task
 
 RESET_OPTIONS = ("scene", "dynamics")
+REWARDS = ("none", "score", "dense")
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,14 +43,18 @@ class Episode:
         variant: str,
         form: PixelSpec | StateLayout,
         horizon: int | None = None,
+        reward: str = "none",
         out: Any = None,
     ) -> None:
+        check_options(task, horizon, reward)
         self.task = task
         self.variant = variant
         self.horizon = task.horizon if horizon is None else horizon
+        self.reward = reward
         self.observer: Observer = make_observer(form, out)
         self._frames = frames_shown(form)
         self.actions: list[int] = []
+        self._progress = 0.0
         self.world: World
         self.table: NDArray[np.float64]  # (5 + blocks, 6): poses and velocities
 
@@ -64,7 +70,7 @@ class Episode:
             raise ValueError(f"reset options: expected {RESET_OPTIONS}, found {sorted(unknown)}")
         if chosen.get("scene") is not None:
             scene = _as_scene(chosen["scene"])
-            validate_scene(scene)
+            self.task.validate(scene)
         if chosen.get("dynamics") is not None:
             dynamics = _as_dynamics(chosen["dynamics"])
         self._begin(scene, dynamics)
@@ -76,6 +82,19 @@ class Episode:
         self.table = self.world.read()
         self.observer.update(self.table)
         return len(self.actions) >= self.horizon
+
+    def outcome(self, ended: bool) -> tuple[float, Scores]:
+        """The last step's reward, and the scores (0.0 before the episode's end).
+
+        To be asked for once after each step: the dense reward is what changed since the last time.
+        """
+        scores = self.scores() if ended else Scores()
+        if self.reward == "score":
+            return scores.score, scores
+        if self.reward == "none":
+            return 0.0, scores
+        before, self._progress = self._progress, self._measure_progress()
+        return self._progress - before, scores
 
     @property
     def poses(self) -> Poses:
@@ -138,6 +157,25 @@ class Episode:
         self.actions = list(actions[:first_shown])
         for action in actions[first_shown:]:
             self.step(action)
+        self._progress = self._measure_progress()
+
+    def _measure_progress(self) -> float:
+        if self.reward != "dense" or self.task.progress is None:
+            return 0.0
+        return float(self.task.progress(self.world.scene, self.poses))
+
+
+def check_options(task: Task, horizon: int | None, reward: str) -> None:
+    """Raise `ValueError` or `UnknownNameError` for a horizon or reward that cannot be."""
+    if horizon is not None and operator.index(horizon) < 1:
+        raise ValueError(f"horizon: expected a positive integer or None, found {horizon!r}")
+    if reward not in REWARDS:
+        raise UnknownNameError(f"reward {reward!r} is unknown; expected one of {REWARDS}")
+    if reward == "dense" and task.progress is None:
+        having = [name for name, other in TASKS.items() if other.progress is not None]
+        raise UnknownNameError(
+            f"{task.name} has no dense reward; expected one of: {', '.join(having)}"
+        )
 
 
 def _as_scene(scene: Scene | Mapping[str, Any]) -> Scene:

@@ -35,7 +35,7 @@ def parse_env_id(env_id: str) -> EnvId:
             f"environment id {env_id!r}: expected {NAMESPACE}/<Task>-<Variant>[-<Preset>]-{VERSION}"
         )
     task = get_task(task_name)
-    check_variant(task, rest[0])
+    task.axes_of(rest[0])  # raises for a variant that the task lacks
     preset = rest[1] if len(rest) == 3 else None
     if preset is not None and preset not in PRESETS:
         raise UnknownNameError(
@@ -43,14 +43,6 @@ def parse_env_id(env_id: str) -> EnvId:
             f"{', '.join(PRESETS)}"
         )
     return EnvId(task.name, rest[0], preset)
-
-
-def check_variant(task: Task, variant: str) -> None:
-    """Raise `UnknownNameError` if the task has no such variant."""
-    if variant not in task.variants:
-        raise UnknownNameError(
-            f"{task.name} has no variant {variant!r}; it has: {', '.join(task.variants)}"
-        )
 
 
 def task_env_ids(task: Task) -> Iterator[EnvId]:

@@ -18,22 +18,25 @@ from magical.tasks.task import Task
 _Pair = tuple[tuple[str, Solid], tuple[str, Solid]]
 
 
-def check_placement(task: Task, variant: str, scene: Scene) -> None:
-    """Raise `InvalidSceneError` where the scene breaks a placement rule of the task's variant."""
+def check_placement(task: Task, variant: str, scene: Scene, slack: float = v.ROUNDING) -> None:
+    """Raise `InvalidSceneError` where the scene breaks a placement rule of the task's variant.
+
+    `slack`, in units and radians, allows for rounded coordinates, as in recordings.
+    """
     task.validate(scene)
     axes = task.axes_of(variant)
     if Axis.COUNT not in axes:
         _check_counts(task, scene)
     if axes & (Axis.JITTER | Axis.LAYOUT):
-        v.check_inside({**v.named_bodies(scene), **v.named_regions(scene)}, v.ROUNDING)
-        v.check_apart(_kept_apart(task, scene), v.ROUNDING)
-        _check_sizes(task, scene)
-        _check_enclosed(task, axes, scene)
+        v.check_inside({**v.named_bodies(scene), **v.named_regions(scene)}, slack)
+        v.check_apart(_kept_apart(task, scene), slack)
+        _check_sizes(task, scene, slack)
+        _check_enclosed(task, axes, scene, slack)
     if Axis.LAYOUT in axes:
         angles = [scene.robot.angle, *(block.pose.angle for block in scene.blocks)]
-        _expect("angles", [-pi], angles, [pi])
+        _near("angles", [0.0] * len(angles), angles, [pi] * len(angles), slack)
     else:
-        _check_near_demo(task, axes, scene)
+        _check_near_demo(task, axes, scene, slack)
 
 
 def _kept_apart(task: Task, scene: Scene) -> Iterator[_Pair]:
@@ -53,46 +56,49 @@ def _check_counts(task: Task, scene: Scene) -> None:
         raise InvalidSceneError(f"expected {expected} blocks and regions, found {found}")
 
 
-def _check_sizes(task: Task, scene: Scene) -> None:
+def _check_sizes(task: Task, scene: Scene, slack: float) -> None:
     low, high = task.placing.region_size
-    for region in scene.regions:
-        _expect("region size", [low], [region.height, region.width], [high])
+    for size in (size for r in scene.regions for size in (r.height, r.width)):
+        if not low - slack <= size <= high + slack:
+            raise InvalidSceneError(f"region size: expected {low} to {high}, found {size:g}")
 
 
-def _check_enclosed(task: Task, axes: Axis, scene: Scene) -> None:
+def _check_enclosed(task: Task, axes: Axis, scene: Scene, slack: float) -> None:
     for i, r in task.placing.enclosed(len(scene.blocks)).items():
         (x, y), pose = scene.regions[r].centre, scene.blocks[i].pose
         limit = task.placing.limit(scene.regions[r])
         if Axis.JITTER in axes:
             limit = min(limit, POSITION_JITTER)
-        _expect(f"block {i} in region {r}", [-limit], [pose.x - x, pose.y - y], [limit])
+        _near(f"block {i} in region {r}", (x, y), pose[:2], (limit, limit), slack)
 
 
-def _check_near_demo(task: Task, axes: Axis, scene: Scene) -> None:
+def _check_near_demo(task: Task, axes: Axis, scene: Scene, slack: float) -> None:
     jitter = float(Axis.JITTER in axes)
     enclosed = task.placing.enclosed(len(scene.blocks)) if jitter else {}
-    _near("the robot", task.demo.robot, scene.robot, jitter)
-    for i, (demo, block) in enumerate(zip(task.demo.blocks, scene.blocks, strict=True)):
-        expected = demo.pose
-        if i in enclosed:
-            expected = Pose(block.pose.x, block.pose.y, demo.pose.angle)
-        _near(f"block {i}", expected, block.pose, jitter)
-    for old, new in zip(task.demo.regions, scene.regions, strict=True):
-        _near("region", Pose(old.x, old.y, 0.0), Pose(new.x, new.y, 0.0), jitter)
-        sizes = [new.height - old.height, new.width - old.width]
-        _expect("region size", [-jitter * SIZE_JITTER], sizes, [jitter * SIZE_JITTER])
+    position, angle, size = (
+        jitter * limit for limit in (POSITION_JITTER, ANGLE_JITTER, SIZE_JITTER)
+    )
+    limits = (position, position, angle)
+    _near("the robot", task.demo.robot, scene.robot, limits, slack)
+    for i, (old, new) in enumerate(zip(task.demo.blocks, scene.blocks, strict=True)):
+        # An enclosed block's position follows its region instead.
+        first = 2 if i in enclosed else 0
+        _near(f"block {i}", old.pose[first:], new.pose[first:], limits[first:], slack)
+    for before, after in zip(task.demo.regions, scene.regions, strict=True):
+        expected = (before.x, before.y, before.height, before.width)
+        found = (after.x, after.y, after.height, after.width)
+        _near("the region", expected, found, (position, position, size, size), slack)
 
 
-def _near(what: str, demo: Pose, pose: Pose, jitter: float) -> None:
-    limits = [jitter * POSITION_JITTER, jitter * POSITION_JITTER, jitter * ANGLE_JITTER]
-    change = [new - old for old, new in zip(demo, pose, strict=True)]
-    _expect(f"{what}'s change from Demo", [-limit for limit in limits], change, limits)
-
-
-def _expect(
-    what: str, low: Sequence[float], values: Sequence[float], high: Sequence[float]
+def _near(
+    what: str,
+    expected: Sequence[float],
+    found: Sequence[float],
+    limits: Sequence[float],
+    slack: float,
 ) -> None:
-    lows, highs = (list(b) * (len(values) // len(b)) for b in (low, high))
-    for least, value, most in zip(lows, values, highs, strict=True):
-        if not least - v.ROUNDING <= value <= most + v.ROUNDING:
-            raise InvalidSceneError(f"{what}: expected {least:g} to {most:g}, found {value:g}")
+    for centre, value, limit in zip(expected, found, limits, strict=True):
+        if abs(value - centre) > limit + slack:
+            raise InvalidSceneError(
+                f"{what}: expected a coordinate at most {limit:g} from {centre:g}, found {value:g}"
+            )

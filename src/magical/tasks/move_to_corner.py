@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from magical.scene import Block, Colour, Pose, Poses, Scene, Shape
-from magical.scene.constants import WORKSPACE_HALF
+from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS, WORKSPACE_HALF
 from magical.tasks.attributes import repaint
 from magical.tasks.axes import Axis
 from magical.tasks.scoring import positions
@@ -40,6 +40,16 @@ def score(scene: Scene, poses: Poses) -> float:
     return min(max((FAR - math.dist(block, GOAL)) / (FAR - NEAR), 0.0), 1.0)
 
 
+def progress(scene: Scene, poses: Poses) -> float:
+    """For the dense reward: how near (units) the block is to the corner, the robot to the block.
+
+    The robot's part counts half, and nothing once it touches the block.
+    """
+    (block,) = positions(scene, poses)
+    apart = math.dist(poses.robot[:2], block) - ROBOT_RADIUS - BLOCK_SIZE
+    return -math.dist(block, GOAL) - max(apart, 0.0) / 2
+
+
 def fault(scene: Scene) -> str:
     """Why the scene does not fit the task, or an empty text."""
     return "" if len(scene.blocks) == 1 else f"expected 1 block, found {len(scene.blocks)}"
@@ -56,5 +66,6 @@ TASK = Task(
     rule=score,
     max_blocks=1,
     max_regions=0,
+    progress=progress,
     fault=fault,
 )

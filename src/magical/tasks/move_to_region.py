@@ -4,6 +4,7 @@ Horizon 40 control steps. The score is 1 if the centre of the robot's body ends 
 region, otherwise 0. There are no blocks, so variants have no shapes or counts to draw.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -31,6 +32,11 @@ def score(scene: Scene, poses: Poses) -> float:
     return float(scene.regions[0].contains(poses.robot.x, poses.robot.y))
 
 
+def progress(scene: Scene, poses: Poses) -> float:
+    """Minus the distance (units) from the robot to the region's centre, for the dense reward."""
+    return -math.dist(poses.robot[:2], scene.regions[0].centre)
+
+
 def fault(scene: Scene) -> str:
     """Why the scene does not fit the task, or an empty text."""
     return "" if len(scene.regions) == 1 else "expected 1 goal region, found none"
@@ -47,5 +53,6 @@ TASK = Task(
     rule=score,
     max_blocks=0,
     max_regions=1,
+    progress=progress,
     fault=fault,
 )

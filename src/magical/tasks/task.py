@@ -37,6 +37,7 @@ class Task:
     published_rule: Rule | None = None  # the published code's, where different (section 9)
     max_blocks: int  # over all variants
     max_regions: int  # over all variants
+    progress: Rule | None = None  # what the dense reward is the increase of, where there is one
     fault: Callable[[Scene], str] = _no_fault  # why a scene does not fit the task, or ""
 
     def __post_init__(self) -> None:
