@@ -1,0 +1,153 @@
+"""Goals of ClusterColour and ClusterShape: where clusters grow, and which blocks go there.
+
+A block counts when it is less than 1 / sqrt(3) times as far from its own cluster's centroid as
+from any other's (appendix A.2.7), so clusters may be loose, and many blocks can stay where they
+are. Many choices of one anchor for each cluster are priced at once; the cheapest is refined by
+leaving out moves that are not needed.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical.experts.goals import Move, Plan, Style, register_goals
+from magical.experts.sight import Sight
+from magical.scene import Block
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+RATIO = 0.20  # of squared distances to own and nearest other centroid that a plan aims at
+SETTLED = 0.27  # the same that is good enough to stop; below 1 / 3 counts
+STAY = (0.26, 0.5)  # units from the anchor within which a block may stay
+TOUCH = 0.14  # units from the anchor at which a block that is brought there comes to rest, about
+TOLERANCE = 0.29  # units from an anchor that has a block already
+MOVE_TIME = 24.0  # control steps that a move costs besides the way
+BROKEN = 60.0  # control steps that a block in the wrong place costs
+TASTE = 12.0  # control steps that a demonstrator gives for the place it likes best
+CHOICES = 500
+EDGE = 0.78  # largest coordinate of an anchor
+
+
+@dataclass(frozen=True, slots=True)
+class _Jumble:
+    """The blocks as arrays."""
+
+    at: Floats  # (n, 2)
+    group: Ints  # (n,)
+    member: Floats  # (n, groups) one-hot
+
+    @staticmethod
+    def of(sight: Sight, attribute: Callable[[Block], str]) -> "_Jumble":
+        values = [attribute(block) for block in sight.scene.blocks]
+        present = sorted(set(values))
+        group = np.array([present.index(value) for value in values])
+        return _Jumble(np.array(sight.blocks), group, np.eye(len(present))[group])
+
+    def ratios(self, at: Floats) -> Floats:
+        """Own over nearest other squared distance to a centroid, for positions (..., n, 2)."""
+        centroids = self.member.T @ at / self.member.sum(axis=0)[:, None]  # (..., groups, 2)
+        squared = np.square(at[..., :, None, :] - centroids[..., None, :, :]).sum(axis=-1)
+        own = (squared * self.member).sum(axis=-1)
+        other = np.where(self.member > 0, np.inf, squared).min(axis=-1)
+        ratios: Floats = own / np.maximum(other, 1e-6)
+        return ratios  # (..., n)
+
+
+def cluster(sight: Sight, style: Style, plan: Plan, attribute: Callable[[Block], str]) -> Plan:
+    """The moves that bring every block to its cluster."""
+    jumble = _Jumble.of(sight, attribute)
+    if jumble.member.shape[1] < 2 or float(jumble.ratios(jumble.at).max()) < SETTLED:
+        return Plan()
+    anchors, moved = _best(jumble, style, plan)
+    moves = tuple(_move(jumble, anchors, moved, i) for i in np.flatnonzero(moved).tolist())
+    return Plan(moves, tuple((x, y) for x, y in anchors.tolist()))
+
+
+def _move(jumble: _Jumble, anchors: Floats, moved: NDArray[np.bool_], block: int) -> Move:
+    group = jumble.group[block]
+    anchor = anchors[group]
+    friends = (jumble.group == group) & ~moved
+    near = np.hypot(*(jumble.at[friends] - anchor).T) < STAY[0]
+    x, y = anchor.tolist()
+    return Move((x, y), TOLERANCE if near.any() else 0.12, block)
+
+
+def _best(jumble: _Jumble, style: Style, plan: Plan) -> tuple[Floats, NDArray[np.bool_]]:
+    """Anchors (groups, 2), and which blocks move there (n,)."""
+    choices, taste = _choices(jumble, style, plan)  # (C, groups, 2), (C,)
+    away = np.linalg.norm(jumble.at - choices[:, jumble.group], axis=-1)  # (C, n)
+    best_cost, best = math.inf, (choices[0], away[0] > STAY[0])
+    for stay in STAY:
+        moved = away > stay
+        cost = _cost(jumble, choices, moved, away) + taste
+        least = int(cost.argmin())
+        if cost[least] < best_cost:
+            best_cost, best = float(cost[least]), (choices[least], moved[least])
+    return best[0], _without_needless(jumble, *best)
+
+
+def _cost(jumble: _Jumble, anchors: Floats, moved: NDArray[np.bool_], away: Floats) -> Floats:
+    """Control steps, about, for choices of anchors (C, groups, 2) and moves (C, n)."""
+    time = (moved * (MOVE_TIME + 11.0 * away)).sum(axis=-1)
+    broken = (jumble.ratios(_after(jumble, anchors, moved)) > RATIO).sum(axis=-1)
+    cost: Floats = time + BROKEN * broken
+    return cost  # (C,)
+
+
+def _after(jumble: _Jumble, anchors: Floats, moved: NDArray[np.bool_]) -> Floats:
+    """Where the blocks are once the moves are made, about."""
+    target = anchors[..., jumble.group, :]
+    offset = jumble.at - target
+    offset *= TOUCH / np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), TOUCH)
+    return np.where(moved[..., None], target + offset, jumble.at)
+
+
+def _without_needless(
+    jumble: _Jumble, anchors: Floats, moved: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Leave out the moves that the result does not need, the furthest first."""
+    away = np.linalg.norm(jumble.at - anchors[jumble.group], axis=-1)
+    moved = moved.copy()
+    broken = (jumble.ratios(_after(jumble, anchors, moved)) > RATIO).sum()
+    for block in sorted(np.flatnonzero(moved).tolist(), key=lambda i: -float(away[i])):
+        moved[block] = False
+        now = (jumble.ratios(_after(jumble, anchors, moved)) > RATIO).sum()
+        if now > broken:
+            moved[block] = True
+    return moved
+
+
+def _choices(jumble: _Jumble, style: Style, plan: Plan) -> tuple[Floats, Floats]:
+    """Combinations of one anchor for each group, and how little the demonstrator likes them."""
+    rng = np.random.default_rng(int(style.places[-1] * 2**31))
+    groups = jumble.member.shape[1]
+    anchors, tastes = [], []
+    for group in range(groups):
+        own = jumble.at[jumble.group == group]
+        options = [*own, own.mean(axis=0)]
+        options += [np.array(plan.places[group])] if len(plan.places) == groups else []
+        places = np.clip(np.array(options), -EDGE, EDGE)
+        bins = np.floor((places + 1.0) * 1.5).astype(np.intp).clip(0, 2)  # thirds of the workspace
+        liking = np.array(style.places[:36]).reshape(4, 3, 3)[group % 4]
+        pick = rng.integers(len(places), size=CHOICES)
+        anchors.append(places[pick])
+        tastes.append(TASTE * liking[bins[pick, 0], bins[pick, 1]])
+    return np.stack(anchors, axis=1), np.sum(tastes, axis=0)
+
+
+def cluster_colour(sight: Sight, style: Style, plan: Plan) -> Plan:
+    """ClusterColour: blocks belong together by colour."""
+    return cluster(sight, style, plan, lambda block: block.colour)
+
+
+def cluster_shape(sight: Sight, style: Style, plan: Plan) -> Plan:
+    """ClusterShape: blocks belong together by shape."""
+    return cluster(sight, style, plan, lambda block: block.shape)
+
+
+register_goals("ClusterColour", cluster_colour)
+register_goals("ClusterShape", cluster_shape)

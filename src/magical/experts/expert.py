@@ -1,0 +1,130 @@
+"""The scripted expert: which move now, and the skill that makes it."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magical.experts import grasp, motion
+from magical.experts.carry import carry
+from magical.experts.goals import Goals, Move, Plan, Style
+from magical.experts.sight import Sight
+from magical.scene import NOOP, State
+from magical.scene.geometry import Point
+
+PATIENCE = 7  # control steps without progress after which the expert tries something else
+ESCAPE = 4  # control steps that it then drives away
+REVIEW = 8  # control steps after which the side of approach is thought over
+LONGEST = 70  # control steps after which a move is given up
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """What an expert carries from one decision to the next; it can start from nothing."""
+
+    plan: Plan = Plan()
+    move: Move | None = None
+    side: float = 0.0  # bearing from which the block is to be grasped, rad
+    age: int = 0  # control steps spent on the move
+    failures: int = 0  # times it got stuck
+    escape: int = 0  # control steps of driving away that are left
+    rest: int = 0  # control steps until an idle expert looks again
+    mark: tuple[float, float, float] = (9.0, 9.0, 0.0)  # robot's pose when it last got somewhere
+    still: int = 0  # control steps since then
+
+
+class Expert:
+    """A closed-loop demonstrator of one task."""
+
+    def __init__(self, goals: Goals, style: Style) -> None:
+        self._goals = goals
+        self._style = style
+
+    def act(self, state: State, memory: Memory | None = None) -> tuple[int, Memory]:
+        """The action for the present state, and the memory for the next call."""
+        sight = Sight.of(state)
+        memory = _watch(sight, memory or Memory())
+        if memory.escape:
+            return _escape(memory), replace(memory, escape=memory.escape - 1)
+        move = memory.move
+        if move is None or _is_done(sight, move) or memory.age > LONGEST:
+            if memory.rest and move is None:
+                return NOOP, replace(memory, rest=memory.rest - 1, still=0)
+            memory = self._choose(sight, memory)
+            move = memory.move
+            if move is None:
+                return NOOP, memory
+        return self._pursue(sight, move, memory)
+
+    def _choose(self, sight: Sight, memory: Memory) -> Memory:
+        plan = self._goals(sight, self._style, memory.plan)
+        memory = replace(memory, plan=plan, age=0)
+        if not plan.moves:
+            return replace(memory, move=None, rest=REVIEW)
+        move = min(plan.moves, key=lambda move: self._price(sight, move, memory.failures))
+        return replace(memory, move=move)
+
+    def _price(self, sight: Sight, move: Move, failures: int) -> float:
+        if move.block is None:
+            return 0.0
+        taste = self._style.order[(move.block + failures) % len(self._style.order)]
+        return self._side(sight, move.block, move.goal, failures)[1] + taste + move.weight
+
+    def _side(self, sight: Sight, block: int, goal: Point, failures: int) -> tuple[float, float]:
+        taste = self._style.sides[failures % 5 :] + self._style.sides[: failures % 5]
+        others = without(sight.blocks, block)
+        return grasp.best_side(sight, sight.blocks[block], goal, others, taste)
+
+    def _pursue(self, sight: Sight, move: Move, memory: Memory) -> tuple[int, Memory]:
+        aged = replace(memory, age=memory.age + 1)
+        if move.block is None:
+            return grasp.travel(sight, move.goal, sight.blocks), aged
+        block, others = sight.blocks[move.block], without(sight.blocks, move.block)
+        if grasp.in_jaw(sight, block):
+            return carry(sight, block, move.goal, others), aged
+        if memory.age % REVIEW == 0:
+            side = self._side(sight, move.block, move.goal, memory.failures)[0]
+            aged = replace(aged, side=side)
+        return grasp.approach(sight, block, aged.side, others), aged
+
+
+def without(points: Sequence[Point], index: int) -> tuple[Point, ...]:
+    """All points but one."""
+    return (*points[:index], *points[index + 1 :])
+
+
+def _is_done(sight: Sight, move: Move) -> bool:
+    place = (sight.x, sight.y) if move.block is None else sight.resting[move.block]
+    if move.area is not None and move.area.contains(*place):
+        return True
+    return math.dist(place, move.goal) < move.tolerance
+
+
+def _watch(sight: Sight, memory: Memory) -> Memory:
+    """Notice whether the robot gets anywhere, and start an escape where it does not."""
+    x, y, angle = memory.mark
+    if math.dist((x, y), (sight.x, sight.y)) > 0.06 or abs(angle - sight.angle) > 0.4:
+        return replace(memory, mark=(sight.x, sight.y, sight.angle), still=0)
+    if memory.still < PATIENCE:
+        return replace(memory, still=memory.still + 1)
+    failures = memory.failures + 1
+    return replace(memory, still=0, failures=failures, escape=ESCAPE, move=None, rest=0, plan=Plan())
+
+
+def _escape(memory: Memory) -> int:
+    """Let go and drive away: backwards, then on other ways should that not have helped."""
+    ways = (
+        (motion.BACK, 0.0),
+        (motion.BACK, 1.0),
+        (motion.BACK, -1.0),
+        (motion.FORWARD, 1.0),
+        (motion.FORWARD, -1.0),
+    )
+    drive, error = ways[(memory.failures - 1) % len(ways)]
+    return motion.action(drive, motion.turn_by(error), False)
+
+
+def draw_style(rng: np.random.Generator) -> Style:
+    """A demonstrator's tastes."""
+    return Style.draw(rng, grasp.SIDES)
