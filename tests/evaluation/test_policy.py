@@ -1,0 +1,136 @@
+"""What policies may return, and how they are found."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from magical.errors import PolicyError, UnknownNameError
+from magical.evaluation import FunctionPolicy, NoopPolicy, Policy, RandomPolicy, load_policy
+from magical.evaluation.policy import checked_actions, is_privileged
+
+MODULE = '''
+import numpy as np
+
+class Still:
+    privileged = True
+    def act(self, observations, env_ids, rng):
+        return np.zeros(len(env_ids), int)
+    def reset(self, mask):
+        pass
+
+class Needy(Still):
+    def __init__(self, network):
+        pass
+
+still = Still()
+def make():
+    return Still()
+def make_nothing():
+    return None
+def function(observations, env_ids, rng):
+    return np.ones(len(env_ids), int)
+function.observation = "LoRes4A"
+number = 7
+'''
+
+
+@pytest.fixture
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    (tmp_path / "someones_policy.py").write_text(MODULE)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.delitem(sys.modules, "someones_policy", raising=False)
+    return "someones_policy"
+
+
+@pytest.mark.parametrize("actions", [[0, 17], (3, 4), np.array([1, 2], np.int8)])
+def test_integers_in_range_are_actions(actions: Any) -> None:
+    checked = checked_actions(actions, 2)
+    assert checked.dtype == np.int64
+    np.testing.assert_array_equal(checked, actions)
+
+
+@pytest.mark.parametrize(
+    ("actions", "found"),
+    [
+        (3, r"found shape \(\)"),
+        ([[1, 2]], r"found shape \(1, 2\)"),
+        ([1, 2, 3], r"found shape \(3,\)"),
+        ([0.5, 1.0], "found type float64; sample or take the argmax"),
+        ([True, False], "found type bool"),
+        ([4, 18], r"found 18 in row 1 \(1 of 2 rows"),
+        ([-1, 20], r"found -1 in row 0 \(2 of 2 rows"),
+        (None, r"found shape \(\)"),
+        ([[1], [2, 3]], "found "),
+        (["a", "b"], "found type <U1"),
+    ],
+)
+def test_anything_else_is_named(actions: Any, found: str) -> None:
+    with pytest.raises(PolicyError, match=found) as caught:
+        checked_actions(actions, 2)
+    assert "expected act() to return integers from 0 to 17 of shape (2,)" in str(caught.value)
+
+
+def test_random_policy_takes_every_action_equally_often() -> None:
+    actions = RandomPolicy().act(None, ["id"] * 18_000, np.random.default_rng(0))
+    counts = np.bincount(actions, minlength=18)
+    assert counts.size == 18
+    assert ((counts > 850) & (counts < 1150)).all()
+
+
+def test_noop_policy_stands_still() -> None:
+    actions = NoopPolicy().act(None, ["id"] * 3, np.random.default_rng(0))
+    np.testing.assert_array_equal(actions, [0, 0, 0])
+
+
+@pytest.mark.parametrize("name", ["random", "noop", "expert"])
+def test_built_in_policies_by_name(name: str) -> None:
+    policy = load_policy(name)
+    assert isinstance(policy, Policy)
+    assert is_privileged(policy) == (name == "expert")
+
+
+@pytest.mark.parametrize("name", ["still", "Still", "make"])
+def test_objects_classes_and_factories(module: str, name: str) -> None:
+    policy = load_policy(f"{module}:{name}")
+    assert is_privileged(policy)
+    np.testing.assert_array_equal(policy.act([], ["a"], np.random.default_rng(0)), [0])
+
+
+@pytest.mark.parametrize("suffix", ["", ".py"])
+def test_a_plain_function_is_a_policy(module: str, suffix: str) -> None:
+    policy = load_policy(f"{module}{suffix}:function")
+    assert isinstance(policy, FunctionPolicy)
+    assert policy.observation == "LoRes4A"
+    assert not is_privileged(policy)
+    policy.reset(np.ones(1, bool))
+    np.testing.assert_array_equal(policy.act(None, ["a"], np.random.default_rng(0)), [1])
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("number", "found int 7"),
+        ("Needy", "class that can be made without arguments"),
+        ("make_nothing", "found None"),
+        ("absent", "no 'absent' in the module, which has: .*Still"),
+    ],
+)
+def test_what_is_no_policy(module: str, name: str, message: str) -> None:
+    with pytest.raises(PolicyError, match=message):
+        load_policy(f"{module}:{name}")
+
+
+@pytest.mark.parametrize("name", ["no_such_module:policy", "no/such/file.py:policy"])
+def test_missing_modules(name: str) -> None:
+    with pytest.raises(PolicyError, match="no"):
+        load_policy(name)
+
+
+@pytest.mark.parametrize("name", ["randon", "module:", ":name"])
+def test_a_name_of_no_known_form_lists_the_forms(name: str) -> None:
+    with pytest.raises(UnknownNameError, match=r"random, noop, expert, a run folder, module:name"):
+        load_policy(name)

@@ -1,0 +1,51 @@
+"""The published tables."""
+
+from pathlib import Path
+
+import pytest
+
+from magical.errors import UnknownNameError
+from magical.evaluation import published_methods, published_score, published_table, published_tasks
+from magical.tasks import TASKS
+
+
+def test_entries_read_off_the_appendix() -> None:
+    assert published_score("MoveToCorner", "BC (ST)", "Demo") == (0.98, 0.04)
+    assert published_score("MoveToRegion", "GAIL (ST, allo.)", "TestColour") == (0.95, 0.02)
+    assert published_score("ClusterShape", "GAIL (ST)", "Jitter") == (0.44, 0.08)
+    assert published_score("FixColour", "WGAIL-GP (ST)", "All") == (0.05, 0.02)
+
+
+def test_a_dash_is_none() -> None:
+    assert published_score("MoveToRegion", "BC (ST)", "Shape") is None
+
+
+def test_every_variant_of_every_task_has_every_method() -> None:
+    assert len(published_table()) == 660
+    assert set(published_tasks()) <= set(TASKS)
+    for task in published_tasks():
+        for method in published_methods():
+            for variant in TASKS[task].variants:
+                assert published_score(task, method, variant) is not None
+
+
+@pytest.mark.parametrize(
+    ("names", "listed"),
+    [
+        (("MoveIt", "BC (ST)", "Demo"), "MoveToCorner"),
+        (("MoveToCorner", "BC", "Demo"), r"BC \(ST\)"),
+        (("MoveToCorner", "BC (ST)", "Color"), "Colour"),
+    ],
+)
+def test_unknown_names_list_what_there_is(names: tuple[str, str, str], listed: str) -> None:
+    with pytest.raises(UnknownNameError, match=listed):
+        published_score(*names)
+
+
+def test_the_table_is_the_reference(shared: Path) -> None:
+    import csv
+
+    with (shared / "reference" / "paper-scores.csv").open(newline="") as file:
+        for row in csv.DictReader(file):
+            score = published_score(row["task"], row["method"], row["variant"])
+            assert score == (float(row["mean"]), float(row["std"]))

@@ -1,0 +1,49 @@
+"""Fixed seeds, and random streams that do not depend on the batch."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from magical.evaluation.seeds import ROW_DRAWS, RolloutRng, rollout_seed
+
+
+def test_seeds_depend_on_the_rollout_and_the_set_alone() -> None:
+    assert [rollout_seed(i) for i in range(3)] == [1_000_000_000, 1_000_000_001, 1_000_000_002]
+    assert rollout_seed(3, seed=2) == 1_002_000_003
+
+
+@pytest.mark.parametrize("name", ROW_DRAWS)
+@pytest.mark.parametrize("rest", [(), (18,)])
+def test_a_row_draws_the_same_in_any_batch(name: str, rest: tuple[int, ...]) -> None:
+    parameters = (18,) if name == "integers" else ()
+    large, small = RolloutRng([5, 6, 7, 8]), RolloutRng([7, 4])
+    for _ in range(3):
+        many = getattr(large, name)(*parameters, size=(4, *rest))
+        few = getattr(small, name)(*parameters, size=(2, *rest))
+        assert many.shape == (4, *rest)
+        np.testing.assert_array_equal(many[2], few[0])
+        assert not np.array_equal(many[0], many[1])
+
+
+def test_sizes_may_be_plain_numbers_and_positional() -> None:
+    first, second = RolloutRng([1, 2]), RolloutRng([1, 2])
+    np.testing.assert_array_equal(first.integers(0, 18, 2), second.integers(18, size=(2,)))
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda rng: rng.random(),
+        lambda rng: rng.random(3),
+        lambda rng: rng.random(size=()),
+        lambda rng: rng.normal(np.zeros(2)),
+        lambda rng: rng.normal(np.zeros(2), size=2),
+        lambda rng: rng.integers([3, 4], size=2),
+        lambda rng: rng.random(2, out=np.empty(2)),
+        lambda rng: rng.choice(18, size=2),
+    ],
+)
+def test_other_draws_come_from_the_common_stream(draw: Any) -> None:
+    common = np.random.Generator(np.random.PCG64((1, 2)))
+    np.testing.assert_array_equal(draw(RolloutRng([1, 2])), draw(common))
