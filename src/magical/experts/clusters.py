@@ -28,7 +28,9 @@ TOLERANCE = 0.29  # units from an anchor that has a block already
 MOVE_TIME = 24.0  # control steps that a move costs besides the way
 BROKEN = 60.0  # control steps that a block in the wrong place costs
 TASTE = 12.0  # control steps that a demonstrator gives for the place it likes best
-CHOICES = 500
+ROOM = 0.5  # units around a growing cluster that are better free of other blocks
+CROWDING = 40.0  # control steps, per unit and block brought there, that their closeness costs
+CHOICES = 300
 EDGE = 0.78  # largest coordinate of an anchor
 
 
@@ -94,7 +96,11 @@ def _cost(jumble: _Jumble, anchors: Floats, moved: NDArray[np.bool_], away: Floa
     """Control steps, about, for choices of anchors (C, groups, 2) and moves (C, n)."""
     time = (moved * (MOVE_TIME + 11.0 * away)).sum(axis=-1)
     broken = (jumble.ratios(_after(jumble, anchors, moved)) > RATIO).sum(axis=-1)
-    cost: Floats = time + BROKEN * broken
+    strange = jumble.group[:, None] != np.arange(jumble.member.shape[1])  # (n, groups)
+    gaps = np.linalg.norm(jumble.at[:, None] - anchors[..., None, :, :], axis=-1)  # (C, n, groups)
+    crowding = (np.maximum(0.0, ROOM - gaps) * strange * ~moved[..., None]).sum(axis=-2)
+    grows = moved.astype(float) @ jumble.member  # (C, groups) blocks brought to each anchor
+    cost: Floats = time + BROKEN * broken + CROWDING * (crowding * grows).sum(axis=-1)
     return cost  # (C,)
 
 

@@ -14,9 +14,11 @@ from magical.scene import NOOP, State
 from magical.scene.geometry import Point
 
 PATIENCE = 7  # control steps without progress after which the expert tries something else
+RELUCTANCE = 25.0  # control steps that a block whose move was just given up seems further away
 ESCAPE = 4  # control steps that it then drives away
 REVIEW = 8  # control steps after which the side of approach is thought over
-LONGEST = 70  # control steps after which a move is given up
+SEARCH = 36  # control steps without the block between the fingers after which a move is given up
+HAUL = 60  # control steps after which a move is given up
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +34,8 @@ class Memory:
     rest: int = 0  # control steps until an idle expert looks again
     mark: tuple[float, float, float] = (9.0, 9.0, 0.0)  # robot's pose when it last got somewhere
     still: int = 0  # control steps since then
+    loose: int = 0  # control steps since the block was last between the fingers
+    avoid: int | None = None  # block whose move was given up last
 
 
 class Expert:
@@ -48,7 +52,7 @@ class Expert:
         if memory.escape:
             return _escape(memory), replace(memory, escape=memory.escape - 1)
         move = memory.move
-        if move is None or _is_done(sight, move) or memory.age > LONGEST:
+        if move is None or _is_done(sight, move):
             if memory.rest and move is None:
                 return NOOP, replace(memory, rest=memory.rest - 1, still=0)
             memory = self._choose(sight, memory)
@@ -59,17 +63,19 @@ class Expert:
 
     def _choose(self, sight: Sight, memory: Memory) -> Memory:
         plan = self._goals(sight, self._style, memory.plan)
-        memory = replace(memory, plan=plan, age=0)
+        memory = replace(memory, plan=plan, age=0, loose=0)
         if not plan.moves:
             return replace(memory, move=None, rest=REVIEW)
-        move = min(plan.moves, key=lambda move: self._price(sight, move, memory.failures))
+        move = min(plan.moves, key=lambda move: self._price(sight, move, memory))
         return replace(memory, move=move)
 
-    def _price(self, sight: Sight, move: Move, failures: int) -> float:
+    def _price(self, sight: Sight, move: Move, memory: Memory) -> float:
         if move.block is None:
             return 0.0
-        taste = self._style.order[(move.block + failures) % len(self._style.order)]
-        return self._side(sight, move.block, move.goal, failures)[1] + taste + move.weight
+        taste = self._style.order[(move.block + memory.failures) % len(self._style.order)]
+        again = RELUCTANCE if move.block == memory.avoid else 0.0
+        side = self._side(sight, move.block, move.goal, memory.failures)
+        return side[1] + taste + move.weight + again
 
     def _side(self, sight: Sight, block: int, goal: Point, failures: int) -> tuple[float, float]:
         taste = self._style.sides[failures % 5 :] + self._style.sides[: failures % 5]
@@ -77,11 +83,12 @@ class Expert:
         return grasp.best_side(sight, sight.blocks[block], goal, others, taste)
 
     def _pursue(self, sight: Sight, move: Move, memory: Memory) -> tuple[int, Memory]:
-        aged = replace(memory, age=memory.age + 1)
+        aged = replace(memory, age=memory.age + 1, loose=memory.loose + 1)
         if move.block is None:
             return grasp.travel(sight, move.goal, sight.blocks), aged
         block, others = sight.blocks[move.block], without(sight.blocks, move.block)
         if grasp.in_jaw(sight, block):
+            aged = replace(aged, loose=0)
             return carry(sight, block, move.goal, others), aged
         if memory.age % REVIEW == 0:
             side = self._side(sight, move.block, move.goal, memory.failures)[0]
@@ -103,13 +110,30 @@ def _is_done(sight: Sight, move: Move) -> bool:
 
 def _watch(sight: Sight, memory: Memory) -> Memory:
     """Notice whether the robot gets anywhere, and start an escape where it does not."""
+    late = memory.loose > SEARCH or memory.age > HAUL
     x, y, angle = memory.mark
     if math.dist((x, y), (sight.x, sight.y)) > 0.06 or abs(angle - sight.angle) > 0.4:
-        return replace(memory, mark=(sight.x, sight.y, sight.angle), still=0)
-    if memory.still < PATIENCE:
-        return replace(memory, still=memory.still + 1)
-    failures = memory.failures + 1
-    return replace(memory, still=0, failures=failures, escape=ESCAPE, move=None, rest=0, plan=Plan())
+        memory = replace(memory, mark=(sight.x, sight.y, sight.angle), still=0)
+    elif memory.still < PATIENCE:
+        memory = replace(memory, still=memory.still + 1)
+    else:
+        late = True
+    return _give_up(memory) if late and not memory.escape else memory
+
+
+def _give_up(memory: Memory) -> Memory:
+    return replace(
+        memory,
+        still=0,
+        loose=0,
+        age=0,
+        failures=memory.failures + 1,
+        escape=ESCAPE,
+        avoid=None if memory.move is None else memory.move.block,
+        move=None,
+        plan=Plan(),
+        rest=0,
+    )
 
 
 def _escape(memory: Memory) -> int:

@@ -44,19 +44,27 @@ def best_side(
     """
     near = [other for other in others if math.dist(other, block) < GATE + CLEARANCE]
     direct = bearing((sight.x, sight.y), block)
-    best = (direct, _cost(sight, block, goal, near, direct) + taste[0])
+    best = (direct, _cost(sight, block, goal, near, others, direct) + taste[0])
     for i in range(SIDES):
         side = wrap(2 * math.pi * i / SIDES)
-        cost = _cost(sight, block, goal, near, side) + taste[i]
+        cost = _cost(sight, block, goal, near, others, side) + taste[i]
         if cost < best[1]:
             best = (side, cost)
     return best
 
 
-def _cost(sight: Sight, block: Point, goal: Point, near: list[Point], side: float) -> float:
+def _cost(
+    sight: Sight,
+    block: Point,
+    goal: Point,
+    near: list[Point],
+    others: Sequence[Point],
+    side: float,
+) -> float:
     stand, gate = behind(block, side, HOLD), behind(block, side, GATE)
     return (
         _travel(sight, block, gate, side)
+        + sum(15.0 * max(0.0, CLEARANCE - gap((sight.x, sight.y), gate, o)) for o in others)
         + _crowding(block, stand, gate, near, side)
         + carry_time(stand, block, side, goal)
     )
@@ -107,12 +115,17 @@ def approach(sight: Sight, block: Point, side: float, others: Sequence[Point]) -
     """Drive so that the block comes between the open fingers at bearing `side`."""
     here = (sight.x, sight.y)
     straight = bearing(here, block)
-    if abs(wrap(straight - side)) > CONE or not is_clear(here, block, others, ROBOT_RADIUS + 0.08):
+    away = sight.distance(block)
+    stand = behind(block, straight, HOLD)
+    free = away < GATE + 0.12 or is_clear(here, stand, others, CLEARANCE - 0.04)
+    if abs(wrap(straight - side)) > CONE or not free:
         return travel(sight, behind(block, side, GATE), (*others, block))
     error = motion.heading_error(sight, straight)
-    close = sight.distance(block) < SWEEP and abs(error) > 0.35
-    if (close or sweeps(sight, error, others)) and can_back(sight, others):
-        return motion.back_off(sight, straight) if close else motion.back_straight()
+    if abs(error) > 0.35 and can_back(sight, others):
+        if away < SWEEP:
+            return motion.back_off(sight, straight)
+        if sweeps(sight, error, others):
+            return motion.back_straight()
     return motion.drive_to(sight, block)
 
 
@@ -127,11 +140,15 @@ def travel(sight: Sight, goal: Point, obstacles: Sequence[Point]) -> int:
 
 
 def sweeps(sight: Sight, error: float, obstacles: Sequence[Point]) -> bool:
-    """Whether turning by `error` and driving on would push a block that is close in front."""
+    """Whether turning by `error`, or driving on, would push a block that is close in front."""
     low, high = min(0.0, error) - 0.5, max(0.0, error) + 0.5
     for obstacle in obstacles:
         x, y = sight.local(obstacle)
-        if y > 0.1 and x * x + y * y < SWEEP * SWEEP and low < math.atan2(-x, y) < high:
+        if 0.1 < y < 0.45 and abs(x) < JAW_HALF:
+            return True
+        if abs(error) < 0.35 or y < 0.1 or x * x + y * y > SWEEP * SWEEP:
+            continue
+        if low < math.atan2(-x, y) < high:
             return True
     return False
 
