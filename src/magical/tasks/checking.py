@@ -8,7 +8,7 @@ from itertools import combinations, product
 from math import pi
 
 from magical.errors import InvalidSceneError
-from magical.scene import Pose, Scene
+from magical.scene import Scene
 from magical.scene.solids import Solid
 from magical.tasks import validation as v
 from magical.tasks.axes import Axis
