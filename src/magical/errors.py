@@ -51,3 +51,39 @@ class NoSolutionError(MagicalError, ValueError):
 
 class ScoresError(MagicalError, ValueError):
     """A file of scores that is damaged or not in the documented format."""
+
+
+class TrajectoryError(MagicalError, ValueError):
+    """A trajectory whose parts do not fit together, or that cannot show what is asked of it."""
+
+
+class DatasetError(MagicalError, RuntimeError):
+    """A file of a dataset that is missing or damaged, or that cannot be written."""
+
+
+class UnsafeFileError(MagicalError, ValueError):
+    """A pickle that holds anything but the plain data of a published demonstration."""
+
+
+class DownloadError(MagicalError, RuntimeError):
+    """A file that could not be fetched, or is not the one that was published."""
+
+
+class MissingExtraError(MagicalError, ImportError):
+    """An optional dependency that is not installed; the message says how to get it."""
+
+
+class MismatchedSpacesError(MagicalError, ValueError):
+    """Environments in one batch whose observation spaces differ."""
+
+
+class ClosedEnvironmentError(MagicalError, RuntimeError):
+    """An environment was used after it was closed."""
+
+
+class WorkerDiedError(MagicalError, RuntimeError):
+    """A worker process of a vector environment has ended; the environment is closed."""
+
+
+class WorkerError(MagicalError, RuntimeError):
+    """An exception of a foreign class in a worker process; its traceback is the cause."""
