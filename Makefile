@@ -28,12 +28,14 @@ $(READY): pyproject.toml constraints.txt
 test: $(READY) ## all tests on one Python
 	@$(BIN)/python -m pytest $(PYTEST_FLAGS)
 
-check: $(READY) ## lint, format, types, layers, file and function length
-	@$(BIN)/ruff check --quiet .
-	@$(BIN)/ruff format --check --quiet . || { $(BIN)/ruff format --check .; exit 1; }
-	@$(BIN)/python tools/check_sizes.py src tests benchmarks tools
-	@$(BIN)/lint-imports --no-logo
-	@$(BIN)/mypy
+check: $(READY) ## lint, format, file and function length, layers, types
+	@failed=; \
+	$(BIN)/ruff check --quiet . || failed+=" lint"; \
+	$(BIN)/ruff format --check --quiet --diff . || failed+=" format"; \
+	$(BIN)/python tools/check_sizes.py src tests benchmarks tools || failed+=" sizes"; \
+	$(BIN)/lint-imports --no-logo || failed+=" layers"; \
+	$(BIN)/mypy || failed+=" types"; \
+	test -z "$$failed" || { echo "failed:$$failed" >&2; exit 1; }
 
 test-all: $(READY) ## the tests on Python 3.11, 3.12 and 3.13, without PyTorch
 	@$(BIN)/python tools/test_all.py
