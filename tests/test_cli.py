@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import tomllib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from PIL import Image
 import magical
 from magical import cli
 from magical.commands import envs
+from magical.commands._common import print_table
 from magical.errors import PlacementError, UnknownNameError
 
 COMMANDS = dict(cli.find_commands())
@@ -101,6 +103,32 @@ def test_errors_become_exit_statuses(
 ) -> None:
     assert fail_with(error) == status
     assert capsys.readouterr().err == message
+
+
+def test_a_missing_library_is_answered_with_the_extra_that_brings_it(
+    fail_with: Callable[[BaseException], int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert fail_with(ModuleNotFoundError("no torch", name="torch.nn")) == 1
+    assert "pip install 'magical-benchmark[learning]'" in capsys.readouterr().err
+    with pytest.raises(ModuleNotFoundError):
+        fail_with(ModuleNotFoundError("no such thing", name="magical.nothing"))
+
+
+def test_extras_are_those_of_the_package(root: Path) -> None:
+    project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    for library, extra in cli.EXTRAS.items():
+        name = {"pygame": "pygame-ce", "h5py": "minari[hdf5]"}.get(library, library)
+        assert any(need.startswith(name.replace("_", "-")) for need in extras[extra]), library
+
+
+def test_tables_are_aligned(capsys: pytest.CaptureFixture[str]) -> None:
+    print_table(("name", "score"), [("a", "0.5"), ("long name", 10)])
+    assert capsys.readouterr().out == (
+        "name       score\n---------  -----\na            0.5\nlong name     10\n"
+    )
+    print_table(("name", "score"), [])
+    assert capsys.readouterr().out == "name  score\n----  -----\n"
 
 
 def test_an_unforeseen_exception_is_not_hidden(fail_with: Callable[[BaseException], int]) -> None:

@@ -18,6 +18,19 @@ from magical.errors import MagicalError, UnknownNameError
 
 GOOD, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
 
+# Which extra of the package brings an optional library.
+EXTRAS = {
+    **dict.fromkeys(("kornia", "safetensors", "torch"), "learning"),
+    **dict.fromkeys(("jinja2", "matplotlib"), "report"),
+    **dict.fromkeys(("imageio", "imageio_ffmpeg", "moviepy"), "video"),
+    **dict.fromkeys(("h5py", "minari"), "minari"),
+    **dict.fromkeys(("av", "pyarrow"), "lerobot"),
+    "pygame": "window",
+    "ray": "ray",
+    "stable_baselines3": "sb3",
+    "tensorboard": "tensorboard",
+}
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status; errors go to standard error."""
@@ -33,6 +46,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         # The reader has left (`magical envs | head`); keep the exit's own flush from failing too.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
+    except ModuleNotFoundError as error:
+        return _complain(_missing(error), FAILED)
     except (MagicalError, OSError) as error:
         return _complain(error, FAILED)
     except KeyboardInterrupt:
@@ -62,6 +77,14 @@ def find_commands() -> Iterator[tuple[str, ModuleType]]:
             yield name, importlib.import_module(f"{commands.__name__}.{name}")
 
 
-def _complain(error: Exception, status: int) -> int:
+def _missing(error: ModuleNotFoundError) -> str:
+    """What to install; an unknown module is a fault of ours and raised again."""
+    extra = EXTRAS.get((error.name or "").partition(".")[0])
+    if extra is None:
+        raise error
+    return f"this needs {error.name}, not installed: pip install 'magical-benchmark[{extra}]'"
+
+
+def _complain(error: Exception | str, status: int) -> int:
     print(f"error: {error}", file=sys.stderr)
     return status

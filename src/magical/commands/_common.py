@@ -34,15 +34,22 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> None
     """Print a table in aligned columns; columns of numbers are aligned to the right."""
     cells = [[str(cell) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(header, *cells, strict=True)]
-    numeric = [
-        all(isinstance(cell, int | float) for cell in column) for column in zip(*rows, strict=True)
-    ] or [False] * len(header)
+    columns = list(zip(*cells, strict=True)) or [()] * len(header)
+    numeric = [bool(column) and all(map(_is_number, column)) for column in columns]
     for line in [list(header), ["-" * width for width in widths], *cells]:
         padded = [
             cell.rjust(width) if right else cell.ljust(width)
             for cell, width, right in zip(line, widths, numeric, strict=True)
         ]
         print("  ".join(padded).rstrip())
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell or "0")
+    except ValueError:
+        return False
+    return True
 
 
 def write_image(path: Path, pixels: NDArray[np.uint8]) -> None:
