@@ -69,10 +69,6 @@ class DownloadError(MagicalError, RuntimeError):
     """A file that could not be fetched, or is not the one that was published."""
 
 
-class MissingExtraError(MagicalError, ImportError):
-    """An optional dependency that is not installed; the message says how to get it."""
-
-
 class MismatchedSpacesError(MagicalError, ValueError):
     """Environments in one batch whose observation spaces differ."""
 
