@@ -1,35 +1,15 @@
 """A scene made to move."""
 
-import threading
-
 import numpy as np
 import pymunk
-import pymunk.batch
 from numpy.typing import NDArray
 
 from magical.physics.blocks import add_block, add_walls
+from magical.physics.reader import BodyReader
 from magical.physics.robot import COMMANDS, ROBOT_GROUP, Robot
 from magical.scene import constants as c
-from magical.scene.poses import EYES, ROBOT, Poses
+from magical.scene.poses import Poses
 from magical.scene.scene import Dynamics, Scene
-
-_FIELDS = (
-    pymunk.batch.BodyFields.POSITION
-    | pymunk.batch.BodyFields.ANGLE
-    | pymunk.batch.BodyFields.VELOCITY
-    | pymunk.batch.BodyFields.ANGULAR_VELOCITY
-)
-_WIDTH = 6  # floats read for each body: x, y, angle and their velocities
-
-
-class _Reader(threading.local):
-    """One buffer for each thread: pymunk never frees a batch buffer's memory."""
-
-    def __init__(self) -> None:
-        self.buffer = pymunk.batch.Buffer()
-
-
-_reader = _Reader()
 
 
 class World:
@@ -54,7 +34,7 @@ class World:
         if not scene.robot_first:
             self._robot = Robot(self._space, scene.robot, self.dynamics)
         bodies = [self._robot.body, *self._robot.fingers, *self._robot.eyes, *blocks]
-        self._rows = self._find_rows(bodies)
+        self._reader = BodyReader(self._space, bodies)
 
     def step(self, action: int) -> None:
         """Advance by one control step of 1/8 s under one of the 18 actions."""
@@ -78,20 +58,4 @@ class World:
         Returns (5 + number of blocks, 6) in the rows of `Poses`. Eyes have no place of their own;
         theirs is the robot's.
         """
-        table = self._read_all()[self._rows]
-        table[EYES, :2] = table[ROBOT, :2]
-        table[EYES, 3:5] = table[ROBOT, 3:5]
-        return table
-
-    def _read_all(self) -> NDArray[np.float64]:
-        buffer = _reader.buffer
-        buffer.clear()
-        pymunk.batch.get_space_bodies(self._space, _FIELDS, buffer)
-        return np.frombuffer(buffer.float_buf(), dtype=np.float64).reshape(-1, _WIDTH)
-
-    def _find_rows(self, bodies: list[pymunk.Body]) -> NDArray[np.intp]:
-        buffer = _reader.buffer
-        buffer.clear()
-        pymunk.batch.get_space_bodies(self._space, pymunk.batch.BodyFields.BODY_ID, buffer)
-        ids = np.frombuffer(buffer.int_buf(), dtype=np.uintp).tolist()
-        return np.array([ids.index(body.id) for body in bodies])
+        return self._reader.read()
