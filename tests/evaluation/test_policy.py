@@ -11,7 +11,7 @@ from magical.errors import PolicyError, UnknownNameError
 from magical.evaluation import FunctionPolicy, NoopPolicy, Policy, RandomPolicy, load_policy
 from magical.evaluation.policy import checked_actions, is_privileged
 
-MODULE = '''
+MODULE = """
 import numpy as np
 
 class Still:
@@ -34,7 +34,7 @@ def function(observations, env_ids, rng):
     return np.ones(len(env_ids), int)
 function.observation = "LoRes4A"
 number = 7
-'''
+"""
 
 
 @pytest.fixture

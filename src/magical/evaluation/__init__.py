@@ -1,5 +1,6 @@
 """Policies, evaluation with fixed seeds, statistics, and the published scores. Needs no torch."""
 
+from magical.evaluation.entry import Entry, read_entry
 from magical.evaluation.loading import BUILT_IN, as_policy, load_policy
 from magical.evaluation.policies import FunctionPolicy, NoopPolicy, RandomPolicy
 from magical.evaluation.policy import Policy
@@ -21,6 +22,7 @@ from magical.evaluation.seeds import rollout_seed
 
 __all__ = [
     "BUILT_IN",
+    "Entry",
     "FunctionPolicy",
     "NoopPolicy",
     "Policy",
@@ -35,6 +37,7 @@ __all__ = [
     "published_score",
     "published_table",
     "published_tasks",
+    "read_entry",
     "read_scores",
     "rollout_seed",
     "summarise",

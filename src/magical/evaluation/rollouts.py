@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from magical.envs import EnvId, parse_env_id
 from magical.envs.vector import MagicalVectorEnv
 from magical.errors import UnknownNameError
-from magical.evaluation.policy import Policy, checked_actions, is_privileged
+from magical.evaluation.policy import Mask, Policy, checked_actions, is_privileged
 from magical.evaluation.scores import RolloutScore
 from magical.evaluation.seeds import RolloutRng, rollout_seed
 from magical.evaluation.variants import variants_of
@@ -83,7 +83,9 @@ def evaluate(
         raise ValueError(f"rollouts: expected at least 1, found {rollouts}")
     scores: dict[str, list[RolloutScore]] = {env_id: [] for env_id in ids}
     for task, group in _by_task(ids):
-        with _Sweep(policy, task, group, rollouts, num_envs, observation, horizon, workers) as sweep:
+        with _Sweep(
+            policy, task, group, rollouts, num_envs, observation, horizon, workers
+        ) as sweep:
             for score in sweep.run(rollouts, seed, progress):
                 scores[score.env_id].append(score)
     return [score for env_id in ids for score in scores[env_id]]
@@ -93,7 +95,7 @@ class _Sweep:
     """All of one task's environments side by side, episodes in step with each other.
 
     Episodes end at the horizon and never before, so that all worlds begin and end together. Where
-    the last wave has fewer rollouts than worlds, the worlds over run along and are not counted.
+    the last wave has fewer rollouts than worlds, the worlds over rest.
     """
 
     def __init__(
@@ -116,7 +118,7 @@ class _Sweep:
         self.envs = MagicalVectorEnv(
             self.env_ids,
             workers=workers,
-            observation=self._observation(observation),
+            observation=shown_to(policy, observation),
             horizon=self.horizon,
             copy=False,
         )
@@ -127,24 +129,15 @@ class _Sweep:
     def __exit__(self, *error: object) -> None:
         self.envs.close()
 
-    def _observation(self, observation: Observation) -> Observation:
-        if self.privileged:
-            return "state"
-        if observation is not None:
-            return observation
-        own: Observation = getattr(self.policy, "observation", None)
-        return DEFAULT_OBSERVATION if own is None else own
-
-    def run(
-        self, rollouts: int, seed: int, progress: Progress | None
-    ) -> Iterator[RolloutScore]:
+    def run(self, rollouts: int, seed: int, progress: Progress | None) -> Iterator[RolloutScore]:
         """Every rollout's score, a wave at a time."""
         for first in range(0, rollouts, self.repeats):
-            numbers = np.tile(np.arange(first, first + self.repeats), len(self.env_ids) // self.repeats)
+            wave = np.arange(first, first + self.repeats)
+            numbers = np.tile(wave, len(self.env_ids) // self.repeats)
+            counted = numbers < rollouts
             seeds = [rollout_seed(int(number), seed) for number in numbers]
-            scores, published = self._episodes(seeds)
-            counted = np.flatnonzero(numbers < rollouts)
-            for row in counted:
+            scores, published = self._episodes(seeds, counted)
+            for row in np.flatnonzero(counted):
                 yield RolloutScore(
                     self.env_ids[row],
                     int(numbers[row]),
@@ -153,19 +146,30 @@ class _Sweep:
                     float(published[row]),
                 )
             if progress:
-                progress(len(counted))
+                progress(int(counted.sum()))
 
-    def _episodes(self, seeds: Sequence[int]) -> tuple[NDArray[Any], NDArray[Any]]:
-        """One episode in each world, and the final scores by both rules."""
+    def _episodes(self, seeds: Sequence[int], active: Mask) -> tuple[NDArray[Any], NDArray[Any]]:
+        """One episode in each active world, and the final scores by both rules."""
         rng = RolloutRng(seeds)
-        observations, info = self.envs.reset(seed=list(seeds))
+        observations, infos = self.envs.reset(seed=list(seeds))
         self.policy.reset(np.ones(len(seeds), np.bool_))
         for _ in range(self.horizon):
             shown = self.envs.states() if self.privileged else observations
             actions = checked_actions(self.policy.act(shown, self.env_ids, rng), len(seeds))
-            observations, _, _, truncated, info = self.envs.step(actions)
-        assert truncated.all()
-        return info["eval_score"], info["published_code_score"]
+            observations, _, _, truncated, infos = self.envs.step(actions, active)
+        assert truncated[active].all()
+        return infos["eval_score"], infos["published_code_score"]
+
+
+def shown_to(policy: Policy, observation: Observation = None) -> Observation:
+    """What a policy is shown: what is asked for, else its own, else `LoRes4E`.
+
+    A privileged policy gets states; the environments then draw nothing.
+    """
+    if is_privileged(policy):
+        return "state"
+    own: Observation = getattr(policy, "observation", None) if observation is None else observation
+    return DEFAULT_OBSERVATION if own is None else own
 
 
 def _by_task(env_ids: Sequence[str]) -> Iterator[tuple[Task, list[str]]]:

@@ -21,7 +21,9 @@ def full_variant(variant: str) -> str:
     for name in VARIANTS:
         if variant in (name, short_variant(name)):
             return name
-    raise UnknownNameError(f"{variant!r} is no variant; expected some of: {', '.join(SHORT_VARIANTS)}")
+    raise UnknownNameError(
+        f"{variant!r} is no variant; expected some of: {', '.join(SHORT_VARIANTS)}"
+    )
 
 
 def variants_of(task: Task, chosen: Iterable[str] | None = None) -> tuple[str, ...]:

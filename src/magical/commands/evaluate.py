@@ -1,0 +1,169 @@
+"""Evaluate a policy with fixed seeds: 100 rollouts on each variant of each task.
+
+POLICY is a run folder, `random`, `noop`, `expert`, or a policy of your own as `module:name` or
+`file.py:name` (docs/protocol.md).
+"""
+
+import argparse
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from magical.commands._common import (
+    add_json,
+    log,
+    non_negative_int,
+    positive_int,
+    print_json,
+    print_table,
+)
+
+if TYPE_CHECKING:
+    from magical.evaluation import Entry, Policy, RolloutScore
+
+HELP = "score a policy on the test variants"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Describe the command's arguments."""
+    parser.add_argument(
+        "policy", metavar="POLICY", help="a run folder, random, noop, expert or module:name"
+    )
+    parser.add_argument(
+        "--task", action="append", metavar="TASK", help="may be repeated (default: the policy's)"
+    )
+    parser.add_argument(
+        "--variants", nargs="+", metavar="VARIANT", help="such as Demo Jitter (default: all)"
+    )
+    parser.add_argument(
+        "--rollouts", type=positive_int, default=100, help="on each variant (default: 100)"
+    )
+    parser.add_argument(
+        "--observation", metavar="PRESET", help="default: the policy's own, or LoRes4E"
+    )
+    parser.add_argument(
+        "--horizon",
+        type=_horizon,
+        metavar="STEPS",
+        help="control steps; `published`: the published code's, to compare with its tables",
+    )
+    parser.add_argument(
+        "--seed", type=non_negative_int, default=0, help="which set of fixed seeds (default: 0)"
+    )
+    parser.add_argument("--workers", type=non_negative_int, help="processes (default: the cores)")
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="write scores.csv, entry.json there"
+    )
+    parser.add_argument("--method", metavar="NAME", help="name in tables (default: the policy's)")
+    add_json(parser)
+
+
+def _horizon(text: str) -> int | str:
+    return text if text == "published" else positive_int(text)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Evaluate, print, write."""
+    from magical.evaluation import environments, evaluate, summarise
+
+    policy = find_policy(args.policy)
+    env_ids = environments(args.task or getattr(policy, "tasks", None), args.variants)
+    with progress_bar("rollouts", len(env_ids) * args.rollouts) as advance:
+        scores = evaluate(
+            policy,
+            env_ids,
+            rollouts=args.rollouts,
+            seed=args.seed,
+            observation=args.observation,
+            horizon=args.horizon,
+            workers=args.workers,
+            progress=advance,
+        )
+    print_scores(scores)
+    if args.out:
+        make_entry(args, policy, scores).write(args.out)
+        log(f"wrote scores.csv and entry.json to {args.out}")
+    if args.json:
+        print_json(summarise(scores))
+    return 0
+
+
+def find_policy(name: str) -> "Policy":
+    """The policy of a run folder, or of one of the names that `evaluation.load_policy` takes.
+
+    Raises `UnknownNameError` or `PolicyError`, or what loading a run raises.
+    """
+    from magical.evaluation import load_policy
+
+    if Path(name).is_dir():
+        from magical.learning import load_policy as load_run  # brings in torch
+
+        policy: Policy = load_run(Path(name))
+        return policy
+    return load_policy(name)
+
+
+def make_entry(
+    args: argparse.Namespace, policy: "Policy", scores: "Sequence[RolloutScore]"
+) -> "Entry":
+    """The evaluation as it is kept on disk."""
+    from magical import __version__
+    from magical.evaluation import Entry
+    from magical.evaluation.policy import is_privileged
+    from magical.evaluation.rollouts import shown_to
+
+    return Entry(
+        method=args.method or Path(args.policy).name,
+        scores=scores,
+        observation=str(shown_to(policy, args.observation)),
+        privileged=is_privileged(policy),
+        horizon="appendix" if args.horizon is None else str(args.horizon),
+        seed=args.seed,
+        version=__version__,
+    )
+
+
+@contextmanager
+def progress_bar(what: str, total: int) -> Iterator[Callable[[int], None]]:
+    """A progress bar on standard error; yields the function that advances it."""
+    from rich.console import Console
+    from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
+
+    columns = (*Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeRemainingColumn())
+    console = Console(stderr=True)
+    quiet = not console.is_terminal
+    with Progress(*columns, console=console, transient=True, disable=quiet) as progress:
+        task = progress.add_task(what, total=total)
+        yield lambda count: progress.advance(task, count)
+
+
+def print_scores(scores: "Sequence[RolloutScore]") -> None:
+    """Print a table: a row for each environment, with a bootstrap interval for its mean."""
+    from magical.evaluation import by_variant
+    from magical.evaluation.statistics import bootstrap_interval
+
+    header = ("task", "variant", "mean", "95% interval", "std", "gap", "published code's rule")
+    rows = []
+    for task, cells in by_variant(scores).items():
+        means = {name: np.mean([row.score for row in cell]) for name, cell in cells.items()}
+        for variant, cell in cells.items():
+            column = np.array([row.score for row in cell])
+            # Bounds of an interval should not change from call to call.
+            interval = bootstrap_interval(column[:, None], np.random.default_rng(0))
+            gap = f"{means['Demo'] - means[variant]:.3f}" if "Demo" in means else ""
+            published = np.mean([row.published_code_score for row in cell])
+            rows.append(
+                (
+                    task,
+                    variant,
+                    f"{interval.value:.3f}",
+                    f"{interval.low:.3f} to {interval.high:.3f}",
+                    f"{column.std():.3f}",
+                    gap,
+                    f"{published:.3f}",
+                )
+            )
+    print_table(header, rows)

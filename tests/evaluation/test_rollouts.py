@@ -1,0 +1,175 @@
+"""Rollouts: fixed seeds, all variants side by side, results that depend on nothing else."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from magical.errors import PolicyError, UnknownNameError
+from magical.evaluation import (
+    NoopPolicy,
+    RandomPolicy,
+    environments,
+    evaluate,
+    load_policy,
+    rollout_seed,
+)
+from magical.evaluation.policy import Actions, Mask
+from magical.scene import State
+from magical.tasks import TASKS
+
+DEMO = "magical/MoveToRegion-Demo-v0"
+LAYOUT = "magical/MoveToRegion-TestLayout-v0"
+
+
+class Watching:
+    """Remembers how it was called."""
+
+    def __init__(self, **attributes: Any) -> None:
+        self.acts: list[tuple[Any, tuple[str, ...]]] = []
+        self.resets: list[Mask] = []
+        self.__dict__.update(attributes)
+
+    def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
+        self.acts.append((observations, tuple(env_ids)))
+        return np.zeros(len(env_ids), np.int64)
+
+    def reset(self, mask: Mask) -> None:
+        self.resets.append(mask.copy())
+
+
+def test_all_environments_and_short_names() -> None:
+    assert len(environments()) == sum(len(task.variants) for task in TASKS.values())
+    assert environments(["MoveToRegion"], ["Jitter", "Demo"]) == [
+        "magical/MoveToRegion-Demo-v0",
+        "magical/MoveToRegion-TestJitter-v0",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("tasks", "variants", "message"),
+    [
+        (["MoveToRegoin"], None, "MoveToRegion"),
+        (None, ["Color"], "Colour"),
+        (["MoveToRegion"], ["Shape"], "MoveToRegion has none of the variants TestShape"),
+    ],
+)
+def test_unknown_names(tasks: Any, variants: Any, message: str) -> None:
+    with pytest.raises(UnknownNameError, match=message):
+        environments(tasks, variants)
+
+
+def test_every_rollout_equals_an_episode_of_the_single_environment() -> None:
+    scores = evaluate(load_policy("random"), [LAYOUT], rollouts=12, workers=0)
+    assert [row.rollout for row in scores] == list(range(12))
+    assert any(row.score for row in scores)
+    for row in scores:
+        env = gymnasium.make(row.env_id, observation="state")
+        env.reset(seed=rollout_seed(row.rollout))
+        rng = np.random.Generator(np.random.PCG64((row.seed, 1)))
+        truncated = False
+        while not truncated:
+            _, _, _, truncated, info = env.step(int(rng.integers(18)))
+        assert row.score == info["eval_score"]
+        assert row.published_code_score == info["published_code_score"]
+
+
+@pytest.mark.parametrize("options", [{"num_envs": 1}, {"num_envs": 5}, {"workers": 2}])
+def test_results_do_not_depend_on_batch_workers_or_company(options: dict[str, Any]) -> None:
+    alone = evaluate(RandomPolicy(), [LAYOUT], rollouts=9, workers=0)
+    together = evaluate(RandomPolicy(), [DEMO, LAYOUT], rollouts=9, **({"workers": 0} | options))
+    assert [row for row in together if row.env_id == LAYOUT] == alone
+
+
+def test_another_seed_is_another_set_of_scenes() -> None:
+    first, second = (
+        evaluate(RandomPolicy(), [LAYOUT], rollouts=4, seed=seed, workers=0) for seed in (0, 1)
+    )
+    assert not {row.seed for row in first} & {row.seed for row in second}
+
+
+def test_rows_come_by_environment_then_rollout_and_tasks_may_mix() -> None:
+    ids = [LAYOUT, "magical/FixColour-Demo-v0", DEMO]
+    scores = evaluate(NoopPolicy(), ids, rollouts=2, horizon=3, workers=0)
+    assert [(row.env_id, row.rollout) for row in scores] == [(i, n) for i in ids for n in range(2)]
+
+
+def test_policies_see_the_observation_they_were_made_for_and_are_told_of_episodes() -> None:
+    policy = Watching(observation="LoRes4A", tasks=("MoveToRegion",))
+    scores = evaluate(policy, rollouts=3, num_envs=12, horizon=2, workers=0)
+    variants = len(TASKS["MoveToRegion"].variants)
+    assert len(scores) == 3 * variants
+    assert [len(mask) for mask in policy.resets] == [2 * variants] * 2  # two waves
+    assert all(mask.all() for mask in policy.resets)
+    observations, env_ids = policy.acts[0]
+    assert observations.shape == (2 * variants, 96, 96, 12)
+    assert env_ids[0] == "magical/MoveToRegion-Demo-v0"
+
+
+def test_an_observation_asked_for_goes_before_the_policys_own() -> None:
+    policy = Watching(observation="LoRes4A")
+    evaluate(policy, [DEMO], rollouts=1, horizon=1, observation="LoResCHW4E", workers=0)
+    assert policy.acts[0][0].shape == (1, 12, 96, 96)
+
+
+def test_without_a_word_policies_see_LoRes4E() -> None:
+    policy = Watching()
+    evaluate(policy, [DEMO], rollouts=1, horizon=1, workers=0)
+    assert policy.acts[0][0].shape == (1, 96, 96, 12)
+
+
+def test_privileged_policies_see_states() -> None:
+    policy = Watching(privileged=True)
+    evaluate(policy, [DEMO], rollouts=2, horizon=2, workers=0)
+    states = policy.acts[1][0]
+    assert all(isinstance(state, State) for state in states)
+    assert [state.step for state in states] == [1, 1]
+
+
+@pytest.mark.parametrize(("horizon", "steps"), [(None, 320), ("published", 240), (7, 7)])
+def test_horizons(horizon: Any, steps: int) -> None:
+    policy = Watching(observation="state")
+    ids = ["magical/ClusterColour-Demo-v0"]
+    evaluate(policy, ids, rollouts=1, horizon=horizon, workers=0)
+    assert len(policy.acts) == steps
+
+
+@pytest.mark.parametrize("horizon", ["long", 0, -3])
+def test_a_wrong_horizon_is_named(horizon: Any) -> None:
+    with pytest.raises(UnknownNameError, match="'published' or None"):
+        evaluate(NoopPolicy(), [DEMO], rollouts=1, horizon=horizon, workers=0)
+
+
+def test_no_rollouts_are_refused() -> None:
+    with pytest.raises(ValueError, match="at least 1, found 0"):
+        evaluate(NoopPolicy(), [DEMO], rollouts=0)
+
+
+def test_a_policy_that_returns_nonsense_is_named() -> None:
+    policy = load_policy("random")
+    policy.act = lambda observations, env_ids, rng: np.full(len(env_ids), 18)  # type: ignore[method-assign]
+    with pytest.raises(PolicyError, match="found 18 in row 0"):
+        evaluate(policy, [DEMO], rollouts=1, workers=0)
+
+
+def test_progress_counts_every_rollout() -> None:
+    seen: list[int] = []
+    evaluate(
+        NoopPolicy(),
+        [DEMO, LAYOUT],
+        rollouts=5,
+        horizon=1,
+        num_envs=6,
+        workers=0,
+        progress=seen.append,
+    )
+    assert sum(seen) == 10
+
+
+def test_experts_solve_what_nobody_else_does() -> None:
+    expert = evaluate(load_policy("expert"), [LAYOUT], rollouts=20, workers=0)
+    noop = evaluate(load_policy("noop"), [LAYOUT], rollouts=20, workers=0)
+    assert np.mean([row.score for row in expert]) >= 0.95
+    assert np.mean([row.score for row in noop]) <= 0.4

@@ -1,0 +1,101 @@
+"""Scores and entries on disk, and summed up."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from magical.errors import ScoresError
+from magical.evaluation import (
+    Entry,
+    RolloutScore,
+    read_entry,
+    read_scores,
+    summarise,
+    write_scores,
+)
+
+SCORES = [
+    RolloutScore("magical/MakeLine-Demo-v0", 0, 1_000_000_000, 0.5, 0.0),
+    RolloutScore("magical/MakeLine-Demo-v0", 1, 1_000_000_001, 1.0, 1.0),
+    RolloutScore("magical/MakeLine-TestJitter-v0", 0, 1_000_000_000, 1 / 3, 0.25),
+]
+
+
+def test_scores_are_read_back_unchanged(tmp_path: Path) -> None:
+    write_scores(SCORES, tmp_path / "scores.csv")
+    assert read_scores(tmp_path / "scores.csv") == SCORES
+    header = (tmp_path / "scores.csv").read_text().splitlines()[0]
+    assert header == "env_id,rollout,seed,score,published_code_score"
+
+
+def test_summary_of_one_task() -> None:
+    summary = summarise(SCORES)
+    assert list(summary) == ["Demo", "Jitter"]
+    assert summary["Demo"] == {
+        "mean": 0.75,
+        "std": 0.25,
+        "scores": [0.5, 1.0],
+        "published_code_mean": 0.5,
+    }
+    json.dumps(summary)
+
+
+def test_summary_of_several_tasks_is_nested() -> None:
+    other = RolloutScore("magical/FindDupe-Demo-v0", 0, 0, 1.0, 1.0)
+    summary = summarise([*SCORES, other])
+    assert list(summary) == ["MakeLine", "FindDupe"]
+    assert summary["FindDupe"]["Demo"]["mean"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "found nothing"),
+        ("env,score\n", "expected the header env_id,rollout"),
+        ("{}a,1,2\n", "line 2: expected env_id"),
+        ("{}a,1,2,x,0.0\n", "line 2"),
+        ("{}a,1,2,0.5,0.5\na,1,2,1.5,0.0\n", "line 3: expected scores from 0 to 1"),
+        ("{}a,1,2,nan,0.0\n", "line 2: expected scores from 0 to 1"),
+    ],
+)
+def test_damaged_files_are_named(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "scores.csv"
+    path.write_text(text.format("env_id,rollout,seed,score,published_code_score\n"))
+    with pytest.raises(ScoresError, match=message) as caught:
+        read_scores(path)
+    assert str(path) in str(caught.value)
+
+
+def test_entries_are_read_back_and_keep_what_their_authors_added(tmp_path: Path) -> None:
+    entry = Entry(method="mine", scores=SCORES, observation="LoRes4E", details={"labels": 10})
+    entry.write(tmp_path)
+    assert read_entry(tmp_path) == entry
+    Entry(method="mine", scores=SCORES[:1], details={"note": "again"}).write(tmp_path)
+    again = read_entry(tmp_path)
+    assert again.details == {"labels": 10, "note": "again"}
+    assert again.scores == SCORES[:1]
+
+
+@pytest.mark.parametrize("missing", ["scores.csv", "entry.json"])
+def test_half_an_entry_says_what_is_missing(tmp_path: Path, missing: str) -> None:
+    Entry(method="mine", scores=SCORES).write(tmp_path)
+    (tmp_path / missing).unlink()
+    with pytest.raises(ScoresError, match=f"found no {missing}; `magical evaluate"):
+        read_entry(tmp_path)
+
+
+@pytest.mark.parametrize("text", ["{", "[]", "{}", '{"method": "x", "colour": 1}'])
+def test_a_damaged_entry_is_named(tmp_path: Path, text: str) -> None:
+    Entry(method="mine", scores=SCORES).write(tmp_path)
+    (tmp_path / "entry.json").write_text(text)
+    with pytest.raises(ScoresError, match=r"entry\.json"):
+        read_entry(tmp_path)
+
+
+def test_std_in_the_summary_is_over_rollouts() -> None:
+    scores = [
+        RolloutScore("magical/FindDupe-Demo-v0", i, i, s, s) for i, s in enumerate((0.0, 0.5, 1.0))
+    ]
+    assert summarise(scores)["Demo"]["std"] == pytest.approx(np.std([0.0, 0.5, 1.0]))
