@@ -68,12 +68,21 @@ def _control_law(
     set_velocity, set_rate = lib.cpBodySetVelocity, lib.cpSimpleMotorSetRate
     sin, cos = math.sin, math.cos
 
+    left_rate = right_rate = 0.0
+
     def steer(speed: float, lead: float, target: float) -> None:
+        nonlocal left_rate, right_rate
         angle = get_angle(robot)
         set_angle(controller, angle + lead)
         set_velocity(controller, (-sin(angle) * speed, cos(angle) * speed))
-        set_rate(left_motor, motor_rate(get_angle(left) - angle - target))
-        set_rate(right_motor, motor_rate(get_angle(right) - angle + target))
+        rate = motor_rate(get_angle(left) - angle - target)
+        if rate != left_rate:
+            set_rate(left_motor, rate)
+            left_rate = rate
+        rate = motor_rate(get_angle(right) - angle + target)
+        if rate != right_rate:
+            set_rate(right_motor, rate)
+            right_rate = rate
 
     return steer
 
@@ -81,9 +90,11 @@ def _control_law(
 def motor_rate(error: float) -> float:
     """A finger motor's rate (rad / s) for a finger `error` radians from its target."""
     rate = c.FINGER_GAIN * error
-    if abs(rate) < c.FINGER_DEAD_RATE:
-        return 0.0
-    return max(-c.FINGER_MAX_RATE, min(c.FINGER_MAX_RATE, rate))
+    if rate >= c.FINGER_MAX_RATE:
+        return c.FINGER_MAX_RATE
+    if rate <= -c.FINGER_MAX_RATE:
+        return -c.FINGER_MAX_RATE
+    return rate if abs(rate) >= c.FINGER_DEAD_RATE else 0.0
 
 
 def _add_body(space: pymunk.Space, pose: Pose) -> pymunk.Body:
