@@ -104,7 +104,8 @@ class Solid:
 
     def depth(self, other: "Solid") -> float:
         """How far the two overlap, in units; 0 when apart."""
-        return max((g.depth(a, b) for a, b in self._near_pairs(other)), default=0.0)
+        depths = (g.depth(a, b) for a, b in self._near_pairs(other))
+        return max(0.0, max(depths, default=0.0))
 
     def _near_pairs(self, other: "Solid") -> Iterable[tuple[g.Piece, g.Piece]]:
         for piece, centre, radius in self.parts:

@@ -62,11 +62,12 @@ def published_score(scene: Scene, poses: Poses) -> float:
 
 def longest_line(blocks: Sequence[Point]) -> int:
     """The number of blocks in the largest line through any pair."""
-    lines = (_line_through(a, b, blocks) for a, b in combinations(blocks, 2) if a != b)
+    lines = (line_through(a, b, blocks) for a, b in combinations(blocks, 2) if a != b)
     return max(lines, default=1)
 
 
-def _line_through(a: Point, b: Point, blocks: Sequence[Point]) -> int:
+def line_through(a: Point, b: Point, blocks: Sequence[Point]) -> int:
+    """The number of blocks in the largest line through two different points."""
     length = math.dist(a, b)
     ux, uy = (b[0] - a[0]) / length, (b[1] - a[1]) / length
     offsets = [(x - a[0], y - a[1]) for x, y in blocks]

@@ -1,0 +1,152 @@
+"""Sampled scenes against the recorded ones: distributions, rules, damaged recordings."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from magical.conformance import scenes
+from magical.errors import RecordingError
+from magical.scene import Scene
+from magical.tasks import TASKS, check_placement, get_task, placement
+
+RECORDED_ROUNDING = 3e-5  # units and rad: five decimals, of several coordinates together
+Recorded = dict[str, list[scenes.Row]]
+
+
+@pytest.fixture(scope="module")
+def recorded(shared: Path) -> Recorded:
+    return scenes.load(shared / "reference" / "scenes.json.gz")
+
+
+def test_distributions_equal_the_recorded_ones(recorded: Recorded) -> None:
+    lines = scenes.compare(recorded, scenes.compute(recorded))
+    assert {line.name for line in lines} == set(TASKS)
+    assert [line for line in lines if not line.passed] == []
+
+
+def test_all_sixty_environments_are_recorded(recorded: Recorded) -> None:
+    expected = {f"{task.name}-{v}-v0" for task in TASKS.values() for v in task.variants}
+    assert set(recorded) == expected
+
+
+def test_recorded_scenes_keep_the_rules(recorded: Recorded) -> None:
+    for env, rows in recorded.items():
+        name, variant, _ = env.split("-")
+        for row in rows:
+            check_placement(get_task(name), variant, Scene.from_dict(row), RECORDED_ROUNDING)
+
+
+def test_demo_scenes_are_the_recorded_ones(recorded: Recorded) -> None:
+    for name, task in TASKS.items():
+        (row,) = recorded[f"{name}-Demo-v0"]
+        found = task.demo.to_dict()
+        for key in ("blocks", "regions"):
+            assert [b[:2] for b in found["blocks"]] == [b[:2] for b in row["blocks"]]
+            assert len(found[key]) == len(row[key])
+        numbers = [
+            [*scene["robot"], *(v for b in scene["blocks"] for v in b[2:])]
+            + [v for r in scene["regions"] for v in r[1:]]
+            for scene in (found, row)
+        ]
+        assert numbers[0] == pytest.approx(numbers[1], abs=1e-5)
+
+
+def passed(recorded: Recorded, env: str) -> bool:
+    data = {env: recorded[env]}
+    return all(line.passed for line in scenes.compare(data, scenes.compute(data)))
+
+
+WRONG: dict[str, tuple[str, float | tuple[float, float], str]] = {
+    "jitter": ("POSITION_JITTER", 0.04, "MakeLine-TestJitter-v0"),
+    "angles": ("ANGLE_JITTER", 0.25, "MoveToRegion-TestJitter-v0"),
+    "sizes": ("SIZE_JITTER", 0.013, "FindDupe-TestJitter-v0"),
+    "layout": ("WORKSPACE_HALF", 0.55, "MakeLine-TestLayout-v0"),
+}
+
+
+@pytest.mark.parametrize(("constant", "value", "env"), WRONG.values(), ids=WRONG)
+def test_wrong_ranges_are_noticed(
+    constant: str, value: float, env: str, recorded: Recorded, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert passed(recorded, env)
+    monkeypatch.setattr(placement, constant, value)
+    assert not passed(recorded, env)
+
+
+def test_wrong_words_and_constants_are_noticed(recorded: Recorded) -> None:
+    env = "MakeLine-TestColour-v0"
+    data = {env: recorded[env]}
+    sampled = scenes.compute(data, samples=200).scenes[env]
+    (line,) = scenes.compare(data, scenes.Computed({env: sampled}, {env: 1}))
+    assert line.passed
+    changes: tuple[Callable[[scenes.Row], dict[str, Any]], ...] = (
+        lambda row: {"blocks": [[b[0], "red", *b[2:]] for b in row["blocks"]]},
+        lambda row: {"blocks": [["star", *b[1:]] for b in row["blocks"]]},
+        lambda row: {"robot": [0.7021, *row["robot"][1:]]},
+        lambda row: {"dynamics": [3.1, 1.0, 4.0, 1.5, 0.1]},
+    )
+    for change in changes:
+        changed = [{**row, **change(row)} for row in sampled]
+        (line,) = scenes.compare(data, scenes.Computed({env: changed}, {env: 1}))
+        assert not line.passed
+
+
+def test_as_many_scenes_are_written_as_were_recorded(tmp_path: Path) -> None:
+    stripped: dict[str, list[dict[str, float]]] = {
+        "MakeLine-TestAll-v0": [{}] * 3,
+        "MakeLine-Demo-v0": [{}],
+        "FindDupe-Demo-v0": [],
+    }
+    path, out = tmp_path / "in.json", tmp_path / "out.json"
+    path.write_text(json.dumps(stripped))
+    data = scenes.load(path)
+    computed = scenes.compute(data, samples=5)
+    assert {env: len(rows) for env, rows in computed.scenes.items()} == {
+        "MakeLine-TestAll-v0": 5,
+        "MakeLine-Demo-v0": 1,
+        "FindDupe-Demo-v0": 1,
+    }
+    assert scenes.compare(data, computed) == []
+    scenes.write(computed, out)
+    written = scenes.load(out)
+    assert {env: len(rows) for env, rows in written.items()} == {
+        "MakeLine-TestAll-v0": 3,
+        "MakeLine-Demo-v0": 1,
+        "FindDupe-Demo-v0": 1,
+    }
+    row = written["MakeLine-TestAll-v0"][0]
+    assert set(row) == {"robot", "blocks", "regions", "dynamics"}
+    assert len(row["dynamics"]) == 5
+
+
+def test_a_list_of_names_will_do_and_seeds_matter(tmp_path: Path) -> None:
+    path = tmp_path / "names.json"
+    path.write_text(json.dumps(["MakeLine-TestAll-v0"]))
+    data = scenes.load(path)
+    first, again, other = (scenes.compute(data, seed, samples=2) for seed in (0, 0, 1))
+    assert first == again
+    assert first != other
+
+
+ROW = {"robot": [0, 0, 0], "blocks": [], "regions": [], "dynamics": [3, 1, 4, 1.5, 0.1]}
+DAMAGES: dict[str, Any] = {
+    "no object": 3,
+    "unknown task": {"MoveToMoon-Demo-v0": []},
+    "a variant that the task lacks": {"MoveToCorner-TestLayout-v0": []},
+    "no version": {"MakeLine-Demo": []},
+    "no scene": {"MakeLine-Demo-v0": [3]},
+    "no robot": {"MakeLine-Demo-v0": [{k: v for k, v in ROW.items() if k != "robot"}]},
+    "no dynamics": {"MakeLine-Demo-v0": [{k: v for k, v in ROW.items() if k != "dynamics"}]},
+    "a shape that is none": {"MakeLine-Demo-v0": [ROW | {"blocks": [["cube", "red", 0, 0, 0]]}]},
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_a_damaged_file_is_named(damage: object, tmp_path: Path) -> None:
+    path = tmp_path / "scenes.json"
+    path.write_text(json.dumps(damage))
+    with pytest.raises(RecordingError, match=r"scenes\.json: .*expected"):
+        scenes.load(path)

@@ -1,0 +1,74 @@
+"""Quick overlap tests against the exact pieces."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from magical.scene import SHAPES, Block, Colour, Pose, Region, Shape
+from magical.scene import geometry as g
+from magical.scene.solids import Solid, block_silhouette, robot_silhouette
+
+number = st.floats(-0.6, 0.6)
+poses = st.builds(Pose, number, number, st.floats(-math.pi, math.pi))
+blocks = st.builds(Block, st.sampled_from(SHAPES), st.just(Colour.RED), poses)
+regions = st.builds(
+    Region, st.just(Colour.RED), number, number, st.floats(0.1, 0.8), st.floats(0.1, 0.8)
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(blocks, blocks, st.sampled_from([0.0, 0.01]))
+def test_blocks(first: Block, second: Block, slack: float) -> None:
+    a, b = Solid.of_block(first), Solid.of_block(second)
+    exact = g.overlap(g.placed_block(first), g.placed_block(second), slack)
+    assert a.overlaps(b, slack) == b.overlaps(a, slack) == exact
+
+
+@settings(max_examples=200, deadline=None)
+@given(poses, blocks)
+def test_robot_and_block(pose: Pose, block: Block) -> None:
+    exact = g.overlap(g.placed_robot(pose), g.placed_block(block))
+    assert Solid.of_robot(pose).overlaps(Solid.of_block(block)) == exact
+
+
+@settings(max_examples=200, deadline=None)
+@given(poses, regions)
+def test_robot_and_region(pose: Pose, region: Region) -> None:
+    exact = g.overlap(g.placed_robot(pose), g.placed_region(region))
+    assert Solid.of_region(region).overlaps(Solid.of_robot(pose)) == exact
+
+
+@settings(max_examples=200, deadline=None)
+@given(blocks, blocks)
+def test_depth_is_that_of_the_deepest_pieces(first: Block, second: Block) -> None:
+    a, b = g.placed_block(first), g.placed_block(second)
+    exact = max(0.0, *(g.depth(p, q) for p in a for q in b))
+    assert Solid.of_block(first).depth(Solid.of_block(second)) == pytest.approx(exact, abs=1e-12)
+
+
+@settings(max_examples=200, deadline=None)
+@given(blocks, st.floats(-0.5, 0.5))
+def test_inside_the_workspace(block: Block, shift: float) -> None:
+    moved = Block(block.shape, block.colour, block.pose._replace(x=0.85 + shift / 3))
+    exact = g.inside_workspace(g.placed_block(moved))
+    assert Solid.of_block(moved).is_inside() == exact
+    assert (Solid.of_block(moved).beyond_wall() <= 0.0) == exact
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_inner_circle_is_inside_and_outer_around(shape: Shape) -> None:
+    block = Block(shape, Colour.RED, Pose(0.0, 0.0, 0.3))
+    solid, silhouette = Solid.of_block(block), block_silhouette(block.shape)
+    for angle in np.linspace(0.0, 2 * math.pi, 97):
+        for radius, touches in ((silhouette.inner - 1e-3, True), (silhouette.outer + 1e-3, False)):
+            point = g.Piece(((radius * math.cos(angle), radius * math.sin(angle)),))
+            found = any(g.depth(piece, point) >= 0.0 for piece, _, _ in solid.parts)
+            assert found == touches
+
+
+def test_robots_inner_circle_is_its_body() -> None:
+    assert robot_silhouette().inner == 0.2
+    assert 0.35 < robot_silhouette().outer < 0.45

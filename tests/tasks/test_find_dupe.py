@@ -1,0 +1,79 @@
+"""FindDupe: query, duplicate, distractors, both rules; how the query's copies are drawn."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magical.errors import InvalidSceneError
+from magical.scene import Poses
+from magical.tasks.find_dupe import DEMO, TASK
+
+QUERY, DUPLICATE = 6, 5
+TWO = replace(DEMO, blocks=(replace(DEMO.blocks[-1], pose=DEMO.blocks[0].pose), *DEMO.blocks[1:]))
+IN, OUT = DEMO.regions[0].centre, (0.0, 0.9)
+
+
+@pytest.mark.parametrize(
+    ("inside", "expected", "published"),
+    [
+        ((QUERY,), 0.0, 0.0),
+        ((), 0.0, 0.0),
+        ((QUERY, DUPLICATE), 1.0, 1.0),
+        ((QUERY, DUPLICATE, 0), 2 / 3, 2 / 3),
+        ((QUERY, DUPLICATE, 0, 1, 2), 2 / 5, 2 / 5),
+        ((QUERY, 0), 0.0, 0.0),
+        ((QUERY, 3), 0.0, 0.0),  # the query's colour, another shape
+        ((DUPLICATE,), 0.0, 0.0),
+        ((DUPLICATE, 0), 0.0, 0.0),
+    ],
+)
+def test_query_duplicate_and_distractors(
+    inside: tuple[int, ...], expected: float, published: float, moved: Callable[..., Poses]
+) -> None:
+    final = moved(DEMO, {i: IN if i in inside else OUT for i in range(7)})
+    assert TASK.score(DEMO, final) == pytest.approx(expected)
+    assert TASK.published_code_score(DEMO, final) == pytest.approx(published)
+
+
+@pytest.mark.parametrize(
+    ("inside", "expected", "published"),
+    [
+        ((0, DUPLICATE), 0.0, 1.0),
+        ((0, DUPLICATE, 1), 0.0, 2 / 3),
+        ((0, DUPLICATE, QUERY), 1.0, 1.0),
+        ((0, QUERY), 1.0, 1.0),
+    ],
+)
+def test_in_the_published_code_any_two_alike_will_do(
+    inside: tuple[int, ...], expected: float, published: float, moved: Callable[..., Poses]
+) -> None:
+    final = moved(TWO, {i: IN if i in inside else OUT for i in range(7)})
+    assert TASK.score(TWO, final) == pytest.approx(expected)
+    assert TASK.published_code_score(TWO, final) == pytest.approx(published)
+
+
+@pytest.mark.parametrize("variant", ["TestColour", "TestShape", "TestCountPlus", "TestAll"])
+def test_there_is_always_a_duplicate_and_the_region_has_the_querys_colour(variant: str) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        scene, _ = TASK.sample(variant, rng)
+        *_, duplicate, query = scene.blocks
+        assert (duplicate.shape, duplicate.colour) == (query.shape, query.colour)
+        assert scene.regions[0].colour == query.colour
+        assert scene.regions[0].contains(query.pose.x, query.pose.y)
+        assert not scene.regions[0].contains(duplicate.pose.x, duplicate.pose.y)
+
+
+def test_count_plus_has_one_to_five_other_blocks() -> None:
+    rng = np.random.default_rng(0)
+    found = {len(TASK.sample("TestCountPlus", rng)[0].blocks) for _ in range(100)}
+    assert found == {3, 4, 5, 6, 7}
+
+
+def test_scenes_that_do_not_fit() -> None:
+    with pytest.raises(InvalidSceneError, match="expected 1 goal region"):
+        TASK.validate(replace(DEMO, regions=()))
+    with pytest.raises(InvalidSceneError, match="expected a duplicate"):
+        TASK.validate(replace(DEMO, blocks=(*DEMO.blocks[:-2], DEMO.blocks[-1])))

@@ -1,0 +1,73 @@
+"""FixColour: each clause of the score, and how the mismatch is drawn."""
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magical.errors import InvalidSceneError
+from magical.scene import Colour, Pose, Poses
+from magical.tasks.fix_colour import DEMO, TASK, mismatches
+
+MISMATCH = 2
+FREE = (0.8, 0.8)
+CENTRES = [region.centre for region in DEMO.regions]
+
+
+@pytest.mark.parametrize(
+    ("places", "expected"),
+    [
+        ({}, 0.0),  # nothing done
+        ({MISMATCH: FREE}, 1.0),
+        ({MISMATCH: CENTRES[0]}, 0.0),  # pushed into another region
+        ({MISMATCH: FREE, 0: FREE}, 0.0),  # another block pushed out as well
+        ({MISMATCH: FREE, 0: CENTRES[1], 1: CENTRES[0]}, 0.0),  # two blocks exchanged
+        ({MISMATCH: FREE, 0: CENTRES[1]}, 0.0),  # two blocks in one region
+        ({MISMATCH: FREE, 1: CENTRES[1]}, 1.0),  # moved within its region
+        ({0: FREE}, 0.0),
+        ({MISMATCH: FREE, 0: CENTRES[MISMATCH]}, 0.0),
+    ],
+)
+def test_only_the_mismatch_leaves_and_everything_else_stays(
+    places: dict[int, tuple[float, float]], expected: float, moved: Callable[..., Poses]
+) -> None:
+    final = moved(DEMO, places)
+    assert TASK.score(DEMO, final) == expected
+    assert TASK.published_code_score(DEMO, final) == expected
+
+
+@pytest.mark.parametrize("variant", TASK.variants)
+def test_exactly_one_block_is_mismatched(variant: str) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        assert len(mismatches(TASK.sample(variant, rng)[0])) == 1
+
+
+def test_the_mismatch_is_any_block_and_any_other_colour_alike() -> None:
+    rng = np.random.default_rng(0)
+    drawn: Counter[tuple[int, Colour, Colour]] = Counter()
+    for _ in range(3600):
+        scene, _ = TASK.sample("TestColour", rng)
+        (odd,) = mismatches(scene)
+        drawn[odd, scene.regions[odd].colour, scene.blocks[odd].colour] += 1
+    assert len(drawn) == 3 * 4 * 3  # 100 of each expected
+    assert 60 < min(drawn.values())
+    assert max(drawn.values()) < 150
+
+
+def test_count_plus_has_two_or_three_pairs() -> None:
+    rng = np.random.default_rng(0)
+    scenes = [TASK.sample("TestCountPlus", rng)[0] for _ in range(30)]
+    assert {(len(s.blocks), len(s.regions)) for s in scenes} == {(2, 2), (3, 3)}
+
+
+def test_scenes_that_do_not_fit() -> None:
+    with pytest.raises(InvalidSceneError, match="a region for every block"):
+        TASK.validate(replace(DEMO, regions=DEMO.regions[:2]))
+    with pytest.raises(InvalidSceneError, match="exactly 1 block of another colour"):
+        TASK.validate(replace(DEMO, blocks=DEMO.blocks[:2], regions=DEMO.regions[:2]))
+    outside = replace(DEMO.blocks[0], pose=Pose(-0.3, -0.8, 0.0))
+    with pytest.raises(InvalidSceneError, match="block 0 inside region 0"):
+        TASK.validate(replace(DEMO, blocks=(outside, *DEMO.blocks[1:])))
