@@ -1,6 +1,6 @@
 """Many worlds at once: Gymnasium's vector environment, over worker processes."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -133,9 +133,9 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         mask = checked_mask("reset_mask", chosen.pop("reset_mask", None), self.num_envs)
         seeds = checked_seeds(seed, self.num_envs)
         super().reset(seed=seed if isinstance(seed, int) else None)
-        self._running[mask] = False
-        wanted = [(row, seeds[row]) for row in np.flatnonzero(mask).tolist()]
-        self._begin(self._exchange(lambda: self._batch.reset(wanted, chosen)))
+        rows = np.flatnonzero(mask).tolist()
+        wanted = [(row, seeds[row]) for row in rows]
+        self._begin(self._exchange(lambda: self._batch.reset(wanted, chosen), rows))
         return self._observations(), score_infos(np.zeros((2, self.num_envs)), mask)
 
     def step(
@@ -157,10 +157,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         require_rows("step", self._running | ~acting, self.env_ids)
         block = self._block
         block.actions[:] = np.where(acting, checked_actions(actions, self.num_envs), -1)
-        running, self._running = self._running, np.zeros(self.num_envs, np.bool_)
-        started = self._exchange(self._batch.step)
-        self._running = running  # after an error instead, every world needs a reset
-        self._begin(started)
+        self._begin(self._exchange(self._batch.step, range(self.num_envs)))
         truncations = block.truncations.copy()
         if self.autoreset_mode is AutoresetMode.DISABLED:
             self._running[truncations] = False
@@ -196,7 +193,8 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
     def get_state(self, index: int) -> dict[str, Any]:
         """What `MagicalEnv.get_state` gives, of world `index`."""
         self._require_episodes("get_state", index)
-        state: dict[str, Any] = self._exchange(lambda: self._batch.get_state(index))
+        row = range(self.num_envs)[index]
+        state: dict[str, Any] = self._exchange(lambda: self._batch.get_state(row))
         return state
 
     def set_state(self, index: int, state: Mapping[str, Any]) -> Any:
@@ -205,8 +203,8 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         Returns that world's observation. Raises `InvalidStateError`.
         """
         self._require_open("set_state")
-        self._running[range(self.num_envs)[index]] = False
-        self._begin(self._exchange(lambda: self._batch.set_state(index, state)))
+        row = range(self.num_envs)[index]
+        self._begin(self._exchange(lambda: self._batch.set_state(row, state), [row]))
         return copy_of(row_of(self._block.observations, index))
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
@@ -249,12 +247,15 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             scene = self._scenes[row] = Scene.from_dict(scene)
         return scene
 
-    def _exchange(self, talk: Callable[[], Any]) -> Any:
-        """Do what involves the workers; an interrupted exchange cannot be taken up again."""
+    def _exchange(self, talk: Callable[[], Any], rows: Iterable[int] = ()) -> Any:
+        """Let the worlds do something; should it fail, those in `rows` need a reset."""
         try:
             return talk()
-        except (WorkerDiedError, KeyboardInterrupt, SystemExit):
-            self.close()
+        except BaseException as error:
+            for row in rows:
+                self._running[row], self._scenes[row] = False, None
+            if isinstance(error, WorkerDiedError) or not isinstance(error, Exception):
+                self.close()  # an interrupted exchange cannot be taken up again
             raise
 
     def _require_open(self, what: str) -> None:
