@@ -17,6 +17,7 @@ Pixels = NDArray[np.uint8]  # (H, W, 3)
 
 MARGIN = 8  # pixels between scenes
 FONT_SIZE = 17
+DASH = 6  # pixels, half its length
 INK, FAINT, PAPER = "#26262b", "#a0a0a8", "#ffffff"
 
 
@@ -62,7 +63,8 @@ def contact_sheet(
                 scene = first_frame(EnvId(task.name, variant), seed, size, view)
                 sheet.paste(Image.fromarray(scene), (x, y))
             else:
-                pen.text((x + size / 2, y + size / 2), "–", FAINT, font, anchor="mm")
+                middle = (x + size / 2, y + size / 2)
+                pen.line((middle[0] - DASH, middle[1], middle[0] + DASH, middle[1]), FAINT, 2)
     return np.asarray(sheet)
 
 

@@ -1,0 +1,91 @@
+"""The evaluate command."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from magical import cli
+from magical.evaluation import read_entry
+
+POLICY = """
+import numpy as np
+def wrong(observations, env_ids, rng):
+    return np.zeros(len(env_ids))
+wrong.observation = "state"
+"""
+
+
+def evaluate(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, str]:
+    status = cli.main(["evaluate", *argv, "--workers", "0"])
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+def test_json_of_one_task_is_by_variant(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = evaluate(capsys, "noop", "--task", "MoveToRegion", "--rollouts", "3", "--json")
+    assert status == 0
+    summary = json.loads(out.splitlines()[-1])
+    assert list(summary) == ["Demo", "Jitter", "Layout", "Colour", "Dynamics", "All"]
+    assert set(summary["Demo"]) == {"mean", "std", "scores", "published_code_mean"}
+    assert len(summary["Demo"]["scores"]) == 3
+    assert "95% interval" in out
+
+
+def test_json_of_several_tasks_is_by_task(capsys: pytest.CaptureFixture[str]) -> None:
+    argv = ["--task", "MoveToRegion", "--task", "FixColour", "--variants", "Demo", "TestJitter"]
+    _, out, _ = evaluate(capsys, "noop", *argv, "--rollouts", "1", "--json")
+    summary = json.loads(out.splitlines()[-1])
+    assert {task: list(cells) for task, cells in summary.items()} == {
+        "MoveToRegion": ["Demo", "Jitter"],
+        "FixColour": ["Demo", "Jitter"],
+    }
+
+
+def test_out_holds_an_entry(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    argv = ["--task", "MoveToRegion", "--variants", "Demo", "--rollouts", "2"]
+    evaluate(capsys, "random", *argv, "--out", str(tmp_path), "--method", "dice", "--seed", "3")
+    entry = read_entry(tmp_path)
+    assert entry.method == "dice"
+    assert entry.seed == 3
+    assert [row.seed for row in entry.scores] == [1_003_000_000, 1_003_000_001]
+
+
+@pytest.mark.parametrize(
+    ("argv", "status", "message"),
+    [
+        (["ranodm"], 2, "expected one of random"),
+        (["noop", "--task", "MoveToRegoin"], 2, "did you mean 'MoveToRegion'"),
+        (["noop", "--task", "MoveToCorner", "--variants", "Layout"], 2, "MoveToCorner has none"),
+        (["noop", "--variants", "Color"], 2, "'Color' is no variant"),
+        (["noop", "--task", "MoveToRegion", "--observation", "HiRes"], 2, "LoRes4E"),
+        (["no_module:thing"], 1, "cannot be imported"),
+        (["noop", "--rollouts", "0"], 2, "at least 1"),
+        (["noop", "--horizon", "soon"], 2, "soon"),
+    ],
+)
+def test_wrong_arguments(
+    capsys: pytest.CaptureFixture[str], argv: list[str], status: int, message: str
+) -> None:
+    found, _, err = evaluate(capsys, *argv)
+    assert found == status
+    assert message in err
+
+
+def test_a_policy_with_wrong_outputs_says_what_was_expected(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "wrong.py").write_text(POLICY)
+    status, _, err = evaluate(capsys, f"{tmp_path / 'wrong.py'}:wrong", "--task", "MoveToRegion")
+    assert status == 1
+    assert "expected act() to return integers from 0 to 17" in err
+    assert "found type float64" in err
+
+
+def test_a_folder_that_is_no_run_says_so(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    pytest.importorskip("torch", reason="the learning extra is not installed")
+    status, _, err = evaluate(capsys, str(tmp_path))
+    assert status == 1
+    assert "expected a run folder" in err
