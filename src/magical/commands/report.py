@@ -30,6 +30,7 @@ def run(args: argparse.Namespace) -> int:
     """Read, tabulate, write."""
     from magical.evaluation import read_entry
     from magical.report import entry_tasks, task_table, text_rows
+    from magical.report.aggregate import aggregate_header, aggregate_rows, aggregates
 
     entries = [read_entry(folder) for folder in args.folders]
     tables = [task_table(task, entries, args.published) for task in entry_tasks(entries)]
@@ -37,6 +38,10 @@ def run(args: argparse.Namespace) -> int:
         print_table((table.task, *table.variants), text_rows(table))
         print(table.note)
         print()
+    lines, note = aggregates(entries)
+    if len(lines) > 1:
+        print_table(aggregate_header(lines), aggregate_rows(lines))
+        print(note)
     if args.out:
         from magical.report.folders import evaluated_page
 

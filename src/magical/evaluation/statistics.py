@@ -45,7 +45,8 @@ def over_runs(scores: ArrayLike, ddof: int = 0) -> Spread:
 
 def mean(scores: ArrayLike) -> Floats:
     """The mean over repetitions and strata; `scores` (..., n, strata)."""
-    return np.asarray(scores, np.float64).mean(axis=(-2, -1))
+    means: Floats = np.asarray(scores, np.float64).mean(axis=(-2, -1))
+    return means
 
 
 def interquartile_mean(scores: ArrayLike) -> Floats:
@@ -55,12 +56,14 @@ def interquartile_mean(scores: ArrayLike) -> Floats:
     """
     flat = _flat(scores)
     cut = flat.shape[-1] // 4
-    return np.sort(flat, axis=-1)[..., cut : flat.shape[-1] - cut].mean(axis=-1)
+    middle: Floats = np.sort(flat, axis=-1)[..., cut : flat.shape[-1] - cut].mean(axis=-1)
+    return middle
 
 
 def optimality_gap(scores: ArrayLike, target: float = 1.0) -> Floats:
     """By how much scores fall short of `target` on average; `scores` (..., n, strata)."""
-    return np.maximum(target - _flat(scores), 0.0).mean(axis=-1)
+    gaps: Floats = np.maximum(target - _flat(scores), 0.0).mean(axis=-1)
+    return gaps
 
 
 def probability_of_improvement(first: ArrayLike, second: ArrayLike) -> Floats:
@@ -70,7 +73,8 @@ def probability_of_improvement(first: ArrayLike, second: ArrayLike) -> Floats:
     """
     a, b = np.asarray(first, np.float64), np.asarray(second, np.float64)
     difference = a[..., :, None, :] - b[..., None, :, :]  # (..., n, m, strata)
-    return ((np.sign(difference) + 1.0) / 2.0).mean(axis=(-3, -2, -1))
+    won: Floats = ((np.sign(difference) + 1.0) / 2.0).mean(axis=(-3, -2, -1))
+    return won
 
 
 def bootstrap_interval(

@@ -10,20 +10,26 @@ from magical.errors import ScoresError
 
 METRICS_FILE = "metrics.jsonl"
 PANELS = ("loss", "accuracy", "score")  # drawn where the metrics have them
-AXES = ("batch", "step", "iteration", "samples")  # the first that is there is the x axis
-SMOOTHING = 50  # points over which a curve is averaged, at most a tenth of all
+SMOOTHING = 50  # reports over which a curve is averaged, at most a tenth of all
 
 Rows = Sequence[Mapping[str, Any]]
 
 
 def read_metrics(path: Path) -> list[dict[str, Any]]:
-    """The lines of a metrics file; raises `ScoresError` naming the line that is no JSON."""
+    """The lines of a metrics file; a last one that was cut by a crash is left out.
+
+    Raises `ScoresError` naming a line that is no report.
+    """
     rows = []
-    for number, line in enumerate(path.read_text("utf-8").splitlines(), 1):
+    for number, line in enumerate(path.read_text("utf-8").split("\n")[:-1], 1):
         try:
-            rows.append(json.loads(line))
-        except ValueError as error:
-            raise ScoresError(f"{path}, line {number}: expected JSON, found {line:.60}") from error
+            row = json.loads(line)
+            row["step"]
+        except (ValueError, TypeError, KeyError) as error:
+            raise ScoresError(
+                f"{path}, line {number}: expected a JSON object with a step, found {line:.60}"
+            ) from error
+        rows.append(row)
     return rows
 
 
@@ -48,11 +54,10 @@ def _draw(runs: Mapping[str, Rows], panels: Sequence[str]) -> str:
     figure = Figure(figsize=(4.6 * len(panels), 3.2), layout="constrained")
     for axes, key in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
         for name, rows in runs.items():
-            points = [(_place(row, i), row[key]) for i, row in enumerate(rows) if key in row]
-            xs, ys = _smooth(points)
-            axes.plot(xs, ys, label=name, linewidth=1.4)
+            points = [(row["step"], row[key]) for row in rows if row.get(key) is not None]
+            axes.plot(*_smooth(points), label=name, linewidth=1.4)
         axes.set_title(key, fontsize=11)
-        axes.set_xlabel(next((name for name in AXES if any(name in r for r in rows)), ""))
+        axes.set_xlabel("step")
         axes.grid(alpha=0.3)
         axes.spines[["top", "right"]].set_visible(False)
         if key == "accuracy":
@@ -62,10 +67,6 @@ def _draw(runs: Mapping[str, Rows], panels: Sequence[str]) -> str:
     figure.savefig(file, format="svg", metadata={"Date": None})
     text = file.getvalue()
     return text[text.index("<svg") :]
-
-
-def _place(row: Mapping[str, Any], index: int) -> float:
-    return float(next((row[name] for name in AXES if name in row), index))
 
 
 def _smooth(points: Sequence[tuple[float, float]]) -> tuple[list[float], list[float]]:

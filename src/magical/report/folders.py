@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from magical.evaluation import Entry
+from magical.report.aggregate import aggregate_header, aggregate_rows, aggregates
 from magical.report.curves import learning_curves
 from magical.report.page import Page
 from magical.report.tables import Table
@@ -27,11 +28,14 @@ def evaluated_page(
         )
         for folder, entry in zip(folders, entries, strict=True)
     }
+    lines, note = aggregates(entries)
     return Page(
         title=title,
         subtitle=f"{len(entries)} evaluated runs",
         tables=tables,
         rollouts=max(row.rollout for entry in entries for row in entry.scores) + 1,
+        aggregate=[aggregate_header(lines), *aggregate_rows(lines)] if len(lines) > 1 else (),
+        aggregate_note=note,
         curves=learning_curves(dict(zip(map(str, folders), folders, strict=True))),
         facts=facts,
     )

@@ -22,6 +22,8 @@ class Page:
     subtitle: str
     tables: Sequence[Table]
     rollouts: int  # on each variant
+    aggregate: Sequence[Sequence[str]] = ()  # a header and a row for each method
+    aggregate_note: str = ""
     curves: str = ""  # SVG
     reels: Mapping[str, Sequence[Clip]] = field(default_factory=dict)  # rollouts by title
     sheet: NDArray[Any] | None = None  # (H, W, 3) uint8
@@ -45,6 +47,8 @@ class Page:
             rollouts=self.rollouts,
             lightest=f"rgb{LIGHTEST}",
             darkest=f"rgb{DARKEST}",
+            aggregate=self.aggregate,
+            aggregate_note=self.aggregate_note,
             curves=self.curves,
             reels=[_reel(title, clips) for title, clips in self.reels.items()],
             clip_size=SIZE,
