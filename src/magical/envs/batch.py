@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode
 from magical.envs.block import Block, BlockLayout, row_of
 from magical.envs.env import Reward, observation_form
 from magical.envs.episode import Episode, check_options
-from magical.envs.ids import parse_env_id
+from magical.envs.ids import EnvId, parse_env_id
 from magical.errors import InvalidSceneError, InvalidStateError, MismatchedSpacesError
 from magical.observe.spec import STATE, Observation, PixelSpec
 from magical.observe.vector import StateLayout
@@ -229,3 +229,17 @@ class _World:
         block.body_counts[row] = bodies
         block.steps[row], block.horizons[row] = len(episode.actions), episode.horizon
         return row, scene
+
+
+def common_observation(env_ids: Sequence[EnvId], observation: Observation) -> Observation:
+    """The observation given, or else the preset that the ids agree on.
+
+    Raises `MismatchedSpacesError` if they do not.
+    """
+    presets = {env_id.preset for env_id in env_ids}
+    if observation is not None or len(presets) == 1:
+        return presets.pop() if observation is None else observation
+    raise MismatchedSpacesError(
+        "environments in one batch: expected the same preset in all ids, found "
+        f"{', '.join(sorted(map(str, presets)))}; or give observation=..."
+    )

@@ -9,8 +9,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from magical.envs.batch import Batch, BatchSpec
-from magical.envs.block import Block, copy_of, row_of
+from magical.envs.batch import Batch, BatchSpec, common_observation
+from magical.envs.block import Block, SharedMemory, copy_of, row_of
 from magical.envs.checks import checked_actions, checked_mask, checked_seeds, require_rows
 from magical.envs.env import RENDER_SIZE, MagicalEnv, Reward
 from magical.envs.ids import EnvId, parse_env_id
@@ -18,7 +18,6 @@ from magical.envs.infos import Infos, same_step_infos, score_infos
 from magical.envs.workers import RemoteBatch, available_cores, defining_modules
 from magical.errors import (
     ClosedEnvironmentError,
-    MismatchedSpacesError,
     UnknownNameError,
     WorkerDiedError,
 )
@@ -87,19 +86,25 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self.copy = copy
         self.render_mode = render_mode
         spec = BatchSpec(
-            self.env_ids, _common(parsed, observation), horizon, reward, self.autoreset_mode
+            self.env_ids,
+            common_observation(parsed, observation),
+            horizon,
+            reward,
+            self.autoreset_mode,
         )
-        self._set_spaces(spec.form().space)
+        layout = spec.layout()
+        self._set_spaces(layout.form.space)
         self._running = np.zeros(self.num_envs, np.bool_)
         self._scenes: list[Any] = [None] * self.num_envs
         self._batch: Batch | RemoteBatch
         self.workers = min(available_cores() if workers is None else workers, self.num_envs)
         if self.workers:
             plugins = [*plugins, *defining_modules([] if plugins else spec.tasks())]
-            self._batch = RemoteBatch(spec, self.workers, plugins)
-            self._block = self._batch.block
+            memory = SharedMemory(layout.size)
+            self._block = Block(layout, memory.memory)
+            self._batch = RemoteBatch(spec, self.workers, memory, plugins)
         else:
-            self._block = Block(spec.layout())
+            self._block = Block(layout)
             self._batch = Batch(spec, range(self.num_envs), self._block)
 
     def _set_spaces(self, single: spaces.Space[Any]) -> None:
@@ -155,15 +160,14 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self._require_open("step")
         acting = checked_mask("active", active, self.num_envs)
         require_rows("step", self._running | ~acting, self.env_ids)
-        block = self._block
-        block.actions[:] = np.where(acting, checked_actions(actions, self.num_envs), -1)
+        self._block.actions[:] = np.where(acting, checked_actions(actions, self.num_envs), -1)
         self._begin(self._exchange(self._batch.step, range(self.num_envs)))
-        truncations = block.truncations.copy()
+        truncations = self._block.truncations.copy()
         if self.autoreset_mode is AutoresetMode.DISABLED:
             self._running[truncations] = False
         infos = self._infos(acting, truncations)
         terminations = np.zeros(self.num_envs, np.bool_)
-        return self._observations(), block.rewards.copy(), terminations, truncations, infos
+        return self._observations(), self._block.rewards.copy(), terminations, truncations, infos
 
     def states(self) -> list[State]:
         """The true state of every world, for experts and privileged learners."""
@@ -189,6 +193,12 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         tables, counts = self._block.tables.view(), self._block.body_counts.view()
         tables.flags.writeable = counts.flags.writeable = False
         return tables, counts
+
+    @property
+    def worker_process_ids(self) -> list[int]:
+        """The worker processes' ids; none for `workers=0` and after closing."""
+        batch = getattr(self, "_batch", None)
+        return batch.process_ids if isinstance(batch, RemoteBatch) else []
 
     def get_state(self, index: int) -> dict[str, Any]:
         """What `MagicalEnv.get_state` gives, of world `index`."""
@@ -225,6 +235,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         """End the workers; `close` calls this."""
         if hasattr(self, "_batch"):
             self._batch.close()
+            del self._batch, self._block
 
     def _begin(self, started: Sequence[tuple[int, Any]]) -> None:
         for row, scene in started:
@@ -281,14 +292,3 @@ def make_vector_env(
     """
     env_ids = [str(EnvId(task, variant))] * num_envs
     return MagicalVectorEnv(env_ids, observation=observation, **options)
-
-
-def _common(env_ids: Sequence[EnvId], observation: Observation) -> Observation:
-    """The observation given, or else the preset that the ids agree on."""
-    presets = {env_id.preset for env_id in env_ids}
-    if observation is not None or len(presets) == 1:
-        return presets.pop() if observation is None else observation
-    raise MismatchedSpacesError(
-        "environments in one batch: expected the same preset in all ids, found "
-        f"{', '.join(sorted(map(str, presets)))}; or give observation=..."
-    )

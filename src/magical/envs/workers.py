@@ -15,7 +15,7 @@ from typing import Any
 import magical.tasks
 from magical import errors
 from magical.envs.batch import BatchSpec, Seeds
-from magical.envs.block import Block, SharedMemory
+from magical.envs.block import SharedMemory
 from magical.envs.worker import CALL, ERROR, STEP, encode, receive, send
 from magical.errors import InvalidTaskError, WorkerDiedError, WorkerError
 from magical.scene.scene import Scene
@@ -45,10 +45,9 @@ class RemoteBatch:
     life, or with this process, whichever comes first.
     """
 
-    def __init__(self, spec: BatchSpec, workers: int, plugins: Sequence[str]) -> None:
-        layout = spec.layout()
-        memory = SharedMemory(layout.size)
-        self.block = Block(layout, memory.memory)
+    def __init__(
+        self, spec: BatchSpec, workers: int, memory: SharedMemory, plugins: Sequence[str]
+    ) -> None:
         self._workers: list[_Worker] = []
         self.close = weakref.finalize(self, _end, self._workers, os.getpid())
         setup = {"spec": spec.to_dict(), "handle": memory.handle, "plugins": list(plugins)}

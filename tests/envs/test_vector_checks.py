@@ -1,0 +1,122 @@
+"""Vector environments: options, and what they refuse."""
+
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from magical.envs.vector import MagicalVectorEnv
+from magical.errors import (
+    ClosedEnvironmentError,
+    InvalidActionError,
+    MismatchedSpacesError,
+    ResetNeededError,
+    UnknownNameError,
+)
+from magical.scene.actions import NUM_ACTIONS
+
+THREE = ("magical/FindDupe-TestAll-v0", "magical/FindDupe-Demo-v0", "magical/FindDupe-TestShape-v0")
+
+
+def vector(
+    env_ids: Any = THREE, workers: int = 0, observation: Any = "state", **options: Any
+) -> MagicalVectorEnv:
+    return MagicalVectorEnv(env_ids, workers=workers, observation=observation, **options)
+
+
+def test_make_vec_passes_options() -> None:
+    envs: Any = gymnasium.make_vec(
+        "magical/MatchRegions-TestJitter-LoRes4A-v0",
+        num_envs=2,
+        workers=0,
+        observation="state",
+        horizon=2,
+        reward="score",
+        autoreset_mode="SameStep",
+        copy=False,
+    )
+    assert isinstance(envs, MagicalVectorEnv)
+    assert envs.env_ids == ("magical/MatchRegions-TestJitter-v0",) * 2
+    assert (envs.workers, envs.copy, envs.num_envs) == (0, False, 2)
+    assert envs.spec is not None
+    envs.reset(seed=0)
+    envs.step([0, 0])
+    assert "final_obs" in envs.step([0, 0])[4]
+
+
+def test_presets_in_ids_decide_unless_told_otherwise() -> None:
+    envs = MagicalVectorEnv(["magical/MakeLine-Demo-LoResCHW4E-v0"] * 2, workers=0)
+    assert envs.single_observation_space.shape == (12, 96, 96)
+    assert envs.env_ids == ("magical/MakeLine-Demo-v0",) * 2
+    with pytest.raises(MismatchedSpacesError, match="LoRes4A, LoRes4E"):
+        MagicalVectorEnv(["MakeLine-Demo-LoRes4A-v0", "MakeLine-Demo-LoRes4E-v0"], workers=0)
+
+
+def test_wrong_options_are_refused() -> None:
+    for wrong, error in (
+        ({"env_ids": []}, ValueError),
+        ({"env_ids": "magical/MakeLine-Demo-v0"}, ValueError),
+        ({"env_ids": ["magical/MakeLine-TestLyout-v0"]}, UnknownNameError),
+        ({"workers": -1}, ValueError),
+        ({"horizon": 0}, ValueError),
+        ({"reward": "sparse"}, UnknownNameError),
+        ({"render_mode": "human"}, UnknownNameError),
+        ({"env_ids": ["MakeLine-Demo-v0", "FindDupe-Demo-v0"]}, MismatchedSpacesError),
+    ):
+        with pytest.raises(error):
+            vector(**wrong)
+
+
+@pytest.mark.parametrize(
+    "actions",
+    [
+        [0, 0],
+        [[0, 0, 0]],
+        [0, 0, NUM_ACTIONS],
+        [0, -1, 0],
+        [0.0, 0.0, 0.0],
+        [True, False, True],
+        [[0], [0, 1], 0],
+        "abc",
+        None,
+    ],
+)
+def test_wrong_actions_are_refused_and_nothing_happens(actions: Any) -> None:
+    envs = vector()
+    envs.reset(seed=0)
+    with pytest.raises(InvalidActionError, match="expected 3 integers from 0 to 17"):
+        envs.step(actions)
+    assert [state.step for state in envs.states()] == [0, 0, 0]
+    envs.step([0, 0, 0])
+
+
+def test_wrong_seeds_and_masks_are_refused() -> None:
+    envs = vector()
+    for seed in ([1, 2], -1, 1.5, ["a", "b", "c"]):
+        with pytest.raises(ValueError, match="seed: expected"):
+            envs.reset(seed=seed)  # type: ignore[arg-type]
+    for mask in (np.zeros(3, np.bool_), np.ones(2, np.bool_), np.ones(3)):
+        with pytest.raises(ValueError, match="reset_mask: expected bool"):
+            envs.reset(options={"reset_mask": mask})
+
+
+def test_calls_at_the_wrong_time_are_refused() -> None:
+    envs = vector()
+    calls: list[Callable[[], Any]] = [envs.states, lambda: envs.bodies, lambda: envs.get_state(0)]
+    for call in calls:
+        with pytest.raises(ResetNeededError):
+            call()
+    with pytest.raises(ResetNeededError, match="step: expected a running episode in every world"):
+        envs.step([0, 0, 0])
+    envs.reset(options={"reset_mask": np.array([True, False, True])})
+    with pytest.raises(ResetNeededError, match="in 1 of 3"):
+        envs.step([0, 0, 0])
+    envs.get_state(2)
+    envs.reset()
+    envs.close()
+    envs.close()
+    for call in (*calls, envs.reset, lambda: envs.step([0, 0, 0])):
+        with pytest.raises(ClosedEnvironmentError):
+            call()
