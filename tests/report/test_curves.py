@@ -2,6 +2,7 @@
 
 import json
 import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from magical.report.curves import learning_curves, read_metrics
 pytest.importorskip("matplotlib", reason="the report extra is not installed")
 
 
-def run_folder(path: Path, lines: list[dict[str, float | None]]) -> Path:
+def run_folder(path: Path, lines: Sequence[Mapping[str, float | None]]) -> Path:
     path.mkdir(parents=True)
     (path / "metrics.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
     return path
@@ -33,7 +34,8 @@ def test_without_metrics_there_is_nothing(tmp_path: Path) -> None:
 
 
 def test_what_is_not_finite_is_left_out(tmp_path: Path) -> None:
-    lines = [{"step": 1, "loss": 0.5}, {"step": 2, "loss": None}, {"step": 3, "loss": 0.4}]
+    losses: list[float | None] = [0.5, None, 0.4]
+    lines = [{"step": step, "loss": loss} for step, loss in enumerate(losses)]
     assert learning_curves({"run": run_folder(tmp_path / "a", lines)}).startswith("<svg")
 
 

@@ -83,7 +83,8 @@ def record_clips(
 
 
 def _photo(camera: Renderer, state: State) -> NDArray[np.uint8]:
-    frame: NDArray[np.uint8] = camera.draw(np.ascontiguousarray(state.poses.bodies))
+    frame = np.empty((camera.size, camera.size, 3), np.uint8)
+    camera.draw(state.poses.bodies, frame)
     return frame
 
 
