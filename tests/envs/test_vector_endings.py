@@ -77,22 +77,6 @@ def test_workers_end_with_their_parent(script: Start, how: signal.Signals) -> No
     assert errors.count("Traceback") == (how is signal.SIGINT)
 
 
-def test_an_interrupted_step_closes(script: Start) -> None:
-    text = f"""{USE}
-import signal
-def interrupt(*_): raise KeyboardInterrupt
-signal.signal(signal.SIGALRM, interrupt)
-signal.setitimer(signal.ITIMER_REAL, 0.2)
-try:
-    while True: envs.step([0, 0])
-except KeyboardInterrupt:
-    print(envs.closed)
-"""
-    output, errors = script(text).communicate(timeout=30)
-    assert (output.splitlines()[1:], errors) == (["True"], "")
-    assert gone([int(i) for i in output.splitlines()[0].split()])
-
-
 def test_a_fork_does_not_end_its_parents_workers(script: Start) -> None:
     text = f"""{USE}
 import os

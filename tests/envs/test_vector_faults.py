@@ -186,6 +186,19 @@ def test_a_task_that_workers_could_not_find(breaking: Task) -> None:
     given.close()
 
 
+def test_an_interrupted_exchange_closes(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(descriptor: int) -> None:
+        raise KeyboardInterrupt
+
+    envs = make()
+    workers = process_ids(envs)
+    monkeypatch.setattr("magical.envs.workers.receive", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        envs.step([0] * 4)
+    assert envs.closed
+    assert gone(workers)
+
+
 def test_closing_twice_ends_everything() -> None:
     before = descriptors()
     envs = make()

@@ -1,0 +1,116 @@
+"""Stable-Baselines3's vector environment over ours; only this module needs Stable-Baselines3."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from magical.envs.infos import SCORE_KEYS
+from magical.envs.vector import MagicalVectorEnv
+from magical.errors import MissingDependencyError
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv
+except ImportError as error:
+    raise MissingDependencyError(
+        "magical.envs.sb3: Stable-Baselines3 is not installed; pip install 'magical-benchmark[sb3]'"
+    ) from error
+
+Indices = int | Iterable[int] | None
+
+
+class MagicalSB3VecEnv(VecEnv):
+    """A `MagicalVectorEnv` as Stable-Baselines3 wants it.
+
+    Observations, actions and autoreset follow its conventions: a step that ends an episode shows
+    the next episode's first observation, and `infos[i]` holds the last one as
+    `terminal_observation`, `TimeLimit.truncated` (always True: episodes end at the horizon only)
+    and the scores. Images keep their layout; Stable-Baselines3 turns channels to the front by
+    itself where its networks need it.
+
+    Attributes that `get_attr` knows are the vector environment's; `env_ids` gives each world its
+    own. `env_method` knows the methods that take a world's index (`get_state`, `set_state`).
+
+    Args:
+        envs: made with `autoreset_mode="SameStep"`, and with `reward="score"` or `"dense"` if
+            anything is to be learnt from rewards.
+
+    Raises `ValueError` for another autoreset mode.
+    """
+
+    def __init__(self, envs: MagicalVectorEnv) -> None:
+        if envs.autoreset_mode is not AutoresetMode.SAME_STEP:
+            raise ValueError(
+                "Stable-Baselines3 expects autoreset_mode='SameStep', found "
+                f"{envs.autoreset_mode.value!r}; make the vector environment with that"
+            )
+        self.envs = envs
+        self._actions: Any = None
+        super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
+
+    def reset(self) -> Any:
+        """Begin an episode in every world, with the seeds and options given before."""
+        first = self._options[0]
+        if any(options != first for options in self._options):
+            raise ValueError("reset options: expected the same for all worlds; see set_state")
+        seeded = any(seed is not None for seed in self._seeds)
+        observations, infos = self.envs.reset(
+            seed=self._seeds if seeded else None, options=first or None
+        )
+        self.reset_infos = [_scores(infos, row) for row in range(self.num_envs)]
+        self._reset_seeds()
+        self._reset_options()
+        return observations
+
+    def step_async(self, actions: NDArray[np.integer[Any]]) -> None:
+        """Keep the actions for `step_wait`."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Act; returns observations, rewards, episode ends and infos."""
+        observations, rewards, _, ended, infos = self.envs.step(self._actions)
+        each = [
+            _scores(infos, row) | {"TimeLimit.truncated": False} for row in range(self.num_envs)
+        ]
+        for row in np.flatnonzero(ended).tolist():
+            each[row] = {
+                **_scores(infos["final_info"], row),
+                "TimeLimit.truncated": True,
+                "terminal_observation": infos["final_obs"][row],
+            }
+        return observations, rewards.astype(np.float32), ended, each
+
+    def close(self) -> None:
+        """End the workers."""
+        self.envs.close()
+
+    def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
+        """An attribute of the vector environment, once for each world."""
+        value = getattr(self.envs, attr_name)
+        each = value if attr_name == "env_ids" else [value] * self.num_envs
+        return [each[row] for row in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
+        """Not possible: worlds live in other processes. Raises `AttributeError`."""
+        raise AttributeError(f"set_attr: {attr_name!r} of a world cannot be set from outside")
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Call a method that takes a world's index as its first argument."""
+        method = getattr(self.envs, method_name)
+        return [method(row, *method_args, **method_kwargs) for row in self._get_indices(indices)]
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Indices = None) -> list[bool]:
+        """No world is wrapped in anything."""
+        return [False for _ in self._get_indices(indices)]
+
+    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
+        """Every world's picture, with `render_mode="rgb_array"`."""
+        return self.envs.render() or [None] * self.num_envs
+
+
+def _scores(infos: dict[str, Any], row: int) -> dict[str, Any]:
+    return {key: float(infos[key][row]) for key in SCORE_KEYS}
