@@ -83,3 +83,35 @@ class WorkerDiedError(MagicalError, RuntimeError):
 
 class WorkerError(MagicalError, RuntimeError):
     """An exception of a foreign class in a worker process; its traceback is the cause."""
+
+
+class MissingDependencyError(MagicalError, ImportError):
+    """An optional library that is not installed; the message says which extra brings it."""
+
+
+class InvalidConfigError(MagicalError, ValueError):
+    """A configuration with values that cannot be, or of another algorithm."""
+
+
+class RunFolderError(MagicalError, RuntimeError):
+    """A run folder that is taken, missing, damaged or cannot be written to."""
+
+
+class CheckpointError(MagicalError, ValueError):
+    """A checkpoint that is missing, damaged or of another network."""
+
+
+class DemonstrationsError(MagicalError, ValueError):
+    """Demonstrations that cannot be learned from: too few, of another task, of another form."""
+
+
+class DivergedError(MagicalError, ArithmeticError):
+    """Training met a loss or weights that are no finite numbers."""
+
+
+class DeviceError(MagicalError, RuntimeError):
+    """A device that was asked for and is not there."""
+
+
+class DrawingError(MagicalError, ValueError):
+    """A frame that cannot be drawn: poses or an array that do not fit, or an impossible size."""

@@ -1,0 +1,171 @@
+"""A whole frame: cameras, ground, bodies, and the entry point that is compiled."""
+
+import math
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical.render.canvas import Canvas, cover, finish_bodies, finish_ground, paint, squeeze
+from magical.render.jit import entry_point, inlined, source_stamp
+from magical.render.lines import PUBLISHED_SIZE, dashes, outline, whole
+from magical.render.palette import OUTSIDE, lanes
+from magical.render.polygons import MOST_SIDES, SUBSAMPLES, Floats, Ints, place, scan
+
+VIEW_WIDTH = 2.04  # units: both cameras show as much (details.md, section 6)
+ROBOT_HEIGHT = 0.15  # of the frame: where the egocentric camera has the robot, from below
+FAR = 1e6  # units: poses beyond are taken for a mistake
+_BACKGROUND = lanes(OUTSIDE)
+
+Pixels = NDArray[np.int32]
+
+
+@inlined
+def body_frames(bodies: Floats, ego: bool, extent: float, frames: Floats) -> None:
+    """Every body's frame on the grid: cos, sin (times the scale), x, y; the world's comes last."""
+    scale = SUBSAMPLES * extent / VIEW_WIDTH
+    x, y, turn, height = 0.0, 0.0, 0.0, 0.5  # the camera's place, and where that is in the frame
+    if ego:
+        x, y, turn, height = bodies[0, 0], bodies[0, 1], bodies[0, 2], ROBOT_HEIGHT
+    centre_x, centre_y = SUBSAMPLES * extent / 2, SUBSAMPLES * extent * height
+    cos, sin = scale * math.cos(-turn), scale * math.sin(-turn)
+    count = len(bodies)
+    for i in range(count):
+        dx, dy = bodies[i, 0] - x, bodies[i, 1] - y
+        frames[i, 0] = scale * math.cos(bodies[i, 2] - turn)
+        frames[i, 1] = scale * math.sin(bodies[i, 2] - turn)
+        frames[i, 2] = cos * dx - sin * dy + centre_x
+        frames[i, 3] = sin * dx + cos * dy + centre_y
+    frames[count, 0], frames[count, 1] = cos, sin
+    frames[count, 2] = centre_x - (cos * x - sin * y)
+    frames[count, 3] = centre_y - (sin * x + cos * y)
+
+
+@inlined
+def draw_ground(
+    canvas: Canvas,
+    corners: Floats,
+    colours: Ints,
+    world: Floats,
+    ego: bool,
+    edges: Floats,
+    spans: Ints,
+) -> None:
+    """Background, workspace and its edge, regions and their dashes."""
+    extent = canvas.size * canvas.samples
+    background = squeeze(_BACKGROUND)
+    for pixel in range(canvas.size * canvas.size):
+        canvas.ground[pixel] = background
+    turned, placed, on_frame = np.empty((2, 4)), np.empty((2, 5)), np.empty((4, 2))
+    counter = _counter_left_by_allocentric_frame(corners[len(corners) - 1]) if ego else 0
+    for i in range(len(corners)):
+        for k in range(4):
+            x, y = corners[i, k, 0], corners[i, k, 1]
+            turned[0, 3 - k], turned[1, 3 - k] = x, y
+            on_frame[k, 0] = (world[0] * x - world[1] * y + world[2]) / SUBSAMPLES
+            on_frame[k, 1] = (world[1] * x + world[0] * y + world[3]) / SUBSAMPLES
+        place(turned, 0, 4, world, placed)
+        low, high = scan(placed, 4, extent, extent, edges, spans)
+        paint(canvas, spans, low, high, colours[i, 0])
+        if i == 0:
+            outline(canvas, on_frame, colours[i, 1])
+        else:
+            counter = dashes(canvas, on_frame, colours[i, 1], counter)
+
+
+@inlined
+def _counter_left_by_allocentric_frame(corners: Floats) -> int:
+    """Where the dash counter stands after an outline that is all in view.
+
+    The published environments draw an allocentric frame before every egocentric one.
+    """
+    pixel = VIEW_WIDTH / PUBLISHED_SIZE
+    width, height = corners[1, 0] - corners[0, 0], corners[0, 1] - corners[3, 1]
+    return 2 * (whole(width / pixel) + whole(height / pixel))
+
+
+@inlined
+def draw_bodies(
+    canvas: Canvas,
+    vertices: Floats,
+    items: Ints,
+    offsets: Floats,
+    frames: Floats,
+    edges: Floats,
+    spans: Ints,
+) -> None:
+    """Blocks and robot, front to back (see `display.DisplayList` for the arrays)."""
+    extent = canvas.size * canvas.samples
+    placed, frame = np.empty((2, MOST_SIDES + 1)), np.empty(4)
+    for i in range(len(items)):
+        first, count, anchor, turn = items[i, 0], items[i, 1], items[i, 2], items[i, 3]
+        x, y = offsets[i, 0], offsets[i, 1]
+        frame[0], frame[1] = frames[turn, 0], frames[turn, 1]
+        frame[2] = frames[anchor, 0] * x - frames[anchor, 1] * y + frames[anchor, 2]
+        frame[3] = frames[anchor, 1] * x + frames[anchor, 0] * y + frames[anchor, 3]
+        place(vertices, first, count, frame, placed)
+        low, high = scan(placed, count, extent, extent, edges, spans)
+        cover(canvas, spans, low, high, items[i, 4])
+
+
+@inlined
+def drawable(bodies: Floats) -> bool:
+    """Whether all poses are finite and not absurdly far away."""
+    good = True
+    for i in range(len(bodies)):
+        for k in range(3):
+            good &= abs(bodies[i, k]) <= FAR
+    return good
+
+
+@cache
+def compiled_draw(samples: int) -> Callable[..., int]:
+    """The entry point for samples x samples samples a pixel (1, 2 or 4 across)."""
+    stamp = source_stamp()
+
+    @entry_point
+    def draw(
+        bodies: Floats,
+        vertices: Floats,
+        items: Ints,
+        offsets: Floats,
+        corners: Floats,
+        colours: Ints,
+        ground: Pixels,
+        tiles: Ints,
+        owners: Pixels,
+        finished: Pixels,
+        body_pixels: Ints,
+        touched: Ints,
+        pixels: Pixels,
+        size: int,
+        ego: bool,
+        fresh: bool,
+    ) -> int:
+        """Draw into `pixels`, with `fresh` the ground, too; how many tiles it has, -1 if not drawn.
+
+        The arrays are those of `display.DisplayList` and `canvas.Canvas`. Allocentric frames start
+        from what is kept in `finished`; for egocentric ones that is the same array as `pixels`.
+        """
+        _ = stamp  # makes it part of the key under which the compiled code is kept
+        if not drawable(bodies):
+            return -1
+        extent, count, counts = size * samples, len(bodies), np.zeros(1, np.int64)
+        edges, spans = np.empty((3, MOST_SIDES + 1)), np.empty((2, extent + samples), np.int64)
+        frames = np.empty((count + 1, 4))
+        canvas = Canvas(
+            ground, tiles, owners, counts, finished, body_pixels, touched, pixels, size, samples
+        )
+        body_frames(bodies, ego, extent, frames)
+        if fresh:
+            draw_ground(canvas, corners, colours, frames[count], ego, edges, spans)
+            finish_ground(canvas)
+        if not ego:
+            for pixel in range(size * size):
+                pixels[pixel] = finished[pixel]
+        draw_bodies(canvas, vertices, items, offsets, frames, edges, spans)
+        finish_bodies(canvas)
+        return int(counts[0])
+
+    return draw

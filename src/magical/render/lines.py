@@ -1,0 +1,184 @@
+"""Smoothed lines on the ground: the workspace's edge and the regions' dashes.
+
+A sample's share of a line is what a box of one sample, turned along the line, has in common with
+its width, times how far the sample lies within its ends (fading over one sample). The line is
+blended into the sample in 8-bit steps. Coordinates are in samples, as in `polygons`.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical.render.canvas import Canvas, open_tile
+from magical.render.jit import inlined
+from magical.render.polygons import Floats
+
+PUBLISHED_SIZE = 384.0  # pixels of the frame in whose pixels the lengths below are given
+EDGE_WIDTH = 1.0
+DASH_WIDTH = 2.5
+DASH = 8  # on, and as many off
+# The allocentric frame's edges lie where shares are exactly halfway between two 8-bit steps. The
+# published frames round as though every line lay a trace further left and down.
+TRACE = 1e-7  # samples
+LEVEL = 1e-9  # a line that rises less than this on one unit of length is taken for level
+
+
+class Strip(NamedTuple):
+    """The samples that have a share of a line."""
+
+    along_x: float  # the line's direction
+    along_y: float
+    middle_x: float
+    middle_y: float
+    side: float  # how far from the line, and from its middle along it, shares become 0
+    end: float
+    most: float  # share of a sample in the middle
+
+
+@inlined
+def clip(line: Floats, extent: float) -> bool:
+    """Shorten a line (x0, y0, x1, y1) to its part within the frame; false if there is none."""
+    x, y = line[0], line[1]
+    dx, dy = line[2] - x, line[3] - y
+    start, end = 0.0, 1.0
+    for d, low, high in ((dx, -x, extent - x), (dy, -y, extent - y)):
+        if d != 0.0:
+            start = max(start, min(low / d, high / d))
+            end = min(end, max(low / d, high / d))
+        elif low > 0.0 or high < 0.0:
+            return False
+    if start >= end:
+        return False
+    line[0], line[1] = x + start * dx, y + start * dy
+    line[2], line[3] = x + end * dx, y + end * dy
+    return True
+
+
+@inlined
+def stroke(canvas: Canvas, line: Floats, width: float, colour: int) -> None:
+    """Blend one line (x0, y0, x1, y1) of a width in samples into the ground."""
+    dx, dy = line[2] - line[0], line[3] - line[1]
+    length = math.sqrt(dx * dx + dy * dy)
+    if length == 0.0:
+        return
+    middle_x, middle_y = (line[0] + line[2]) / 2 - TRACE, (line[1] + line[3]) / 2 - TRACE
+    side, end = width / 2 + 0.5, length / 2 + 0.5
+    strip = Strip(dx / length, dy / length, middle_x, middle_y, side, end, min(width, 1.0))
+    reach = abs(strip.along_x) * side + abs(strip.along_y) * end
+    samples, size = canvas.samples, canvas.size
+    shares = np.empty(samples * samples, np.int32)
+    bottom = _pixel(middle_y - reach, samples, size)
+    for row in range(bottom, _pixel(middle_y + reach, samples, size - 1) + 1):
+        left, right = _columns(strip, row * samples, samples)
+        for column in range(_pixel(left, samples, size), _pixel(right, samples, size - 1) + 1):
+            if _find_shares(strip, column * samples, row * samples, samples, shares):
+                tile = open_tile(canvas, row * size + column)
+                for i in range(samples * samples):
+                    under = int(canvas.tiles[tile, i])
+                    canvas.tiles[tile, i] = blend(under, colour, int(shares[i]))
+
+
+@inlined
+def _columns(strip: Strip, bottom: float, samples: int) -> tuple[float, float]:
+    """The x between which samples of a row of pixels may have a share."""
+    reach = abs(strip.along_y) * strip.side + abs(strip.along_x) * strip.end
+    if abs(strip.along_y) < LEVEL:
+        return strip.middle_x - reach, strip.middle_x + reach
+    lean = strip.along_x / strip.along_y
+    width = strip.side / abs(strip.along_y)
+    low, high = bottom - strip.middle_y, bottom + samples - strip.middle_y
+    if lean < 0.0:
+        low, high = high, low
+    left, right = max(lean * low - width, -reach), min(lean * high + width, reach)
+    return strip.middle_x + left, strip.middle_x + right
+
+
+@inlined
+def _find_shares(
+    strip: Strip, left: float, bottom: float, samples: int, shares: NDArray[np.int32]
+) -> bool:
+    """The shares of a pixel's samples in 255ths; false if all are 0. Without branches."""
+    found = 0
+    for i in range(samples * samples):
+        x = left + (i % samples + 0.5) - strip.middle_x
+        y = bottom + (i // samples + 0.5) - strip.middle_y
+        across = strip.side - abs(strip.along_x * y - strip.along_y * x)
+        within = strip.end - abs(strip.along_x * x + strip.along_y * y)
+        part = min(max(across, 0.0), strip.most) * min(max(within, 0.0), 1.0)
+        shares[i] = np.int32(np.rint(part * 255.0))
+        found |= shares[i]
+    return found != 0
+
+
+@inlined
+def _pixel(x: float, samples: int, most: int) -> int:
+    """The pixel that x lies in, within [0, most]."""
+    return min(int(max(x, 0.0)) // samples, most)
+
+
+@inlined
+def blend(under: int, over: int, share: int) -> int:
+    """Mix two colours lane by lane: 255ths of each, rounded, are added, as in 8-bit blending."""
+    return _share(over * share) + _share(under * (255 - share))
+
+
+@inlined
+def _share(products: int) -> int:
+    """Each lane (at most 255 * 255) divided by 255 and rounded."""
+    raised = products + 0x008000800080
+    return (raised + (raised >> 8 & 0x00FF00FF00FF)) >> 8 & 0x00FF00FF00FF
+
+
+@inlined
+def _side(corners: Floats, i: int, extent: float, line: Floats) -> bool:
+    """The i-th side of a rectangle (4, 2), as far as it is in view; false if it is not."""
+    for k in range(2):
+        line[k], line[2 + k] = corners[i, k], corners[(i + 1) % 4, k]
+    return clip(line, extent)
+
+
+@inlined
+def outline(canvas: Canvas, corners: Floats, colour: int) -> None:
+    """The workspace's edge: four lines, each as far as it is in view."""
+    extent = canvas.size * canvas.samples
+    line = np.empty(4)
+    for i in range(4):
+        if _side(corners, i, extent, line):
+            stroke(canvas, line, EDGE_WIDTH * extent / PUBLISHED_SIZE, colour)
+
+
+@inlined
+def dashes(canvas: Canvas, corners: Floats, colour: int, counter: int) -> int:
+    """A region's dashed outline; takes and returns the dash counter.
+
+    Every side counts the pixels of the 384 frame from where it comes into view and leaves the
+    counter a whole number further, so that dashes continue round corners. The counter starts
+    again at an outline's first side, but, as in the published frames, only if that is in view.
+    """
+    extent = canvas.size * canvas.samples
+    unit = extent / PUBLISHED_SIZE
+    line, dash = np.empty(4), np.empty(4)
+    for i in range(4):
+        if _side(corners, i, extent, line):
+            counter = 0 if i == 0 else counter
+            dx, dy = line[2] - line[0], line[3] - line[1]
+            length = math.sqrt(dx * dx + dy * dy) / unit
+            count, start = whole(length), 0
+            while start < count:
+                stop = min(start + DASH - (counter + start) % DASH, count)
+                if (counter + start) // DASH % 2 == 0:
+                    a, b = start / length, min(stop / length, 1.0)
+                    dash[0], dash[1] = line[0] + a * dx, line[1] + a * dy
+                    dash[2], dash[3] = line[0] + b * dx, line[1] + b * dy
+                    stroke(canvas, dash, DASH_WIDTH * unit, colour)
+                start = stop
+            counter += count
+    return counter
+
+
+@inlined
+def whole(length: float) -> int:
+    """A length rounded up, but not for the sake of a rounding error."""
+    return math.ceil(length - 1e-9)

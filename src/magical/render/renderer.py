@@ -1,0 +1,179 @@
+"""Frames of scenes: what the rest of the package draws with."""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical.errors import DrawingError
+from magical.render.canvas import blank
+from magical.render.display import display_list
+from magical.render.frame import FAR, compiled_draw
+from magical.render.output import CHANNELS, compiled_store, move_stack
+from magical.scene.poses import FIRST_BLOCK, Poses
+from magical.scene.scene import Pose, Scene
+from magical.scene.vocabulary import View, parse_word
+
+LOW_RESOLUTION = 96  # pixels: the published observations
+PUBLISHED_SIZE = 384  # samples across in the published frames
+SAMPLES = (1, 2, 4)
+
+Image = NDArray[np.uint8]
+
+
+def default_samples(size: int) -> int:
+    """Samples across a pixel: as few as make the published 384 across a frame, at most 4."""
+    return next((n for n in SAMPLES if n * size >= PUBLISHED_SIZE), max(SAMPLES))
+
+
+class Renderer:
+    """Draws one scene, seen by one camera, at any moment: a pure function of the poses.
+
+    Args:
+        scene: what is drawn; its poses are not used.
+        view: `View.EGO` or `View.ALLO`, or their names.
+        size: height and width of the frame in pixels.
+        samples: 1, 2 or 4; samples x samples are averaged in each pixel, halves rounded to even.
+            Default: as few as make 384 across, at most 4. 4 at 96 pixels is the published
+            pipeline, 1 at 384 its raw frame.
+
+    Raises:
+        UnknownNameError: there is no such view.
+        DrawingError: a size or number of samples that cannot be drawn.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        view: View | str,
+        size: int = LOW_RESOLUTION,
+        samples: int | None = None,
+    ) -> None:
+        self.view = parse_word(View, view)
+        self.size = size
+        self.samples = default_samples(size) if samples is None else samples
+        if size < 1 or self.samples not in SAMPLES:
+            raise DrawingError(
+                f"expected a positive size and samples among {SAMPLES}, found {size} and {samples}"
+            )
+        self._draw = compiled_draw(self.samples)
+        self._store = compiled_store()
+        self._display = display_list(scene)
+        self._bodies = np.empty((FIRST_BLOCK + len(scene.blocks), 3))
+        shared = _memory(size, self.samples, 1 + len(scene.regions))
+        if self.view == View.EGO:
+            shared = shared._replace(finished=shared.pixels)
+        self._pixels = shared.pixels
+        self._arguments = (*self._display, *shared, size, self.view == View.EGO, True)
+        if self.view == View.ALLO:
+            self._keep_ground(scene, shared)
+
+    def draw(self, bodies: NDArray[np.float64], out: Image) -> None:
+        """Write the frame into `out`, which may be a view of any layout, such as a stack's end.
+
+        Args:
+            bodies: (5 + blocks, 3 or more): x, y, angle in the rows of `Poses`.
+            out: (size, size, 3) uint8.
+
+        Raises:
+            DrawingError: bodies or `out` do not fit, or a pose is not finite.
+        """
+        mine = self._bodies
+        if out.shape != (self.size, self.size, CHANNELS) or out.dtype.char != "B":
+            raise DrawingError(
+                f"expected an array ({self.size}, {self.size}, {CHANNELS}) of uint8 to draw into, "
+                f"found {out.shape} of {out.dtype}"
+            )
+        if len(bodies) != len(mine) or bodies.shape[1] < mine.shape[1]:
+            raise DrawingError(
+                f"expected the poses (x, y, angle) of {len(mine)} bodies, five of the robot's and "
+                f"one for each block, found an array {bodies.shape}"
+            )
+        mine[:] = bodies[:, :3]
+        if self._draw(mine, *self._arguments) < 0:
+            raise DrawingError(f"expected finite poses within {FAR:g} units, found {mine.tolist()}")
+        self._store(self._pixels, out)
+
+    def draw_stacked(
+        self, bodies: NDArray[np.float64], stack: Image, out: Image | None = None
+    ) -> None:
+        """Move a stack on and draw the newest frame in its last three channels.
+
+        Args:
+            bodies: as for `draw`.
+            stack: (size, size, 3 * frames) uint8, oldest first, any layout.
+            out: where the result goes; by default `stack` itself. Must not overlap it partly.
+        """
+        out = stack if out is None else out
+        if stack.shape != out.shape:
+            raise DrawingError(f"expected stacks of one shape, found {stack.shape} and {out.shape}")
+        move_stack(stack, out)
+        self.draw(bodies, out[:, :, -CHANNELS:])
+
+    def _keep_ground(self, scene: Scene, shared: "_Memory") -> None:
+        """Draw the ground once, since the allocentric camera does not move, and keep it."""
+        self._bodies[:] = Poses.at_rest(scene).bodies
+        tiles = self._draw(self._bodies, *self._arguments)
+        own = shared._replace(
+            ground=shared.ground.copy(),
+            tiles=shared.tiles[:tiles].copy(),
+            finished=shared.finished.copy(),
+        )
+        self._arguments = (*self._display, *own, self.size, False, False)
+
+
+def draw_frame(
+    scene: Scene,
+    poses: Poses,
+    view: View | str,
+    size: int = LOW_RESOLUTION,
+    samples: int | None = None,
+) -> Image:
+    """One frame (size, size, 3) uint8; for many frames of a scene, a `Renderer` is faster."""
+    out = np.empty((size, size, CHANNELS), np.uint8)
+    Renderer(scene, view, size, samples).draw(poses.bodies, out)
+    return out
+
+
+def draw_both(
+    scene: Scene, poses: Poses, size: int = LOW_RESOLUTION, samples: int | None = None
+) -> Image:
+    """The egocentric and the allocentric frame side by side, (size, 2 * size, 3) uint8."""
+    views = (View.EGO, View.ALLO)
+    return np.concatenate([draw_frame(scene, poses, v, size, samples) for v in views], axis=1)
+
+
+def warm_up(samples: int = max(SAMPLES)) -> None:
+    """Compile what drawing needs, or load it from the disk, so that the first frame is fast."""
+    scene = Scene(Pose(0.0, 0.0, 0.0))
+    draw_frame(scene, Poses.at_rest(scene), View.EGO, 8, samples)
+
+
+class _Memory(NamedTuple):
+    """Working memory of one frame (see `canvas.Canvas`), shared by renderers of one form.
+
+    Sharing is safe: compiled code keeps the interpreter's lock, and every frame starts afresh.
+    """
+
+    ground: NDArray[np.int32]
+    tiles: NDArray[np.int64]
+    owners: NDArray[np.int32]
+    finished: NDArray[np.int32]
+    bodies: NDArray[np.int64]
+    touched: NDArray[np.int64]
+    pixels: NDArray[np.int32]
+
+
+@lru_cache(maxsize=16)
+def _memory(size: int, samples: int, layers: int) -> _Memory:
+    count = size * size
+    return _Memory(
+        ground=np.empty(count, np.int32),
+        tiles=np.empty((layers * count, samples * samples), np.int64),
+        owners=np.empty(layers * count, np.int32),
+        finished=np.empty(count, np.int32),
+        bodies=np.full(count, blank(samples), np.int64),
+        touched=np.repeat([[size], [0]], size, axis=1),
+        pixels=np.empty(count, np.int32),
+    )
