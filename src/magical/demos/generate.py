@@ -1,0 +1,125 @@
+"""Demonstrations from the scripted experts."""
+
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from itertools import count
+from pathlib import Path
+
+import numpy as np
+from gymnasium.utils.seeding import np_random
+
+from magical.demos.codec import encode
+from magical.demos.manifest import Entry
+from magical.demos.processes import in_processes
+from magical.demos.provenance import provenance
+from magical.demos.trajectory import Trajectory
+from magical.demos.writer import DatasetWriter
+from magical.envs.ids import parse_env_id
+from magical.errors import DatasetError
+from magical.experts import expert_for
+from magical.physics import World
+from magical.scene import Poses, State
+from magical.tasks import get_task
+
+PATIENCE = 20  # attempts for each demonstration wanted, on average, before giving up
+
+
+@dataclass(frozen=True, slots=True)
+class GenerateReport:
+    """What became of the attempts in one environment."""
+
+    env_id: str
+    kept: int
+    dropped: int  # below the score asked for
+    scores: tuple[float, ...]  # of the kept ones
+
+
+def generate(
+    env_id: str,
+    number: int,
+    out: Path | str,
+    *,
+    seed: int = 0,
+    skill: float = 1.0,
+    min_score: float = 0.0,
+    workers: int | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> GenerateReport:
+    """Append `number` demonstrations by the task's scripted expert to a dataset.
+
+    Attempt i starts as `reset(seed=episode_seed(seed, i))` does and has a strategy of its own.
+    Attempts that score less than `min_score` (appendix's rule) are dropped. The result depends on
+    the arguments alone, not on `workers`.
+
+    Raises:
+        DatasetError: too few attempts reach the score, or the dataset cannot be written; what was
+            kept before stays.
+        NoExpertError: the task has no expert.
+        NoSolutionError: a scene cannot be solved.
+    """
+    writer = DatasetWriter(out)
+    attempt = partial(_attempt, str(parse_env_id(env_id)), seed, skill)
+    scores: list[float] = []
+    dropped = 0
+    with closing(_results(attempt, number, workers)) as results:
+        while len(scores) < number:
+            if dropped > PATIENCE * number:
+                raise DatasetError(
+                    f"{env_id}: {dropped} attempts scored less than {min_score} and {len(scores)} "
+                    "did not; give a lower score or a higher skill"
+                )
+            entry, raw = next(results)
+            if entry.final_score < min_score:
+                dropped += 1
+                continue
+            writer.append_encoded(entry, raw)
+            scores.append(entry.final_score)
+            if progress:
+                progress(1)
+    return GenerateReport(env_id, len(scores), dropped, tuple(scores))
+
+
+def demonstrate(env_id: str, seed: int, skill: float = 1.0) -> Trajectory:
+    """One episode of the scripted expert, from what `reset(seed=seed)` would start with."""
+    parsed = parse_env_id(env_id)
+    task = get_task(parsed.task)
+    scene, dynamics = task.sample(parsed.variant, np_random(seed)[0])
+    expert, memory = expert_for(task.name, seed=seed, skill=skill), None
+    world = World(scene, dynamics)
+    tables, actions = [world.read().copy()], []
+    for step in range(task.horizon):
+        poses, velocities = tables[-1][:, :3], tables[-1][:, 3:]
+        state = State(scene, Poses(poses), velocities, step, task.horizon)
+        action, memory = expert.act(state, memory)
+        world.step(action)
+        actions.append(action)
+        tables.append(world.read().copy())
+    return Trajectory.from_poses(
+        env_id,
+        scene,
+        np.array(actions),
+        np.stack(tables)[:, :, :3],
+        dynamics=dynamics,
+        seed=seed,
+        demonstrator="expert",
+        metadata={"skill": skill, **provenance()},
+    )
+
+
+def episode_seed(seed: int, attempt: int) -> int:
+    """The seed of one attempt."""
+    return int(np.random.SeedSequence([seed, attempt]).generate_state(1)[0])
+
+
+def _attempt(env_id: str, seed: int, skill: float, attempt: int) -> tuple[Entry, bytes]:
+    trajectory = demonstrate(env_id, episode_seed(seed, attempt), skill)
+    raw = encode(trajectory)
+    return Entry.of(trajectory, raw), raw
+
+
+def _results(
+    attempt: Callable[[int], tuple[Entry, bytes]], number: int, workers: int | None
+) -> Iterator[tuple[Entry, bytes]]:
+    return in_processes(attempt, count(), workers)

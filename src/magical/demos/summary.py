@@ -1,0 +1,76 @@
+"""What a dataset holds, task by task."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from magical.demos.dataset import Dataset
+from magical.demos.manifest import Entry
+from magical.scene import ACTION_NAMES, NUM_ACTIONS
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """The trajectories of one environment."""
+
+    env_id: str
+    count: int
+    with_poses: int
+    demonstrators: tuple[str, ...]
+    lengths: tuple[int, float, int]  # control steps: least, mean, most
+    score: float | None  # mean by the appendix's rule, over those where it is known
+    published_code_score: float  # mean
+    bytes: int  # on disk
+    actions: tuple[int, ...]  # how often each of the 18 was taken
+
+    @property
+    def usual_actions(self) -> list[tuple[str, float]]:
+        """The actions taken, most frequent first: name and share of all steps."""
+        total = sum(self.actions)
+        order = np.argsort(self.actions, kind="stable")[::-1]
+        return [(ACTION_NAMES[i], self.actions[i] / total) for i in order if self.actions[i]]
+
+
+def summarise(dataset: Dataset) -> list[Summary]:
+    """A summary for each environment, in the order of the names; reads every trajectory once.
+
+    Raises `DatasetError` for a damaged one; open with `skip_damaged=True` to leave those out.
+    """
+    groups: dict[str, list[Entry]] = {}
+    actions: dict[str, np.ndarray[tuple[int], np.dtype[np.int64]]] = {}
+    for entry in dataset.entries:
+        groups.setdefault(entry.env_id, []).append(entry)
+        counts = np.bincount(dataset.read(entry).actions, minlength=NUM_ACTIONS)
+        actions[entry.env_id] = actions.get(entry.env_id, 0) + counts
+    return [
+        _summary(env_id, groups[env_id], actions[env_id].tolist()) for env_id in sorted(groups)
+    ]
+
+
+def find_duplicates(entries: Iterable[Entry]) -> list[tuple[str, str]]:
+    """Pairs of files (later, earlier) that were imported from the same bytes."""
+    first: dict[str, Entry] = {}
+    pairs = []
+    for entry in entries:
+        if entry.source_sha256:
+            earlier = first.setdefault(entry.source_sha256, entry)
+            if earlier is not entry:
+                pairs.append((entry.source or entry.file, earlier.source or earlier.file))
+    return pairs
+
+
+def _summary(env_id: str, entries: list[Entry], actions: list[int]) -> Summary:
+    lengths = [entry.length for entry in entries]
+    scores = [entry.score for entry in entries if entry.score is not None]
+    return Summary(
+        env_id=env_id,
+        count=len(entries),
+        with_poses=sum(entry.has_poses for entry in entries),
+        demonstrators=tuple(sorted({entry.demonstrator for entry in entries})),
+        lengths=(min(lengths), float(np.mean(lengths)), max(lengths)),
+        score=float(np.mean(scores)) if scores else None,
+        published_code_score=float(np.mean([entry.published_code_score for entry in entries])),
+        bytes=sum(entry.bytes for entry in entries),
+        actions=tuple(actions),
+    )

@@ -1,0 +1,109 @@
+"""Recording from policies, wrappers and the keyboard."""
+
+import os
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.wrappers import RecordEpisodeStatistics, TransformAction
+
+from magical.demos import Dataset, RecordTrajectories
+from magical.demos.replay import replay
+from magical.errors import DatasetError, TrajectoryError
+
+ENV = "magical/MoveToRegion-TestDynamics-v0"
+
+
+def make(horizon: int = 6, **options: Any) -> gymnasium.Env[Any, Any]:
+    return gymnasium.make(ENV, horizon=horizon, observation="state", **options)
+
+
+def roll(env: gymnasium.Env[Any, Any], rng: np.random.Generator, seed: int | None = None) -> Any:
+    env.reset(seed=seed)
+    while True:
+        result = env.step(int(rng.integers(18)))
+        if result[2] or result[3]:
+            return result[-1]
+
+
+def test_whole_episodes_are_stored_with_where_they_come_from(tmp_path: Path) -> None:
+    env = RecordTrajectories(
+        make(), tmp_path / "d", demonstrator="dice", metadata={"note": "first"}
+    )
+    rng = np.random.default_rng(0)
+    infos = [roll(env, rng, seed=4), roll(env, rng)]
+    first, second = Dataset.open(tmp_path / "d")
+    assert env.recorded == 2
+    assert (first.seed, second.seed) == (4, None)
+    assert (first.env_id, first.demonstrator, len(first)) == (ENV, "dice", 6)
+    assert [first.score, second.score] == [info["eval_score"] for info in infos]
+    assert first.metadata["note"] == "first"
+    assert {"magical", "pymunk", "numpy"} <= set(first.metadata["versions"])
+    assert first.dynamics != second.dynamics
+    assert [replay(t).departure for t in (first, second)] == [0.0, 0.0]
+
+
+def test_unfinished_and_bad_episodes_are_not_stored(tmp_path: Path) -> None:
+    env = RecordTrajectories(make(), tmp_path / "d", demonstrator="dice", min_score=0.5)
+    env.reset(seed=0)
+    env.step(1)
+    info = roll(env, np.random.default_rng(0), seed=0)
+    assert info["eval_score"] < 0.5
+    assert len(Dataset.open(tmp_path / "d")) == 0
+
+
+def test_wrappers_below_and_above(tmp_path: Path) -> None:
+    inner = TransformAction(make(), lambda action: 17 - action, gymnasium.spaces.Discrete(18))
+    env = RecordEpisodeStatistics(RecordTrajectories(inner, tmp_path / "d", demonstrator="x"))
+    env.reset(seed=0)
+    for action in range(6):
+        env.step(action)
+    (trajectory,) = Dataset.open(tmp_path / "d")
+    assert trajectory.actions.tolist() == [17, 16, 15, 14, 13, 12]
+
+
+def test_jump_to_another_state_is_refused(tmp_path: Path) -> None:
+    env = RecordTrajectories(make(), tmp_path / "d", demonstrator="x")
+    env.reset(seed=0)
+    env.step(0)
+    saved = env.unwrapped.get_state()  # type: ignore[attr-defined]
+    env.step(0)
+    env.unwrapped.set_state(saved)  # type: ignore[attr-defined]
+    with pytest.raises(TrajectoryError, match="not recorded from its start"):
+        roll_on(env)
+
+
+def roll_on(env: gymnasium.Env[Any, Any]) -> None:
+    for _ in range(6):
+        env.step(0)
+
+
+def test_other_environments_and_places_are_refused(tmp_path: Path, small_dataset: Path) -> None:
+    with pytest.raises(TrajectoryError, match="magical's environments"):
+        RecordTrajectories(gymnasium.make("CartPole-v1"), tmp_path / "d", demonstrator="x")
+    with pytest.raises(DatasetError, match="cannot be written"):
+        RecordTrajectories(make(), small_dataset / "manifest.jsonl", demonstrator="x")
+
+
+def test_play_is_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(os.environ, "SDL_VIDEODRIVER", "dummy")
+    pygame = pytest.importorskip("pygame", reason="the extra `window` is not installed")
+    from gymnasium.utils.play import play
+
+    env = RecordTrajectories(
+        make(horizon=4, render_mode="rgb_array"), tmp_path / "d", demonstrator="someone"
+    )
+
+    def press(*step: Any) -> None:
+        if env.recorded == 1:
+            pygame.event.post(pygame.event.Event(pygame.QUIT))
+        else:
+            pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=ord("w")))
+
+    play(env, fps=1000, callback=press, seed=3)
+    pygame.quit()
+    (trajectory,) = Dataset.open(tmp_path / "d")
+    assert (trajectory.demonstrator, trajectory.seed) == ("someone", 3)
+    assert trajectory.actions.tolist() == [0, 1, 1, 1]

@@ -1,0 +1,95 @@
+"""What a trajectory must be."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from magical.demos import Trajectory
+from magical.errors import TrajectoryError, UnknownNameError
+from magical.scene import Poses
+from magical.tasks import get_task
+
+POSES = np.zeros((3, 6, 3))
+FRAMES = np.zeros((3, 96, 96, 3), np.uint8)
+GOOD: dict[str, Any] = {
+    "env_id": "magical/MoveToCorner-Demo-v0",
+    "scene": get_task("MoveToCorner").demo,
+    "actions": np.array([1, 2]),
+    "poses": POSES,
+    "score": 0.5,
+    "published_code_score": 0.5,
+}
+
+
+def test_good_one_is_frozen_and_its_own() -> None:
+    actions, poses = np.array([1, 17]), POSES.copy()
+    trajectory = Trajectory(**{**GOOD, "actions": actions, "poses": poses})
+    actions[0], poses[0] = 3, 9.0
+    assert trajectory.actions.tolist() == [1, 17]
+    assert trajectory.actions.dtype == np.int64
+    assert trajectory.poses is not None
+    assert not trajectory.poses.any()
+    assert len(trajectory) == 2
+    with pytest.raises(ValueError, match="read-only"):
+        trajectory.poses[0] = 1.0
+    with pytest.raises(AttributeError):
+        trajectory.seed = 3  # type: ignore[misc]
+
+
+def test_preset_is_dropped_from_the_id() -> None:
+    trajectory = Trajectory(**{**GOOD, "env_id": "MoveToCorner-TestAll-LoRes4E-v0"})
+    assert trajectory.env_id == "magical/MoveToCorner-TestAll-v0"
+    assert (trajectory.task.name, trajectory.variant) == ("MoveToCorner", "TestAll")
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"actions": np.array([1, 18])}, "from 0 to 17, found 1 to 18"),
+        ({"actions": np.array([-1, 2])}, "from 0 to 17"),
+        ({"actions": np.array([1.0, 2.0])}, "expected integers"),
+        ({"actions": np.array([], np.int64)}, "at least 1"),
+        ({"actions": np.array([[1, 2]])}, r"\(1, 2\)"),
+        ({"actions": np.array([1, 2, 3])}, "for 3 actions"),
+        ({"poses": POSES[:2]}, "expected finite float64"),
+        ({"poses": POSES[:, :5]}, "1 blocks"),
+        ({"poses": POSES.astype(np.float32)}, "float32"),
+        ({"poses": POSES + np.nan}, "finite"),
+        ({"poses": None}, "either poses or frames"),
+        ({"frames": {"ego": FRAMES}}, "either poses or frames"),
+        ({"poses": None, "frames": {"top": FRAMES}}, "views"),
+        ({"poses": None, "frames": {}}, "views"),
+        ({"poses": None, "frames": {"ego": FRAMES[:2]}}, "one more than the 2 actions"),
+        ({"poses": None, "frames": {"ego": FRAMES.astype(int)}}, "uint8"),
+        ({"score": 1.5}, "score: expected a number from 0 to 1"),
+        ({"score": None}, "from_poses"),
+        ({"published_code_score": None}, "published_code_score"),
+        ({"published_code_score": float("nan")}, "nan"),
+        ({"seed": -1}, "seed"),
+        ({"demonstrator": ""}, "demonstrator"),
+        ({"metadata": {"a": object()}}, "plain JSON"),
+        ({"metadata": {"a": float("inf")}}, "plain JSON"),
+    ],
+)
+def test_what_does_not_fit_is_refused(change: dict[str, Any], says: str) -> None:
+    Trajectory(**GOOD)
+    with pytest.raises(TrajectoryError, match=says):
+        Trajectory(**{**GOOD, **change})
+
+
+def test_unknown_environment() -> None:
+    with pytest.raises(UnknownNameError, match="MoveToCorner"):
+        Trajectory(**{**GOOD, "env_id": "magical/MoveToCornr-Demo-v0"})
+
+
+def test_from_poses_scores_by_both_rules() -> None:
+    task = get_task("ClusterColour")
+    poses = np.stack([Poses.at_rest(task.demo).bodies] * 2)
+    made = Trajectory.from_poses("ClusterColour-Demo-v0", task.demo, [0], poses)
+    assert made.score == task.score(task.demo, Poses.at_rest(task.demo))
+    assert made.published_code_score == task.published_code_score(
+        task.demo, Poses.at_rest(task.demo)
+    )
+    with pytest.raises(TrajectoryError, match="shape"):
+        Trajectory.from_poses("ClusterColour-Demo-v0", task.demo, [0], poses[0])
