@@ -1,0 +1,162 @@
+"""Holds the drawing against recorded frames (`frames-96.npz`, `frames-384.npz`)."""
+
+import json
+import zipfile
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical.conformance.report import Line
+from magical.errors import MagicalError, RecordingError
+from magical.files import write_atomically
+from magical.render import Renderer
+from magical.scene import Pose, Poses, Scene, View
+
+LIMIT = 0.25  # of 255: mean absolute difference of a task's frames without regions
+REGION_LIMIT = 0.5  # of 255: the same of a task with regions
+FRAME_LIMIT = 1.0  # of 255: mean absolute difference of any single frame
+UNIT = "of 255"
+SIZES = (96, 384)  # pixels of the recordings; which one a file without frames asks for
+
+Frames = NDArray[np.uint8]  # (N, size, size, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """States and, as far as they were recorded, their frames."""
+
+    scenes: tuple[Scene, ...]
+    poses: tuple[Poses, ...]
+    tasks: tuple[str, ...]
+    names: tuple[str, ...]
+    frames: Mapping[View, Frames]
+    size: int
+
+
+def load(path: Path | str, size: int | None = None) -> Recording:
+    """Read a frames file: one JSON string `records` and, where known, `allo` and `ego`.
+
+    `size` is the resolution at which a file without frames is drawn; by default 384 if the file's
+    name says so, otherwise 96.
+
+    Raises:
+        RecordingError: the file cannot be read, or is not in the documented format.
+    """
+    arrays = _read(path)
+    frames = {view: arrays[view] for view in View if view in arrays}
+    try:
+        records = json.loads(str(arrays["records"][()]))
+        if not isinstance(records, list) or not records:
+            raise ValueError(f"records: expected a list, found {str(records)[:80]}")
+        found = {_check_frames(view, array, len(records)) for view, array in frames.items()}
+        if len(found) > 1:
+            raise ValueError(f"views of different sizes {sorted(found)}")
+        scenes, poses = zip(*map(_state, range(len(records)), records), strict=True)
+        names = tuple(f"{r['env']} seed {r.get('seed')} step {r.get('step')}" for r in records)
+    except (KeyError, IndexError, TypeError, ValueError, MagicalError) as error:
+        raise RecordingError(
+            f"{path}: expected `records`, a JSON list of states, and perhaps `allo` and `ego`, "
+            f"(N, size, size, 3) uint8; found: {error}"
+        ) from error
+    tasks = tuple(record["env"].split("/")[-1].split("-")[0] for record in records)
+    wanted = size or (SIZES[1] if str(SIZES[1]) in Path(path).name else SIZES[0])
+    return Recording(scenes, poses, tasks, names, frames, next(iter(found), wanted))
+
+
+def compute(data: Recording) -> dict[View, Frames]:
+    """Draw every state in both views at the recording's resolution."""
+    shape = (len(data.scenes), data.size, data.size, 3)
+    drawn = {view: np.empty(shape, np.uint8) for view in View}
+    for i, (scene, poses) in enumerate(zip(data.scenes, data.poses, strict=True)):
+        for view, frames in drawn.items():
+            Renderer(scene, view, data.size).draw(poses.bodies, frames[i])
+    return drawn
+
+
+def compare(data: Recording, computed: Mapping[View, Frames]) -> list[Line]:
+    """Mean absolute differences: one line for each task and view, one for a view's worst frame."""
+    lines = []
+    for view, recorded in data.frames.items():
+        differences = _differences(recorded, computed[view])
+        for task in dict.fromkeys(data.tasks):
+            indices = [i for i, name in enumerate(data.tasks) if name == task]
+            limit = REGION_LIMIT if any(data.scenes[i].regions for i in indices) else LIMIT
+            figure, exact = differences[indices].mean(), sum(differences[indices] == 0)
+            detail = f"{len(indices)} frames, {exact} of them equal"
+            lines.append(_line(f"{task} {view}", float(figure), limit, detail))
+        worst = int(differences.argmax())
+        figure = differences[worst]
+        lines.append(_line(f"worst {view} frame", float(figure), FRAME_LIMIT, data.names[worst]))
+    return lines
+
+
+def write(computed: Mapping[View, Frames], out: Path | str) -> None:
+    """Write `allo` and `ego` as an .npz file, in the order of the records."""
+    with write_atomically(out) as file:
+        np.savez_compressed(file, allo=computed[View.ALLO], ego=computed[View.EGO])
+
+
+def _line(name: str, figure: float, limit: float, detail: str) -> Line:
+    return Line(name, figure, limit, UNIT, figure <= limit, detail)
+
+
+def _differences(recorded: Frames, drawn: Frames) -> NDArray[np.float64]:
+    """Each frame's mean absolute difference."""
+    pairs = zip(recorded, drawn, strict=True)
+    return np.array([np.abs(a.astype(np.int16) - b).mean() for a, b in pairs])
+
+
+def _read(path: Path | str) -> dict[str, NDArray[Any]]:
+    try:
+        with Path(path).open("rb") as file:
+            archive = np.load(file, allow_pickle=False)
+            if not isinstance(archive, np.lib.npyio.NpzFile):
+                raise ValueError("one array")
+            return dict(archive)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error}") from error
+    except (EOFError, ValueError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+        raise RecordingError(
+            f"{path}: expected an .npz file without pickled objects, found: {error}"
+        ) from error
+
+
+def _check_frames(view: View, frames: NDArray[Any], count: int) -> int:
+    """The size of the frames, if they are what they should be."""
+    size = frames.shape[1] if frames.ndim == 4 else 0
+    if frames.shape != (count, size, size, 3) or frames.dtype != np.uint8:
+        raise ValueError(f"{count} records and `{view}` {frames.shape} of {frames.dtype}")
+    return size
+
+
+def _state(index: int, record: Mapping[str, Any]) -> tuple[Scene, Poses]:
+    """One record's scene and poses."""
+    try:
+        order = record["draw_order"]
+        robot_first = "Shape" in order and order.index("Robot") < order.index("Shape")
+        scene = Scene.from_dict({**record, "robot_first": robot_first})
+        return scene, Poses(_bodies(scene, record))
+    except (KeyError, IndexError, TypeError, ValueError, MagicalError) as error:
+        raise ValueError(f"record {index} is damaged: {error!r}") from error
+
+
+def _bodies(scene: Scene, record: Mapping[str, Any]) -> NDArray[np.float64]:
+    """The rows of `Poses` that a record describes."""
+    robot = Pose(*record["robot"])
+    fingers = zip(record["finger_positions"], record["finger_angles"], strict=True)
+    rows: Sequence[tuple[float, ...]] = [
+        robot,
+        *((x, y, angle) for (x, y), angle in fingers),
+        *((robot.x, robot.y, angle) for angle in record["pupil_angles"]),
+        *(block.pose for block in scene.blocks),
+    ]
+    bodies = np.array(rows, np.float64)
+    expected = Poses.at_rest(scene).bodies.shape
+    if bodies.shape != expected or not np.isfinite(bodies).all():
+        raise ValueError(f"expected finite poses {expected}, found {bodies.shape}")
+    return bodies
