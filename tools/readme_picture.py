@@ -14,14 +14,13 @@ import magical
 
 OUT = Path(__file__).resolve().parents[1] / "docs" / "images" / "tasks.png"
 SIZE, GAP, CAPTION = 200, 8, 26  # pixels
-SEED = 7
 
 
 def scene(task: str, variant: str) -> NDArray[np.uint8]:
     """A scene seen by the fixed camera, (SIZE, SIZE, 3)."""
     view = {"parts": (("allo", 1),), "size": SIZE, "samples": 4}
     env = gymnasium.make(f"magical/{task}-{variant}-v0", observation=view)
-    pixels, _ = env.reset(seed=SEED)
+    pixels, _ = env.reset(seed=list(magical.TASKS).index(task))
     env.close()
     return np.asarray(pixels, dtype=np.uint8)
 
