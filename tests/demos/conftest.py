@@ -82,7 +82,7 @@ class Published:
         self.env_name = text("MoveToCorner-Demo-v0")
         self.score = b"G" + np.array(0.75, ">f8").tobytes()
         self.acts = array(self.actions)
-        self.obs = [observation(*both) for both in self.frames]
+        self.obs = [_observation(array(allo), array(ego)) for allo, ego in self.frames]
         self.after = b""
 
     @property
@@ -94,6 +94,10 @@ class Published:
         trajectory = record + b"(" + self.acts + obs + rest + b"t\x81"
         items = text("trajectory") + trajectory + text("score") + self.score
         return b"\x80\x04}(" + items + text("env_name") + self.env_name + b"u." + self.after
+
+    def observation(self, ego: NDArray[Any], shape: Sequence[int] | None = None) -> bytes:
+        """An observation with another egocentric frame."""
+        return _observation(array(self.frames[0, 0]), array(ego, shape))
 
     def write(self, path: Path) -> Path:
         """Write the gzipped file."""
@@ -122,8 +126,8 @@ def array(values: NDArray[Any], shape: Sequence[int] | None = None) -> bytes:
     return made + b"(K\x01" + sizes + dtype + b"\x89" + data + b"tb"
 
 
-def observation(allo: NDArray[np.uint8], ego: NDArray[np.uint8]) -> bytes:
-    views = text("allo") + array(allo) + text("ego") + array(ego)
+def _observation(allo: bytes, ego: bytes) -> bytes:
+    views = text("allo") + allo + text("ego") + ego
     return name("collections", "OrderedDict") + b")R(" + views + b"u"
 
 

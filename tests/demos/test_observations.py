@@ -21,7 +21,7 @@ FORMS: dict[str, Any] = {
     **{preset: preset for preset in PRESETS},
     "raw": "raw",
     "state": "state",
-    "own": PixelSpec((("ego", 2), ("allo", 3)), size=40, samples=3),  # type: ignore[arg-type]
+    "own": PixelSpec((("ego", 2), ("allo", 3)), size=40, samples=2),  # type: ignore[arg-type]
 }
 
 
