@@ -39,6 +39,18 @@ def test_recorded_scenes_keep_the_rules(recorded: Recorded) -> None:
             check_placement(get_task(name), variant, Scene.from_dict(row), RECORDED_ROUNDING)
 
 
+@pytest.mark.parametrize("name", ["FindDupe", "FixColour"])
+def test_recorded_enclosed_blocks_come_close_to_the_limit(name: str, recorded: Recorded) -> None:
+    placing, left = get_task(name).placing, []
+    for row in recorded[f"{name}-TestLayout-v0"]:
+        scene = Scene.from_dict(row)
+        for i, r in placing.enclosed(len(scene.blocks)).items():
+            (x, y), block = scene.regions[r].centre, scene.blocks[i].pose
+            furthest = max(abs(block.x - x), abs(block.y - y))
+            left.append(placing.limit(scene.regions[r]) - furthest)
+    assert -RECORDED_ROUNDING < min(left) < 0.01
+
+
 def test_demo_scenes_are_the_recorded_ones(recorded: Recorded) -> None:
     for name, task in TASKS.items():
         (row,) = recorded[f"{name}-Demo-v0"]

@@ -77,8 +77,10 @@ def test_a_damaged_file_is_named(damage: object, tmp_path: Path) -> None:
 
 def test_a_torn_file_is_named(tmp_path: Path) -> None:
     path = tmp_path / "scores.json.gz"
-    path.write_bytes(gzip.compress(json.dumps([entry()]).encode())[:-20])
-    with pytest.raises(RecordingError, match=r"scores\.json\.gz"):
-        scores.load(path)
+    whole = gzip.compress(json.dumps([entry()]).encode())
+    for torn in (whole[:-20], whole[:20] + b"\xff\xff" + whole[22:], b"", b"\xff\xfe"):
+        path.write_bytes(torn)
+        with pytest.raises(RecordingError, match=r"scores\.json\.gz: expected JSON"):
+            scores.load(path)
     with pytest.raises(RecordingError, match="cannot be read"):
         scores.load(tmp_path / "missing.json")

@@ -36,11 +36,12 @@ def test_there_are_sixty_environments() -> None:
     [
         ("MoveToCorner", Axis.JITTER | Axis.COLOUR | Axis.SHAPE | Axis.DYNAMICS),
         ("MoveToRegion", Axis.LAYOUT | Axis.COLOUR | Axis.DYNAMICS),
-        ("MakeLine", VARIANTS["TestCountPlus"] | Axis.DYNAMICS),
+        ("MakeLine", VARIANTS["TestAll"]),
     ],
 )
 def test_all_varies_everything_that_the_task_supports(name: str, axes: Axis) -> None:
     assert TASKS[name].axes_of("TestAll") == axes
+    assert VARIANTS["TestAll"] == VARIANTS["TestCountPlus"] | Axis.DYNAMICS
 
 
 @ALL_TASKS

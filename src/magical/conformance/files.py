@@ -2,6 +2,7 @@
 
 import gzip
 import json
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -15,5 +16,5 @@ def read_json(path: Path | str) -> Any:
         return json.loads(gzip.decompress(raw) if raw[:2] == b"\x1f\x8b" else raw)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error}") from error
-    except (EOFError, ValueError) as error:
+    except (EOFError, ValueError, zlib.error) as error:
         raise RecordingError(f"{path}: expected JSON (perhaps gzipped), found {error}") from error

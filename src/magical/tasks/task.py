@@ -74,9 +74,8 @@ class Task:
         """
         if variant not in self.variants:
             raise UnknownNameError(self._unknown_variant(variant))
-        if variant != ALL:
-            return VARIANTS[variant]
-        return self.axes & ~Axis.JITTER if Axis.LAYOUT in self.axes else self.axes
+        axes = VARIANTS[variant] & self.axes
+        return axes if variant != ALL or Axis.LAYOUT in axes else axes | self.axes & Axis.JITTER
 
     def _unknown_variant(self, variant: str) -> str:
         known = ", ".join(self.variants)
