@@ -1,0 +1,159 @@
+"""Train a policy on demonstrations; one sub-command an algorithm.
+
+A run is kept in a folder: configuration, versions, demonstrations, metrics, newest checkpoint.
+"""
+
+import argparse
+import importlib.util
+import pkgutil
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from magical.commands._common import add_json, log, positive_int, print_json
+
+if TYPE_CHECKING:
+    from magical.learning.config import Config, Option
+
+HELP = "train a policy on demonstrations"
+INTERRUPTED = 130  # exit status after Ctrl-C
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Offer every algorithm, without importing any: that would bring in torch."""
+    algorithms = parser.add_subparsers(
+        title="algorithms",
+        metavar="ALGORITHM",
+        dest="algorithm",
+        required=True,
+        parser_class=_AlgorithmParser,
+    )
+    for name in _algorithm_names():
+        algorithms.add_parser(name, help=f"magical train {name} --help", algorithm=name)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Train, or continue."""
+    from magical.learning import train
+
+    config = _config(args)
+    result = train(
+        config,
+        args.out,
+        resume=args.resume,
+        stop_after=args.stop_after,
+        progress=True,
+        tensorboard=args.tensorboard,
+    )
+    if args.json:
+        print_json(result.summary())
+    if result.finished:
+        log(f"{result.folder}: finished; magical evaluate {shlex.quote(str(result.folder))}")
+        return 0
+    again = f"magical train {args.algorithm} --out {shlex.quote(str(result.folder))} --resume"
+    log(f"{result.folder}: stopped at step {result.step}; to continue: {again}")
+    return INTERRUPTED if result.interrupted else 0
+
+
+class _AlgorithmParser(argparse.ArgumentParser):
+    """Learns its options from the algorithm's configuration, the first time it is used."""
+
+    def __init__(self, *args: Any, algorithm: str, **kwargs: Any) -> None:
+        kwargs["argument_default"] = argparse.SUPPRESS  # what is not given is left to the preset
+        super().__init__(*args, **kwargs)
+        self._algorithm: str | None = algorithm
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """As always, with all options in place."""
+        if self._algorithm is not None:
+            _add_options(self, self._algorithm)
+            self._algorithm = None
+        return super().parse_known_args(args, namespace)
+
+
+def _algorithm_names() -> list[str]:
+    """What `magical.learning.algorithm_names` says, without importing it."""
+    spec = importlib.util.find_spec("magical")
+    assert spec is not None
+    assert spec.submodule_search_locations is not None
+    folders = [f"{path}/learning/algorithms" for path in spec.submodule_search_locations]
+    return sorted(entry.name.replace("_", "-") for entry in pkgutil.iter_modules(folders))
+
+
+def _add_options(parser: argparse.ArgumentParser, algorithm: str) -> None:
+    from magical.learning import find_algorithm
+    from magical.learning.config import options
+
+    kind = find_algorithm(algorithm).config
+    parser.description = (kind.__doc__ or "").splitlines()[0]
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="RUN", help="the run folder: new or empty"
+    )
+    parser.add_argument(
+        "--resume",
+        action="store_true",
+        default=False,
+        help="continue the run in the folder; its configuration need not be given again",
+    )
+    parser.add_argument(
+        "--preset", choices=tuple(kind.presets), default=None, help="settings (default: paper)"
+    )
+    for option in options(kind):
+        _add_option(parser, option)
+    parser.add_argument(
+        "--stop-after",
+        type=positive_int,
+        default=None,
+        metavar="N",
+        help="leave a checkpoint and stop after N more batches or updates",
+    )
+    parser.add_argument(
+        "--tensorboard", action="store_true", default=False, help="write metrics for it too"
+    )
+    add_json(parser)
+    parser.set_defaults(json=False)
+
+
+def _add_option(parser: argparse.ArgumentParser, option: "Option") -> None:
+    """A field's option; what is not given is left to the preset."""
+    text = option.help if option.required else f"{option.help} (paper: {option.default})"
+    flags = ["--task", "--tasks"] if option.name == "tasks" else [option.flag]
+    if option.kind is bool:
+        parser.add_argument(*flags, action=argparse.BooleanOptionalAction, help=text)
+        return
+    parser.add_argument(
+        *flags,
+        dest=option.name,
+        type=option.kind,
+        nargs="+" if option.several else None,
+        metavar=option.kind.__name__.upper(),
+        help=text,
+    )
+
+
+def _config(args: argparse.Namespace) -> "Config":
+    """The configuration: the preset's, or the resumed run's, with what was given replaced."""
+    from magical.learning import find_algorithm, is_run
+    from magical.learning.config import options
+    from magical.learning.policy import read_config
+
+    kind = find_algorithm(args.algorithm).config
+    fields = options(kind)
+    given = {
+        option.name: tuple(value) if option.several else value
+        for option in fields
+        if (value := getattr(args, option.name, None)) is not None
+    }
+    if args.resume and args.preset is None and is_run(args.out):
+        return kind.from_dict({**read_config(args.out).to_dict(), **given})
+    _require([o.name for o in fields if o.required and o.name not in given], args.algorithm)
+    return kind.preset(args.preset or "paper", **given)
+
+
+def _require(missing: Sequence[str], algorithm: str) -> None:
+    from magical.errors import UnknownNameError
+
+    if missing:
+        flags = ", ".join("--task" if name == "tasks" else f"--{name}" for name in missing)
+        raise UnknownNameError(f"magical train {algorithm}: expected {flags}, found none")

@@ -1,0 +1,72 @@
+"""Where and in which precision to compute: chosen by measurement, recorded with the run."""
+
+import time
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from magical.errors import DeviceError
+
+DEVICES = ("auto", "cpu", "cuda")
+PRECISIONS = ("auto", "float32", "bfloat16")
+
+WARM_UP, TIMED = 1, 3  # steps of each precision in a measurement
+
+
+@dataclass(frozen=True, slots=True)
+class Compute:
+    """A device and the precision that networks run in; weights are always float32."""
+
+    device: str
+    precision: str
+
+    def autocast(self) -> AbstractContextManager[Any]:
+        """A context in which networks run in this precision."""
+        return torch.autocast(
+            self.device, dtype=torch.bfloat16, enabled=self.precision == "bfloat16"
+        )
+
+    def to_dict(self) -> dict[str, str]:
+        """Plain data for JSON."""
+        return asdict(self)
+
+
+def choose_device(device: str) -> str:
+    """`cuda` or `cpu`; raises `DeviceError` if `cuda` is asked for and there is none."""
+    available = torch.cuda.is_available()
+    if device == "cuda" and not available:
+        raise DeviceError(
+            "device cuda: PyTorch finds no CUDA device; use --device cpu, or install a PyTorch "
+            "built for CUDA"
+        )
+    return "cuda" if available and device != "cpu" else "cpu"
+
+
+def choose_precision(device: str, precision: str, step: Callable[[], Tensor]) -> Compute:
+    """The asked-for precision, or the one in which `step` is faster.
+
+    `step` runs the network forward on a batch of the run's size and returns a scalar to
+    differentiate; gradients are left as they come.
+    """
+    if precision != "auto":
+        return Compute(device, precision)
+    candidates = [Compute(device, name) for name in PRECISIONS[1:]]
+    return min(candidates, key=lambda compute: step_time(compute, step))
+
+
+def step_time(compute: Compute, step: Callable[[], Tensor]) -> float:
+    """Seconds that the fastest of a few forward and backward passes takes."""
+    times = []
+    for _ in range(WARM_UP + TIMED):
+        start = time.perf_counter()
+        with compute.autocast():
+            loss = step()
+        loss.float().backward()  # type: ignore[no-untyped-call]
+        if compute.device == "cuda":
+            torch.cuda.synchronize()
+        times.append(time.perf_counter() - start)
+    return min(times[WARM_UP:])

@@ -1,0 +1,182 @@
+"""Demonstrations as learners need them: single frames on the device, stacks and batches of them.
+
+Every frame is kept once, uint8 and channels first; stacks are put together when they are sampled.
+Ten demonstrations of a hundred steps are 28 MB that way and 110 MB as stacks.
+"""
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from magical.demos.dataset import Dataset
+from magical.demos.observations import Frames
+from magical.demos.trajectory import Trajectory
+from magical.errors import DemonstrationsError
+from magical.learning.streams import Purpose, stream
+from magical.observe import PixelSpec
+from magical.scene import NOOP
+
+Rows = NDArray[np.int64]  # (B,) numbers of samples
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """The demonstrations of a run: trajectories by task, and how to recognise them again."""
+
+    trajectories: tuple[tuple[str, Trajectory], ...]
+    record: tuple[dict[str, Any], ...]  # task, file and SHA-256 of each
+
+
+def choose_demonstrations(
+    path: str, tasks: Sequence[str], count: int, seed: int, variants: Sequence[str] = ("Demo",)
+) -> Chosen:
+    """Draw `count` demonstrations of each task, by the seed alone.
+
+    All methods with the same seed get the same ones, and so does each task of a multi-task run as
+    if it were learned alone (appendix B).
+
+    Raises:
+        DemonstrationsError: fewer than asked for.
+        DatasetError: no dataset, or a damaged one.
+    """
+    dataset = Dataset.open(path)
+    trajectories, record = [], []
+    for task in tasks:
+        entries = [e for e in dataset.filter(task=task).entries if e.variant in variants]
+        if len(entries) < count:
+            raise DemonstrationsError(_too_few(dataset, task, variants, count, len(entries)))
+        of_task = Dataset(dataset.path, entries)
+        some = of_task.sample(count, stream(seed, Purpose.DEMONSTRATIONS))
+        trajectories += [(task, trajectory) for trajectory in some]
+        record += [{"task": task, "file": e.file, "sha256": e.sha256} for e in some.entries]
+    return Chosen(tuple(trajectories), tuple(record))
+
+
+def _too_few(dataset: Dataset, task: str, variants: Sequence[str], count: int, found: int) -> str:
+    held = sorted({f"{entry.task}-{entry.variant}" for entry in dataset.entries})
+    return (
+        f"{dataset.path}: expected at least {count} demonstrations of {task} "
+        f"({', '.join(variants)}), found {found}; the dataset holds: "
+        f"{', '.join(held) or 'nothing'}. Add demonstrations or ask for fewer"
+    )
+
+
+def digest(record: Sequence[dict[str, Any]]) -> str:
+    """One SHA-256 for all demonstrations of a run."""
+    lines = "\n".join(f"{item['task']} {item['sha256']}" for item in record)
+    return hashlib.sha256(lines.encode()).hexdigest()
+
+
+class ExpertData:
+    """State-action samples of demonstrations, S in all, on a device.
+
+    Attributes:
+        actions: (S,) int64.
+        tasks: (S,) int64, positions in `task_names`.
+    """
+
+    def __init__(
+        self,
+        demonstrations: Iterable[tuple[str, Trajectory]],
+        task_names: Sequence[str],
+        pixels: PixelSpec,
+        *,
+        device: str = "cpu",
+        remove_noops: bool = False,
+    ) -> None:
+        self.pixels = pixels
+        self.task_names = tuple(task_names)
+        frames: list[list[NDArray[np.uint8]]] = [[] for _ in pixels.parts]
+        samples: list[_Samples] = []
+        first = 0  # number of the trajectory's first frame
+        for task, trajectory in demonstrations:
+            for kept, (view, _) in zip(frames, pixels.parts, strict=True):
+                kept.append(_draw(trajectory, view, pixels))
+            number = self.task_names.index(task)
+            samples.append(_samples(trajectory, number, first, pixels, remove_noops))
+            first += len(trajectory)
+        self._frames = [torch.from_numpy(np.concatenate(kept)).to(device) for kept in frames]
+        self._moments = [
+            torch.from_numpy(np.concatenate(parts)).to(device)
+            for parts in zip(*(s.moments for s in samples), strict=True)
+        ]
+        self.actions = torch.from_numpy(np.concatenate([s.actions for s in samples])).to(device)
+        tasks = np.concatenate([s.tasks for s in samples])
+        self.tasks = torch.from_numpy(tasks).to(device)
+        self._rows = [np.flatnonzero(tasks == number) for number in range(len(task_names))]
+        for name, rows in zip(self.task_names, self._rows, strict=True):
+            if not len(rows):
+                raise DemonstrationsError(
+                    f"{name}: expected demonstrations with actions other than the no-op, found none"
+                )
+
+    def __len__(self) -> int:
+        """The number of samples."""
+        return len(self.actions)
+
+    def images(self, rows: Rows) -> Tensor:
+        """Frame stacks (B, C, H, W) uint8, in the observation's channel order."""
+        index = self._index(rows)
+        stacks = [
+            frames.index_select(0, moments[index].flatten()).view(len(rows), -1, *frames.shape[2:])
+            for frames, moments in zip(self._frames, self._moments, strict=True)
+        ]
+        return stacks[0] if len(stacks) == 1 else torch.cat(stacks, dim=1)
+
+    def labels(self, rows: Rows) -> tuple[Tensor, Tensor]:
+        """Actions and tasks of samples, each (B,) int64."""
+        index = self._index(rows)
+        return self.actions[index], self.tasks[index]
+
+    def sample(self, size: int, rng: np.random.Generator) -> Rows:
+        """Rows with replacement: each task equally likely, then each of its samples."""
+        numbers = rng.integers(len(self._rows), size=size)
+        counts = np.array([len(rows) for rows in self._rows])
+        within = rng.integers(counts[numbers])
+        return np.array([self._rows[n][i] for n, i in zip(numbers, within, strict=True)], np.int64)
+
+    def sample_evenly(self, size: int, rng: np.random.Generator) -> Rows:
+        """Rows with replacement, split evenly between the tasks; the first ones get the rest."""
+        share, rest = divmod(size, len(self._rows))
+        drawn = [
+            rng.choice(rows, share + (number < rest)) for number, rows in enumerate(self._rows)
+        ]
+        return np.concatenate(drawn).astype(np.int64)
+
+    def _index(self, rows: Rows) -> Tensor:
+        return torch.from_numpy(rows).to(self.actions.device, non_blocking=True)
+
+
+@dataclass(frozen=True, slots=True)
+class _Samples:
+    """One trajectory's samples."""
+
+    actions: NDArray[np.int64]  # (S,)
+    tasks: NDArray[np.int64]  # (S,)
+    moments: list[NDArray[np.int64]]  # a view: (S, frames), numbers of frames, oldest first
+
+
+def _samples(
+    trajectory: Trajectory, task: int, first: int, pixels: PixelSpec, remove_noops: bool
+) -> _Samples:
+    steps = np.arange(len(trajectory))
+    if remove_noops:
+        steps = np.flatnonzero(trajectory.actions != NOOP)
+    moments = [
+        first + np.maximum(steps[:, None] + np.arange(1 - frames, 1), 0)
+        for _, frames in pixels.parts
+    ]
+    return _Samples(trajectory.actions[steps], np.full(len(steps), task), moments)
+
+
+def _draw(trajectory: Trajectory, view: str, pixels: PixelSpec) -> NDArray[np.uint8]:
+    """Frames before each action, (T, 3, H, W)."""
+    frames = Frames(trajectory, view, pixels.size, pixels.samples)
+    shown = frames.take(np.arange(len(trajectory)))
+    return np.ascontiguousarray(shown.transpose(0, 3, 1, 2))
