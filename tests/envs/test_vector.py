@@ -234,15 +234,6 @@ def test_reset_takes_scenes_and_dynamics(workers: int) -> None:
     envs.close()
 
 
-def test_copies_are_the_callers_and_views_are_the_blocks() -> None:
-    copying, viewing = vector(), vector(copy=False)
-    for envs, changes in ((copying, False), (viewing, True)):
-        first, _ = envs.reset(seed=0)
-        kept = first.copy()
-        envs.step([1, 1, 1])
-        assert np.any(first != kept) == changes
-
-
 def test_spaces_contain_what_is_given() -> None:
     envs = vector()
     observations, _ = envs.reset(seed=0)

@@ -8,7 +8,7 @@ import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 
-from magical.envs.block import Block, BlockLayout, row_of
+from magical.envs.block import Block, BlockLayout, row_of, write_to
 from magical.envs.env import Reward, observation_form
 from magical.envs.episode import Episode, check_options
 from magical.envs.ids import EnvId, parse_env_id
@@ -20,6 +20,8 @@ from magical.scene.poses import FIRST_BLOCK
 from magical.scene.scene import Scene
 from magical.tasks import Task, get_task
 
+# The present observations, those before, and those being made: what training loops hold on to.
+COPIES = 3
 Started = list[tuple[int, Scene]]  # worlds that began an episode, and where from
 Seeds = Sequence[tuple[int, int | None]]  # worlds to reset, and their seeds
 
@@ -33,6 +35,7 @@ class BatchSpec:
     horizon: int | None
     reward: Reward
     autoreset_mode: AutoresetMode
+    copy: bool
 
     def tasks(self) -> list[Task]:
         """The worlds' tasks."""
@@ -61,7 +64,9 @@ class BatchSpec:
         """The memory that all worlds need."""
         most_blocks = max(task.max_blocks for task in self.tasks())
         keep_final = self.autoreset_mode is AutoresetMode.SAME_STEP
-        return BlockLayout(len(self.env_ids), self.form(), FIRST_BLOCK + most_blocks, keep_final)
+        form, bodies = self.form(), FIRST_BLOCK + most_blocks
+        copies = COPIES if self.copy and isinstance(form, PixelSpec) else 0
+        return BlockLayout(len(self.env_ids), form, bodies, keep_final, copies)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
@@ -72,6 +77,7 @@ class BatchSpec:
             "horizon": self.horizon,
             "reward": self.reward,
             "autoreset_mode": self.autoreset_mode.value,
+            "copy": self.copy,
         }
 
     @staticmethod
@@ -96,6 +102,7 @@ class Batch:
         part = slice(rows[0], rows[-1] + 1)
         self._actions = block.actions[part]
         self._steps = block.steps[part]
+        self._copy_to = block.copy_to
         self._ends = (block.rewards[part], block.truncations[part], block.scores[:, part])
         self._clock = PhysicsClock()
 
@@ -105,19 +112,26 @@ class Batch:
         for array in self._ends:
             array.fill(0)
         np.add(self._steps, 1, out=self._steps, where=self._actions >= 0)
+        place = int(self._copy_to[0])
         for world, action in zip(self._in_order, self._actions.tolist(), strict=True):
-            if action < 0:
-                continue
             try:
-                if world.over:
-                    started.append(world.reset())
-                elif world.step(action) and self._same_step:
-                    world.keep_final_observation()
+                if action >= 0 and self._advance(world, action):
                     started.append(world.reset())
             except Exception as error:
                 error.add_note(f"in {world.name}")
                 raise
+            if place >= 0:
+                world.copy_observation(place)
         return started
+
+    def _advance(self, world: "_World", action: int) -> bool:
+        """Act unless the episode has ended; returns whether to begin another."""
+        if world.over:
+            return True
+        if not world.step(action) or not self._same_step:
+            return False
+        world.keep_final_observation()
+        return True
 
     def reset(self, seeds: Seeds, options: Mapping[str, Any] | None) -> Started:
         """Begin episodes in the worlds named, each with its seed."""
@@ -162,9 +176,10 @@ class _World:
         self, spec: BatchSpec, row: int, task: Task, form: PixelSpec | StateLayout, block: Block
     ) -> None:
         variant = parse_env_id(spec.env_ids[row]).variant
-        shown = row_of(block.observations, row)
+        self._shown = row_of(block.observations, row)
+        self._copies = [row_of(copy, row) for copy in block.copies]
         self.name = f"environment {row} ({spec.env_ids[row]})"
-        self.episode = Episode(task, variant, form, spec.horizon, spec.reward, shown)
+        self.episode = Episode(task, variant, form, spec.horizon, spec.reward, self._shown)
         self.rng: np.random.Generator
         self.over = False  # the episode has ended; the next step begins another
         self._row = row
@@ -207,13 +222,11 @@ class _World:
 
     def keep_final_observation(self) -> None:
         """Put the observation where the next episode's first one does not overwrite it."""
-        final = row_of(self._block.final_observations, self._row)
-        shown = row_of(self._block.observations, self._row)
-        if isinstance(final, dict):
-            for part, array in final.items():
-                array[...] = shown[part]
-        else:
-            final[...] = shown
+        write_to(row_of(self._block.final_observations, self._row), self._shown)
+
+    def copy_observation(self, place: int) -> None:
+        """Put the observation where the caller will find it."""
+        write_to(self._copies[place], self._shown)
 
     def _began(self) -> tuple[int, Scene]:
         row, block, episode = self._row, self._block, self.episode

@@ -22,12 +22,14 @@ class BlockLayout:
     """Which arrays a block holds, for `num_envs` worlds of at most `max_bodies` bodies.
 
     `keep_final` adds room for each world's last observation of an episode (SAME_STEP autoreset).
+    `copies` is the number of places for observations that are the caller's to keep (`Copies`).
     """
 
     num_envs: int
     form: PixelSpec | StateLayout
     max_bodies: int
     keep_final: bool
+    copies: int
 
     def fields(self) -> dict[str, tuple[Shape, DTypeLike]]:
         """Shape and type of each array by name; an observation's parts are `name/part`."""
@@ -41,11 +43,21 @@ class BlockLayout:
             "body_counts": ((n,), np.int64),
             "steps": ((n,), np.int64),
             "horizons": ((n,), np.int64),
+            "copy_to": ((1,), np.int64),
         }
-        for name in ("observations", "final_observations")[: 1 + self.keep_final]:
+        names = ["observations", *("final_observations",) * self.keep_final]
+        for name in names + [f"copy{i}" for i in range(self.copies)]:
             for part, (shape, dtype) in self._observation_parts().items():
                 fields[f"{name}/{part}"] = ((n, *shape), dtype)
         return fields
+
+    def places(self) -> dict[str, tuple[Shape, DTypeLike, int]]:
+        """Shape, type and offset in bytes of each array by name."""
+        places, offset = {}, 0
+        for name, (shape, dtype) in self.fields().items():
+            places[name] = (shape, dtype, offset)
+            offset += _bytes(shape, dtype)
+        return places
 
     @property
     def size(self) -> int:
@@ -71,19 +83,22 @@ class Block:
     body_counts: NDArray[np.int64]  # (N,): how many rows of the table are in use
     steps: NDArray[np.int64]  # (N,): control steps since reset
     horizons: NDArray[np.int64]  # (N,)
+    copy_to: NDArray[np.int64]  # (1,): which of `copies` a step fills, or -1
     observations: Any  # (N, ...), or a dict of such
     final_observations: Any  # the same, or None
+    copies: list[Any]  # each the same
 
     def __init__(self, layout: BlockLayout, memory: Any = None) -> None:
         """Lay the arrays over `memory`, or over memory of their own."""
-        memory = np.zeros(layout.size, np.uint8) if memory is None else memory
-        arrays: dict[str, NDArray[Any]] = {}
-        offset = 0
-        for name, (shape, dtype) in layout.fields().items():
-            arrays[name] = np.ndarray(shape, dtype, memory, offset)
-            offset += _bytes(shape, dtype)
+        self.layout = layout
+        self.memory = np.zeros(layout.size, np.uint8) if memory is None else memory
+        arrays = {
+            name: np.ndarray(shape, dtype, self.memory, offset)
+            for name, (shape, dtype, offset) in layout.places().items()
+        }
         self.observations = _gather(arrays, "observations")
         self.final_observations = _gather(arrays, "final_observations")
+        self.copies = [_gather(arrays, f"copy{i}") for i in range(layout.copies)]
         for name, array in arrays.items():
             setattr(self, name, array)
 
@@ -100,6 +115,15 @@ def copy_of(observations: Any) -> Any:
     if isinstance(observations, dict):
         return {part: array.copy() for part, array in observations.items()}
     return observations.copy()
+
+
+def write_to(target: Any, observation: Any) -> None:
+    """Write an observation into an array or dict of the same shape."""
+    if isinstance(target, dict):
+        for part, array in target.items():
+            array[...] = observation[part]
+    else:
+        target[...] = observation
 
 
 class SharedMemory:

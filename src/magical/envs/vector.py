@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from magical.envs.batch import Batch, BatchSpec, common_observation
 from magical.envs.block import Block, SharedMemory, copy_of, row_of
 from magical.envs.checks import checked_actions, checked_mask, checked_seeds, require_rows
+from magical.envs.copies import Copies
 from magical.envs.env import RENDER_SIZE, MagicalEnv, Reward
 from magical.envs.ids import EnvId, parse_env_id
 from magical.envs.infos import Infos, same_step_infos, score_infos
@@ -85,13 +86,8 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self.metadata = {**MagicalEnv.metadata, "autoreset_mode": self.autoreset_mode}
         self.copy = copy
         self.render_mode = render_mode
-        spec = BatchSpec(
-            self.env_ids,
-            common_observation(parsed, observation),
-            horizon,
-            reward,
-            self.autoreset_mode,
-        )
+        shown = common_observation(parsed, observation)
+        spec = BatchSpec(self.env_ids, shown, horizon, reward, self.autoreset_mode, copy)
         layout = spec.layout()
         self._set_spaces(layout.form.space)
         self._running = np.zeros(self.num_envs, np.bool_)
@@ -106,6 +102,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         else:
             self._block = Block(layout)
             self._batch = Batch(spec, range(self.num_envs), self._block)
+        self._copies = Copies(self._block)
 
     def _set_spaces(self, single: spaces.Space[Any]) -> None:
         self.num_envs = len(self.env_ids)
@@ -141,7 +138,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         rows = np.flatnonzero(mask).tolist()
         wanted = [(row, seeds[row]) for row in rows]
         self._begin(self._exchange(lambda: self._batch.reset(wanted, chosen), rows))
-        return self._observations(), score_infos(np.zeros((2, self.num_envs)), mask)
+        return self._observations(-1), score_infos(np.zeros((2, self.num_envs)), mask)
 
     def step(
         self, actions: Any, active: Bools | None = None
@@ -161,13 +158,20 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         acting = checked_mask("active", active, self.num_envs)
         require_rows("step", self._running | ~acting, self.env_ids)
         self._block.actions[:] = np.where(acting, checked_actions(actions, self.num_envs), -1)
+        place = self._block.copy_to[0] = self._copies.choose()
         self._begin(self._exchange(self._batch.step, range(self.num_envs)))
         truncations = self._block.truncations.copy()
         if self.autoreset_mode is AutoresetMode.DISABLED:
             self._running[truncations] = False
         infos = self._infos(acting, truncations)
         terminations = np.zeros(self.num_envs, np.bool_)
-        return self._observations(), self._block.rewards.copy(), terminations, truncations, infos
+        return (
+            self._observations(place),
+            self._block.rewards.copy(),
+            terminations,
+            truncations,
+            infos,
+        )
 
     def states(self) -> list[State]:
         """The true state of every world, for experts and privileged learners."""
@@ -235,7 +239,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         """End the workers; `close` calls this."""
         if hasattr(self, "_batch"):
             self._batch.close()
-            del self._batch, self._block
+            del self._batch, self._block, self._copies
 
     def _begin(self, started: Sequence[tuple[int, Any]]) -> None:
         for row, scene in started:
@@ -249,8 +253,8 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             return same_step_infos(self._block, acting, ended)
         return score_infos(self._block.scores.copy(), acting)
 
-    def _observations(self) -> Any:
-        return copy_of(self._block.observations) if self.copy else self._block.observations
+    def _observations(self, place: int) -> Any:
+        return self._copies.hand_out(place) if self.copy else self._block.observations
 
     def _scene(self, row: int) -> Scene:
         scene = self._scenes[row]
