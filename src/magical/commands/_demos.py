@@ -113,7 +113,7 @@ def run_info(args: argparse.Namespace) -> int:
         ],
     )
     for later, earlier in duplicates:
-        log(f"duplicate: {later} has the same bytes as {earlier}")
+        log(f"duplicate: {later} shows the same as {earlier}")
     _log_problems(dataset.problems)
     if args.json:
         print_json(
@@ -233,7 +233,7 @@ def _print_import(report: "ImportReport", out: Path) -> None:
     if report.already:
         print(f"{len(report.already)} were there already")
     for later, earlier in report.duplicates:
-        log(f"duplicate: {later} has the same bytes as {earlier}")
+        log(f"duplicate: {later} shows the same as {earlier}")
     for _, why in report.failed:
         log(f"error: {why}")
 

@@ -59,7 +59,7 @@ def _configure_download(parser: argparse.ArgumentParser) -> None:
 def _add_importing(parser: argparse.ArgumentParser) -> None:
     _add_out(parser)
     parser.add_argument(
-        "--skip-duplicates", action="store_true", help="import files with the same bytes once"
+        "--skip-duplicates", action="store_true", help="import what is in several files once"
     )
     _add_workers(parser)
     add_json(parser)

@@ -2,6 +2,7 @@
 
 import os
 import tempfile
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -54,18 +55,21 @@ def export_minari(
 
 
 def _create(minari_id: str, spec: Any, part: Dataset, preset: str) -> None:
-    created = minari.create_dataset_from_buffers(
-        minari_id,
-        buffer=_buffers(part, preset),  # one at a time: Minari only iterates
-        env=spec,
-        observation_space=PRESETS[preset].space,
-        action_space=gym.spaces.Discrete(NUM_ACTIONS),
-        jpeg_encoding=False,
-        data_format="hdf5",
-        algorithm_name=", ".join(sorted({entry.demonstrator for entry in part.entries})),
-        description=f"MAGICAL demonstrations, exported by magical {magical.__version__}",
-        requirements=[f"magical-benchmark>={magical.__version__}"],
-    )
+    with warnings.catch_warnings():
+        # Minari warns of every missing author and link; a dataset's owner adds those.
+        warnings.filterwarnings("ignore", message=r"`(author|author_email|code_permalink|eval_env)` is set")
+        created = minari.create_dataset_from_buffers(
+            minari_id,
+            buffer=_buffers(part, preset),  # one at a time: Minari only iterates
+            env=spec,
+            observation_space=PRESETS[preset].space,
+            action_space=gym.spaces.Discrete(NUM_ACTIONS),
+            jpeg_encoding=False,
+            data_format="hdf5",
+            algorithm_name=", ".join(sorted({entry.demonstrator for entry in part.entries})),
+            description=f"MAGICAL demonstrations, exported by magical {magical.__version__}",
+            requirements=[f"magical-benchmark>={magical.__version__}"],
+        )
     created.storage.update_episode_metadata(
         [
             {

@@ -25,7 +25,7 @@ class ImportReport:
 
     imported: tuple[str, ...]
     already: tuple[str, ...]  # were in the dataset before
-    duplicates: tuple[tuple[str, str], ...]  # (file, earlier file with the same bytes)
+    duplicates: tuple[tuple[str, str], ...]  # (file, earlier one with the same actions and frames)
     failed: tuple[tuple[str, str], ...]  # (file, why)
 
 
@@ -51,47 +51,44 @@ def import_published(
 ) -> ImportReport:
     """Append published files to a dataset, in their order; one bad file does not stop the rest.
 
-    Files of the same name and bytes that are in the dataset already are left alone. Files with the
-    same bytes as another are imported, unless `skip_duplicates`, and reported either way.
+    Files of the same name and bytes that are in the dataset already are left alone. Those with the
+    same actions and frames as another are imported, unless `skip_duplicates`, and reported.
 
     Raises:
         DatasetError: the dataset cannot be written; what was imported before stays.
     """
-    writer = DatasetWriter(out)
-    known = {(e.source, e.source_sha256) for e in Dataset.open(out).entries}
-    first_of: dict[str, str] = {digest: name for name, digest in known if name and digest}
-    already, duplicates, failed, wanted = [], [], [], []
-    for file in files:
-        digest = _sum(file)
-        if (file.name, digest) in known:
-            already.append(file.name)
-            continue
-        if digest in first_of:
-            duplicates.append((file.name, first_of[digest]))
-        if digest not in first_of or not skip_duplicates:
-            wanted.append(file)
-        first_of.setdefault(digest, file.name)
+    writer, entries = DatasetWriter(out), Dataset.open(out).entries
+    known = {(entry.source, entry.source_sha256) for entry in entries}
+    first = {entry.fingerprint: entry.source or entry.file for entry in entries}
+    wanted = [file for file in files if (file.name, _sum(file)) not in known]
+    already = [file.name for file in files if file not in set(wanted)]
     tell = progress or (lambda _: None)
-    tell(len(files) - len(wanted))
-    imported = []
+    tell(len(already))
+    imported, duplicates, failed = [], [], []
     workers = min(workers or usable_cores(), len(wanted))
     results = in_processes(partial(_convert, max_bytes=max_bytes), wanted, workers)
     for file, result in zip(wanted, results, strict=True):
+        tell(1)
         if isinstance(result, MagicalError):
             failed.append((str(file), str(result)))
-        else:
-            writer.append_encoded(*result)
-            imported.append(file.name)
-        tell(1)
+            continue
+        earlier = first.setdefault(result[0].fingerprint, file.name)
+        if earlier != file.name:
+            duplicates.append((file.name, earlier))
+            if skip_duplicates:
+                continue
+        writer.append_encoded(*result)
+        imported.append(file.name)
     return ImportReport(tuple(imported), tuple(already), tuple(duplicates), tuple(failed))
 
 
 def _sum(file: Path) -> str:
+    """The file's SHA-256, or nothing where it cannot be read: reading it again will say why."""
     try:
         with file.open("rb") as opened:
             return hashlib.file_digest(opened, "sha256").hexdigest()
     except OSError:
-        return f"unreadable {file}"  # reading it will say why
+        return ""
 
 
 def _convert(file: Path, max_bytes: int) -> _Result:

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from magical.demos.trajectory import FRAME_SIZE
 
-CODEC, PIXEL_FORMAT = "libx264", "yuv420p"
+# Full colour resolution: halved, as is usual, outlines two pixels wide would lose their colour.
+CODEC, PIXEL_FORMAT = "libx264", "yuv444p"
 OPTIONS = {"crf": "12", "g": "2", "bf": "0"}  # hardly lossy; seekable to any frame
 VIDEO_INFO = MappingProxyType(
     {

@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from magical.demos.codec import fingerprint
 from magical.demos.trajectory import Trajectory
 from magical.envs.ids import NAMESPACE
 from magical.errors import DatasetError
@@ -38,6 +39,7 @@ class Entry:
     demonstrator: str
     seed: int | None
     has_poses: bool
+    fingerprint: str  # the same for the same actions and poses or frames
     source: str | None = None  # file that it was imported from
     source_sha256: str | None = None
 
@@ -61,6 +63,7 @@ class Entry:
             demonstrator=trajectory.demonstrator,
             seed=trajectory.seed,
             has_poses=trajectory.poses is not None,
+            fingerprint=fingerprint(raw),
             source=trajectory.metadata.get("source"),
             source_sha256=trajectory.metadata.get("source_sha256"),
         )

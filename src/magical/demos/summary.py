@@ -49,14 +49,13 @@ def summarise(dataset: Dataset) -> list[Summary]:
 
 
 def find_duplicates(entries: Iterable[Entry]) -> list[tuple[str, str]]:
-    """Pairs of files (later, earlier) that were imported from the same bytes."""
+    """Pairs (later, earlier) with the same actions and poses or frames, by their files or sources."""
     first: dict[str, Entry] = {}
     pairs = []
     for entry in entries:
-        if entry.source_sha256:
-            earlier = first.setdefault(entry.source_sha256, entry)
-            if earlier is not entry:
-                pairs.append((entry.source or entry.file, earlier.source or earlier.file))
+        earlier = first.setdefault(entry.fingerprint, entry)
+        if earlier is not entry:
+            pairs.append((entry.source or entry.file, earlier.source or earlier.file))
     return pairs
 
 

@@ -48,7 +48,7 @@ def film(trajectory: Trajectory) -> Iterator[Picture]:
     With poses, both views are drawn at this size and the score is that of each moment; recorded
     pictures are enlarged, and only the last moment's score is known.
     """
-    views = [view for view in reversed(VIEWS) if _has(trajectory, view)]
+    views = [view for view in VIEWS if _has(trajectory, view)]
     size = SIZE if trajectory.poses is not None else FRAME_SIZE
     frames = [Frames(trajectory, view, size) for view in views]
     shown: Any = None
