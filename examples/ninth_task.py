@@ -13,7 +13,7 @@ import numpy as np
 
 import magical
 from magical.evaluation import environments, evaluate, load_policy, summarise
-from magical.scene import Block, Pose, Poses, Scene
+from magical.scene import Block, Colour, Pose, Poses, Scene, Shape
 from magical.tasks import Axis, Task
 from magical.tasks.attributes import repaint
 from magical.tasks.scoring import positions
@@ -23,8 +23,8 @@ APART = 1.0  # units
 DEMO = Scene(
     robot=Pose(0.0, -0.7, 0.0),
     blocks=(
-        Block("square", "red", Pose(-0.15, 0.0, 0.0)),
-        Block("circle", "green", Pose(0.15, 0.0, 0.0)),
+        Block(Shape.SQUARE, Colour.RED, Pose(-0.15, 0.0, 0.0)),
+        Block(Shape.CIRCLE, Colour.GREEN, Pose(0.15, 0.0, 0.0)),
     ),
 )
 

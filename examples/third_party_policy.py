@@ -26,9 +26,12 @@ class SeekColour:
     observation = "LoRes4E"
     tasks = ("MoveToRegion",)
 
+    def __init__(self) -> None:
+        self.side = np.empty(0, np.int64)  # where the region was last: Turn.LEFT or Turn.RIGHT
+
     def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Forget which way round the searching worlds were turning."""
-        if not hasattr(self, "side") or len(self.side) != len(mask):
+        """Forget where the region was; called before every episode, first of all for all worlds."""
+        if len(self.side) != len(mask):
             self.side = np.full(len(mask), Turn.LEFT)
         self.side[mask] = Turn.LEFT
 

@@ -1,0 +1,105 @@
+"""The examples, with short settings, and the README's ten lines."""
+
+import re
+import runpy
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from magical.evaluation import environments, evaluate, load_policy
+from magical.tasks import unregister_task
+
+
+def example(root: Path, name: str) -> dict[str, Any]:
+    """An example's names; its `main` has not run."""
+    return runpy.run_path(str(root / "examples" / f"{name}.py"))
+
+
+@pytest.fixture(scope="module")
+def ninth_task(root: Path) -> Iterator[dict[str, Any]]:
+    yield example(root, "ninth_task")
+    unregister_task("Separate")
+
+
+def test_third_party_policy(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    example(root, "third_party_policy")["main"](rollouts=4)
+    means = {
+        line.split()[0]: float(line.split()[1]) for line in capsys.readouterr().out.splitlines()
+    }
+    assert set(means) == {"Demo", "Jitter", "Layout", "Colour", "Dynamics", "All"}
+    assert min(means.values()) >= 0.75
+
+
+def test_third_party_policy_by_name(root: Path) -> None:
+    policy = load_policy(f"{root / 'examples' / 'third_party_policy.py'}:SeekColour")
+    scores = evaluate(policy, environments(policy.tasks, ["Demo"]), rollouts=1, workers=0)  # type: ignore[attr-defined]
+    assert [row.score for row in scores] == [1.0]
+
+
+def test_custom_scene(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert example(root, "custom_scene")["main"]() == 1.0
+    assert "blue star: now at" in capsys.readouterr().out
+
+
+def test_ninth_task(ninth_task: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
+    ninth_task["main"](rollouts=2)
+    printed = capsys.readouterr().out
+    assert "observations (96, 96, 12)" in printed
+    assert len(environments(["Separate"])) == 6
+
+
+def test_ninth_task_scores(ninth_task: dict[str, Any]) -> None:
+    from magical.scene import Poses
+
+    scene, score = ninth_task["DEMO"], ninth_task["score"]
+    poses = Poses.at_rest(scene)
+    assert score(scene, poses) == 0.0
+    poses.blocks[0, 0] = -0.5  # 0.65 apart: halfway from 0.3 to 1
+    assert score(scene, poses) == pytest.approx(0.5)
+    poses.blocks[0, 0] = -0.9
+    assert score(scene, poses) == 1.0
+
+
+def test_ninth_task_reaches_worker_processes(root: Path, tmp_path: Path) -> None:
+    code = (
+        "import ninth_task\n"
+        "from magical.evaluation import environments, evaluate, load_policy\n"
+        "ids = environments(['Separate'], ['Demo'])\n"
+        "print(len(evaluate(load_policy('noop'), ids, rollouts=3, workers=1)))\n"
+    )
+    (tmp_path / "script.py").write_text(code)
+    done = subprocess.run(
+        [sys.executable, str(tmp_path / "script.py")],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={"PYTHONPATH": str(root / "examples")},
+    )
+    assert done.stdout.strip() == "3", done.stderr
+
+
+def test_stable_baselines3_ppo(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("stable_baselines3", reason="the sb3 extra is not installed")
+    example(root, "stable_baselines3_ppo")["main"](steps=1280, rollouts=2, workers=0)
+    assert len(capsys.readouterr().out.splitlines()) == 6
+
+
+def test_the_readmes_training_block_runs(root: Path, tmp_path: Path) -> None:
+    pytest.importorskip("torch", reason="the learning extra is not installed")
+    (block,) = (
+        text
+        for text in re.findall(r"```python\n(.*?)```", (root / "README.md").read_text(), re.DOTALL)
+        if "magical.learning" in text
+    )
+    # The same program with less of everything.
+    short = block.replace('"quick",', '"quick", batches=4,').replace("rollouts=100", "rollouts=2")
+    assert short.count("batches=4") == short.count("rollouts=2") == 1
+    done = subprocess.run(
+        [sys.executable, "-c", short], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert len(done.stdout.splitlines()) == 6
