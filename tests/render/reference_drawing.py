@@ -130,18 +130,25 @@ class _Frame:
         projected: Array = np.array(moved) * self.scale + self.centre
         return projected
 
+    def window(self, points: Array, margin: float) -> tuple[slice, slice]:
+        """The rows and columns of the frame within a margin of some points."""
+        low = np.clip(np.floor(points.min(axis=0) - margin), 0, self.extent).astype(int)
+        high = np.clip(np.ceil(points.max(axis=0) + margin), 0, self.extent).astype(int)
+        return slice(low[1], high[1]), slice(low[0], high[0])
+
     def fill(self, corners: Any, colour: Any) -> None:
         """A polygon, convex or not, by the even-odd rule, exactly."""
         points = np.rint(self.project(corners) * GRID).astype(np.int64)
+        rows, columns = self.window(points / GRID, 1)
         centres = np.arange(self.extent) * GRID + GRID // 2
-        x, y = centres[None, :], centres[:, None]
-        inside = np.zeros((self.extent, self.extent), bool)
+        x, y = centres[None, columns], centres[rows, None]
+        inside = np.zeros(np.broadcast(x, y).shape, bool)
         for (ax, ay), (bx, by) in zip(points, np.roll(points, -1, axis=0), strict=True):
             if ay != by:
                 crosses = (ay <= y) != (by <= y)
                 right = (x - ax) * (by - ay) - (y - ay) * (bx - ax)
                 inside ^= crosses & (right >= 0 if by > ay else right <= 0)
-        self.image[inside] = colour
+        self.image[rows, columns][inside] = colour
 
     def visible_sides(self, corners: Any) -> list[Array | None]:
         """The sides of a rectangle, cut to the frame; None for those out of view."""
@@ -168,14 +175,15 @@ class _Frame:
         length = math.hypot(*(ends[1] - ends[0]))
         along = (ends[1] - ends[0]) / length
         middle = ends.mean(axis=0) - 1e-7
-        centres = np.arange(self.extent) + 0.5
-        x, y = centres[None, :] - middle[0], centres[:, None] - middle[1]
         width *= self.unit
+        rows, columns = self.window(ends, width + 2)
+        centres = np.arange(self.extent) + 0.5
+        x, y = centres[None, columns] - middle[0], centres[rows, None] - middle[1]
         across = np.clip(width / 2 + 0.5 - abs(along[0] * y - along[1] * x), 0, min(width, 1))
         within = np.clip(length / 2 + 0.5 - abs(along[0] * x + along[1] * y), 0, 1)
         share = np.rint(across * within * 255)[..., None]
-        over, under = np.array(colour) * share / 255, self.image * (255 - share) / 255
-        self.image = (np.rint(over) + np.rint(under)).astype(np.int64)
+        over, under = np.array(colour) * share, self.image[rows, columns] * (255 - share)
+        self.image[rows, columns] = np.rint(over / 255) + np.rint(under / 255)
 
     def dashes(self, corners: Any, colour: Any) -> None:
         """8 on, 8 off, counted in pixels of the 384 frame along the sides that are in view."""

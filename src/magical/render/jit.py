@@ -38,8 +38,13 @@ def entry_point(function: Kernel) -> Kernel:
 @cache
 def source_stamp() -> int:
     """A number that changes whenever a file of this room does."""
+    return stamp_of(Path(__file__).parent)
+
+
+def stamp_of(folder: Path) -> int:
+    """A number that changes whenever a Python file in the folder does."""
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
+    for path in sorted(folder.glob("*.py")):
         digest.update(path.read_bytes())
     return int.from_bytes(digest.digest()[:4], "big")
 

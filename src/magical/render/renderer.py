@@ -79,11 +79,11 @@ class Renderer:
         Raises:
             DrawingError: bodies or `out` do not fit, or a pose is not finite.
         """
-        mine = self._bodies
-        if out.shape != (self.size, self.size, CHANNELS) or out.dtype.char != "B":
+        mine, shape = self._bodies, (self.size, self.size, CHANNELS)
+        if out.shape != shape or out.dtype.char != "B" or not out.flags.writeable:
             raise DrawingError(
-                f"expected an array ({self.size}, {self.size}, {CHANNELS}) of uint8 to draw into, "
-                f"found {out.shape} of {out.dtype}"
+                f"expected a writeable array {shape} of uint8 to draw into, found "
+                f"{out.shape} of {out.dtype}{'' if out.flags.writeable else ', read-only'}"
             )
         if len(bodies) != len(mine) or bodies.shape[1] < mine.shape[1]:
             raise DrawingError(

@@ -1,0 +1,175 @@
+"""What drawing promises whoever uses it."""
+
+import hashlib
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from magical.errors import DrawingError, UnknownNameError
+from magical.render import Renderer, default_samples, draw_both, draw_frame
+from magical.scene import Colour, Pose, Poses, Scene, Shape, View
+from magical.scene.scene import Block
+
+Case = tuple[Scene, Poses]
+Image = NDArray[np.uint8]
+
+LAYOUTS: dict[str, Callable[[], Image]] = {
+    "contiguous": lambda: np.zeros((96, 96, 3), np.uint8),
+    "newest of a stack": lambda: np.zeros((96, 96, 12), np.uint8)[:, :, -3:],
+    "channels first": lambda: np.zeros((12, 96, 96), np.uint8).transpose(1, 2, 0)[:, :, -3:],
+    "part of a batch": lambda: np.zeros((5, 96, 96, 3), np.uint8)[2],
+    "every other pixel": lambda: np.zeros((192, 192, 3), np.uint8)[::2, ::2],
+    "upside down": lambda: np.zeros((96, 96, 3), np.uint8)[::-1, ::-1],
+    "column by column": lambda: np.zeros((96, 96, 3), np.uint8, order="F"),
+}
+
+
+@pytest.mark.parametrize("view", list(View))
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_any_layout(layout: str, view: View, case: Case) -> None:
+    out = LAYOUTS[layout]()
+    Renderer(case[0], view).draw(case[1].bodies, out)
+    np.testing.assert_array_equal(out, draw_frame(*case, view))
+
+
+def test_draws_only_into_its_window(case: Case) -> None:
+    stack = np.full((96, 96, 12), 77, np.uint8)
+    Renderer(case[0], View.EGO).draw(case[1].bodies, stack[:, :, 3:6])
+    assert (stack[:, :, :3] == 77).all()
+    assert (stack[:, :, 6:] == 77).all()
+
+
+@pytest.mark.parametrize("view", list(View))
+def test_published_pipeline(view: View, case: Case) -> None:
+    raw = draw_frame(*case, view, 384, 1).astype(float)
+    reduced = np.rint(raw.reshape(96, 4, 96, 4, 3).mean(axis=(1, 3)))  # rounds halves to even
+    np.testing.assert_array_equal(draw_frame(*case, view, 96, 4), reduced)
+    half = np.rint(raw.reshape(192, 2, 192, 2, 3).mean(axis=(1, 3)))
+    np.testing.assert_array_equal(draw_frame(*case, view, 192, 2), half)
+
+
+def test_default_samples(case: Case) -> None:
+    assert [default_samples(n) for n in (32, 96, 97, 128, 192, 383, 384, 1000)] == [
+        4, 4, 4, 4, 2, 2, 1, 1,
+    ]  # fmt: skip
+    np.testing.assert_array_equal(draw_frame(*case, "ego"), draw_frame(*case, "ego", 96, 4))
+
+
+def test_a_pure_function_of_the_poses(random_case: Callable[[int], Case]) -> None:
+    cases = [random_case(seed) for seed in range(6)]
+    forms = [(view, size) for view in View for size in (96, 48)]
+    renderers = [(Renderer(s, v, n), p, n) for s, p in cases for v, n in forms]
+    first = [_drawn(*entry) for entry in renderers]
+    again = [_drawn(*entry) for entry in reversed(renderers)][::-1]
+    for one, other in zip(first, again, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def _drawn(renderer: Renderer, poses: Poses, size: int) -> Image:
+    out = np.empty((size, size, 3), np.uint8)
+    renderer.draw(poses.bodies, out)
+    return out
+
+
+def test_equal_in_another_process(case: Case) -> None:
+    program = (
+        "import hashlib\n"
+        "from magical.render import draw_both\n"
+        "from magical.scene import Poses, Scene\n"
+        f"scene = Scene.from_dict({case[0].to_dict()!r})\n"
+        "print(hashlib.sha256(draw_both(scene, Poses.at_rest(scene)).tobytes()).hexdigest())\n"
+    )
+    command = [sys.executable, "-c", program]
+    ran = [subprocess.run(command, capture_output=True, text=True, check=True) for _ in range(2)]
+    assert len({result.stdout for result in ran}) == 1
+    scene = Scene.from_dict(case[0].to_dict())
+    here = draw_both(scene, Poses.at_rest(scene))
+    assert ran[0].stdout.strip() == hashlib.sha256(here.tobytes()).hexdigest()
+
+
+def test_importing_compiles_nothing() -> None:
+    program = (
+        "from numba.core import event\n"
+        "with event.install_recorder('numba:compile') as recorder:\n"
+        "    import magical.render\n"
+        "assert not recorder.buffer\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
+
+
+def test_both_views_side_by_side(case: Case) -> None:
+    both = draw_both(*case, size=40)
+    assert both.shape == (40, 80, 3)
+    np.testing.assert_array_equal(both[:, :40], draw_frame(*case, View.EGO, 40))
+    np.testing.assert_array_equal(both[:, 40:], draw_frame(*case, View.ALLO, 40))
+
+
+def test_the_robot_may_be_under_the_blocks() -> None:
+    block = Block(Shape.CIRCLE, Colour.RED, Pose(0.0, 0.0, 0.0))
+    centres = []
+    for robot_first in (False, True):
+        scene = Scene(Pose(0.0, 0.0, 0.0), (block,), robot_first=robot_first)
+        frame = draw_frame(scene, Poses.at_rest(scene), View.ALLO)
+        centres.append(tuple(frame[48, 48].tolist()))
+    assert centres == [(162, 163, 175), (245, 129, 165)]
+
+
+def test_pupils_turn_with_the_eyes(case: Case) -> None:
+    scene, poses = case
+    turned = Poses(poses.bodies.copy())
+    turned.bodies[3:5, 2] += 0.6
+    changed = (draw_frame(scene, poses, "ego", 384) != draw_frame(scene, turned, "ego", 384)).any(2)
+    rows, columns = np.nonzero(changed)
+    assert 10 < changed.sum() < 400
+    assert rows.min() > 384 * 0.75
+    assert abs(columns - 192).max() < 384 * 0.08
+
+
+def test_bodies_may_have_velocities_and_be_read_only(case: Case) -> None:
+    table = np.concatenate([case[1].bodies, np.full_like(case[1].bodies, np.nan)], axis=1)
+    table.flags.writeable = False
+    out = np.empty((96, 96, 3), np.uint8)
+    Renderer(case[0], "ego").draw(table, out)
+    np.testing.assert_array_equal(out, draw_frame(*case, "ego"))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1e9])
+@pytest.mark.parametrize("place", [(0, 0), (2, 1), (6, 2)])
+def test_poses_that_cannot_be(value: float, place: tuple[int, int], case: Case) -> None:
+    bodies = case[1].bodies.copy()
+    bodies[place] = value
+    for view in View:
+        with pytest.raises(DrawingError, match="finite"):
+            Renderer(case[0], view).draw(bodies, np.empty((96, 96, 3), np.uint8))
+
+
+def test_arrays_that_do_not_fit(case: Case) -> None:
+    scene, poses = case
+    renderer, out = Renderer(scene, "allo"), np.empty((96, 96, 3), np.uint8)
+    for bodies in (poses.bodies[:-1], poses.bodies[:, :2]):
+        with pytest.raises(DrawingError, match="9 bodies"):
+            renderer.draw(bodies, out)
+    read_only = out.copy()
+    read_only.flags.writeable = False
+    bad_arrays: tuple[Any, ...] = (out[1:], out[:, :, :2], out.astype(np.float32), read_only)
+    for bad in bad_arrays:
+        with pytest.raises(DrawingError, match="expected"):
+            renderer.draw(poses.bodies, bad)
+    with pytest.raises(DrawingError, match="one shape"):
+        renderer.draw_stacked(poses.bodies, np.empty((96, 96, 6), np.uint8), out)
+
+
+@pytest.mark.parametrize(("size", "samples"), [(0, 1), (-4, None), (96, 3), (96, 0)])
+def test_forms_that_cannot_be_drawn(size: int, samples: int | None, case: Case) -> None:
+    with pytest.raises(DrawingError, match="samples"):
+        Renderer(case[0], "ego", size, samples)
+
+
+def test_unknown_view(case: Case) -> None:
+    with pytest.raises(UnknownNameError, match="ego, allo"):
+        Renderer(case[0], "side")

@@ -1,0 +1,70 @@
+"""Moving frame stacks on."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from magical.render import Renderer, draw_frame, shift_stack
+from magical.scene import Poses, Scene, View
+
+Case = tuple[Scene, Poses]
+Image = NDArray[np.uint8]
+
+
+def _channels_first(size: int, channels: int) -> Image:
+    return np.zeros((channels, size, size), np.uint8).transpose(1, 2, 0)
+
+
+def _window(size: int, channels: int) -> Image:
+    return np.zeros((size, size, channels + 5), np.uint8)[:, :, 3 : 3 + channels]
+
+
+MAKERS: dict[str, Callable[[int, int], Image]] = {
+    "contiguous": lambda size, channels: np.zeros((size, size, channels), np.uint8),
+    "channels first": _channels_first,
+    "window": _window,
+    "window, channels first": lambda size, channels: _channels_first(size, channels + 3)[:, :, 3:],
+}
+
+
+@pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
+@pytest.mark.parametrize("channels", [3, 6, 12])
+def test_shift(make: Callable[[int, int], Image], channels: int) -> None:
+    stack = make(10, channels)
+    stack[:] = np.random.default_rng(0).integers(256, size=stack.shape)
+    before = stack.copy()
+    shift_stack(stack)
+    np.testing.assert_array_equal(stack[:, :, :-3], before[:, :, 3:])
+
+
+@pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
+@pytest.mark.parametrize("view", list(View))
+def test_draw_stacked(make: Callable[[int, int], Image], view: View, case: Case) -> None:
+    scene, poses = case
+    renderer, newest = Renderer(scene, view, 32), draw_frame(scene, poses, view, 32)
+    stack, other = make(32, 12), make(32, 12)
+    stack[:] = np.random.default_rng(1).integers(256, size=stack.shape)
+    before = stack.copy()
+    expected = np.concatenate([before[:, :, 3:], newest], axis=2)
+
+    renderer.draw_stacked(poses.bodies, stack, other)
+    np.testing.assert_array_equal(other, expected)
+    np.testing.assert_array_equal(stack, before)
+
+    renderer.draw_stacked(poses.bodies, stack)
+    np.testing.assert_array_equal(stack, expected)
+
+
+def test_a_window_leaves_its_surroundings_alone(case: Case) -> None:
+    whole = np.full((96, 96, 12), 77, np.uint8)
+    Renderer(case[0], View.EGO).draw_stacked(case[1].bodies, whole[:, :, 3:9])
+    assert (whole[:, :, :3] == 77).all()
+    assert (whole[:, :, 9:] == 77).all()
+
+
+def test_one_frame_is_no_stack(case: Case) -> None:
+    out = np.zeros((96, 96, 3), np.uint8)
+    Renderer(case[0], View.ALLO).draw_stacked(case[1].bodies, out)
+    np.testing.assert_array_equal(out, draw_frame(*case, View.ALLO))
