@@ -57,13 +57,13 @@ def load(path: Path | str, size: int | None = None) -> Recording:
         if len(found) > 1:
             raise ValueError(f"views of different sizes {sorted(found)}")
         scenes, poses = zip(*map(_state, range(len(records)), records), strict=True)
+        tasks = tuple(_task(record["env"]) for record in records)
         names = tuple(f"{r['env']} seed {r.get('seed')} step {r.get('step')}" for r in records)
     except (KeyError, IndexError, TypeError, ValueError, MagicalError) as error:
         raise RecordingError(
             f"{path}: expected `records`, a JSON list of states, and perhaps `allo` and `ego`, "
             f"(N, size, size, 3) uint8; found: {error}"
         ) from error
-    tasks = tuple(record["env"].split("/")[-1].split("-")[0] for record in records)
     wanted = size or (SIZES[1] if str(SIZES[1]) in Path(path).name else SIZES[0])
     return Recording(scenes, poses, tasks, names, frames, next(iter(found), wanted))
 
@@ -132,6 +132,13 @@ def _check_frames(view: View, frames: NDArray[Any], count: int) -> int:
     if frames.shape != (count, size, size, 3) or frames.dtype != np.uint8:
         raise ValueError(f"{count} records and `{view}` {frames.shape} of {frames.dtype}")
     return size
+
+
+def _task(env_id: Any) -> str:
+    """The task in an environment's id."""
+    if not isinstance(env_id, str):
+        raise TypeError(f"env: expected an environment's id, found {env_id!r}")
+    return env_id.split("/")[-1].split("-")[0]
 
 
 def _state(index: int, record: Mapping[str, Any]) -> tuple[Scene, Poses]:
