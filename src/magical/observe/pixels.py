@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.observe.spec import PixelSpec
-from magical.render import Renderer
+from magical.render import Renderer, shift_stack
 from magical.scene.scene import Scene
 
 Pixels = NDArray[np.uint8]
@@ -22,6 +22,7 @@ class PixelObserver:
     def __init__(self, spec: PixelSpec, out: PixelArrays | None = None) -> None:
         self.spec = spec
         self.out = self.empty() if out is None else out
+        self._arrays = [self._channels_last(a) for a in self._all_arrays()]
         self._stacks = self._frame_stacks()
         self._renderers: list[Renderer] = []
 
@@ -36,8 +37,11 @@ class PixelObserver:
 
     def update(self, table: NDArray[np.float64]) -> None:
         """Show the next moment."""
+        # Whole arrays are moved quickly; what thereby crosses into another view is then drawn over.
+        for array in self._arrays:
+            shift_stack(array)
         for renderer, stack in zip(self._renderers, self._stacks, strict=True):
-            renderer.draw_stacked(table, stack)
+            renderer.draw(table, stack[:, :, -3:])
 
     def copy(self) -> PixelArrays:
         """The observation, in memory of its own."""
@@ -56,11 +60,17 @@ class PixelObserver:
         """One (size, size, 3 * frames) window on `out` for each view."""
         windows, first = [], 0
         for view, frames in self.spec.parts:
-            array = self.out[str(view)] if isinstance(self.out, dict) else self.out
-            if self.spec.channels_first:
-                array = array.transpose(1, 2, 0)
+            array = self._channels_last(
+                self.out[str(view)] if isinstance(self.out, dict) else self.out
+            )
             if not self.spec.separate:
                 array = array[:, :, first : first + 3 * frames]
             windows.append(array)
             first += 3 * frames
         return windows
+
+    def _all_arrays(self) -> list[Pixels]:
+        return list(self.out.values()) if isinstance(self.out, dict) else [self.out]
+
+    def _channels_last(self, array: Pixels) -> Pixels:
+        return array.transpose(1, 2, 0) if self.spec.channels_first else array
