@@ -13,18 +13,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.experts.goals import Move, Plan, Style, register_goals
+from magical.experts.goals import Goals, Move, Plan, Style, register_goals
 from magical.experts.sight import Sight
 from magical.scene import Block
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-RATIO = 0.20  # of squared distances to own and nearest other centroid that a plan aims at
-SETTLED = 0.27  # the same that is good enough to stop; below 1 / 3 counts
-STAY = (0.26, 0.5)  # units from the anchor within which a block may stay
-TOUCH = 0.14  # units from the anchor at which a block that is brought there comes to rest, about
-TOLERANCE = 0.29  # units from an anchor that has a block already
+RATIO = 0.18  # of squared distances to own and nearest other centroid that a plan aims at
+RANGE = 0.1  # above it, over which a block counts less and less
+SETTLED = 0.30  # the same that is good enough to stop; below 1 / 3 counts
+STAY = (0.18, 0.3, 0.5)  # units from the anchor within which a block may stay
+RING = 0.26  # units from an anchor that has a block to the places beside it
+TOUCH = 0.2  # units from the anchor at which a block that is brought there comes to rest, about
+TOLERANCE = 0.09  # units
 MOVE_TIME = 24.0  # control steps that a move costs besides the way
 BROKEN = 60.0  # control steps that a block in the wrong place costs
 TASTE = 12.0  # control steps that a demonstrator gives for the place it likes best
@@ -32,6 +34,8 @@ ROOM = 0.5  # units around a growing cluster that are better free of other block
 CROWDING = 40.0  # control steps, per unit and block brought there, that their closeness costs
 CHOICES = 300
 EDGE = 0.78  # largest coordinate of an anchor
+
+_ANGLES = np.arange(12) * (math.pi / 6)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +51,7 @@ class _Jumble:
         values = [attribute(block) for block in sight.scene.blocks]
         present = sorted(set(values))
         group = np.array([present.index(value) for value in values])
-        return _Jumble(np.array(sight.blocks), group, np.eye(len(present))[group])
+        return _Jumble(np.array(sight.resting), group, np.eye(len(present))[group])
 
     def ratios(self, at: Floats) -> Floats:
         """Own over nearest other squared distance to a centroid, for positions (..., n, 2)."""
@@ -62,20 +66,29 @@ class _Jumble:
 def cluster(sight: Sight, style: Style, plan: Plan, attribute: Callable[[Block], str]) -> Plan:
     """The moves that bring every block to its cluster."""
     jumble = _Jumble.of(sight, attribute)
-    if jumble.member.shape[1] < 2 or float(jumble.ratios(jumble.at).max()) < SETTLED:
+    if _is_settled(jumble):
         return Plan()
     anchors, moved = _best(jumble, style, plan)
     moves = tuple(_move(jumble, anchors, moved, i) for i in np.flatnonzero(moved).tolist())
     return Plan(moves, tuple((x, y) for x, y in anchors.tolist()))
 
 
+def _is_settled(jumble: _Jumble) -> bool:
+    return jumble.member.shape[1] < 2 or float(jumble.ratios(jumble.at).max()) < SETTLED
+
+
 def _move(jumble: _Jumble, anchors: Floats, moved: NDArray[np.bool_], block: int) -> Move:
-    group = jumble.group[block]
-    anchor = anchors[group]
-    friends = (jumble.group == group) & ~moved
-    near = np.hypot(*(jumble.at[friends] - anchor).T) < STAY[0]
-    x, y = anchor.tolist()
-    return Move((x, y), TOLERANCE if near.any() else 0.12, block)
+    """Bring a block to its anchor, or beside the blocks of its group that are there already."""
+    at, anchor = jumble.at[block], anchors[jumble.group[block]]
+    ring = anchor + RING * np.stack((np.cos(_ANGLES), np.sin(_ANGLES)), axis=-1)  # (A, 2)
+    places = np.concatenate((anchor[None], ring))
+    others = np.delete(jumble.at, block, axis=0)
+    room = np.linalg.norm(places[:, None] - others, axis=-1)  # (A + 1, n - 1)
+    cost = 10.0 * np.linalg.norm(places - at, axis=-1) + 20.0 * (np.abs(places).max(axis=1) > 0.85)
+    cost += 150.0 * np.maximum(0.0, RING - 0.01 - room).sum(axis=1)
+    cost[1:] += 10.0 * RING
+    x, y = places[cost.argmin()].tolist()
+    return Move((x, y), TOLERANCE, block)
 
 
 def _best(jumble: _Jumble, style: Style, plan: Plan) -> tuple[Floats, NDArray[np.bool_]]:
@@ -95,10 +108,11 @@ def _best(jumble: _Jumble, style: Style, plan: Plan) -> tuple[Floats, NDArray[np
 def _cost(jumble: _Jumble, anchors: Floats, moved: NDArray[np.bool_], away: Floats) -> Floats:
     """Control steps, about, for choices of anchors (C, groups, 2) and moves (C, n)."""
     time = (moved * (MOVE_TIME + 11.0 * away)).sum(axis=-1)
-    broken = (jumble.ratios(_after(jumble, anchors, moved)) > RATIO).sum(axis=-1)
+    after = _after(jumble, anchors, moved)
+    broken = np.clip((jumble.ratios(after) - RATIO) / RANGE, 0.0, 1.0).sum(axis=-1)
     strange = jumble.group[:, None] != np.arange(jumble.member.shape[1])  # (n, groups)
-    gaps = np.linalg.norm(jumble.at[:, None] - anchors[..., None, :, :], axis=-1)  # (C, n, groups)
-    crowding = (np.maximum(0.0, ROOM - gaps) * strange * ~moved[..., None]).sum(axis=-2)
+    gaps = np.linalg.norm(after[..., None, :] - anchors[..., None, :, :], axis=-1)
+    crowding = (np.maximum(0.0, ROOM - gaps) * strange).sum(axis=-2)  # (C, groups)
     grows = moved.astype(float) @ jumble.member  # (C, groups) blocks brought to each anchor
     cost: Floats = time + BROKEN * broken + CROWDING * (crowding * grows).sum(axis=-1)
     return cost  # (C,)
@@ -118,11 +132,13 @@ def _without_needless(
     """Leave out the moves that the result does not need, the furthest first."""
     away = np.linalg.norm(jumble.at - anchors[jumble.group], axis=-1)
     moved = moved.copy()
-    broken = (jumble.ratios(_after(jumble, anchors, moved)) > RATIO).sum()
+    cost = float(_cost(jumble, anchors, moved, away))
     for block in sorted(np.flatnonzero(moved).tolist(), key=lambda i: -float(away[i])):
         moved[block] = False
-        now = (jumble.ratios(_after(jumble, anchors, moved)) > RATIO).sum()
-        if now > broken:
+        cheaper = float(_cost(jumble, anchors, moved, away))
+        if cheaper < cost:
+            cost = cheaper
+        else:
             moved[block] = True
     return moved
 
@@ -145,15 +161,12 @@ def _choices(jumble: _Jumble, style: Style, plan: Plan) -> tuple[Floats, Floats]
     return np.stack(anchors, axis=1), np.sum(tastes, axis=0)
 
 
-def cluster_colour(sight: Sight, style: Style, plan: Plan) -> Plan:
-    """ClusterColour: blocks belong together by colour."""
-    return cluster(sight, style, plan, lambda block: block.colour)
+def _goals(attribute: Callable[[Block], str]) -> Goals:
+    return Goals(
+        lambda sight, style, plan: cluster(sight, style, plan, attribute),
+        lambda sight: _is_settled(_Jumble.of(sight, attribute)),
+    )
 
 
-def cluster_shape(sight: Sight, style: Style, plan: Plan) -> Plan:
-    """ClusterShape: blocks belong together by shape."""
-    return cluster(sight, style, plan, lambda block: block.shape)
-
-
-register_goals("ClusterColour", cluster_colour)
-register_goals("ClusterShape", cluster_shape)
+register_goals("ClusterColour", _goals(lambda block: block.colour))
+register_goals("ClusterShape", _goals(lambda block: block.shape))

@@ -6,17 +6,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magical.experts import grasp, motion
-from magical.experts.carry import carry
+from magical.experts import drive, grasp, steering
 from magical.experts.goals import Goals, Move, Plan, Style
 from magical.experts.sight import Sight
 from magical.scene import NOOP, State
+from magical.scene.actions import Action, Longitudinal, Turn
 from magical.scene.geometry import Point
 
 PATIENCE = 7  # control steps without progress after which the expert tries something else
 RELUCTANCE = 25.0  # control steps that a block whose move was just given up seems further away
+TAKEN = 0.24  # units: a place is taken while a block that is to go elsewhere is this close
 ESCAPE = 4  # control steps that it then drives away
 REVIEW = 8  # control steps after which the side of approach is thought over
+CHECK = 3  # control steps between looks, on the way, whether the task is solved already
+CLOSING = 2  # control steps that closing the fingers takes
+GRIPPED = 0.33  # rad: fingers opened less than this have something, or are closing, already
 SEARCH = 36  # control steps without the block between the fingers after which a move is given up
 HAUL = 60  # control steps after which a move is given up
 
@@ -35,6 +39,7 @@ class Memory:
     mark: tuple[float, float, float] = (9.0, 9.0, 0.0)  # robot's pose when it last got somewhere
     still: int = 0  # control steps since then
     loose: int = 0  # control steps since the block was last between the fingers
+    held: int = 0  # control steps that the block has been between the fingers
     avoid: int | None = None  # block whose move was given up last
 
 
@@ -52,7 +57,7 @@ class Expert:
         if memory.escape:
             return _escape(memory), replace(memory, escape=memory.escape - 1)
         move = memory.move
-        if move is None or _is_done(sight, move):
+        if move is None or _is_done(sight, move) or self._is_solved(sight, memory):
             if memory.rest and move is None:
                 return NOOP, replace(memory, rest=memory.rest - 1, still=0)
             memory = self._choose(sight, memory)
@@ -61,8 +66,11 @@ class Expert:
                 return NOOP, memory
         return self._pursue(sight, move, memory)
 
+    def _is_solved(self, sight: Sight, memory: Memory) -> bool:
+        return memory.held > 0 and memory.age % CHECK == 0 and self._goals.solved(sight)
+
     def _choose(self, sight: Sight, memory: Memory) -> Memory:
-        plan = self._goals(sight, self._style, memory.plan)
+        plan = self._goals.plan(sight, self._style, memory.plan)
         memory = replace(memory, plan=plan, age=0, loose=0)
         if not plan.moves:
             return replace(memory, move=None, rest=REVIEW)
@@ -74,26 +82,34 @@ class Expert:
             return 0.0
         taste = self._style.order[(move.block + memory.failures) % len(self._style.order)]
         again = RELUCTANCE if move.block == memory.avoid else 0.0
+        waiting = [m.block for m in memory.plan.moves if m.block != move.block]
+        if any(math.dist(sight.blocks[other], move.goal) < TAKEN for other in waiting if other is not None):
+            again += RELUCTANCE
         side = self._side(sight, move.block, move.goal, memory.failures)
         return side[1] + taste + move.weight + again
 
-    def _side(self, sight: Sight, block: int, goal: Point, failures: int) -> tuple[float, float]:
+    def _side(
+        self, sight: Sight, block: int, goal: Point, failures: int, used: float | None = None
+    ) -> tuple[float, float]:
         taste = self._style.sides[failures % 5 :] + self._style.sides[: failures % 5]
         others = without(sight.blocks, block)
-        return grasp.best_side(sight, sight.blocks[block], goal, others, taste)
+        return grasp.best_side(sight, sight.blocks[block], goal, others, taste, used)
 
     def _pursue(self, sight: Sight, move: Move, memory: Memory) -> tuple[int, Memory]:
-        aged = replace(memory, age=memory.age + 1, loose=memory.loose + 1)
+        aged = replace(memory, age=memory.age + 1, loose=memory.loose + 1, held=0)
         if move.block is None:
-            return grasp.travel(sight, move.goal, sight.blocks), aged
+            return steering.travel(sight, move.goal, sight.blocks), aged
         block, others = sight.blocks[move.block], without(sight.blocks, move.block)
-        if grasp.in_jaw(sight, block):
-            aged = replace(aged, loose=0)
-            return carry(sight, block, move.goal, others), aged
+        if grasp.in_jaw(sight, block, memory.held):
+            aged = replace(aged, loose=0, held=memory.held + 1)
+            if memory.held < CLOSING and sight.opening > GRIPPED:
+                return drive.grip(sight, block), aged
+            return drive.carry(sight, block, move.goal, move.tolerance, others), aged
         if memory.age % REVIEW == 0:
-            side = self._side(sight, move.block, move.goal, memory.failures)[0]
+            used = memory.side if memory.age else None
+            side = self._side(sight, move.block, move.goal, memory.failures, used)[0]
             aged = replace(aged, side=side)
-        return grasp.approach(sight, block, aged.side, others), aged
+        return steering.approach(sight, block, aged.side, others), aged
 
 
 def without(points: Sequence[Point], index: int) -> tuple[Point, ...]:
@@ -139,14 +155,13 @@ def _give_up(memory: Memory) -> Memory:
 def _escape(memory: Memory) -> int:
     """Let go and drive away: backwards, then on other ways should that not have helped."""
     ways = (
-        (motion.BACK, 0.0),
-        (motion.BACK, 1.0),
-        (motion.BACK, -1.0),
-        (motion.FORWARD, 1.0),
-        (motion.FORWARD, -1.0),
+        (Longitudinal.BACK, Turn.STRAIGHT),
+        (Longitudinal.BACK, Turn.LEFT),
+        (Longitudinal.BACK, Turn.RIGHT),
+        (Longitudinal.FORWARD, Turn.LEFT),
+        (Longitudinal.FORWARD, Turn.RIGHT),
     )
-    drive, error = ways[(memory.failures - 1) % len(ways)]
-    return motion.action(drive, motion.turn_by(error), False)
+    return Action(*ways[(memory.failures - 1) % len(ways)]).id
 
 
 def draw_style(rng: np.random.Generator) -> Style:

@@ -54,7 +54,18 @@ class Plan:
     places: tuple[Point, ...] = ()
 
 
-Goals = Callable[[Sight, Style, Plan], Plan]
+def _never(sight: Sight) -> bool:
+    return False
+
+
+@dataclass(frozen=True, slots=True)
+class Goals:
+    """A task as its expert sees it."""
+
+    plan: Callable[[Sight, Style, Plan], Plan]  # the moves still to make; the last plan is given
+    solved: Callable[[Sight], bool] = _never  # cheap: whether to let go at once, all is well
+
+
 _GOALS: dict[str, Goals] = {}
 
 

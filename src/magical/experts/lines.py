@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import combinations
+from itertools import combinations, permutations
 
-from magical.experts.goals import Move, Plan, Style, register_goals
+from magical.experts.goals import Goals, Move, Plan, Style, register_goals
 from magical.experts.sight import Sight
 from magical.scene.geometry import Point
 
@@ -15,12 +15,13 @@ TOLERANCE = 0.06  # units
 LIMIT = 0.8  # largest coordinate of a place in the line
 ANGLES = 16
 MOVE_TIME = 20.0  # control steps that a move costs besides the way
+ROOM = 0.26  # units between blocks
 TASTE = 16.0  # control steps that a demonstrator gives for the orientation it likes best
 
 
 def make_line(sight: Sight, style: Style, plan: Plan) -> Plan:
     """Places for all blocks on the line that is made soonest."""
-    if is_line(sight.blocks):
+    if is_made(sight):
         return Plan()
     places = plan.places or _best_places(sight.blocks, style)
     moves = tuple(
@@ -69,9 +70,16 @@ def _cost(places: Sequence[Point], blocks: Sequence[Point], style: Style) -> flo
         distance = math.dist(place, block)
         cost += MOVE_TIME + 12.0 * distance if distance > TOLERANCE else 0.0
         cost += 400.0 * max(0.0, abs(place[0]) - LIMIT, abs(place[1]) - LIMIT)
+    for place, other in permutations(zip(places, blocks, strict=True), 2):
+        cost += 60.0 * max(0.0, ROOM - math.dist(place[0], other[1]))
     (x0, y0), (x1, y1) = places[0], places[-1]
     angle = math.atan2(y1 - y0, x1 - x0) % math.pi / math.pi
     return cost + TASTE * style.places[int(angle * ANGLES) % ANGLES]
 
 
-register_goals("MakeLine", make_line)
+def is_made(sight: Sight) -> bool:
+    """Whether the blocks come to rest in one line."""
+    return is_line(sight.resting)
+
+
+register_goals("MakeLine", Goals(make_line, is_made))

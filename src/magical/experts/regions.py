@@ -3,14 +3,14 @@
 import math
 from collections.abc import Iterable, Sequence
 
-from magical.experts.goals import Move, Plan, Style, register_goals
+from magical.experts.goals import Goals, Move, Plan, Style, register_goals
 from magical.experts.paths import gap
 from magical.experts.sight import Sight, inside
 from magical.scene import Region
 from magical.scene.geometry import Point
 
-MARGIN = 0.11  # units inside a region's edge (outside, for blocks that leave) that are aimed at
-TOLERANCE = 0.07  # units
+MARGIN = 0.12  # units inside a region's edge (outside, for blocks that leave) that are aimed at
+TOLERANCE = 0.08  # units
 ROOM = 0.27  # units between the centres of two blocks side by side
 TICKS = tuple(-0.84 + 0.12 * i for i in range(15))
 CORNER = (-0.82, 0.82)
@@ -73,7 +73,7 @@ def fix_colour(sight: Sight, style: Style, plan: Plan) -> Plan:
 
 def _ins(sight: Sight, region: Region, wanted: Iterable[int]) -> list[Move]:
     outside = [i for i in wanted if not _inset(region, 0.02).contains(*sight.blocks[i])]
-    area = _inset(region, 0.06)
+    area = _inset(region, 0.04)
     return [Move(_place_in(sight, region, i), TOLERANCE, i, area=area) for i in outside]
 
 
@@ -143,8 +143,8 @@ def _along(place: Point, start: Point, others: Sequence[Point]) -> float:
     return sum(40.0 * max(0.0, ROOM - gap(start, place, other)) for other in others)
 
 
-register_goals("MoveToCorner", move_to_corner)
-register_goals("MoveToRegion", move_to_region)
-register_goals("MatchRegions", match_regions)
-register_goals("FindDupe", find_dupe)
-register_goals("FixColour", fix_colour)
+register_goals("MoveToCorner", Goals(move_to_corner))
+register_goals("MoveToRegion", Goals(move_to_region))
+register_goals("MatchRegions", Goals(match_regions))
+register_goals("FindDupe", Goals(find_dupe))
+register_goals("FixColour", Goals(fix_colour))

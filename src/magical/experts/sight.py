@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from magical.scene import Scene, State
 from magical.scene.geometry import Point
-from magical.scene.poses import FIRST_BLOCK, ROBOT
+from magical.scene.poses import FINGERS, FIRST_BLOCK, ROBOT
 
 GLIDE = 0.09  # s: a block that is let go moves on for about its speed times this
 
@@ -21,7 +21,9 @@ class Sight:
     x: float
     y: float
     angle: float
+    speed: float  # forwards
     spin: float
+    opening: float  # of the fingers, mean; FINGER_OPEN at rest
     cos: float
     sin: float
     blocks: tuple[Point, ...]  # centres, in the scene's order
@@ -33,7 +35,7 @@ class Sight:
         """Unpack a state."""
         rows = state.poses.bodies.tolist()
         x, y, angle = rows[ROBOT]
-        spin = float(state.velocities[ROBOT, 2])
+        vx, vy, spin = state.velocities[ROBOT].tolist()
         blocks = tuple((row[0], row[1]) for row in rows[FIRST_BLOCK:])
         drift = state.velocities[FIRST_BLOCK:].tolist()
         resting = tuple(
@@ -41,7 +43,12 @@ class Sight:
             for (x, y), v in zip(blocks, drift, strict=True)
         )
         cos, sin = math.cos(angle), math.sin(angle)
-        return Sight(state.scene, x, y, angle, spin, cos, sin, blocks, resting, state.steps_left)
+        speed = cos * vy - sin * vx
+        left = state.steps_left
+        opening = 0.5 * (rows[FINGERS.start][2] - rows[FINGERS.start + 1][2])
+        return Sight(
+            state.scene, x, y, angle, speed, spin, opening, cos, sin, blocks, resting, left
+        )
 
     def local(self, point: Point) -> Point:
         """A point in the robot's frame: x to its right, y ahead."""

@@ -1,0 +1,101 @@
+"""Driving without a block: to a place, and up to a block until it is between the open fingers.
+
+A tap of one control step turns the robot by about 0.3 rad and there is no half tap, so headings
+are corrected where the error is worth a tap, and judged at the angle where the turn will stop.
+"""
+
+import math
+from collections.abc import Sequence
+
+from magical.experts.grasp import CONE, CROWDED, GATE, HOLD, TIGHT_CONE, behind, in_jaw
+from magical.experts.motions import TAP
+from magical.experts.paths import is_clear, next_waypoint
+from magical.experts.sight import Sight, bearing, inside, wrap
+from magical.scene.actions import Action, Gripper, Longitudinal, Turn
+from magical.scene.geometry import Point
+
+CLEARANCE = 0.34  # units from the robot's centre to an obstacle's when planning ways
+SWEEP = 0.53  # units within which a turn on the spot would hit a block with the fingers
+AIMED = 0.35  # rad: heading errors up to which it makes sense to drive on
+ARC = 1.1  # rad: the same where there is room for an arc
+_ARC_ROOM = 0.6  # units to the goal from which an arc is possible: its radius is 0.32 at full speed
+_BRAKING = 27.0  # rad / s^2: how fast an empty robot stops turning
+_FAR = 0.5  # units: further away, heading errors can wait until they are worth a whole tap
+_REAR_LIMIT = 0.82  # largest coordinate of the point 0.1 behind the robot's centre
+
+
+def travel(sight: Sight, goal: Point, obstacles: Sequence[Point]) -> int:
+    """Drive to a point around blocks that must not move, fingers open."""
+    here = (sight.x, sight.y)
+    point = next_waypoint(here, goal, obstacles, CLEARANCE)
+    return _head(sight, point, heading_error(sight, bearing(here, point)), obstacles)
+
+
+def approach(sight: Sight, block: Point, side: float, others: Sequence[Point]) -> int:
+    """Drive so that the block comes between the open fingers at bearing `side`."""
+    here = (sight.x, sight.y)
+    straight, away = bearing(here, block), sight.distance(block)
+    stand = behind(block, straight, HOLD)
+    free = away < GATE + 0.12 or is_clear(here, stand, others, CLEARANCE - 0.04)
+    crowded = any(math.dist(block, other) < CROWDED for other in others)
+    if abs(wrap(straight - side)) > (TIGHT_CONE if crowded else CONE) or not free:
+        return travel(sight, behind(block, side, GATE), (*others, block))
+    error = heading_error(sight, straight)
+    if abs(error) > AIMED and can_back(sight, others):
+        if away < SWEEP:
+            return _act(Longitudinal.BACK, turn_by(error, 0.8 * TAP))
+        if _sweeps(sight, error, others, SWEEP):
+            return _act(Longitudinal.BACK, Turn.STRAIGHT)
+    return _drive(sight, block, error)
+
+
+def heading_error(sight: Sight, heading: float) -> float:
+    """What is left to turn, counter-clockwise, once the present turn has come to rest."""
+    return wrap(heading - sight.angle - sight.spin * abs(sight.spin) / (2 * _BRAKING))
+
+
+def turn_by(error: float, threshold: float) -> Turn:
+    """The turn that reduces an error that is worth it."""
+    if error > threshold:
+        return Turn.LEFT
+    return Turn.RIGHT if error < -threshold else Turn.STRAIGHT
+
+
+def can_back(sight: Sight, obstacles: Sequence[Point]) -> bool:
+    """Whether there is room behind the robot."""
+    rear = sight.ahead(-0.1)
+    return inside(rear, _REAR_LIMIT) and all(
+        math.dist(rear, other) > 0.31 or sight.local(other)[1] > 0 for other in obstacles
+    )
+
+
+def _act(drive: Longitudinal, turn: Turn) -> int:
+    return Action(drive, turn, Gripper.OPEN).id
+
+
+def _head(sight: Sight, point: Point, error: float, obstacles: Sequence[Point]) -> int:
+    """Drive towards a point, first backing off blocks that the fingers hold or would push."""
+    held = any(in_jaw(sight, other) for other in obstacles)
+    if held and inside(sight.ahead(-0.1), _REAR_LIMIT):
+        return _act(Longitudinal.BACK, Turn.STRAIGHT)
+    if abs(error) > AIMED and _sweeps(sight, error, obstacles, SWEEP) and can_back(sight, obstacles):
+        return _act(Longitudinal.BACK, Turn.STRAIGHT)
+    return _drive(sight, point, error, arc=not _sweeps(sight, error, obstacles, 1.3 * SWEEP))
+
+
+def _drive(sight: Sight, point: Point, error: float, arc: bool = True) -> int:
+    """Head for a point; on an arc where that is allowed and there is room for one."""
+    distance = sight.distance(point)
+    turn = turn_by(error, (0.8 if distance > _FAR else 0.55) * TAP)
+    widest = ARC if arc and distance > _ARC_ROOM else AIMED
+    return _act(Longitudinal.FORWARD if abs(error) < widest else Longitudinal.STOP, turn)
+
+
+def _sweeps(sight: Sight, error: float, obstacles: Sequence[Point], reach: float) -> bool:
+    """Whether turning by `error` would push a block that is close in front."""
+    low, high = min(0.0, error) - 0.5, max(0.0, error) + 0.5
+    for obstacle in obstacles:
+        x, y = sight.local(obstacle)
+        if y > 0.1 and x * x + y * y < reach * reach and low < math.atan2(-x, y) < high:
+            return True
+    return False
