@@ -1,6 +1,7 @@
 """Trajectories, and published files made by hand."""
 
 import gzip
+import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,12 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from magical.cli import main
 from magical.demos import DatasetWriter, Trajectory
 from magical.envs import parse_env_id
 from magical.physics import World
 from magical.tasks import get_task
 
 MakeTrajectory = Callable[..., Trajectory]
+Run = Callable[..., tuple[int, dict[str, Any]]]
 
 
 @pytest.fixture(scope="session")
@@ -69,6 +72,23 @@ def small_dataset(tmp_path: Path, make_trajectory: MakeTrajectory) -> Path:
     writer.append(make_trajectory("magical/FindDupe-TestAll-v0", seed=2, demonstrator="other"))
     writer.append(make_trajectory("magical/MoveToCorner-TestJitter-v0", seed=3))
     return path
+
+
+@pytest.fixture(scope="session")
+def archive(shared: Path) -> Path:
+    return shared / "human-demos"
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Runs the command; returns its exit status and JSON."""
+
+    def call(*command: Any) -> tuple[int, dict[str, Any]]:
+        status = main(["demos", *map(str, command), "--json"])
+        last = capsys.readouterr().out.splitlines()[-1]
+        return status, json.loads(last)
+
+    return call
 
 
 class Published:

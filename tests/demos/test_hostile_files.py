@@ -7,7 +7,6 @@ import os
 import pickle
 import subprocess
 import sys
-from collections import namedtuple
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -20,7 +19,7 @@ import pytest
 from magical.cli import main
 from magical.demos import Dataset
 from magical.demos.published import read_published
-from magical.demos.safe_pickle import load
+from magical.demos.safe_pickle import Record, load
 from magical.errors import MagicalError, UnsafeFileError
 
 MARKER = Path("executed")  # in the working folder, which is the test's own
@@ -83,9 +82,20 @@ ARMED: dict[str, Callable[[], bytes]] = {
     },
     "builtins.eval": lambda: dumped(eval, SCRIPT),
     "builtins.exec": lambda: dumped(exec, SCRIPT),
-    "builtins.exec by its old name": lambda: b"c__builtin__\nexec\n(S" + repr(SCRIPT).encode() + b"\ntR.",
-    "getattr chain": lambda: b"\x80\x04" + text("builtins") + text("getattr") + b"\x93("
-    + called("importlib", "import_module", "os") + text("system") + b"tR(" + text(TOUCH) + b"tR.",
+    "builtins.exec by its old name": lambda: (
+        b"c__builtin__\nexec\n(S" + repr(SCRIPT).encode() + b"\ntR."
+    ),
+    "getattr chain": lambda: (
+        b"\x80\x04"
+        + text("builtins")
+        + text("getattr")
+        + b"\x93("
+        + called("importlib", "import_module", "os")
+        + text("system")
+        + b"tR("
+        + text(TOUCH)
+        + b"tR."
+    ),
     "dotted name": lambda: b"\x80\x04" + called("os", "path.os.system", TOUCH) + b".",
     "subprocess": lambda: dumped(subprocess.check_call, ["touch", str(MARKER)]),
     "nested in the trajectory": lambda: nested(called(OS, "system", TOUCH)),
@@ -94,36 +104,76 @@ ARMED: dict[str, Callable[[], bytes]] = {
     "INST": lambda: b"(S" + repr(TOUCH).encode() + b"\ni" + OS.encode() + b"\nsystem\n.",
     "OBJ": lambda: b"(c" + OS.encode() + b"\nsystem\nS" + repr(TOUCH).encode() + b"\no.",
     "open for writing": lambda: b"\x80\x04" + called("io", "open", str(MARKER), "w") + b".",
-    "numpy saving a file": lambda: b"\x80\x04" + text("numpy") + text("save") + b"\x93("
-    + text(str(MARKER)) + b"]K\x01aK\x00tR0N.",
+    "numpy saving a file": lambda: (
+        b"\x80\x04"
+        + text("numpy")
+        + text("save")
+        + b"\x93("
+        + text(str(MARKER))
+        + b"]K\x01aK\x00tR0N."
+    ),
     "runpy": lambda: b"\x80\x04" + called("runpy", "run_path", "evil.py") + b".",
     "state of an object": lambda: pickle.dumps(
         Calls(copyreg._reconstructor, object, object, None, state=Calls(os.system, TOUCH))  # type: ignore[attr-defined]
     ),
 }
 DEVIOUS: dict[str, bytes] = {
-    "NEWOBJ_EX": b"\x80\x04" + text("subprocess") + text("Popen") + b"\x93)}"
-    + text("args") + b"](" + text("touch") + text(str(MARKER)) + b"es\x92.",
+    "NEWOBJ_EX": b"\x80\x04"
+    + text("subprocess")
+    + text("Popen")
+    + b"\x93)}"
+    + text("args")
+    + b"]("
+    + text("touch")
+    + text(str(MARKER))
+    + b"es\x92.",
     "persistent id": b"\x80\x04" + text("x") + b"Q.",
     "persistent id as text": b"Pos.system\n.",
     "numpy loading a file": b"\x80\x04" + called("numpy", "load", "evil.npy") + b".",
-    "BUILD on a function": b"\x80\x04" + text("numpy.core.multiarray") + text("_reconstruct")
-    + b"\x93}" + text("__code__") + b"Nsb.",
-    "BUILD on a function by slots": b"\x80\x04" + text("numpy.core.multiarray")
-    + text("_reconstruct") + b"\x93N}" + text("__code__") + b"Ns\x86b.",
-    "BUILD on a class": b"\x80\x04" + text("collections") + text("OrderedDict") + b"\x93}"
-    + text("__setitem__") + b"Nsb.",
-    "calling ndarray": b"\x80\x04" + text("numpy") + text("ndarray") + b"\x93J\xff\xff\xff\x7f\x85R.",
-    "reconstructing another class": b"\x80\x04" + text("numpy.core.multiarray")
-    + text("_reconstruct") + b"\x93" + text("collections") + text("OrderedDict")
+    "BUILD on a function": b"\x80\x04"
+    + text("numpy.core.multiarray")
+    + text("_reconstruct")
+    + b"\x93}"
+    + text("__code__")
+    + b"Nsb.",
+    "BUILD on a function by slots": b"\x80\x04"
+    + text("numpy.core.multiarray")
+    + text("_reconstruct")
+    + b"\x93N}"
+    + text("__code__")
+    + b"Ns\x86b.",
+    "BUILD on a class": b"\x80\x04"
+    + text("collections")
+    + text("OrderedDict")
+    + b"\x93}"
+    + text("__setitem__")
+    + b"Nsb.",
+    "calling ndarray": b"\x80\x04"
+    + text("numpy")
+    + text("ndarray")
+    + b"\x93J\xff\xff\xff\x7f\x85R.",
+    "reconstructing another class": b"\x80\x04"
+    + text("numpy.core.multiarray")
+    + text("_reconstruct")
+    + b"\x93"
+    + text("collections")
+    + text("OrderedDict")
     + b"\x93K\x00\x85C\x01b\x87R.",
-    "object dtype": b"\x80\x04" + text("numpy") + text("dtype") + b"\x93" + text("O8")
+    "object dtype": b"\x80\x04"
+    + text("numpy")
+    + text("dtype")
+    + b"\x93"
+    + text("O8")
     + b"K\x00K\x01\x87R.",
     "allowed module, other name": b"\x80\x04" + text("numpy") + text("fromfile") + b"\x93.",
-    "the five under another module": b"\x80\x04" + text("numpy._core.multiarray")
-    + text("_reconstruct") + b"\x93.",
-    "dotted from an allowed name": b"\x80\x04" + text("collections")
-    + text("OrderedDict.__init__.__globals__") + b"\x93.",
+    "the five under another module": b"\x80\x04"
+    + text("numpy._core.multiarray")
+    + text("_reconstruct")
+    + b"\x93.",
+    "dotted from an allowed name": b"\x80\x04"
+    + text("collections")
+    + text("OrderedDict.__init__.__globals__")
+    + b"\x93.",
     "a buffer out of band": b"\x80\x05\x97.",
     "a set": b"\x80\x04\x8f.",
     "terminal escapes": b"\x80\x04" + text("os\x1b[2J\x07") + text("system") + b"\x93.",
@@ -160,7 +210,7 @@ def test_armed_pickle_is_refused_and_does_nothing(
 ) -> None:
     payload = ARMED[name]()
     record = ModuleType("milbench.baselines.saved_trajectories")
-    record.MILBenchTrajectory = namedtuple("MILBenchTrajectory", "acts obs rews infos")  # type: ignore[attr-defined]
+    vars(record)["MILBenchTrajectory"] = Record
     for module in ("milbench", "milbench.baselines", record.__name__):
         monkeypatch.setitem(sys.modules, module, record)
     with suppress(pickle.UnpicklingError):
@@ -192,114 +242,10 @@ def refuse(here: Path, payload: bytes) -> None:
 
 
 def test_message_says_what_and_where() -> None:
-    with pytest.raises(UnsafeFileError, match=r"byte 2\d.*it names os\.system, expected only numpy"):
+    with pytest.raises(
+        UnsafeFileError, match=r"byte 2\d.*it names os\.system, expected only numpy"
+    ):
         load(io.BytesIO(b"\x80\x04" + text("a" * 8) + called("os", "system")), lambda a: a)
-
-
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        (lambda p: p.obs.pop(), "expected 3 observations for 2 actions, found 2"),
-        (lambda p: p.obs.append(p.obs[0]), "found 4"),
-        (lambda p: setattr(p, "acts", b"]"), "acts"),
-        (lambda p: setattr(p, "score", b"N"), "score"),
-        (lambda p: setattr(p, "score", b"G" + np.array(np.nan, ">f8").tobytes()), "score"),
-        (lambda p: setattr(p, "env_name", text("MoveToCornr-Demo-v0")), "no task"),
-        (lambda p: setattr(p, "env_name", text("MoveToCorner-TestAll-v0")), "Demo"),
-        (lambda p: setattr(p, "env_name", b"K\x01"), "name"),
-        (lambda p: setattr(p, "after", b"x"), "after the end"),
-    ],
-)
-def test_parts_that_do_not_fit(tmp_path: Path, published: Any, change: Any, says: str) -> None:
-    made = published()
-    assert len(read_published(made.write(tmp_path / "good.pkl.gz"))) == 2
-    change(made)
-    file = made.write(tmp_path / "bad.pkl.gz")
-    with pytest.raises(MagicalError, match=says) as caught:
-        read_published(file)
-    assert str(file) in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("values", "shape"),
-    [
-        (np.zeros((384, 384, 3)), None),
-        (np.zeros((96, 96, 3), np.uint8), None),
-        (np.zeros((384, 384, 3), np.uint8), (384, 384, 4)),
-        (np.zeros((384, 384, 3), np.uint8), (-384, -384, 3)),
-        (np.zeros((384, 384), np.uint8), None),
-        (np.zeros(4, np.uint8), None),
-    ],
-)
-def test_arrays_of_another_kind(tmp_path: Path, published: Any, values: Any, shape: Any) -> None:
-    made = published()
-    made.obs[0] = made.observation(values, shape)
-    with pytest.raises(MagicalError, match=r"bad\.pkl\.gz"):
-        read_published(made.write(tmp_path / "bad.pkl.gz"))
-
-
-def test_truncated_gzip_everywhere(tmp_path: Path, published: Any) -> None:
-    raw = gzip.compress(published().pickle, 1)
-    file = tmp_path / "cut.pkl.gz"
-    for end in (*range(0, 20), len(raw) // 2, len(raw) - 9, len(raw) - 1):
-        file.write_bytes(raw[:end])
-        with pytest.raises(UnsafeFileError, match=r"cut\.pkl\.gz"):
-            read_published(file)
-
-
-def test_flips_in_a_gzip_never_crash(tmp_path: Path, published: Any) -> None:
-    raw, rng = gzip.compress(published(steps=1).pickle, 1), np.random.default_rng(0)
-    whole = read_published(published(steps=1).write(tmp_path / "good.pkl.gz"))
-    file = tmp_path / "flip.pkl.gz"
-    for place in (*range(12), *rng.integers(len(raw), size=30).tolist(), len(raw) - 3):
-        file.write_bytes(raw[:place] + bytes([raw[place] ^ 4]) + raw[place + 1 :])
-        try:
-            assert read_published(file).frames.keys() == whole.frames.keys()  # type: ignore[union-attr]
-        except MagicalError as error:
-            assert "flip.pkl.gz" in str(error)
-
-
-MEASURE = """
-import resource, sys, time
-from pathlib import Path
-from magical.demos.published import read_published
-from magical.errors import MagicalError
-read_published(Path(sys.argv[1]))
-before, start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
-try:
-    read_published(Path(sys.argv[2]))
-    print("read")
-except MagicalError as error:
-    used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
-    print(time.process_time() - start, used // 1024, error)
-"""
-MB = 1 << 20
-BOMBS = {  # what comes first, what comes then, and how many megabytes of that
-    "zeros": (b"", b"\x00", 10_000),
-    "many small lists": (b"\x80\x04", b"]\x94", 400),
-    "nested lists": (b"\x80\x04", b"](", 400),
-    "large strings": (b"\x80\x04", b"B" + np.uint32(MB - 5).tobytes() + b"x" * (MB - 5), 400),
-    "bytes of no array": (b"\x80\x04", b"B" + np.uint32(MB // 2 - 5).tobytes() + b"x" * (MB // 2 - 5), 400),
-    "one large string": (b"\x80\x04\x8e" + (400 * MB).to_bytes(8, "little"), b"x", 400),
-    "a large line": (b"c", b"x", 400),
-}
-
-
-@pytest.mark.parametrize("name", BOMBS)
-def test_bomb_is_refused_quickly_in_little_memory(
-    tmp_path: Path, published: Any, name: str
-) -> None:
-    good, bomb = published().write(tmp_path / "good.pkl.gz"), tmp_path / "bomb.pkl.gz"
-    first, then, megabytes = BOMBS[name]
-    member = gzip.compress(then * (10 * MB // len(then)), 1)
-    bomb.write_bytes(gzip.compress(first) + member * (megabytes // 10))
-    done = subprocess.run(
-        [sys.executable, "-c", MEASURE, good, bomb], capture_output=True, text=True, check=True
-    )
-    seconds, megabytes, message = done.stdout.split(maxsplit=2)
-    assert "bomb.pkl.gz" in message
-    assert float(seconds) <= 2.0
-    assert int(megabytes) <= 200
 
 
 def test_one_bad_file_does_not_stop_the_others(

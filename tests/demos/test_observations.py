@@ -134,7 +134,7 @@ def test_arrays_hold_every_step(
     )
     expected = [observations(trajectory, preset, range(len(trajectory))) for trajectory in made]
     if isinstance(expected[0], dict):
-        expected = [{v: np.concatenate([e[v] for e in expected]) for v in expected[0]}]  # type: ignore[call-overload, index]
+        expected = [{v: np.concatenate([e[v] for e in expected]) for v in expected[0]}]
         assert_same(arrays["observations"], expected[0])
     else:
         assert_same(arrays["observations"], np.concatenate(expected))  # type: ignore[arg-type]

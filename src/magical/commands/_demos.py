@@ -32,7 +32,9 @@ def run_download(args: argparse.Namespace) -> int:
 
     wanted = {f: s for f, s in published_sums().items() if fnmatch.fnmatch(f, args.files)}
     if not wanted:
-        raise DownloadError(f"--files {args.files}: expected some of the published files, found none")
+        raise DownloadError(
+            f"--files {args.files}: expected some of the published files, found none"
+        )
     DatasetWriter(args.out)
     have = {(e.source, e.source_sha256) for e in Dataset.open(args.out).entries}
     missing = {f: s for f, s in wanted.items() if (Path(f).name, s) not in have}
@@ -98,7 +100,7 @@ def run_info(args: argparse.Namespace) -> int:
             f"{s.lengths[0]}-{s.lengths[2]}",
             _number(s.score),
             _number(s.published_code_score),
-            f"{s.bytes / s.count / 1000:.0f}",
+            f"{s.size / s.count / 1000:.0f}",
             ", ".join(s.demonstrators),
         )
         for s in summaries
@@ -154,7 +156,9 @@ def run_replay(args: argparse.Namespace) -> int:
     ]
     print_table(header, rows)
     print()
-    print("recorded, replayed, published: by the published code's rule; appendix: by the appendix's.")
+    print(
+        "recorded, replayed, published: by the published code's rule; appendix: by the appendix's."
+    )
     print("published: 25 human demonstrations replayed in the published implementation, as they")
     print("are and with the robot's start moved by 1e-9. exact: ended in the recorded poses.")
     _log_problems(dataset.problems)
@@ -194,7 +198,7 @@ def run_export(args: argparse.Namespace) -> int:
 
         names = export_minari(dataset, args.name, args.preset, args.out)
         print("\n".join(names))
-        result = {"to": "minari", "datasets": names}
+        result: dict[str, object] = {"to": "minari", "datasets": names}
     else:
         from magical.demos.export_lerobot import export_lerobot
 
@@ -209,7 +213,10 @@ def run_export(args: argparse.Namespace) -> int:
 
 
 def _import(
-    files: list[Path], args: argparse.Namespace, max_bytes: int, not_fetched: list[str] | None = None
+    files: list[Path],
+    args: argparse.Namespace,
+    max_bytes: int,
+    not_fetched: list[str] | None = None,
 ) -> int:
     from magical.demos.importing import import_published
 

@@ -70,12 +70,14 @@ def _configure_generate(parser: argparse.ArgumentParser) -> None:
         "--env", action="append", required=True, metavar="ID", help="environment; may be repeated"
     )
     parser.add_argument(
-        "-n", type=positive_int, default=25, metavar="N", help="demonstrations of each (default: 25)"
+        "-n",
+        type=positive_int,
+        default=25,
+        metavar="N",
+        help="demonstrations of each (default: 25)",
     )
     _add_out(parser)
-    parser.add_argument(
-        "--seed", type=non_negative_int, default=0, metavar="S", help="default: 0"
-    )
+    parser.add_argument("--seed", type=non_negative_int, default=0, metavar="S", help="default: 0")
     parser.add_argument(
         "--min-score", type=float, default=0.0, metavar="X", help="drop those that score less"
     )
@@ -109,7 +111,7 @@ def _configure_video(parser: argparse.ArgumentParser) -> None:
         type=non_negative_int,
         action="append",
         metavar="I",
-        help="which demonstration, from 0; may be repeated (default: the first of each environment)",
+        help="which demonstration, from 0; may be repeated (default: one of each environment)",
     )
     parser.add_argument(
         "--rate", type=float, default=8.0, metavar="HZ", help="steps a second (default: 8)"

@@ -1,9 +1,9 @@
 """Demonstrations: trajectories, datasets, the published human ones, recording, export.
 
-    from magical.demos import Dataset, RecordTrajectories
+from magical.demos import Dataset, RecordTrajectories
 
-    dataset = Dataset.open("demos").filter(task="MoveToCorner", min_score=0.9)
-    arrays = dataset.arrays(preset="LoRes4E")
+dataset = Dataset.open("demos").filter(task="MoveToCorner", min_score=0.9)
+arrays = dataset.arrays(preset="LoRes4E")
 """
 
 from typing import TYPE_CHECKING, Any

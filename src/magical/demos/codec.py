@@ -1,8 +1,8 @@
 """A trajectory as one .npz file: plain arrays that NumPy alone reads, without pickle.
 
 Members: `header` (JSON as uint8), `actions` (T,) uint8, and either `poses` (T + 1, 5 + blocks, 3)
-float64 or `frames_allo` and `frames_ego` (T + 1, 96, 96, 3) uint8. Deflate finds the repeated rows of
-blocks at rest, and a frame's predecessor, by itself: filters before it gained nothing.
+float64 or `frames_allo` and `frames_ego` (T + 1, 96, 96, 3) uint8. Deflate finds the repeated rows
+of blocks at rest, and a frame's predecessor, by itself: filters before it gained nothing.
 """
 
 import hashlib
@@ -68,7 +68,7 @@ def decode(raw: bytes) -> Trajectory:
 def fingerprint(raw: bytes) -> str:
     """What an encoded trajectory's actions and poses or frames are told apart by.
 
-    Made of the archive's own check sums, so it costs nothing; for finding duplicates, not forgeries.
+    Made of the archive's own check sums, so it costs nothing; for finding copies, not forgeries.
     """
     with zipfile.ZipFile(io.BytesIO(raw)) as archive:
         members = sorted((i.filename, i.CRC, i.file_size) for i in archive.infolist())

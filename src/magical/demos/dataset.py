@@ -94,7 +94,7 @@ class Dataset(Sequence[Trajectory]):
         raw = read_file(path)
         if hashlib.sha256(raw).hexdigest() != entry.sha256:
             raise DatasetError(
-                f"{path}: expected {entry.bytes} bytes with SHA-256 {entry.sha256[:12]}..., found "
+                f"{path}: expected {entry.size} bytes with SHA-256 {entry.sha256[:12]}..., found "
                 f"{len(raw)} bytes with another; it was changed or cut after it was written"
             )
         try:

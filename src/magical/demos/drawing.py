@@ -39,9 +39,9 @@ class Frames:
         self._recorded: Pixels | None = None
         self._renderer: Renderer | None = None
         if trajectory.poses is not None:
-            from magical.render import Renderer  # drawing brings in numba: only when needed
+            from magical import render  # drawing brings in numba: only when needed
 
-            self._renderer = Renderer(trajectory.scene, View(view), size, samples)
+            self._renderer = render.Renderer(trajectory.scene, View(view), size, samples)
         else:
             self._recorded = _recorded(trajectory, str(view), size, samples)
 
@@ -193,7 +193,9 @@ def empty(spec: PixelSpec, count: int) -> Arrays:
 
 
 def _counted(lengths: Sequence[int]) -> NDArray[np.int64]:
-    return np.concatenate([np.arange(n, dtype=np.int64) for n in lengths] or [np.empty(0, np.int64)])
+    return np.concatenate(
+        [np.arange(n, dtype=np.int64) for n in lengths] or [np.empty(0, np.int64)]
+    )
 
 
 def _recorded(trajectory: Trajectory, view: str, size: int, samples: int | None) -> Pixels:
@@ -202,8 +204,8 @@ def _recorded(trajectory: Trajectory, view: str, size: int, samples: int | None)
     if frames is None or size != FRAME_SIZE or samples not in (None, averaged):
         raise TrajectoryError(
             f"{trajectory.env_id}: this recording has only pictures of {FRAME_SIZE} x {FRAME_SIZE} "
-            f"pixels of the views {', '.join(trajectory.frames or {})}, not {view} frames of {size} "
-            f"x {size} with {samples or 'any'} samples; use a preset of that size, or replay it"
+            f"pixels of the views {', '.join(trajectory.frames or {})}, not {view} frames of "
+            f"{size} x {size} with {samples or 'any'} samples; use a preset of that size"
         )
     return frames
 

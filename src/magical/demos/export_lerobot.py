@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 import magical
 from magical.demos.dataset import Dataset
+from magical.demos.drawing import Frames
 from magical.demos.lerobot_stats import Stats, merged
 from magical.demos.lerobot_video import VIDEO_INFO, Film
-from magical.demos.drawing import Frames
 from magical.demos.trajectory import FRAME_SIZE, VIEWS, Trajectory
 from magical.errors import DatasetError
 from magical.scene.constants import CONTROL_RATE
@@ -242,21 +242,19 @@ def _arrow(column: NDArray[Any]) -> Any:
 
 def _task_table(tasks: list[str]) -> Any:
     """The tasks as pandas writes a frame that is indexed by them, which readers expect."""
-    table = pa.table({"task_index": range(len(tasks)), "task": tasks})
-    column = {"metadata": None, "field_name": None}
-    pandas = {
+
+    def column(name: str, pandas_type: str, numpy_type: str) -> dict[str, Any]:
+        types = {"pandas_type": pandas_type, "numpy_type": numpy_type}
+        return {"name": name, "field_name": name, "metadata": None, **types}
+
+    description = {
         "index_columns": ["task"],
         "column_indexes": [],
-        "columns": [
-            column | {"name": "task_index", "pandas_type": "int64", "numpy_type": "int64"},
-            column | {"name": "task", "pandas_type": "unicode", "numpy_type": "object"},
-        ],
+        "columns": [column("task_index", "int64", "int64"), column("task", "unicode", "object")],
         "pandas_version": "2.2.0",
     }
-    for entry in pandas["columns"]:
-        assert isinstance(entry, dict)
-        entry["field_name"] = entry["name"]
-    return table.replace_schema_metadata({"pandas": json.dumps(pandas)})
+    table = pa.table({"task_index": range(len(tasks)), "task": tasks})
+    return table.replace_schema_metadata({"pandas": json.dumps(description)})
 
 
 def _flat(stats: Mapping[str, Stats]) -> dict[str, Any]:

@@ -57,7 +57,9 @@ def export_minari(
 def _create(minari_id: str, spec: Any, part: Dataset, preset: str) -> None:
     with warnings.catch_warnings():
         # Minari warns of every missing author and link; a dataset's owner adds those.
-        warnings.filterwarnings("ignore", message=r"`(author|author_email|code_permalink|eval_env)` is set")
+        warnings.filterwarnings(
+            "ignore", message=r"`(author|author_email|code_permalink|eval_env)` is set"
+        )
         created = minari.create_dataset_from_buffers(
             minari_id,
             buffer=_buffers(part, preset),  # one at a time: Minari only iterates

@@ -1,6 +1,6 @@
 """Demonstrations from the scripted experts."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -63,7 +63,7 @@ def generate(
     attempt = partial(_attempt, str(parse_env_id(env_id)), seed, skill)
     scores: list[float] = []
     dropped = 0
-    with closing(_results(attempt, number, workers)) as results:
+    with closing(in_processes(attempt, count(), workers)) as results:
         while len(scores) < number:
             if dropped > PATIENCE * number:
                 raise DatasetError(
@@ -117,9 +117,3 @@ def _attempt(env_id: str, seed: int, skill: float, attempt: int) -> tuple[Entry,
     trajectory = demonstrate(env_id, episode_seed(seed, attempt), skill)
     raw = encode(trajectory)
     return Entry.of(trajectory, raw), raw
-
-
-def _results(
-    attempt: Callable[[int], tuple[Entry, bytes]], number: int, workers: int | None
-) -> Iterator[tuple[Entry, bytes]]:
-    return in_processes(attempt, count(), workers)

@@ -3,10 +3,10 @@
 from fractions import Fraction
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import av
 import numpy as np
+from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
 from magical.demos.trajectory import FRAME_SIZE
@@ -32,9 +32,11 @@ class Film:
 
     def __init__(self, path: Path, fps: int) -> None:
         self._container = av.open(str(path), "w")
-        self._stream: Any = self._container.add_stream(CODEC, rate=fps, options=dict(OPTIONS))
-        self._stream.width = self._stream.height = FRAME_SIZE
-        self._stream.pix_fmt = PIXEL_FORMAT
+        stream = self._container.add_stream(CODEC, rate=fps, options=dict(OPTIONS))
+        assert isinstance(stream, VideoStream)
+        stream.width = stream.height = FRAME_SIZE
+        stream.pix_fmt = PIXEL_FORMAT
+        self._stream = stream
         self._step = Fraction(1, fps)
         self._count = 0
 

@@ -1,7 +1,7 @@
 """A dataset's list of contents: one line of JSON a trajectory, only ever appended to.
 
-Every line ends with a check sum over itself and the line before, so that a changed, lost or moved line
-shows. A line cut off at the end, or an end cut off, shows as trajectory files that are not listed.
+Every line ends with a check sum over itself and the line before, so that a changed, lost or moved
+line shows. An end that was cut off shows as trajectory files that are not listed.
 """
 
 import hashlib
@@ -31,7 +31,7 @@ class Entry:
     index: int
     file: str  # relative to the dataset's folder
     sha256: str
-    bytes: int
+    size: int  # bytes
     env_id: str
     length: int  # control steps
     score: float | None
@@ -55,7 +55,7 @@ class Entry:
             index=index,
             file=_file(index, parsed.task, parsed.variant),
             sha256=hashlib.sha256(raw).hexdigest(),
-            bytes=len(raw),
+            size=len(raw),
             env_id=trajectory.env_id,
             length=len(trajectory),
             score=trajectory.score,

@@ -1,9 +1,9 @@
 """Reading published pickles without executing anything.
 
-A pickle is a program for a small stack machine whose opcodes may import and call things. The machine
-here has only the opcodes that build plain data. The five names that the published files mention are
-tokens to it: "calling" one makes a value of this module after its arguments were checked, and
-everything else is refused. No foreign code is looked up, imported or called, so none can run.
+A pickle is a program for a small stack machine whose opcodes may import and call things. The
+machine here has only the opcodes that build plain data. The five names that the published files
+mention are tokens to it: "calling" one makes a value of this module after its arguments were
+checked, and everything else is refused. No foreign code is looked up, imported or called.
 """
 
 import math
@@ -274,10 +274,9 @@ _CONSTANTS: dict[str, Callable[[], Any]] = {
     "EMPTY_TUPLE": tuple,
     "EMPTY_DICT": dict,
 }
-_PUSHES = frozenset(
-    "BININT BININT1 BININT2 LONG1 BINFLOAT SHORT_BINUNICODE BINUNICODE BINUNICODE8 "
-    "SHORT_BINBYTES BINBYTES BINBYTES8".split()
-)
+_NUMBERS = ("BININT", "BININT1", "BININT2", "LONG1", "BINFLOAT")
+_TEXTS = ("SHORT_BINUNICODE", "BINUNICODE", "BINUNICODE8")
+_PUSHES = frozenset({*_NUMBERS, *_TEXTS, "SHORT_BINBYTES", "BINBYTES", "BINBYTES8"})
 _GETS = frozenset({"BINGET", "LONG_BINGET"})
 _PUTS = frozenset({"BINPUT", "LONG_BINPUT"})
 _ACTS: dict[str, Callable[[_Machine, Any], None]] = {

@@ -21,7 +21,7 @@ class Summary:
     lengths: tuple[int, float, int]  # control steps: least, mean, most
     score: float | None  # mean by the appendix's rule, over those where it is known
     published_code_score: float  # mean
-    bytes: int  # on disk
+    size: int  # bytes on disk
     actions: tuple[int, ...]  # how often each of the 18 was taken
 
     @property
@@ -43,13 +43,11 @@ def summarise(dataset: Dataset) -> list[Summary]:
         groups.setdefault(entry.env_id, []).append(entry)
         counts = np.bincount(dataset.read(entry).actions, minlength=NUM_ACTIONS)
         actions[entry.env_id] = actions.get(entry.env_id, 0) + counts
-    return [
-        _summary(env_id, groups[env_id], actions[env_id].tolist()) for env_id in sorted(groups)
-    ]
+    return [_summary(env_id, groups[env_id], actions[env_id].tolist()) for env_id in sorted(groups)]
 
 
 def find_duplicates(entries: Iterable[Entry]) -> list[tuple[str, str]]:
-    """Pairs (later, earlier) with the same actions and poses or frames, by their files or sources."""
+    """Pairs (later, earlier) with the same actions and poses or frames, by source or file."""
     first: dict[str, Entry] = {}
     pairs = []
     for entry in entries:
@@ -70,6 +68,6 @@ def _summary(env_id: str, entries: list[Entry], actions: list[int]) -> Summary:
         lengths=(min(lengths), float(np.mean(lengths)), max(lengths)),
         score=float(np.mean(scores)) if scores else None,
         published_code_score=float(np.mean([entry.published_code_score for entry in entries])),
-        bytes=sum(entry.bytes for entry in entries),
+        size=sum(entry.size for entry in entries),
         actions=tuple(actions),
     )

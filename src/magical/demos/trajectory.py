@@ -35,7 +35,7 @@ class Trajectory:
     actions: NDArray[np.int64]  # (T,)
     published_code_score: float  # of the last state (details.md, section 9)
     score: float | None = None  # of the last state by the appendix's rule; None: poses unknown
-    dynamics: Dynamics = Dynamics()
+    dynamics: Dynamics = field(default_factory=Dynamics)
     seed: int | None = None  # that the environment was reset with, where known
     poses: NDArray[np.float64] | None = None  # (T + 1, 5 + blocks, 3), rows as in `Poses`
     frames: Mapping[str, NDArray[np.uint8]] | None = None  # view: (T + 1, 96, 96, 3)
@@ -47,7 +47,7 @@ class Trajectory:
         object.__setattr__(self, "env_id", env_id)
         object.__setattr__(self, "actions", _checked_actions(self.actions))
         if (self.poses is None) == (self.frames is None):
-            raise TrajectoryError("trajectory: expected either poses or frames, found both or none")
+            raise TrajectoryError("expected either poses or frames, found both or none")
         if self.poses is not None:
             object.__setattr__(self, "poses", self._checked_poses(self.poses))
         if self.frames is not None:
@@ -113,17 +113,20 @@ class Trajectory:
         if not frames or not set(map(str, frames)) <= set(VIEWS):
             raise TrajectoryError(f"frames: expected views of {VIEWS}, found {sorted(frames)}")
         expected = (len(self.actions) + 1, FRAME_SIZE, FRAME_SIZE, 3)
-        for view, array in frames.items():
-            if np.shape(array) != expected or np.asarray(array).dtype != np.uint8:
+        arrays = {str(view): np.asarray(frames[view]) for view in sorted(frames)}
+        for view, array in arrays.items():
+            if array.shape != expected or array.dtype != np.uint8:
                 raise TrajectoryError(
                     f"{view} frames: expected uint8 {expected} (one more than the "
-                    f"{len(self.actions)} actions), found {np.asarray(array).dtype} {np.shape(array)}"
+                    f"{len(self.actions)} actions), found {array.dtype} {array.shape}"
                 )
-        return {str(view): _frozen(np.asarray(frames[view])) for view in sorted(frames)}
+        return {view: _frozen(array) for view, array in arrays.items()}
 
     def _check_scores(self) -> None:
         if self.score is None and self.poses is not None:
-            raise TrajectoryError("score: expected the appendix's score, found None; use from_poses")
+            raise TrajectoryError(
+                "score: expected the appendix's score, found None; use from_poses"
+            )
         for name in ("score", "published_code_score"):
             value = getattr(self, name)
             if value is None and name == "score":
@@ -161,5 +164,3 @@ def _checked_metadata(metadata: Mapping[str, Any]) -> dict[str, Any]:
         raise TrajectoryError(f"metadata: expected plain JSON data, found {error}") from error
     assert isinstance(plain, dict)
     return plain
-
-

@@ -24,9 +24,7 @@ _PAPER, _INK = (255, 255, 255), (60, 60, 70)
 Picture = NDArray[np.uint8]
 
 
-def write_video(
-    trajectories: Iterable[Trajectory], path: Path, rate: float = CONTROL_RATE
-) -> int:
+def write_video(trajectories: Iterable[Trajectory], path: Path, rate: float = CONTROL_RATE) -> int:
     """Write one film of all trajectories, one after another, and return its number of frames.
 
     The suffix chooses the format: `.mp4` (H.264, needs the `video` extra) or `.webp` (animated).

@@ -62,6 +62,8 @@ class DatasetWriter:
         with locked(self.path / manifest.LOCK):
             if not (self.path / manifest.NAME).exists():
                 if any((self.path / manifest.FOLDER).glob("*.npz")):
-                    raise DatasetError(f"{self.path}: {manifest.NAME} is missing; {manifest.ADVICE}")
+                    raise DatasetError(
+                        f"{self.path}: {manifest.NAME} is missing; {manifest.ADVICE}"
+                    )
                 with write_atomically(self.path / manifest.NAME) as file:
                     file.write(manifest.new_text([]).encode())
