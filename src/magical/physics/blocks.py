@@ -1,5 +1,7 @@
 """Blocks and walls in a pymunk space (details.md, sections 3 and 4)."""
 
+from functools import cache
+
 import pymunk
 import pymunk.autogeometry
 
@@ -60,9 +62,14 @@ def _star() -> tuple[pymunk.Body, list[pymunk.Shape]]:
     outline = list(block_outline(Shape.STAR))
     hull = outline[::2]  # the outer vertices
     body = pymunk.Body(c.BLOCK_MASS, pymunk.moment_for_poly(c.BLOCK_MASS, hull))
-    closed = outline + outline[:1]
-    parts = pymunk.autogeometry.convex_decomposition(closed, 0)
-    return body, [pymunk.Poly(body, part) for part in parts]
+    return body, [pymunk.Poly(body, part) for part in _star_parts()]
+
+
+@cache
+def _star_parts() -> list[list[pymunk.Vec2d]]:
+    # Once only: pymunk loses some 2 kB at every decomposition.
+    outline = list(block_outline(Shape.STAR))
+    return pymunk.autogeometry.convex_decomposition(outline + outline[:1], 0)
 
 
 _MAKERS = {
