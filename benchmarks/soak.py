@@ -1,0 +1,106 @@
+"""Step many worlds for a long time, and watch what must not grow or go wrong.
+
+python benchmarks/soak.py [--steps 1000000] [--workers K] [--observation LoRes4E]
+
+Memory of all processes, open descriptors, files in /dev/shm, numbers that are not finite. Exit
+status 1 if memory grew by more than 10 MB after the first 10,000 steps or anything was left behind.
+Reads /proc, so it needs Linux.
+"""
+
+import argparse
+import os
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import magical
+from magical.envs.vector import MagicalVectorEnv
+from magical.scene.actions import NUM_ACTIONS
+
+NUM_ENVS = 32
+SETTLED = 10_000  # steps after which memory must not grow any more
+MOST_GROWTH = 10.0  # MB
+REPORTS = 20
+
+
+@dataclass(frozen=True)
+class Usage:
+    """What the processes hold."""
+
+    memory: float  # MB, private to the processes, all of them together
+    descriptors: int  # of all of them together
+    shared: int  # files in /dev/shm
+
+
+def usage(process_ids: list[int]) -> Usage:
+    return Usage(
+        sum(private_megabytes(process_id) for process_id in process_ids),
+        sum(len(list(Path(f"/proc/{i}/fd").iterdir())) for i in process_ids),
+        len(list(Path("/dev/shm").iterdir())),
+    )
+
+
+def private_megabytes(process_id: int) -> float:
+    lines = Path(f"/proc/{process_id}/status").read_text().splitlines()
+    (anonymous,) = (line.split()[1] for line in lines if line.startswith("RssAnon:"))
+    return int(anonymous) / 1024
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--steps", type=int, default=1_000_000, help="of single worlds")
+    parser.add_argument("--workers", type=int, default=None)
+    parser.add_argument("--observation", default="LoRes4E")
+    args = parser.parse_args()
+    before = usage([os.getpid()])
+    start, end = soak(args.steps, args.workers, args.observation)
+    after = usage([os.getpid()])
+    growth = end.memory - start.memory
+    print(f"memory grew by {growth:.1f} MB after the first {SETTLED:,} steps")
+    print(f"descriptors: {before.descriptors} before, {after.descriptors} after")
+    print(f"files in /dev/shm: {before.shared} before, {after.shared} after")
+    leaked = after.descriptors > before.descriptors or end.descriptors > start.descriptors
+    return int(growth > MOST_GROWTH or leaked or after.shared > before.shared)
+
+
+def soak(steps: int, workers: int | None, observation: str) -> tuple[Usage, Usage]:
+    """Step all tasks' fullest variants; returns the usage once settled, and at the end."""
+    ids = [str(env_id) for env_id in magical.all_env_ids() if "TestAll" in env_id]
+    envs = MagicalVectorEnv(
+        [ids[i % len(ids)] for i in range(NUM_ENVS)], workers=workers, observation=observation
+    )
+    processes = [os.getpid(), *envs.worker_process_ids]
+    rng = np.random.default_rng(0)
+    envs.reset(seed=0)
+    began, done, settled = time.perf_counter(), 0, None
+    while done < steps:
+        _, rewards, _, _, infos = envs.step(rng.integers(0, NUM_ACTIONS, NUM_ENVS))
+        check(envs, rewards, infos["eval_score"])
+        done += NUM_ENVS
+        if settled is None and done >= SETTLED:
+            settled = usage(processes)
+        if done * REPORTS // steps > (done - NUM_ENVS) * REPORTS // steps:
+            now, rate = usage(processes), done / (time.perf_counter() - began)
+            print(f"{done:>10,} steps {rate:8,.0f}/s {now}", flush=True)
+    end = usage(processes)
+    envs.close()
+    return settled or end, end
+
+
+def check(envs: MagicalVectorEnv, rewards: np.ndarray, scores: np.ndarray) -> None:
+    """Everything is finite, scores are in their range, and robots are in the workspace."""
+    bodies, counts = envs.bodies
+    used = np.arange(bodies.shape[1]) < counts[:, None]
+    if not np.isfinite(bodies[used]).all() or not np.isfinite(rewards).all():
+        raise SystemExit("found a number that is not finite")
+    if scores.min() < 0 or scores.max() > 1:
+        raise SystemExit(f"found scores outside [0, 1]: {scores}")
+    if np.abs(bodies[:, 0, :2]).max() > 1:
+        raise SystemExit(f"a robot left the workspace: {bodies[:, 0, :2]}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
