@@ -35,9 +35,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Train, or continue."""
+    from magical.errors import InvalidConfigError
     from magical.learning import train
 
-    config = _config(args)
+    try:
+        config = _config(args)
+    except InvalidConfigError as error:  # wrong arguments, not a failure
+        log(f"error: {error}")
+        return 2
     result = train(
         config,
         args.out,

@@ -14,7 +14,7 @@ from magical.errors import InvalidConfigError, UnknownNameError
 from magical.learning.augment import parse_augmentations
 from magical.learning.devices import DEVICES, PRECISIONS
 from magical.learning.networks import get_width
-from magical.observe import PRESETS, PixelSpec
+from magical.observe import PRESETS, PixelSpec, StateLayout
 from magical.tasks import get_task
 
 
@@ -31,8 +31,6 @@ class Config:
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {"paper": {}}
 
     tasks: tuple[str, ...] = dataclasses.field(metadata={"help": "tasks to learn, one or several"})
-    demos: str = dataclasses.field(metadata={"help": "folder with a dataset of demonstrations"})
-    num_demos: int = option(10, "demonstrations of each task, chosen by the seed")
     observation: str = option("LoRes4E", "what the policy sees: a preset's name")
     seed: int = option(0, "chooses the demonstrations, first weights, batches")
     network: str = option("paper", "network: paper or small")
@@ -50,7 +48,6 @@ class Config:
         get_width(self.network)
         self.require_one_of("device", DEVICES)
         self.require_one_of("precision", PRECISIONS)
-        self.require_positive("num_demos")
         if self.seed < 0:
             raise InvalidConfigError(f"seed: expected at least 0, found {self.seed}")
         self.check_observation()
@@ -105,6 +102,11 @@ class Config:
         return PRESETS[self.observation]
 
     @property
+    def form(self) -> PixelSpec | StateLayout:
+        """The observation's form, also of learners that can see the true state."""
+        return self.pixels
+
+    @property
     def image_shape(self) -> tuple[int, int, int]:
         """(C, H, W) of one observation, channels first."""
         return (
@@ -138,6 +140,18 @@ class Config:
         return cls(**values)
 
 
+@dataclass(frozen=True, kw_only=True)
+class ImitationConfig(Config):
+    """Settings of the algorithms that learn from demonstrations."""
+
+    demos: str = dataclasses.field(metadata={"help": "folder with a dataset of demonstrations"})
+    num_demos: int = option(10, "demonstrations of each task, chosen by the seed")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.require_positive("num_demos")
+
+
 @dataclass(frozen=True, slots=True)
 class Option:
     """A configuration field, as the command line needs it."""
@@ -156,9 +170,10 @@ class Option:
 
 
 def options(kind: type[Config]) -> list[Option]:
-    """The options of a configuration class, in the order of its fields."""
+    """The options of a configuration class: those one must give, then in the fields' order."""
     hints = get_type_hints(kind)
-    return [_option(field, hints[field.name]) for field in dataclasses.fields(kind)]
+    found = [_option(field, hints[field.name]) for field in dataclasses.fields(kind)]
+    return sorted(found, key=lambda option: not option.required)
 
 
 def _option(field: "dataclasses.Field[Any]", hint: Any) -> Option:

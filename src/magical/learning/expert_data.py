@@ -14,9 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from magical.demos.dataset import Dataset
-from magical.demos.observations import Frames
-from magical.demos.trajectory import Trajectory
+from magical.demos import Dataset, Frames, Trajectory
 from magical.errors import DemonstrationsError
 from magical.learning.streams import Purpose, stream
 from magical.observe import PixelSpec

@@ -18,7 +18,7 @@ from magical.learning.checkpoints import load_module, load_tree
 from magical.learning.config import Config
 from magical.learning.devices import Compute, choose_device
 from magical.learning.runs import CHECKPOINT, CONFIG, RECORD, read_json
-from magical.observe import PixelSpec
+from magical.observe import PixelSpec, StateLayout
 
 
 class NetworkPolicy:
@@ -29,7 +29,7 @@ class NetworkPolicy:
         network: nn.Module,
         tasks: Sequence[str],
         observation: str,
-        pixels: PixelSpec,
+        form: PixelSpec | StateLayout,
         compute: Compute,
         greedy: bool = False,
     ) -> None:
@@ -37,7 +37,7 @@ class NetworkPolicy:
         self.tasks = tuple(tasks)
         self.observation = observation
         self.greedy = greedy
-        self._pixels = pixels
+        self._form = form
         self._compute = compute
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
@@ -60,10 +60,10 @@ class NetworkPolicy:
 
     def probabilities(self, observations: Any, env_ids: Sequence[str]) -> NDArray[np.float64]:
         """The distribution over actions, (B, 18) float64."""
-        images = to_images(observations, self._pixels).to(self._compute.device)
+        inputs = to_inputs(observations, self._form).to(self._compute.device)
         tasks = self._task_numbers(env_ids).to(self._compute.device)
         with torch.inference_mode(), self._compute.autocast():
-            logits = self.network(to_unit(images), tasks)  # (B, 18)
+            logits = self.network(to_unit(inputs), tasks)  # (B, 18)
         probabilities: NDArray[np.float64] = logits.double().softmax(dim=1).cpu().numpy()
         return probabilities
 
@@ -78,6 +78,23 @@ class NetworkPolicy:
                 )
             numbers[env_id] = self.tasks.index(task)
         return torch.tensor([numbers[env_id] for env_id in env_ids])
+
+
+def to_inputs(observations: Any, form: PixelSpec | StateLayout) -> Tensor:
+    """Observations of an environment as a network's: images, or state vectors (B, size) float32.
+
+    Raises:
+        PolicyError: they are of another shape or type than `form` says.
+    """
+    if isinstance(form, PixelSpec):
+        return to_images(observations, form)
+    array = np.asarray(observations)
+    if array.dtype != np.float32 or array.shape[1:] != (form.size,):
+        raise PolicyError(
+            f"observations: expected state vectors, float32 of shape (B, {form.size}), found "
+            f"{array.dtype} of shape {array.shape}"
+        )
+    return torch.from_numpy(array)
 
 
 def to_images(observations: Any, pixels: PixelSpec) -> Tensor:
@@ -122,7 +139,7 @@ def load_policy(run: Path | str, device: str = "auto", greedy: bool = False) -> 
     same = where == recorded["device"]
     compute = Compute(where, recorded["precision"] if same else "float32")
     return NetworkPolicy(
-        network.to(where), config.tasks, config.observation, config.pixels, compute, greedy
+        network.to(where), config.tasks, config.observation, config.form, compute, greedy
     )
 
 

@@ -14,14 +14,14 @@ QUIET_INTERVAL = 30.0  # s between lines where nobody watches
 class Progress(Protocol):
     """Is told of every report of a run."""
 
-    def update(self, step: int, total: int, metrics: Mapping[str, float]) -> None:
+    def update(self, step: int, total: int, metrics: Mapping[str, float | str]) -> None:
         """`step` of `total` batches or updates are done."""
 
 
 class Silent:
     """Says nothing."""
 
-    def update(self, step: int, total: int, metrics: Mapping[str, float]) -> None:
+    def update(self, step: int, total: int, metrics: Mapping[str, float | str]) -> None:
         """Nothing."""
 
 
@@ -50,11 +50,15 @@ class ProgressBar:
     def __exit__(self, *error: object) -> None:
         self._bar.stop()
 
-    def update(self, step: int, total: int, metrics: Mapping[str, float]) -> None:
+    def update(self, step: int, total: int, metrics: Mapping[str, float | str]) -> None:
         """Show the newest metrics."""
-        text = "  ".join(f"{name} {value:.3g}" for name, value in metrics.items())
+        text = "  ".join(_said(name, value) for name, value in metrics.items())
         self._bar.update(self._task, completed=step, total=total, metrics=text)
         now = time.monotonic()
         if self._bar.disable and (step == total or now - self._said > QUIET_INTERVAL):
             self._said = now
             self._bar.console.print(f"{self._title} {step}/{total}  {text}", highlight=False)
+
+
+def _said(name: str, value: float | str) -> str:
+    return f"{name}: {value}" if isinstance(value, str) else f"{name} {value:.3g}"

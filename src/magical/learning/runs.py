@@ -103,14 +103,15 @@ class Run:
         self.record = {**self.record, **facts}
         write_json(self.folder / RECORD, self.record)
 
-    def log(self, step: int, total: int, **metrics: float) -> None:
-        """Report: a line in `metrics.jsonl`, in TensorBoard, in the progress bar."""
+    def log(self, step: int, total: int, **metrics: float | str) -> None:
+        """Report: a line in `metrics.jsonl`, in TensorBoard (numbers), in the progress bar."""
         line = {"step": step, **{name: _plain(value) for name, value in metrics.items()}}
         self._metrics.write(json.dumps(line) + "\n")
         self._metrics.flush()
         if self._board:
             for name, value in metrics.items():
-                self._board.add_scalar(name, value, step)
+                if not isinstance(value, str):
+                    self._board.add_scalar(name, value, step)
         self._progress.update(step, total, metrics)
 
     def checkpoint(self, step: int, tree: Tree) -> None:
@@ -229,9 +230,9 @@ def _finite(node: Any) -> bool:
     return not isinstance(node, float) or math.isfinite(node)
 
 
-def _plain(value: float) -> float | int | None:
-    """A number for JSON, which knows no NaN."""
-    if isinstance(value, int):
+def _plain(value: float | str) -> float | int | str | None:
+    """A number for JSON, which knows no NaN; or a text."""
+    if isinstance(value, int | str):
         return value
     return round(float(value), 6) if math.isfinite(value) else None
 

@@ -14,7 +14,7 @@ from torch.optim import SGD, Adam, Optimizer
 from magical.learning.algorithms import Algorithm
 from magical.learning.augment import augment, parse_augmentations
 from magical.learning.checkpoints import load_module, load_optimizer, optimizer_tree
-from magical.learning.config import Config, option
+from magical.learning.config import ImitationConfig, option
 from magical.learning.devices import Compute, choose_device
 from magical.learning.expert_data import ExpertData, choose_demonstrations
 from magical.learning.networks import PolicyNetwork, Trunk, get_width
@@ -24,7 +24,7 @@ from magical.learning.streams import Purpose, seeded_weights, stream
 
 
 @dataclass(frozen=True, kw_only=True)
-class BCConfig(Config):
+class BCConfig(ImitationConfig):
     """Settings of behavioural cloning; the defaults are Table 3's."""
 
     algorithm: ClassVar[str] = "bc"

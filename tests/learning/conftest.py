@@ -1,0 +1,54 @@
+"""Small demonstrations made of pictures; everything here needs PyTorch."""
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from magical.demos import DatasetWriter, Trajectory
+from magical.tasks import get_task
+
+# What needs PyTorch cannot even be imported without it.
+collect_ignore_glob = [] if find_spec("torch") else ["test_*.py"]
+
+STEPS = 12
+TASKS = ("MoveToCorner", "MoveToRegion")
+
+
+def picture_demo(task: str, seed: int, actions: Any = None) -> Trajectory:
+    """Random pictures; the brightness of a corner tells the action."""
+    rng = np.random.default_rng((seed, len(task)))
+    if actions is None:
+        actions = rng.integers(0, 18, STEPS)
+        actions[0], actions[1] = 0, 5  # a no-op, and something else
+    frames = rng.integers(0, 256, (2, len(actions) + 1, 96, 96, 3), dtype=np.uint8)
+    frames[:, :-1, :48, :48] = (np.asarray(actions) * 14)[None, :, None, None, None]
+    scene, _ = get_task(task).sample("Demo", rng)
+    return Trajectory(
+        env_id=f"magical/{task}-Demo-v0",
+        scene=scene,
+        actions=np.asarray(actions),
+        published_code_score=1.0,
+        frames={"ego": frames[0], "allo": frames[1]},
+    )
+
+
+def write_demos(path: Path, trajectories: list[Trajectory]) -> Path:
+    writer = DatasetWriter(path)
+    for trajectory in trajectories:
+        writer.append(trajectory)
+    return path
+
+
+@pytest.fixture(scope="session")
+def trajectories() -> list[Trajectory]:
+    """Four demonstrations of each of two tasks."""
+    return [picture_demo(task, seed) for seed in range(4) for task in TASKS]
+
+
+@pytest.fixture(scope="session")
+def demos(tmp_path_factory: pytest.TempPathFactory, trajectories: list[Trajectory]) -> Path:
+    """The same as a dataset."""
+    return write_demos(tmp_path_factory.mktemp("demos") / "data", trajectories)

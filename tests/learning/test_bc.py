@@ -1,0 +1,234 @@
+"""Behavioural cloning from beginning to end, on small demonstrations."""
+
+import errno
+import os
+import signal
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from magical.errors import DivergedError, RunFolderError
+from magical.learning import runs, train
+from magical.learning.algorithms.bc import BCConfig, bc_loss, make_optimizer, make_policy
+from magical.learning.algorithms.bc import set_step_size as set_step
+from magical.learning.checkpoints import load_tree
+from magical.learning.runs import CHECKPOINT, read_metrics
+from tests.learning.conftest import TASKS, picture_demo, write_demos
+
+
+def tiny(demos: Path, **fields: Any) -> BCConfig:
+    settings = {
+        "tasks": ("MoveToCorner",),
+        "demos": str(demos),
+        "num_demos": 2,
+        "batches": 6,
+        "batch_size": 4,
+        "log_every": 2,
+        "checkpoint_every": 2,
+        "precision": "float32",
+    }
+    return BCConfig.preset("quick", **{**settings, **fields})
+
+
+def weights(folder: Path) -> dict[str, Tensor]:
+    policy: dict[str, Tensor] = load_tree(folder / CHECKPOINT)["policy"]
+    return policy
+
+
+def assert_same_weights(a: Path, b: Path) -> None:
+    first, second = weights(a), weights(b)
+    assert first.keys() == second.keys()
+    for name, tensor in first.items():
+        assert torch.equal(tensor, second[name]), name
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+@pytest.mark.parametrize("optimizer", ["adam", "sgd"])
+def test_resumed_runs_are_bit_equal(
+    demos: Path, tmp_path: Path, precision: str, optimizer: str
+) -> None:
+    config = tiny(demos, precision=precision, optimizer=optimizer, tasks=TASKS, augment="all")
+    whole = train(config, tmp_path / "whole")
+    assert whole.finished
+    first = train(config, tmp_path / "parts", stop_after=3)
+    assert (first.step, first.finished, first.interrupted) == (3, False, False)
+    second = train(config, tmp_path / "parts", resume=True, stop_after=1)
+    assert second.step == 4
+    last = train(config, tmp_path / "parts", resume=True)
+    assert last.finished
+    assert_same_weights(tmp_path / "whole", tmp_path / "parts")
+    steps = [line["step"] for line in read_metrics(tmp_path / "parts")]
+    assert steps == [2, 3, 4, 6]
+    again = train(config, tmp_path / "parts", resume=True)
+    assert again.finished
+    assert_same_weights(tmp_path / "whole", tmp_path / "parts")
+
+
+def test_one_demonstration_is_overfitted(tmp_path: Path) -> None:
+    demos = write_demos(tmp_path / "demos", [picture_demo("MoveToCorner", 0)])
+    config = tiny(demos, num_demos=1, batches=150, batch_size=32, augment="none", log_every=150)
+    train(config, tmp_path / "run")
+    trained = train(config, tmp_path / "run", resume=True).policy()
+    trajectory = picture_demo("MoveToCorner", 0)
+    from magical.demos import observations
+
+    shown = observations(trajectory, "LoRes4E")
+    likeliest = trained.probabilities(shown, [trajectory.env_id] * len(shown)).argmax(axis=1)
+    kept = trajectory.actions != 0
+    assert (likeliest[:-1] == trajectory.actions)[kept].mean() >= 0.99
+
+
+def test_it_learns_what_can_be_learned_through_all_augmentations(
+    demos: Path, tmp_path: Path
+) -> None:
+    config = tiny(demos, num_demos=4, batches=120, batch_size=32, augment="all", log_every=40)
+    train(config, tmp_path / "run")
+    losses = [line["loss"] for line in read_metrics(tmp_path / "run")]
+    assert losses[-1] < 0.5 * losses[0]
+
+
+def test_loss_is_the_mean_negative_log_likelihood() -> None:
+    logits = torch.zeros(2, 18)
+    logits[0, 3] = 2.0
+    expected = 0.5 * ((torch.tensor(17 + 2.0).exp().log() - 17 - 2.0) + torch.tensor(18.0).log())
+    first = torch.log(17 + torch.tensor(2.0).exp()) - 2.0
+    expected = 0.5 * (first + torch.tensor(18.0).log())
+    assert torch.allclose(bc_loss(logits, torch.tensor([3, 0])), expected)
+
+
+def test_step_size_is_constant_or_falls_to_nothing(demos: Path) -> None:
+    for anneal, expected in ((False, [1e-3, 1e-3, 1e-3]), (True, [1e-3, 5e-4, 0.0])):
+        config = tiny(demos, batches=10, anneal=anneal)
+        optimizer = make_optimizer(config, make_policy(config))
+        found = []
+        for number in (0, 5, 10):
+            set_step(optimizer, config, number)
+            found.append(optimizer.param_groups[0]["lr"])
+        assert found == pytest.approx(expected)
+
+
+def test_paper_preset_is_table_3() -> None:
+    config = BCConfig.preset("paper", tasks=("FindDupe",), demos="d")
+    assert (config.batches, config.batch_size, config.learning_rate) == (20_000, 32, 1e-3)
+    assert (config.optimizer, config.momentum, config.anneal) == ("sgd", 0.1, False)
+    assert (config.augment, config.network, config.num_demos) == ("all", "paper", 10)
+
+
+# Every field of the configuration that changes what is learned, with another value.
+CHANGES: dict[str, Any] = {
+    "num_demos": 3,
+    "observation": "LoRes4A",
+    "seed": 1,
+    "network": "paper",
+    "precision": "bfloat16",
+    "batches": 4,
+    "batch_size": 5,
+    "optimizer": "sgd",
+    "learning_rate": 2e-3,
+    "momentum": 0.5,
+    "anneal": False,
+    "augment": "noise",
+    "tasks": ("MoveToRegion",),
+}
+
+
+@pytest.fixture(scope="module")
+def plain(demos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("plain") / "run"
+    train(tiny(demos, batches=2), folder)
+    return folder
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_every_setting_matters(name: str, demos: Path, tmp_path: Path, plain: Path) -> None:
+    # Two batches tell most settings; annealing by other totals shows at the second one.
+    config = replace(tiny(demos, batches=2), **{name: CHANGES[name]})
+    train(config, tmp_path / "run", stop_after=2)
+    before, after = weights(plain), weights(tmp_path / "run")
+    same = before.keys() == after.keys() and all(
+        before[key].shape == after[key].shape and torch.equal(before[key], after[key])
+        for key in before
+    )
+    assert not same
+
+
+def test_reports_and_checkpoints_come_as_often_as_asked(demos: Path, tmp_path: Path) -> None:
+    train(tiny(demos, log_every=3, checkpoint_every=5), tmp_path / "run")
+    assert [line["step"] for line in read_metrics(tmp_path / "run")] == [3, 6]
+    line = read_metrics(tmp_path / "run")[0]
+    assert set(line) == {"step", "loss", "accuracy", "samples_per_second"}
+
+
+class Raising:
+    """A progress display during which something happens."""
+
+    def __init__(self, at: int, act: Any) -> None:
+        self.at, self.act = at, act
+
+    def update(self, step: int, total: int, metrics: Mapping[str, float]) -> None:
+        if step == self.at:
+            self.act()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_leave_a_checkpoint_to_go_on_from(
+    number: signal.Signals, demos: Path, tmp_path: Path
+) -> None:
+    config = tiny(demos, checkpoint_every=100)
+    interrupt = Raising(2, lambda: os.kill(os.getpid(), number))
+    result = train(config, tmp_path / "run", progress=interrupt)
+    assert result.interrupted
+    assert 2 <= result.step < 6
+    assert signal.getsignal(number) is not None
+    train(config, tmp_path / "run", resume=True)
+    train(config, tmp_path / "whole")
+    assert_same_weights(tmp_path / "run", tmp_path / "whole")
+
+
+def test_a_second_interrupt_stops_at_once(demos: Path, tmp_path: Path) -> None:
+    def twice() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        train(tiny(demos), tmp_path / "run", progress=Raising(2, twice))
+
+
+def test_divergence_stops_and_keeps_the_last_good_checkpoint(demos: Path, tmp_path: Path) -> None:
+    config = tiny(demos, optimizer="sgd", learning_rate=1e30, log_every=1, checkpoint_every=1)
+    with pytest.raises(DivergedError, match="diverged: at step"):
+        train(config, tmp_path / "run")
+    if (tmp_path / "run" / CHECKPOINT).exists():
+        assert all(torch.isfinite(tensor).all() for tensor in weights(tmp_path / "run").values())
+
+
+def test_a_full_disk_is_named_and_the_last_checkpoint_kept(
+    demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = tiny(demos)
+    train(config, tmp_path / "run", stop_after=2)
+    before = weights(tmp_path / "run")
+
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(runs, "save_tree", full)
+        with pytest.raises(RunFolderError, match=r"disk is full.*resume"):
+            train(config, tmp_path / "run", resume=True)
+    assert all(torch.equal(before[k], v) for k, v in weights(tmp_path / "run").items())
+    assert train(config, tmp_path / "run", resume=True).finished
+
+
+def test_other_demonstrations_cannot_continue_a_run(demos: Path, tmp_path: Path) -> None:
+    config = tiny(demos)
+    train(config, tmp_path / "run", stop_after=2)
+    others = [picture_demo("MoveToCorner", seed) for seed in range(10, 14)]
+    moved = replace(config, demos=str(write_demos(tmp_path / "others", others)))
+    with pytest.raises(RunFolderError, match="other demonstrations"):
+        train(moved, tmp_path / "run", resume=True)

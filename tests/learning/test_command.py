@@ -1,0 +1,95 @@
+"""`magical train` from the command line."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from magical.cli import main
+
+TINY = ["--preset", "quick", "--batches", "4", "--batch-size", "4", "--num-demos", "2"]
+
+
+def bc(demos: Path, out: Path, *more: str) -> list[str]:
+    given = ["--task", "MoveToCorner", "--demos", str(demos), "--out", str(out)]
+    return ["train", "bc", *given, *TINY, *more]
+
+
+def test_train_stop_resume(demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "run"
+    assert main(bc(demos, out, "--stop-after", "2", "--json")) == 0
+    captured = capsys.readouterr()
+    summary = json.loads(captured.out.splitlines()[-1])
+    assert (summary["step"], summary["finished"], summary["total"]) == (2, False, 4)
+    assert {"loss", "accuracy", "samples_per_second", "run"} <= set(summary)
+    assert f"to continue: magical train bc --out {out} --resume" in captured.err
+    assert main(["train", "bc", "--out", str(out), "--resume"]) == 0
+    assert "finished; magical evaluate" in capsys.readouterr().err
+    assert main(bc(demos, out, "--resume")) == 0
+
+
+def test_errors_say_what_to_do_and_have_status_1(
+    demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run"
+    assert main(bc(demos, out, "--stop-after", "1")) == 0
+    for arguments, message in (
+        (bc(demos, out), "add --resume"),
+        (bc(demos, out, "--seed", "7", "--resume"), "another configuration: seed 0 there, 7"),
+        (bc(tmp_path / "none", tmp_path / "a"), "none"),
+        (bc(demos, tmp_path / "b", "--num-demos", "9"), "at least 9 demonstrations"),
+        (["train", "bc", "--out", str(tmp_path / "c"), "--resume", "--task", "FindDupe",
+          "--demos", str(demos)], "expected a run to resume"),
+    ):  # fmt: skip
+        assert main(arguments) == 1
+        error = capsys.readouterr().err
+        assert "error: " in error
+        assert message in error
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        ["--task", "Fly"],
+        ["--observation", "LoResStack"],
+        ["--augment", "blur"],
+        ["--batches", "-1"],
+        ["--batches", "many"],
+        ["--preset", "slow"],
+    ],
+)
+def test_wrong_arguments_have_status_2(wrong: list[str], demos: Path, tmp_path: Path) -> None:
+    assert main(bc(demos, tmp_path / "run", *wrong)) == 2
+    assert not (tmp_path / "run").exists()
+
+
+def test_what_is_required_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["train", "bc", "--out", str(tmp_path / "run")]) == 2
+    assert "expected --task, --demos, found none" in capsys.readouterr().err
+
+
+def test_help_lists_algorithms_and_settings(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["train", "--help"]) == 0
+    assert "bc" in capsys.readouterr().out
+    assert main(["train", "bc", "--help"]) == 0
+    shown = capsys.readouterr().out
+    for flag in ("--task", "--demos", "--preset", "--learning-rate", "--no-anneal", "--resume"):
+        assert flag in shown
+
+
+def test_without_pytorch_learning_says_how_to_get_it() -> None:
+    code = "import sys; sys.modules['torch'] = None; import magical.learning"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert result.returncode == 1
+    assert "MissingDependencyError: learning needs torch" in result.stderr
+    assert 'pip install "magical-benchmark[learning]"' in result.stderr
+
+
+def test_listing_commands_does_not_import_pytorch() -> None:
+    code = (
+        "import sys; from magical.cli import build_parser; build_parser().format_help(); "
+        "sys.exit('torch' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0

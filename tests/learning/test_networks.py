@@ -1,0 +1,108 @@
+"""Layer sizes of Fig. 11, batch norm, action input, task heads."""
+
+import pytest
+import torch
+from torch import nn
+
+from magical.errors import UnknownNameError
+from magical.learning.networks import (
+    WIDTHS,
+    ActorCritic,
+    Discriminator,
+    PolicyNetwork,
+    StateTrunk,
+    TaskLinear,
+    Trunk,
+    get_width,
+)
+
+IMAGE = (12, 96, 96)
+
+
+def images(batch: int = 3) -> torch.Tensor:
+    return torch.rand(batch, *IMAGE, generator=torch.Generator().manual_seed(0))
+
+
+def test_paper_trunk_has_the_sizes_of_figure_11() -> None:
+    trunk = Trunk(WIDTHS["paper"], IMAGE)
+    shapes = []
+    x = images(1)
+    for layer in trunk.convolutions:
+        x = layer(x)
+        if isinstance(layer, nn.Conv2d):
+            shapes.append(tuple(x.shape[1:]))
+    assert shapes == [(64, 96, 96), (128, 48, 48), (128, 24, 24), (128, 12, 12), (128, 6, 6)]
+    assert x.shape == (1, 4608)
+    sizes = [(m.in_features, m.out_features) for m in trunk.linear if isinstance(m, nn.Linear)]
+    assert sizes == [(4608, 256), (256, 256)]
+    kernels = [m.kernel_size for m in trunk.convolutions if isinstance(m, nn.Conv2d)]
+    assert kernels == [(5, 5), *[(3, 3)] * 4]
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_batch_norm_follows_relu_and_replaces_the_bias(width: str) -> None:
+    layers = list(Trunk(WIDTHS[width], IMAGE, batch_norm=True).convolutions)[:-1]
+    kinds = [type(layer) for layer in layers]
+    assert kinds == [nn.Conv2d, nn.ReLU, nn.BatchNorm2d] * (len(kinds) // 3)
+    assert all(m.bias is None for m in layers if isinstance(m, nn.Conv2d))
+    plain = list(Trunk(WIDTHS[width], IMAGE).convolutions)
+    assert all(m.bias is not None for m in plain if isinstance(m, nn.Conv2d))
+    assert not any(isinstance(m, nn.BatchNorm2d) for m in plain)
+
+
+def test_small_network_costs_forty_million_multiply_adds() -> None:
+    trunk = Trunk(WIDTHS["small"], IMAGE)
+    cost = 0
+    x = images(1)
+    for layer in trunk.convolutions:
+        x = layer(x)
+        if isinstance(layer, nn.Conv2d):
+            cost += x[0].numel() * layer.weight[0].numel()
+    assert 38e6 < cost < 42e6
+
+
+def test_convolutions_are_kept_channels_last() -> None:
+    first = next(m for m in Trunk(WIDTHS["small"], IMAGE).modules() if isinstance(m, nn.Conv2d))
+    assert first.weight.is_contiguous(memory_format=torch.channels_last)
+
+
+def test_each_task_has_a_last_layer_of_its_own() -> None:
+    head = TaskLinear(5, 4, num_tasks=3)
+    features = torch.rand(6, 5)
+    tasks = torch.tensor([0, 1, 2, 2, 1, 0])
+    got = head(features, tasks)
+    weight, bias = head.linear.weight.view(3, 4, 5), head.linear.bias.view(3, 4)
+    for row, task in enumerate(tasks.tolist()):
+        assert torch.allclose(got[row], weight[task] @ features[row] + bias[task], atol=1e-6)
+    got[1].sum().backward()
+    assert head.linear.weight.grad is not None
+    moved = head.linear.weight.grad.view(3, 4, 5).abs().sum(dim=(1, 2)) > 0
+    assert moved.tolist() == [False, True, False]
+
+
+def test_policies_values_and_discriminators() -> None:
+    trunk = Trunk(WIDTHS["small"], IMAGE)
+    tasks = torch.tensor([0, 1, 0])
+    assert PolicyNetwork(trunk, 2)(images(), tasks).shape == (3, 18)
+    critic = ActorCritic(trunk, 2)
+    logits, values = critic.both(images(), tasks)
+    assert (logits.shape, values.shape) == ((3, 18), (3,))
+    assert torch.equal(critic(images(), tasks), logits)
+    vectors = ActorCritic(StateTrunk(27), 1)
+    assert vectors.both(torch.rand(3, 27), tasks)[1].shape == (3,)
+
+
+def test_discriminator_sees_the_action_after_the_convolutions() -> None:
+    judge = Discriminator(WIDTHS["paper"], IMAGE, num_tasks=1).eval()
+    assert judge.trunk.linear[0].in_features == 4608 + 18
+    none = torch.zeros(3, dtype=torch.int64)
+    a = judge(images(), torch.tensor([0, 1, 2]), none)
+    b = judge(images(), torch.tensor([0, 1, 3]), none)
+    assert a.shape == (3,)
+    assert torch.equal(a[:2], b[:2])
+    assert a[2] != b[2]
+
+
+def test_unknown_width() -> None:
+    with pytest.raises(UnknownNameError, match=r"'huge'.*paper, small"):
+        get_width("huge")

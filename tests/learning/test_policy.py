@@ -1,0 +1,134 @@
+"""Trained networks as policies, and runs loaded again."""
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+
+from magical.errors import CheckpointError, PolicyError, RunFolderError
+from magical.evaluation import Policy, evaluate
+from magical.learning import NetworkPolicy, is_run, load_policy, train
+from magical.learning.algorithms.bc import BCConfig
+from magical.learning.devices import Compute
+from magical.learning.runs import CHECKPOINT
+from magical.observe import PRESETS
+from tests.learning.conftest import TASKS
+
+CPU = Compute("cpu", "float32")
+IDS = [f"magical/{task}-Demo-v0" for task in TASKS]
+
+
+class Fixed(nn.Module):
+    """Logits from a table, a row a task, plus the image's mean."""
+
+    def __init__(self, logits: Tensor) -> None:
+        super().__init__()
+        self.logits = logits
+        self.seen: list[Tensor] = []
+
+    def forward(self, images: Tensor, tasks: Tensor) -> Tensor:
+        self.seen.append(images)
+        return self.logits[tasks]
+
+
+def fixed(logits: Any, preset: str = "LoRes4E", greedy: bool = False) -> NetworkPolicy:
+    network = Fixed(torch.as_tensor(logits, dtype=torch.float32))
+    return NetworkPolicy(network, TASKS, preset, PRESETS[preset], CPU, greedy)
+
+
+def test_actions_are_sampled_from_the_distribution_of_the_right_task() -> None:
+    logits = torch.full((2, 18), -torch.inf)
+    logits[0, [2, 17]] = torch.tensor([0.25, 0.75]).log()
+    logits[1, 5] = 0.0
+    policy = fixed(logits)
+    assert isinstance(policy, Policy)
+    ids = [IDS[0]] * 2000 + [IDS[1]] * 10
+    frames = np.zeros((len(ids), 96, 96, 12), np.uint8)
+    actions = policy.act(frames, ids, np.random.default_rng(0))
+    assert set(actions[:2000]) == {2, 17}
+    assert abs((actions[:2000] == 17).mean() - 0.75) < 0.03
+    assert (actions[2000:] == 5).all()
+    assert actions.dtype == np.int64
+    greedy = fixed(logits, greedy=True)
+    assert set(greedy.act(frames[:4], ids[:4], np.random.default_rng(0))) == {17}
+
+
+@pytest.mark.parametrize("preset", ["LoRes4E", "LoResCHW4E"])
+def test_both_channel_orders_reach_the_network_alike_in_unit_range(preset: str) -> None:
+    policy = fixed(torch.zeros(2, 18), preset)
+    frames = np.random.default_rng(0).integers(0, 256, (2, 96, 96, 12), dtype=np.uint8)
+    given = frames.transpose(0, 3, 1, 2) if PRESETS[preset].channels_first else frames
+    policy.act(given, IDS, np.random.default_rng(0))
+    expected = torch.from_numpy(frames).permute(0, 3, 1, 2) / 255.0
+    assert isinstance(policy.network, Fixed)
+    assert torch.allclose(policy.network.seen[0], expected, atol=1e-7)
+
+
+def test_wrong_observations_and_tasks_are_named() -> None:
+    policy = fixed(torch.zeros(2, 18))
+    rng = np.random.default_rng(0)
+    with pytest.raises(PolicyError, match=r"\(B, 96, 96, 12\), found uint8 of shape \(1, 64"):
+        policy.act(np.zeros((1, 64, 64, 12), np.uint8), IDS[:1], rng)
+    with pytest.raises(PolicyError, match="found float32"):
+        policy.act(np.zeros((1, 96, 96, 12), np.float32), IDS[:1], rng)
+    with pytest.raises(PolicyError, match="MoveToCorner, MoveToRegion; found magical/FindDupe"):
+        policy.act(np.zeros((1, 96, 96, 12), np.uint8), ["magical/FindDupe-Demo-v0"], rng)
+
+
+@pytest.fixture(scope="module")
+def run(demos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    config = BCConfig.preset(
+        "quick", tasks=TASKS, demos=str(demos), num_demos=2, batches=2, batch_size=4
+    )
+    folder = tmp_path_factory.mktemp("policy") / "run"
+    train(config, folder)
+    return folder
+
+
+def test_a_run_is_loaded_with_its_observation_and_tasks(run: Path) -> None:
+    policy = load_policy(run)
+    assert is_run(run)
+    assert (policy.observation, policy.tasks) == ("LoRes4E", TASKS)
+    frames = np.random.default_rng(0).integers(0, 256, (2, 96, 96, 12), dtype=np.uint8)
+    once = policy.probabilities(frames, IDS)
+    np.testing.assert_array_equal(once, policy.probabilities(frames, IDS))
+    np.testing.assert_allclose(once.sum(axis=1), 1.0)
+    assert not policy.network.training
+
+
+def test_folders_that_hold_no_usable_run_are_named(run: Path, tmp_path: Path) -> None:
+    with pytest.raises(RunFolderError, match="expected a run folder"):
+        load_policy(tmp_path)
+    copy = tmp_path / "copy"
+    shutil.copytree(run, copy)
+    config = (copy / "config.json").read_text()
+    (copy / "config.json").write_text(config.replace('"small"', '"paper"'))
+    with pytest.raises(CheckpointError, match="of another network"):
+        load_policy(copy)
+    (copy / "config.json").write_text(config)
+    (copy / CHECKPOINT).unlink()
+    with pytest.raises(CheckpointError, match="expected a file, found none"):
+        load_policy(copy)
+    (copy / "config.json").write_text("{")
+    with pytest.raises(RunFolderError, match=r"config\.json: expected a file of a run"):
+        load_policy(copy)
+
+
+def test_twenty_batches_of_the_paper_preset_resumed_and_evaluated(
+    demos: Path, tmp_path: Path
+) -> None:
+    config = BCConfig.preset(
+        "paper", tasks=("MoveToRegion",), demos=str(demos), num_demos=4, batches=20
+    )
+    assert not train(config, tmp_path / "run", stop_after=10).finished
+    result = train(config, tmp_path / "run", resume=True)
+    assert result.finished
+    scores = evaluate(
+        result.policy(), ["magical/MoveToRegion-Demo-v0"], rollouts=2, horizon=5, workers=0
+    )
+    assert len(scores) == 2
+    assert all(0.0 <= score.score <= 1.0 for score in scores)
