@@ -2,7 +2,7 @@
 
 python benchmarks/soak.py [--steps 1000000] [--workers K] [--observation LoRes4E]
 
-Memory of all processes, open descriptors, files in /dev/shm, numbers that are not finite. Exit
+Memory of all processes, open descriptors, mapped shared memory, numbers that are not finite. Exit
 status 1 if memory grew by more than 10 MB after the first 10,000 steps or anything was left behind.
 Reads /proc, so it needs Linux.
 """
@@ -32,15 +32,20 @@ class Usage:
 
     memory: float  # MB, private to the processes, all of them together
     descriptors: int  # of all of them together
-    shared: int  # files in /dev/shm
+    shared: int  # mappings of shared memory of all of them together
 
 
 def usage(process_ids: list[int]) -> Usage:
     return Usage(
         sum(private_megabytes(process_id) for process_id in process_ids),
         sum(len(list(Path(f"/proc/{i}/fd").iterdir())) for i in process_ids),
-        len(list(Path("/dev/shm").iterdir())),
+        sum(shared_mappings(process_id) for process_id in process_ids),
     )
+
+
+def shared_mappings(process_id: int) -> int:
+    lines = Path(f"/proc/{process_id}/maps").read_text().splitlines()
+    return sum("/memfd:" in line or "/dev/shm/" in line for line in lines)
 
 
 def private_megabytes(process_id: int) -> float:
@@ -61,9 +66,13 @@ def main() -> int:
     growth = end.memory - start.memory
     print(f"memory grew by {growth:.1f} MB after the first {SETTLED:,} steps")
     print(f"descriptors: {before.descriptors} before, {after.descriptors} after")
-    print(f"files in /dev/shm: {before.shared} before, {after.shared} after")
-    leaked = after.descriptors > before.descriptors or end.descriptors > start.descriptors
-    return int(growth > MOST_GROWTH or leaked or after.shared > before.shared)
+    print(f"shared memory: {before.shared} mappings before, {after.shared} after")
+    leaked = any(
+        getattr(late, kind) > getattr(early, kind)
+        for early, late in ((before, after), (start, end))
+        for kind in ("descriptors", "shared")
+    )
+    return int(growth > MOST_GROWTH or leaked)
 
 
 def soak(steps: int, workers: int | None, observation: str) -> tuple[Usage, Usage]:
