@@ -120,3 +120,18 @@ def test_calls_at_the_wrong_time_are_refused() -> None:
     for call in (*calls, envs.reset, lambda: envs.step([0, 0, 0])):
         with pytest.raises(ClosedEnvironmentError):
             call()
+
+
+def test_gymnasiums_wrappers_and_specs_work() -> None:
+    made: Any = gymnasium.make_vec(
+        "magical/MoveToCorner-Demo-v0", num_envs=2, workers=0, observation="state", horizon=3
+    )
+    again: Any = gymnasium.make_vec(made.spec)
+    assert (again.num_envs, again.workers, again.env_ids) == (2, 0, made.env_ids)
+    envs = gymnasium.wrappers.vector.RecordEpisodeStatistics(made)
+    envs.reset(seed=0)
+    for _ in range(3):
+        infos = envs.step(np.array([1, 1]))[4]
+    assert infos["episode"]["l"].tolist() == [3, 3]
+    listed = gymnasium.wrappers.vector.DictInfoToList(again)
+    assert listed.reset(seed=0)[1] == [{"eval_score": 0.0, "published_code_score": 0.0}] * 2
