@@ -25,7 +25,7 @@ CLEARANCE = 0.34  # units from the robot's centre to an obstacle's when planning
 CATCH = HOLD + 0.03  # units from the robot's centre to a block's that the fingers can close on
 _BLAME = 50.0  # control steps, per unit, that getting too close costs
 _FINAL_BLAME = 12.0  # the same close to a block to be grasped: its neighbours may be pushed aside
-_LOADED_BLAME = 90.0  # the same with a block in hand: two blocks are hard to push
+_LOADED_BLAME = 45.0  # the same with a block in hand: two blocks are hard to push
 _MORE = 4.0  # control steps that any further correction takes
 _TOP = 5  # motions, for each first action, that are checked for obstacles
 _ROW_STARTS = np.arange(ACTIONS_TRIED)[:, None]
@@ -148,7 +148,7 @@ def _obstruction(
     robot = table.robot[picks] @ turn + here  # (P, K, 2)
     front = (table.block if loaded else table.front)[picks] @ turn + here
     cost: Floats = np.maximum(0.0, np.abs(robot) - 0.8).max(axis=(1, 2))
-    cost += np.maximum(0.0, np.abs(front) - (0.88 if loaded else 0.98)).max(axis=(1, 2))
+    cost += 2.0 * np.maximum(0.0, np.abs(front) - 0.84).sum(axis=2).mean(axis=1)
     if others:
         points = np.array(others)
         cost += _intrusion(robot, points, BODY_ROOM)

@@ -10,7 +10,7 @@ from magical.experts import drive, grasp, steering
 from magical.experts.goals import Goals, Move, Plan, Style
 from magical.experts.sight import Sight
 from magical.scene import NOOP, State
-from magical.scene.actions import Action, Longitudinal, Turn
+from magical.scene.actions import Action, Gripper, Longitudinal, Turn
 from magical.scene.geometry import Point
 
 PATIENCE = 7  # control steps without progress after which the expert tries something else
@@ -21,6 +21,7 @@ REVIEW = 8  # control steps after which the side of approach is thought over
 CHECK = 3  # control steps between looks, on the way, whether the task is solved already
 CLOSING = 2  # control steps that closing the fingers takes
 GRIPPED = 0.33  # rad: fingers opened less than this have something, or are closing, already
+CAREFUL = 12  # control steps without the block after which others may be pushed aside
 SEARCH = 36  # control steps without the block between the fingers after which a move is given up
 HAUL = 60  # control steps after which a move is given up
 
@@ -40,6 +41,7 @@ class Memory:
     still: int = 0  # control steps since then
     loose: int = 0  # control steps since the block was last between the fingers
     held: int = 0  # control steps that the block has been between the fingers
+    pull: bool = False  # whether the escape keeps the block
     avoid: int | None = None  # block whose move was given up last
 
 
@@ -98,7 +100,7 @@ class Expert:
     def _pursue(self, sight: Sight, move: Move, memory: Memory) -> tuple[int, Memory]:
         aged = replace(memory, age=memory.age + 1, loose=memory.loose + 1, held=0)
         if move.block is None:
-            return steering.travel(sight, move.goal, sight.blocks), aged
+            return steering.travel(sight, move.goal, sight.blocks, memory.age > CAREFUL), aged
         block, others = sight.blocks[move.block], without(sight.blocks, move.block)
         if grasp.in_jaw(sight, block, memory.held):
             aged = replace(aged, loose=0, held=memory.held + 1)
@@ -109,7 +111,8 @@ class Expert:
             used = memory.side if memory.age else None
             side = self._side(sight, move.block, move.goal, memory.failures, used)[0]
             aged = replace(aged, side=side)
-        return steering.approach(sight, block, aged.side, others), aged
+        bold = memory.loose > CAREFUL
+        return steering.approach(sight, block, aged.side, others, bold), aged
 
 
 def without(points: Sequence[Point], index: int) -> tuple[Point, ...]:
@@ -145,6 +148,7 @@ def _give_up(memory: Memory) -> Memory:
         age=0,
         failures=memory.failures + 1,
         escape=ESCAPE,
+        pull=memory.held > 0 and not memory.pull,
         avoid=None if memory.move is None else memory.move.block,
         move=None,
         plan=Plan(),
@@ -161,6 +165,8 @@ def _escape(memory: Memory) -> int:
         (Longitudinal.FORWARD, Turn.LEFT),
         (Longitudinal.FORWARD, Turn.RIGHT),
     )
+    if memory.pull:
+        return Action(Longitudinal.BACK, Turn.STRAIGHT, Gripper.CLOSED).id
     return Action(*ways[(memory.failures - 1) % len(ways)]).id
 
 

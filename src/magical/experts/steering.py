@@ -15,7 +15,9 @@ from magical.scene.actions import Action, Gripper, Longitudinal, Turn
 from magical.scene.geometry import Point
 
 CLEARANCE = 0.34  # units from the robot's centre to an obstacle's when planning ways
+TIGHT_CLEARANCE = 0.3  # units: the same when others may be pushed aside
 SWEEP = 0.53  # units within which a turn on the spot would hit a block with the fingers
+ARRIVED = 0.16  # units from the gate that are near enough
 AIMED = 0.35  # rad: heading errors up to which it makes sense to drive on
 ARC = 1.1  # rad: the same where there is room for an arc
 _ARC_ROOM = 0.6  # units to the goal from which an arc is possible: its radius is 0.32 at full speed
@@ -24,27 +26,35 @@ _FAR = 0.5  # units: further away, heading errors can wait until they are worth 
 _REAR_LIMIT = 0.82  # largest coordinate of the point 0.1 behind the robot's centre
 
 
-def travel(sight: Sight, goal: Point, obstacles: Sequence[Point]) -> int:
-    """Drive to a point around blocks that must not move, fingers open."""
+def travel(sight: Sight, goal: Point, obstacles: Sequence[Point], bold: bool = False) -> int:
+    """Drive to a point around blocks that must not move, fingers open.
+
+    The bold push blocks aside where the careful would back off.
+    """
     here = (sight.x, sight.y)
-    point = next_waypoint(here, goal, obstacles, CLEARANCE)
-    return _head(sight, point, heading_error(sight, bearing(here, point)), obstacles)
+    point = next_waypoint(here, goal, obstacles, TIGHT_CLEARANCE if bold else CLEARANCE)
+    error = heading_error(sight, bearing(here, point))
+    return _drive(sight, point, error) if bold else _head(sight, point, error, obstacles)
 
 
-def approach(sight: Sight, block: Point, side: float, others: Sequence[Point]) -> int:
+def approach(
+    sight: Sight, block: Point, side: float, others: Sequence[Point], bold: bool = False
+) -> int:
     """Drive so that the block comes between the open fingers at bearing `side`."""
     here = (sight.x, sight.y)
     straight, away = bearing(here, block), sight.distance(block)
     stand = behind(block, straight, HOLD)
     free = away < GATE + 0.12 or is_clear(here, stand, others, CLEARANCE - 0.04)
     crowded = any(math.dist(block, other) < CROWDED for other in others)
-    if abs(wrap(straight - side)) > (TIGHT_CONE if crowded else CONE) or not free:
-        return travel(sight, behind(block, side, GATE), (*others, block))
+    gate = behind(block, side, GATE)
+    askew = abs(wrap(straight - side)) > (TIGHT_CONE if crowded else CONE)
+    if (askew or not free) and sight.distance(gate) > ARRIVED:
+        return travel(sight, gate, (*others, block), bold)
     error = heading_error(sight, straight)
     if abs(error) > AIMED and can_back(sight, others):
         if away < SWEEP:
             return _act(Longitudinal.BACK, turn_by(error, 0.8 * TAP))
-        if _sweeps(sight, error, others, SWEEP):
+        if not bold and _sweeps(sight, error, others, SWEEP):
             return _act(Longitudinal.BACK, Turn.STRAIGHT)
     return _drive(sight, block, error)
 
