@@ -17,11 +17,13 @@ from magical.evaluation import (
     rollout_seed,
 )
 from magical.evaluation.policy import Actions, Mask
+from magical.evaluation.seeds import rollout_stream
 from magical.scene import State
 from magical.tasks import TASKS
 
 DEMO = "magical/MoveToRegion-Demo-v0"
 LAYOUT = "magical/MoveToRegion-TestLayout-v0"
+ALL = "magical/MoveToRegion-TestAll-v0"
 
 
 class Watching:
@@ -62,13 +64,13 @@ def test_unknown_names(tasks: Any, variants: Any, message: str) -> None:
 
 
 def test_every_rollout_equals_an_episode_of_the_single_environment() -> None:
-    scores = evaluate(load_policy("random"), [LAYOUT], rollouts=12, workers=0)
-    assert [row.rollout for row in scores] == list(range(12))
+    scores = evaluate(load_policy("random"), [ALL], rollouts=30, workers=0)
+    assert [row.rollout for row in scores] == list(range(30))
     assert any(row.score for row in scores)
     for row in scores:
         env = gymnasium.make(row.env_id, observation="state")
         env.reset(seed=rollout_seed(row.rollout))
-        rng = np.random.Generator(np.random.PCG64((row.seed, 1)))
+        rng = np.random.Generator(np.random.PCG64(rollout_stream(row.env_id, row.seed)))
         truncated = False
         while not truncated:
             _, _, _, truncated, info = env.step(int(rng.integers(18)))

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magical.evaluation.seeds import ROW_DRAWS, RolloutRng, rollout_seed
+from magical.evaluation.seeds import ROW_DRAWS, RolloutRng, rollout_seed, rollout_stream
 
 
 def test_seeds_depend_on_the_rollout_and_the_set_alone() -> None:
@@ -16,8 +16,8 @@ def test_seeds_depend_on_the_rollout_and_the_set_alone() -> None:
 @pytest.mark.parametrize("name", ROW_DRAWS)
 @pytest.mark.parametrize("rest", [(), (18,)])
 def test_a_row_draws_the_same_in_any_batch(name: str, rest: tuple[int, ...]) -> None:
-    parameters = (18,) if name == "integers" else ()
-    large, small = RolloutRng([5, 6, 7, 8]), RolloutRng([7, 4])
+    parameters = (2**40,) if name == "integers" else ()
+    large, small = RolloutRng("abab", [5, 6, 7, 8]), RolloutRng("ab", [7, 4])
     for _ in range(3):
         many = getattr(large, name)(*parameters, size=(4, *rest))
         few = getattr(small, name)(*parameters, size=(2, *rest))
@@ -27,7 +27,7 @@ def test_a_row_draws_the_same_in_any_batch(name: str, rest: tuple[int, ...]) -> 
 
 
 def test_sizes_may_be_plain_numbers_and_positional() -> None:
-    first, second = RolloutRng([1, 2]), RolloutRng([1, 2])
+    first, second = RolloutRng("ab", [1, 2]), RolloutRng("ab", [1, 2])
     np.testing.assert_array_equal(first.integers(0, 18, 2), second.integers(18, size=(2,)))
 
 
@@ -45,5 +45,12 @@ def test_sizes_may_be_plain_numbers_and_positional() -> None:
     ],
 )
 def test_other_draws_come_from_the_common_stream(draw: Any) -> None:
-    common = np.random.Generator(np.random.PCG64((1, 2)))
-    np.testing.assert_array_equal(draw(RolloutRng([1, 2])), draw(common))
+    words = [*rollout_stream("a", 1), *rollout_stream("b", 2)]
+    common = np.random.Generator(np.random.PCG64(words))
+    np.testing.assert_array_equal(draw(RolloutRng("ab", [1, 2])), draw(common))
+
+
+def test_environments_do_not_share_a_rollouts_stream() -> None:
+    rng = RolloutRng("ab", [1, 1])
+    first, second = rng.random((2, 5))
+    assert not set(first) & set(second)

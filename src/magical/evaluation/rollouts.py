@@ -150,7 +150,7 @@ class _Sweep:
 
     def _episodes(self, seeds: Sequence[int], active: Mask) -> tuple[NDArray[Any], NDArray[Any]]:
         """One episode in each active world, and the final scores by both rules."""
-        rng = RolloutRng(seeds)
+        rng = RolloutRng(self.env_ids, seeds)
         observations, infos = self.envs.reset(seed=list(seeds))
         self.policy.reset(np.ones(len(seeds), np.bool_))
         for _ in range(self.horizon):

@@ -2,6 +2,7 @@
 
 import functools
 import inspect
+import zlib
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -19,6 +20,11 @@ def rollout_seed(rollout: int, seed: int = 0) -> int:
     return FIRST_SEED + SEEDS_PER_SWEEP * seed + rollout
 
 
+def rollout_stream(env_id: str, rollout_seed: int) -> tuple[int, int]:
+    """What seeds a rollout's own stream of random numbers, different for every environment."""
+    return rollout_seed, zlib.crc32(env_id.encode())
+
+
 class RolloutRng(np.random.Generator):
     """The generator that policies get: every row of the batch has a stream of its own.
 
@@ -27,9 +33,10 @@ class RolloutRng(np.random.Generator):
     others do. Any other draw comes from one common stream.
     """
 
-    def __init__(self, rollout_seeds: Sequence[int]) -> None:
-        super().__init__(np.random.PCG64(tuple(rollout_seeds)))
-        self._rows = [np.random.Generator(np.random.PCG64((seed, 1))) for seed in rollout_seeds]
+    def __init__(self, env_ids: Sequence[str], rollout_seeds: Sequence[int]) -> None:
+        streams = list(map(rollout_stream, env_ids, rollout_seeds))
+        super().__init__(np.random.PCG64([word for stream in streams for word in stream]))
+        self._rows = [np.random.Generator(np.random.PCG64(stream)) for stream in streams]
 
 
 def _by_rows(name: str) -> Callable[..., Any]:

@@ -63,7 +63,7 @@ def record_clips(
     seeds = [rollout_seed(rollout, seed)] * len(env_ids)
     observation = shown_to(policy)
     with closing(MagicalVectorEnv(env_ids, workers=0, observation=observation)) as envs:
-        rng = RolloutRng(seeds)
+        rng = RolloutRng(env_ids, seeds)
         observations, info = envs.reset(seed=seeds)
         policy.reset(np.ones(len(env_ids), np.bool_))
         states = envs.states()
