@@ -33,7 +33,7 @@ check: $(READY) ## lint, format, file and function length, layers, types
 	$(BIN)/ruff check --quiet . || failed+=" lint"; \
 	$(BIN)/ruff format --check --quiet --diff . || failed+=" format"; \
 	$(BIN)/python tools/check_sizes.py src tests benchmarks examples tools || failed+=" sizes"; \
-	$(BIN)/lint-imports --no-logo || failed+=" layers"; \
+	$(BIN)/lint-imports --no-logo --no-cache || failed+=" layers"; \
 	$(BIN)/mypy || failed+=" types"; \
 	test -z "$$failed" || { echo "failed:$$failed" >&2; exit 1; }
 
