@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from heapq import nsmallest
 from itertools import combinations, permutations
 
 from magical.experts.goals import Goals, Move, Plan, Style, register_goals
@@ -15,6 +16,8 @@ TOLERANCE = 0.06  # units
 LIMIT = 0.8  # largest coordinate of a place in the line
 ANGLES = 16
 MOVE_TIME = 20.0  # control steps that a move costs besides the way
+LEAST = 0.27  # units between neighbours that leave room for the fingers
+REFINED = 8  # lines that are looked at more closely
 ROOM = 0.26  # units between blocks
 TASTE = 16.0  # control steps that a demonstrator gives for the orientation it likes best
 
@@ -32,35 +35,68 @@ def make_line(sight: Sight, style: Style, plan: Plan) -> Plan:
     return Plan(moves, places) if moves else make_line(sight, style, Plan()) if plan.places else Plan()
 
 
-def is_line(blocks: Sequence[Point]) -> bool:
+def is_line(blocks: Sequence[Point], off: float = OFF_LINE, apart: float = APART) -> bool:
     """Whether all blocks are in one line, with something to spare."""
-    return any(_fits(blocks, i, j) for i, j in combinations(range(len(blocks)), 2))
+    pairs = combinations(range(len(blocks)), 2)
+    return any(_fits(blocks, i, j, off, apart) for i, j in pairs)
 
 
-def _fits(blocks: Sequence[Point], i: int, j: int) -> bool:
-    (x, y), length = blocks[i], math.dist(blocks[i], blocks[j])
+def _fits(blocks: Sequence[Point], i: int, j: int, off: float, apart: float) -> bool:
+    (x, y), length = blocks[i], math.dist(blocks[i], blocks[j]) or 1.0
     ux, uy = (blocks[j][0] - x) / length, (blocks[j][1] - y) / length
-    if any(abs(ux * (b[1] - y) - uy * (b[0] - x)) > OFF_LINE for b in blocks):
+    if any(abs(ux * (b[1] - y) - uy * (b[0] - x)) > off for b in blocks):
         return False
     along = sorted(ux * (b[0] - x) + uy * (b[1] - y) for b in blocks)
-    return all(b - a < APART for a, b in zip(along, along[1:], strict=False))
+    return all(b - a < apart for a, b in zip(along, along[1:], strict=False))
 
 
 def _best_places(blocks: Sequence[Point], style: Style) -> tuple[Point, ...]:
-    return min(_candidates(blocks), key=lambda places: _cost(places, blocks, style))
+    priced = ((_cost(places, blocks, style), places) for places in _candidates(blocks))
+    settled = (_with_stayers(places, blocks) for _, places in nsmallest(REFINED, priced))
+    return min(settled, key=lambda places: _cost(places, blocks, style))
+
+
+def _with_stayers(places: tuple[Point, ...], blocks: Sequence[Point]) -> tuple[Point, ...]:
+    """The same line with the blocks that fit into it as they are left where they are."""
+    for i, block in enumerate(blocks):
+        left = (*places[:i], block, *places[i + 1 :])
+        if is_line(left, OFF_LINE - 0.03, APART - 0.02):
+            places = left
+    return places
 
 
 def _candidates(blocks: Sequence[Point]) -> Iterator[tuple[Point, ...]]:
-    """Places on lines through each block, in many directions, in the blocks' order along it."""
-    angles = [math.pi * i / ANGLES for i in range(ANGLES)]
-    angles += [math.atan2(b[1] - a[1], b[0] - a[0]) for a, b in combinations(blocks, 2)]
-    for angle in angles:
+    """Places for all blocks on many lines."""
+    yield from _through_one(blocks)
+    for i, j in combinations(range(len(blocks)), 2):
+        for gaps in range(1, len(blocks)):
+            if LEAST < math.dist(blocks[i], blocks[j]) / gaps < APART - 0.02:
+                yield from _through_two(blocks, i, j, gaps)
+
+
+def _through_one(blocks: Sequence[Point]) -> Iterator[tuple[Point, ...]]:
+    """Lines through each block, in many directions, with the blocks in their order along it."""
+    for angle in (math.pi * i / ANGLES for i in range(ANGLES)):
         ux, uy = math.cos(angle), math.sin(angle)
         order = sorted(range(len(blocks)), key=lambda i: ux * blocks[i][0] + uy * blocks[i][1])
         rank = {block: k for k, block in enumerate(order)}
         for anchor, (x, y) in enumerate(blocks):
             steps = [SPACING * (rank[i] - rank[anchor]) for i in range(len(blocks))]
             yield tuple((x + s * ux, y + s * uy) for s in steps)
+
+
+def _through_two(
+    blocks: Sequence[Point], i: int, j: int, gaps: int
+) -> Iterator[tuple[Point, ...]]:
+    """Lines on which two blocks stay, `gaps` places apart, in every order of the others."""
+    (x, y), dx, dy = blocks[i], blocks[j][0] - blocks[i][0], blocks[j][1] - blocks[i][1]
+    others = [k for k in range(len(blocks)) if k not in (i, j)]
+    for first in range(gaps + 1 - len(blocks), 1):
+        free = [k for k in range(first, first + len(blocks)) if k not in (0, gaps)]
+        for order in permutations(free):
+            rank = {i: 0, j: gaps, **dict(zip(others, order, strict=True))}
+            steps = [rank[k] / gaps for k in range(len(blocks))]
+            yield tuple((x + s * dx, y + s * dy) for s in steps)
 
 
 def _cost(places: Sequence[Point], blocks: Sequence[Point], style: Style) -> float:

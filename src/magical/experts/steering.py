@@ -48,9 +48,12 @@ def approach(
     crowded = any(math.dist(block, other) < CROWDED for other in others)
     gate = behind(block, side, GATE)
     askew = abs(wrap(straight - side)) > (TIGHT_CONE if crowded else CONE)
-    if (askew or not free) and sight.distance(gate) > ARRIVED:
+    if (askew or not free) and sight.distance(gate) > (2 * ARRIVED if bold else ARRIVED):
         return travel(sight, gate, (*others, block), bold)
     error = heading_error(sight, straight)
+    held = _held(sight, others)
+    if held is not None and (abs(error) > AIMED or sight.distance(held) < away - 0.1):
+        return _leave(sight, held)
     if abs(error) > AIMED and can_back(sight, others):
         if away < SWEEP:
             return _act(Longitudinal.BACK, turn_by(error, 0.8 * TAP))
@@ -83,11 +86,24 @@ def _act(drive: Longitudinal, turn: Turn) -> int:
     return Action(drive, turn, Gripper.OPEN).id
 
 
+def _held(sight: Sight, others: Sequence[Point]) -> Point | None:
+    """The block between the open fingers, if any, and if there is room to back off."""
+    if not inside(sight.ahead(-0.1), _REAR_LIMIT):
+        return None
+    return next((other for other in others if in_jaw(sight, other)), None)
+
+
+def _leave(sight: Sight, held: Point) -> int:
+    """Back off a block, turning the finger that touches it outwards."""
+    aside = sight.local(held)[0]
+    return _act(Longitudinal.BACK, turn_by(-aside, 0.06))
+
+
 def _head(sight: Sight, point: Point, error: float, obstacles: Sequence[Point]) -> int:
     """Drive towards a point, first backing off blocks that the fingers hold or would push."""
-    held = any(in_jaw(sight, other) for other in obstacles)
-    if held and inside(sight.ahead(-0.1), _REAR_LIMIT):
-        return _act(Longitudinal.BACK, Turn.STRAIGHT)
+    held = _held(sight, obstacles)
+    if held is not None:
+        return _leave(sight, held)
     if abs(error) > AIMED and _sweeps(sight, error, obstacles, SWEEP) and can_back(sight, obstacles):
         return _act(Longitudinal.BACK, Turn.STRAIGHT)
     return _drive(sight, point, error, arc=not _sweeps(sight, error, obstacles, 1.3 * SWEEP))
