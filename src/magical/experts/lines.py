@@ -9,14 +9,14 @@ from magical.experts.goals import Goals, Move, Plan, Style, register_goals
 from magical.experts.sight import Sight
 from magical.scene.geometry import Point
 
-SPACING = 0.33  # units between neighbours that is aimed at; up to 0.42 count
+SPACING = 0.32  # units between neighbours that is aimed at; up to 0.42 count
 OFF_LINE = 0.14  # units from the line that are good enough; up to 0.18 count
 APART = 0.40  # units between neighbours along the line that are good enough
 TOLERANCE = 0.06  # units
 LIMIT = 0.8  # largest coordinate of a place in the line
 ANGLES = 16
 MOVE_TIME = 20.0  # control steps that a move costs besides the way
-LEAST = 0.27  # units between neighbours that leave room for the fingers
+LEAST = 0.26  # units between neighbours that leave room for the fingers
 REFINED = 8  # lines that are looked at more closely
 ROOM = 0.26  # units between blocks
 TASTE = 16.0  # control steps that a demonstrator gives for the orientation it likes best
@@ -26,13 +26,22 @@ def make_line(sight: Sight, style: Style, plan: Plan) -> Plan:
     """Places for all blocks on the line that is made soonest."""
     if is_made(sight):
         return Plan()
-    places = plan.places or _best_places(sight.blocks, style)
-    moves = tuple(
-        Move(place, TOLERANCE, i)
-        for i, (place, block) in enumerate(zip(places, sight.blocks, strict=True))
-        if math.dist(place, block) > 1.3 * TOLERANCE
+    for places in (plan.places, _best_places(sight.blocks, style)):
+        for tolerance in (TOLERANCE, 0.5 * TOLERANCE):
+            if moves := _moves(sight.blocks, places, tolerance):
+                return Plan(moves, places)
+    return Plan()
+
+
+def _moves(
+    blocks: Sequence[Point], places: Sequence[Point], tolerance: float
+) -> tuple[Move, ...]:
+    """Moves of the blocks that are not in their places (none where there are no places yet)."""
+    return tuple(
+        Move(place, tolerance, i)
+        for i, (place, block) in enumerate(zip(places, blocks, strict=False))
+        if math.dist(place, block) > 1.2 * tolerance
     )
-    return Plan(moves, places) if moves else make_line(sight, style, Plan()) if plan.places else Plan()
 
 
 def is_line(blocks: Sequence[Point], off: float = OFF_LINE, apart: float = APART) -> bool:
