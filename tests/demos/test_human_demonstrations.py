@@ -88,7 +88,7 @@ def test_first_frame_is_the_demo_scene(human: Path) -> None:
             pictures.env_id, pictures.scene, [0], np.stack([start, start]), dynamics=Dynamics()
         )
         for view in ("ego", "allo"):
-            ours = Frames(drawn, view).take(np.array([0]))[0]
+            ours = Frames(drawn, view).take([0])[0]
             assert np.abs(ours.astype(int) - pictures.frames[view][0]).mean() < 1.0
 
 

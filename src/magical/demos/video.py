@@ -51,7 +51,7 @@ def film(trajectory: Trajectory) -> Iterator[Picture]:
     frames = [Frames(trajectory, view, size) for view in views]
     shown: Any = None
     for time in range(len(trajectory) + 1):
-        parts = [one.take(np.array([time]))[0] for one in frames]
+        parts = [one.take([time])[0] for one in frames]
         pictures = [part.repeat(SIZE // size, 0).repeat(SIZE // size, 1) for part in parts]
         shown = np.concatenate([_banner(trajectory, time, SIZE * len(views)), _joined(pictures)])
         yield shown

@@ -1,0 +1,60 @@
+"""`magical demos info` and `replay` on recordings, whole and damaged."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from magical.cli import main
+from magical.demos import Dataset
+
+Run = Callable[..., tuple[int, dict[str, Any]]]
+
+
+def test_info_counts_and_tells_problems(small_dataset: Path, run: Run) -> None:
+    status, result = run("info", small_dataset)
+    assert (status, result["count"], result["problems"]) == (0, 3, [])
+    corner = result["environments"][1]
+    assert (corner["env_id"], corner["with_poses"]) == ("magical/MoveToCorner-Demo-v0", 1)
+    assert (corner["lengths"], sum(corner["actions"])) == ([12, 12.0, 12], 12)
+    entry = Dataset.open(small_dataset).entries[0]
+    (small_dataset / entry.file).unlink()
+    status, result = run("info", small_dataset)
+    assert (status, result["count"]) == (1, 2)
+    assert entry.file in result["problems"][0]["file"]
+    status, result = run("info", small_dataset, "--repair")
+    assert (status, result["count"], result["problems"]) == (0, 2, [])
+
+
+def test_replay_of_recordings_is_exact(small_dataset: Path, run: Run) -> None:
+    status, result = run("replay", small_dataset)
+    assert status == 0
+    assert [replay["departure"] for replay in result["replays"]] == [0.0] * 3
+    for mean in result["environments"]:
+        assert mean["published_code_score"] == mean["recorded"]
+        assert (mean["exact"], mean["published_replay"]) == (mean["count"], None)
+
+
+def test_replay_goes_on_past_damage(
+    small_dataset: Path, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    entry = Dataset.open(small_dataset).entries[1]
+    file = small_dataset / entry.file
+    file.write_bytes(file.read_bytes()[:-9])
+    status, result = run("replay", small_dataset)
+    assert (status, len(result["replays"])) == (1, 2)
+    assert main(["demos", "replay", str(small_dataset)]) == 1
+    assert f"error: {file}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("what", ["info", "replay", "export --to minari", "video --out v.webp"])
+def test_no_dataset_there(tmp_path: Path, what: str, capsys: pytest.CaptureFixture[str]) -> None:
+    command, *more = what.split()
+    assert main(["demos", command, str(tmp_path / "none"), *more]) == 1
+    assert "expected a dataset" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [[], ["import"], ["import", "x"], ["frobnicate"]])
+def test_wrong_usage(arguments: list[str]) -> None:
+    assert main(["demos", *arguments]) == 2

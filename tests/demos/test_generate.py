@@ -1,0 +1,87 @@
+"""Demonstrations from the scripted experts."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+
+from magical.cli import main
+from magical.demos import Dataset
+from magical.demos.generate import demonstrate, episode_seed, generate
+from magical.demos.replay import replay
+from magical.errors import DatasetError
+
+ENV = "magical/MoveToRegion-TestAll-v0"
+Run = Callable[..., tuple[int, dict[str, Any]]]
+
+
+def poses(path: Path) -> list[bytes]:
+    return [t.poses.tobytes() for t in Dataset.open(path) if t.poses is not None]
+
+
+def test_result_depends_on_the_seed_alone(tmp_path: Path) -> None:
+    generate(ENV, 3, tmp_path / "a", seed=7, workers=1)
+    generate(ENV, 3, tmp_path / "b", seed=7, workers=2)
+    generate(ENV, 3, tmp_path / "c", seed=8, workers=1)
+    assert poses(tmp_path / "a") == poses(tmp_path / "b")
+    assert len(set(poses(tmp_path / "a") + poses(tmp_path / "c"))) == 6
+
+
+def test_demonstration_is_what_the_environment_shows() -> None:
+    seed = episode_seed(0, 5)
+    trajectory = demonstrate(ENV, seed)
+    env = gymnasium.make(ENV, observation="state")
+    env.reset(seed=seed)
+    for step, action in enumerate(trajectory.actions.tolist(), 1):
+        *_, info = env.step(action)
+        assert trajectory.poses is not None
+        state = env.unwrapped.state()  # type: ignore[attr-defined]
+        np.testing.assert_array_equal(state.poses.bodies, trajectory.poses[step])
+    assert info["eval_score"] == trajectory.score
+    assert (trajectory.demonstrator, trajectory.seed) == ("expert", seed)
+    assert trajectory.metadata["skill"] == 1.0
+    assert replay(trajectory).departure == 0.0
+
+
+def test_only_good_ones_are_kept(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    command = ("--env", ENV, "-n", 4, "--skill", 0.3, "--min-score", 0.9, "--workers", 1)
+    status, result = run("generate", *command, "--out", tmp_path / "d")
+    (report,) = result["environments"]
+    assert (status, report["kept"]) == (0, 4)
+    assert min(report["scores"]) >= 0.9
+    assert [t.score for t in Dataset.open(tmp_path / "d")] == report["scores"]
+    monkeypatch.setattr("magical.demos.generate.PATIENCE", 1)
+    with pytest.raises(DatasetError, match=r"attempts scored less than 1\.1"):
+        generate(ENV, 2, tmp_path / "d", min_score=1.1, workers=1)
+
+
+def test_several_environments_append(tmp_path: Path, run: Run) -> None:
+    ids = ["magical/MoveToRegion-Demo-v0", "MoveToCorner-Demo-LoRes4E-v0"]
+    status, result = run(
+        "generate", "--env", ids[0], "--env", ids[1], "-n", 2, "--out", tmp_path, "--workers", 1
+    )
+    assert status == 0
+    assert [r["env_id"] for r in result["environments"]] == [ids[0], "magical/MoveToCorner-Demo-v0"]
+    assert [entry.task for entry in Dataset.open(tmp_path).entries] == ["MoveToRegion"] * 2 + [
+        "MoveToCorner"
+    ] * 2
+    assert main(["demos", "generate", "--env", "MoveToMoon-Demo-v0", "--out", str(tmp_path)]) == 2
+
+
+def test_scene_without_solution_is_an_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from magical.errors import NoSolutionError
+
+    class Lost:
+        def act(self, state: Any, memory: Any) -> Any:
+            raise NoSolutionError("there is no duplicate")
+
+    monkeypatch.setattr("magical.demos.generate.expert_for", lambda *_, **__: Lost())
+    command = ["demos", "generate", "--env", ENV, "-n", "1", "--workers", "1"]
+    assert main([*command, "--out", str(tmp_path / "d")]) == 1
+    assert "there is no duplicate" in capsys.readouterr().err
+    assert len(Dataset.open(tmp_path / "d")) == 0
