@@ -160,8 +160,10 @@ def test_arrays_that_do_not_fit(case: Case) -> None:
     for bad in bad_arrays:
         with pytest.raises(DrawingError, match="expected"):
             renderer.draw(poses.bodies, bad)
-    with pytest.raises(DrawingError, match="one shape"):
-        renderer.draw_stacked(poses.bodies, np.empty((96, 96, 6), np.uint8), out)
+    stack = np.empty((96, 96, 6), np.uint8)
+    for target in (out, np.empty((96, 96, 9), np.uint8), stack[:90]):
+        with pytest.raises(DrawingError, match="expected"):
+            renderer.draw_stacked(poses.bodies, stack, target)
 
 
 @pytest.mark.parametrize(("size", "samples"), [(0, 1), (-4, None), (96, 3), (96, 0)])

@@ -22,7 +22,6 @@ class PixelObserver:
     def __init__(self, spec: PixelSpec, out: PixelArrays | None = None) -> None:
         self.spec = spec
         self.out = self.empty() if out is None else out
-        self._arrays = [self._channels_last(a) for a in self._all_arrays()]
         self._stacks = self._frame_stacks()
         self._renderers: list[Renderer] = []
 
@@ -37,9 +36,12 @@ class PixelObserver:
 
     def update(self, table: NDArray[np.float64]) -> None:
         """Show the next moment."""
-        # Whole arrays are moved quickly; what thereby crosses into another view is then drawn over.
-        for array in self._arrays:
-            shift_stack(array)
+        if isinstance(self.out, dict) or len(self._stacks) == 1:
+            for renderer, stack in zip(self._renderers, self._stacks, strict=True):
+                renderer.draw_stacked(table, stack)
+            return
+        # A whole array is moved quickly; what thereby crosses into another view is drawn over.
+        shift_stack(self._channels_last(self.out))
         for renderer, stack in zip(self._renderers, self._stacks, strict=True):
             renderer.draw(table, stack[:, :, -3:])
 
@@ -68,9 +70,6 @@ class PixelObserver:
             windows.append(array)
             first += 3 * frames
         return windows
-
-    def _all_arrays(self) -> list[Pixels]:
-        return list(self.out.values()) if isinstance(self.out, dict) else [self.out]
 
     def _channels_last(self, array: Pixels) -> Pixels:
         return array.transpose(1, 2, 0) if self.spec.channels_first else array

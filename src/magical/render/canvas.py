@@ -24,17 +24,17 @@ class Canvas(NamedTuple):
     """A frame's pixels, from the lowest row upwards, P = size * size of them.
 
     A ground pixel is a colour (red in the lowest byte), or ~t for tile t. Every layer of the
-    ground opens at most one tile in a pixel.
+    ground opens at most one tile in a pixel. `pixels` starts as the ground and becomes the frame;
+    where the ground is not to be kept, both are one array.
     """
 
     ground: NDArray[np.int32]  # (P,)
     tiles: Ints  # (layers * P, samples * samples): the samples of mixed ground pixels, as lanes
     owners: NDArray[np.int32]  # (layers * P,): the pixel that each tile belongs to
     counts: Ints  # (1,): number of tiles
-    finished: NDArray[np.int32]  # (P,): the ground's colours, mixed pixels averaged
     bodies: Ints  # (P,): mask of the uncovered samples, sum of the others' colours
     touched: Ints  # (2, size): in each row the first pixel that bodies touch, and the end
-    pixels: NDArray[np.int32]  # (P,): the frame's colours
+    pixels: NDArray[np.int32]  # (P,)
     size: int
     samples: int
 
@@ -138,17 +138,15 @@ def _cover_part(canvas: Canvas, pixel: int, bits: int, colour: int) -> None:
 
 @inlined
 def finish_ground(canvas: Canvas) -> None:
-    """Average the ground's mixed pixels."""
+    """Average the ground's mixed pixels, unless bodies were laid over them, in `pixels`."""
     samples = canvas.samples * canvas.samples
-    for pixel in range(canvas.size * canvas.size):
-        canvas.finished[pixel] = canvas.ground[pixel]
     for tile in range(canvas.counts[0]):
         pixel = canvas.owners[tile]
-        if canvas.ground[pixel] == ~tile:
+        if canvas.pixels[pixel] == ~tile:
             total = 0
             for i in range(samples):
                 total += int(canvas.tiles[tile, i])
-            canvas.finished[pixel] = squeeze(mean(total, samples))
+            canvas.pixels[pixel] = squeeze(mean(total, samples))
 
 
 @inlined

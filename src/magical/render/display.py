@@ -4,7 +4,6 @@ Source of all sizes: details.md, sections 2, 3 and 6.
 """
 
 import math
-from collections.abc import Iterable, Iterator
 from functools import cache
 from typing import NamedTuple
 
@@ -45,6 +44,8 @@ PUPIL_RADIUS = 0.12 * c.ROBOT_RADIUS
 PUPIL_AHEAD = 0.07 * c.ROBOT_RADIUS  # ahead of the eye's centre
 DISC_SIDES, EYE_SIDES, PUPIL_SIDES = 100, 20, 10  # discs are drawn as polygons
 
+Vertices = NDArray[np.float64]  # (2, n): x and y
+
 
 class Part(NamedTuple):
     """Polygons of one colour on one body.
@@ -53,7 +54,7 @@ class Part(NamedTuple):
     body in row `turn`; every polygon is convex and counter-clockwise.
     """
 
-    polygons: tuple[Polygon, ...]
+    polygons: tuple[Vertices, ...]
     colour: RGB
     anchor: int
     turn: int
@@ -72,19 +73,20 @@ class DisplayList(NamedTuple):
 
 def display_list(scene: Scene) -> DisplayList:
     """Everything of a scene, in the order in which it is drawn (details.md, section 6)."""
-    robot = list(_robot_parts())
+    robot = _robot_parts()
     blocks = [part for row, block in enumerate(scene.blocks) for part in _block_parts(row, block)]
     parts = [*robot, *blocks] if scene.robot_first else [*blocks, *robot]
     items, offsets, polygons = [], [], []
     first = 0
     for part in reversed(parts):
         for polygon in part.polygons:
-            items.append((first, len(polygon), part.anchor, part.turn, lanes(part.colour)))
+            count = polygon.shape[1]
+            items.append((first, count, part.anchor, part.turn, lanes(part.colour)))
             offsets.append(part.offset)
             polygons.append(polygon)
-            first += len(polygon)
+            first += count
     return DisplayList(
-        np.ascontiguousarray(np.concatenate([np.array(polygon) for polygon in polygons]).T),
+        np.concatenate(polygons, axis=1),
         np.array(items, np.int64),
         np.array(offsets),
         np.array([_corners(*_WORKSPACE), *(_corners(*_bounds(r)) for r in scene.regions)]),
@@ -107,54 +109,66 @@ def disc(sides: int, radius: float) -> Polygon:
     return tuple((radius * math.cos(turn), radius * math.sin(turn)) for turn in turns)
 
 
-def fan(star: Polygon) -> tuple[Polygon, ...]:
-    """A star as convex kites that meet in its centre, one for each tip."""
-    tips = range(0, len(star), 2)
-    return tuple(((0.0, 0.0), star[tip - 1], star[tip], star[tip + 1]) for tip in tips)
+def convex_parts(star: Polygon) -> tuple[Polygon, ...]:
+    """A star with inner radius above 0.382 of the outer as three convex polygons that overlap.
+
+    Tips are the even vertices. A tip and the next but one see each other, so that both, with the
+    four inner vertices beside them, make a convex hexagon; two of these and a kite with the fifth
+    tip cover the star.
+    """
+
+    def hexagon(tip: int) -> Polygon:
+        return tuple(star[(tip + i) % 10] for i in (0, 1, 3, 4, 5, 9))
+
+    return hexagon(0), hexagon(2), (star[8], star[9], (0.0, 0.0), star[7])
 
 
 @cache
-def block_shapes(shape: Shape) -> tuple[tuple[Polygon, ...], tuple[Polygon, ...]]:
+def block_shapes(shape: Shape) -> tuple[tuple[Vertices, ...], tuple[Vertices, ...]]:
     """A block's outline and fill as convex polygons, each edge moved inwards for the fill."""
     inset = BLOCK_INSET
     if shape == Shape.CIRCLE:
-        return (disc(DISC_SIDES, c.BLOCK_SIZE),), (disc(DISC_SIDES, c.BLOCK_SIZE - inset),)
+        radii = c.BLOCK_SIZE, c.BLOCK_SIZE - inset
+        return _vertices(disc(DISC_SIDES, radii[0])), _vertices(disc(DISC_SIDES, radii[1]))
+    outline = block_outline(shape)
     if shape == Shape.STAR:
         inner = star_polygon(c.STAR_OUTER_RADIUS - inset, c.STAR_INNER_RADIUS - inset)
-        return fan(block_outline(shape)), fan(inner)
+        return _vertices(*convex_parts(outline)), _vertices(*convex_parts(inner))
     if shape == Shape.SQUARE:
         side = c.SQUARE_SIDE - 2 * inset
-        return (block_outline(shape),), (rectangle(side, side),)
+        return _vertices(outline), _vertices(rectangle(side, side))
     radius = c.PENTAGON_RADIUS - inset / math.cos(math.pi / 5)
-    return (block_outline(shape),), (regular_polygon(5, radius),)
+    return _vertices(outline), _vertices(regular_polygon(5, radius))
 
 
-def _block_parts(index: int, block: Block) -> Iterator[Part]:
-    row = FIRST_BLOCK + index
+def _vertices(*polygons: Polygon) -> tuple[Vertices, ...]:
+    return tuple(np.array(polygon).T for polygon in polygons)
+
+
+def _block_parts(index: int, block: Block) -> tuple[Part, Part]:
+    row, shades = FIRST_BLOCK + index, SHADES[block.colour]
     outline, fill = block_shapes(block.shape)
-    yield Part(outline, SHADES[block.colour].outline, row, row)
-    yield Part(fill, SHADES[block.colour].fill, row, row)
+    return Part(outline, shades.outline, row, row), Part(fill, shades.fill, row, row)
 
 
-def _robot_parts() -> Iterator[Part]:
+@cache
+def _robot_parts() -> tuple[Part, ...]:
+    parts = []
     fingers = list(zip(c.SIDES, range(FINGERS.start, FINGERS.stop), strict=True))
     for side, row in fingers:
-        yield Part(finger_polygons(side), GREY, row, row)
+        parts.append(Part(_vertices(*finger_polygons(side)), GREY, row, row))
     for side, row in fingers:
-        inner = finger_polygons(side, FINGER_INSET)
-        yield Part(_moved(inner, 0.0, FINGER_INSET / 2), OUTSIDE, row, row)
-    yield Part((disc(DISC_SIDES, c.ROBOT_RADIUS),), GREY_OUTLINE, ROBOT, ROBOT)
-    yield Part((disc(DISC_SIDES, c.ROBOT_RADIUS - ROBOT_INSET),), GREY, ROBOT, ROBOT)
-    eyes = _moved([disc(EYE_SIDES, EYE_RADIUS)], 0.0, 0.0)
-    for side in c.SIDES:
-        yield Part(eyes, WHITE, ROBOT, ROBOT, (side * EYE_X, EYE_Y))
-    pupil = _moved([disc(PUPIL_SIDES, PUPIL_RADIUS)], 0.0, PUPIL_AHEAD)
-    for side, row in zip(c.SIDES, range(EYES.start, EYES.stop), strict=True):
-        yield Part(pupil, PUPIL, ROBOT, row, (side * EYE_X, EYE_Y))
-
-
-def _moved(polygons: Iterable[Polygon], dx: float, dy: float) -> tuple[Polygon, ...]:
-    return tuple(shift(polygon, dx, dy) for polygon in polygons)
+        inner = [shift(p, 0.0, FINGER_INSET / 2) for p in finger_polygons(side, FINGER_INSET)]
+        parts.append(Part(_vertices(*inner), OUTSIDE, row, row))
+    body, inner_radius = disc(DISC_SIDES, c.ROBOT_RADIUS), c.ROBOT_RADIUS - ROBOT_INSET
+    parts.append(Part(_vertices(body), GREY_OUTLINE, ROBOT, ROBOT))
+    parts.append(Part(_vertices(disc(DISC_SIDES, inner_radius)), GREY, ROBOT, ROBOT))
+    eye = _vertices(disc(EYE_SIDES, EYE_RADIUS))
+    parts += [Part(eye, WHITE, ROBOT, ROBOT, (side * EYE_X, EYE_Y)) for side in c.SIDES]
+    pupil = _vertices(shift(disc(PUPIL_SIDES, PUPIL_RADIUS), 0.0, PUPIL_AHEAD))
+    eyes = zip(c.SIDES, range(EYES.start, EYES.stop), strict=True)
+    parts += [Part(pupil, PUPIL, ROBOT, row, (side * EYE_X, EYE_Y)) for side, row in eyes]
+    return tuple(parts)
 
 
 _WORKSPACE = (-c.WORKSPACE_HALF, c.WORKSPACE_HALF, c.WORKSPACE_HALF, -c.WORKSPACE_HALF)

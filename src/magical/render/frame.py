@@ -16,6 +16,7 @@ from magical.render.polygons import MOST_SIDES, SUBSAMPLES, Floats, Ints, place,
 VIEW_WIDTH = 2.04  # units: both cameras show as much (details.md, section 6)
 ROBOT_HEIGHT = 0.15  # of the frame: where the egocentric camera has the robot, from below
 FAR = 1e6  # units: poses beyond are taken for a mistake
+EGO, GROUND, ALLO = 0, 1, 2  # what `draw` draws
 _BACKGROUND = lanes(OUTSIDE)
 
 Pixels = NDArray[np.int32]
@@ -135,18 +136,19 @@ def compiled_draw(samples: int) -> Callable[..., int]:
         ground: Pixels,
         tiles: Ints,
         owners: Pixels,
-        finished: Pixels,
         body_pixels: Ints,
         touched: Ints,
         pixels: Pixels,
+        kept: Pixels,
         size: int,
-        ego: bool,
-        fresh: bool,
+        mode: int,
     ) -> int:
-        """Draw into `pixels`, with `fresh` the ground, too; how many tiles it has, -1 if not drawn.
+        """Draw into `pixels`, in one of three modes.
 
-        The arrays are those of `display.DisplayList` and `canvas.Canvas`. Allocentric frames start
-        from what is kept in `finished`; for egocentric ones that is the same array as `pixels`.
+        EGO draws everything; `ground` is the same array as `pixels`. GROUND draws the allocentric
+        ground and nothing else. ALLO draws bodies on a ground drawn earlier, its finished pixels
+        in `kept`. The other arrays are those of `display.DisplayList` and `canvas.Canvas`. Returns
+        the number of tiles, -1 if there are poses that cannot be drawn.
         """
         _ = stamp  # makes it part of the key under which the compiled code is kept
         if not drawable(bodies):
@@ -154,18 +156,18 @@ def compiled_draw(samples: int) -> Callable[..., int]:
         extent, count, counts = size * samples, len(bodies), np.zeros(1, np.int64)
         edges, spans = np.empty((3, MOST_SIDES + 1)), np.empty((2, extent + samples), np.int64)
         frames = np.empty((count + 1, 4))
-        canvas = Canvas(
-            ground, tiles, owners, counts, finished, body_pixels, touched, pixels, size, samples
-        )
-        body_frames(bodies, ego, extent, frames)
-        if fresh:
-            draw_ground(canvas, corners, colours, frames[count], ego, edges, spans)
-            finish_ground(canvas)
-        if not ego:
+        canvas = Canvas(ground, tiles, owners, counts, body_pixels, touched, pixels, size, samples)
+        body_frames(bodies, mode == EGO, extent, frames)
+        if mode != ALLO:
+            draw_ground(canvas, corners, colours, frames[count], mode == EGO, edges, spans)
+        if mode != EGO:
+            source = ground if mode == GROUND else kept
             for pixel in range(size * size):
-                pixels[pixel] = finished[pixel]
-        draw_bodies(canvas, vertices, items, offsets, frames, edges, spans)
-        finish_bodies(canvas)
+                pixels[pixel] = source[pixel]
+        if mode != GROUND:
+            draw_bodies(canvas, vertices, items, offsets, frames, edges, spans)
+            finish_bodies(canvas)
+        finish_ground(canvas)
         return int(counts[0])
 
     return draw

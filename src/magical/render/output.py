@@ -1,5 +1,6 @@
-"""Writing finished pixels into arrays of any layout, and moving frame stacks on."""
+"""Writing a frame's pixels into arrays of any layout, and moving frame stacks on."""
 
+import sys
 from collections.abc import Callable
 from functools import cache
 
@@ -9,6 +10,8 @@ from numpy.typing import NDArray
 from magical.render.jit import entry_point, source_stamp
 
 CHANNELS = 3
+
+Stack = NDArray[np.uint8]
 
 
 @cache
@@ -33,7 +36,52 @@ def compiled_store() -> Callable[..., None]:
     return store
 
 
-def shift_stack(stack: NDArray[np.uint8], channels: int = CHANNELS) -> None:
+@cache
+def compiled_push() -> Callable[..., None]:
+    """The entry point that moves stacks of four frames on and adds the newest, in one pass."""
+    stamp = source_stamp()
+
+    @entry_point
+    def push_four(
+        pixels: NDArray[np.int32], source: NDArray[np.uint32], target: NDArray[np.uint32]
+    ) -> None:
+        """Stacks as little-endian words, three a pixel: (height, 3 * width). May be one array."""
+        _ = stamp  # makes it part of the key under which the compiled code is kept
+        height, width = target.shape[0], target.shape[1] // 3
+        old = np.empty(3 * width, np.uint32)
+        for y in range(height):
+            first = (height - 1 - y) * width
+            newest, given, new = pixels[first : first + width], source[y], target[y]
+            for i in range(3 * width):
+                old[i] = given[i]
+            for x in range(width):
+                a, b, c = old[3 * x], old[3 * x + 1], old[3 * x + 2]
+                new[3 * x] = a >> 24 | b << 8
+                new[3 * x + 1] = b >> 24 | c << 8
+                new[3 * x + 2] = c >> 24 | np.uint32(newest[x]) << 8
+
+    return push_four
+
+
+def push(pixels: NDArray[np.int32], source: Stack, target: Stack) -> None:
+    """The stack `source` without its oldest frame, then `pixels`, into `target` (or itself)."""
+    words = _words(source), _words(target)
+    if words[0] is not None and words[1] is not None:
+        compiled_push()(pixels, *words)
+    else:
+        move_stack(source, target)
+        compiled_store()(pixels, target[:, :, -CHANNELS:])
+
+
+def _words(stack: Stack) -> NDArray[np.uint32] | None:
+    """A contiguous stack of four frames as words; None if it cannot be seen so."""
+    if stack.shape[2] != 12 or not stack.flags.c_contiguous or sys.byteorder != "little":
+        return None
+    words = stack.reshape(len(stack), -1).view(np.uint32)
+    return words if words.flags.aligned else None
+
+
+def shift_stack(stack: Stack, channels: int = CHANNELS) -> None:
     """Move the frames of a stack (height, width, C) one place towards the oldest, in place.
 
     Channels [channels:] move to [:-channels]; the last `channels` keep what they held, to be
@@ -43,10 +91,8 @@ def shift_stack(stack: NDArray[np.uint8], channels: int = CHANNELS) -> None:
     move_stack(stack, stack, channels)
 
 
-def move_stack(
-    source: NDArray[np.uint8], target: NDArray[np.uint8], channels: int = CHANNELS
-) -> None:
-    """Like `shift_stack`, from one stack to another of the same shape (whose rest may change)."""
+def move_stack(source: Stack, target: Stack, channels: int = CHANNELS) -> None:
+    """Like `shift_stack`, from one stack to another of the same shape."""
     if source.shape[2] == channels:
         return
     if source.flags.c_contiguous and target.flags.c_contiguous:

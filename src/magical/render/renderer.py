@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from magical.errors import DrawingError
 from magical.render.canvas import blank
 from magical.render.display import display_list
-from magical.render.frame import FAR, compiled_draw
-from magical.render.output import CHANNELS, compiled_store, move_stack
+from magical.render.frame import ALLO, EGO, FAR, GROUND, compiled_draw
+from magical.render.output import CHANNELS, compiled_store, push
 from magical.scene.poses import FIRST_BLOCK, Poses
 from magical.scene.scene import Pose, Scene
 from magical.scene.vocabulary import View, parse_word
@@ -62,12 +62,12 @@ class Renderer:
         self._display = display_list(scene)
         self._bodies = np.empty((FIRST_BLOCK + len(scene.blocks), 3))
         shared = _memory(size, self.samples, 1 + len(scene.regions))
-        if self.view == View.EGO:
-            shared = shared._replace(finished=shared.pixels)
         self._pixels = shared.pixels
-        self._arguments = (*self._display, *shared, size, self.view == View.EGO, True)
-        if self.view == View.ALLO:
-            self._keep_ground(scene, shared)
+        if self.view == View.EGO:
+            memory, mode = shared._replace(ground=shared.pixels), EGO
+        else:
+            memory, mode = self._kept_ground(shared), ALLO
+        self._arguments = (*self._display, *memory, size, mode)
 
     def draw(self, bodies: NDArray[np.float64], out: Image) -> None:
         """Write the frame into `out`, which may be a view of any layout, such as a stack's end.
@@ -79,20 +79,8 @@ class Renderer:
         Raises:
             DrawingError: bodies or `out` do not fit, or a pose is not finite.
         """
-        mine, shape = self._bodies, (self.size, self.size, CHANNELS)
-        if out.shape != shape or out.dtype.char != "B" or not out.flags.writeable:
-            raise DrawingError(
-                f"expected a writeable array {shape} of uint8 to draw into, found "
-                f"{out.shape} of {out.dtype}{'' if out.flags.writeable else ', read-only'}"
-            )
-        if len(bodies) != len(mine) or bodies.shape[1] < mine.shape[1]:
-            raise DrawingError(
-                f"expected the poses (x, y, angle) of {len(mine)} bodies, five of the robot's and "
-                f"one for each block, found an array {bodies.shape}"
-            )
-        mine[:] = bodies[:, :3]
-        if self._draw(mine, *self._arguments) < 0:
-            raise DrawingError(f"expected finite poses within {FAR:g} units, found {mine.tolist()}")
+        self._check(out, CHANNELS)
+        self._draw_pixels(bodies)
         self._store(self._pixels, out)
 
     def draw_stacked(
@@ -104,23 +92,45 @@ class Renderer:
             bodies: as for `draw`.
             stack: (size, size, 3 * frames) uint8, oldest first, any layout.
             out: where the result goes; by default `stack` itself. Must not overlap it partly.
+
+        Raises:
+            DrawingError: bodies, `stack` or `out` do not fit, or a pose is not finite.
         """
         out = stack if out is None else out
+        self._check(out, stack.shape[-1])
         if stack.shape != out.shape:
-            raise DrawingError(f"expected stacks of one shape, found {stack.shape} and {out.shape}")
-        move_stack(stack, out)
-        self.draw(bodies, out[:, :, -CHANNELS:])
+            raise DrawingError(f"expected a stack {out.shape} to move on, found {stack.shape}")
+        self._draw_pixels(bodies)
+        push(self._pixels, stack, out)
 
-    def _keep_ground(self, scene: Scene, shared: "_Memory") -> None:
+    def _check(self, out: Image, channels: int) -> None:
+        shape = (self.size, self.size, channels)
+        if out.shape != shape or out.dtype.char != "B" or not out.flags.writeable:
+            raise DrawingError(
+                f"expected a writeable array {shape} of uint8 to draw into, found "
+                f"{out.shape} of {out.dtype}{'' if out.flags.writeable else ', read-only'}"
+            )
+
+    def _draw_pixels(self, bodies: NDArray[np.float64]) -> None:
+        mine = self._bodies
+        if len(bodies) != len(mine) or bodies.shape[1] < mine.shape[1]:
+            raise DrawingError(
+                f"expected the poses (x, y, angle) of {len(mine)} bodies, five of the robot's and "
+                f"one for each block, found an array {bodies.shape}"
+            )
+        mine[:] = bodies[:, :3]
+        if self._draw(mine, *self._arguments) < 0:
+            raise DrawingError(f"expected finite poses within {FAR:g} units, found {mine.tolist()}")
+
+    def _kept_ground(self, shared: "_Memory") -> "_Memory":
         """Draw the ground once, since the allocentric camera does not move, and keep it."""
-        self._bodies[:] = Poses.at_rest(scene).bodies
-        tiles = self._draw(self._bodies, *self._arguments)
-        own = shared._replace(
+        self._bodies[:] = 0.0
+        tiles = self._draw(self._bodies, *self._display, *shared, self.size, GROUND)
+        return shared._replace(
             ground=shared.ground.copy(),
             tiles=shared.tiles[:tiles].copy(),
-            finished=shared.finished.copy(),
+            kept=shared.pixels.copy(),
         )
-        self._arguments = (*self._display, *own, self.size, False, False)
 
 
 def draw_frame(
@@ -159,10 +169,10 @@ class _Memory(NamedTuple):
     ground: NDArray[np.int32]
     tiles: NDArray[np.int64]
     owners: NDArray[np.int32]
-    finished: NDArray[np.int32]
     bodies: NDArray[np.int64]
     touched: NDArray[np.int64]
     pixels: NDArray[np.int32]
+    kept: NDArray[np.int32]
 
 
 @lru_cache(maxsize=16)
@@ -172,8 +182,8 @@ def _memory(size: int, samples: int, layers: int) -> _Memory:
         ground=np.empty(count, np.int32),
         tiles=np.empty((layers * count, samples * samples), np.int64),
         owners=np.empty(layers * count, np.int32),
-        finished=np.empty(count, np.int32),
         bodies=np.full(count, blank(samples), np.int64),
         touched=np.repeat([[size], [0]], size, axis=1),
         pixels=np.empty(count, np.int32),
+        kept=np.empty(0, np.int32),
     )
