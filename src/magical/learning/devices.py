@@ -1,8 +1,8 @@
 """Where and in which precision to compute: chosen by measurement, recorded with the run."""
 
 import time
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -70,3 +70,14 @@ def step_time(compute: Compute, step: Callable[[], Tensor]) -> float:
             torch.cuda.synchronize()
         times.append(time.perf_counter() - start)
     return min(times[WARM_UP:])
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Inside, a CPU computes on one core: for small layers handing out work takes longer."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

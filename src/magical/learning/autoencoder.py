@@ -1,0 +1,78 @@
+"""Features of observations and actions, learned by reconstructing the expert's (appendix B).
+
+The encoder is the discriminator's network with its last layer removed and the one before it made
+32 wide; the decoder is details.md's, section 10.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+from torch import Tensor, nn
+from torch.nn import functional
+
+from magical.files import write_atomically
+from magical.learning.networks import Trunk, Width
+from magical.scene import NUM_ACTIONS
+
+FEATURES = 32
+HIDDEN = 128
+START = (64, 6, 6)  # channels, rows, columns that the decoder's convolutions start from
+DOUBLINGS = ((64, 64), (64, 32), (32, 32), (32, None))  # output channels; None: the image's
+SIZE = START[1] * 2 ** len(DOUBLINGS)  # pixels
+
+
+class Autoencoder(nn.Module):
+    """Images (B, C, 96, 96) and actions (B,) to features (B, 32) and back."""
+
+    def __init__(self, width: Width, image_shape: tuple[int, int, int]) -> None:
+        super().__init__()
+        assert image_shape[1:] == (SIZE, SIZE)
+        narrow = Width(width.convolutions, (*width.linear[:-1], FEATURES))
+        self.encoder = Trunk(narrow, image_shape, batch_norm=True, action_input=True)
+        self.hidden = nn.Sequential(
+            nn.Linear(FEATURES, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, HIDDEN), nn.ReLU()
+        )
+        self.action = nn.Linear(HIDDEN, NUM_ACTIONS)
+        self.image = _image_decoder(image_shape[0])
+
+    def forward(self, images: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
+        """Reconstructed images (B, C, 96, 96) and logits of actions (B, 18)."""
+        hidden = self.hidden(self.encoder(images, actions))
+        return self.image(hidden), self.action(hidden)
+
+
+def _image_decoder(channels: int) -> nn.Sequential:
+    layers: list[nn.Module] = [nn.Linear(HIDDEN, int(np.prod(START))), nn.Unflatten(1, START)]
+    inputs = START[0]
+    for first, second in DOUBLINGS:
+        layers += [
+            nn.Upsample(scale_factor=2, mode="nearest"),
+            nn.Conv2d(inputs, first, 3, padding=1),
+            nn.ReLU(),
+            nn.Conv2d(first, second or channels, 3, padding=1),
+        ]
+        layers += [nn.ReLU()] if second else []
+        inputs = second or channels
+    return nn.Sequential(*layers)
+
+
+def autoencoder_loss(
+    images: Tensor, actions: Tensor, reconstructed: Tensor, logits: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Mean squared error of the images and cross-entropy of the actions; their sum is minimised."""
+    error = functional.mse_loss(reconstructed.float(), images)
+    return error, functional.cross_entropy(logits.float(), actions)
+
+
+def save_reconstructions(path: Path, images: Tensor, reconstructed: Tensor) -> None:
+    """Write a picture: the newest frame of each stack (B, C, H, W) in [0, 1], what became of it.
+
+    Originals are above.
+    """
+    rows = [torch.cat(list(stacks[:, -3:]), dim=2) for stacks in (images, reconstructed)]
+    both = torch.cat(rows, dim=1).float().clamp(0.0, 1.0).mul(255.0).round()  # (3, 2H, B * W)
+    pixels = both.to(torch.uint8).permute(1, 2, 0).cpu().numpy()
+    with write_atomically(path) as file:
+        Image.fromarray(pixels).save(file, format="PNG")
