@@ -11,7 +11,7 @@ EXTRAS := dev,learning,report,video,window,minari,lerobot,sb3,tensorboard
 # The first interpreter that runs; `make PYTHON=/path/to/python` overrules it.
 PYTHON ?= $(firstword $(foreach name,python3.11 python3.12 python3.13 python3,\
 	$(shell $(name) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $(name))))
-PYTEST_FLAGS ?= -q -n auto --dist loadfile
+PYTEST_FLAGS ?= -q -rs -n auto --dist loadfile
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## /\t/' | expand -t 14
