@@ -6,6 +6,7 @@ pipe of requests closes, because the parent closed it or is gone, the worker end
 """
 
 import contextlib
+import gc
 import importlib
 import json
 import os
@@ -19,12 +20,18 @@ import numpy as np
 
 from magical.envs.batch import Batch, BatchSpec
 from magical.envs.block import Block, open_memory
+from magical.envs.episode import Episode
+from magical.envs.ids import parse_env_id
+from magical.scene.actions import NOOP
 from magical.scene.scene import Dynamics, Scene
 from magical.tasks import TASKS, Task, register_task
 
 STEP, CALL = b"s", b"c"  # requests
 DONE, RESULT, ERROR = b".", b"r", b"!"  # replies
 _BARE = (STEP, DONE)  # kinds without data
+# pymunk leaves worlds that have ended, some 80 kB each, to the garbage collector, which by itself
+# would come only after a few hundred.
+EPISODES_KEPT = 16
 _LENGTH = struct.Struct("!I")
 
 
@@ -71,7 +78,11 @@ def _serve(requests: int, replies: int) -> None:
     except Exception as error:
         send(replies, encode(ERROR, _describe(error)))
         return
+    # What is loaded by now stays; without it collections take a millisecond or two.
+    gc.collect()
+    gc.freeze()
     send(replies, encode(DONE))
+    begun = 0
     while True:
         kind, request = receive(requests)
         try:
@@ -80,9 +91,13 @@ def _serve(requests: int, replies: int) -> None:
             else:
                 result = getattr(batch, request["call"])(*request["args"])
             reply = encode(RESULT, result) if result else encode(DONE)
+            begun += len(result) if isinstance(result, list) else 0
         except Exception as error:
             reply = encode(ERROR, _describe(error))
         send(replies, reply)
+        if begun >= EPISODES_KEPT:
+            gc.collect()
+            begun = 0
 
 
 def _make_batch(
@@ -95,7 +110,17 @@ def _make_batch(
     memory = open_memory(handle, layout.size)
     if isinstance(handle, int):
         os.close(handle)
+    _rehearse(checked)
     return Batch(checked, rows, Block(layout, memory))
+
+
+def _rehearse(spec: BatchSpec) -> None:
+    """Take one step in a world of no consequence, so that all that is needed is loaded."""
+    variant = parse_env_id(spec.env_ids[0]).variant
+    episode = Episode(spec.tasks()[0], variant, spec.form(), spec.horizon, spec.reward)
+    with contextlib.suppress(Exception):  # what goes wrong here will again when it matters
+        episode.start(np.random.default_rng(0))
+        episode.step(NOOP)
 
 
 def _load_tasks(plugin: str) -> None:
