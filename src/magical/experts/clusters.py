@@ -28,7 +28,8 @@ RING = 0.26  # units from an anchor that has a block to the places beside it
 TOUCH = 0.2  # units from the anchor at which a block that is brought there comes to rest, about
 TOLERANCE = 0.09  # units
 MOVE_TIME = 24.0  # control steps that a move costs besides the way
-BROKEN = 60.0  # control steps that a block in the wrong place costs
+BROKEN = 120.0  # control steps that a block in the wrong place costs
+NOTHING = 1000.0  # control steps that it costs to leave an unsolved jumble as it is
 TASTE = 12.0  # control steps that a demonstrator gives for the place it likes best
 ROOM = 0.5  # units around a growing cluster that are better free of other blocks
 CROWDING = 40.0  # control steps, per unit and block brought there, that their closeness costs
@@ -115,7 +116,7 @@ def _cost(jumble: _Jumble, anchors: Floats, moved: NDArray[np.bool_], away: Floa
     crowding = (np.maximum(0.0, ROOM - gaps) * strange).sum(axis=-2)  # (C, groups)
     grows = moved.astype(float) @ jumble.member  # (C, groups) blocks brought to each anchor
     cost: Floats = time + BROKEN * broken + CROWDING * (crowding * grows).sum(axis=-1)
-    return cost  # (C,)
+    return cost + NOTHING * ~moved.any(axis=-1)  # (C,)
 
 
 def _after(jumble: _Jumble, anchors: Floats, moved: NDArray[np.bool_]) -> Floats:

@@ -6,8 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magical.experts import drive, grasp, steering
-from magical.experts.goals import Goals, Move, Plan, Style
+from magical.experts import grasp, steering
+from magical.experts.carry import carry, grip
+from magical.experts.clumsiness import Clumsiness
+from magical.experts.goals import NO_PLAN, Goals, Move, Plan, Style, goals_of
 from magical.experts.sight import Sight
 from magical.scene import NOOP, State
 from magical.scene.actions import Action, Gripper, Longitudinal, Turn
@@ -30,7 +32,7 @@ HAUL = 60  # control steps after which a move is given up
 class Memory:
     """What an expert carries from one decision to the next; it can start from nothing."""
 
-    plan: Plan = Plan()
+    plan: Plan = NO_PLAN
     move: Move | None = None
     side: float = 0.0  # bearing from which the block is to be grasped, rad
     age: int = 0  # control steps spent on the move
@@ -42,20 +44,26 @@ class Memory:
     loose: int = 0  # control steps since the block was last between the fingers
     held: int = 0  # control steps that the block has been between the fingers
     pull: bool = False  # whether the escape keeps the block
-    avoid: int | None = None  # block whose move was given up last
+    avoid: tuple[int, ...] = ()  # blocks whose moves were given up last
 
 
 class Expert:
     """A closed-loop demonstrator of one task."""
 
-    def __init__(self, goals: Goals, style: Style) -> None:
+    def __init__(self, goals: Goals, style: Style, clumsiness: Clumsiness | None = None) -> None:
         self._goals = goals
         self._style = style
+        self._clumsiness = clumsiness
 
     def act(self, state: State, memory: Memory | None = None) -> tuple[int, Memory]:
         """The action for the present state, and the memory for the next call."""
-        sight = Sight.of(state)
-        memory = _watch(sight, memory or Memory())
+        action, memory = self._decide(Sight.of(state), memory or Memory())
+        if self._clumsiness is not None:
+            action = self._clumsiness.disturb(action)
+        return action, memory
+
+    def _decide(self, sight: Sight, memory: Memory) -> tuple[int, Memory]:
+        memory = _watch(sight, memory)
         if memory.escape:
             return _escape(memory), replace(memory, escape=memory.escape - 1)
         move = memory.move
@@ -72,20 +80,26 @@ class Expert:
         return memory.held > 0 and memory.age % CHECK == 0 and self._goals.solved(sight)
 
     def _choose(self, sight: Sight, memory: Memory) -> Memory:
+        if self._goals.unsolvable(sight.scene):
+            return replace(memory, move=None, rest=REVIEW)
         plan = self._goals.plan(sight, self._style, memory.plan)
         memory = replace(memory, plan=plan, age=0, loose=0)
         if not plan.moves:
             return replace(memory, move=None, rest=REVIEW)
         move = min(plan.moves, key=lambda move: self._price(sight, move, memory))
-        return replace(memory, move=move)
+        if self._clumsiness is None:
+            return replace(memory, move=move)
+        return replace(
+            memory, move=self._clumsiness.mislead(move), escape=self._clumsiness.detour()
+        )
 
     def _price(self, sight: Sight, move: Move, memory: Memory) -> float:
         if move.block is None:
             return 0.0
         taste = self._style.order[(move.block + memory.failures) % len(self._style.order)]
-        again = RELUCTANCE if move.block == memory.avoid else 0.0
+        again = RELUCTANCE * memory.avoid.count(move.block)
         waiting = [m.block for m in memory.plan.moves if m.block != move.block]
-        if any(math.dist(sight.blocks[other], move.goal) < TAKEN for other in waiting if other is not None):
+        if any(i is not None and math.dist(sight.blocks[i], move.goal) < TAKEN for i in waiting):
             again += RELUCTANCE
         side = self._side(sight, move.block, move.goal, memory.failures)
         return side[1] + taste + move.weight + again
@@ -105,8 +119,8 @@ class Expert:
         if grasp.in_jaw(sight, block, memory.held):
             aged = replace(aged, loose=0, held=memory.held + 1)
             if memory.held < CLOSING and sight.opening > GRIPPED:
-                return drive.grip(sight, block), aged
-            return drive.carry(sight, block, move.goal, move.tolerance, others), aged
+                return grip(sight, block), aged
+            return carry(sight, block, move.goal, move.tolerance, others), aged
         if memory.age % REVIEW == 0:
             used = memory.side if memory.age else None
             side = self._side(sight, move.block, move.goal, memory.failures, used)[0]
@@ -141,6 +155,8 @@ def _watch(sight: Sight, memory: Memory) -> Memory:
 
 
 def _give_up(memory: Memory) -> Memory:
+    move = memory.move
+    given_up = () if move is None or move.block is None else (move.block,)
     return replace(
         memory,
         still=0,
@@ -149,9 +165,9 @@ def _give_up(memory: Memory) -> Memory:
         failures=memory.failures + 1,
         escape=ESCAPE,
         pull=memory.held > 0 and not memory.pull,
-        avoid=None if memory.move is None else memory.move.block,
+        avoid=(*given_up, *memory.avoid)[:3],
         move=None,
-        plan=Plan(),
+        plan=NO_PLAN,
         rest=0,
     )
 
@@ -170,6 +186,22 @@ def _escape(memory: Memory) -> int:
     return Action(*ways[(memory.failures - 1) % len(ways)]).id
 
 
-def draw_style(rng: np.random.Generator) -> Style:
-    """A demonstrator's tastes."""
-    return Style.draw(rng, grasp.SIDES)
+def expert_for(
+    task: str,
+    *,
+    seed: int | None = None,
+    rng: np.random.Generator | None = None,
+    skill: float = 1.0,
+) -> Expert:
+    """The expert of a task, with the strategy that `seed` (or `rng`) draws.
+
+    Below `skill` 1 it makes mistakes: noise, detours, sometimes wrong goals.
+
+    Raises:
+        NoExpertError: the task has none.
+        InvalidConfigError: the skill is not between 0 and 1.
+    """
+    goals = goals_of(task)
+    rng = np.random.default_rng(seed) if rng is None else rng
+    style = Style.draw(rng, grasp.SIDES)
+    return Expert(goals, style, None if skill == 1.0 else Clumsiness(1.0 - skill, rng))

@@ -11,7 +11,7 @@ import numpy as np
 
 from magical.errors import NoExpertError
 from magical.experts.sight import Sight
-from magical.scene import Region
+from magical.scene import Region, Scene
 from magical.scene.geometry import Point
 
 MAX_BLOCKS = 16  # blocks that have a taste of their own; more share them
@@ -54,8 +54,15 @@ class Plan:
     places: tuple[Point, ...] = ()
 
 
+NO_PLAN = Plan()
+
+
 def _never(sight: Sight) -> bool:
     return False
+
+
+def _always(scene: Scene) -> str:
+    return ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +71,7 @@ class Goals:
 
     plan: Callable[[Sight, Style, Plan], Plan]  # the moves still to make; the last plan is given
     solved: Callable[[Sight], bool] = _never  # cheap: whether to let go at once, all is well
+    unsolvable: Callable[[Scene], str] = _always  # why a scene has no solution, or an empty text
 
 
 _GOALS: dict[str, Goals] = {}

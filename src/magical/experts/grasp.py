@@ -97,9 +97,7 @@ def _travel(sight: Sight, block: Point, gate: Point, side: float) -> float:
     return reach_time(distance, abs(wrap(way - sight.angle)) + abs(wrap(side - way)))
 
 
-def _crowding(
-    block: Point, stand: Point, gate: Point, near: list[Point], side: float
-) -> float:
+def _crowding(block: Point, stand: Point, gate: Point, near: list[Point], side: float) -> float:
     """What it costs that walls and other blocks are in the way of robot and fingers."""
     cost = 300.0 * max(0.0, abs(stand[0]) - REACHABLE, abs(stand[1]) - REACHABLE)
     cost += 40.0 * max(0.0, abs(gate[0]) - REACHABLE, abs(gate[1]) - REACHABLE)

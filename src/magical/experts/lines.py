@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from heapq import nsmallest
-from itertools import combinations, permutations
+from itertools import combinations, pairwise, permutations
 
 from magical.experts.goals import Goals, Move, Plan, Style, register_goals
 from magical.experts.sight import Sight
@@ -12,6 +12,7 @@ from magical.scene.geometry import Point
 SPACING = 0.32  # units between neighbours that is aimed at; up to 0.42 count
 OFF_LINE = 0.14  # units from the line that are good enough; up to 0.18 count
 APART = 0.40  # units between neighbours along the line that are good enough
+OFF_LIMIT, APART_LIMIT = 0.175, 0.415  # units: the same once all blocks are at rest
 TOLERANCE = 0.06  # units
 LIMIT = 0.8  # largest coordinate of a place in the line
 ANGLES = 16
@@ -33,9 +34,7 @@ def make_line(sight: Sight, style: Style, plan: Plan) -> Plan:
     return Plan()
 
 
-def _moves(
-    blocks: Sequence[Point], places: Sequence[Point], tolerance: float
-) -> tuple[Move, ...]:
+def _moves(blocks: Sequence[Point], places: Sequence[Point], tolerance: float) -> tuple[Move, ...]:
     """Moves of the blocks that are not in their places (none where there are no places yet)."""
     return tuple(
         Move(place, tolerance, i)
@@ -56,7 +55,7 @@ def _fits(blocks: Sequence[Point], i: int, j: int, off: float, apart: float) -> 
     if any(abs(ux * (b[1] - y) - uy * (b[0] - x)) > off for b in blocks):
         return False
     along = sorted(ux * (b[0] - x) + uy * (b[1] - y) for b in blocks)
-    return all(b - a < apart for a, b in zip(along, along[1:], strict=False))
+    return all(b - a < apart for a, b in pairwise(along))
 
 
 def _best_places(blocks: Sequence[Point], style: Style) -> tuple[Point, ...]:
@@ -94,9 +93,7 @@ def _through_one(blocks: Sequence[Point]) -> Iterator[tuple[Point, ...]]:
             yield tuple((x + s * ux, y + s * uy) for s in steps)
 
 
-def _through_two(
-    blocks: Sequence[Point], i: int, j: int, gaps: int
-) -> Iterator[tuple[Point, ...]]:
+def _through_two(blocks: Sequence[Point], i: int, j: int, gaps: int) -> Iterator[tuple[Point, ...]]:
     """Lines on which two blocks stay, `gaps` places apart, in every order of the others."""
     (x, y), dx, dy = blocks[i], blocks[j][0] - blocks[i][0], blocks[j][1] - blocks[i][1]
     others = [k for k in range(len(blocks)) if k not in (i, j)]
@@ -115,8 +112,8 @@ def _cost(places: Sequence[Point], blocks: Sequence[Point], style: Style) -> flo
         distance = math.dist(place, block)
         cost += MOVE_TIME + 12.0 * distance if distance > TOLERANCE else 0.0
         cost += 400.0 * max(0.0, abs(place[0]) - LIMIT, abs(place[1]) - LIMIT)
-    for place, other in permutations(zip(places, blocks, strict=True), 2):
-        cost += 60.0 * max(0.0, ROOM - math.dist(place[0], other[1]))
+    for i, j in permutations(range(len(blocks)), 2):
+        cost += 60.0 * max(0.0, ROOM - math.dist(places[i], blocks[j]))
     (x0, y0), (x1, y1) = places[0], places[-1]
     angle = math.atan2(y1 - y0, x1 - x0) % math.pi / math.pi
     return cost + TASTE * style.places[int(angle * ANGLES) % ANGLES]
@@ -124,7 +121,8 @@ def _cost(places: Sequence[Point], blocks: Sequence[Point], style: Style) -> flo
 
 def is_made(sight: Sight) -> bool:
     """Whether the blocks come to rest in one line."""
-    return is_line(sight.resting)
+    moving = max(map(math.dist, sight.blocks, sight.resting)) > 0.005
+    return is_line(sight.resting) if moving else is_line(sight.blocks, OFF_LIMIT, APART_LIMIT)
 
 
 register_goals("MakeLine", Goals(make_line, is_made))

@@ -27,8 +27,11 @@ Floats = NDArray[np.float64]
 TAP = TURN_MAX_BIAS / CONTROL_RATE  # rad: one control step of turning
 STEP = DRIVE_SPEED_FORWARD / CONTROL_RATE  # units: one control step of driving
 HOLD = ROBOT_RADIUS + BLOCK_SIZE + 0.015  # units from the robot's centre to a held block's
-TIP = (0.17, 0.27)  # units to the side and ahead: middle of an open finger's far half
-MOUTH = 0.34  # units ahead: middle between the fingers
+
+# Accelerations with a held block, with a control step as the unit of time.
+_SPEED_UP, _SLOW_DOWN = 0.013, 0.04  # units
+_SPIN_UP = 0.12  # rad
+_SPIN_STOP = 0.33  # share of the present turning that is still turned when it stops
 
 _FIRST = (1, 2, 3, 5)  # control steps of the first motion of a pair
 _SECOND = (0, 1, 2, 4)  # and of the second
@@ -36,20 +39,6 @@ _STRIDE = 2  # control steps between the points of a way that are checked for ob
 _SPEEDS = (-0.06, 0.0, 0.05, 0.1)  # units per control step: initial speeds that have a table
 _SPINS = (-0.25, 0.0, 0.25)  # rad per control step: initial turning that has
 ACTIONS_TRIED = 9  # those with open fingers; those with closed fingers follow in their order
-
-
-@dataclass(frozen=True)
-class Model:
-    """Accelerations, with a control step as the unit of time."""
-
-    speed_up: float  # units
-    slow_down: float  # units
-    spin_up: float  # rad
-    spin_stop: float  # share of the present turning that is still turned when it stops
-
-
-EMPTY = Model(speed_up=0.037, slow_down=0.037, spin_up=TAP, spin_stop=0.36)
-LOADED = Model(speed_up=0.013, slow_down=0.04, spin_up=0.12, spin_stop=0.33)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,16 +49,14 @@ class Table:
     time: Floats  # (N,) control steps
     robot: Floats  # (N, K, 2) the robot's centre on the way; the last is the end
     block: Floats  # (N, K, 2) where a held block would be
-    tips: Floats  # (N, 2 * K, 2) the open fingers
-    front: Floats  # (N, 3 * K, 2) the same and the middle between them
     turned: Floats  # (N,) rad
     ahead: Floats  # (N, 2) unit vector ahead at the end
     right: Floats  # (N, 2) and to the right
 
 
-def table_for(model: Model, speed: float, spin: float) -> Table:
+def table_for(speed: float, spin: float) -> Table:
     """The pairs from the initial speed (units / s) and turning (rad / s) nearest to the given."""
-    return _table(model, _nearest(_SPEEDS, speed), _nearest(_SPINS, spin))
+    return _table(_nearest(_SPEEDS, speed), _nearest(_SPINS, spin))
 
 
 def _nearest(values: Sequence[float], per_second: float) -> int:
@@ -78,7 +65,7 @@ def _nearest(values: Sequence[float], per_second: float) -> int:
 
 
 @cache
-def _table(model: Model, speed: int, spin: int) -> Table:
+def _table(speed: int, spin: int) -> Table:
     pairs = [
         (a, n, b, m)
         for a in range(ACTIONS_TRIED)
@@ -91,20 +78,14 @@ def _table(model: Model, speed: int, spin: int) -> Table:
     longest = max(map(len, orders)) + 1  # one step more to come to rest
     padded = np.array([ids + [0] * (longest - len(ids)) for ids in orders])  # (N, T)
     time = np.array([len(ids) for ids in orders], dtype=np.float64)
-    at, angle = _roll_out(model, padded, _SPEEDS[speed], _SPINS[spin])
+    at, angle = _roll_out(padded, _SPEEDS[speed], _SPINS[spin])
     ahead = np.stack((-np.sin(angle), np.cos(angle)), axis=-1)  # (N, K, 2)
     right = np.stack((ahead[..., 1], -ahead[..., 0]), axis=-1)
-    tips = [at + TIP[1] * ahead + side * TIP[0] * right for side in (-1, 1)]
-    block = at + HOLD * ahead
-    both = np.concatenate(tips, axis=1)
-    front = np.concatenate((both, at + MOUTH * ahead), axis=1)
     end = angle[:, -1], ahead[:, -1], right[:, -1]
-    return Table(padded[:, 0], time, at, block, both, front, *end)
+    return Table(padded[:, 0], time, at, at + HOLD * ahead, *end)
 
 
-def _roll_out(
-    model: Model, orders: NDArray[np.intp], speed: float, spin: float
-) -> tuple[Floats, Floats]:
+def _roll_out(orders: NDArray[np.intp], speed: float, spin: float) -> tuple[Floats, Floats]:
     """Centres (N, K, 2) and headings (N, K) on the ways of orders (N, T) of actions."""
     speeds = np.array([0.0, STEP, STEP * DRIVE_SPEED_BACK / DRIVE_SPEED_FORWARD])[orders % 3]
     spins = np.array([0.0, TAP, -TAP])[orders // 3 % 3]
@@ -112,8 +93,8 @@ def _roll_out(
     at, angle = np.zeros((len(orders), 2)), np.zeros(len(orders))
     ways, angles = [], []
     for step in range(orders.shape[1]):
-        faster = _towards(v, speeds[:, step], model.speed_up, model.slow_down)
-        turn, w = _turn(model, w, spins[:, step])
+        faster = _towards(v, speeds[:, step], _SPEED_UP, _SLOW_DOWN)
+        turn, w = _turn(w, spins[:, step])
         middle = angle + 0.5 * turn
         along = 0.5 * (v + faster)
         at = at + np.stack((-np.sin(middle) * along, np.cos(middle) * along), axis=-1)
@@ -130,12 +111,12 @@ def _towards(value: Floats, aim: Floats, up: float, down: float) -> Floats:
     return value + np.clip(aim - value, -limit, limit)
 
 
-def _turn(model: Model, spin: Floats, aim: Floats) -> tuple[Floats, Floats]:
+def _turn(spin: Floats, aim: Floats) -> tuple[Floats, Floats]:
     """What is turned in a control step, and the turning after it."""
-    on = spin + np.clip(aim - spin, -model.spin_up, model.spin_up)
+    on = spin + np.clip(aim - spin, -_SPIN_UP, _SPIN_UP)
     against = aim * spin < 0
     after = np.where(against, 0.5 * aim, np.where(aim == 0, 0.0, on))
-    turned = np.where(against | (aim == 0), model.spin_stop * spin, 0.375 * spin + 0.625 * on)
+    turned = np.where(against | (aim == 0), _SPIN_STOP * spin, 0.375 * spin + 0.625 * on)
     return turned, after
 
 

@@ -11,12 +11,15 @@ from heapq import heappop, heappush
 import numpy as np
 from numpy.typing import NDArray
 
+from magical.experts.sight import bearing, wrap
 from magical.scene.geometry import Point
 
 SPACING = 0.1  # units between grid points
 HALF = 0.8  # units; a robot's centre gets no further from the middle
 SIDE = round(2 * HALF / SPACING) + 1
 CROWDING = 8.0  # extra cost, per unit travelled, in an obstacle's middle
+
+TURNING = 0.3  # units that can be driven in the time of turning by one radian
 
 
 def _grid() -> NDArray[np.float64]:
@@ -66,12 +69,16 @@ def is_clear(start: Point, end: Point, obstacles: Sequence[Point], clearance: fl
 
 
 def next_waypoint(
-    start: Point, goal: Point, obstacles: Sequence[Point], clearance: float
+    start: Point, goal: Point, obstacles: Sequence[Point], clearance: float, heading: float
 ) -> Point:
-    """Where to head now: the goal, or the furthest point of a way around that is in clear line."""
+    """Where to head now: the goal, or the furthest point of a way around that is in clear line.
+
+    Setting out in another direction than `heading` costs the time that the turn takes, so that
+    of two equal ways the one that was taken before is kept.
+    """
     if is_clear(start, goal, obstacles, clearance):
         return goal
-    way = _search(_cell(start), _cell(goal), _crowding(obstacles, clearance))
+    way = _search(_cell(start), _cell(goal), _crowding(obstacles, clearance), heading)
     best = way[min(2, len(way) - 1)]
     for cell in way[3:]:
         if not is_clear(start, _POINTS[cell], obstacles, clearance - 0.02):
@@ -95,7 +102,7 @@ def _crowding(obstacles: Sequence[Point], clearance: float) -> list[float]:
     return cost
 
 
-def _search(start: int, goal: int, cost: list[float]) -> list[int]:
+def _search(start: int, goal: int, cost: list[float], heading: float) -> list[int]:
     """The cheapest way over the grid (A*), both ends included."""
     gx, gy = _POINTS[goal]
     spent = {start: 0.0}
@@ -112,6 +119,9 @@ def _search(start: int, goal: int, cost: list[float]) -> list[int]:
         base, here = spent[cell], cost[cell]
         for other, length in _NEIGHBOURS[cell]:
             total = base + 0.5 * length * (here + cost[other])
+            if cell == start:
+                turn = bearing(_POINTS[start], _POINTS[other]) - heading
+                total += TURNING * abs(wrap(turn))
             if total < spent.get(other, math.inf):
                 spent[other], parent[other] = total, cell
                 x, y = _POINTS[other]

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from magical.experts.goals import Goals, Move, Plan, Style, register_goals
 from magical.experts.paths import gap
 from magical.experts.sight import Sight, inside
-from magical.scene import Region
+from magical.scene import Region, Scene
 from magical.scene.geometry import Point
 
 MARGIN = 0.12  # units inside a region's edge (outside, for blocks that leave) that are aimed at
@@ -143,8 +143,48 @@ def _along(place: Point, start: Point, others: Sequence[Point]) -> float:
     return sum(40.0 * max(0.0, ROOM - gap(start, place, other)) for other in others)
 
 
-register_goals("MoveToCorner", Goals(move_to_corner))
-register_goals("MoveToRegion", Goals(move_to_region))
-register_goals("MatchRegions", Goals(match_regions))
-register_goals("FindDupe", Goals(find_dupe))
-register_goals("FixColour", Goals(fix_colour))
+def _wants(scene: Scene, regions: int, blocks: int) -> str:
+    """What the scene lacks of the goal regions and blocks that a task needs at least."""
+    found = len(scene.regions), len(scene.blocks)
+    if found[0] >= regions and found[1] >= blocks:
+        return ""
+    return (
+        f"expected at least {regions} goal regions and {blocks} blocks, found {found[0]} and "
+        f"{found[1]}; add some"
+    )
+
+
+def _no_target(scene: Scene) -> str:
+    if lack := _wants(scene, 1, 1):
+        return lack
+    colour = scene.regions[0].colour
+    if any(block.colour == colour for block in scene.blocks):
+        return ""
+    return f"expected a {colour} block for the {colour} region, found none; add one"
+
+
+def _no_duplicate(scene: Scene) -> str:
+    if lack := _wants(scene, 1, 2):
+        return lack
+    query = scene.blocks[-1]
+    if any((b.shape, b.colour) == (query.shape, query.colour) for b in scene.blocks[:-1]):
+        return ""
+    return f"expected a second {query.colour} {query.shape} like the query, found none; add one"
+
+
+def _no_pairs(scene: Scene) -> str:
+    if lack := _wants(scene, 1, 1):
+        return lack
+    if len(scene.blocks) == len(scene.regions):
+        return ""
+    return (
+        f"expected one block for each goal region, found {len(scene.blocks)} blocks and "
+        f"{len(scene.regions)} regions"
+    )
+
+
+register_goals("MoveToCorner", Goals(move_to_corner, unsolvable=lambda scene: _wants(scene, 0, 1)))
+register_goals("MoveToRegion", Goals(move_to_region, unsolvable=lambda scene: _wants(scene, 1, 0)))
+register_goals("MatchRegions", Goals(match_regions, unsolvable=_no_target))
+register_goals("FindDupe", Goals(find_dupe, unsolvable=_no_duplicate))
+register_goals("FixColour", Goals(fix_colour, unsolvable=_no_pairs))

@@ -39,8 +39,7 @@ class Sight:
         blocks = tuple((row[0], row[1]) for row in rows[FIRST_BLOCK:])
         drift = state.velocities[FIRST_BLOCK:].tolist()
         resting = tuple(
-            (x + GLIDE * v[0], y + GLIDE * v[1])
-            for (x, y), v in zip(blocks, drift, strict=True)
+            (x + GLIDE * v[0], y + GLIDE * v[1]) for (x, y), v in zip(blocks, drift, strict=True)
         )
         cos, sin = math.cos(angle), math.sin(angle)
         speed = cos * vy - sin * vx

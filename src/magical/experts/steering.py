@@ -7,8 +7,8 @@ are corrected where the error is worth a tap, and judged at the angle where the 
 import math
 from collections.abc import Sequence
 
-from magical.experts.grasp import CONE, CROWDED, GATE, HOLD, TIGHT_CONE, behind, in_jaw
-from magical.experts.motions import TAP
+from magical.experts.grasp import CONE, CROWDED, GATE, TIGHT_CONE, behind, in_jaw
+from magical.experts.motions import HOLD, TAP
 from magical.experts.paths import is_clear, next_waypoint
 from magical.experts.sight import Sight, bearing, inside, wrap
 from magical.scene.actions import Action, Gripper, Longitudinal, Turn
@@ -32,7 +32,9 @@ def travel(sight: Sight, goal: Point, obstacles: Sequence[Point], bold: bool = F
     The bold push blocks aside where the careful would back off.
     """
     here = (sight.x, sight.y)
-    point = next_waypoint(here, goal, obstacles, TIGHT_CLEARANCE if bold else CLEARANCE)
+    point = next_waypoint(
+        here, goal, obstacles, TIGHT_CLEARANCE if bold else CLEARANCE, sight.angle
+    )
     error = heading_error(sight, bearing(here, point))
     return _drive(sight, point, error) if bold else _head(sight, point, error, obstacles)
 
@@ -104,7 +106,11 @@ def _head(sight: Sight, point: Point, error: float, obstacles: Sequence[Point]) 
     held = _held(sight, obstacles)
     if held is not None:
         return _leave(sight, held)
-    if abs(error) > AIMED and _sweeps(sight, error, obstacles, SWEEP) and can_back(sight, obstacles):
+    if (
+        abs(error) > AIMED
+        and _sweeps(sight, error, obstacles, SWEEP)
+        and can_back(sight, obstacles)
+    ):
         return _act(Longitudinal.BACK, Turn.STRAIGHT)
     return _drive(sight, point, error, arc=not _sweeps(sight, error, obstacles, 1.3 * SWEEP))
 

@@ -1,0 +1,124 @@
+"""Whole episodes of the scripted experts, and their scores over many."""
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from gymnasium.utils.seeding import np_random
+from numpy.typing import NDArray
+
+from magical.envs.ids import parse_env_id
+from magical.errors import NoSolutionError
+from magical.experts.expert import Memory, expert_for
+from magical.experts.goals import goals_of
+from magical.physics import World
+from magical.scene import NUM_ACTIONS, Dynamics, Poses, Scene, State
+from magical.tasks import get_task
+
+
+@dataclass(frozen=True, slots=True)
+class Rollout:
+    """One episode: what it started with, what was done, where everything was."""
+
+    scene: Scene
+    dynamics: Dynamics
+    actions: NDArray[np.int64]  # (T,)
+    poses: NDArray[np.float64]  # (T + 1, bodies, 3), rows as in `Poses`
+    score: float  # of the last poses, appendix's rule
+
+
+def check_solvable(task: str, scene: Scene) -> None:
+    """Raise `NoSolutionError` where no sequence of actions could solve the task in this scene."""
+    if reason := goals_of(task).unsolvable(scene):
+        raise NoSolutionError(f"{task}: {reason}")
+
+
+def rollout(
+    task: str,
+    variant: str = "Demo",
+    seed: int | None = None,
+    *,
+    skill: float = 1.0,
+    random_steps: int = 0,
+    style_seed: int | None = None,
+) -> Rollout:
+    """Let the expert act in the episode that `reset(seed=seed)` of the environment begins.
+
+    A random policy acts in the first `random_steps` control steps; then the expert takes over.
+    The strategy is drawn from `style_seed` (default: from `seed`).
+
+    Raises:
+        UnknownNameError: the task or variant does not exist.
+        NoExpertError: the task has no expert.
+        NoSolutionError: the scene cannot be solved.
+    """
+    spec = get_task(task)
+    rng = np_random(seed)[0]
+    scene, dynamics = spec.sample(variant, rng)
+    check_solvable(task, scene)
+    expert = expert_for(task, seed=seed if style_seed is None else style_seed, skill=skill)
+    world = World(scene, dynamics)
+    memory: Memory | None = None
+    actions: list[int] = []
+    tables = [world.read().copy()]
+    for step in range(spec.horizon):
+        if step < random_steps:
+            action = int(rng.integers(NUM_ACTIONS))
+        else:
+            table = tables[-1]
+            state = State(scene, Poses(table[:, :3]), table[:, 3:], step, spec.horizon)
+            action, memory = expert.act(state, memory)
+        world.step(action)
+        actions.append(action)
+        tables.append(world.read().copy())
+    poses = np.stack(tables)[:, :, :3]
+    score = spec.score(scene, Poses(poses[-1]))
+    return Rollout(scene, dynamics, np.array(actions), poses, score)
+
+
+def evaluate_expert(
+    env_ids: Sequence[str],
+    rollouts: int,
+    *,
+    seed: int = 0,
+    skill: float = 1.0,
+    takeover: bool = False,
+    workers: int | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> dict[str, list[float]]:
+    """Final scores of `rollouts` unfiltered episodes in each environment.
+
+    With `takeover`, a random policy acts in the first third of each episode. Episode i begins as
+    `reset(seed=s)` does, s drawn from `seed`, i and nothing else, so the result does not depend
+    on `workers` (processes; default: the cores).
+    """
+    ids = [str(parse_env_id(env_id)) for env_id in env_ids]
+    jobs = [(env_id, seed, i, skill, takeover) for env_id in ids for i in range(rollouts)]
+    scores: list[float] = []
+    for score in _in_processes(jobs, workers or os.cpu_count() or 1):
+        scores.append(score)
+        if progress:
+            progress(1)
+    return {env_id: scores[i * rollouts : (i + 1) * rollouts] for i, env_id in enumerate(ids)}
+
+
+_Job = tuple[str, int, int, float, bool]
+
+
+def _in_processes(jobs: list[_Job], workers: int) -> Iterator[float]:
+    if workers == 1 or len(jobs) < 2:
+        yield from map(_score, jobs)
+        return
+    with multiprocessing.get_context("spawn").Pool(min(workers, len(jobs))) as pool:
+        yield from pool.imap(_score, jobs, chunksize=4)
+
+
+def _score(job: _Job) -> float:
+    env_id, seed, number, skill, takeover = job
+    parsed = parse_env_id(env_id)
+    episode = int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
+    steps = get_task(parsed.task).horizon // 3 if takeover else 0
+    done = rollout(parsed.task, parsed.variant, episode, skill=skill, random_steps=steps)
+    return done.score
