@@ -32,10 +32,14 @@ BROKEN = 120.0  # control steps that a block in the wrong place costs
 NOTHING = 1000.0  # control steps that it costs to leave an unsolved jumble as it is
 TASTE = 12.0  # control steps that a demonstrator gives for the place it likes best
 ROOM = 0.5  # units around a growing cluster that are better free of other blocks
-CROWDING = 40.0  # control steps, per unit and block brought there, that their closeness costs
-CHOICES = 300
+CROWDING = 80.0  # control steps, per unit and block brought there, that their closeness costs
+CHOICES = 150
+NEIGHBOUR, ACCESS = 0.4, 60.0  # units within which a neighbour costs how many steps per unit
+FREE = 0.4  # units from all blocks at which a spot is free
 EDGE = 0.78  # largest coordinate of an anchor
 
+_TICKS = (-0.7, -0.35, 0.0, 0.35, 0.7)
+_SPOTS = np.array([(x, y) for x in _TICKS for y in _TICKS])
 _ANGLES = np.arange(12) * (math.pi / 6)
 
 
@@ -46,13 +50,17 @@ class _Jumble:
     at: Floats  # (n, 2)
     group: Ints  # (n,)
     member: Floats  # (n, groups) one-hot
+    access: Floats  # (n,) control steps that close neighbours cost who wants to grasp a block
 
     @staticmethod
     def of(sight: Sight, attribute: Callable[[Block], str]) -> "_Jumble":
         values = [attribute(block) for block in sight.scene.blocks]
         present = sorted(set(values))
         group = np.array([present.index(value) for value in values])
-        return _Jumble(np.array(sight.resting), group, np.eye(len(present))[group])
+        at = np.array(sight.resting)
+        gaps = np.linalg.norm(at[:, None] - at, axis=-1) + np.eye(len(at))
+        access = ACCESS * np.maximum(0.0, NEIGHBOUR - gaps).sum(axis=1)
+        return _Jumble(at, group, np.eye(len(present))[group], access)
 
     def ratios(self, at: Floats) -> Floats:
         """Own over nearest other squared distance to a centroid, for positions (..., n, 2)."""
@@ -94,21 +102,36 @@ def _move(jumble: _Jumble, anchors: Floats, moved: NDArray[np.bool_], block: int
 
 def _best(jumble: _Jumble, style: Style, plan: Plan) -> tuple[Floats, NDArray[np.bool_]]:
     """Anchors (groups, 2), and which blocks move there (n,)."""
-    choices, taste = _choices(jumble, style, plan)  # (C, groups, 2), (C,)
-    away = np.linalg.norm(jumble.at - choices[:, jumble.group], axis=-1)  # (C, n)
-    best_cost, best = math.inf, (choices[0], away[0] > STAY[0])
-    for stay in STAY:
-        moved = away > stay
-        cost = _cost(jumble, choices, moved, away) + taste
-        least = int(cost.argmin())
-        if cost[least] < best_cost:
-            best_cost, best = float(cost[least]), (choices[least], moved[least])
-    return best[0], _without_needless(jumble, *best)
+    options, tastes = _options(jumble, style, plan)
+    rng = np.random.default_rng(int(style.places[-1] * 2**31))
+    picks = np.stack([rng.integers(len(spots), size=CHOICES) for spots in options], axis=1)
+    best, moved = picks[0], np.zeros(len(jumble.at), dtype=np.bool_)
+    for group in (None, *range(len(options)), *range(len(options))):
+        if group is not None:  # all anchors of one cluster, the others' kept
+            picks = np.repeat(best[None], len(options[group]), axis=0)
+            picks[:, group] = np.arange(len(options[group]))
+        anchors = np.stack([spots[i] for spots, i in zip(options, picks.T, strict=True)], axis=1)
+        taste = sum(likes[i] for likes, i in zip(tastes, picks.T, strict=True))
+        cost, moves = _cheapest(jumble, anchors)
+        least = int((cost + taste).argmin())
+        best, moved = picks[least], moves[least]
+    chosen = np.array([spots[i] for spots, i in zip(options, best, strict=True)])
+    return chosen, _without_needless(jumble, chosen, moved)
+
+
+def _cheapest(jumble: _Jumble, anchors: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """The cost of choices of anchors (C, groups, 2) and the moves (C, n) that give it."""
+    away = np.linalg.norm(jumble.at - anchors[:, jumble.group], axis=-1)  # (C, n)
+    moved = away > np.array(STAY)[:, None, None]  # (stays, C, n)
+    cost = np.stack([_cost(jumble, anchors, moves, away) for moves in moved])
+    least = cost.argmin(axis=0)
+    rows = np.arange(len(anchors))
+    return cost[least, rows], moved[least, rows]
 
 
 def _cost(jumble: _Jumble, anchors: Floats, moved: NDArray[np.bool_], away: Floats) -> Floats:
     """Control steps, about, for choices of anchors (C, groups, 2) and moves (C, n)."""
-    time = (moved * (MOVE_TIME + 11.0 * away)).sum(axis=-1)
+    time = (moved * (MOVE_TIME + 11.0 * away + jumble.access)).sum(axis=-1)
     after = _after(jumble, anchors, moved)
     broken = np.clip((jumble.ratios(after) - RATIO) / RANGE, 0.0, 1.0).sum(axis=-1)
     strange = jumble.group[:, None] != np.arange(jumble.member.shape[1])  # (n, groups)
@@ -144,22 +167,22 @@ def _without_needless(
     return moved
 
 
-def _choices(jumble: _Jumble, style: Style, plan: Plan) -> tuple[Floats, Floats]:
-    """Combinations of one anchor for each group, and how little the demonstrator likes them."""
-    rng = np.random.default_rng(int(style.places[-1] * 2**31))
+def _options(jumble: _Jumble, style: Style, plan: Plan) -> tuple[list[Floats], list[Floats]]:
+    """Each group's anchors (M, 2) to choose from, and how little the demonstrator likes each."""
     groups = jumble.member.shape[1]
-    anchors, tastes = [], []
+    room = np.linalg.norm(_SPOTS[:, None] - jumble.at, axis=-1).min(axis=1)  # (spots,)
+    free = _SPOTS[room > FREE]
+    options, tastes = [], []
     for group in range(groups):
         own = jumble.at[jumble.group == group]
-        options = [*own, own.mean(axis=0)]
-        options += [np.array(plan.places[group])] if len(plan.places) == groups else []
-        places = np.clip(np.array(options), -EDGE, EDGE)
-        bins = np.floor((places + 1.0) * 1.5).astype(np.intp).clip(0, 2)  # thirds of the workspace
+        kept = [plan.places[group]] if len(plan.places) == groups else []
+        spots = np.concatenate((own, own.mean(axis=0)[None], np.array(kept).reshape(-1, 2), free))
+        spots = spots.clip(-EDGE, EDGE)
+        bins = np.floor((spots + 1.0) * 1.5).astype(np.intp).clip(0, 2)  # thirds of the workspace
         liking = np.array(style.places[:36]).reshape(4, 3, 3)[group % 4]
-        pick = rng.integers(len(places), size=CHOICES)
-        anchors.append(places[pick])
-        tastes.append(TASTE * liking[bins[pick, 0], bins[pick, 1]])
-    return np.stack(anchors, axis=1), np.sum(tastes, axis=0)
+        options.append(spots)
+        tastes.append(TASTE * liking[bins[:, 0], bins[:, 1]])
+    return options, tastes
 
 
 def _goals(attribute: Callable[[Block], str]) -> Goals:
