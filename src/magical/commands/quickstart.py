@@ -21,6 +21,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="default: runs/quickstart",
     )
+    parser.add_argument(
+        "--task",
+        action="append",
+        metavar="TASK",
+        help="may be repeated (default: MoveToRegion and MoveToCorner)",
+    )
     parser.add_argument("--seed", type=non_negative_int, default=0, help="default: 0")
     parser.add_argument("--rollouts", type=positive_int, default=100, help="on each variant")
     parser.add_argument("--batches", type=positive_int, help="of training (default: the preset's)")
@@ -30,10 +36,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run, print the tables, say where the page is."""
     from magical.report import text_rows
-    from magical.report.quickstart import Settings, quickstart
+    from magical.report.quickstart import TASKS, Settings, quickstart
 
     settings = Settings(
         args.out,
+        tasks=args.task or TASKS,
         seed=args.seed,
         rollouts=args.rollouts,
         batches=args.batches,
