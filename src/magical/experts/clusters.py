@@ -20,19 +20,20 @@ from magical.scene import Block
 Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
-RATIO = 0.18  # of squared distances to own and nearest other centroid that a plan aims at
+RATIO = 0.22  # of squared distances to own and nearest other centroid that a plan aims at
 RANGE = 0.1  # above it, over which a block counts less and less
 SETTLED = 0.30  # the same that is good enough to stop; below 1 / 3 counts
-STAY = (0.18, 0.3, 0.5)  # units from the anchor within which a block may stay
+STAY = (0.18, 0.3, 0.5, 0.75)  # units from the anchor within which a block may stay
 RING = 0.26  # units from an anchor that has a block to the places beside it
 TOUCH = 0.2  # units from the anchor at which a block that is brought there comes to rest, about
 TOLERANCE = 0.09  # units
 MOVE_TIME = 24.0  # control steps that a move costs besides the way
 BROKEN = 120.0  # control steps that a block in the wrong place costs
 NOTHING = 1000.0  # control steps that it costs to leave an unsolved jumble as it is
-TASTE = 12.0  # control steps that a demonstrator gives for the place it likes best
+TASTE = 8.0  # control steps that a demonstrator gives for the place it likes best
 ROOM = 0.5  # units around a growing cluster that are better free of other blocks
 CROWDING = 80.0  # control steps, per unit and block brought there, that their closeness costs
+HABIT = 8.0  # control steps that a new anchor must be better by
 CHOICES = 150
 NEIGHBOUR, ACCESS = 0.4, 60.0  # units within which a neighbour costs how many steps per unit
 FREE = 0.4  # units from all blocks at which a spot is free
@@ -181,7 +182,10 @@ def _options(jumble: _Jumble, style: Style, plan: Plan) -> tuple[list[Floats], l
         bins = np.floor((spots + 1.0) * 1.5).astype(np.intp).clip(0, 2)  # thirds of the workspace
         liking = np.array(style.places[:36]).reshape(4, 3, 3)[group % 4]
         options.append(spots)
-        tastes.append(TASTE * liking[bins[:, 0], bins[:, 1]])
+        taste = TASTE * liking[bins[:, 0], bins[:, 1]]
+        if kept:
+            taste[len(own) + 1] -= HABIT
+        tastes.append(taste)
     return options, tastes
 
 
