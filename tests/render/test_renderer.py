@@ -4,6 +4,7 @@ import hashlib
 import subprocess
 import sys
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -68,6 +69,25 @@ def test_a_pure_function_of_the_poses(random_case: Callable[[int], Case]) -> Non
     again = [_drawn(*entry) for entry in reversed(renderers)][::-1]
     for one, other in zip(first, again, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_threads_do_not_disturb_each_other(random_case: Callable[[int], Case]) -> None:
+    cases = [random_case(seed) for seed in range(4)]
+    renderers = [(Renderer(s, view), p) for s, p in cases for view in View]
+    expected = [_drawn(r, p, 96) for r, p in renderers]
+
+    def draw_often(renderer: Renderer, poses: Poses) -> list[Image]:
+        return [_drawn(renderer, poses, 96) for _ in range(300)]
+
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(len(renderers)) as pool:
+            frames = list(pool.map(draw_often, *zip(*renderers, strict=True)))
+    finally:
+        sys.setswitchinterval(interval)
+    for drawn, one in zip(frames, expected, strict=True):
+        assert all((frame == one).all() for frame in drawn)
 
 
 def _drawn(renderer: Renderer, poses: Poses, size: int) -> Image:
@@ -166,8 +186,8 @@ def test_arrays_that_do_not_fit(case: Case) -> None:
             renderer.draw_stacked(poses.bodies, stack, target)
 
 
-@pytest.mark.parametrize(("size", "samples"), [(0, 1), (-4, None), (96, 3), (96, 0)])
-def test_forms_that_cannot_be_drawn(size: int, samples: int | None, case: Case) -> None:
+@pytest.mark.parametrize(("size", "samples"), [(0, 1), (-4, None), (96, 3), (96, 0), (9.5, 1)])
+def test_forms_that_cannot_be_drawn(size: Any, samples: int | None, case: Case) -> None:
     with pytest.raises(DrawingError, match="samples"):
         Renderer(case[0], "ego", size, samples)
 

@@ -1,7 +1,7 @@
 """Frames of scenes: what the rest of the package draws with."""
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,13 +10,13 @@ from magical.errors import DrawingError
 from magical.render.canvas import blank
 from magical.render.display import display_list
 from magical.render.frame import ALLO, EGO, FAR, GROUND, compiled_draw
+from magical.render.lines import PUBLISHED_SIZE
 from magical.render.output import CHANNELS, compiled_store, push
 from magical.scene.poses import FIRST_BLOCK, Poses
 from magical.scene.scene import Pose, Scene
 from magical.scene.vocabulary import View, parse_word
 
 LOW_RESOLUTION = 96  # pixels: the published observations
-PUBLISHED_SIZE = 384  # samples across in the published frames
 SAMPLES = (1, 2, 4)
 
 Image = NDArray[np.uint8]
@@ -53,20 +53,21 @@ class Renderer:
         self.view = parse_word(View, view)
         self.size = size
         self.samples = default_samples(size) if samples is None else samples
-        if size < 1 or self.samples not in SAMPLES:
+        if not isinstance(size, int) or size < 1 or self.samples not in SAMPLES:
             raise DrawingError(
-                f"expected a positive size and samples among {SAMPLES}, found {size} and {samples}"
+                f"expected a whole, positive size and samples among {SAMPLES}, "
+                f"found {size!r} and {samples!r}"
             )
         self._draw = compiled_draw(self.samples)
         self._store = compiled_store()
         self._display = display_list(scene)
         self._bodies = np.empty((FIRST_BLOCK + len(scene.blocks), 3))
-        shared = _memory(size, self.samples, 1 + len(scene.regions))
-        self._pixels = shared.pixels
+        self._pixels = np.empty(size * size, np.int32)
+        layers = 1 + len(scene.regions)
         if self.view == View.EGO:
-            memory, mode = shared._replace(ground=shared.pixels), EGO
+            memory, mode = _shared_memory(size, self.samples, layers, self._pixels), EGO
         else:
-            memory, mode = self._kept_ground(shared), ALLO
+            memory, mode = self._kept_ground(layers), ALLO
         self._arguments = (*self._display, *memory, size, mode)
 
     def draw(self, bodies: NDArray[np.float64], out: Image) -> None:
@@ -122,15 +123,13 @@ class Renderer:
         if self._draw(mine, *self._arguments) < 0:
             raise DrawingError(f"expected finite poses within {FAR:g} units, found {mine.tolist()}")
 
-    def _kept_ground(self, shared: "_Memory") -> "_Memory":
+    def _kept_ground(self, layers: int) -> "_Memory":
         """Draw the ground once, since the allocentric camera does not move, and keep it."""
+        shared = _shared_memory(self.size, self.samples, layers, self._pixels)
+        own = shared._replace(ground=np.empty_like(self._pixels), tiles=np.empty_like(shared.tiles))
         self._bodies[:] = 0.0
-        tiles = self._draw(self._bodies, *self._display, *shared, self.size, GROUND)
-        return shared._replace(
-            ground=shared.ground.copy(),
-            tiles=shared.tiles[:tiles].copy(),
-            kept=shared.pixels.copy(),
-        )
+        tiles = self._draw(self._bodies, *self._display, *own, self.size, GROUND)
+        return own._replace(tiles=own.tiles[:tiles].copy(), kept=self._pixels.copy())
 
 
 def draw_frame(
@@ -161,10 +160,7 @@ def warm_up(samples: int = max(SAMPLES)) -> None:
 
 
 class _Memory(NamedTuple):
-    """Working memory of one frame (see `canvas.Canvas`), shared by renderers of one form.
-
-    Sharing is safe: compiled code keeps the interpreter's lock, and every frame starts afresh.
-    """
+    """What one frame is drawn in (see `canvas.Canvas` and `frame.compiled_draw`)."""
 
     ground: NDArray[np.int32]
     tiles: NDArray[np.int64]
@@ -175,15 +171,21 @@ class _Memory(NamedTuple):
     kept: NDArray[np.int32]
 
 
+def _shared_memory(size: int, samples: int, layers: int, pixels: NDArray[np.int32]) -> _Memory:
+    """A renderer's own pixels, which are its ground, too, and working memory that all share.
+
+    Sharing is safe, also among threads: compiled code keeps the interpreter's lock, and one call
+    leaves nothing in shared memory that another needs.
+    """
+    tiles, owners, bodies, touched = _working_memory(size, samples, layers)
+    return _Memory(pixels, tiles, owners, bodies, touched, pixels, np.empty(0, np.int32))
+
+
 @lru_cache(maxsize=16)
-def _memory(size: int, samples: int, layers: int) -> _Memory:
+def _working_memory(size: int, samples: int, layers: int) -> tuple[Any, Any, Any, Any]:
     count = size * size
-    return _Memory(
-        ground=np.empty(count, np.int32),
-        tiles=np.empty((layers * count, samples * samples), np.int64),
-        owners=np.empty(layers * count, np.int32),
-        bodies=np.full(count, blank(samples), np.int64),
-        touched=np.repeat([[size], [0]], size, axis=1),
-        pixels=np.empty(count, np.int32),
-        kept=np.empty(0, np.int32),
-    )
+    tiles = np.empty((layers * count, samples * samples), np.int64)
+    owners = np.empty(layers * count, np.int32)
+    bodies = np.full(count, blank(samples), np.int64)
+    touched = np.repeat([[size], [0]], size, axis=1)
+    return tiles, owners, bodies, touched
