@@ -1,0 +1,287 @@
+"""Proximal policy optimisation: its parts against slow or hand-made ones, then whole runs."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from magical.envs.vector import MagicalVectorEnv
+from magical.errors import DivergedError, InvalidConfigError, UnknownNameError
+from magical.evaluation import evaluate
+from magical.learning import load_policy, train
+from magical.learning.algorithms import ppo
+from magical.learning.algorithms.ppo import PPOConfig, make_policy, mean_by_task, ppo_loss
+from magical.learning.batches import Batch, explained_variance, generalised_advantages, spread
+from magical.learning.collapse import PATIENCE
+from magical.learning.curves import PICTURE
+from magical.learning.rollout import Sampler
+from magical.learning.runs import METRICS, read_metrics
+from tests.learning.reinforcement import assert_same, checkpoint, tiny
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+@pytest.mark.parametrize("bootstrap", [False, True])
+def test_advantages_are_those_of_a_plain_loop(bootstrap: bool) -> None:
+    draw, steps, worlds, gamma, lam = rng(), 7, 3, 0.9, 0.7
+    rewards, values = draw.normal(size=(2, steps, worlds))
+    last, ends = draw.normal(size=worlds), draw.normal(size=(steps, worlds))
+    ended = draw.random((steps, worlds)) < 0.3
+    following = np.where(ended, ends * bootstrap, np.vstack([values[1:], last]))
+    expected = np.zeros((steps, worlds))
+    for world in range(worlds):
+        for start in range(steps):
+            weight = 1.0
+            for t in range(start, steps):
+                error = rewards[t, world] + gamma * following[t, world] - values[t, world]
+                expected[start, world] += weight * error
+                weight *= gamma * lam
+                if ended[t, world]:
+                    break
+    tensors = [torch.from_numpy(array) for array in (rewards, values, following, ended)]
+    found = generalised_advantages(*tensors, gamma, lam)
+    np.testing.assert_allclose(found.numpy(), expected, atol=1e-12)
+
+
+def batch(actions: list[int], log_probs: list[float], advantages: list[float]) -> Batch:
+    count = len(actions)
+    return Batch(
+        torch.zeros(count, 1),
+        torch.tensor(actions),
+        torch.tensor(log_probs),
+        torch.tensor(advantages),
+        torch.tensor([1.0] * count),
+        torch.zeros(count, dtype=torch.int64),
+    )
+
+
+def test_loss_by_hand() -> None:
+    # Two actions are possible, with probabilities 0.8 and 0.2; they were 0.5 each when chosen:
+    # ratios 1.6 and 0.4, clipped to 1.1 and 0.9.
+    logits = torch.full((2, 18), -1e9)
+    logits[:, 0], logits[:, 1] = math.log(0.8), math.log(0.2)
+    half = math.log(0.5)
+    values = torch.tensor([0.0, 3.0])  # squared errors 1 and 4
+    entropy = -(0.8 * math.log(0.8) + 0.2 * math.log(0.2))
+    gains = batch([0, 1], [half, half], [2.0, 5.0])
+    loss, parts = ppo_loss(logits, values, gains, clip=0.1, entropy_bonus=0.01)
+    policy = -(1.1 * 2.0 + 0.4 * 5.0) / 2  # the minimum: clipped above, not below
+    assert loss.item() == pytest.approx(policy + 0.5 * 2.5 - 0.01 * entropy, abs=1e-6)
+    assert parts.tolist() == pytest.approx([policy, 1.25, entropy, 1.0], abs=1e-6)
+    losses = batch([0, 1], [half, half], [-2.0, -5.0])
+    _, parts = ppo_loss(logits, values, losses, clip=0.1, entropy_bonus=0.0)
+    assert parts[0].item() == pytest.approx((1.6 * 2.0 + 0.9 * 5.0) / 2, abs=1e-6)
+
+
+def test_explained_variance_by_hand() -> None:
+    returns = torch.tensor([0.0, 2.0])
+    assert explained_variance(torch.tensor([0.5, 1.5]), returns) == pytest.approx(0.75)
+    assert explained_variance(returns, returns) == 1.0
+    assert explained_variance(returns, torch.ones(2)) == 0.0
+
+
+def test_minibatches_are_split_evenly_between_tasks() -> None:
+    tasks = np.array([0] * 16 + [1] * 16 + [2] * 16)
+    order = spread(tasks, rng())
+    assert sorted(order) == list(range(48))
+    for part in order.reshape(-1, 12):
+        assert np.bincount(tasks[part]).tolist() == [4, 4, 4]
+    assert not np.array_equal(order, spread(tasks, np.random.default_rng(1)))
+
+
+def test_score_is_the_mean_over_tasks() -> None:
+    scores: Any = [(0, 1.0), (0, 1.0), (0, 1.0), (1, 0.0)]
+    assert mean_by_task(scores) == 0.5
+
+
+def scripted(value: float = 0.0, action: int = 1) -> Any:
+    """Acts without a network: always the same action, the same value."""
+
+    def act(observations: torch.Tensor, tasks: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        logits = torch.full((len(observations), 18), -1e9)
+        logits[:, action] = 0.0
+        return logits, torch.full((len(observations),), value)
+
+    return act
+
+
+@pytest.mark.parametrize("bootstrap", [False, True])
+def test_sampler_against_the_environment(bootstrap: bool) -> None:
+    horizon = 40
+    config = tiny(PPOConfig, observation="state", time_steps=horizon + 2, bootstrap=bootstrap)
+    with Sampler(config, "cpu", "dense") as sampler:
+        sampler.begin()
+        samples = sampler.collect(scripted(value=0.25), rng())
+        states = [sampler.envs.get_state(row) for row in range(3)]
+    assert samples.actions.eq(1).all()
+    assert samples.log_probs.eq(0).all()
+    assert samples.ended.any(dim=1).nonzero().tolist() == [[horizon - 1]]
+    assert len(samples.scores) == 3
+    at_end = 0.25 if bootstrap else 0.0
+    assert samples.next_values[horizon - 1].tolist() == [at_end] * 3
+    assert samples.next_values[:-3].eq(0.25).all()
+    assert [len(state["actions"]) for state in states] == [2, 2, 2]
+    env = MagicalVectorEnv(["magical/MoveToRegion-Demo-v0"], 0, "state", reward="dense")
+    shown, _ = env.reset(seed=0)
+    for t in range(horizon):  # Demo has one scene: all episodes are alike
+        np.testing.assert_array_equal(samples.observations[t].numpy(), np.repeat(shown, 3, 0))
+        shown, rewards, *_ = env.step(np.array([1]))
+        np.testing.assert_allclose(samples.rewards[t].numpy(), rewards.repeat(3), rtol=1e-6)
+    env.close()
+
+
+def test_worlds_begin_at_different_moments() -> None:
+    config = tiny(PPOConfig, observation="state", num_envs=8, decorrelate=True)
+    with Sampler(config, "cpu") as sampler:
+        sampler.begin()
+        steps = [len(sampler.envs.get_state(row)["actions"]) for row in range(8)]
+    assert max(steps) < 40
+    assert len(set(steps)) > 4
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"observation": "state", "decorrelate": True, "time_steps": 30, "minibatch_size": 45},
+        {"observation": "LoRes4A", "tasks": ("MoveToCorner", "MoveToRegion")},
+    ],
+)
+def test_resumed_runs_are_bit_equal(tmp_path: Path, fields: dict[str, Any]) -> None:
+    config = tiny(PPOConfig, **fields)
+    config = replace(config, total_steps=3 * config.steps_per_update)
+    whole = train(config, tmp_path / "whole")
+    assert (whole.step, whole.total, whole.finished) == (3, 3, True)
+    assert not train(config, tmp_path / "parts", stop_after=1).finished
+    again = train(replace(config, workers=config.workers), tmp_path / "parts", resume=True)
+    assert again.finished
+    assert_same(checkpoint(tmp_path / "whole"), checkpoint(tmp_path / "parts"))
+    for key in ("environment_steps", "reward", "entropy", "clip_fraction", "explained_variance"):
+        assert whole.metrics[key] == again.metrics[key]
+
+
+def test_learns_from_states(tmp_path: Path) -> None:
+    config = PPOConfig.preset(
+        "quick",
+        tasks=("MoveToRegion",),
+        observation="state",
+        total_steps=20_480,
+        num_envs=16,
+        workers=0,
+        evaluate_every=0,
+    )
+    trained = train(config, tmp_path / "run")
+    rewards = [row["reward"] for row in read_metrics(trained.folder)]
+    assert np.mean(rewards[-10:]) > 0.015 > 2 * np.mean(rewards[:10])
+    assert trained.metrics["explained_variance"] > 0.5
+    scores = evaluate(trained.policy(), ["magical/MoveToRegion-Demo-v0"], rollouts=4, workers=0)
+    assert len(scores) == 4
+
+
+def test_run_folder_and_evaluation(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib", reason="the picture needs the extra report")
+    config = tiny(PPOConfig, observation="state", evaluate_every=1, evaluation_rollouts=2)
+    trained = train(config, tmp_path / "run")
+    assert {"evaluation_score", "entropy", "sample_seconds"} < trained.metrics.keys()
+    assert (tmp_path / "run" / PICTURE).read_bytes()[:4] == b"\x89PNG"
+    assert load_policy(tmp_path / "run").observation == "state"
+
+
+def test_paper_settings_are_table_4s() -> None:
+    config = PPOConfig.preset("paper", tasks=("MoveToRegion",))
+    assert (config.num_envs, config.time_steps, config.epochs) == (32, 8, 12)
+    assert (config.minibatch_size, config.learning_rate, config.clip) == (64, 6e-5, 0.01)
+    assert (config.discount, config.gae_lambda, config.entropy_bonus) == (0.8, 0.8, 1e-5)
+    assert (config.max_grad_norm, config.total_steps, config.updates) == (1.0, 10**6, 3906)
+    assert (config.bootstrap, config.normalise_advantages, config.anneal) == (False, False, True)
+    network = make_policy(config)
+    assert not any(isinstance(m, torch.nn.BatchNorm2d) for m in network.modules())
+    assert [type(m).__name__ for m in network.trunk.modules()].count("Conv2d") == 5
+
+
+def test_step_size_and_clip_range_fall_to_zero(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[float] = []
+
+    def spy(*args: Any) -> Any:
+        seen.append(args[3])
+        return ppo_loss(*args)
+
+    monkeypatch.setattr(ppo, "ppo_loss", spy)
+    config = tiny(PPOConfig, observation="state", clip=0.3, learning_rate=0.9, minibatch_size=6)
+    train(config, tmp_path / "run")
+    assert seen == pytest.approx([0.3, 0.2, 0.1])
+    (group,) = checkpoint(tmp_path / "run")["learner"]["optimizer"]["param_groups"]
+    assert group["lr"] == pytest.approx(0.3)
+
+
+def test_collapse_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[Any] = []
+    progress = SimpleNamespace(update=lambda step, total, metrics: told.append(metrics))
+    monkeypatch.setattr(
+        "magical.learning.rollout.choose",
+        lambda logits, draws: (torch.full((3,), 5), torch.zeros(3)),
+    )
+    config = tiny(PPOConfig, observation="state", total_steps=6 * (PATIENCE + 1))
+    train(config, tmp_path / "run", stop_after=PATIENCE - 1, progress=progress)
+    assert "warning" not in told[-1]
+    train(config, tmp_path / "run", resume=True, progress=progress)  # what was seen is kept
+    assert told[-2]["warning"] == f"one action for {PATIENCE} updates"
+    assert read_metrics(tmp_path / "run")[-1]["warning"] == f"one action for {PATIENCE + 1} updates"
+
+
+def test_divergence_is_said_and_keeps_the_checkpoint(tmp_path: Path) -> None:
+    config = tiny(PPOConfig, observation="state", checkpoint_every=1)
+    train(config, tmp_path / "run", stop_after=1)
+    before = checkpoint(tmp_path / "run")
+    network = make_policy(config)
+    broken = {name: torch.full_like(w, 1e38) for name, w in network.state_dict().items()}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(torch.nn.Module, "load_state_dict", lambda self, tree: None)
+        patch.setattr(ppo, "make_policy", lambda config: _loaded(network, broken))
+        with pytest.raises(DivergedError, match="not finite"):
+            train(config, tmp_path / "run", resume=True)
+    assert_same(before, checkpoint(tmp_path / "run"))
+    last = (tmp_path / "run" / METRICS).read_text().splitlines()[-1]
+    assert '"warning": "not finite"' in last
+
+
+def _loaded(network: torch.nn.Module, weights: dict[str, torch.Tensor]) -> torch.nn.Module:
+    with torch.no_grad():
+        for name, parameter in network.named_parameters():
+            parameter.copy_(weights[name])
+    return network
+
+
+@pytest.mark.parametrize(
+    ("fields", "named"),
+    [
+        ({"discount": 1.5}, "discount"),
+        ({"total_steps": 0}, "total_steps"),
+        ({"num_envs": 1, "tasks": ("MoveToCorner", "MoveToRegion")}, "num_envs"),
+        ({"entropy_bonus": -1.0}, "entropy_bonus"),
+        ({"workers": -1}, "workers"),
+    ],
+)
+def test_impossible_settings(fields: dict[str, Any], named: str) -> None:
+    with pytest.raises(InvalidConfigError, match=named):
+        tiny(PPOConfig, **fields)
+
+
+def test_unknown_words() -> None:
+    with pytest.raises(UnknownNameError, match="reward 'none'"):
+        tiny(PPOConfig, reward="none")
+    with pytest.raises(UnknownNameError, match="observation 'states'"):
+        tiny(PPOConfig, observation="states")
+
+
+def test_no_dense_reward(tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match="MakeLine has no dense reward"):
+        train(tiny(PPOConfig, tasks=("MakeLine",)), tmp_path / "run")
