@@ -15,6 +15,7 @@ from magical.scene.geometry import Point
 
 REACH = 0.42  # units ahead of the robot up to which the fingers catch a block
 JAW_HALF = 0.12  # units to the side up to which they do
+NEAREST_GATE = 0.42  # units: the same where a wall is behind the robot
 SLACK = 0.03  # units that a held block may slip further before it counts as lost
 GATE = 0.56  # units from a block's centre where the last straight approach starts
 SWEEP = 0.53  # units within which a turn on the spot would hit a block with the fingers
@@ -37,6 +38,14 @@ def in_jaw(sight: Sight, block: Point, held: int = 0) -> bool:
 def behind(block: Point, side: float, distance: float) -> Point:
     """The point from which the block is `distance` away at bearing `side`."""
     return block[0] + math.sin(side) * distance, block[1] - math.cos(side) * distance
+
+
+def gate_to(block: Point, side: float) -> Point:
+    """Where the last straight approach to a block starts: nearer where a wall leaves no room."""
+    distance = GATE
+    while distance > NEAREST_GATE and not inside(behind(block, side, distance), REACHABLE):
+        distance -= 0.04
+    return behind(block, side, distance)
 
 
 def best_side(
@@ -74,7 +83,7 @@ def _cost(
     others: Sequence[Point],
     side: float,
 ) -> float:
-    stand, gate = behind(block, side, HOLD), behind(block, side, GATE)
+    stand, gate = behind(block, side, HOLD), gate_to(block, side)
     return (
         _travel(sight, block, gate, side)
         + sum(15.0 * max(0.0, CLEARANCE - gap((sight.x, sight.y), gate, o)) for o in others)

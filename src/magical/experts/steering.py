@@ -7,7 +7,7 @@ are corrected where the error is worth a tap, and judged at the angle where the 
 import math
 from collections.abc import Sequence
 
-from magical.experts.grasp import CONE, CROWDED, GATE, TIGHT_CONE, behind, in_jaw
+from magical.experts.grasp import CONE, CROWDED, GATE, TIGHT_CONE, behind, gate_to, in_jaw
 from magical.experts.motions import HOLD, TAP
 from magical.experts.paths import is_clear, next_waypoint
 from magical.experts.sight import Sight, bearing, inside, wrap
@@ -48,7 +48,7 @@ def approach(
     stand = behind(block, straight, HOLD)
     free = away < GATE + 0.12 or is_clear(here, stand, others, CLEARANCE - 0.04)
     crowded = any(math.dist(block, other) < CROWDED for other in others)
-    gate = behind(block, side, GATE)
+    gate = gate_to(block, side)
     askew = abs(wrap(straight - side)) > (TIGHT_CONE if crowded else CONE)
     if (askew or not free) and sight.distance(gate) > (2 * ARRIVED if bold else ARRIVED):
         return travel(sight, gate, (*others, block), bold)
