@@ -31,8 +31,10 @@ MOVE_TIME = 24.0  # control steps that a move costs besides the way
 BROKEN = 120.0  # control steps that a block in the wrong place costs
 NOTHING = 1000.0  # control steps that it costs to leave an unsolved jumble as it is
 TASTE = 8.0  # control steps that a demonstrator gives for the place it likes best
-ROOM = 0.5  # units around a growing cluster that are better free of other blocks
-CROWDING = 80.0  # control steps, per unit and block brought there, that their closeness costs
+ROOM = 0.5  # units around a block brought to its place that are better free of other groups'
+CROWDING = 60.0  # control steps, per unit, that their closeness costs
+WAY = 0.3  # units beside a block's way that are better free
+BLOCKED = 60.0  # control steps, per unit, that blocks in the way cost
 HABIT = 8.0  # control steps that a new anchor must be better by
 CHOICES = 150
 NEIGHBOUR, ACCESS = 0.4, 60.0  # units within which a neighbour costs how many steps per unit
@@ -51,6 +53,7 @@ class _Jumble:
     at: Floats  # (n, 2)
     group: Ints  # (n,)
     member: Floats  # (n, groups) one-hot
+    strange: NDArray[np.bool_]  # (n, n) of different groups
     access: Floats  # (n,) control steps that close neighbours cost who wants to grasp a block
 
     @staticmethod
@@ -61,7 +64,8 @@ class _Jumble:
         at = np.array(sight.resting)
         gaps = np.linalg.norm(at[:, None] - at, axis=-1) + np.eye(len(at))
         access = ACCESS * np.maximum(0.0, NEIGHBOUR - gaps).sum(axis=1)
-        return _Jumble(at, group, np.eye(len(present))[group], access)
+        strange = group[:, None] != group
+        return _Jumble(at, group, np.eye(len(present))[group], strange, access)
 
     def ratios(self, at: Floats) -> Floats:
         """Own over nearest other squared distance to a centroid, for positions (..., n, 2)."""
@@ -135,12 +139,33 @@ def _cost(jumble: _Jumble, anchors: Floats, moved: NDArray[np.bool_], away: Floa
     time = (moved * (MOVE_TIME + 11.0 * away + jumble.access)).sum(axis=-1)
     after = _after(jumble, anchors, moved)
     broken = np.clip((jumble.ratios(after) - RATIO) / RANGE, 0.0, 1.0).sum(axis=-1)
-    strange = jumble.group[:, None] != np.arange(jumble.member.shape[1])  # (n, groups)
-    gaps = np.linalg.norm(after[..., None, :] - anchors[..., None, :, :], axis=-1)
-    crowding = (np.maximum(0.0, ROOM - gaps) * strange).sum(axis=-2)  # (C, groups)
-    grows = moved.astype(float) @ jumble.member  # (C, groups) blocks brought to each anchor
-    cost: Floats = time + BROKEN * broken + CROWDING * (crowding * grows).sum(axis=-1)
+    tight = np.maximum(0.0, ROOM - _distances(after[..., :, None, :], after[..., None, :, :]))
+    blocked = np.maximum(0.0, WAY - _gaps(jumble.at, after))
+    crowding = ((CROWDING * tight * jumble.strange + BLOCKED * blocked).sum(axis=-1) * moved).sum(
+        -1
+    )
+    cost: Floats = time + BROKEN * broken + crowding
     return cost + NOTHING * ~moved.any(axis=-1)  # (C,)
+
+
+def _distances(a: Floats, b: Floats) -> Floats:
+    offset = a - b
+    distances: Floats = np.sqrt(offset[..., 0] ** 2 + offset[..., 1] ** 2)
+    return distances
+
+
+def _gaps(at: Floats, after: Floats) -> Floats:
+    """How close the straight way of each block to `after` (..., n, 2) passes the blocks `at`.
+
+    Returns (..., n, n); a block is no obstacle to itself, nor one that it starts beside.
+    """
+    way = after - at  # (..., n, 2)
+    square = np.maximum((way * way).sum(axis=-1), 1e-9)[..., None]
+    to = at - at[:, None]  # (n, n, 2): from row to column
+    along = ((to * way[..., :, None, :]).sum(axis=-1) / square).clip(0.0, 1.0)  # (..., n, n)
+    near = _distances(to, along[..., None] * way[..., :, None, :])
+    gaps: Floats = np.where(along > 0.0, near, np.inf)
+    return gaps
 
 
 def _after(jumble: _Jumble, anchors: Floats, moved: NDArray[np.bool_]) -> Floats:
