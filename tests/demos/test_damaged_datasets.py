@@ -59,7 +59,7 @@ def test_rest_of_a_damaged_dataset_is_usable(small_dataset: Path, damage: str) -
     else:
         second.write_bytes(first.read_bytes())
     dataset = Dataset.open(small_dataset)
-    with pytest.raises(DatasetError, match=second.name):
+    with pytest.raises(DatasetError, match="cannot be read" if damage == "missing" else "SHA-256"):
         dataset[1]
     assert [dataset[i].seed for i in (0, 2)] == [1, 3]
     rest = Dataset.open(small_dataset, skip_damaged=True)

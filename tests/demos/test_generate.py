@@ -12,7 +12,7 @@ from magical.cli import main
 from magical.demos import Dataset
 from magical.demos.generate import demonstrate, episode_seed, generate
 from magical.demos.replay import replay
-from magical.errors import DatasetError
+from magical.errors import DatasetError, NoSolutionError
 
 ENV = "magical/MoveToRegion-TestAll-v0"
 Run = Callable[..., tuple[int, dict[str, Any]]]
@@ -74,13 +74,10 @@ def test_several_environments_append(tmp_path: Path, run: Run) -> None:
 def test_scene_without_solution_is_an_error(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from magical.errors import NoSolutionError
+    def lost(*_: Any, **__: Any) -> Any:
+        raise NoSolutionError("there is no duplicate")
 
-    class Lost:
-        def act(self, state: Any, memory: Any) -> Any:
-            raise NoSolutionError("there is no duplicate")
-
-    monkeypatch.setattr("magical.demos.generate.expert_for", lambda *_, **__: Lost())
+    monkeypatch.setattr("magical.demos.generate.rollout", lost)
     command = ["demos", "generate", "--env", ENV, "-n", "1", "--workers", "1"]
     assert main([*command, "--out", str(tmp_path / "d")]) == 1
     assert "there is no duplicate" in capsys.readouterr().err

@@ -18,10 +18,7 @@ from magical.demos.trajectory import Trajectory
 from magical.demos.writer import DatasetWriter
 from magical.envs.ids import parse_env_id
 from magical.errors import DatasetError
-from magical.experts import expert_for
-from magical.physics import World
-from magical.scene import Poses, State
-from magical.tasks import get_task
+from magical.experts import rollout
 
 PATIENCE = 20  # attempts for each demonstration wanted, on average, before giving up
 
@@ -82,26 +79,18 @@ def generate(
 
 
 def demonstrate(env_id: str, seed: int, skill: float = 1.0) -> Trajectory:
-    """One episode of the scripted expert, from what `reset(seed=seed)` would start with."""
+    """One episode of the scripted expert, from what `reset(seed=seed)` would start with.
+
+    Raises `NoExpertError` or `NoSolutionError`.
+    """
     parsed = parse_env_id(env_id)
-    task = get_task(parsed.task)
-    scene, dynamics = task.sample(parsed.variant, np_random(seed)[0])
-    expert, memory = expert_for(task.name, seed=seed, skill=skill), None
-    world = World(scene, dynamics)
-    tables, actions = [world.read().copy()], []
-    for step in range(task.horizon):
-        poses, velocities = tables[-1][:, :3], tables[-1][:, 3:]
-        state = State(scene, Poses(poses), velocities, step, task.horizon)
-        action, memory = expert.act(state, memory)
-        world.step(action)
-        actions.append(action)
-        tables.append(world.read().copy())
+    done = rollout(parsed.task, parsed.variant, seed, skill=skill)
     return Trajectory.from_poses(
         env_id,
-        scene,
-        np.array(actions),
-        np.stack(tables)[:, :, :3],
-        dynamics=dynamics,
+        done.scene,
+        done.actions,
+        done.poses,
+        dynamics=done.dynamics,
         seed=seed,
         demonstrator="expert",
         metadata={"skill": skill, **provenance()},

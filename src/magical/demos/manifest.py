@@ -126,7 +126,7 @@ def read_entries(folder: Path) -> Iterator[Entry | DatasetError]:
             yield Entry(**content)
 
 
-ADVICE = "`magical demos info --repair` lists the intact trajectories anew"
+ADVICE = "`magical demos info DIR --repair` lists the intact trajectories anew"
 
 
 def append(folder: Path, entry: Entry, check: str) -> None:
