@@ -17,7 +17,7 @@ def test_the_std_over_runs_ignores_the_spread_within_a_run() -> None:
 
 
 def test_interquartile_mean_leaves_out_a_quarter_at_either_end() -> None:
-    column = np.array([0.0, 0.2, 0.4, 0.5, 0.6, 0.7, 0.9, 1.0])[:, None]
+    column = np.array([1.0, 0.0, 0.2, 0.5, 0.6, 0.7, 0.4, 1.0])[:, None]
     assert stats.interquartile_mean(column) == pytest.approx((0.4 + 0.5 + 0.6 + 0.7) / 4)
 
 
@@ -65,6 +65,14 @@ def test_bootstrap_is_stratified() -> None:
     # Each stratum is constant: drawing within strata leaves the mean as it is, mixing would not.
     table = np.tile([0.0, 1.0], (10, 1))
     assert stats.bootstrap_interval(table, np.random.default_rng(0)) == (0.5, 0.5, 0.5)
+
+
+def test_strata_are_drawn_independently_of_each_other() -> None:
+    # Each row's mean is 0.5: drawing whole rows would leave nothing to vary.
+    table = np.tile([[0.0, 1.0], [1.0, 0.0]], (10, 1))
+    value, low, high = stats.bootstrap_interval(table, np.random.default_rng(0))
+    half_width = 1.96 * 0.5 / np.sqrt(40)
+    assert (value, low, high) == pytest.approx((0.5, 0.5 - half_width, 0.5 + half_width), abs=0.03)
 
 
 def test_bootstrap_covers_the_true_mean_about_as_often_as_it_says() -> None:

@@ -6,12 +6,20 @@ import re
 from html.parser import HTMLParser
 from pathlib import Path
 
+import gymnasium
 import numpy as np
 import pytest
 from PIL import Image
 
 from magical import cli
-from magical.evaluation import Entry, RolloutScore, environments, evaluate, load_policy
+from magical.evaluation import (
+    Entry,
+    RolloutScore,
+    environments,
+    evaluate,
+    load_policy,
+    rollout_seed,
+)
 from magical.report import Page, contact_sheet, task_table
 from magical.report.clips import Clip, record_clips
 
@@ -49,6 +57,9 @@ def test_clips_show_the_rollouts_that_evaluation_scores() -> None:
     assert [clip.score for clip in clips] == [row.score for row in scores if row.rollout == 1]
     assert [clip.env_id for clip in clips] == IDS
     assert all(clip.frames.shape == (41, 32, 32, 3) for clip in clips)
+    for clip in clips:
+        env = gymnasium.make(clip.env_id, observation={"parts": [["allo", 1]], "size": 32})
+        np.testing.assert_array_equal(clip.frames[0], env.reset(seed=rollout_seed(1))[0])
     assert all((clip.frames[0] != clip.frames[-1]).any() for clip in clips)
 
 
