@@ -171,7 +171,7 @@ class Raising:
     def __init__(self, at: int, act: Any) -> None:
         self.at, self.act = at, act
 
-    def update(self, step: int, total: int, metrics: Mapping[str, float]) -> None:
+    def update(self, step: int, total: int, metrics: Mapping[str, float | str]) -> None:
         if step == self.at:
             self.act()
 

@@ -19,10 +19,19 @@ WARM_UP, TIMED = 1, 3  # steps of each precision in a measurement
 
 @dataclass(frozen=True, slots=True)
 class Compute:
-    """A device and the precision that networks run in; weights are always float32."""
+    """A device, the precision that networks run in, and threads of one operation on a CPU.
+
+    Weights are always float32; 0 threads: as many as PyTorch is set to.
+    """
 
     device: str
     precision: str
+    threads: int = 0
+
+    def set_threads(self) -> None:
+        """Make PyTorch use as many threads; results are bit-equal for the same number only."""
+        if self.threads:
+            torch.set_num_threads(self.threads)
 
     def autocast(self) -> AbstractContextManager[Any]:
         """A context in which networks run in this precision."""
@@ -30,7 +39,7 @@ class Compute:
             self.device, dtype=torch.bfloat16, enabled=self.precision == "bfloat16"
         )
 
-    def to_dict(self) -> dict[str, str]:
+    def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
         return asdict(self)
 
@@ -47,20 +56,25 @@ def choose_device(device: str) -> str:
 
 
 def choose_precision(device: str, precision: str, step: Callable[[], Tensor]) -> Compute:
-    """The asked-for precision, or the one in which `step` is faster.
+    """The asked-for precision, or the faster one; on a CPU, one thread or as many as there are.
 
-    `step` runs the network forward on a batch of the run's size and returns a scalar to
+    Many threads that wait for each other are slower than one where other programs want the cores
+    too. `step` runs the network forward on a batch of the run's size and returns a scalar to
     differentiate; gradients are left as they come.
     """
-    if precision != "auto":
-        return Compute(device, precision)
-    candidates = [Compute(device, name) for name in PRECISIONS[1:]]
-    return min(candidates, key=lambda compute: step_time(compute, step))
+    names = PRECISIONS[1:] if precision == "auto" else (precision,)
+    threads = sorted({torch.get_num_threads(), 1}) if device == "cpu" else [0]
+    candidates = [Compute(device, name, count) for name in names for count in threads]
+    if len(candidates) == 1:
+        return candidates[0]
+    with kept_threads():
+        return min(candidates, key=lambda compute: step_time(compute, step))
 
 
 def step_time(compute: Compute, step: Callable[[], Tensor]) -> float:
     """Seconds that the fastest of a few forward and backward passes takes."""
     times = []
+    compute.set_threads()
     for _ in range(WARM_UP + TIMED):
         start = time.perf_counter()
         with compute.autocast():
@@ -73,11 +87,18 @@ def step_time(compute: Compute, step: Callable[[], Tensor]) -> float:
 
 
 @contextmanager
-def one_thread() -> Iterator[None]:
-    """Inside, a CPU computes on one core: for small layers handing out work takes longer."""
+def kept_threads() -> Iterator[None]:
+    """Afterwards PyTorch uses as many threads as before, whatever was set inside."""
     before = torch.get_num_threads()
-    torch.set_num_threads(1)
     try:
         yield
     finally:
         torch.set_num_threads(before)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Inside, a CPU computes on one core: for small layers handing out work takes longer."""
+    with kept_threads():
+        torch.set_num_threads(1)
+        yield

@@ -94,9 +94,11 @@ class Run:
         """
         recorded = self.record.get("compute")
         if recorded and recorded["device"] == device:
-            return Compute(**recorded)
-        chosen = choose_precision(device, precision, step)
-        self._remember({"compute": chosen.to_dict()})
+            chosen = Compute(**recorded)
+        else:
+            chosen = choose_precision(device, precision, step)
+            self._remember({"compute": chosen.to_dict()})
+        chosen.set_threads()
         return chosen
 
     def _remember(self, facts: Mapping[str, Any]) -> None:

@@ -1,8 +1,8 @@
 """Start or resume a run of any algorithm."""
 
 import errno
-from collections.abc import Mapping
-from contextlib import nullcontext
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 from magical.errors import RunFolderError
 from magical.learning.algorithms import find_algorithm
 from magical.learning.config import Config
+from magical.learning.devices import kept_threads
 from magical.learning.interrupts import Interrupts
 from magical.learning.policy import NetworkPolicy, load_policy
 from magical.learning.progress import Progress, ProgressBar, Silent
@@ -74,12 +75,11 @@ def train(
     """
     folder = Path(out)
     algorithm = find_algorithm(config.algorithm)
-    try:
+    bar = ProgressBar(config.algorithm) if progress is True else nullcontext(progress or None)
+    with _full_disk_named(folder), kept_threads(), Interrupts() as interrupts:
         open_folder(folder, config, resume)
-        bar = ProgressBar(config.algorithm) if progress is True else nullcontext(progress or None)
         with (
             bar as shown,
-            Interrupts() as interrupts,
             Run(
                 folder,
                 progress=shown or Silent(),
@@ -89,6 +89,14 @@ def train(
             ) as run,
         ):
             algorithm.train(config, run)
+    metrics = (read_metrics(folder) or [{"step": run.step}])[-1]
+    return Trained(folder, run.step, config.total, interrupts.seen, metrics)
+
+
+@contextmanager
+def _full_disk_named(folder: Path) -> Iterator[None]:
+    try:
+        yield
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT):
             raise
@@ -96,5 +104,3 @@ def train(
             f"{folder}: the disk is full; the last checkpoint is whole. Free some space, then "
             "resume (--resume)"
         ) from error
-    metrics = (read_metrics(folder) or [{"step": run.step}])[-1]
-    return Trained(folder, run.step, config.total, interrupts.seen, metrics)
