@@ -32,12 +32,12 @@ BROKEN = 120.0  # control steps that a block in the wrong place costs
 NOTHING = 1000.0  # control steps that it costs to leave an unsolved jumble as it is
 TASTE = 8.0  # control steps that a demonstrator gives for the place it likes best
 ROOM = 0.5  # units around a block brought to its place that are better free of other groups'
-CROWDING = 60.0  # control steps, per unit, that their closeness costs
+CROWDING = 120.0  # control steps, per unit, that their closeness costs
 WAY = 0.3  # units beside a block's way that are better free
-BLOCKED = 60.0  # control steps, per unit, that blocks in the way cost
+BLOCKED = 120.0  # control steps, per unit, that blocks in the way cost
 HABIT = 8.0  # control steps that a new anchor must be better by
 CHOICES = 150
-NEIGHBOUR, ACCESS = 0.4, 60.0  # units within which a neighbour costs how many steps per unit
+NEIGHBOUR, ACCESS = 0.4, 120.0  # units within which a neighbour costs how many steps per unit
 FREE = 0.4  # units from all blocks at which a spot is free
 EDGE = 0.78  # largest coordinate of an anchor
 

@@ -10,6 +10,7 @@ from magical.experts import grasp, steering
 from magical.experts.carry import carry, grip
 from magical.experts.clumsiness import Clumsiness
 from magical.experts.goals import NO_PLAN, Goals, Move, Plan, Style, goals_of
+from magical.experts.paths import gap
 from magical.experts.sight import Sight
 from magical.scene import NOOP, State
 from magical.scene.actions import Action, Gripper, Longitudinal, Turn
@@ -18,6 +19,8 @@ from magical.scene.geometry import Point
 PATIENCE = 7  # control steps without progress after which the expert tries something else
 RELUCTANCE = 25.0  # control steps that a block whose move was just given up seems further away
 TAKEN = 0.24  # units: a place is taken while a block that is to go elsewhere is this close
+WAY = 0.3  # units beside a block's way that should be free
+BLOCKED = 150.0  # control steps, per unit, that a move waits for its way to become free
 ESCAPE = 4  # control steps that it then drives away
 REVIEW = 8  # control steps after which the side of approach is thought over
 CHECK = 3  # control steps between looks, on the way, whether the task is solved already
@@ -101,6 +104,7 @@ class Expert:
         waiting = [m.block for m in memory.plan.moves if m.block != move.block]
         if any(i is not None and math.dist(sight.blocks[i], move.goal) < TAKEN for i in waiting):
             again += RELUCTANCE
+        again += BLOCKED * _blockage(sight, sight.blocks[move.block], move.goal)
         side = self._side(sight, move.block, move.goal, memory.failures)
         return side[1] + taste + move.weight + again
 
@@ -132,6 +136,16 @@ class Expert:
 def without(points: Sequence[Point], index: int) -> tuple[Point, ...]:
     """All points but one."""
     return (*points[:index], *points[index + 1 :])
+
+
+def _blockage(sight: Sight, start: Point, goal: Point) -> float:
+    """By how many units the straight way is narrower than needed, for all blocks beside it."""
+    total = 0.0
+    for other in sight.blocks:
+        near = gap(start, goal, other)
+        if near < min(WAY, math.dist(start, other)):
+            total += WAY - near
+    return total
 
 
 def _is_done(sight: Sight, move: Move) -> bool:
