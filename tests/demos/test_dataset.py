@@ -12,7 +12,7 @@ import pytest
 from magical.demos import Dataset, DatasetWriter, Trajectory
 from magical.demos.codec import decode, encode
 from magical.demos.repair import check
-from magical.errors import DatasetError
+from magical.errors import DatasetError, UnknownNameError
 
 MakeTrajectory = Callable[..., Trajectory]
 
@@ -71,6 +71,11 @@ def test_open_read_filter(small_dataset: Path, make_trajectory: MakeTrajectory) 
     assert [t.seed for t in dataset.filter(env_id="MoveToCorner-Demo-LoRes4E-v0")] == [1]
     assert not len(dataset.filter(min_score=1.1))
     assert len(dataset.filter(min_score=0.0)) == 3
+    assert not len(dataset.filter(task="MakeLine"))
+    with pytest.raises(UnknownNameError, match="did you mean 'MoveToCorner'"):
+        dataset.filter(task="MoveToCornr")
+    with pytest.raises(UnknownNameError, match="no variant"):
+        dataset.filter(variant="demo")
     with pytest.raises(IndexError):
         dataset[3]
 

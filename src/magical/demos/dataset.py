@@ -14,7 +14,8 @@ from magical.demos.lock import locked
 from magical.demos.manifest import Entry
 from magical.demos.trajectory import Trajectory
 from magical.envs.ids import parse_env_id
-from magical.errors import DatasetError
+from magical.errors import DatasetError, UnknownNameError
+from magical.tasks import VARIANTS, get_task
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,8 +118,14 @@ class Dataset(Sequence[Trajectory]):
         """The trajectories for which everything given holds, without reading them.
 
         `min_score` compares the appendix's score, or where poses are unknown (human demonstrations)
-        the published code's.
+        the published code's. Raises `UnknownNameError` for names that nothing has.
         """
+        if task and all(task != entry.task for entry in self.entries):
+            get_task(task)  # a task without demonstrations is well, a misspelt one is not
+        if variant is not None and variant not in VARIANTS:
+            raise UnknownNameError(
+                f"{variant!r} is no variant; expected one of: {', '.join(VARIANTS)}"
+            )
         wanted = env_id and str(parse_env_id(env_id)._replace(preset=None))
         return Dataset(
             self.path,

@@ -8,7 +8,6 @@ from itertools import count
 from pathlib import Path
 
 import numpy as np
-from gymnasium.utils.seeding import np_random
 
 from magical.demos.codec import encode
 from magical.demos.manifest import Entry
