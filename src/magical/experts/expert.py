@@ -17,7 +17,7 @@ from magical.scene.actions import Action, Gripper, Longitudinal, Turn
 from magical.scene.geometry import Point
 
 PATIENCE = 7  # control steps without progress after which the expert tries something else
-RELUCTANCE = 25.0  # control steps that a block whose move was just given up seems further away
+RELUCTANCE = 40.0  # control steps that a block whose move was just given up seems further away
 TAKEN = 0.24  # units: a place is taken while a block that is to go elsewhere is this close
 WAY = 0.3  # units beside a block's way that should be free
 BLOCKED = 150.0  # control steps, per unit, that a move waits for its way to become free
@@ -27,7 +27,7 @@ CHECK = 3  # control steps between looks, on the way, whether the task is solved
 CLOSING = 2  # control steps that closing the fingers takes
 GRIPPED = 0.33  # rad: fingers opened less than this have something, or are closing, already
 CAREFUL = 12  # control steps without the block after which others may be pushed aside
-SEARCH = 36  # control steps without the block between the fingers after which a move is given up
+SEARCH = 28  # control steps without the block between the fingers after which a move is given up
 HAUL = 60  # control steps after which a move is given up
 
 
