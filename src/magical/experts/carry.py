@@ -33,8 +33,7 @@ def carry(
     sight: Sight, block: Point, goal: Point, tolerance: float, others: Sequence[Point]
 ) -> int:
     """Move on with the block between closed fingers."""
-    way = [other for other in others if math.dist(other, goal) > CLEARANCE]
-    point = next_waypoint(block, goal, way, CLEARANCE, sight.angle)
+    point = next_waypoint(block, goal, others, CLEARANCE, sight.angle)
     table = table_for(sight.speed, sight.spin)
     near = tolerance if point == goal else 0.1
     cost = table.time + _to_place(table, sight.local(block), sight.local(point), near)

@@ -56,16 +56,28 @@ def gap(start: Point, end: Point, point: Point) -> float:
     return math.hypot(px - along * dx, py - along * dy)
 
 
-def is_clear(start: Point, end: Point, obstacles: Sequence[Point], clearance: float) -> bool:
+def is_clear(
+    start: Point,
+    end: Point,
+    obstacles: Sequence[Point],
+    clearance: float,
+    goal: Point | None = None,
+) -> bool:
     """Whether the segment keeps clear of every obstacle.
 
-    Obstacles already too close to the start only count when the segment gets closer to them.
+    Obstacles already too close to the start only count when the segment gets closer to them, those
+    too close to the goal (default: the end) when it gets closer than the goal is.
     """
     for obstacle in obstacles:
         near = gap(start, end, obstacle)
         if near < clearance and near < math.dist(start, obstacle) - 0.01:
-            return False
+            if near < _room(obstacle, goal or end, clearance):
+                return False
     return True
+
+
+def _room(obstacle: Point, goal: Point, clearance: float) -> float:
+    return min(clearance, 0.95 * math.dist(obstacle, goal))
 
 
 def next_waypoint(
@@ -78,10 +90,11 @@ def next_waypoint(
     """
     if is_clear(start, goal, obstacles, clearance):
         return goal
-    way = _search(_cell(start), _cell(goal), _crowding(obstacles, clearance), heading)
+    crowding = _crowding(obstacles, [_room(o, goal, clearance) for o in obstacles])
+    way = _search(_cell(start), _cell(goal), crowding, heading)
     best = way[min(2, len(way) - 1)]
     for cell in way[3:]:
-        if not is_clear(start, _POINTS[cell], obstacles, clearance - 0.02):
+        if not is_clear(start, _POINTS[cell], obstacles, clearance - 0.02, goal):
             break
         best = cell
     return _POINTS[best]
@@ -94,10 +107,10 @@ def _cell(point: Point) -> int:
     return row * SIDE + column
 
 
-def _crowding(obstacles: Sequence[Point], clearance: float) -> list[float]:
+def _crowding(obstacles: Sequence[Point], rooms: Sequence[float]) -> list[float]:
     """Cost of each cell, per unit travelled."""
     offsets = _GRID[:, None] - np.array(obstacles)  # (cells, obstacles, 2)
-    depth = 1.0 - np.sqrt((offsets * offsets).sum(axis=2)) / clearance
+    depth = 1.0 - np.sqrt((offsets * offsets).sum(axis=2)) / np.maximum(rooms, 0.01)
     cost: list[float] = (1.0 + CROWDING * np.maximum(depth, 0.0).sum(axis=1)).tolist()
     return cost
 
