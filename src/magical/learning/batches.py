@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from magical.learning.reinforcement import ReinforcementConfig
-from magical.learning.rollout import Samples
+from magical.learning.rollout import Samples, as_inputs
 
 
 class Batch(NamedTuple):
     """Samples of an update, B in all or some of them."""
 
-    observations: Tensor  # (B, ...), as the environment gives them
+    inputs: Tensor  # (B, ...), observations ready for the network
     actions: Tensor  # (B,) int64
     log_probs: Tensor  # (B,), when the actions were chosen
     advantages: Tensor  # (B,)
@@ -27,7 +27,10 @@ class Batch(NamedTuple):
 
 
 def as_batch(samples: Samples, rewards: Tensor, config: ReinforcementConfig) -> Batch:
-    """One row a sample, time by time, valued with rewards (T, N)."""
+    """One row a sample, time by time, valued with rewards (T, N).
+
+    Observations are made ready for the network once, not in every epoch.
+    """
     advantages = generalised_advantages(
         rewards,
         samples.values,
@@ -40,7 +43,7 @@ def as_batch(samples: Samples, rewards: Tensor, config: ReinforcementConfig) -> 
     if config.normalise_advantages:
         advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
     return Batch(
-        samples.observations.flatten(0, 1),
+        as_inputs(samples.observations.flatten(0, 1), config.form),
         samples.actions.flatten(),
         samples.log_probs.flatten(),
         advantages.flatten(),

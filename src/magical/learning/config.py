@@ -33,7 +33,7 @@ class Config:
     tasks: tuple[str, ...] = dataclasses.field(metadata={"help": "tasks to learn, one or several"})
     observation: str = option("LoRes4E", "what the policy sees: a preset's name")
     seed: int = option(0, "chooses the demonstrations, first weights, batches")
-    network: str = option("paper", "network: paper or small")
+    network: str = option("paper", "network: paper, small or light")
     device: str = option("auto", "device: auto, cpu or cuda")
     precision: str = option("auto", "precision: auto (the faster one), float32 or bfloat16")
     compile: bool = option(False, "compile the networks (torch.compile)")

@@ -11,7 +11,7 @@ from magical.errors import InvalidConfigError
 from magical.learning.config import Config, option
 
 QUICK: Mapping[str, Any] = {
-    "network": "small",
+    "network": "light",
     "precision": "auto",
     "total_steps": 200_000,
     "time_steps": 16,

@@ -93,11 +93,14 @@ class Learner:
         self.device = choose_device(config.device)
         self.network = make_policy(config).to(self.device)
         self.optimizer = Adam(self.network.parameters(), config.learning_rate, fused=True)
-        self.compute = run.compute(self.device, config.precision, self._probe)
+        states = isinstance(config.form, StateLayout)
+        # Positions need more digits than pixels, and small layers gain nothing from having fewer.
+        precision = "float32" if states and config.precision == "auto" else config.precision
+        self.compute = run.compute(self.device, precision, self._probe)
         both = self.network.both
         self._both = torch.compile(both) if config.compile else both
         self._stack = ExitStack()
-        if isinstance(config.form, StateLayout):
+        if states:
             self._stack.enter_context(one_thread())
         self.sampler = self._stack.enter_context(Sampler(config, self.device, reward))
         self._recent: deque[tuple[int, float]] = deque(maxlen=RECENT)
@@ -134,8 +137,11 @@ class Learner:
 
     def act(self, observations: Tensor, tasks: Tensor) -> tuple[Tensor, Tensor]:
         """Logits (B, 18) and values (B,) of observations as the environment gives them."""
+        return self._forward(as_inputs(observations, self.config.form), tasks)
+
+    def _forward(self, inputs: Tensor, tasks: Tensor) -> tuple[Tensor, Tensor]:
         with self.compute.autocast():
-            logits, values = self._both(as_inputs(observations, self.config.form), tasks)
+            logits, values = self._both(inputs, tasks)
         return logits.float(), values.float()
 
     def collect(self, number: int) -> Samples:
@@ -152,6 +158,8 @@ class Learner:
         began = time.perf_counter()
         config = self.config
         batch = as_batch(samples, rewards, config)
+        if self.compute.precision == "bfloat16":  # as the network's first layer would have it
+            batch = batch._replace(inputs=batch.inputs.bfloat16())
         left = 1.0 - number / config.updates if config.anneal else 1.0
         for group in self.optimizer.param_groups:
             group["lr"] = config.learning_rate * left
@@ -175,7 +183,7 @@ class Learner:
 
     def _step(self, batch: Batch, clip: float) -> Tensor:
         """One step of the optimiser; returns the four parts of `ppo_loss`."""
-        logits, values = self.act(batch.observations, batch.tasks)
+        logits, values = self._forward(batch.inputs, batch.tasks)
         loss, parts = ppo_loss(logits, values, batch, clip, self.config.entropy_bonus)
         self.optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
@@ -200,6 +208,7 @@ class Learner:
         self.run.require_finite(step, metrics)
         if ends or done % config.checkpoint_every == 0:
             self.run.checkpoint(step, {**self._tree(), **more()})
+        if ends or "evaluation_score" in metrics:
             draw_curves(self.run.folder / METRICS)
         return ends
 

@@ -1,0 +1,198 @@
+"""PPO beside Stable-Baselines3's, GAIL beside BC and chance, and the time of an iteration.
+
+    python -m benchmarks.reinforcement ppo --out RUNS
+    python -m benchmarks.reinforcement gail --demos DEMOS --out RUNS
+    python -m benchmarks.reinforcement iteration --demos DEMOS --out RUNS
+
+Needs the extras learning, report and, for `ppo`, sb3. Runs that are in RUNS already are resumed or
+only evaluated.
+"""
+
+import argparse
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from magical.evaluation import RandomPolicy, evaluate
+from magical.evaluation.policy import Policy
+from magical.learning import find_algorithm, train
+from magical.learning.algorithms.ppo import PPOConfig
+from magical.learning.config import Config
+from magical.learning.policy import is_run
+from magical.learning.runs import read_metrics
+
+TASK, DEMO = "MoveToRegion", "magical/MoveToRegion-Demo-v0"
+PPO_STEPS = 80_000
+COLOURS = {"ppo": "#c8467c", "SB3's PPO": "#4a86ad", "gail": "#c8467c"}
+
+Curve = Sequence[tuple[int, float]]  # environment steps, score of recent episodes
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", choices=("ppo", "gail", "iteration"))
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--demos", default="")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--workers", type=int, default=None)
+    parser.add_argument("--figure", type=Path, default=None)
+    args = parser.parse_args()
+    {"ppo": compare_ppo, "gail": compare_gail, "iteration": time_iterations}[args.what](args)
+
+
+def compare_ppo(args: argparse.Namespace) -> None:
+    """States and the dense reward; both bootstrap at the time limit, with the same settings."""
+    curves: dict[str, list[Curve]] = {"ppo": [], "SB3's PPO": []}
+    for seed in args.seeds:
+        config = ppo_config(seed, args.workers)
+        policy, curve = trained(config, args.out / f"ppo-{seed}")
+        curves["ppo"].append(curve)
+        print(f"ppo, seed {seed}: Demo {demo_score(policy, args.workers):.2f}", flush=True)
+        policy, curve = train_sb3(config)
+        curves["SB3's PPO"].append(curve)
+        print(f"SB3's PPO, seed {seed}: Demo {demo_score(policy, args.workers):.2f}", flush=True)
+    draw(args.figure, curves)
+
+
+def compare_gail(args: argparse.Namespace) -> None:
+    """Pixels, 25 demonstrations, preset `quick`."""
+    print(f"random: Demo {demo_score(RandomPolicy(), args.workers):.2f}", flush=True)
+    curves: dict[str, list[Curve]] = {"gail": []}
+    for seed in args.seeds:
+        for name in ("bc", "gail"):
+            fields = {"workers": args.workers} if name == "gail" else {}
+            config = imitation_config(name, args.demos, seed=seed, num_demos=25, **fields)
+            policy, curve = trained(config, args.out / f"{name}-{seed}")
+            score = demo_score(policy, args.workers)
+            print(f"{name}, seed {seed}: Demo {score:.2f}", flush=True)
+            if name == "gail":
+                curves[name].append(curve)
+    draw(args.figure, curves)
+
+
+def time_iterations(args: argparse.Namespace) -> None:
+    """Medians over a few updates after the first."""
+    for preset, updates in (("quick", 6), ("paper", 2)):
+        config = imitation_config("gail", args.demos, preset, num_demos=2, workers=args.workers)
+        folder = args.out / f"iteration-{preset}"
+        train(config, folder, stop_after=updates, resume=is_run(folder))
+        rows = read_metrics(folder)[1:]
+        parts = {
+            part: float(np.median([row[f"{part}_seconds"] for row in rows]))
+            for part in ("sample", "policy", "discriminator")
+        }
+        shown = ", ".join(f"{part} {seconds:.2f} s" for part, seconds in parts.items())
+        print(f"gail {preset}: {sum(parts.values()):.2f} s an update; {shown}", flush=True)
+
+
+def ppo_config(seed: int, workers: int | None) -> PPOConfig:
+    return PPOConfig.preset(
+        "quick",
+        tasks=(TASK,),
+        observation="state",
+        total_steps=PPO_STEPS,
+        seed=seed,
+        device="cpu",
+        evaluate_every=0,
+        workers=workers,
+    )
+
+
+def imitation_config(name: str, demos: str, preset: str = "quick", **fields: Any) -> Config:
+    kind = find_algorithm(name).config
+    return kind.preset(preset, tasks=(TASK,), demos=demos, device="cpu", **fields)
+
+
+def trained(config: Config, folder: Path) -> tuple[Policy, Curve]:
+    """The policy of a run that is started, resumed or there, and its curve."""
+    result = train(config, folder, resume=is_run(folder), progress=True)
+    rows = [row for row in read_metrics(folder) if "environment_steps" in row]
+    return result.policy(), [(r["environment_steps"], r["score"]) for r in rows if "score" in r]
+
+
+def train_sb3(config: PPOConfig) -> tuple[Policy, Curve]:
+    """Stable-Baselines3's PPO with the same settings, through the adapter.
+
+    Its policy and value networks share nothing, and it normalises advantages minibatch by
+    minibatch; everything else is alike.
+    """
+    import torch
+    from stable_baselines3 import PPO
+
+    from examples.stable_baselines3_ppo import SB3Policy
+    from magical.envs.sb3 import MagicalSB3VecEnv
+    from magical.envs.vector import MagicalVectorEnv
+
+    torch.set_num_threads(1)
+    envs = MagicalVectorEnv(
+        [DEMO] * config.num_envs,
+        workers=config.workers,
+        observation="state",
+        reward="dense",
+        autoreset_mode="SameStep",
+    )
+    curve: list[tuple[int, float]] = []
+    model = PPO(
+        "MlpPolicy",
+        MagicalSB3VecEnv(envs),
+        learning_rate=lambda left: config.learning_rate * left,
+        clip_range=lambda left: config.clip * left,
+        n_steps=config.time_steps,
+        batch_size=config.minibatch_size,
+        n_epochs=config.epochs,
+        gamma=config.discount,
+        gae_lambda=config.gae_lambda,
+        ent_coef=config.entropy_bonus,
+        vf_coef=0.5,  # of the squared error
+        max_grad_norm=config.max_grad_norm,
+        policy_kwargs={"net_arch": [256], "activation_fn": torch.nn.ReLU},
+        seed=config.seed,
+        device="cpu",
+    )
+    model.learn(config.total_steps, callback=recorder(curve))
+    envs.close()
+    return SB3Policy(model), curve
+
+
+def recorder(curve: list[tuple[int, float]]) -> Callable[[Any, Any], bool]:
+    """Notes the mean score of the last 100 episodes whenever some have ended."""
+    scores: list[float] = []
+
+    def note(local: dict[str, Any], _: Any) -> bool:
+        ended = [info["eval_score"] for info in local["infos"] if info["TimeLimit.truncated"]]
+        scores.extend(ended)
+        if ended:
+            curve.append((local["self"].num_timesteps, float(np.mean(scores[-100:]))))
+        return True
+
+    return note
+
+
+def demo_score(policy: Policy, workers: int | None) -> float:
+    """The mean score of 100 rollouts on Demo."""
+    scores = evaluate(policy, [DEMO], workers=workers)
+    return float(np.mean([score.score for score in scores]))
+
+
+def draw(path: Path | None, curves: dict[str, list[Curve]]) -> None:
+    """Score of recent training episodes over environment steps, a line a seed."""
+    if path is None:
+        return
+    figure = Figure(figsize=(6.4, 3.4), layout="constrained")
+    axes = figure.subplots()
+    for name, lines in curves.items():
+        for number, line in enumerate(lines):
+            label = None if number else name
+            axes.plot(*zip(*line, strict=True), color=COLOURS[name], linewidth=1.2, label=label)
+    axes.axhline(0.9, color="0.6", linewidth=0.8, linestyle=":")
+    axes.set(xlabel="environment steps", ylabel="score, last 100 episodes", ylim=(0, 1.02))
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False, loc="lower right")
+    figure.savefig(path, dpi=110)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,127 @@
+"""Apprenticeship learning: weights against a numerical maximiser, features, whole runs."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from scipy.optimize import minimize
+
+from magical.demos import Trajectory
+from magical.errors import InvalidConfigError
+from magical.evaluation import evaluate
+from magical.learning import train
+from magical.learning.algorithms.al import ALConfig, feature_weights, make_autoencoder
+from magical.learning.autoencoder import Autoencoder, autoencoder_loss
+from magical.learning.expert_data import ExpertData
+from magical.learning.networks import get_width
+from magical.observe import PRESETS
+from tests.learning.conftest import TASKS, picture_demo, write_demos
+from tests.learning.reinforcement import assert_same, checkpoint, tiny
+
+
+def small(demos: Path | str, preset: str = "quick", **fields: Any) -> ALConfig:
+    settings = {
+        "tasks": ("MoveToCorner",),
+        "demos": str(demos),
+        "num_demos": 2,
+        "pretraining_batches": 2,
+        "pretraining_batch_size": 4,
+    }
+    return tiny(ALConfig, preset, **{**settings, **fields})
+
+
+def test_weights_are_those_of_a_numerical_maximiser() -> None:
+    torch.manual_seed(0)
+    expert, novice = torch.randn(40, 5).double() + 0.5, torch.randn(60, 5).double()
+    difference = (expert.mean(0) - novice.mean(0)).numpy()
+    best = minimize(
+        lambda w: -w @ difference,
+        np.ones(5),
+        constraints={"type": "ineq", "fun": lambda w: 4.0 - w @ w},
+        options={"ftol": 1e-14, "maxiter": 500},
+    )
+    weights, gap = feature_weights(expert, novice)
+    assert weights.norm().item() == pytest.approx(2.0)
+    np.testing.assert_allclose(weights.numpy(), best.x, atol=1e-5)
+    assert gap.item() == pytest.approx(-best.fun, rel=1e-8)
+
+
+def test_no_difference_no_weights() -> None:
+    features = torch.randn(8, 32)
+    weights, gap = feature_weights(features, features)
+    assert weights.abs().sum().item() == gap.item() == 0.0
+
+
+def test_autoencoder_loss_by_hand() -> None:
+    images = torch.zeros(1, 3, 1, 1)
+    made = torch.tensor([1.0, 2.0, 3.0]).view(1, 3, 1, 1)
+    error, cross = autoencoder_loss(images, torch.tensor([4]), made, torch.zeros(1, 18))
+    assert error.item() == pytest.approx((1 + 4 + 9) / 3)
+    assert cross.item() == pytest.approx(np.log(18))
+
+
+def test_layers_are_those_of_the_specification() -> None:
+    network = make_autoencoder(ALConfig.preset("paper", tasks=("MoveToCorner",), demos=""))
+    assert network.encoder.features == 32
+    linear = [m for m in network.encoder.linear if isinstance(m, torch.nn.Linear)]
+    assert [(m.in_features, m.out_features) for m in linear] == [(4608 + 18, 256), (256, 32)]
+    convolutions = [m for m in network.image if isinstance(m, torch.nn.Conv2d)]
+    outputs = [m.out_channels for m in convolutions]
+    assert outputs == [64, 64, 64, 32, 32, 32, 32, 12]
+
+
+def test_autoencoder_learns_what_it_is_shown(trajectories: list[Trajectory]) -> None:
+    torch.manual_seed(0)
+    data = ExpertData([(TASKS[0], trajectories[0])], TASKS[:1], PRESETS["LoRes4E"])
+    rows = np.arange(4)
+    images, (actions, _) = data.images(rows) / 255.0, data.labels(rows)
+    network = Autoencoder(get_width("light"), (12, 96, 96))
+    optimizer = torch.optim.Adam(network.parameters(), 1e-3)
+    losses = []
+    for _ in range(15):
+        error, cross = autoencoder_loss(images, actions, *network(images, actions))
+        optimizer.zero_grad()
+        (error + cross).backward()  # type: ignore[no-untyped-call]
+        optimizer.step()
+        losses.append((error.item(), cross.item()))
+    assert losses[-1][0] < 0.7 * losses[0][0]
+    assert losses[-1][1] < losses[0][1]
+
+
+@pytest.mark.parametrize("stops", [1, 2, 3])  # in pretraining, at its end, in an update
+def test_resumed_runs_are_bit_equal(demos: Path, tmp_path: Path, stops: int) -> None:
+    config = small(demos)
+    whole = tmp_path / "whole"
+    assert train(config, whole).step == 5
+    assert train(config, tmp_path / "parts", stop_after=stops).step == stops
+    assert train(config, tmp_path / "parts", resume=True).finished
+    assert_same(checkpoint(whole), checkpoint(tmp_path / "parts"))
+    with Image.open(whole / "reconstructions.png") as picture:
+        assert picture.size == (10 * 96, 2 * 96)
+
+
+def test_paper_preset_for_three_iterations(tmp_path: Path) -> None:
+    """The published networks and settings, on a few worlds: run, resumed, evaluated."""
+    data = write_demos(tmp_path / "data", [picture_demo("MoveToCorner", 0)])
+    config = small(data, "paper", num_demos=1, pretraining_batches=1, feature_samples=512)
+    assert train(config, tmp_path / "run", stop_after=2).step == 2
+    trained = train(config, tmp_path / "run", resume=True)
+    assert (trained.step, trained.total, trained.finished) == (4, 4, True)
+    assert trained.metrics["feature_distance"] > 0
+    ids = ["magical/MoveToCorner-Demo-v0"]
+    assert len(evaluate(trained.policy(), ids, rollouts=1, workers=0, horizon=2)) == 1
+
+
+def test_paper_settings_are_appendix_bs() -> None:
+    config = ALConfig.preset("paper", tasks=("MoveToCorner",), demos="")
+    assert (config.pretraining_batches, config.pretraining_batch_size) == (8192, 24)
+    assert (config.pretraining_learning_rate, config.feature_samples) == (3e-4, 512)
+    assert config.total == 8192 + 3906
+
+
+def test_not_defined_for_several_tasks() -> None:
+    with pytest.raises(InvalidConfigError, match="al: expected one task"):
+        small("", tasks=TASKS)
