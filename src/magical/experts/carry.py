@@ -19,6 +19,7 @@ from magical.scene.geometry import Point
 
 BODY_ROOM = 0.31  # units from the robot's centre to a block's
 BLOCK_ROOM = 0.26  # units between two blocks' centres
+REAR = 0.12  # units behind the robot that should be free in the end
 BODY_LIMIT, BLOCK_LIMIT = 0.8, 0.84  # largest coordinates of the robot's and the block's centre
 CLEARANCE = 0.31  # units from a carried block's centre to an obstacle's when planning ways
 _BLAME = 45.0  # control steps, per unit, that getting too close costs: two blocks are hard to push
@@ -75,6 +76,9 @@ def _obstruction(
     turn = np.array(((sight.cos, sight.sin), (-sight.sin, sight.cos)))
     here = np.array((sight.x, sight.y))
     robot, block = table.robot[picks] @ turn + here, table.block[picks] @ turn + here  # (P, K, 2)
+    # Room to back off once the block is let go, as if the way went on backwards.
+    behind = (table.robot[picks, -1:] - REAR * table.ahead[picks, None]) @ turn + here
+    robot = np.concatenate((robot, behind), axis=1)
     cost: Floats = np.maximum(0.0, np.abs(robot) - BODY_LIMIT).max(axis=(1, 2))
     cost += 2.0 * np.maximum(0.0, np.abs(block) - BLOCK_LIMIT).sum(axis=2).mean(axis=1)
     if others:

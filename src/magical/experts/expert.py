@@ -26,8 +26,8 @@ REVIEW = 8  # control steps after which the side of approach is thought over
 CHECK = 3  # control steps between looks, on the way, whether the task is solved already
 CLOSING = 2  # control steps that closing the fingers takes
 GRIPPED = 0.33  # rad: fingers opened less than this have something, or are closing, already
-CAREFUL = 12  # control steps without the block after which others may be pushed aside
-SEARCH = 28  # control steps without the block between the fingers after which a move is given up
+CAREFUL = 18  # control steps without the block after which others may be pushed aside
+SEARCH = 30  # control steps without the block between the fingers after which a move is given up
 HAUL = 60  # control steps after which a move is given up
 
 

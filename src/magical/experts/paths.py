@@ -70,9 +70,10 @@ def is_clear(
     """
     for obstacle in obstacles:
         near = gap(start, end, obstacle)
-        if near < clearance and near < math.dist(start, obstacle) - 0.01:
-            if near < _room(obstacle, goal or end, clearance):
-                return False
+        if near >= clearance or near >= math.dist(start, obstacle) - 0.01:
+            continue
+        if near < _room(obstacle, goal or end, clearance):
+            return False
     return True
 
 
