@@ -9,11 +9,11 @@ from magical.experts.goals import Goals, Move, Plan, Style, register_goals
 from magical.experts.sight import Sight
 from magical.scene.geometry import Point
 
-SPACING = 0.32  # units between neighbours that is aimed at; up to 0.42 count
+SPACING = 0.29  # units between neighbours that is aimed at; up to 0.42 count
 OFF_LINE = 0.14  # units from the line that are good enough; up to 0.18 count
 APART = 0.40  # units between neighbours along the line that are good enough
 OFF_LIMIT, APART_LIMIT = 0.175, 0.415  # units: the same once all blocks are at rest
-TOLERANCE = 0.06  # units
+TOLERANCE = 0.08  # units
 LIMIT = 0.8  # largest coordinate of a place in the line
 ANGLES = 16
 MOVE_TIME = 20.0  # control steps that a move costs besides the way
