@@ -28,6 +28,8 @@ CLOSING = 2  # control steps that closing the fingers takes
 GRIPPED = 0.33  # rad: fingers opened less than this have something, or are closing, already
 CAREFUL = 18  # control steps without the block after which others may be pushed aside
 SEARCH = 30  # control steps without the block between the fingers after which a move is given up
+POKE = 20  # control steps in which a block that could not be grasped is knocked loose first
+ASIDE = 0.13  # units beside its centre that are aimed at
 HAUL = 60  # control steps after which a move is given up
 
 
@@ -130,6 +132,9 @@ class Expert:
             side = self._side(sight, move.block, move.goal, memory.failures, used)[0]
             aged = replace(aged, side=side)
         bold = memory.loose > CAREFUL
+        if move.block in memory.avoid and memory.loose < POKE:
+            angle = 2.4 * memory.failures  # the golden angle: another side each time
+            block = block[0] + ASIDE * math.cos(angle), block[1] + ASIDE * math.sin(angle)
         return steering.approach(sight, block, aged.side, others, bold), aged
 
 
