@@ -30,6 +30,7 @@ CAREFUL = 18  # control steps without the block after which others may be pushed
 SEARCH = 30  # control steps without the block between the fingers after which a move is given up
 POKE = 20  # control steps in which a block that could not be grasped is knocked loose first
 ASIDE = 0.13  # units beside its centre that are aimed at
+HOLD = Action(gripper=Gripper.CLOSED).id  # what a finished expert does
 HAUL = 60  # control steps after which a move is given up
 
 
@@ -74,12 +75,20 @@ class Expert:
         move = memory.move
         if move is None or _is_done(sight, move) or self._is_solved(sight, memory):
             if memory.rest and move is None:
-                return NOOP, replace(memory, rest=memory.rest - 1, still=0)
+                return self._rest(sight), replace(memory, rest=memory.rest - 1, still=0)
             memory = self._choose(sight, memory)
             move = memory.move
             if move is None:
-                return NOOP, memory
+                return self._rest(sight), memory
         return self._pursue(sight, move, memory)
+
+    def _rest(self, sight: Sight) -> int:
+        """What to do when nothing is left to do.
+
+        A finished expert holds its fingers closed: learners that leave no-op samples out, as the
+        appendix's behavioural cloning does, could not learn from no-ops that staying is right.
+        """
+        return NOOP if self._goals.unsolvable(sight.scene) else HOLD
 
     def _is_solved(self, sight: Sight, memory: Memory) -> bool:
         return memory.held > 0 and memory.age % CHECK == 0 and self._goals.solved(sight)
