@@ -1,5 +1,7 @@
 """Run the tests on Python 3.11, 3.12 and 3.13, each in its own environment `.venv-<version>`.
 
+    python tools/test_all.py [VERSION ...]
+
 PyTorch is left out: `make test` runs what needs it, this shows that nothing else does. A version
 without an interpreter on this machine is named and skipped; the exit status is 1 if the tests fail
 on any version, or if no interpreter is found.
@@ -9,7 +11,7 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -58,13 +60,14 @@ def run(version: str) -> str:
     print(f"== Python {version} ({interpreter})", flush=True)
     if not set_up(interpreter, environment):
         return "failed: set-up"
-    command = [str(environment / "bin" / "python"), "-m", "pytest", "-q", "-n", "auto"]
+    command = [str(environment / "bin" / "python"), "-m", "pytest", "-q", "-rs", "-n", "auto"]
+    command += ["--dist", "loadfile"]
     return "failed" if subprocess.run(command, cwd=ROOT, check=False).returncode else "passed"
 
 
-def main() -> int:
-    """Run every version and print a summary."""
-    results = {version: run(version) for version in VERSIONS}
+def main(versions: Sequence[str]) -> int:
+    """Run the versions and print a summary."""
+    results = {version: run(version) for version in versions}
     for version, result in results.items():
         print(f"Python {version}: {result}")
     failed = any(result.startswith("failed") for result in results.values())
@@ -72,4 +75,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:] or VERSIONS))

@@ -73,7 +73,7 @@ def test_each_changes_the_picture_and_stays_in_range(name: str) -> None:
 @pytest.mark.parametrize("name", ["translation", "rotation", "colour"])
 def test_one_draw_a_stack_and_different_ones_in_a_batch(name: str) -> None:
     changed = augment(smooth_stacks(), only(name), rng())
-    frames = changed.unflatten(1, (4, 3))
+    frames = changed.reshape(len(changed), 4, 3, *changed.shape[2:])
     assert torch.allclose(frames, frames[:, :1].expand_as(frames), atol=1e-6)
     for other in range(1, len(changed)):
         assert not torch.allclose(changed[0], changed[other], atol=1e-3)
@@ -84,7 +84,7 @@ def test_noise_is_independent_normal_with_the_appendix_deviation() -> None:
     noise = augment(grey, only("noise"), rng()) - grey
     assert abs(float(noise.std()) / NOISE_STD - 1.0) < 0.01
     assert abs(float(noise.mean())) < 1e-4
-    frames = noise.unflatten(1, (4, 3)).double()
+    frames = noise.reshape(len(noise), 4, 3, *noise.shape[2:]).double()
     for a, b in ((frames[:, 0], frames[:, 1]), (frames[:, :, 0], frames[:, :, 1])):
         assert abs(float((a * b).mean())) < 0.01 * NOISE_STD**2
     assert abs(float((noise[0] * noise[1]).mean())) < 0.01 * NOISE_STD**2
