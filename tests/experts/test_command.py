@@ -1,0 +1,36 @@
+"""`magical expert evaluate`."""
+
+import json
+
+import pytest
+
+from magical import cli
+from magical.experts import evaluate_expert
+
+CORNER = "magical/MoveToCorner-Demo-v0"
+
+
+def test_json_has_a_mean_a_deviation_and_all_scores(capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["expert", "evaluate", "--env", CORNER, "--env", "MoveToRegion-Demo-v0"]
+    assert cli.main([*command, "--rollouts", "2", "--workers", "1", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert list(result) == [CORNER, "magical/MoveToRegion-Demo-v0"]
+    assert result[CORNER] == {"mean": 1.0, "std": 0.0, "scores": [1.0, 1.0]}
+
+
+def test_scores_depend_on_the_seed_alone() -> None:
+    ids = ["magical/MoveToRegion-TestLayout-v0", "magical/FixColour-TestLayout-v0"]
+    one = evaluate_expert(ids, 3, seed=5, skill=0.3, workers=1)
+    two = evaluate_expert(ids, 3, seed=5, skill=0.3, workers=2)
+    assert one == two
+
+
+def test_unknown_environment(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["expert", "evaluate", "--env", "MoveToMoon-Demo-v0"]) == cli.USAGE
+    assert "MoveToMoon" in capsys.readouterr().err
+
+
+def test_wrong_skill(capsys: pytest.CaptureFixture[str]) -> None:
+    wrong = ["expert", "evaluate", "--env", CORNER, "--rollouts", "1", "--skill", "7"]
+    assert cli.main([*wrong, "--workers", "1"]) == cli.FAILED
+    assert "from 0 to 1" in capsys.readouterr().err
