@@ -29,10 +29,11 @@ STEP = DRIVE_SPEED_FORWARD / CONTROL_RATE  # units: one control step of driving
 HOLD = ROBOT_RADIUS + BLOCK_SIZE + 0.015  # units from the robot's centre to a held block's
 
 # Accelerations with a held block, with a control step as the unit of time.
-_SPEED_UP, _SLOW_DOWN = 0.013, 0.04  # units
-_SPIN_UP = 0.12  # rad
+_PULL, _DRAG = 0.028, 0.0145  # units: of the drive, and of the held block on the floor
+_SPIN_UP = 0.085  # rad
 _SPIN_STOP = 0.33  # share of the present turning that is still turned when it stops
 
+PIVOT = 0.06  # units ahead of the robot's centre about which it turns with a block
 _FIRST = (1, 2, 3, 5)  # control steps of the first motion of a pair
 _SECOND = (0, 1, 2, 4)  # and of the second
 _STRIDE = 2  # control steps between the points of a way that are checked for obstacles
@@ -79,7 +80,7 @@ def _table(speed: int, spin: int) -> Table:
     padded = np.array([ids + [0] * (longest - len(ids)) for ids in orders])  # (N, T)
     time = np.array([len(ids) for ids in orders], dtype=np.float64)
     at, angle = _roll_out(padded, _SPEEDS[speed], _SPINS[spin])
-    ahead = np.stack((-np.sin(angle), np.cos(angle)), axis=-1)  # (N, K, 2)
+    ahead = _ahead(angle)  # (N, K, 2)
     right = np.stack((ahead[..., 1], -ahead[..., 0]), axis=-1)
     end = angle[:, -1], ahead[:, -1], right[:, -1]
     return Table(padded[:, 0], time, at, at + HOLD * ahead, *end)
@@ -89,26 +90,38 @@ def _roll_out(orders: NDArray[np.intp], speed: float, spin: float) -> tuple[Floa
     """Centres (N, K, 2) and headings (N, K) on the ways of orders (N, T) of actions."""
     speeds = np.array([0.0, STEP, STEP * DRIVE_SPEED_BACK / DRIVE_SPEED_FORWARD])[orders % 3]
     spins = np.array([0.0, TAP, -TAP])[orders // 3 % 3]
-    v, w = np.full(len(orders), speed), np.full(len(orders), spin)
-    at, angle = np.zeros((len(orders), 2)), np.zeros(len(orders))
+    w, angle = np.full(len(orders), spin), np.zeros(len(orders))
+    at, velocity = np.zeros((len(orders), 2)), np.zeros((len(orders), 2))
+    velocity[:, 1] = speed
     ways, angles = [], []
     for step in range(orders.shape[1]):
-        faster = _towards(v, speeds[:, step], _SPEED_UP, _SLOW_DOWN)
         turn, w = _turn(w, spins[:, step])
-        middle = angle + 0.5 * turn
-        along = 0.5 * (v + faster)
-        at = at + np.stack((-np.sin(middle) * along, np.cos(middle) * along), axis=-1)
-        angle, v = angle + turn, faster
+        before, middle, after = (_ahead(angle + share * turn) for share in (0.0, 0.5, 1.0))
+        faster = _pull(velocity, speeds[:, step, None] * middle)
+        at = at + 0.5 * (velocity + faster) + PIVOT * (before - after)
+        angle, velocity = angle + turn, faster
         if step % _STRIDE == _STRIDE - 1 or step == orders.shape[1] - 1:
             ways.append(at)
             angles.append(angle)
     return np.stack(ways, axis=1), np.stack(angles, axis=1)
 
 
-def _towards(value: Floats, aim: Floats, up: float, down: float) -> Floats:
-    slowing = (np.abs(aim) < np.abs(value)) | (aim * value < 0)
-    limit = np.where(slowing, down, up)
-    return value + np.clip(aim - value, -limit, limit)
+def _pull(velocity: Floats, aim: Floats) -> Floats:
+    """The velocity (N, 2) after a step of the drive's pull towards `aim`, and of drag."""
+    wanted = aim + _capped(aim, _DRAG) * aim - velocity
+    pulled = velocity + _capped(wanted, _PULL) * wanted
+    return pulled * (1.0 - _capped(pulled, _DRAG))
+
+
+def _capped(vector: Floats, most: float) -> Floats:
+    """The share (N, 1) of each vector (N, 2) whose length is at most `most`."""
+    length = np.hypot(vector[:, :1], vector[:, 1:])
+    share: Floats = np.minimum(1.0, most / np.maximum(length, 1e-9))
+    return share
+
+
+def _ahead(angle: Floats) -> Floats:
+    return np.stack((-np.sin(angle), np.cos(angle)), axis=-1)
 
 
 def _turn(spin: Floats, aim: Floats) -> tuple[Floats, Floats]:
