@@ -128,8 +128,8 @@ def train(config: DAggerConfig, run: Run) -> None:
                 aggregate.extend(worlds.collect(learner.policy(), share, rng, round=number))
             if config.restart and run.step == number * config.batches:
                 learner.begin()
-            data, facts = aggregate.data(chosen, learner.device)
-            if learner.learn(number, data, facts, {"aggregate": aggregate.sums}):
+            # Not kept here: the next round's data would be made while these are still in memory.
+            if learner.learn(number, *aggregate.data(chosen, learner.device), aggregate.sums):
                 break
 
 
@@ -221,8 +221,10 @@ class Learner:
             self.network, config.tasks, config.observation, config.form, self.compute
         )
 
-    def learn(self, number: int, data: ExpertData, facts: dict[str, float], more: Tree) -> bool:
-        """Round `number`, or the rest of it; `more` goes into checkpoints. Whether to stop."""
+    def learn(
+        self, number: int, data: ExpertData, facts: dict[str, float], sums: list[str]
+    ) -> bool:
+        """Round `number`, or the rest of it, from episodes with these sums. Whether to stop."""
         config, run = self.config, self.run
         augmentations = parse_augmentations(config.augment)
         facts = {"round": number, "expert_share": config.expert_share(number), **facts}
@@ -246,7 +248,7 @@ class Learner:
                     run.require_finite(done, metrics)
                     run.log(done, config.total, **facts, **metrics)
                 if stops or done == last or done % config.checkpoint_every == 0:
-                    run.checkpoint(done, {**self._tree(), **more})
+                    run.checkpoint(done, {**self._tree(), "aggregate": sums})
                 if stops:
                     return True
         return False
