@@ -18,8 +18,9 @@ from magical.learning.algorithms import ppo
 from magical.learning.algorithms.ppo import PPOConfig, make_policy, mean_by_task, ppo_loss
 from magical.learning.batches import Batch, explained_variance, generalised_advantages, spread
 from magical.learning.curves import PICTURE
-from magical.learning.rollout import Sampler
+from magical.learning.rollout import Sampler, as_inputs
 from magical.learning.runs import METRICS, read_metrics
+from magical.observe import PRESETS
 from tests.learning.reinforcement import assert_same, checkpoint, tiny
 
 
@@ -204,6 +205,7 @@ def test_paper_settings_are_table_4s() -> None:
     assert (config.minibatch_size, config.learning_rate, config.clip) == (64, 6e-5, 0.01)
     assert (config.discount, config.gae_lambda, config.entropy_bonus) == (0.8, 0.8, 1e-5)
     assert (config.max_grad_norm, config.total_steps, config.updates) == (1.0, 10**6, 3906)
+    assert config.first_weights == "torch"
     assert (config.bootstrap, config.normalise_advantages, config.anneal) == (False, False, True)
     network = make_policy(config)
     assert not any(isinstance(m, torch.nn.BatchNorm2d) for m in network.modules())
@@ -291,3 +293,20 @@ def test_unknown_words() -> None:
 def test_no_dense_reward(tmp_path: Path) -> None:
     with pytest.raises(UnknownNameError, match="MakeLine has no dense reward"):
         train(tiny(PPOConfig, tasks=("MakeLine",)), tmp_path / "run")
+
+
+def test_centred_first_weights_tell_frames_apart() -> None:
+    with Sampler(tiny(PPOConfig, num_envs=8, decorrelate=True), "cpu") as sampler:
+        sampler.begin()
+        frames = sampler.collect(scripted(), rng()).observations[0]
+    spreads = {}
+    for first_weights in ("torch", "centred"):
+        network = make_policy(tiny(PPOConfig, first_weights=first_weights))
+        with torch.no_grad():
+            images = as_inputs(frames, PRESETS["LoRes4E"])
+            spreads[first_weights] = network.trunk(images).std(dim=0).mean().item()
+            logits, _ = network.both(images, torch.zeros(8, dtype=torch.int64))
+        assert logits.abs().max() < 0.3
+    assert spreads["centred"] > 10 * spreads["torch"]
+    with pytest.raises(UnknownNameError, match="first_weights"):
+        tiny(PPOConfig, first_weights="zero")

@@ -12,6 +12,7 @@ from magical.learning.config import Config, option
 
 QUICK: Mapping[str, Any] = {
     "network": "light",
+    "first_weights": "centred",
     "precision": "auto",
     "total_steps": 200_000,
     "time_steps": 16,
@@ -36,6 +37,7 @@ class ReinforcementConfig(Config):
     # Ratios are compared with a clip range of 0.01: bfloat16's steps are nearly as large.
     precision: str = option("float32", "precision: auto (the faster one), float32 or bfloat16")
     compile: bool = option(False, "compile the policy's network (torch.compile)")
+    first_weights: str = option("torch", "of a policy that sees images: torch or centred")
     total_steps: int = option(1_000_000, "environment steps in all")
     num_envs: int = option(32, "worlds side by side, split evenly between the tasks")
     time_steps: int = option(8, "steps of each world in an update")
@@ -61,6 +63,7 @@ class ReinforcementConfig(Config):
         self.require_positive("total_steps", "num_envs", "time_steps", "epochs", "minibatch_size")
         self.require_positive("learning_rate", "clip", "max_grad_norm", "checkpoint_every")
         self.require_positive("evaluation_rollouts")
+        self.require_one_of("first_weights", ("torch", "centred"))
         for name in ("discount", "gae_lambda"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InvalidConfigError(

@@ -26,7 +26,7 @@ from magical.learning.collapse import Watch
 from magical.learning.config import option
 from magical.learning.curves import draw_curves
 from magical.learning.devices import choose_device, one_thread
-from magical.learning.networks import ActorCritic, StateTrunk, Trunk, get_width
+from magical.learning.networks import ActorCritic, StateTrunk, Trunk, centre, get_width
 from magical.learning.policy import NetworkPolicy
 from magical.learning.reinforcement import QUICK, ReinforcementConfig
 from magical.learning.rollout import Sampler, Samples, as_inputs
@@ -94,7 +94,7 @@ class Learner:
         self.network = make_policy(config).to(self.device)
         self.optimizer = Adam(self.network.parameters(), config.learning_rate, fused=True)
         states = isinstance(config.form, StateLayout)
-        # Positions need more digits than pixels, and small layers gain nothing from having fewer.
+        # Positions need more digits than pixels.
         precision = "float32" if states and config.precision == "auto" else config.precision
         self.compute = run.compute(self.device, precision, self._probe)
         both = self.network.both
@@ -225,11 +225,9 @@ class Learner:
 
     def _evaluate(self) -> float:
         config = self.config
-        policy = NetworkPolicy(
-            self.network, config.tasks, config.observation, config.form, self.compute
-        )
+        shown = config.observation, config.form
         scores = evaluate(
-            policy,
+            NetworkPolicy(self.network, config.tasks, *shown, self.compute),
             [str(EnvId(task, "Demo")) for task in config.tasks],
             rollouts=config.evaluation_rollouts,
             seed=EVALUATION_SEED,
@@ -293,7 +291,10 @@ def make_policy(config: ReinforcementConfig) -> ActorCritic:
             if isinstance(form, StateLayout)
             else Trunk(width, config.image_shape)
         )
-        return ActorCritic(trunk, len(config.tasks))
+        network = ActorCritic(trunk, len(config.tasks))
+        if config.first_weights == "centred" and isinstance(trunk, Trunk):
+            centre(network)
+        return network
 
 
 ALGORITHM = Algorithm(PPOConfig, train, make_policy)
