@@ -1,8 +1,8 @@
 """PPO beside Stable-Baselines3's, GAIL beside BC and chance, and the time of an iteration.
 
-    python -m benchmarks.reinforcement ppo --out RUNS
-    python -m benchmarks.reinforcement gail --demos DEMOS --out RUNS
-    python -m benchmarks.reinforcement iteration --demos DEMOS --out RUNS
+    python benchmarks/reinforcement.py ppo --out RUNS
+    python benchmarks/reinforcement.py gail --demos DEMOS --out RUNS
+    python benchmarks/reinforcement.py iteration --demos DEMOS --out RUNS
 
 Needs the extras learning, report and, for `ppo`, sb3. Runs that are in RUNS already are resumed or
 only evaluated.
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from magical.evaluation import RandomPolicy, evaluate
+from magical.evaluation import FunctionPolicy, RandomPolicy, evaluate
 from magical.evaluation.policy import Policy
 from magical.learning import find_algorithm, train
 from magical.learning.algorithms.ppo import PPOConfig
@@ -53,7 +53,8 @@ def compare_ppo(args: argparse.Namespace) -> None:
         print(f"ppo, seed {seed}: Demo {demo_score(policy, args.workers):.2f}", flush=True)
         policy, curve = train_sb3(config)
         curves["SB3's PPO"].append(curve)
-        print(f"SB3's PPO, seed {seed}: Demo {demo_score(policy, args.workers):.2f}", flush=True)
+        score = demo_score(policy, args.workers, "state")
+        print(f"SB3's PPO, seed {seed}: Demo {score:.2f}", flush=True)
     draw(args.figure, curves)
 
 
@@ -122,7 +123,6 @@ def train_sb3(config: PPOConfig) -> tuple[Policy, Curve]:
     import torch
     from stable_baselines3 import PPO
 
-    from examples.stable_baselines3_ppo import SB3Policy
     from magical.envs.sb3 import MagicalSB3VecEnv
     from magical.envs.vector import MagicalVectorEnv
 
@@ -154,7 +154,8 @@ def train_sb3(config: PPOConfig) -> tuple[Policy, Curve]:
     )
     model.learn(config.total_steps, callback=recorder(curve))
     envs.close()
-    return SB3Policy(model), curve
+    policy = FunctionPolicy(lambda shown, ids, rng: model.predict(shown, deterministic=True)[0])
+    return policy, curve
 
 
 def recorder(curve: list[tuple[int, float]]) -> Callable[[Any, Any], bool]:
@@ -171,9 +172,9 @@ def recorder(curve: list[tuple[int, float]]) -> Callable[[Any, Any], bool]:
     return note
 
 
-def demo_score(policy: Policy, workers: int | None) -> float:
+def demo_score(policy: Policy, workers: int | None, observation: str | None = None) -> float:
     """The mean score of 100 rollouts on Demo."""
-    scores = evaluate(policy, [DEMO], workers=workers)
+    scores = evaluate(policy, [DEMO], workers=workers, observation=observation)
     return float(np.mean([score.score for score in scores]))
 
 
