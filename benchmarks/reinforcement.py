@@ -154,7 +154,7 @@ def train_sb3(config: PPOConfig) -> tuple[Policy, Curve]:
     )
     model.learn(config.total_steps, callback=recorder(curve))
     envs.close()
-    policy = FunctionPolicy(lambda shown, ids, rng: model.predict(shown, deterministic=True)[0])
+    policy = FunctionPolicy(lambda shown, ids, rng: model.predict(shown)[0])
     return policy, curve
 
 

@@ -15,8 +15,14 @@ from magical.errors import DivergedError, InvalidConfigError, UnknownNameError
 from magical.evaluation import evaluate
 from magical.learning import load_policy, train
 from magical.learning.algorithms import ppo
-from magical.learning.algorithms.ppo import PPOConfig, make_policy, mean_by_task, ppo_loss
-from magical.learning.batches import Batch, explained_variance, generalised_advantages, spread
+from magical.learning.algorithms.ppo import PPOConfig, make_policy, ppo_loss
+from magical.learning.batches import (
+    Batch,
+    explained_variance,
+    generalised_advantages,
+    mean_by_task,
+    spread,
+)
 from magical.learning.curves import PICTURE
 from magical.learning.rollout import Sampler, as_inputs
 from magical.learning.runs import METRICS, read_metrics
@@ -103,7 +109,7 @@ def test_minibatches_are_split_evenly_between_tasks() -> None:
 
 
 def test_score_is_the_mean_over_tasks() -> None:
-    scores: Any = [(0, 1.0), (0, 1.0), (0, 1.0), (1, 0.0)]
+    scores = [(0, 1.0), (0, 1.0), (0, 1.0), (1, 0.0)]
     assert mean_by_task(scores) == 0.5
 
 

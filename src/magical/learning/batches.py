@@ -1,5 +1,6 @@
 """From samples to what PPO learns from: advantages, returns, minibatches."""
 
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -89,3 +90,10 @@ def explained_variance(values: Tensor, returns: Tensor) -> float:
     variance = returns.var(correction=0)
     left = (returns - values).var(correction=0)
     return (1.0 - left / variance).item() if variance > 0 else 0.0
+
+
+def mean_by_task(scores: Collection[tuple[int, float]]) -> float:
+    """The mean over tasks of the mean score of each."""
+    tasks = {task for task, _ in scores}
+    means = [np.mean([score for t, score in scores if t == task]) for task in tasks]
+    return float(np.mean(means))

@@ -39,7 +39,7 @@ class GAILConfig(ReinforcementConfig, ImitationConfig):
         "paper": {},
         "quick": {
             **QUICK,
-            "discriminator_learning_rate": 3e-4,
+            "discriminator_learning_rate": 1e-4,
             "augment": "noise+translation+rotation",
         },
     }
