@@ -16,13 +16,7 @@ from magical.evaluation import evaluate
 from magical.learning import load_policy, train
 from magical.learning.algorithms import ppo
 from magical.learning.algorithms.ppo import PPOConfig, make_policy, ppo_loss
-from magical.learning.batches import (
-    Batch,
-    explained_variance,
-    generalised_advantages,
-    mean_by_task,
-    spread,
-)
+from magical.learning.batches import Batch
 from magical.learning.curves import PICTURE
 from magical.learning.rollout import Sampler, as_inputs
 from magical.learning.runs import METRICS, read_metrics
@@ -32,34 +26,6 @@ from tests.learning.reinforcement import assert_same, checkpoint, tiny
 
 def rng() -> np.random.Generator:
     return np.random.default_rng(0)
-
-
-@pytest.mark.parametrize("bootstrap", [False, True])
-def test_advantages_are_those_of_a_plain_loop(bootstrap: bool) -> None:
-    draw, steps, worlds, gamma, lam = rng(), 7, 3, 0.9, 0.7
-    rewards, values = draw.normal(size=(2, steps, worlds))
-    last, ends = draw.normal(size=worlds), draw.normal(size=(steps, worlds))
-    ended = draw.random((steps, worlds)) < 0.3
-    following = np.where(ended, ends * bootstrap, np.vstack([values[1:], last]))
-    expected = np.zeros((steps, worlds))
-    for world in range(worlds):
-        for start in range(steps):
-            weight = 1.0
-            for t in range(start, steps):
-                error = rewards[t, world] + gamma * following[t, world] - values[t, world]
-                expected[start, world] += weight * error
-                weight *= gamma * lam
-                if ended[t, world]:
-                    break
-    found = generalised_advantages(
-        torch.from_numpy(rewards),
-        torch.from_numpy(values),
-        torch.from_numpy(following),
-        torch.from_numpy(ended),
-        gamma,
-        lam,
-    )
-    np.testing.assert_allclose(found.numpy(), expected, atol=1e-12)
 
 
 def batch(actions: list[int], log_probs: list[float], advantages: list[float]) -> Batch:
@@ -90,27 +56,6 @@ def test_loss_by_hand() -> None:
     losses = batch([0, 1], [half, half], [-2.0, -5.0])
     _, parts = ppo_loss(logits, values, losses, clip=0.1, entropy_bonus=0.0)
     assert parts[0].item() == pytest.approx((1.6 * 2.0 + 0.9 * 5.0) / 2, abs=1e-6)
-
-
-def test_explained_variance_by_hand() -> None:
-    returns = torch.tensor([0.0, 2.0])
-    assert explained_variance(torch.tensor([0.5, 1.5]), returns) == pytest.approx(0.75)
-    assert explained_variance(returns, returns) == 1.0
-    assert explained_variance(returns, torch.ones(2)) == 0.0
-
-
-def test_minibatches_are_split_evenly_between_tasks() -> None:
-    tasks = np.array([0] * 16 + [1] * 16 + [2] * 16)
-    order = spread(tasks, rng())
-    assert sorted(order) == list(range(48))
-    for part in order.reshape(-1, 12):
-        assert np.bincount(tasks[part]).tolist() == [4, 4, 4]
-    assert not np.array_equal(order, spread(tasks, np.random.default_rng(1)))
-
-
-def test_score_is_the_mean_over_tasks() -> None:
-    scores = [(0, 1.0), (0, 1.0), (0, 1.0), (1, 0.0)]
-    assert mean_by_task(scores) == 0.5
 
 
 def scripted(value: float = 0.0, action: int = 1) -> Any:
