@@ -27,18 +27,19 @@ STAY = (0.18, 0.3, 0.5, 0.75)  # units from the anchor within which a block may 
 RING = 0.26  # units from an anchor that has a block to the places beside it
 TOUCH = 0.2  # units from the anchor at which a block that is brought there comes to rest, about
 TOLERANCE = 0.09  # units
-MOVE_TIME = 36.0  # control steps that a move costs besides the way
+MOVE_TIME = 40.0  # control steps that a move costs besides the way
 BROKEN = 120.0  # control steps that a block in the wrong place costs
 NOTHING = 1000.0  # control steps that it costs to leave an unsolved jumble as it is
 TASTE = 8.0  # control steps that a demonstrator gives for the place it likes best
 ROOM = 0.5  # units around a block brought to its place that are better free of other groups'
-CROWDING = 120.0  # control steps, per unit, that their closeness costs
-WAY = 0.3  # units beside a block's way that are better free
-BLOCKED = 120.0  # control steps, per unit, that blocks in the way cost
+CROWDING = 250.0  # control steps, per unit, that their closeness costs
+NOW = 0.3  # share of it that a block costs which is to leave that place
+WAY = 0.34  # units beside a block's way that are better free
+BLOCKED = 250.0  # control steps, per unit, that blocks in the way cost
 HABIT = 25.0  # control steps that a new anchor must be better by
 CHOICES = 150
-NEIGHBOUR, ACCESS = 0.4, 120.0  # units within which a neighbour costs how many steps per unit
-FREE = 0.4  # units from all blocks at which a spot is free
+NEIGHBOUR, ACCESS = 0.4, 250.0  # units within which a neighbour costs how many steps per unit
+FREE = 0.5  # units from all blocks at which a spot is free
 EDGE = 0.78  # largest coordinate of an anchor
 
 _TICKS = (-0.7, -0.35, 0.0, 0.35, 0.7)
@@ -140,6 +141,8 @@ def _cost(jumble: _Jumble, anchors: Floats, moved: NDArray[np.bool_], away: Floa
     after = _after(jumble, anchors, moved)
     broken = np.clip((jumble.ratios(after) - RATIO) / RANGE, 0.0, 1.0).sum(axis=-1)
     tight = np.maximum(0.0, ROOM - _distances(after[..., :, None, :], after[..., None, :, :]))
+    # Blocks that are to leave may not have left yet.
+    tight += NOW * np.maximum(0.0, ROOM - _distances(after[..., :, None, :], jumble.at))
     blocked = np.maximum(0.0, WAY - _gaps(jumble.at, after))
     crowding = ((CROWDING * tight * jumble.strange + BLOCKED * blocked).sum(axis=-1) * moved).sum(
         -1

@@ -18,9 +18,10 @@ from magical.scene.geometry import Point
 
 PATIENCE = 7  # control steps without progress after which the expert tries something else
 RELUCTANCE = 40.0  # control steps that a block whose move was just given up seems further away
-TAKEN = 0.24  # units: a place is taken while a block that is to go elsewhere is this close
-WAY = 0.3  # units beside a block's way that should be free
-BLOCKED = 150.0  # control steps, per unit, that a move waits for its way to become free
+ROOM = 0.4  # units around a place that should be free of blocks that are to go elsewhere
+TAKEN = 60.0  # control steps, per unit, that a move waits for them to go
+WAY = 0.34  # units beside a block's way that should be free
+BLOCKED = 300.0  # control steps, per unit, that a move waits for its way to become free
 ESCAPE = 4  # control steps that it then drives away
 REVIEW = 8  # control steps after which the side of approach is thought over
 CHECK = 3  # control steps between looks, on the way, whether the task is solved already
@@ -112,9 +113,8 @@ class Expert:
             return 0.0
         taste = self._style.order[(move.block + memory.failures) % len(self._style.order)]
         again = RELUCTANCE * memory.avoid.count(move.block)
-        waiting = [m.block for m in memory.plan.moves if m.block != move.block]
-        if any(i is not None and math.dist(sight.blocks[i], move.goal) < TAKEN for i in waiting):
-            again += RELUCTANCE
+        waiting = [m.block for m in memory.plan.moves if m.block not in (None, move.block)]
+        again += TAKEN * _shortage(move.goal, [sight.blocks[i] for i in waiting if i is not None])
         again += BLOCKED * _blockage(sight, sight.blocks[move.block], move.goal)
         side = self._side(sight, move.block, move.goal, memory.failures)
         return side[1] + taste + move.weight + again
@@ -160,6 +160,10 @@ def _blockage(sight: Sight, start: Point, goal: Point) -> float:
         if near < min(WAY, math.dist(start, other)):
             total += WAY - near
     return total
+
+
+def _shortage(place: Point, blocks: Sequence[Point]) -> float:
+    return sum(max(0.0, ROOM - math.dist(place, block)) for block in blocks)
 
 
 def _is_done(sight: Sight, move: Move) -> bool:

@@ -17,7 +17,7 @@ from magical.scene.geometry import Point
 SPACING = 0.1  # units between grid points
 HALF = 0.8  # units; a robot's centre gets no further from the middle
 SIDE = round(2 * HALF / SPACING) + 1
-CROWDING = 8.0  # extra cost, per unit travelled, in an obstacle's middle
+CROWDING = 15.0  # extra cost, per unit travelled, in an obstacle's middle
 
 TURNING = 0.3  # units that can be driven in the time of turning by one radian
 
