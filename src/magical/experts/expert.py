@@ -27,12 +27,16 @@ REVIEW = 8  # control steps after which the side of approach is thought over
 CHECK = 3  # control steps between looks, on the way, whether the task is solved already
 CLOSING = 2  # control steps that closing the fingers takes
 GRIPPED = 0.33  # rad: fingers opened less than this have something, or are closing, already
-CAREFUL = 18  # control steps without the block after which others may be pushed aside
-SEARCH = 30  # control steps without the block between the fingers after which a move is given up
+CAREFUL = 8  # control steps without progress after which others may be pushed aside
+SEARCH = 18  # control steps without progress after which a move is given up
 POKE = 20  # control steps in which a block that could not be grasped is knocked loose first
 ASIDE = 0.13  # units beside its centre that are aimed at
 HOLD = Action(gripper=Gripper.CLOSED).id  # what a finished expert does
-HAUL = 60  # control steps after which a move is given up
+HAUL = 80  # control steps after which a move is given up
+
+
+FAR = 9.0  # units
+PROGRESS = 0.05  # units that count as getting nearer
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +52,8 @@ class Memory:
     rest: int = 0  # control steps until an idle expert looks again
     mark: tuple[float, float, float] = (9.0, 9.0, 0.0)  # robot's pose when it last got somewhere
     still: int = 0  # control steps since then
-    loose: int = 0  # control steps since the block was last between the fingers
+    loose: int = 0  # control steps without getting nearer to having the block
+    nearest: float = FAR  # units: how near it got
     held: int = 0  # control steps that the block has been between the fingers
     pull: bool = False  # whether the escape keeps the block
     avoid: tuple[int, ...] = ()  # blocks whose moves were given up last
@@ -98,7 +103,7 @@ class Expert:
         if self._goals.unsolvable(sight.scene):
             return replace(memory, move=None, rest=REVIEW)
         plan = self._goals.plan(sight, self._style, memory.plan)
-        memory = replace(memory, plan=plan, age=0, loose=0)
+        memory = replace(memory, plan=plan, age=0, loose=0, nearest=FAR)
         if not plan.moves:
             return replace(memory, move=None, rest=REVIEW)
         move = min(plan.moves, key=lambda move: self._price(sight, move, memory))
@@ -129,19 +134,21 @@ class Expert:
     def _pursue(self, sight: Sight, move: Move, memory: Memory) -> tuple[int, Memory]:
         aged = replace(memory, age=memory.age + 1, loose=memory.loose + 1, held=0)
         if move.block is None:
-            return steering.travel(sight, move.goal, sight.blocks, memory.age > CAREFUL), aged
+            aged = _progress(aged, sight.distance(move.goal))
+            return steering.travel(sight, move.goal, sight.blocks, aged.loose > CAREFUL), aged
         block, others = sight.blocks[move.block], without(sight.blocks, move.block)
         if grasp.in_jaw(sight, block, memory.held):
-            aged = replace(aged, loose=0, held=memory.held + 1)
+            aged = replace(aged, loose=0, nearest=FAR, held=memory.held + 1)
             if memory.held < CLOSING and sight.opening > GRIPPED:
                 return grip(sight, block), aged
             return carry(sight, block, move.goal, move.tolerance, others), aged
         if memory.age % REVIEW == 0:
             used = memory.side if memory.age else None
             side = self._side(sight, move.block, move.goal, memory.failures, used)[0]
-            aged = replace(aged, side=side)
-        bold = memory.loose > CAREFUL
-        if move.block in memory.avoid and memory.loose < POKE:
+            aged = replace(aged, side=side, nearest=aged.nearest if side == used else FAR)
+        aged = _progress(aged, steering.remaining(sight, block, aged.side))
+        bold = aged.loose > CAREFUL
+        if move.block in memory.avoid and memory.age < POKE:
             angle = 2.4 * memory.failures  # the golden angle: another side each time
             block = block[0] + ASIDE * math.cos(angle), block[1] + ASIDE * math.sin(angle)
         return steering.approach(sight, block, aged.side, others, bold), aged
@@ -150,6 +157,13 @@ class Expert:
 def without(points: Sequence[Point], index: int) -> tuple[Point, ...]:
     """All points but one."""
     return (*points[:index], *points[index + 1 :])
+
+
+def _progress(memory: Memory, left: float) -> Memory:
+    """Note it where the robot has less far to go than ever during this move."""
+    if left < memory.nearest - PROGRESS:
+        return replace(memory, nearest=left, loose=0)
+    return memory
 
 
 def _blockage(sight: Sight, start: Point, goal: Point) -> float:
@@ -193,6 +207,7 @@ def _give_up(memory: Memory) -> Memory:
         memory,
         still=0,
         loose=0,
+        nearest=FAR,
         age=0,
         failures=memory.failures + 1,
         escape=ESCAPE,

@@ -7,7 +7,7 @@ are corrected where the error is worth a tap, and judged at the angle where the 
 import math
 from collections.abc import Sequence
 
-from magical.experts.grasp import CONE, CROWDED, GATE, TIGHT_CONE, behind, gate_to, in_jaw
+from magical.experts.grasp import CONE, CROWDED, GATE, JAW_HALF, TIGHT_CONE, behind, gate_to, in_jaw
 from magical.experts.motions import HOLD, TAP
 from magical.experts.paths import is_clear, next_waypoint
 from magical.experts.sight import Sight, bearing, inside, wrap
@@ -56,12 +56,21 @@ def approach(
     held = _held(sight, others)
     if held is not None and (abs(error) > AIMED or sight.distance(held) < away - 0.1):
         return _leave(sight, held)
-    if abs(error) > AIMED and can_back(sight, others):
+    x, y = sight.local(block)
+    beside = abs(x) > JAW_HALF and 0.0 < y < 0.46  # a finger would push it
+    if (abs(error) > AIMED or beside) and can_back(sight, others):
         if away < SWEEP:
             return _act(Longitudinal.BACK, turn_by(error, 0.8 * TAP))
         if not bold and _sweeps(sight, error, others, SWEEP):
             return _act(Longitudinal.BACK, Turn.STRAIGHT)
     return _drive(sight, block, error)
+
+
+def remaining(sight: Sight, block: Point, side: float) -> float:
+    """About how far the robot has to go until it can grasp a block at bearing `side`."""
+    if abs(wrap(bearing((sight.x, sight.y), block) - side)) < CONE:
+        return sight.distance(block)
+    return sight.distance(gate_to(block, side)) + GATE
 
 
 def heading_error(sight: Sight, heading: float) -> float:
