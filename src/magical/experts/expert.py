@@ -27,8 +27,8 @@ REVIEW = 8  # control steps after which the side of approach is thought over
 CHECK = 3  # control steps between looks, on the way, whether the task is solved already
 CLOSING = 2  # control steps that closing the fingers takes
 GRIPPED = 0.33  # rad: fingers opened less than this have something, or are closing, already
-CAREFUL = 8  # control steps without progress after which others may be pushed aside
-SEARCH = 18  # control steps without progress after which a move is given up
+CAREFUL = 12  # control steps without progress after which others may be pushed aside
+SEARCH = 24  # control steps without progress after which a move is given up
 POKE = 20  # control steps in which a block that could not be grasped is knocked loose first
 ASIDE = 0.13  # units beside its centre that are aimed at
 HOLD = Action(gripper=Gripper.CLOSED).id  # what a finished expert does

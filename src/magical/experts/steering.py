@@ -16,7 +16,7 @@ from magical.scene.geometry import Point
 
 CLEARANCE = 0.34  # units from the robot's centre to an obstacle's when planning ways
 TIGHT_CLEARANCE = 0.32  # units: the same when others may be pushed aside
-SWEEP = 0.53  # units within which a turn on the spot would hit a block with the fingers
+SWEEP = 0.45  # units within which a turn on the spot would hit a block with the fingers
 ARRIVED = 0.16  # units from the gate that are near enough
 AIMED = 0.35  # rad: heading errors up to which it makes sense to drive on
 ARC = 1.1  # rad: the same where there is room for an arc
