@@ -214,7 +214,6 @@ def _give_up(memory: Memory) -> Memory:
         pull=memory.held > 0 and not memory.pull,
         avoid=(*given_up, *memory.avoid)[:3],
         move=None,
-        plan=NO_PLAN,
         rest=0,
     )
 
