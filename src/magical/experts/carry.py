@@ -19,7 +19,8 @@ from magical.scene.geometry import Point
 
 BODY_ROOM = 0.31  # units from the robot's centre to a block's
 BLOCK_ROOM = 0.26  # units between two blocks' centres
-REAR = 0.12  # units behind the robot that should be free in the end
+REAR = 0.18  # units behind the robot that should be free in the end
+CORNERED = 5.0  # how much worse it is if a wall is there
 BODY_LIMIT, BLOCK_LIMIT = 0.8, 0.84  # largest coordinates of the robot's and the block's centre
 CLEARANCE = 0.31  # units from a carried block's centre to an obstacle's when planning ways
 _BLAME = 45.0  # control steps, per unit, that getting too close costs: two blocks are hard to push
@@ -80,6 +81,7 @@ def _obstruction(
     behind = (table.robot[picks, -1:] - REAR * table.ahead[picks, None]) @ turn + here
     robot = np.concatenate((robot, behind), axis=1)
     cost: Floats = np.maximum(0.0, np.abs(robot) - BODY_LIMIT).max(axis=(1, 2))
+    cost += CORNERED * np.maximum(0.0, np.abs(behind) - BODY_LIMIT).max(axis=(1, 2))
     cost += 2.0 * np.maximum(0.0, np.abs(block) - BLOCK_LIMIT).sum(axis=2).mean(axis=1)
     if others:
         points = np.array(others)

@@ -19,7 +19,6 @@ ANGLES = 16
 MOVE_TIME = 20.0  # control steps that a move costs besides the way
 LEAST = 0.26  # units between neighbours that leave room for the fingers
 REFINED = 8  # lines that are looked at more closely
-HABIT = 40.0  # control steps that a new line must be better by
 ROOM = 0.26  # units between blocks
 TASTE = 16.0  # control steps that a demonstrator gives for the orientation it likes best
 
@@ -29,10 +28,6 @@ def make_line(sight: Sight, style: Style, plan: Plan) -> Plan:
     if is_made(sight):
         return Plan()
     places = _best_places(sight.blocks, style)
-    if plan.places and _cost(plan.places, sight.blocks, style) < HABIT + _cost(
-        places, sight.blocks, style
-    ):
-        places = plan.places
     for tolerance in (TOLERANCE, 0.5 * TOLERANCE):
         if moves := _moves(sight.blocks, places, tolerance):
             return Plan(moves, places)
