@@ -32,7 +32,7 @@ class BCConfig(ImitationConfig):
         "paper": {},
         "quick": {
             "network": "small",
-            "batches": 1200,
+            "batches": 2400,
             "optimizer": "adam",
             "learning_rate": 1e-3,
             "momentum": 0.9,

@@ -54,7 +54,7 @@ class DAggerConfig(BCConfig):
     algorithm: ClassVar[str] = "dagger"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {},
-        "quick": {**BCConfig.presets["quick"], "rounds": 6, "batches": 200, "episodes": 5},
+        "quick": {**BCConfig.presets["quick"], "rounds": 6, "batches": 400, "episodes": 5},
     }
 
     batches: int = option(2_000, "batches to learn from in each round")
