@@ -20,7 +20,7 @@ GOOD, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
 
 # Which extra of the package brings an optional library.
 EXTRAS = {
-    **dict.fromkeys(("kornia", "safetensors", "torch"), "learning"),
+    **dict.fromkeys(("safetensors", "torch"), "learning"),
     **dict.fromkeys(("jinja2", "matplotlib"), "report"),
     **dict.fromkeys(("imageio", "imageio_ffmpeg", "moviepy"), "video"),
     **dict.fromkeys(("h5py", "minari"), "minari"),
