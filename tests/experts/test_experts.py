@@ -1,6 +1,7 @@
 """Scripted experts: every task, any state, any skill, without looking ahead in the simulator."""
 
 import ast
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,7 +26,20 @@ from magical.experts import (
 from magical.experts.goals import _GOALS
 from magical.experts.sight import Sight
 from magical.physics import World
-from magical.scene import COLOURS, NOOP, NUM_ACTIONS, Poses, Scene, State
+from magical.scene import (
+    COLOURS,
+    NOOP,
+    NUM_ACTIONS,
+    Block,
+    Colour,
+    Pose,
+    Poses,
+    Scene,
+    Shape,
+    State,
+)
+from magical.scene.actions import Action, Gripper
+from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import TASKS, get_task
 
 STATES = 150  # random states a task here; benchmarks/experts.py looks at 10,000
@@ -54,6 +68,24 @@ def test_demo_is_solved(task: str) -> None:
     seeds = range(2) if "Cluster" in task else range(4)
     scores = [rollout(task, "Demo", seed).score for seed in seeds]
     assert np.mean(scores) >= 0.85, scores
+
+
+def test_finished_expert_lets_go_and_stays() -> None:
+    """Fingers left closed around a star creep on with it, here by 0.23 units."""
+    blocks = tuple(
+        Block(Shape.STAR, Colour.RED, Pose(x, y, 0.3))
+        for x, y in ((0.0, 0.0), (0.0, 0.36), (0.0, -0.36))
+    )
+    scene = Scene(Pose(0.33, 0.0, math.pi / 2), blocks)
+    world, memory, expert = World(scene), None, expert_for("MakeLine", seed=0)
+    for _ in range(3):
+        world.step(Action(gripper=Gripper.CLOSED).id)
+    before = world.read()[FIRST_BLOCK:, :2].copy()
+    for step in range(100):
+        action, memory = expert.act(state_of(world, scene, step), memory)
+        world.step(action)
+    assert np.abs(world.read()[FIRST_BLOCK:, :2] - before).max() < 0.03
+    assert action == Action(gripper=Gripper.CLOSED).id
 
 
 @pytest.mark.parametrize("task", TASKS)

@@ -91,13 +91,17 @@ class Expert:
     def _rest(self, sight: Sight) -> int:
         """What to do when nothing is left to do.
 
-        A finished expert holds its fingers closed: learners that leave no-op samples out, as the
+        Closed fingers that squeeze a block creep on with it, so it is let go first. Then a
+        finished expert holds them closed: learners that leave no-op samples out, as the
         appendix's behavioural cloning does, could not learn from no-ops that staying is right.
         """
-        return NOOP if self._goals.unsolvable(sight.scene) else HOLD
+        if self._goals.unsolvable(sight.scene):
+            return NOOP
+        away = steering.leave(sight, sight.blocks)
+        return HOLD if away is None else away
 
     def _is_solved(self, sight: Sight, memory: Memory) -> bool:
-        return memory.held > 0 and memory.age % CHECK == 0 and self._goals.solved(sight)
+        return memory.age % CHECK == 0 and self._goals.solved(sight)
 
     def _choose(self, sight: Sight, memory: Memory) -> Memory:
         if self._goals.unsolvable(sight.scene):

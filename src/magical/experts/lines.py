@@ -12,7 +12,7 @@ from magical.scene.geometry import Point
 SPACING = 0.29  # units between neighbours that is aimed at; up to 0.42 count
 OFF_LINE = 0.14  # units from the line that are good enough; up to 0.18 count
 APART = 0.40  # units between neighbours along the line that are good enough
-OFF_LIMIT, APART_LIMIT = 0.175, 0.415  # units: the same once all blocks are at rest
+OFF_LIMIT, APART_LIMIT = 0.178, 0.418  # units: the same once all blocks are at rest
 TOLERANCE = 0.08  # units
 LIMIT = 0.8  # largest coordinate of a place in the line
 ANGLES = 16

@@ -97,6 +97,12 @@ def _act(drive: Longitudinal, turn: Turn) -> int:
     return Action(drive, turn, Gripper.OPEN).id
 
 
+def leave(sight: Sight, blocks: Sequence[Point]) -> int | None:
+    """Back off the block between the fingers, if there is one and room to do so."""
+    held = _held(sight, blocks)
+    return None if held is None else _leave(sight, held)
+
+
 def _held(sight: Sight, others: Sequence[Point]) -> Point | None:
     """The block between the open fingers, if any, and if there is room to back off."""
     if not inside(sight.ahead(-0.1), _REAR_LIMIT):
