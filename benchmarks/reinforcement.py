@@ -1,7 +1,7 @@
-"""PPO beside Stable-Baselines3's, GAIL beside BC and chance, and the time of an iteration.
+"""PPO beside Stable-Baselines3's, the imitation learners that use it, and what these cost.
 
     python benchmarks/reinforcement.py ppo --out RUNS
-    python benchmarks/reinforcement.py gail --demos DEMOS --out RUNS
+    python benchmarks/reinforcement.py bc|gail|wgail-gp|al --demos DEMOS --out RUNS
     python benchmarks/reinforcement.py iteration --demos DEMOS --out RUNS
 
 Needs the extras learning, report and, for `ppo`, sb3. Runs that are in RUNS already are resumed or
@@ -15,9 +15,11 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from magical.evaluation import FunctionPolicy, RandomPolicy, evaluate
 from magical.evaluation.policy import Policy
+from magical.evaluation.statistics import bootstrap_difference
 from magical.learning import find_algorithm, train
 from magical.learning.algorithms.ppo import PPOConfig
 from magical.learning.config import Config
@@ -26,21 +28,25 @@ from magical.learning.runs import read_metrics
 
 TASK, DEMO = "MoveToRegion", "magical/MoveToRegion-Demo-v0"
 PPO_STEPS = 80_000
-COLOURS = {"ppo": "#c8467c", "SB3's PPO": "#4a86ad", "gail": "#c8467c"}
+IMITATORS = ("bc", "gail", "wgail-gp", "al")
+COLOURS = {"SB3's PPO": "#4a86ad"}  # others: the first colour
 
 Curve = Sequence[tuple[int, float]]  # environment steps, score of recent episodes
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", choices=("ppo", "gail", "iteration"))
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    others = {"ppo": compare_ppo, "iteration": time_iterations}
+    parser.add_argument("what", choices=(*IMITATORS, *others))
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--demos", default="")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--workers", type=int, default=None)
     parser.add_argument("--figure", type=Path, default=None)
     args = parser.parse_args()
-    {"ppo": compare_ppo, "gail": compare_gail, "iteration": time_iterations}[args.what](args)
+    others.get(args.what, imitate)(args)
 
 
 def compare_ppo(args: argparse.Namespace) -> None:
@@ -50,28 +56,33 @@ def compare_ppo(args: argparse.Namespace) -> None:
         config = ppo_config(seed, args.workers)
         policy, curve = trained(config, args.out / f"ppo-{seed}")
         curves["ppo"].append(curve)
-        print(f"ppo, seed {seed}: Demo {demo_score(policy, args.workers):.2f}", flush=True)
+        print(f"ppo, seed {seed}: Demo {demo_scores(policy, args.workers).mean():.2f}", flush=True)
         policy, curve = train_sb3(config)
         curves["SB3's PPO"].append(curve)
-        score = demo_score(policy, args.workers, "state")
+        score = demo_scores(policy, args.workers, "state").mean()
         print(f"SB3's PPO, seed {seed}: Demo {score:.2f}", flush=True)
     draw(args.figure, curves)
 
 
-def compare_gail(args: argparse.Namespace) -> None:
-    """Pixels, 25 demonstrations, preset `quick`."""
-    print(f"random: Demo {demo_score(RandomPolicy(), args.workers):.2f}", flush=True)
-    curves: dict[str, list[Curve]] = {"gail": []}
+def imitate(args: argparse.Namespace) -> None:
+    """Pixels, 25 demonstrations, preset `quick`; 100 rollouts beside as many of a random policy."""
+    random = demo_scores(RandomPolicy(), args.workers)
+    print(f"random: Demo {random.mean():.2f}", flush=True)
+    curves: list[Curve] = []
     for seed in args.seeds:
-        for name in ("bc", "gail"):
-            fields = {"workers": args.workers} if name == "gail" else {}
-            config = imitation_config(name, args.demos, seed=seed, num_demos=25, **fields)
-            policy, curve = trained(config, args.out / f"{name}-{seed}")
-            score = demo_score(policy, args.workers)
-            print(f"{name}, seed {seed}: Demo {score:.2f}", flush=True)
-            if name == "gail":
-                curves[name].append(curve)
-    draw(args.figure, curves)
+        fields = {} if args.what == "bc" else {"workers": args.workers}
+        config = imitation_config(args.what, args.demos, seed=seed, num_demos=25, **fields)
+        policy, curve = trained(config, args.out / f"{args.what}-{seed}")
+        scores = demo_scores(policy, args.workers)
+        gain = bootstrap_difference(scores[:, None], random[:, None], np.random.default_rng(seed))
+        print(
+            f"{args.what}, seed {seed}: Demo {scores.mean():.2f}, above random by "
+            f"{gain.value:.2f} [{gain.low:.2f}, {gain.high:.2f}]",
+            flush=True,
+        )
+        curves.append(curve)
+    if args.what != "bc":
+        draw(args.figure, {args.what: curves})
 
 
 def time_iterations(args: argparse.Namespace) -> None:
@@ -172,10 +183,12 @@ def recorder(curve: list[tuple[int, float]]) -> Callable[[Any, Any], bool]:
     return note
 
 
-def demo_score(policy: Policy, workers: int | None, observation: str | None = None) -> float:
-    """The mean score of 100 rollouts on Demo."""
+def demo_scores(
+    policy: Policy, workers: int | None, observation: str | None = None
+) -> NDArray[np.float64]:
+    """The scores (100,) of rollouts on Demo."""
     scores = evaluate(policy, [DEMO], workers=workers, observation=observation)
-    return float(np.mean([score.score for score in scores]))
+    return np.array([score.score for score in scores])
 
 
 def draw(path: Path | None, curves: dict[str, list[Curve]]) -> None:
@@ -187,7 +200,12 @@ def draw(path: Path | None, curves: dict[str, list[Curve]]) -> None:
     for name, lines in curves.items():
         for number, line in enumerate(lines):
             label = None if number else name
-            axes.plot(*zip(*line, strict=True), color=COLOURS[name], linewidth=1.2, label=label)
+            axes.plot(
+                *zip(*line, strict=True),
+                color=COLOURS.get(name, "#c8467c"),
+                linewidth=1.2,
+                label=label,
+            )
     axes.axhline(0.9, color="0.6", linewidth=0.8, linestyle=":")
     axes.set(xlabel="environment steps", ylabel="score, last 100 episodes", ylim=(0, 1.02))
     axes.spines[["top", "right"]].set_visible(False)
