@@ -8,6 +8,7 @@ import pytest
 from magical.experts.carry import carry
 from magical.experts.goals import NO_PLAN, Style, goals_of
 from magical.experts.grasp import SIDES, best_side, gate_to, in_jaw
+from magical.experts.jumble import Jumble
 from magical.experts.lines import is_line
 from magical.experts.motions import HOLD, table_for
 from magical.experts.paths import gap, is_clear, next_waypoint
@@ -154,3 +155,14 @@ def _moved(scene: Scene, places: list[Point]) -> Scene:
         for block, (x, y) in zip(scene.blocks, places, strict=True)
     ]
     return Scene(scene.robot, tuple(blocks), scene.regions)
+
+
+def test_access_counts_walls_and_those_around() -> None:
+    """A block that others and a wall enclose is hard to grasp until they are gone."""
+    scene = blocks_at((-0.82, 0.0), (-0.62, -0.14), (-0.62, 0.14), (-0.82, 0.28), (0.4, 0.0))
+    jumble = Jumble.of(sight_of(scene), lambda block: block.colour)
+    alone = np.eye(5, dtype=np.bool_)
+    enclosed, free = jumble.access(~alone), jumble.access(alone)
+    assert enclosed[0] > 10.0  # measured: of those, more than four in five are never grasped
+    assert enclosed[4] == 0.0
+    assert free.max() < 8.0 + 1e-9  # one finger between block and wall at most

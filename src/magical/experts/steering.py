@@ -60,7 +60,8 @@ def approach(
     beside = abs(x) > JAW_HALF and 0.0 < y < 0.46  # a finger would push it
     if (abs(error) > AIMED or beside) and can_back(sight, others):
         if away < SWEEP:
-            return _act(Longitudinal.BACK, turn_by(error, 0.8 * TAP))
+            leave = Longitudinal.BACK if y > 0.0 else Longitudinal.FORWARD
+            return _act(leave, turn_by(error, 0.8 * TAP))
         if not bold and _sweeps(sight, error, others, SWEEP):
             return _act(Longitudinal.BACK, Turn.STRAIGHT)
     return _drive(sight, block, error)
