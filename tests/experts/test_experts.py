@@ -70,13 +70,12 @@ def test_demo_is_solved(task: str) -> None:
     assert np.mean(scores) >= 0.85, scores
 
 
-def test_finished_expert_lets_go_and_stays() -> None:
-    """Fingers left closed around a star creep on with it, here by 0.23 units."""
-    blocks = tuple(
-        Block(Shape.STAR, Colour.RED, Pose(x, y, 0.3))
-        for x, y in ((0.0, 0.0), (0.0, 0.36), (0.0, -0.36))
-    )
-    scene = Scene(Pose(0.33, 0.0, math.pi / 2), blocks)
+@pytest.mark.parametrize("away", [0.33, 0.46])
+def test_finished_expert_lets_go_and_stays(away: float) -> None:
+    """Fingers closed around a star, or its edge, creep on with it: here by 0.23 units."""
+    places = ((0.0, 0.0), (0.0, 0.36), (0.0, -0.36))
+    blocks = tuple(Block(Shape.STAR, Colour.RED, Pose(x, y, 0.3)) for x, y in places)
+    scene = Scene(Pose(away, 0.0, math.pi / 2), blocks)
     world, memory, expert = World(scene), None, expert_for("MakeLine", seed=0)
     for _ in range(3):
         world.step(Action(gripper=Gripper.CLOSED).id)

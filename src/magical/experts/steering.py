@@ -11,6 +11,7 @@ from magical.experts.grasp import CONE, CROWDED, GATE, JAW_HALF, TIGHT_CONE, beh
 from magical.experts.motions import HOLD, TAP
 from magical.experts.paths import is_clear, next_waypoint
 from magical.experts.sight import Sight, bearing, inside, wrap
+from magical.scene import NOOP
 from magical.scene.actions import Action, Gripper, Longitudinal, Turn
 from magical.scene.geometry import Point
 
@@ -23,6 +24,7 @@ ARC = 1.1  # rad: the same where there is room for an arc
 _ARC_ROOM = 0.6  # units to the goal from which an arc is possible: its radius is 0.32 at full speed
 _BRAKING = 27.0  # rad / s^2: how fast an empty robot stops turning
 _FAR = 0.5  # units: further away, heading errors can wait until they are worth a whole tap
+FRONT, FRONT_HALF = 0.5, 0.25  # units ahead and to the side where closing fingers touch a block
 _REAR_LIMIT = 0.82  # largest coordinate of the point 0.1 behind the robot's centre
 
 
@@ -99,9 +101,15 @@ def _act(drive: Longitudinal, turn: Turn) -> int:
 
 
 def leave(sight: Sight, blocks: Sequence[Point]) -> int | None:
-    """Back off the block between the fingers, if there is one and room to do so."""
-    held = _held(sight, blocks)
-    return None if held is None else _leave(sight, held)
+    """Back off, fingers open, until they can close without touching a block; then nothing."""
+    close = next((block for block in blocks if _in_front(sight.local(block))), None)
+    if close is None:
+        return None
+    return _leave(sight, close) if can_back(sight, blocks) else NOOP
+
+
+def _in_front(local: Point) -> bool:
+    return abs(local[0]) < FRONT_HALF and 0.0 < local[1] < FRONT
 
 
 def _held(sight: Sight, others: Sequence[Point]) -> Point | None:
