@@ -1,6 +1,7 @@
 """What experts plan with: ways around obstacles, the motion model, lines, clusters."""
 
 import math
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -128,6 +129,26 @@ def test_plan_of_a_line_solves_it_and_then_ends() -> None:
     assert get_task("MakeLine").score(made, Poses.at_rest(made)) == 1.0
     assert goals_of("MakeLine").plan(sight_of(made), STYLE, NO_PLAN).moves == ()
     assert goals_of("MakeLine").solved(sight_of(made))
+
+
+def test_a_line_with_one_gap_too_wide_asks_for_one_short_move() -> None:
+    scene = blocks_at((0.0, -0.6), (0.0, -0.19), (0.0, 0.22), (0.0, 0.65))
+    moves = goals_of("MakeLine").plan(sight_of(scene), STYLE, NO_PLAN).moves
+    assert [move.block for move in moves] == [3]
+    way = math.dist(moves[0].goal, (0.0, 0.65))
+    assert way < 0.3
+    assert moves[0].tolerance <= 0.5 * way
+
+
+def test_places_of_a_line_leave_room_between_blocks() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(30):
+        scene = blocks_at(*((float(x), float(y)) for x, y in rng.uniform(-0.8, 0.8, size=(4, 2))))
+        plan = goals_of("MakeLine").plan(sight_of(scene), STYLE, NO_PLAN)
+        moved = [move.block for move in plan.moves]
+        for i, j in combinations(range(len(plan.places)), 2):
+            if i in moved or j in moved:
+                assert math.dist(plan.places[i], plan.places[j]) > 0.25
 
 
 @pytest.mark.parametrize("task", ["ClusterColour", "ClusterShape"])
