@@ -118,6 +118,13 @@ def test_starts_without_memory_at_any_time() -> None:
     assert spec.score(scene, world.poses()) == 1.0
 
 
+@pytest.mark.parametrize("task", ["MoveToRegion", "MoveToCorner", "FixColour"])
+def test_demonstrators_differ_even_where_little_is_to_be_done(task: str) -> None:
+    """Demo's scene is always the same in these tasks; what is done in it should not be."""
+    episodes = {tuple(rollout(task, "Demo", seed).actions.tolist()) for seed in range(10)}
+    assert len(episodes) >= 4
+
+
 def test_same_seed_same_episode_other_seed_other_strategy() -> None:
     first, again = (rollout("MakeLine", "Demo", 3, style_seed=1) for _ in range(2))
     assert np.array_equal(first.actions, again.actions)

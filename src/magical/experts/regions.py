@@ -28,10 +28,11 @@ def move_to_corner(sight: Sight, style: Style, plan: Plan) -> Plan:
 def move_to_region(sight: Sight, style: Style, plan: Plan) -> Plan:
     """MoveToRegion: the robot's centre inside the region (appendix A.2.2)."""
     region = sight.scene.regions[0]
-    here = (sight.x, sight.y)
-    if _inset(region, 0.06).contains(*here):
+    if _inset(region, 0.06).contains(sight.x, sight.y):
         return Plan()
-    return Plan((Move(_nearest(_inset(region, 0.16), here), 0.06),))
+    inner, (u, v, depth) = _inset(region, 0.14), style.places[:3]
+    goal = inner.x + u * inner.width, inner.y - v * inner.height
+    return Plan((Move(goal, 0.06, area=_inset(region, 0.09 + 0.15 * depth)),))
 
 
 def match_regions(sight: Sight, style: Style, plan: Plan) -> Plan:
