@@ -83,7 +83,7 @@ def skill() -> Iterator[str]:
 
 
 def diversity() -> Iterator[str]:
-    """Different orders, and different placements, among 25 successful Demo episodes."""
+    """Different orders and placements (to about a block) among 25 successful Demo episodes."""
     for task in ("MatchRegions", "MakeLine", "ClusterColour", "ClusterShape"):
         orders, placements, found, seed = set(), set(), 0, 0
         while found < 25:
@@ -96,8 +96,8 @@ def diversity() -> Iterator[str]:
             moved = np.linalg.norm(blocks - blocks[0], axis=2) > 0.15
             when = np.where(moved.any(axis=0), moved.argmax(axis=0), 10_000)
             orders.add(tuple(i for i in np.argsort(when, kind="stable") if when[i] < 10_000))
-            placements.add(tuple(np.floor(blocks[-1] * 2).astype(int).ravel().tolist()))
-        yield f"{task:14} {len(orders):2} orders, {len(placements):2} placements (half-unit grid)"
+            placements.add(tuple(np.floor(blocks[-1] * 4).astype(int).ravel().tolist()))
+        yield f"{task:14} {len(orders):2} orders, {len(placements):2} placements (quarter-unit grid)"
 
 
 def states() -> Iterator[str]:

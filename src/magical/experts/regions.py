@@ -6,14 +6,17 @@ from collections.abc import Iterable, Sequence
 from magical.experts.goals import Goals, Move, Plan, Style, register_goals
 from magical.experts.paths import gap
 from magical.experts.sight import Sight, inside
-from magical.scene import Region, Scene
+from magical.scene import Colour, Region, Scene
 from magical.scene.geometry import Point
 
 MARGIN = 0.12  # units inside a region's edge (outside, for blocks that leave) that are aimed at
 TOLERANCE = 0.08  # units
 ROOM = 0.27  # units between the centres of two blocks side by side
 TICKS = tuple(-0.84 + 0.12 * i for i in range(15))
+ARENA = Region(Colour.BLUE, TICKS[0], TICKS[-1], TICKS[-1] - TICKS[0], TICKS[-1] - TICKS[0])
 CORNER = (-0.82, 0.82)
+LIKING = 6.0  # control steps by which a unit further from where a demonstrator likes blocks counts
+LIKING_OUTSIDE = 5.0  # the same for blocks that must leave
 
 
 def move_to_corner(sight: Sight, style: Style, plan: Plan) -> Plan:
@@ -30,16 +33,16 @@ def move_to_region(sight: Sight, style: Style, plan: Plan) -> Plan:
     region = sight.scene.regions[0]
     if _inset(region, 0.06).contains(sight.x, sight.y):
         return Plan()
-    inner, (u, v, depth) = _inset(region, 0.14), style.places[:3]
-    goal = inner.x + u * inner.width, inner.y - v * inner.height
-    return Plan((Move(goal, 0.06, area=_inset(region, 0.09 + 0.15 * depth)),))
+    goal = _liked(style, _inset(region, 0.14), 0)
+    depth = 0.09 + 0.15 * style.places[2]
+    return Plan((Move(goal, 0.06, area=_inset(region, depth)),))
 
 
 def match_regions(sight: Sight, style: Style, plan: Plan) -> Plan:
     """MatchRegions: all and only blocks of the region's colour inside (appendix A.2.3)."""
     region = sight.scene.regions[0]
     wanted = [i for i, b in enumerate(sight.scene.blocks) if b.colour == region.colour]
-    return Plan((*_ins(sight, region, wanted), *_outs(sight, region, wanted)))
+    return Plan((*_ins(sight, style, region, wanted), *_outs(sight, style, region, wanted)))
 
 
 def find_dupe(sight: Sight, style: Style, plan: Plan) -> Plan:
@@ -49,8 +52,8 @@ def find_dupe(sight: Sight, style: Style, plan: Plan) -> Plan:
     like = same_as(sight, query)
     within = [i for i in like if region.contains(*sight.blocks[i])]
     wanted = (query, *(within or like))
-    moves = _ins(sight, region, wanted)
-    return Plan((*moves, *_outs(sight, region, (query, *like))))
+    moves = _ins(sight, style, region, wanted)
+    return Plan((*moves, *_outs(sight, style, region, (query, *like))))
 
 
 def same_as(sight: Sight, query: int) -> list[int]:
@@ -66,22 +69,22 @@ def fix_colour(sight: Sight, style: Style, plan: Plan) -> Plan:
     regions = sight.scene.regions
     for i, (block, own) in enumerate(zip(sight.scene.blocks, regions, strict=False)):
         if block.colour == own.colour:
-            moves += _ins(sight, own, (i,))
+            moves += _ins(sight, style, own, (i,))
         elif any(_inset(region, -0.02).contains(*sight.blocks[i]) for region in regions):
-            moves.append(Move(_free_place(sight, i), TOLERANCE, i))
+            moves.append(Move(_free_place(sight, style, i), TOLERANCE, i))
     return Plan(tuple(moves))
 
 
-def _ins(sight: Sight, region: Region, wanted: Iterable[int]) -> list[Move]:
+def _ins(sight: Sight, style: Style, region: Region, wanted: Iterable[int]) -> list[Move]:
     outside = [i for i in wanted if not _inset(region, 0.02).contains(*sight.blocks[i])]
     area = _inset(region, 0.04)
-    return [Move(_place_in(sight, region, i), TOLERANCE, i, area=area) for i in outside]
+    return [Move(_place_in(sight, style, region, i), TOLERANCE, i, area=area) for i in outside]
 
 
-def _outs(sight: Sight, region: Region, wanted: Iterable[int]) -> list[Move]:
+def _outs(sight: Sight, style: Style, region: Region, wanted: Iterable[int]) -> list[Move]:
     unwanted = set(range(len(sight.blocks))).difference(wanted)
     inner = [i for i in unwanted if _inset(region, -0.02).contains(*sight.blocks[i])]
-    return [Move(_free_place(sight, i), TOLERANCE, i) for i in inner]
+    return [Move(_free_place(sight, style, i), TOLERANCE, i) for i in inner]
 
 
 def _inset(region: Region, margin: float) -> Region:
@@ -104,20 +107,21 @@ def _nearest(region: Region, point: Point) -> Point:
     return x, y
 
 
-def _place_in(sight: Sight, region: Region, block: int) -> Point:
-    """Where in a region to bring a block: near, and clear of the blocks already there."""
+def _place_in(sight: Sight, style: Style, region: Region, block: int) -> Point:
+    """Where in a region to bring a block: near, liked, and clear of the blocks already there."""
     inner = _inset(region, MARGIN)
-    others = _others(sight, block)
+    start, others = sight.blocks[block], _others(sight, block)
+    liked = _liked(style, inner, block)
     steps = (0.0, 0.25, 0.5, 0.75, 1.0)
-    places = [_nearest(inner, sight.blocks[block])]
+    places = [_nearest(inner, start)]
     places += [
         (inner.x + u * inner.width, inner.y - v * inner.height) for u in steps for v in steps
     ]
-    return min(places, key=lambda place: _cost(place, sight.blocks[block], others))
+    return min(places, key=lambda p: _cost(p, start, others) + LIKING * math.dist(p, liked))
 
 
-def _free_place(sight: Sight, block: int) -> Point:
-    """Where to bring a block that must leave all regions: near, in none, clear of other blocks."""
+def _free_place(sight: Sight, style: Style, block: int) -> Point:
+    """Where to bring a block that must leave all regions: near, liked, clear of other blocks."""
     wide = [_inset(region, -MARGIN) for region in sight.scene.regions]
     start, others = sight.blocks[block], _others(sight, block)
     places = [
@@ -125,7 +129,19 @@ def _free_place(sight: Sight, block: int) -> Point:
         for place in ((x, y) for x in TICKS for y in TICKS)
         if not any(region.contains(*place) for region in wide)
     ]
-    return min(places or [start], key=lambda p: _cost(p, start, others) + _along(p, start, others))
+    liked = _liked(style, ARENA, block)
+
+    def cost(place: Point) -> float:
+        liking = LIKING_OUTSIDE * math.dist(place, liked)
+        return _cost(place, start, others) + _along(place, start, others) + liking
+
+    return min(places or [start], key=cost)
+
+
+def _liked(style: Style, region: Region, block: int) -> Point:
+    """Where in a region a demonstrator would like to have a block."""
+    u, v = (style.places[(2 * block + i) % len(style.places)] for i in (0, 1))
+    return region.x + u * region.width, region.y - v * region.height
 
 
 def _others(sight: Sight, block: int) -> list[Point]:

@@ -51,7 +51,15 @@ class ALConfig(ReinforcementConfig, ImitationConfig):
     algorithm: ClassVar[str] = "al"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {},
-        "quick": {**QUICK, "pretraining_batches": 1500, "pretraining_learning_rate": 1e-3},
+        "quick": {
+            **QUICK,
+            "total_steps": 45_000,
+            "discount": 0.95,
+            "entropy_bonus": 3e-3,
+            "pretraining_batches": 1500,
+            "pretraining_learning_rate": 1e-3,
+            "augment": "noise+translation+rotation",
+        },
     }
 
     pretraining_batches: int = option(8192, "batches that the autoencoder learns from")
