@@ -97,7 +97,7 @@ def diversity() -> Iterator[str]:
             when = np.where(moved.any(axis=0), moved.argmax(axis=0), 10_000)
             orders.add(tuple(i for i in np.argsort(when, kind="stable") if when[i] < 10_000))
             placements.add(tuple(np.floor(blocks[-1] * 4).astype(int).ravel().tolist()))
-        yield f"{task:14} {len(orders):2} orders, {len(placements):2} placements (quarter-unit grid)"
+        yield f"{task:14} {len(orders):2} orders, {len(placements):2} placements, quarter-unit grid"
 
 
 def states() -> Iterator[str]:
