@@ -25,6 +25,7 @@ from magical.learning.runs import CHECKPOINT
 
 NUMBER = 25  # of demonstrations, learned from and held out
 HELD_OUT = 10_000  # first seed of the held-out ones
+QUICK = ALConfig.preset("quick", tasks=("MoveToRegion",), demos="").pretraining_batches
 CHUNK = 64  # samples at a time
 SHOWN = 10
 
@@ -36,14 +37,20 @@ def main() -> None:
     parser.add_argument("--task", default="MoveToRegion")
     parser.add_argument("--out", type=Path, required=True, help="demonstrations, run, picture")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--batches", type=int, default=QUICK, help="default: the preset's")
     args = parser.parse_args()
     demo, demos = f"magical/{args.task}-Demo-v0", args.out / "demos"
     if not demos.exists():
         generate(demo, NUMBER, demos)
     config = ALConfig.preset(
-        "quick", tasks=(args.task,), demos=str(demos), num_demos=NUMBER, seed=args.seed
+        "quick",
+        tasks=(args.task,),
+        demos=str(demos),
+        num_demos=NUMBER,
+        seed=args.seed,
+        pretraining_batches=args.batches,
     )
-    folder = args.out / f"al-{args.task}"
+    folder = args.out / f"al-{args.task}-{args.batches}"
     train(config, folder, stop_after=config.pretraining_batches, resume=is_run(folder))
     autoencoder = make_autoencoder(config).eval()
     load_module(autoencoder, load_tree(folder / CHECKPOINT)["autoencoder"], str(folder))
@@ -54,7 +61,7 @@ def main() -> None:
         config.tasks,
         config.pixels,
     )
-    report(autoencoder, seen, held_out, args.out / f"{args.task}.png")
+    report(autoencoder, seen, held_out, args.out / f"{args.task}-{args.batches}.png")
 
 
 def report(
