@@ -33,8 +33,8 @@ def move_to_region(sight: Sight, style: Style, plan: Plan) -> Plan:
     region = sight.scene.regions[0]
     if _inset(region, 0.06).contains(sight.x, sight.y):
         return Plan()
-    goal = _liked(style, _inset(region, 0.14), 0)
-    depth = 0.09 + 0.15 * style.places[2]
+    depth = 0.09 + 0.15 * style.places[2]  # how far inside it stops
+    goal = _liked(style, _inset(region, depth + 0.05), 0)
     return Plan((Move(goal, 0.06, area=_inset(region, depth)),))
 
 
