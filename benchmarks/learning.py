@@ -22,7 +22,6 @@ from torch.optim import SGD
 from magical.learning.algorithms.bc import Batch, BCConfig, bc_loss, make_optimizer, make_policy
 from magical.learning.augment import augment, parse_augmentations
 from magical.learning.devices import Compute, choose_device, choose_precision
-from magical.learning.networks import WIDTHS
 from magical.learning.prefetch import prepared
 from magical.scene import NUM_ACTIONS
 
@@ -141,13 +140,13 @@ def measure(network: str, rounds: int, batch_size: int) -> None:
 def main() -> None:
     """Measure the networks asked for."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--network", choices=tuple(WIDTHS), action="append")
+    parser.add_argument("--network", choices=tuple(PRESETS), action="append")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--batch-size", type=int, default=32)
     arguments = parser.parse_args()
     print(f"torch {torch.__version__}, {torch.get_num_threads()} threads")
     run = partial(measure, rounds=arguments.rounds, batch_size=arguments.batch_size)
-    for network in arguments.network or WIDTHS:
+    for network in arguments.network or PRESETS:
         run(network)
 
 
