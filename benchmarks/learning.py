@@ -22,6 +22,7 @@ from torch.optim import SGD
 from magical.learning.algorithms.bc import Batch, BCConfig, bc_loss, make_optimizer, make_policy
 from magical.learning.augment import augment, parse_augmentations
 from magical.learning.devices import Compute, choose_device, choose_precision
+from magical.learning.networks import WIDTHS
 from magical.learning.prefetch import prepared
 from magical.scene import NUM_ACTIONS
 
