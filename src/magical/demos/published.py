@@ -40,7 +40,7 @@ def read_published(path: Path, max_bytes: int = MAX_UNPACKED) -> Trajectory:
     try:
         source = unpacked_sum(path, max_bytes)
         with gzip.open(path) as file:
-            data = load(file, average)  # type: ignore[arg-type]
+            data = load(file, average)
         return _trajectory(data, {"source": path.name, "source_sha256": source})
     except UnsafeFileError as error:
         raise UnsafeFileError(f"{path}: {error}") from error

@@ -9,7 +9,8 @@ checked, and everything else is refused. No foreign code is looked up, imported 
 import math
 import pickletools
 from collections.abc import Callable, Iterator
-from typing import IO, Any, NamedTuple, NoReturn
+from gzip import GzipFile
+from typing import IO, Any, NamedTuple, NoReturn, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,7 +76,7 @@ class Array:
 class _Reader:
     """What pickletools reads from: one item at a time is bounded."""
 
-    def __init__(self, file: IO[bytes]) -> None:
+    def __init__(self, file: IO[bytes] | GzipFile) -> None:
         self._file = file
 
     def read(self, size: int) -> bytes:
@@ -90,7 +91,7 @@ class _Reader:
         return self._file.tell()
 
 
-def load(file: IO[bytes], reduce: Reduce) -> Any:
+def load(file: IO[bytes] | GzipFile, reduce: Reduce) -> Any:
     """The data of a pickle: None, bool, int, float, str, list, tuple, dict, `Array`, `Record`.
 
     `reduce` is applied to every array as it is read, so that large ones need not be kept.
@@ -99,7 +100,7 @@ def load(file: IO[bytes], reduce: Reduce) -> Any:
         UnsafeFileError: anything else is in it, or it is damaged.
     """
     machine, reader = _Machine(reduce), _Reader(file)
-    position = 0
+    position: int | None = 0
     for count, (opcode, argument, position) in enumerate(_opcodes(reader)):
         if count > MAX_OPCODES:
             _refuse(position, f"more than {MAX_OPCODES} opcodes")
@@ -112,9 +113,9 @@ def load(file: IO[bytes], reduce: Reduce) -> Any:
     return machine.result()
 
 
-def _opcodes(reader: _Reader) -> Iterator[tuple[Any, Any, int]]:
+def _opcodes(reader: _Reader) -> Iterator[tuple[Any, Any, int | None]]:
     try:
-        yield from pickletools.genops(reader)  # type: ignore[arg-type, misc]
+        yield from pickletools.genops(cast("IO[bytes]", reader))
     except ValueError as error:
         _refuse(reader.tell(), f"damaged: {error}", error)
 

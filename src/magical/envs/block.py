@@ -3,6 +3,7 @@
 import contextlib
 import mmap
 import os
+import sys
 import tempfile
 from dataclasses import dataclass
 from typing import Any
@@ -156,9 +157,9 @@ class SharedMemory:
 
 def open_memory(handle: int | str, size: int) -> mmap.mmap:
     """Map shared memory, in the process that made it or in a worker that inherited its handle."""
-    if isinstance(handle, str):
-        return mmap.mmap(-1, size, handle)  # type: ignore[arg-type, unused-ignore]
-    return mmap.mmap(handle, size)
+    if sys.platform == "win32":
+        return mmap.mmap(-1, size, str(handle))
+    return mmap.mmap(int(handle), size)
 
 
 def _unnamed_file(size: int) -> int:

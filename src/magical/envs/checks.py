@@ -47,8 +47,9 @@ def checked_seeds(seed: int | Sequence[int | None] | None, num_envs: int) -> lis
     """One seed for each world: `seed + i`, or a list's entries; raises `ValueError`."""
     if seed is None:
         return [None] * num_envs
+    entries: Any = seed  # whether it can be iterated over, as arrays can too, is found by trying
     try:
-        seeds = [None if s is None else operator.index(s) for s in seed]  # type: ignore[union-attr]
+        seeds = [None if s is None else operator.index(s) for s in entries]
     except TypeError:
         seeds = _consecutive(seed, num_envs)
     if len(seeds) != num_envs or any(s is not None and s < 0 for s in seeds):

@@ -9,6 +9,7 @@ import sys
 import time
 import weakref
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from types import ModuleType
 from typing import Any
 
@@ -236,11 +237,10 @@ def _holds(module: ModuleType, task: Task) -> bool:
 def _rebuilt(data: Mapping[str, Any]) -> Exception:
     """The worker's exception; of class `WorkerError` if it is neither ours nor built in."""
     kind = getattr(errors, data["name"], None) or getattr(builtins, data["name"], None)
-    error: Exception
-    try:
-        error = kind(*data["arguments"])  # type: ignore[misc]
-    except TypeError:
-        error = WorkerError(f"{data['name']}: {', '.join(map(str, data['arguments']))}")
+    error: Exception = WorkerError(f"{data['name']}: {', '.join(map(str, data['arguments']))}")
+    if isinstance(kind, type) and issubclass(kind, Exception):
+        with suppress(TypeError):  # its constructor wants other arguments
+            error = kind(*data["arguments"])
     for note in data["notes"]:
         error.add_note(note)
     return error

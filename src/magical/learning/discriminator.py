@@ -96,7 +96,7 @@ class Rival:
             with self._compute.autocast():
                 loss, report = self._loss(self.network, pairs, rng)
             self.optimizer.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
+            torch.autograd.backward(loss)
             self.optimizer.step()
             for name, value in {"discriminator_loss": loss, **report}.items():
                 sums[name] = sums.get(name, torch.zeros_like(loss)) + value.detach()

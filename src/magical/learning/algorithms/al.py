@@ -123,7 +123,7 @@ def pretrain(
             reconstructed, logits = autoencoder(images, actions)
         image_error, action_loss = autoencoder_loss(images, actions, reconstructed, logits)
         optimizer.zero_grad()
-        (image_error + action_loss).backward()  # type: ignore[no-untyped-call]
+        torch.autograd.backward(image_error + action_loss)
         optimizer.step()
 
         done = number + 1

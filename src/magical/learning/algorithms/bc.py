@@ -2,7 +2,7 @@
 
 import copy
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -88,13 +88,7 @@ def train(config: BCConfig, run: Run) -> None:
     with prepared(collect, numbers, device) as batches:
         for number, batch in zip(numbers, batches, strict=False):
             set_step_size(optimizer, config, number)
-            with compute.autocast():
-                logits = forward(batch.images, batch.tasks)
-            loss = bc_loss(logits, batch.actions)
-            optimizer.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
-            optimizer.step()
-
+            loss, logits = bc_step(forward, optimizer, compute, batch)
             window.add(loss, logits, batch.actions)
             done = number + 1
             ends = done == config.batches or run.stops(done)
@@ -120,6 +114,22 @@ class Batch(NamedTuple):
 def bc_loss(logits: Tensor, actions: Tensor) -> Tensor:
     """Mean negative log-likelihood of actions (B,) under logits (B, 18): to be minimised."""
     return functional.cross_entropy(logits.float(), actions)
+
+
+def bc_step(
+    forward: Callable[[Tensor, Tensor], Tensor],
+    optimizer: Optimizer,
+    compute: Compute,
+    batch: Batch,
+) -> tuple[Tensor, Tensor]:
+    """One step of the optimiser on a batch; returns the loss and the logits (B, 18)."""
+    with compute.autocast():
+        logits = forward(batch.images, batch.tasks)
+    loss = bc_loss(logits, batch.actions)
+    optimizer.zero_grad()
+    torch.autograd.backward(loss)
+    optimizer.step()
+    return loss, logits
 
 
 def make_policy(config: BCConfig) -> PolicyNetwork:

@@ -28,7 +28,7 @@ from magical.learning.algorithms.bc import (
     Batch,
     BCConfig,
     Window,
-    bc_loss,
+    bc_step,
     choose_compute,
     make_optimizer,
     make_policy,
@@ -257,13 +257,7 @@ class Learner:
         """One step of the optimiser; returns the loss and the logits."""
         for group in self.optimizer.param_groups:
             group["lr"] = step_size
-        with self.compute.autocast():
-            logits = self._forward(batch.images, batch.tasks)
-        loss = bc_loss(logits, batch.actions)
-        self.optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        self.optimizer.step()
-        return loss, logits
+        return bc_step(self._forward, self.optimizer, self.compute, batch)
 
     def _tree(self) -> Tree:
         return {

@@ -189,7 +189,7 @@ class Learner:
         logits, values = self._forward(batch.inputs, batch.tasks)
         loss, parts = ppo_loss(logits, values, batch, clip, self.config.entropy_bonus)
         self.optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
+        torch.autograd.backward(loss)
         nn.utils.clip_grad_norm_(self.network.parameters(), self.config.max_grad_norm)
         self.optimizer.step()
         return parts
