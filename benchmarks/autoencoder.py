@@ -55,11 +55,11 @@ def main() -> None:
     autoencoder = make_autoencoder(config).eval()
     load_module(autoencoder, load_tree(folder / CHECKPOINT)["autoencoder"], str(folder))
     chosen = choose_demonstrations(str(demos), config.tasks, NUMBER, config.seed)
-    seen = ExpertData(chosen.trajectories, config.tasks, config.pixels)
+    seen = ExpertData(chosen.trajectories, config.tasks, config.observation_spec)
     held_out = ExpertData(
         [(args.task, demonstrate(demo, HELD_OUT + i)) for i in range(NUMBER)],
         config.tasks,
-        config.pixels,
+        config.observation_spec,
     )
     report(autoencoder, seen, held_out, args.out / f"{args.task}-{args.batches}.png")
 

@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.demos import Dataset, DatasetWriter, Frames, ObservationReader, Trajectory
-from magical.demos.importing import find_published, import_published
+from magical.demos.human.importing import find_published, import_published
 from magical.demos.processes import usable_cores
-from magical.physics import World
+from magical.physics import Simulation
 from magical.tasks import TASKS
 
 Pixels = NDArray[np.uint8]
-Draw = Callable[[int, Pixels], None]
+Render = Callable[[int, Pixels], None]
 
 SECONDS = 3.0  # to measure each rate for
 BATCH = 64  # observations read at random at one time
@@ -79,8 +79,8 @@ def measure_drawing(trajectory: Trajectory) -> None:
     print(trajectory.env_id)
     out = np.empty((96, 96, 3), np.uint8)
     for view in ("ego", "allo"):
-        draw = Frames(trajectory, view).draw
-        rate(f"  {view} frames", 1, partial(draw_any, draw, rng, moments, out))
+        render = Frames(trajectory, view).render
+        rate(f"  {view} frames", 1, partial(render_any, render, rng, moments, out))
     reader = ObservationReader(trajectory, "LoRes4E")
     batch = np.empty((BATCH, 96, 96, 12), np.uint8)
     rate(
@@ -90,8 +90,8 @@ def measure_drawing(trajectory: Trajectory) -> None:
     )
 
 
-def draw_any(draw: Draw, rng: np.random.Generator, moments: int, out: Pixels) -> None:
-    draw(int(rng.integers(moments)), out)
+def render_any(render: Render, rng: np.random.Generator, moments: int, out: Pixels) -> None:
+    render(int(rng.integers(moments)), out)
 
 
 def rate(what: str, count: int, work: Callable[[], object]) -> None:
@@ -106,7 +106,7 @@ def rate(what: str, count: int, work: Callable[[], object]) -> None:
 def random_trajectory(task: str, seed: int = 0) -> Trajectory:
     rng = np.random.default_rng(seed)
     scene, dynamics = TASKS[task].sample("TestAll", rng)
-    world = World(scene, dynamics)
+    world = Simulation(scene, dynamics)
     actions = rng.integers(18, size=TASKS[task].horizon)
     poses = [world.poses().bodies.copy()]
     for action in actions.tolist():

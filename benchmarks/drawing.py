@@ -40,9 +40,9 @@ def compiled(scene: Scene, view: View, size: int, repeats: int) -> float:
     """The time of the compiled drawing alone."""
     renderer = Renderer(scene, view, size)
     bodies = Poses.at_rest(scene).bodies
-    renderer.draw(bodies, np.empty((size, size, 3), np.uint8))
+    renderer.render(bodies, np.empty((size, size, 3), np.uint8))
     arguments = (bodies, *renderer._arguments)
-    return microseconds(lambda: renderer._draw(*arguments), repeats)[0]
+    return microseconds(lambda: renderer._compiled(*arguments), repeats)[0]
 
 
 def measure(scene: Scene, view: View, size: int, repeats: int) -> list[float]:
@@ -51,8 +51,8 @@ def measure(scene: Scene, view: View, size: int, repeats: int) -> list[float]:
     bodies = Poses.at_rest(scene).bodies
     stack = np.zeros((size, size, 12), np.uint8)
     newest = stack[:, :, -3:]
-    frame, median = microseconds(lambda: renderer.draw(bodies, newest), repeats)
-    stacked, _ = microseconds(lambda: renderer.draw_stacked(bodies, stack), repeats)
+    frame, median = microseconds(lambda: renderer.render(bodies, newest), repeats)
+    stacked, _ = microseconds(lambda: renderer.render_stacked(bodies, stack), repeats)
     anew, _ = microseconds(lambda: Renderer(scene, view, size), max(1, repeats // 10))
     output, _ = microseconds(lambda: renderer._store(renderer._pixels, newest), repeats)
     bare, unblocked = replace(scene, blocks=(), regions=()), replace(scene, blocks=())

@@ -1,26 +1,27 @@
-"""Where the time of a control step goes, in microseconds for one world.
+"""Where the time of a control step goes, in microseconds for one environment.
 
 python benchmarks/step_profile.py [--env ID] [--num-envs N]
 
-All worlds are stepped in this process. The parts are timed one after the other, each over all
-worlds, as often as there are rounds; the lower decile is shown, which other processes disturb
-least. The copy is that of `copy=True`.
+All sub-environments are stepped in this process. The parts are timed one after the other, each over
+all sub-environments, once a round; the lower decile is shown, which other processes disturb least.
+The copy is that of `copy=True`.
 """
 
 import argparse
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
 
-from magical.envs.batch import Batch
+from magical.commands.bench import BarePhysics
+from magical.envs import parse_env_id
 from magical.envs.vector import MagicalVectorEnv
-from magical.physics.clock import PhysicsClock
+from magical.envs.vector.sub_envs import SubEnvs
 from magical.scene.actions import NUM_ACTIONS
 
 ROUNDS = 100
-WARM_UP = 50  # steps, so that robots and blocks have met
+WARM_UP = 50  # steps, after which robots and blocks are in contact
 
 
 class Profile:
@@ -41,68 +42,66 @@ class Profile:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--env", default="magical/ClusterColour-Demo-LoRes4E-v0")
     parser.add_argument("--num-envs", type=int, default=32)
-    args = parser.parse_args()
-    envs = MagicalVectorEnv([args.env] * args.num_envs, workers=0)
-    envs.reset(seed=0)
+    arguments = parser.parse_args()
+    envs = MagicalVectorEnv([arguments.env] * arguments.num_envs, workers=0)
     rng = np.random.default_rng(0)
 
-    def draw() -> np.ndarray:
-        return np.asarray(rng.integers(0, NUM_ACTIONS, args.num_envs))
+    def sample() -> np.ndarray:
+        return rng.integers(NUM_ACTIONS, size=envs.num_envs)
 
+    envs.reset(seed=0)
     for _ in range(WARM_UP):
-        envs.step(draw())
-    profile, physics = Profile(args.num_envs), profile_physics(envs, draw)
+        envs.step(sample())
+    profile = Profile(envs.num_envs)
     for _ in range(ROUNDS):
-        profile_parts(envs, draw(), profile)
-    for _ in range(ROUNDS):
+        actions = sample()
         with profile.part("step"):
-            envs.step(draw())
-    show(profile, physics)
+            envs.step(actions)
+        profile_parts(envs, sample(), profile)
+    report(profile, physics_microseconds(arguments.env))
 
 
-def profile_physics(envs: MagicalVectorEnv, draw: Callable[[], np.ndarray]) -> float:
-    """Microseconds inside `Space.step`."""
-    clock, each = PhysicsClock(), []
-    for _ in range(ROUNDS):
-        before = clock.seconds
-        clock.start()
-        envs.step(draw())
-        clock.stop()
-        each.append(clock.seconds - before)
-    return float(np.quantile(each, 0.1)) * 1e6 / envs.num_envs
+def physics_microseconds(env_id: str) -> float:
+    """Microseconds inside the physics engine in a control step."""
+    physics, rng = BarePhysics(parse_env_id(env_id), seed=0), np.random.default_rng(0)
+    for _ in range(ROUNDS * 10):
+        physics.step(rng.integers(NUM_ACTIONS, size=1))
+    return 1e6 / physics.rate
 
 
 def profile_parts(envs: MagicalVectorEnv, actions: np.ndarray, profile: Profile) -> None:
-    """Take one step, part by part; a world that has ended simply goes on."""
-    batch = envs._batch
-    assert isinstance(batch, Batch)
-    worlds = batch._in_order
-    with profile.part("world"):
-        for world, action in zip(worlds, actions.tolist(), strict=True):
-            world.episode.world.step(action)
+    """Take one step, part by part; an episode at its end continues."""
+    sub_envs = envs._sub_envs
+    assert isinstance(sub_envs, SubEnvs)
+    each = sub_envs._in_order
+    with profile.part("simulation"):
+        for env, action in zip(each, actions.tolist(), strict=True):
+            env.episode.simulation.step(action)
     with profile.part("read"):
-        for world in worlds:
-            world.episode.table = world.episode.world.read()
-    with profile.part("show"):
-        for world in worlds:
-            world.episode.observer.update(world.episode.table)
+        for env in each:
+            env.episode.bodies = env.episode.simulation.read()
+    with profile.part("observe"):
+        for env in each:
+            env.episode.observer.update(env.episode.bodies)
     with profile.part("copy"):
-        for world in worlds:
-            if world._copies:
-                world.copy_observation(0)
+        for env in each:
+            if env._copies:
+                env.copy_observation(0)
 
 
-def show(profile: Profile, physics: float) -> None:
+def report(profile: Profile, physics: float) -> None:
     """Print the table."""
-    world, step = profile.microseconds("world"), profile.microseconds("step")
+    simulation, step = profile.microseconds("simulation"), profile.microseconds("step")
     parts = {
-        "inside pymunk's Space.step": physics,
-        "control law": world - physics,
+        "inside the physics engine": physics,
+        "control law": simulation - physics,
         "reading poses and velocities": profile.microseconds("read"),
-        "observation": profile.microseconds("show"),
+        "observation": profile.microseconds("observe"),
         "copy for the caller": profile.microseconds("copy"),
     }
     parts["everything else"] = step - sum(parts.values())

@@ -29,7 +29,7 @@ DEMO = Scene(
 )
 
 
-def redraw(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
+def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """Each block's colour and shape."""
     return replace(scene, blocks=repaint(scene.blocks, axes, rng))
 
@@ -47,8 +47,8 @@ TASK = Task(
     horizon=60,
     demo=DEMO,
     axes=Axis.JITTER | Axis.COLOUR | Axis.SHAPE | Axis.DYNAMICS,
-    redraw=redraw,
-    rule=score,
+    randomise_fn=randomise,
+    score_fn=score,
     max_blocks=2,
     max_regions=0,
 )

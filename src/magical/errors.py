@@ -17,6 +17,10 @@ class PlacementError(MagicalError, RuntimeError):
     """No room was found for a body or region after a bounded number of proposals."""
 
 
+class ObservationError(MagicalError, ValueError):
+    """An observation of another shape, type or kind than its use requires."""
+
+
 class InvalidActionError(MagicalError, ValueError):
     """An action out of range or of the wrong type."""
 
@@ -89,6 +93,10 @@ class MissingDependencyError(MagicalError, ImportError):
     """An optional library that is not installed; the message says which extra brings it."""
 
 
+class DependencyVersionError(MagicalError, ImportError):
+    """A library whose installed version is outside the range that the package was tested with."""
+
+
 class InvalidConfigError(MagicalError, ValueError):
     """A configuration with values that cannot be, or of another algorithm."""
 
@@ -113,5 +121,5 @@ class DeviceError(MagicalError, RuntimeError):
     """A device that was asked for and is not there."""
 
 
-class DrawingError(MagicalError, ValueError):
-    """A frame that cannot be drawn: poses or an array that do not fit, or an impossible size."""
+class RenderError(MagicalError, ValueError):
+    """A frame that cannot be rendered: poses or an array that do not fit, or an impossible size."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from magical.cli import main
 from magical.demos import DatasetWriter, Trajectory
 from magical.envs import parse_env_id
-from magical.physics import World
+from magical.physics import Simulation
 from magical.tasks import get_task
 
 MakeTrajectory = Callable[..., Trajectory]
@@ -30,7 +30,7 @@ def make_trajectory() -> MakeTrajectory:
         rng = np.random.default_rng(seed)
         parsed = parse_env_id(env_id)
         scene, dynamics = get_task(parsed.task).sample(parsed.variant, rng)
-        world = World(scene, dynamics)
+        world = Simulation(scene, dynamics)
         actions = rng.integers(18, size=steps)
         poses = [world.poses().bodies.copy()]
         for action in actions.tolist():

@@ -10,8 +10,9 @@ import pytest
 
 from magical.cli import main
 from magical.demos import Dataset
-from magical.demos.generate import demonstrate, episode_seed, generate
+from magical.demos.generate import demonstrate, generate
 from magical.demos.replay import replay
+from magical.envs.seeds import episode_seed
 from magical.errors import DatasetError, NoSolutionError
 
 ENV = "magical/MoveToRegion-TestAll-v0"

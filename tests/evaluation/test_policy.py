@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from magical.envs import EnvId
 from magical.errors import PolicyError, UnknownNameError
 from magical.evaluation import FunctionPolicy, NoopPolicy, Policy, RandomPolicy, load_policy
 from magical.evaluation.policy import checked_actions, is_privileged
@@ -35,6 +36,8 @@ def function(observations, env_ids, rng):
 function.observation = "LoRes4A"
 number = 7
 """
+
+DEMO = EnvId("MoveToRegion", "Demo")
 
 
 @pytest.fixture
@@ -97,7 +100,7 @@ def test_built_in_policies_by_name(name: str) -> None:
 def test_objects_classes_and_factories(module: str, name: str) -> None:
     policy = load_policy(f"{module}:{name}")
     assert is_privileged(policy)
-    np.testing.assert_array_equal(policy.act([], ["a"], np.random.default_rng(0)), [0])
+    np.testing.assert_array_equal(policy.act([], [DEMO], np.random.default_rng(0)), [0])
 
 
 @pytest.mark.parametrize("suffix", ["", ".py"])
@@ -107,7 +110,7 @@ def test_a_plain_function_is_a_policy(module: str, suffix: str) -> None:
     assert policy.observation == "LoRes4A"
     assert not is_privileged(policy)
     policy.reset(np.ones(1, bool))
-    np.testing.assert_array_equal(policy.act(None, ["a"], np.random.default_rng(0)), [1])
+    np.testing.assert_array_equal(policy.act(None, [DEMO], np.random.default_rng(0)), [1])
 
 
 @pytest.mark.parametrize(

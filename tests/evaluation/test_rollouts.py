@@ -7,6 +7,7 @@ import gymnasium
 import numpy as np
 import pytest
 
+from magical.envs.seeds import evaluation_seed
 from magical.errors import PolicyError, UnknownNameError
 from magical.evaluation import (
     NoopPolicy,
@@ -14,7 +15,6 @@ from magical.evaluation import (
     environments,
     evaluate,
     load_policy,
-    rollout_seed,
 )
 from magical.evaluation.policy import Actions, Mask
 from magical.evaluation.seeds import rollout_stream
@@ -69,7 +69,7 @@ def test_every_rollout_equals_an_episode_of_the_single_environment() -> None:
     assert any(row.score for row in scores)
     for row in scores:
         env = gymnasium.make(row.env_id, observation="state")
-        env.reset(seed=rollout_seed(row.rollout))
+        env.reset(seed=evaluation_seed(row.rollout))
         rng = np.random.Generator(np.random.PCG64(rollout_stream(row.env_id, row.seed)))
         truncated = False
         while not truncated:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from magical.envs import EnvId
 from magical.errors import ScoresError
 from magical.evaluation import (
     Entry,
@@ -17,9 +18,9 @@ from magical.evaluation import (
 )
 
 SCORES = [
-    RolloutScore("magical/MakeLine-Demo-v0", 0, 1_000_000_000, 0.5, 0.0),
-    RolloutScore("magical/MakeLine-Demo-v0", 1, 1_000_000_001, 1.0, 1.0),
-    RolloutScore("magical/MakeLine-TestJitter-v0", 0, 1_000_000_000, 1 / 3, 0.25),
+    RolloutScore(EnvId("MakeLine", "Demo"), 0, 1_000_000_000, 0.5, 0.0),
+    RolloutScore(EnvId("MakeLine", "Demo"), 1, 1_000_000_001, 1.0, 1.0),
+    RolloutScore(EnvId("MakeLine", "TestJitter"), 0, 1_000_000_000, 1 / 3, 0.25),
 ]
 
 
@@ -43,7 +44,7 @@ def test_summary_of_one_task() -> None:
 
 
 def test_summary_of_several_tasks_is_nested() -> None:
-    other = RolloutScore("magical/FindDupe-Demo-v0", 0, 0, 1.0, 1.0)
+    other = RolloutScore(EnvId("FindDupe", "Demo"), 0, 0, 1.0, 1.0)
     summary = summarise([*SCORES, other])
     assert list(summary) == ["MakeLine", "FindDupe"]
     assert summary["FindDupe"]["Demo"]["mean"] == 1.0
@@ -96,6 +97,6 @@ def test_a_damaged_entry_is_named(tmp_path: Path, text: str) -> None:
 
 def test_std_in_the_summary_is_over_rollouts() -> None:
     scores = [
-        RolloutScore("magical/FindDupe-Demo-v0", i, i, s, s) for i, s in enumerate((0.0, 0.5, 1.0))
+        RolloutScore(EnvId("FindDupe", "Demo"), i, i, s, s) for i, s in enumerate((0.0, 0.5, 1.0))
     ]
     assert summarise(scores)["Demo"]["std"] == pytest.approx(np.std([0.0, 0.5, 1.0]))

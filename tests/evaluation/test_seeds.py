@@ -5,15 +5,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magical.evaluation.seeds import ROW_DRAWS, RolloutRng, rollout_seed, rollout_stream
+from magical.envs.seeds import evaluation_seed
+from magical.evaluation.seeds import ROW_METHODS, RolloutRng, rollout_stream
 
 
 def test_seeds_depend_on_the_rollout_and_the_set_alone() -> None:
-    assert [rollout_seed(i) for i in range(3)] == [1_000_000_000, 1_000_000_001, 1_000_000_002]
-    assert rollout_seed(3, seed=2) == 1_002_000_003
+    assert [evaluation_seed(i) for i in range(3)] == [1_000_000_000, 1_000_000_001, 1_000_000_002]
+    assert evaluation_seed(3, seed=2) == 1_002_000_003
 
 
-@pytest.mark.parametrize("name", ROW_DRAWS)
+@pytest.mark.parametrize("name", ROW_METHODS)
 @pytest.mark.parametrize("rest", [(), (18,)])
 def test_a_row_draws_the_same_in_any_batch(name: str, rest: tuple[int, ...]) -> None:
     parameters = (2**40,) if name == "integers" else ()

@@ -25,7 +25,7 @@ from magical.experts import (
 )
 from magical.experts.goals import _GOALS
 from magical.experts.sight import Sight
-from magical.physics import World
+from magical.physics import Simulation
 from magical.scene import (
     COLOURS,
     NOOP,
@@ -45,7 +45,7 @@ from magical.tasks import TASKS, get_task
 STATES = 150  # random states a task here; benchmarks/experts.py looks at 10,000
 
 
-def state_of(world: World, scene: Scene, step: int = 0, horizon: int = 100) -> State:
+def state_of(world: Simulation, scene: Scene, step: int = 0, horizon: int = 100) -> State:
     table = world.read()
     return State(scene, Poses(table[:, :3]), table[:, 3:], step, horizon)
 
@@ -76,7 +76,7 @@ def test_finished_expert_lets_go_and_stays(away: float) -> None:
     places = ((0.0, 0.0), (0.0, 0.36), (0.0, -0.36))
     blocks = tuple(Block(Shape.STAR, Colour.RED, Pose(x, y, 0.3)) for x, y in places)
     scene = Scene(Pose(away, 0.0, math.pi / 2), blocks)
-    world, memory, expert = World(scene), None, expert_for("MakeLine", seed=0)
+    world, memory, expert = Simulation(scene), None, expert_for("MakeLine", seed=0)
     for _ in range(3):
         world.step(Action(gripper=Gripper.CLOSED).id)
     before = world.read()[FIRST_BLOCK:, :2].copy()
@@ -111,7 +111,7 @@ def test_takes_over_after_a_random_policy(task: str) -> None:
 def test_starts_without_memory_at_any_time() -> None:
     spec = get_task("MoveToCorner")
     scene, dynamics = spec.sample("Demo", np.random.default_rng(0))
-    world, expert = World(scene, dynamics), expert_for("MoveToCorner", seed=0)
+    world, expert = Simulation(scene, dynamics), expert_for("MoveToCorner", seed=0)
     for step in range(spec.horizon):  # forgetting everything at every step
         action, _ = expert.act(state_of(world, scene, step, spec.horizon))
         world.step(action)
@@ -168,7 +168,7 @@ def test_a_task_from_outside_gets_its_expert() -> None:
     register_goals("DriveThere", Goals(plan))
     try:
         scene = get_task("MoveToRegion").demo
-        world, expert, memory = World(scene), expert_for("DriveThere", seed=0), None
+        world, expert, memory = Simulation(scene), expert_for("DriveThere", seed=0), None
         for _ in range(40):
             action, memory = expert.act(state_of(world, scene), memory)
             world.step(action)
@@ -200,9 +200,9 @@ def test_scene_without_solution(task: str, scene: Scene) -> None:
     with pytest.raises(NoSolutionError, match=f"{task}: expected"):
         check_solvable(task, scene)
     expert = expert_for(task, seed=0)
-    action, memory = expert.act(state_of(World(scene), scene))
+    action, memory = expert.act(state_of(Simulation(scene), scene))
     assert action == NOOP
-    assert expert.act(state_of(World(scene), scene), memory)[0] == NOOP
+    assert expert.act(state_of(Simulation(scene), scene), memory)[0] == NOOP
 
 
 def test_acting_knows_no_simulator() -> None:

@@ -14,14 +14,14 @@ from magical.experts.lines import is_line
 from magical.experts.motions import HOLD, table_for
 from magical.experts.paths import gap, is_clear, next_waypoint
 from magical.experts.sight import Sight, bearing, wrap
-from magical.physics import World
+from magical.physics import Simulation
 from magical.scene import Block, Pose, Poses, Scene, State
 from magical.scene.geometry import Point
 from magical.tasks import get_task
 
 
-def sight_of(scene: Scene, world: World | None = None) -> Sight:
-    table = (world or World(scene)).read()
+def sight_of(scene: Scene, world: Simulation | None = None) -> Sight:
+    table = (world or Simulation(scene)).read()
     return Sight.of(State(scene, Poses(table[:, :3]), table[:, 3:], 0, 100))
 
 
@@ -72,7 +72,7 @@ def test_motion_model_agrees_with_the_physics(shape: str) -> None:
     table = table_for(0.0, 0.0)
     for action in (1, 2, 3, 4, 8):
         block = Block(shape, "red", Pose(0.0, HOLD, 0.0))  # type: ignore[arg-type]
-        world = World(Scene(Pose(0.0, 0.0, 0.0), (block,)))
+        world = Simulation(Scene(Pose(0.0, 0.0, 0.0), (block,)))
         for order in [9] * 3 + [action + 9] * 5 + [9]:
             world.step(order)
         # Of the pairs that begin so and last five steps, the last keeps the action up throughout.
@@ -84,7 +84,7 @@ def test_motion_model_agrees_with_the_physics(shape: str) -> None:
 def test_held_block_is_carried_there() -> None:
     scene = blocks_at((0.0, 0.335), (0.1, 0.75))
     scene = Scene(Pose(0.0, 0.0, 0.0), scene.blocks)
-    world, goal = World(scene), (-0.5, 0.1)
+    world, goal = Simulation(scene), (-0.5, 0.1)
     for _ in range(3):
         world.step(9)
     for _ in range(25):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from magical.demos import DatasetWriter, Trajectory
+from magical.envs import EnvId
 from magical.tasks import get_task
 
 # What needs PyTorch cannot even be imported without it.
@@ -35,7 +36,7 @@ def picture_demo(task: str, seed: int, actions: Any = None) -> Trajectory:
     frames[:, :-1, :48, :48] = (np.asarray(actions) * 14)[None, :, None, None, None]
     scene, _ = get_task(task).sample("Demo", rng)
     return Trajectory(
-        env_id=f"magical/{task}-Demo-v0",
+        env_id=EnvId(task, "Demo"),
         scene=scene,
         actions=np.asarray(actions),
         published_code_score=1.0,

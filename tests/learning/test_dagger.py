@@ -10,7 +10,7 @@ import torch
 
 from magical.cli import main
 from magical.demos import Dataset, DatasetWriter, Trajectory
-from magical.demos.repair import check
+from magical.demos.store.repair import check
 from magical.errors import (
     DatasetError,
     InvalidConfigError,

@@ -20,7 +20,6 @@ from magical.learning.batches import Batch
 from magical.learning.curves import PICTURE
 from magical.learning.rollout import Sampler, as_inputs
 from magical.learning.runs import METRICS, read_metrics
-from magical.observe import PRESETS
 from tests.learning.reinforcement import assert_same, checkpoint, tiny
 
 
@@ -254,7 +253,7 @@ def test_centred_first_weights_tell_frames_apart() -> None:
     for first_weights in ("torch", "centred"):
         network = make_policy(tiny(PPOConfig, first_weights=first_weights))
         with torch.no_grad():
-            images = as_inputs(frames, PRESETS["LoRes4E"])
+            images = as_inputs(frames)
             spreads[first_weights] = network.trunk(images).std(dim=0).mean().item()
             logits, _ = network.both(images, torch.zeros(8, dtype=torch.int64))
         assert logits.abs().max() < 0.3

@@ -9,16 +9,17 @@ import pytest
 from numpy.typing import NDArray
 
 from magical.demos import Trajectory, observations
+from magical.envs import EnvId
 from magical.errors import DemonstrationsError
 from magical.experts import expert_for
 from magical.learning.supervision import LABELS, Supervision, relabelled
-from magical.physics import World
+from magical.physics import Simulation
 from magical.scene import Poses, State
 
 ENV_IDS = (
-    "magical/MoveToRegion-Demo-v0",
-    "magical/MoveToRegion-TestAll-v0",
-    "magical/MoveToCorner-TestDynamics-v0",
+    EnvId("MoveToRegion", "Demo"),
+    EnvId("MoveToRegion", "TestAll"),
+    EnvId("MoveToCorner", "TestDynamics"),
 )
 FORWARD_LEFT = 4
 
@@ -52,7 +53,7 @@ def labels_of(trajectory: Trajectory) -> NDArray[np.int64]:
 
 def expert_on(trajectory: Trajectory) -> tuple[list[int], NDArray[np.float64]]:
     """The expert's labels along an episode that is simulated again, and the episode's poses."""
-    world = World(trajectory.scene, trajectory.dynamics)
+    world = Simulation(trajectory.scene, trajectory.dynamics)
     expert, memory = expert_for(trajectory.task.name, seed=trajectory.seed), None
     labels, poses = [], [world.read()[:, :3].copy()]
     for step, action in enumerate(trajectory.actions.tolist()):

@@ -1,12 +1,15 @@
-"""Observation forms and their spaces."""
+"""Observation specifications and their spaces."""
 
 import numpy as np
 import pytest
 from gymnasium import spaces
 
 from magical.errors import UnknownNameError
-from magical.observe import PRESETS, RAW, STATE, PixelSpec, parse_observation
+from magical.observe import PRESETS, RAW, PixelSpec, StateSpec, make_spec
 from magical.scene import View
+from magical.tasks import get_task
+
+TASK = get_task("FindDupe")
 
 
 @pytest.mark.parametrize(
@@ -25,27 +28,27 @@ def test_array_presets(preset: str, shape: tuple[int, ...]) -> None:
     assert space.dtype == np.uint8
 
 
-def test_dict_forms() -> None:
+def test_dict_specs() -> None:
     for spec, shape in ((PRESETS["LoResStack"], (96, 96, 12)), (RAW, (384, 384, 3))):
         space = spec.space
         assert isinstance(space, spaces.Dict)
         assert {view: box.shape for view, box in space.items()} == {"allo": shape, "ego": shape}
 
 
-def test_accepted_forms() -> None:
-    assert parse_observation(None) is RAW
-    assert parse_observation("raw") is RAW
-    assert parse_observation("state") == STATE
-    assert parse_observation("LoRes4A") is PRESETS["LoRes4A"]
-    assert parse_observation({"parts": [["allo", 2]], "size": 32}) == PixelSpec(
+def test_accepted_specs() -> None:
+    assert make_spec(None, TASK) is RAW
+    assert make_spec("raw", TASK) is RAW
+    assert make_spec("state", TASK) == StateSpec(TASK.max_blocks, TASK.max_regions)
+    assert make_spec("LoRes4A", TASK) is PRESETS["LoRes4A"]
+    assert make_spec({"parts": [["allo", 2]], "size": 32}, TASK) == PixelSpec(
         ((View.ALLO, 2),), size=32
     )
 
 
 @pytest.mark.parametrize("bad", ["LoRes5E", 7, {"colour": 1}, {"parts": [["top", 1]]}])
-def test_unknown_forms(bad: object) -> None:
+def test_unknown_specs(bad: object) -> None:
     with pytest.raises(UnknownNameError, match="expected"):
-        parse_observation(bad)  # type: ignore[arg-type]
+        make_spec(bad, TASK)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -58,6 +61,6 @@ def test_unknown_forms(bad: object) -> None:
         {"samples": 0},
     ],
 )
-def test_impossible_forms(fields: dict[str, object]) -> None:
+def test_impossible_specs(fields: dict[str, object]) -> None:
     with pytest.raises(ValueError, match="expected"):
         PixelSpec(**fields)  # type: ignore[arg-type]

@@ -41,13 +41,13 @@ def test_recorded_scenes_keep_the_rules(recorded: Recorded) -> None:
 
 @pytest.mark.parametrize("name", ["FindDupe", "FixColour"])
 def test_recorded_enclosed_blocks_come_close_to_the_limit(name: str, recorded: Recorded) -> None:
-    placing, left = get_task(name).placing, []
+    placement, left = get_task(name).placement, []
     for row in recorded[f"{name}-TestLayout-v0"]:
         scene = Scene.from_dict(row)
-        for i, r in placing.enclosed(len(scene.blocks)).items():
+        for i, r in placement.enclosed(len(scene.blocks)).items():
             (x, y), block = scene.regions[r].centre, scene.blocks[i].pose
             furthest = max(abs(block.x - x), abs(block.y - y))
-            left.append(placing.limit(scene.regions[r]) - furthest)
+            left.append(placement.limit(scene.regions[r]) - furthest)
     assert -RECORDED_ROUNDING < min(left) < 0.01
 
 

@@ -124,7 +124,7 @@ class _Frame:
         self.counter = 0  # of dashes
 
     def project(self, points: Any) -> Array:
-        """World points in samples, (n, 2)."""
+        """Simulation points in samples, (n, 2)."""
         x, y, turn = self.camera
         moved = [rotate((px - x, py - y), -turn) for px, py in points]
         projected: Array = np.array(moved) * self.scale + self.centre

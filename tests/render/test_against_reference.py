@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magical.render import draw_frame
+from magical.render import render_frame
 from magical.scene import Block, Colour, Pose, Poses, Region, Scene, Shape, View
 
 FORMS = [(96, 4), (32, 1), (32, 4), (64, 2), (100, 4), (384, 1), (7, 2), (1, 1)]
@@ -24,7 +24,7 @@ def test_random_scenes(
     for seed in range(8):
         scene, poses = random_case(1000 * size + seed)
         expected = reference_draw(scene, poses, view, size, samples)
-        drawn = draw_frame(scene, poses, view, size, samples)
+        drawn = render_frame(scene, poses, view, size, samples)
         np.testing.assert_array_equal(drawn, expected, err_msg=f"seed {seed}")
 
 
@@ -40,7 +40,7 @@ def test_upright_and_level_edges(
     scene = Scene(Pose(0.0, -0.5, angle), blocks, (region,), robot_first=True)
     poses = Poses.at_rest(scene)
     expected = reference_draw(scene, poses, view, 96, 4)
-    np.testing.assert_array_equal(draw_frame(scene, poses, view), expected)
+    np.testing.assert_array_equal(render_frame(scene, poses, view), expected)
 
 
 def test_everything_out_of_view(reference_draw: Callable[..., Any]) -> None:
@@ -50,4 +50,4 @@ def test_everything_out_of_view(reference_draw: Callable[..., Any]) -> None:
     for view in View:
         poses = Poses.at_rest(scene)
         expected = reference_draw(scene, poses, view, 32, 4)
-        np.testing.assert_array_equal(draw_frame(scene, poses, view, 32, 4), expected)
+        np.testing.assert_array_equal(render_frame(scene, poses, view, 32, 4), expected)

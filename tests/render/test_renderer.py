@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from magical.errors import DrawingError, UnknownNameError
-from magical.render import Renderer, default_samples, draw_both, draw_frame
+from magical.errors import RenderError, UnknownNameError
+from magical.render import Renderer, default_samples, render_frame, render_views
 from magical.scene import Colour, Pose, Poses, Scene, Shape, View
 from magical.scene.scene import Block
 
@@ -34,31 +34,31 @@ LAYOUTS: dict[str, Callable[[], Image]] = {
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_any_layout(layout: str, view: View, case: Case) -> None:
     out = LAYOUTS[layout]()
-    Renderer(case[0], view).draw(case[1].bodies, out)
-    np.testing.assert_array_equal(out, draw_frame(*case, view))
+    Renderer(case[0], view).render(case[1].bodies, out)
+    np.testing.assert_array_equal(out, render_frame(*case, view))
 
 
 def test_draws_only_into_its_window(case: Case) -> None:
     stack = np.full((96, 96, 12), 77, np.uint8)
-    Renderer(case[0], View.EGO).draw(case[1].bodies, stack[:, :, 3:6])
+    Renderer(case[0], View.EGO).render(case[1].bodies, stack[:, :, 3:6])
     assert (stack[:, :, :3] == 77).all()
     assert (stack[:, :, 6:] == 77).all()
 
 
 @pytest.mark.parametrize("view", list(View))
 def test_published_pipeline(view: View, case: Case) -> None:
-    raw = draw_frame(*case, view, 384, 1).astype(float)
+    raw = render_frame(*case, view, 384, 1).astype(float)
     reduced = np.rint(raw.reshape(96, 4, 96, 4, 3).mean(axis=(1, 3)))  # rounds halves to even
-    np.testing.assert_array_equal(draw_frame(*case, view, 96, 4), reduced)
+    np.testing.assert_array_equal(render_frame(*case, view, 96, 4), reduced)
     half = np.rint(raw.reshape(192, 2, 192, 2, 3).mean(axis=(1, 3)))
-    np.testing.assert_array_equal(draw_frame(*case, view, 192, 2), half)
+    np.testing.assert_array_equal(render_frame(*case, view, 192, 2), half)
 
 
 def test_default_samples(case: Case) -> None:
     assert [default_samples(n) for n in (32, 96, 97, 128, 192, 383, 384, 1000)] == [
         4, 4, 4, 4, 2, 2, 1, 1,
     ]  # fmt: skip
-    np.testing.assert_array_equal(draw_frame(*case, "ego"), draw_frame(*case, "ego", 96, 4))
+    np.testing.assert_array_equal(render_frame(*case, "ego"), render_frame(*case, "ego", 96, 4))
 
 
 def test_a_pure_function_of_the_poses(random_case: Callable[[int], Case]) -> None:
@@ -92,23 +92,23 @@ def test_threads_do_not_disturb_each_other(random_case: Callable[[int], Case]) -
 
 def _drawn(renderer: Renderer, poses: Poses, size: int) -> Image:
     out = np.empty((size, size, 3), np.uint8)
-    renderer.draw(poses.bodies, out)
+    renderer.render(poses.bodies, out)
     return out
 
 
 def test_equal_in_another_process(case: Case) -> None:
     program = (
         "import hashlib\n"
-        "from magical.render import draw_both\n"
+        "from magical.render import render_views\n"
         "from magical.scene import Poses, Scene\n"
         f"scene = Scene.from_dict({case[0].to_dict()!r})\n"
-        "print(hashlib.sha256(draw_both(scene, Poses.at_rest(scene)).tobytes()).hexdigest())\n"
+        "print(hashlib.sha256(render_views(scene, Poses.at_rest(scene)).tobytes()).hexdigest())\n"
     )
     command = [sys.executable, "-c", program]
     ran = [subprocess.run(command, capture_output=True, text=True, check=True) for _ in range(2)]
     assert len({result.stdout for result in ran}) == 1
     scene = Scene.from_dict(case[0].to_dict())
-    here = draw_both(scene, Poses.at_rest(scene))
+    here = render_views(scene, Poses.at_rest(scene))
     assert ran[0].stdout.strip() == hashlib.sha256(here.tobytes()).hexdigest()
 
 
@@ -123,10 +123,10 @@ def test_importing_compiles_nothing() -> None:
 
 
 def test_both_views_side_by_side(case: Case) -> None:
-    both = draw_both(*case, size=40)
+    both = render_views(*case, size=40)
     assert both.shape == (40, 80, 3)
-    np.testing.assert_array_equal(both[:, :40], draw_frame(*case, View.EGO, 40))
-    np.testing.assert_array_equal(both[:, 40:], draw_frame(*case, View.ALLO, 40))
+    np.testing.assert_array_equal(both[:, :40], render_frame(*case, View.EGO, 40))
+    np.testing.assert_array_equal(both[:, 40:], render_frame(*case, View.ALLO, 40))
 
 
 def test_the_robot_may_be_under_the_blocks() -> None:
@@ -134,7 +134,7 @@ def test_the_robot_may_be_under_the_blocks() -> None:
     centres = []
     for robot_first in (False, True):
         scene = Scene(Pose(0.0, 0.0, 0.0), (block,), robot_first=robot_first)
-        frame = draw_frame(scene, Poses.at_rest(scene), View.ALLO)
+        frame = render_frame(scene, Poses.at_rest(scene), View.ALLO)
         centres.append(tuple(frame[48, 48].tolist()))
     assert centres == [(162, 163, 175), (245, 129, 165)]
 
@@ -143,7 +143,9 @@ def test_pupils_turn_with_the_eyes(case: Case) -> None:
     scene, poses = case
     turned = Poses(poses.bodies.copy())
     turned.bodies[3:5, 2] += 0.6
-    changed = (draw_frame(scene, poses, "ego", 384) != draw_frame(scene, turned, "ego", 384)).any(2)
+    changed = (
+        render_frame(scene, poses, "ego", 384) != render_frame(scene, turned, "ego", 384)
+    ).any(2)
     rows, columns = np.nonzero(changed)
     assert 10 < changed.sum() < 400
     assert rows.min() > 384 * 0.75
@@ -154,8 +156,8 @@ def test_bodies_may_have_velocities_and_be_read_only(case: Case) -> None:
     table = np.concatenate([case[1].bodies, np.full_like(case[1].bodies, np.nan)], axis=1)
     table.flags.writeable = False
     out = np.empty((96, 96, 3), np.uint8)
-    Renderer(case[0], "ego").draw(table, out)
-    np.testing.assert_array_equal(out, draw_frame(*case, "ego"))
+    Renderer(case[0], "ego").render(table, out)
+    np.testing.assert_array_equal(out, render_frame(*case, "ego"))
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1e9])
@@ -164,31 +166,31 @@ def test_poses_that_cannot_be(value: float, place: tuple[int, int], case: Case) 
     bodies = case[1].bodies.copy()
     bodies[place] = value
     for view in View:
-        with pytest.raises(DrawingError, match="finite"):
-            Renderer(case[0], view).draw(bodies, np.empty((96, 96, 3), np.uint8))
+        with pytest.raises(RenderError, match="finite"):
+            Renderer(case[0], view).render(bodies, np.empty((96, 96, 3), np.uint8))
 
 
 def test_arrays_that_do_not_fit(case: Case) -> None:
     scene, poses = case
     renderer, out = Renderer(scene, "allo"), np.empty((96, 96, 3), np.uint8)
     for bodies in (poses.bodies[:-1], poses.bodies[:, :2]):
-        with pytest.raises(DrawingError, match="9 bodies"):
-            renderer.draw(bodies, out)
+        with pytest.raises(RenderError, match="9 bodies"):
+            renderer.render(bodies, out)
     read_only = out.copy()
     read_only.flags.writeable = False
     bad_arrays: tuple[Any, ...] = (out[1:], out[:, :, :2], out.astype(np.float32), read_only)
     for bad in bad_arrays:
-        with pytest.raises(DrawingError, match="expected"):
-            renderer.draw(poses.bodies, bad)
+        with pytest.raises(RenderError, match="expected"):
+            renderer.render(poses.bodies, bad)
     stack = np.empty((96, 96, 6), np.uint8)
     for target in (out, np.empty((96, 96, 9), np.uint8), stack[:90]):
-        with pytest.raises(DrawingError, match="expected"):
-            renderer.draw_stacked(poses.bodies, stack, target)
+        with pytest.raises(RenderError, match="expected"):
+            renderer.render_stacked(poses.bodies, stack, target)
 
 
 @pytest.mark.parametrize(("size", "samples"), [(0, 1), (-4, None), (96, 3), (96, 0), (9.5, 1)])
 def test_forms_that_cannot_be_drawn(size: Any, samples: int | None, case: Case) -> None:
-    with pytest.raises(DrawingError, match="samples"):
+    with pytest.raises(RenderError, match="samples"):
         Renderer(case[0], "ego", size, samples)
 
 

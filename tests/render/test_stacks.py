@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from magical.render import Renderer, draw_frame, shift_stack
+from magical.render import Renderer, render_frame, shift_stack
 from magical.scene import Poses, Scene, View
 
 Case = tuple[Scene, Poses]
@@ -43,28 +43,28 @@ def test_shift(make: Callable[[int, int], Image], channels: int) -> None:
 @pytest.mark.parametrize("view", list(View))
 def test_draw_stacked(make: Callable[[int, int], Image], view: View, case: Case) -> None:
     scene, poses = case
-    renderer, newest = Renderer(scene, view, 32), draw_frame(scene, poses, view, 32)
+    renderer, newest = Renderer(scene, view, 32), render_frame(scene, poses, view, 32)
     stack, other = make(32, 12), make(32, 12)
     stack[:] = np.random.default_rng(1).integers(256, size=stack.shape)
     before = stack.copy()
     expected = np.concatenate([before[:, :, 3:], newest], axis=2)
 
-    renderer.draw_stacked(poses.bodies, stack, other)
+    renderer.render_stacked(poses.bodies, stack, other)
     np.testing.assert_array_equal(other, expected)
     np.testing.assert_array_equal(stack, before)
 
-    renderer.draw_stacked(poses.bodies, stack)
+    renderer.render_stacked(poses.bodies, stack)
     np.testing.assert_array_equal(stack, expected)
 
 
 def test_a_window_leaves_its_surroundings_alone(case: Case) -> None:
     whole = np.full((96, 96, 12), 77, np.uint8)
-    Renderer(case[0], View.EGO).draw_stacked(case[1].bodies, whole[:, :, 3:9])
+    Renderer(case[0], View.EGO).render_stacked(case[1].bodies, whole[:, :, 3:9])
     assert (whole[:, :, :3] == 77).all()
     assert (whole[:, :, 9:] == 77).all()
 
 
 def test_one_frame_is_no_stack(case: Case) -> None:
     out = np.zeros((96, 96, 3), np.uint8)
-    Renderer(case[0], View.ALLO).draw_stacked(case[1].bodies, out)
-    np.testing.assert_array_equal(out, draw_frame(*case, View.ALLO))
+    Renderer(case[0], View.ALLO).render_stacked(case[1].bodies, out)
+    np.testing.assert_array_equal(out, render_frame(*case, View.ALLO))

@@ -2,10 +2,11 @@
 
 import pytest
 
+from magical.envs import EnvId
 from magical.evaluation import Entry, RolloutScore
 from magical.report.aggregate import aggregate_header, aggregate_rows, aggregates
 
-LINE, DUPE = "magical/MakeLine-Demo-v0", "magical/FindDupe-Demo-v0"
+LINE, DUPE = EnvId("MakeLine", "Demo"), EnvId("FindDupe", "Demo")
 
 
 def entry(method: str, **scores: list[float]) -> Entry:

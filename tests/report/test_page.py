@@ -12,13 +12,14 @@ import pytest
 from PIL import Image
 
 from magical import cli
+from magical.envs import EnvId
+from magical.envs.seeds import evaluation_seed
 from magical.evaluation import (
     Entry,
     RolloutScore,
     environments,
     evaluate,
     load_policy,
-    rollout_seed,
 )
 from magical.report import Page, contact_sheet, task_table
 from magical.report.clips import Clip, record_clips
@@ -59,7 +60,7 @@ def test_clips_show_the_rollouts_that_evaluation_scores() -> None:
     assert all(clip.frames.shape == (41, 32, 32, 3) for clip in clips)
     for clip in clips:
         env = gymnasium.make(clip.env_id, observation={"parts": [["allo", 1]], "size": 32})
-        np.testing.assert_array_equal(clip.frames[0], env.reset(seed=rollout_seed(1))[0])
+        np.testing.assert_array_equal(clip.frames[0], env.reset(seed=evaluation_seed(1))[0])
     assert all((clip.frames[0] != clip.frames[-1]).any() for clip in clips)
 
 
@@ -67,7 +68,7 @@ def test_a_clip_becomes_an_animation_and_a_strip() -> None:
     frames = np.zeros((9, 16, 16, 3), np.uint8)
     for step, frame in enumerate(frames):
         frame[:, step] = 255
-    clip = Clip("magical/MoveToRegion-Demo-v0", 1.0, frames)
+    clip = Clip(EnvId("MoveToRegion", "Demo"), 1.0, frames)
     with Image.open(io.BytesIO(clip.webp())) as picture:
         assert getattr(picture, "n_frames", 1) == 9
         assert picture.size == (16, 16)
@@ -115,7 +116,7 @@ def test_parts_that_are_empty_are_left_out() -> None:
 
 @pytest.fixture
 def evaluated(tmp_path: Path) -> Path:
-    scores = [RolloutScore("magical/MakeLine-Demo-v0", i, i, 1.0, 0.5) for i in range(3)]
+    scores = [RolloutScore(EnvId("MakeLine", "Demo"), i, i, 1.0, 0.5) for i in range(3)]
     Entry(method="mine", scores=scores, details={"demonstrations": 10}).write(tmp_path / "run")
     return tmp_path / "run"
 

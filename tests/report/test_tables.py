@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from magical.envs import parse_env_id
 from magical.evaluation import Entry, RolloutScore
 from magical.report import entry_tasks, task_table, text_rows
 from magical.report.tables import Cell
@@ -11,7 +12,7 @@ from magical.report.tables import Cell
 def entry(method: str, scores: dict[str, list[float]], **fields: str) -> Entry:
     """Scores by environment name; the published code's rule gives half of each."""
     rows = [
-        RolloutScore(f"magical/{name}-v0", i, i, score, score / 2)
+        RolloutScore(parse_env_id(f"{name}-v0"), i, i, score, score / 2)
         for name, values in scores.items()
         for i, score in enumerate(values)
     ]

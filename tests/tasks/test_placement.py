@@ -7,7 +7,7 @@ import pytest
 
 from magical.errors import InvalidSceneError, PlacementError
 from magical.scene import Block, Colour, Pose, Region, Scene, Shape
-from magical.tasks import TASKS, Axis, Placing, Task, check_placement, placement
+from magical.tasks import TASKS, Axis, Placement, Task, check_placement, placement
 from magical.tasks.placement import scatter
 
 SCENES = 1000  # of each environment
@@ -39,7 +39,7 @@ def test_no_room_is_a_named_error_after_a_bounded_number_of_tries() -> None:
     rng = np.random.default_rng(0)
     before = repr(CROWDED)
     with pytest.raises(PlacementError) as error:
-        scatter(CROWDED, Axis.LAYOUT, rng, Placing())
+        scatter(CROWDED, Axis.LAYOUT, rng, Placement())
     assert "found no room for block" in str(error.value)
     assert "(red circle) in 50 proposals, in the last of 3 scenes tried" in str(error.value)
     assert "use fewer blocks" in str(error.value)
@@ -56,7 +56,7 @@ def test_no_room_for_regions_or_robot(region: tuple[float, float], what: str) ->
     regions = tuple(Region(Colour.RED, -1 + 0.001, 1 - 0.001, height, width) for _ in range(count))
     scene = Scene(Pose(0.0, 0.0, 0.0), regions=regions)
     with pytest.raises(PlacementError, match=f"no room for {what}"):
-        scatter(scene, Axis.JITTER, np.random.default_rng(0), Placing(region_size=(0.0, 2.0)))
+        scatter(scene, Axis.JITTER, np.random.default_rng(0), Placement(region_size=(0.0, 2.0)))
 
 
 def test_a_stuck_scene_is_begun_anew(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -73,14 +73,14 @@ def test_a_stuck_scene_is_begun_anew(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(placement, "_attempt", counted)
     scene = replace(CROWDED, blocks=CROWDED.blocks[:12])
-    placed = scatter(scene, Axis.LAYOUT, np.random.default_rng(0), Placing())
+    placed = scatter(scene, Axis.LAYOUT, np.random.default_rng(0), Placement())
     assert len(placed.blocks) == 12
     assert attempts > 1
 
 
 def test_without_jitter_or_layout_nothing_is_drawn() -> None:
     rng = np.random.default_rng(0)
-    assert scatter(CROWDED, Axis.COLOUR, rng, Placing()) is CROWDED
+    assert scatter(CROWDED, Axis.COLOUR, rng, Placement()) is CROWDED
     assert rng.random() == np.random.default_rng(0).random()
 
 

@@ -29,7 +29,7 @@ def test_tasks_are_in_the_appendixs_order() -> None:
 
 def test_every_module_describes_itself_and_its_task_in_one_line() -> None:
     for task in TASKS.values():
-        module = sys.modules[task.rule.__module__]
+        module = sys.modules[task.score_fn.__module__]
         assert (module.__doc__ or "").startswith(f"{task.name}: ")
         assert f"appendix {task.section}" in (module.__doc__ or "")
         assert "\n" not in task.summary

@@ -14,12 +14,12 @@ from magical.errors import DatasetError, DownloadError
 
 if TYPE_CHECKING:
     from magical.demos import Dataset, Problem
-    from magical.demos.importing import ImportReport
+    from magical.demos.human.importing import ImportReport
 
 
 def run_import(args: argparse.Namespace) -> int:
     """`magical demos import`."""
-    from magical.demos.importing import find_published
+    from magical.demos.human.importing import find_published
 
     return _import(find_published(args.source), args, args.max_unpacked << 20)
 
@@ -27,8 +27,8 @@ def run_import(args: argparse.Namespace) -> int:
 def run_download(args: argparse.Namespace) -> int:
     """`magical demos download`: fetch what the dataset lacks, import it, remove the archive."""
     from magical.demos import Dataset, DatasetWriter
-    from magical.demos.download import BASE_URL, fetch_all
-    from magical.demos.published import MAX_UNPACKED, published_sums
+    from magical.demos.human.download import BASE_URL, fetch_all
+    from magical.demos.human.published import MAX_UNPACKED, published_sums
 
     wanted = {f: s for f, s in published_sums().items() if fnmatch.fnmatch(f, args.files)}
     if not wanted:
@@ -55,7 +55,7 @@ def run_generate(args: argparse.Namespace) -> int:
     from magical.demos.generate import generate
     from magical.envs import parse_env_id
 
-    ids = [str(parse_env_id(env_id)._replace(preset=None)) for env_id in args.env]
+    ids = [parse_env_id(env_id).without_preset for env_id in args.env]
     reports = []
     with _progress("generate", args.n * len(ids)) as advance:
         for env_id in ids:
@@ -82,14 +82,14 @@ def run_generate(args: argparse.Namespace) -> int:
 def run_info(args: argparse.Namespace) -> int:
     """`magical demos info`: exit status 1 if anything is wrong."""
     from magical.demos import Dataset
-    from magical.demos.repair import repair
-    from magical.demos.summary import find_duplicates, summarise
+    from magical.demos.store.repair import repair
+    from magical.demos.store.summary import find_duplicates, summarise_dataset
 
     if args.repair:
         for problem in repair(args.dataset):
             log(f"left out: {problem}")
     dataset = Dataset.open(args.dataset, skip_damaged=True)
-    summaries = summarise(dataset)
+    summaries = summarise_dataset(dataset)
     duplicates = find_duplicates(dataset.entries)
     header = ("environment", "count", "poses", "steps", "score", "published rule", "kB each", "by")
     rows = [
@@ -176,7 +176,7 @@ def run_replay(args: argparse.Namespace) -> int:
 def run_video(args: argparse.Namespace) -> int:
     """`magical demos video`."""
     from magical.demos import Dataset
-    from magical.demos.video import write_video
+    from magical.demos.export.video import write_video
 
     dataset = Dataset.open(args.dataset)
     chosen = args.index if args.index is not None else _first_of_each(dataset)
@@ -194,13 +194,13 @@ def run_export(args: argparse.Namespace) -> int:
     dataset = Dataset.open(args.dataset, skip_damaged=args.skip_damaged)
     _log_problems(dataset.problems)
     if args.to == "minari":
-        from magical.demos.export_minari import export_minari
+        from magical.demos.export.minari import export_minari
 
         names = export_minari(dataset, args.name, args.preset, args.out)
         print("\n".join(names))
         result: dict[str, object] = {"to": "minari", "datasets": names}
     else:
-        from magical.demos.export_lerobot import export_lerobot
+        from magical.demos.export.lerobot import export_lerobot
 
         if args.out is None:
             raise DatasetError("--out: expected a new folder for the LeRobot dataset, found none")
@@ -218,7 +218,7 @@ def _import(
     max_bytes: int,
     not_fetched: list[str] | None = None,
 ) -> int:
-    from magical.demos.importing import import_published
+    from magical.demos.human.importing import import_published
 
     with _progress("import", len(files)) as advance:
         report = import_published(

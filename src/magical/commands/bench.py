@@ -1,15 +1,15 @@
 """Measure control steps per second beside the bare physics.
 
-Three copies of the same worlds take the same actions by turns: one shows pixels, one the state
-vector only, and one shows pixels while the time inside pymunk's `Space.step` is measured. The bare
-physics rate is what a worker would reach if only that time counted. Episodes begin anew within the
-measured time.
+Three copies take the same actions by turns: one observes pixels, one the state vector, and one is
+the bare simulation of a single environment, in which only the time inside the physics engine is
+counted. The last is the rate that a worker would reach if nothing else took time. Episodes are
+reset within the measured time.
 """
 
 import argparse
 import time
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -21,15 +21,17 @@ from magical.commands._common import (
     print_json,
     print_table,
 )
-from magical.envs import parse_env_id
-from magical.observe import PixelSpec, parse_observation
+from magical.envs import EnvId, parse_env_id
+from magical.observe import make_spec
+from magical.physics import Simulation
 from magical.scene.actions import NUM_ACTIONS
 
 HELP = "measure steps per second"
 DEFAULT_ENV = "magical/ClusterColour-Demo-LoRes4E-v0"
 WARM_UP = 5  # steps before anything is measured: caches, compilation
-PROBE = 20  # steps of the first turns, which show how many make a turn
-TURN = 0.2  # seconds of each copy's turn: short, so that noise falls on all alike
+PROBE = 20  # steps of the first turns, from which the length of a turn follows
+TURN = 0.2  # seconds of each copy's turn: short, so that noise affects all alike
+CALIBRATION_CALLS = 20_000
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -43,7 +45,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--workers", type=non_negative_int, metavar="K", help="vector: default one for each core"
     )
     parser.add_argument(
-        "--seconds", type=float, default=15.0, metavar="S", help="to measure for (default: 15)"
+        "--seconds", type=float, default=15.0, metavar="S", help="measuring time (default: 15)"
     )
     parser.add_argument("--seed", type=non_negative_int, default=0, help="default: 0")
     add_json(parser)
@@ -51,7 +53,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print."""
-    env_id = str(parse_env_id(args.env))
+    env_id = parse_env_id(args.env)
     num_envs, workers = (args.num_envs, args.workers) if args.kind == "vector" else (1, 0)
     result = measure(env_id, args.kind, num_envs, workers, args.seconds, args.seed)
     physics = result["physics_steps_per_second"] * max(1, result["workers"])
@@ -68,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
             ("bare physics", physics),
         )
     ]
-    print(f"{env_id}, {num_envs} worlds, {result['workers']} workers")
+    print(f"{env_id}, {num_envs} environments, {result['workers']} workers")
     print_table(("", "steps/s", "us/step a worker", "of bare physics"), rows)
     print(f"{result['frames_per_second']:,.0f} frames/s")
     if args.json:
@@ -77,128 +79,175 @@ def run(args: argparse.Namespace) -> int:
 
 
 def measure(
-    env_id: str, kind: str, num_envs: int, workers: int | None, seconds: float, seed: int
+    env_id: EnvId, kind: str, num_envs: int, workers: int | None, seconds: float, seed: int
 ) -> dict[str, Any]:
-    """The rates, each in control steps of one world per second; that of physics for one worker."""
+    """The rates, each in control steps of one environment per second; that of physics for one core.
 
-    def make(**options: Any) -> _Driven:
+    Returns plain data for JSON.
+    """
+
+    def make(**options: Any) -> "_Single | _Vector":
         if kind == "env":
-            return _One(env_id, seed, **options)
-        return _Many(env_id, seed, num_envs=num_envs, workers=workers, **options)
+            return _Single(env_id, seed, **options)
+        return _Vector(env_id, seed, num_envs=num_envs, workers=workers, **options)
 
-    copies = [make(), make(observation="state"), make()]
+    pixels, states, physics = make(), make(observation="state"), BarePhysics(env_id, seed)
     try:
-        shown, state, timed = (_Turns(copy, num_envs, seed) for copy in copies)
+        pixel_turns, state_turns = _Turns(pixels, num_envs, seed), _Turns(states, num_envs, seed)
+        physics_turns = _Turns(physics, 1, seed)
         end = time.perf_counter() + seconds
         steps = PROBE
         while time.perf_counter() < end or steps == PROBE:
-            shown.take(steps)
-            state.take(steps)
-            timed.take(steps, timing_physics=True)
-            steps = max(1 + PROBE, round(TURN * shown.rate))
+            pixel_turns.take(steps)
+            state_turns.take(steps)
+            physics_turns.take(steps)
+            steps = max(1 + PROBE, round(TURN * pixel_turns.rate))
     finally:
-        for copy in copies:
-            copy.close()
-    used = copies[0].workers
-    rate = shown.rate * num_envs
+        pixels.close()
+        states.close()
+    rate = pixel_turns.rate * num_envs
+    spec = make_spec(env_id.preset, env_id.task_spec)
     return {
         "env_id": env_id,
         "num_envs": num_envs,
-        "workers": used,
+        "workers": pixels.workers,
         "steps_per_second": rate,
-        "state_steps_per_second": state.rate * num_envs,
-        # Workers measure side by side, so that their seconds add up as their steps do.
-        "physics_steps_per_second": timed.steps * num_envs / timed.physics,
-        "frames_per_second": rate * _frames(env_id),
+        "state_steps_per_second": state_turns.rate * num_envs,
+        "physics_steps_per_second": physics.rate,
+        "frames_per_second": rate * spec.num_images,
     }
 
 
-class _Driven(Protocol):
-    """One environment or a batch, reset and ready."""
-
-    @property
-    def workers(self) -> int: ...
+class _Steppable(Protocol):
+    """Something that takes a batch of actions."""
 
     def step(self, actions: Any) -> Any: ...
 
-    def time_physics(self, on: bool) -> float: ...
 
-    def close(self) -> None: ...
-
-
-class _One:
-    """A single environment that begins anew by itself."""
+class _Single:
+    """A single environment that is reset at its episode's end."""
 
     workers = 0
 
-    def __init__(self, env_id: str, seed: int, **options: Any) -> None:
+    def __init__(self, env_id: EnvId, seed: int, **options: Any) -> None:
         import gymnasium
-
-        from magical.physics.clock import PhysicsClock
 
         self._env = gymnasium.make(env_id, **options).unwrapped
         self._env.reset(seed=seed)
-        self._clock = PhysicsClock()
         self.close = self._env.close
 
     def step(self, actions: Any) -> None:
         if self._env.step(actions[0])[3]:
             self._env.reset()
 
-    def time_physics(self, on: bool) -> float:
-        (self._clock.start if on else self._clock.stop)()
-        return self._clock.seconds
 
-
-class _Many:
+class _Vector:
     """A vector environment."""
 
-    def __init__(self, env_id: str, seed: int, **options: Any) -> None:
+    def __init__(self, env_id: EnvId, seed: int, **options: Any) -> None:
         import gymnasium
 
         env: Any = gymnasium.make_vec(env_id, **options).unwrapped
         env.reset(seed=seed)
         self.workers: int = env.workers
-        self.step, self.time_physics, self.close = env.step, env.time_physics, env.close
+        self.step, self.close = env.step, env.close
+
+
+class BarePhysics:
+    """The simulation of one environment's episodes, with a clock around the physics engine.
+
+    The time that the clock itself adds to a call is measured once and subtracted.
+    """
+
+    def __init__(self, env_id: EnvId, seed: int) -> None:
+        self._env_id = env_id
+        self._rng = np.random.default_rng(seed)
+        self._clock = Clock()
+        self._steps = 0
+        self._reset()
+
+    def step(self, actions: Any) -> None:
+        """One control step."""
+        if self._left == 0:
+            self._reset()
+        self._simulation.step(int(actions[0]))
+        self._steps += 1
+        self._left -= 1
+
+    @property
+    def rate(self) -> float:
+        """Control steps per second inside the physics engine."""
+        return self._steps / self._clock.seconds
+
+    def _reset(self) -> None:
+        task = self._env_id.task_spec
+        self._simulation = Simulation(*task.sample(self._env_id.variant, self._rng))
+        self._simulation.advance = self._clock.around(self._simulation.advance)
+        self._left = task.horizon
+
+
+@dataclass
+class Clock:
+    """Adds up the time inside a function, less what the measurement itself takes."""
+
+    measured: float = 0.0  # seconds
+    calls: int = 0
+    overhead: float = 0.0  # seconds a call
+
+    def __post_init__(self) -> None:
+        nothing = self.around(lambda duration: None)
+        for _ in range(CALIBRATION_CALLS):
+            nothing(0.0)
+        self.overhead = self.measured / CALIBRATION_CALLS
+        self.measured, self.calls = 0.0, 0
+
+    @property
+    def seconds(self) -> float:
+        """Seconds inside the functions so far."""
+        return self.measured - self.calls * self.overhead
+
+    def around(self, function: Callable[[float], None]) -> Callable[[float], None]:
+        """The function, timed."""
+        now = time.perf_counter
+
+        def timed(duration: float) -> None:
+            began = now()
+            function(duration)
+            self.measured += now() - began
+            self.calls += 1
+
+        return timed
 
 
 @dataclass
 class _Turns:
-    """What one copy has done so far. Copies with the same seed get the same actions."""
+    """The steps of one copy so far. Copies with the same seed get the same actions."""
 
-    driven: _Driven
+    steppable: _Steppable
     num_envs: int
     seed: int
     steps: int = 0
     seconds: float = 0.0
-    physics: float = 0.0  # seconds inside the physics, summed over workers, while it was timed
+    _rng: np.random.Generator = field(init=False)
 
     def __post_init__(self) -> None:
         self._rng = np.random.default_rng(self.seed)
         for actions in self._actions(WARM_UP):
-            self.driven.step(actions)
+            self.steppable.step(actions)
 
     @property
     def rate(self) -> float:
         """Steps of the whole batch per second."""
         return self.steps / self.seconds
 
-    def take(self, steps: int, timing_physics: bool = False) -> None:
-        """Take a turn of so many steps of the whole batch."""
+    def take(self, steps: int) -> None:
+        """Take a turn of `steps` steps of the whole batch."""
         actions = self._actions(steps)
-        before = self.driven.time_physics(timing_physics)
         began = time.perf_counter()
         for row in actions:
-            self.driven.step(row)
+            self.steppable.step(row)
         self.seconds += time.perf_counter() - began
         self.steps += steps
-        self.physics += self.driven.time_physics(False) - before
 
     def _actions(self, steps: int) -> Iterable[Any]:
         return self._rng.integers(0, NUM_ACTIONS, (steps, self.num_envs))
-
-
-def _frames(env_id: str) -> int:
-    """How many frames are drawn for one step: one for each view."""
-    form = parse_observation(parse_env_id(env_id).preset)
-    return len(form.parts) if isinstance(form, PixelSpec) else 0

@@ -74,7 +74,7 @@ def compute(data: Recording) -> dict[View, Frames]:
     drawn = {view: np.empty(shape, np.uint8) for view in View}
     for i, (scene, poses) in enumerate(zip(data.scenes, data.poses, strict=True)):
         for view, frames in drawn.items():
-            Renderer(scene, view, data.size).draw(poses.bodies, frames[i])
+            Renderer(scene, view, data.size).render(poses.bodies, frames[i])
     return drawn
 
 

@@ -13,7 +13,7 @@ from magical.conformance.files import read_json
 from magical.conformance.report import Line
 from magical.errors import MagicalError, RecordingError
 from magical.files import write_atomically
-from magical.physics import World
+from magical.physics import Simulation
 from magical.scene.actions import NUM_ACTIONS
 from magical.scene.scene import Block, Pose, Scene
 from magical.scene.vocabulary import Colour
@@ -126,7 +126,7 @@ def _scene(motion: Motion) -> Scene:
 
 
 def _act(scene: Scene, actions: Sequence[int]) -> Motion:
-    world = World(scene)
+    world = Simulation(scene)
     history = [world.poses()]
     for action in actions:
         world.step(action)

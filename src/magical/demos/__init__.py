@@ -8,20 +8,20 @@ arrays = dataset.arrays(preset="LoRes4E")
 
 from typing import TYPE_CHECKING, Any
 
-from magical.demos.dataset import Dataset, Problem
-from magical.demos.manifest import Entry
-from magical.demos.trajectory import Trajectory
-from magical.demos.writer import DatasetWriter
+from magical.demos.store.dataset import Dataset, Problem
+from magical.demos.store.manifest import ManifestEntry
+from magical.demos.store.trajectory import Trajectory
+from magical.demos.store.writer import DatasetWriter
 
 if TYPE_CHECKING:
-    from magical.demos.drawing import Frames, ObservationReader, observations
+    from magical.demos.reader import Frames, ObservationReader, observations
     from magical.demos.record import RecordTrajectories
 
 __all__ = [
     "Dataset",
     "DatasetWriter",
-    "Entry",
     "Frames",
+    "ManifestEntry",
     "ObservationReader",
     "Problem",
     "RecordTrajectories",
@@ -29,12 +29,12 @@ __all__ = [
     "observations",
 ]
 
-# These bring in the physics and drawing, and are imported when they are asked for.
+# These import the physics and the renderer, so they are imported when they are first used.
 _LATER = {
-    "Frames": "drawing",
-    "ObservationReader": "drawing",
+    "Frames": "reader",
+    "ObservationReader": "reader",
     "RecordTrajectories": "record",
-    "observations": "drawing",
+    "observations": "reader",
 }
 
 

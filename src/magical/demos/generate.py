@@ -7,15 +7,14 @@ from functools import partial
 from itertools import count
 from pathlib import Path
 
-import numpy as np
-
-from magical.demos.codec import encode
-from magical.demos.manifest import Entry
 from magical.demos.processes import in_processes
-from magical.demos.provenance import provenance
-from magical.demos.trajectory import Trajectory
-from magical.demos.writer import DatasetWriter
+from magical.demos.store.codec import encode
+from magical.demos.store.manifest import ManifestEntry
+from magical.demos.store.provenance import provenance
+from magical.demos.store.trajectory import Trajectory
+from magical.demos.store.writer import DatasetWriter
 from magical.envs.ids import parse_env_id
+from magical.envs.seeds import episode_seed
 from magical.errors import DatasetError
 from magical.experts import rollout
 
@@ -56,7 +55,7 @@ def generate(
         NoSolutionError: a scene cannot be solved.
     """
     writer = DatasetWriter(out)
-    attempt = partial(_attempt, str(parse_env_id(env_id)), seed, skill)
+    attempt = partial(_attempt, parse_env_id(env_id), seed, skill)
     scores: list[float] = []
     dropped = 0
     with closing(in_processes(attempt, count(), workers)) as results:
@@ -85,7 +84,7 @@ def demonstrate(env_id: str, seed: int, skill: float = 1.0) -> Trajectory:
     parsed = parse_env_id(env_id)
     done = rollout(parsed.task, parsed.variant, seed, skill=skill)
     return Trajectory.from_poses(
-        env_id,
+        parsed,
         done.scene,
         done.actions,
         done.poses,
@@ -96,12 +95,7 @@ def demonstrate(env_id: str, seed: int, skill: float = 1.0) -> Trajectory:
     )
 
 
-def episode_seed(seed: int, attempt: int) -> int:
-    """The seed of one attempt."""
-    return int(np.random.SeedSequence([seed, attempt]).generate_state(1)[0])
-
-
-def _attempt(env_id: str, seed: int, skill: float, attempt: int) -> tuple[Entry, bytes]:
+def _attempt(env_id: str, seed: int, skill: float, attempt: int) -> tuple[ManifestEntry, bytes]:
     trajectory = demonstrate(env_id, episode_seed(seed, attempt), skill)
     raw = encode(trajectory)
-    return Entry.of(trajectory, raw), raw
+    return ManifestEntry.of(trajectory, raw), raw

@@ -8,9 +8,9 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.demos.provenance import provenance
-from magical.demos.trajectory import Trajectory
-from magical.demos.writer import DatasetWriter
+from magical.demos.store.provenance import provenance
+from magical.demos.store.trajectory import Trajectory
+from magical.demos.store.writer import DatasetWriter
 from magical.envs.env import MagicalEnv
 from magical.errors import TrajectoryError
 from magical.scene import Dynamics

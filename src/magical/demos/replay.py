@@ -6,9 +6,9 @@ from types import MappingProxyType
 
 import numpy as np
 
-from magical.demos.trajectory import Trajectory
-from magical.envs.ids import parse_env_id
-from magical.physics import World
+from magical.demos.store.trajectory import Trajectory
+from magical.envs.ids import EnvId
+from magical.physics import Simulation
 
 # Mean scores (published_code rule) of 25 human demonstrations a task, replayed in the published
 # implementation itself, as they are and with the robot's start moved by 1e-9.
@@ -31,7 +31,7 @@ class Replay:
     """How one trajectory ended when its actions were run again."""
 
     file: str
-    env_id: str
+    env_id: EnvId
     demonstrator: str
     recorded: float  # the recorded score by the published code's rule
     score: float  # of the last state, by the appendix's rule
@@ -43,7 +43,7 @@ class Replay:
 class MeanReplay:
     """Means over one environment's trajectories."""
 
-    env_id: str
+    env_id: EnvId
     count: int
     recorded: float
     score: float
@@ -54,7 +54,7 @@ class MeanReplay:
 
 def replay(trajectory: Trajectory, file: str = "") -> Replay:
     """Run a trajectory's actions from its start, and score where they lead."""
-    world = World(trajectory.scene, trajectory.dynamics)
+    world = Simulation(trajectory.scene, trajectory.dynamics)
     for action in trajectory.actions.tolist():
         world.step(action)
     poses = world.poses()
@@ -76,15 +76,14 @@ def replay(trajectory: Trajectory, file: str = "") -> Replay:
 
 def mean_replays(replays: Sequence[Replay]) -> list[MeanReplay]:
     """Means for each environment, in the order of the names."""
-    groups: dict[str, list[Replay]] = {}
+    groups: dict[EnvId, list[Replay]] = {}
     for one in replays:
         groups.setdefault(one.env_id, []).append(one)
     return [_mean(env_id, groups[env_id]) for env_id in sorted(groups)]
 
 
-def _mean(env_id: str, group: list[Replay]) -> MeanReplay:
-    parsed = parse_env_id(env_id)
-    human = parsed.variant == "Demo" and all(one.demonstrator == "human" for one in group)
+def _mean(env_id: EnvId, group: list[Replay]) -> MeanReplay:
+    human = env_id.variant == "Demo" and all(one.demonstrator == "human" for one in group)
     known = [one.departure for one in group if one.departure is not None]
     return MeanReplay(
         env_id=env_id,
@@ -92,6 +91,6 @@ def _mean(env_id: str, group: list[Replay]) -> MeanReplay:
         recorded=float(np.mean([one.recorded for one in group])),
         score=float(np.mean([one.score for one in group])),
         published_code_score=float(np.mean([one.published_code_score for one in group])),
-        published_replay=PUBLISHED_REPLAY.get(parsed.task) if human else None,
+        published_replay=PUBLISHED_REPLAY.get(env_id.task) if human else None,
         exact=sum(departure == 0.0 for departure in known) if known else None,
     )

@@ -1,4 +1,4 @@
-"""The Gymnasium environments, and their names."""
+"""The Gymnasium environments, single and vectorised, and their ids."""
 
 from magical.envs.ids import EnvId, all_env_ids, parse_env_id
 from magical.envs.registration import register_all, register_envs

@@ -12,26 +12,46 @@ from magical.envs.episode import Episode, Scores
 from magical.envs.ids import EnvId
 from magical.envs.keys import KEYS_TO_ACTION
 from magical.errors import InvalidActionError, InvalidStateError, ResetNeededError, UnknownNameError
-from magical.observe.spec import Observation, PixelSpec, parse_observation
-from magical.observe.vector import StateLayout
+from magical.observe import Observation, make_spec
+from magical.observe.arrays import copy_arrays
 from magical.scene.actions import ACTION_NAMES, NUM_ACTIONS
-from magical.scene.constants import CONTROL_RATE
+from magical.scene.constants import CONTROL_RATE, RAW_FRAME_SIZE
 from magical.scene.state import State
 from magical.tasks import Task, get_task
 
 Reward = Literal["none", "score", "dense"]
-RENDER_SIZE = 384  # pixels: the published raw frame
 
 
 class MagicalEnv(gym.Env[Any, np.int64]):
-    """One task in one variant (appendix A.1; details.md, sections 1 and 7).
+    """One task in one variant (appendix A.1; docs/specification.md, sections 1 and 7).
 
-    Actions: `Discrete(18)`, named in `ACTION_NAMES`. Observations: see `observe.PixelSpec` and
-    `observe.StateLayout`. Episodes are truncated at the horizon and never terminate. The reward is
-    0, or with `reward="score"` the score at the last step, or with `reward="dense"` (MoveToCorner,
-    MoveToRegion) the increase of the task's `progress` since the last step. `info` always holds
-    `eval_score` and `published_code_score`, 0.0 before the last step. `render()` shows both views
-    side by side.
+    ## Action space
+    `Discrete(18)`: combinations of driving, turning and gripping, named in `ACTION_NAMES`.
+
+    ## Observation space
+    By default a dict of the views `allo` and `ego`, 384 x 384 x 3 uint8; see `observe.PixelSpec`
+    and `observe.StateSpec` for the others.
+
+    ## Rewards
+    0, or with `reward="score"` the score at the last step, or with `reward="dense"` (tasks with a
+    `progress_fn`) the increase of the task's progress since the last step.
+
+    ## Episode end
+    Episodes are truncated at the horizon and never terminate.
+
+    ## Info
+    `eval_score` and `published_code_score`, both 0.0 before the last step.
+
+    Args:
+        task: the task's name.
+        variant: the variant's name.
+        observation: see `observe.make_spec`.
+        horizon: control steps in an episode; by default the task's.
+        reward: "none", "score" or "dense".
+        render_mode: "rgb_array" (both views side by side) or None.
+
+    Raises:
+        UnknownNameError: there is no such task, variant, observation, reward or render mode.
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
@@ -52,21 +72,21 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         self.task: Task = get_task(task)
         self.task.axes_of(variant)  # raises for a variant that the task lacks
         self.variant = variant
-        self.form = observation_form(self.task, observation)
+        self.observation_spec = make_spec(observation, self.task)
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise UnknownNameError(
                 f"render mode {render_mode!r} is unknown; expected rgb_array or None"
             )
         self.render_mode = render_mode
-        self.observation_space = self.form.space
+        self.observation_space = self.observation_spec.space
         self.action_space = spaces.Discrete(NUM_ACTIONS)
-        self._episode = Episode(self.task, variant, self.form, horizon, reward)
+        self._episode = Episode(self.task, variant, self.observation_spec, horizon, reward)
         self._running = False
 
     @property
-    def env_id(self) -> str:
+    def env_id(self) -> EnvId:
         """The id of this task and variant, without a preset."""
-        return str(EnvId(self.task.name, self.variant))
+        return EnvId(self.task.name, self.variant)
 
     @property
     def horizon(self) -> int:
@@ -76,21 +96,28 @@ class MagicalEnv(gym.Env[Any, np.int64]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start an episode from the variant's draw.
+        """Start an episode from a scene sampled for the variant.
 
-        `options` may hold `scene` and `dynamics` (dataclasses, or plain dicts as `to_dict()` makes
-        them) to start from instead. Raises `InvalidSceneError` or `PlacementError`.
+        Args:
+            seed: of the random generator; `None` continues with the present one.
+            options: `scene` and `dynamics` (dataclasses, or plain dicts as `to_dict()` makes them)
+                to start from instead.
+
+        Raises:
+            InvalidSceneError, PlacementError: the episode cannot start so.
         """
         super().reset(seed=seed)
         self._running = False
         self._episode.start(self.np_random, options)
         self._running = True
-        return self._episode.observer.copy(), score_info(Scores())
+        return copy_arrays(self._episode.observer.out), score_info(Scores())
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Act for one control step of 1/8 s.
 
-        Raises `InvalidActionError`, or `ResetNeededError` before reset and after the end.
+        Raises:
+            InvalidActionError: not an integer from 0 to 17.
+            ResetNeededError: before the first reset, or after the episode's end.
         """
         if not self._running:
             raise ResetNeededError(
@@ -100,16 +127,18 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         truncated = self._episode.step(checked_action(action))
         reward, scores = self._episode.outcome(truncated)
         self._running = not truncated
-        return self._episode.observer.copy(), reward, False, truncated, score_info(scores)
+        return copy_arrays(self._episode.observer.out), reward, False, truncated, score_info(scores)
 
     def render(self) -> Any:
         """Both views side by side, egocentric left: uint8 (384, 768, 3)."""
         if self.render_mode is None:
             return None
-        from magical.render import draw_both  # drawing brings in numba: only when needed
+        from magical.render import render_views  # imports numba: only when something is rendered
 
         self._require_episode("render")
-        return draw_both(self._episode.world.scene, self._episode.poses, size=RENDER_SIZE)
+        return render_views(
+            self._episode.simulation.scene, self._episode.poses, size=RAW_FRAME_SIZE
+        )
 
     def state(self) -> State:
         """The true state, for experts and privileged learners."""
@@ -142,21 +171,15 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         except (KeyError, TypeError, ValueError) as error:
             raise InvalidStateError(f"saved state has no usable 'rng': {error!r}") from error
         self._running = len(self._episode.actions) < self._episode.horizon
-        return self._episode.observer.copy()
+        return copy_arrays(self._episode.observer.out)
 
     def get_keys_to_action(self) -> dict[tuple[str, ...], int]:
         """Keys for `gymnasium.utils.play`: w, s drive, a, d turn, space closes the fingers."""
         return dict(KEYS_TO_ACTION)
 
     def _require_episode(self, what: str) -> None:
-        if not hasattr(self._episode, "world"):
+        if not hasattr(self._episode, "simulation"):
             raise ResetNeededError(f"{what}: there is no episode yet; call reset() first")
-
-
-def observation_form(task: Task, observation: Observation) -> PixelSpec | StateLayout:
-    """What `observation=` means for a task; raises `UnknownNameError`."""
-    form = parse_observation(observation)
-    return form if isinstance(form, PixelSpec) else StateLayout(task.max_blocks, task.max_regions)
 
 
 def checked_action(action: Any) -> int:

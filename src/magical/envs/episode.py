@@ -1,4 +1,4 @@
-"""One world being acted in: what the single and the vector environment have in common."""
+"""One episode in progress: what the single and the vector environment have in common."""
 
 import operator
 from collections.abc import Mapping, Sequence
@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.errors import InvalidStateError, MagicalError, UnknownNameError
-from magical.observe.observer import Observer, frames_shown, make_observer
-from magical.observe.spec import PixelSpec
-from magical.observe.vector import StateLayout
-from magical.physics import World
+from magical.observe import ObservationSpec
+from magical.physics import Simulation
 from magical.scene.actions import NUM_ACTIONS
 from magical.scene.poses import Poses
 from magical.scene.scene import Dynamics, Scene
@@ -32,16 +30,16 @@ class Scores:
 
 
 class Episode:
-    """A task's variant in progress, shown by an observer.
+    """A task's variant in progress, observed by an observer.
 
-    Nothing is checked here that costs time at every step; the environments do that.
+    Nothing is checked here that would cost time at every step; the environments do that.
     """
 
     def __init__(
         self,
         task: Task,
         variant: str,
-        form: PixelSpec | StateLayout,
+        spec: ObservationSpec,
         horizon: int | None = None,
         reward: str = "none",
         out: Any = None,
@@ -51,17 +49,17 @@ class Episode:
         self.variant = variant
         self.horizon = task.horizon if horizon is None else horizon
         self.reward = reward
-        self.observer: Observer = make_observer(form, out)
-        self._frames = frames_shown(form)
+        self.observer = spec.observer(out)
+        self._frames = spec.frames
         self.actions: list[int] = []
         self._progress = 0.0
-        self.world: World
-        self.table: NDArray[np.float64]  # (5 + blocks, 6): poses and velocities
+        self.simulation: Simulation
+        self.bodies: NDArray[np.float64]  # (5 + blocks, 6): poses and velocities
 
     def start(self, rng: np.random.Generator, options: Mapping[str, Any] | None = None) -> None:
-        """Begin an episode from the variant's draw, or from what `options` give in its place.
+        """Begin an episode from a sampled scene, or from the one that `options` give.
 
-        Raises `InvalidSceneError` for a scene that cannot be, `ValueError` for unknown options.
+        Raises `InvalidSceneError` for an impossible scene, `ValueError` for unknown options.
         """
         scene, dynamics = self.task.sample(self.variant, rng)
         chosen = options or {}
@@ -76,17 +74,17 @@ class Episode:
         self._begin(scene, dynamics)
 
     def step(self, action: int) -> bool:
-        """Advance by one control step and show it; returns whether the horizon is reached."""
-        self.world.step(action)
+        """Advance by one control step and observe it; returns whether the horizon is reached."""
+        self.simulation.step(action)
         self.actions.append(action)
-        self.table = self.world.read()
-        self.observer.update(self.table)
+        self.bodies = self.simulation.read()
+        self.observer.update(self.bodies)
         return len(self.actions) >= self.horizon
 
     def outcome(self, ended: bool) -> tuple[float, Scores]:
         """The last step's reward, and the scores (0.0 before the episode's end).
 
-        To be asked for once after each step: the dense reward is what changed since the last time.
+        Call it once after each step: the dense reward is the change since the last call.
         """
         scores = self.scores() if ended else Scores()
         if self.reward == "score":
@@ -98,34 +96,34 @@ class Episode:
 
     @property
     def poses(self) -> Poses:
-        """Where every body is now."""
-        return Poses(self.table[:, :3])
+        """The present pose of every body."""
+        return Poses(self.bodies[:, :3])
 
     def scores(self) -> Scores:
         """The present state's scores."""
-        scene, poses = self.world.scene, self.poses
+        scene, poses = self.simulation.scene, self.poses
         return Scores(
             float(self.task.score(scene, poses)),
             float(self.task.published_code_score(scene, poses)),
         )
 
     def state(self) -> State:
-        """The true state, as experts see it."""
+        """The true state."""
         return State(
-            self.world.scene, self.poses, self.table[:, 3:], len(self.actions), self.horizon
+            self.simulation.scene, self.poses, self.bodies[:, 3:], len(self.actions), self.horizon
         )
 
     def save(self) -> dict[str, Any]:
         """Plain data from which `restore` continues bit-equally: the start and all actions.
 
-        Poses and velocities alone would not do: the solver keeps impulses between steps.
+        Poses and velocities alone would not be enough: the solver keeps impulses between steps.
         """
         return {
             "task": self.task.name,
             "variant": self.variant,
             "horizon": self.horizon,
-            "scene": self.world.scene.to_dict(exact=True),
-            "dynamics": self.world.dynamics.to_dict(),
+            "scene": self.simulation.scene.to_dict(exact=True),
+            "dynamics": self.simulation.dynamics.to_dict(),
             "actions": list(self.actions),
         }
 
@@ -148,31 +146,31 @@ class Episode:
         self._begin(scene, dynamics, actions)
 
     def _begin(self, scene: Scene, dynamics: Dynamics, actions: Sequence[int] = ()) -> None:
-        self.world = World(scene, dynamics)
-        first_shown = max(0, len(actions) - self._frames + 1)
-        for action in actions[:first_shown]:
-            self.world.step(action)
-        self.table = self.world.read()
-        self.observer.start(scene, self.table)
-        self.actions = list(actions[:first_shown])
-        for action in actions[first_shown:]:
+        self.simulation = Simulation(scene, dynamics)
+        unobserved = max(0, len(actions) - self._frames + 1)
+        for action in actions[:unobserved]:
+            self.simulation.step(action)
+        self.bodies = self.simulation.read()
+        self.observer.start(scene, self.bodies)
+        self.actions = list(actions[:unobserved])
+        for action in actions[unobserved:]:
             self.step(action)
         self._progress = self._measure_progress()
 
     def _measure_progress(self) -> float:
-        if self.reward != "dense" or self.task.progress is None:
+        if self.reward != "dense" or self.task.progress_fn is None:
             return 0.0
-        return float(self.task.progress(self.world.scene, self.poses))
+        return float(self.task.progress_fn(self.simulation.scene, self.poses))
 
 
 def check_options(task: Task, horizon: int | None, reward: str) -> None:
-    """Raise `ValueError` or `UnknownNameError` for a horizon or reward that cannot be."""
+    """Raise `ValueError` or `UnknownNameError` for an impossible horizon or reward."""
     if horizon is not None and operator.index(horizon) < 1:
         raise ValueError(f"horizon: expected a positive integer or None, found {horizon!r}")
     if reward not in REWARDS:
         raise UnknownNameError(f"reward {reward!r} is unknown; expected one of {REWARDS}")
-    if reward == "dense" and task.progress is None:
-        having = [name for name, other in TASKS.items() if other.progress is not None]
+    if reward == "dense" and task.progress_fn is None:
+        having = [name for name, other in TASKS.items() if other.progress_fn is not None]
         raise UnknownNameError(
             f"{task.name} has no dense reward; expected one of: {', '.join(having)}"
         )

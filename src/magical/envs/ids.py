@@ -1,48 +1,86 @@
 """Environment ids: `magical/<Task>-<Variant>[-<Preset>]-v0`."""
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Self
 
 from magical.errors import UnknownNameError
-from magical.observe.spec import PRESETS
+from magical.observe.presets import PRESETS
 from magical.tasks import TASKS, Task, get_task
 
 NAMESPACE = "magical"
 VERSION = "v0"
 
 
-class EnvId(NamedTuple):
-    """An environment id taken apart."""
+class EnvId(str):
+    """An environment id: a string that knows its parts.
+
+    It is made once, by `parse_env_id`, where a string enters the package, and passed on as it is;
+    as a string it prints, compares and serialises like the id itself.
+
+    Attributes:
+        task: the task's name.
+        variant: the variant's name, such as `Demo` or `TestJitter`.
+        preset: the observation preset's name, or `None`.
+    """
+
+    __slots__ = ("preset", "task", "variant")
 
     task: str
     variant: str
-    preset: str | None = None
+    preset: str | None
 
-    def __str__(self) -> str:
-        words = [self.task, self.variant, *([self.preset] if self.preset else []), VERSION]
-        return f"{NAMESPACE}/{'-'.join(words)}"
+    def __new__(cls, task: str, variant: str, preset: str | None = None) -> Self:
+        """Put an id together; the names are not checked."""
+        parts = (task, variant, *([preset] if preset else []), VERSION)
+        self = super().__new__(cls, f"{NAMESPACE}/{'-'.join(parts)}")
+        self.task, self.variant, self.preset = task, variant, preset
+        return self
+
+    def __reduce__(self) -> tuple[type["EnvId"], tuple[str, str, str | None]]:
+        return EnvId, (self.task, self.variant, self.preset)
+
+    @property
+    def without_preset(self) -> "EnvId":
+        """The id of the same task and variant without a preset."""
+        return self if self.preset is None else EnvId(self.task, self.variant)
+
+    @property
+    def task_spec(self) -> Task:
+        """The task itself; raises `UnknownNameError` where it is not registered."""
+        return get_task(self.task)
 
 
-def parse_env_id(env_id: str) -> EnvId:
-    """Take an id apart (the leading `magical/` may be missing).
+def split_env_id(env_id: str) -> EnvId:
+    """Take an id apart without looking its names up (the leading `magical/` may be missing).
 
-    Raises `UnknownNameError` naming the unknown part and what there is instead.
+    Raises `UnknownNameError` for text of another form.
     """
-    name = env_id.removeprefix(f"{NAMESPACE}/")
-    task_name, *rest = name.split("-")
+    if isinstance(env_id, EnvId):
+        return env_id
+    task, *rest = env_id.removeprefix(f"{NAMESPACE}/").split("-")
     if not 2 <= len(rest) <= 3 or rest[-1] != VERSION:
         raise UnknownNameError(
             f"environment id {env_id!r}: expected {NAMESPACE}/<Task>-<Variant>[-<Preset>]-{VERSION}"
         )
-    task = get_task(task_name)
-    task.axes_of(rest[0])  # raises for a variant that the task lacks
-    preset = rest[1] if len(rest) == 3 else None
-    if preset is not None and preset not in PRESETS:
+    return EnvId(task, rest[0], rest[1] if len(rest) == 3 else None)
+
+
+def parse_env_id(env_id: str) -> EnvId:
+    """Take an id apart and check its names (the leading `magical/` may be missing).
+
+    An `EnvId` is returned as it is. Raises `UnknownNameError` that names the unknown part and what
+    there is instead.
+    """
+    if isinstance(env_id, EnvId):
+        return env_id
+    parsed = split_env_id(env_id)
+    get_task(parsed.task).axes_of(parsed.variant)  # raises for a variant that the task lacks
+    if parsed.preset is not None and parsed.preset not in PRESETS:
         raise UnknownNameError(
-            f"environment id {env_id!r}: preset {preset!r} is unknown; expected one of: "
+            f"environment id {env_id!r}: preset {parsed.preset!r} is unknown; expected one of: "
             f"{', '.join(PRESETS)}"
         )
-    return EnvId(task.name, rest[0], preset)
+    return parsed
 
 
 def task_env_ids(task: Task) -> Iterator[EnvId]:
@@ -52,7 +90,7 @@ def task_env_ids(task: Task) -> Iterator[EnvId]:
             yield EnvId(task.name, variant, preset)
 
 
-def all_env_ids(presets: bool = False) -> list[str]:
+def all_env_ids(presets: bool = False) -> list[EnvId]:
     """The ids of all tasks and variants; with `presets`, those with presets as well."""
     ids = (env_id for task in TASKS.values() for env_id in task_env_ids(task))
-    return [str(env_id) for env_id in ids if presets or env_id.preset is None]
+    return [env_id for env_id in ids if presets or env_id.preset is None]

@@ -7,8 +7,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from magical.envs.infos import SCORE_KEYS
 from magical.envs.vector import MagicalVectorEnv
+from magical.envs.vector.infos import SCORE_KEYS
 from magical.errors import MissingDependencyError
 
 try:
@@ -30,8 +30,9 @@ class MagicalSB3VecEnv(VecEnv):
     and the scores. Images keep their layout; Stable-Baselines3 turns channels to the front by
     itself where its networks need it.
 
-    Attributes that `get_attr` knows are the vector environment's; `env_ids` gives each world its
-    own. `env_method` knows the methods that take a world's index (`get_state`, `set_state`).
+    Attributes that `get_attr` knows are the vector environment's; `env_ids` gives each
+    sub-environment its own. `env_method` calls methods that take an index (`get_state`,
+    `set_state`).
 
     Args:
         envs: made with `autoreset_mode="SameStep"`, and with `reward="score"` or `"dense"` if

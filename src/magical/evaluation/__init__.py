@@ -18,7 +18,6 @@ from magical.evaluation.scores import (
     summarise,
     write_scores,
 )
-from magical.evaluation.seeds import rollout_seed
 
 __all__ = [
     "BUILT_IN",
@@ -39,7 +38,6 @@ __all__ = [
     "published_tasks",
     "read_entry",
     "read_scores",
-    "rollout_seed",
     "summarise",
     "write_scores",
 ]

@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from magical.envs import parse_env_id
+from magical.envs import EnvId
 from magical.evaluation.policy import Actions, Mask
 from magical.experts import Expert, expert_for
 from magical.scene import State
 
 
 class ExpertPolicy:
-    """Each world's scripted expert, with a strategy drawn afresh for every episode.
+    """Each environment's scripted expert, with a strategy sampled for every episode.
 
     Raises `UnknownNameError` where a task has no expert.
     """
@@ -25,11 +25,11 @@ class ExpertPolicy:
         self._memories: list[Any] = []
 
     def act(
-        self, observations: Sequence[State], env_ids: Sequence[str], rng: np.random.Generator
+        self, observations: Sequence[State], env_ids: Sequence[EnvId], rng: np.random.Generator
     ) -> Actions:
-        """What each world's expert does in its present state."""
+        """Each expert's action in the present state."""
         if any(expert is None for expert in self._experts):
-            self._appoint(env_ids, rng)
+            self._make_experts(env_ids, rng)
         actions = np.empty(len(env_ids), np.int64)
         for row, state in enumerate(observations):
             expert = self._experts[row]
@@ -38,15 +38,15 @@ class ExpertPolicy:
         return actions
 
     def reset(self, mask: Mask) -> None:
-        """Dismiss the experts of the worlds that begin an episode."""
+        """Drop the experts of the environments that begin an episode."""
         if len(mask) != len(self._experts):
             self._experts, self._memories = [None] * len(mask), [None] * len(mask)
         for row in np.flatnonzero(mask):
             self._experts[row] = self._memories[row] = None
 
-    def _appoint(self, env_ids: Sequence[str], rng: np.random.Generator) -> None:
+    def _make_experts(self, env_ids: Sequence[EnvId], rng: np.random.Generator) -> None:
         seeds = rng.integers(2**31, size=len(env_ids))
         for row, expert in enumerate(self._experts):
             if expert is None:
-                task = parse_env_id(env_ids[row]).task
+                task = env_ids[row].task
                 self._experts[row] = expert_for(task, seed=int(seeds[row]), skill=self.skill)

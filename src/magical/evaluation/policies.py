@@ -12,27 +12,27 @@ from magical.scene import NOOP, NUM_ACTIONS
 class RandomPolicy:
     """Every action with equal probability at every step."""
 
-    observation = "state"  # looks at nothing: let nothing be drawn
+    observation = "state"  # unused: nothing is rendered
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
-        """One uniform draw for each world."""
+        """One uniform sample for each environment."""
         return rng.integers(NUM_ACTIONS, size=len(env_ids))
 
     def reset(self, mask: Mask) -> None:
-        """Nothing to forget."""
+        """Nothing to reset."""
 
 
 class NoopPolicy:
-    """Stands still, fingers open: what a scene scores when nobody acts."""
+    """The no-op at every step: the score of the scene itself."""
 
     observation = "state"
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
-        """The no-op for each world."""
+        """The no-op for each environment."""
         return np.full(len(env_ids), NOOP)
 
     def reset(self, mask: Mask) -> None:
-        """Nothing to forget."""
+        """Nothing to reset."""
 
 
 class FunctionPolicy:
@@ -48,9 +48,9 @@ class FunctionPolicy:
         self.tasks = getattr(function, "tasks", None)
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
-        """Ask the function."""
+        """Call the function."""
         actions: Actions = self.function(observations, env_ids, rng)
         return actions
 
     def reset(self, mask: Mask) -> None:
-        """Nothing to forget."""
+        """Nothing to reset."""

@@ -6,6 +6,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from magical.envs import EnvId
 from magical.errors import PolicyError
 from magical.scene import NUM_ACTIONS
 
@@ -15,23 +16,24 @@ Mask = NDArray[np.bool_]  # (B,)
 
 @runtime_checkable
 class Policy(Protocol):
-    """Chooses actions for a batch of B worlds.
+    """Chooses actions for a batch of B environments.
 
     A policy may also have these attributes; what is missing counts as `False` or `None`:
 
-    - `privileged` (bool): it wants true states; `observations` is then a list of B `State`s.
+    - `privileged` (bool): it gets true states; `observations` is then a list of B `State`s.
     - `observation`: the observation it was made for, as in `gymnasium.make(..., observation=...)`.
     - `tasks` (sequence of names): the tasks it was made for.
     """
 
-    def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
-        """Choose one action for each world.
+    def act(self, observations: Any, env_ids: Sequence[EnvId], rng: np.random.Generator) -> Actions:
+        """Choose one action for each environment.
 
         Args:
             observations: a batch of observations, an array (B, ...) or a dict of such arrays; for
                 a privileged policy a list of B `State`s. Valid during the call only: copy what
                 you keep.
-            env_ids: B environment ids without presets, for instance `magical/FindDupe-Demo-v0`.
+            env_ids: B environment ids without presets, for instance `magical/FindDupe-Demo-v0`:
+                strings with the attributes `task` and `variant`.
             rng: the only source of randomness to use.
 
         Returns:
@@ -39,14 +41,14 @@ class Policy(Protocol):
         """
 
     def reset(self, mask: Mask) -> None:
-        """Forget everything about the worlds where `mask` (B,) is true: they begin an episode.
+        """Reset the memory of the environments where `mask` (B,) is true: they begin an episode.
 
         Called before the first `act`, with all true; the size of the batch may change then.
         """
 
 
 def is_privileged(policy: Policy) -> bool:
-    """Whether the policy wants true states in place of observations."""
+    """Whether the policy gets true states instead of observations."""
     return bool(getattr(policy, "privileged", False))
 
 

@@ -7,11 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.envs import EnvId, parse_env_id
+from magical.envs.seeds import evaluation_seed
 from magical.envs.vector import MagicalVectorEnv
 from magical.errors import UnknownNameError
 from magical.evaluation.policy import Mask, Policy, checked_actions, is_privileged
 from magical.evaluation.scores import RolloutScore
-from magical.evaluation.seeds import RolloutRng, rollout_seed
+from magical.evaluation.seeds import RolloutRng
 from magical.evaluation.variants import variants_of
 from magical.observe import Observation
 from magical.tasks import TASKS, Task, get_task
@@ -26,17 +27,15 @@ Progress = Callable[[int], None]  # is told how many rollouts have just ended
 
 def environments(
     tasks: Iterable[str] | None = None, variants: Iterable[str] | None = None
-) -> list[str]:
-    """Environment ids of the tasks' variants; all there are for `None`. Short names will do.
+) -> list[EnvId]:
+    """Environment ids of the tasks' variants, by default all; short names are accepted.
 
     Raises `UnknownNameError` for unknown names, and for a task with none of the variants.
     """
     chosen = list(TASKS) if tasks is None else list(dict.fromkeys(tasks))
     wanted = None if variants is None else list(variants)
     return [
-        str(EnvId(name, variant))
-        for name in chosen
-        for variant in variants_of(get_task(name), wanted)
+        EnvId(name, variant) for name in chosen for variant in variants_of(get_task(name), wanted)
     ]
 
 
@@ -54,8 +53,8 @@ def evaluate(
 ) -> list[RolloutScore]:
     """Score a policy on environments, all variants of a task in one sweep.
 
-    Rollout i of every environment is reset with `rollout_seed(i, seed)`, so every policy meets the
-    same scenes. Scores depend neither on `workers` nor, for policies that draw their random
+    Rollout i of every environment is reset with `evaluation_seed(i, seed)`, so every policy gets
+    the same scenes. Scores depend neither on `workers` nor, for policies that draw their random
     numbers row by row (`RolloutRng`), on `num_envs` or on what else is evaluated; a network's
     arithmetic may still differ in the last bit between batch sizes.
 
@@ -78,10 +77,12 @@ def evaluate(
         PolicyError: the policy returned something else than actions.
         UnknownNameError: an unknown environment, observation or horizon.
     """
-    ids = environments(getattr(policy, "tasks", None)) if env_ids is None else list(env_ids)
+    ids = environments(getattr(policy, "tasks", None))
+    if env_ids is not None:
+        ids = [parse_env_id(env_id).without_preset for env_id in env_ids]
     if rollouts < 1:
         raise ValueError(f"rollouts: expected at least 1, found {rollouts}")
-    scores: dict[str, list[RolloutScore]] = {env_id: [] for env_id in ids}
+    scores: dict[EnvId, list[RolloutScore]] = {env_id: [] for env_id in ids}
     for task, group in _by_task(ids):
         with _Sweep(
             policy, task, group, rollouts, num_envs, observation, horizon, workers
@@ -102,7 +103,7 @@ class _Sweep:
         self,
         policy: Policy,
         task: Task,
-        env_ids: Sequence[str],
+        env_ids: Sequence[EnvId],
         rollouts: int,
         num_envs: int,
         observation: Observation,
@@ -135,7 +136,7 @@ class _Sweep:
             wave = np.arange(first, first + self.repeats)
             numbers = np.tile(wave, len(self.env_ids) // self.repeats)
             counted = numbers < rollouts
-            seeds = [rollout_seed(int(number), seed) for number in numbers]
+            seeds = [evaluation_seed(int(number), seed) for number in numbers]
             scores, published = self._episodes(seeds, counted)
             for row in np.flatnonzero(counted):
                 yield RolloutScore(
@@ -172,10 +173,10 @@ def shown_to(policy: Policy, observation: Observation = None) -> Observation:
     return DEFAULT_OBSERVATION if own is None else own
 
 
-def _by_task(env_ids: Sequence[str]) -> Iterator[tuple[Task, list[str]]]:
-    groups: dict[str, list[str]] = {}
+def _by_task(env_ids: Sequence[EnvId]) -> Iterator[tuple[Task, list[EnvId]]]:
+    groups: dict[str, list[EnvId]] = {}
     for env_id in env_ids:
-        groups.setdefault(parse_env_id(env_id).task, []).append(env_id)
+        groups.setdefault(env_id.task, []).append(env_id)
     for name, group in groups.items():
         yield get_task(name), group
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from magical.envs import parse_env_id
+from magical.envs import EnvId, parse_env_id
 from magical.errors import ScoresError
 from magical.evaluation.variants import short_variant
 from magical.files import write_atomically
@@ -17,7 +17,7 @@ from magical.files import write_atomically
 class RolloutScore(NamedTuple):
     """One rollout and its final state's scores by both rules."""
 
-    env_id: str
+    env_id: EnvId
     rollout: int
     seed: int
     score: float
@@ -48,7 +48,9 @@ def read_scores(path: Path | str) -> list[RolloutScore]:
 def _parse(line: Sequence[str], where: str) -> RolloutScore:
     try:
         env_id, rollout, seed, score, published = line
-        row = RolloutScore(env_id, int(rollout), int(seed), float(score), float(published))
+        row = RolloutScore(
+            parse_env_id(env_id), int(rollout), int(seed), float(score), float(published)
+        )
     except ValueError as error:
         raise ScoresError(f"{where}: expected {','.join(HEADER)}, found {line}") from error
     if not (0.0 <= row.score <= 1.0 and 0.0 <= row.published_code_score <= 1.0):
@@ -60,9 +62,8 @@ def by_variant(scores: Iterable[RolloutScore]) -> dict[str, dict[str, list[Rollo
     """Scores by task, then by variant under its short name, in the order in which they come."""
     table: dict[str, dict[str, list[RolloutScore]]] = {}
     for row in scores:
-        parsed = parse_env_id(row.env_id)
-        cells = table.setdefault(parsed.task, {})
-        cells.setdefault(short_variant(parsed.variant), []).append(row)
+        cells = table.setdefault(row.env_id.task, {})
+        cells.setdefault(short_variant(row.env_id.variant), []).append(row)
     return table
 
 

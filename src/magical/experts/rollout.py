@@ -13,7 +13,7 @@ from magical.envs.ids import parse_env_id
 from magical.errors import NoSolutionError
 from magical.experts.expert import Memory, expert_for
 from magical.experts.goals import goals_of
-from magical.physics import World
+from magical.physics import Simulation
 from magical.scene import NUM_ACTIONS, Dynamics, Poses, Scene, State
 from magical.tasks import get_task
 
@@ -59,7 +59,7 @@ def rollout(
     scene, dynamics = spec.sample(variant, rng)
     check_solvable(task, scene)
     expert = expert_for(task, seed=seed if style_seed is None else style_seed, skill=skill)
-    world = World(scene, dynamics)
+    world = Simulation(scene, dynamics)
     memory: Memory | None = None
     actions: list[int] = []
     tables = [world.read().copy()]

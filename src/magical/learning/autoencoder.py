@@ -26,7 +26,7 @@ SIZE = START[1] * 2 ** len(DOUBLINGS)  # pixels
 class Autoencoder(nn.Module):
     """Images (B, C, 96, 96) and actions (B,) to features (B, 32) and back."""
 
-    def __init__(self, width: Width, image_shape: tuple[int, int, int]) -> None:
+    def __init__(self, width: Width, image_shape: tuple[int, ...]) -> None:
         super().__init__()
         assert image_shape[1:] == (SIZE, SIZE)
         narrow = Width(width.convolutions, (*width.linear[:-1], FEATURES))

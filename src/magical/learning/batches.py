@@ -44,7 +44,7 @@ def as_batch(samples: Samples, rewards: Tensor, config: ReinforcementConfig) -> 
     if config.normalise_advantages:
         advantages = (advantages - advantages.mean()) / (advantages.std() + 1e-8)
     return Batch(
-        as_inputs(samples.observations.flatten(0, 1), config.form),
+        as_inputs(samples.observations.flatten(0, 1)),
         samples.actions.flatten(),
         samples.log_probs.flatten(),
         advantages.flatten(),

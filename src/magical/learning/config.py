@@ -14,7 +14,7 @@ from magical.errors import InvalidConfigError, UnknownNameError
 from magical.learning.augment import parse_augmentations
 from magical.learning.devices import DEVICES, PRECISIONS
 from magical.learning.networks import get_width
-from magical.observe import PRESETS, PixelSpec, StateLayout
+from magical.observe import PRESETS, ObservationSpec, make_spec
 from magical.tasks import get_task
 
 
@@ -97,23 +97,14 @@ class Config:
         raise NotImplementedError
 
     @property
-    def pixels(self) -> PixelSpec:
-        """The observation's form."""
-        return PRESETS[self.observation]
+    def observation_spec(self) -> ObservationSpec:
+        """The observation's specification; the same for all tasks."""
+        return make_spec(self.observation, get_task(self.tasks[0]))
 
     @property
-    def form(self) -> PixelSpec | StateLayout:
-        """The observation's form, also of learners that can see the true state."""
-        return self.pixels
-
-    @property
-    def image_shape(self) -> tuple[int, int, int]:
-        """(C, H, W) of one observation, channels first."""
-        return (
-            3 * sum(frames for _, frames in self.pixels.parts),
-            self.pixels.size,
-            self.pixels.size,
-        )
+    def input_shape(self) -> tuple[int, ...]:
+        """The shape of one observation as a network gets it."""
+        return self.observation_spec.network_shape
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""

@@ -16,7 +16,6 @@ from magical.learning.networks import Discriminator
 from magical.learning.replay import Replay
 from magical.learning.reward_normalisation import RewardNormaliser
 from magical.learning.rollout import Samples, as_inputs
-from magical.observe import PixelSpec
 
 Metrics = dict[str, float | str]
 
@@ -73,7 +72,7 @@ class Rival:
         self.network.eval()
         with torch.no_grad(), self._compute.autocast():
             logits = [
-                self.network(as_inputs(shown, self._expert.pixels), actions, samples.tasks)
+                self.network(as_inputs(shown), actions, samples.tasks)
                 for shown, actions in zip(samples.observations, samples.actions, strict=True)
             ]
         self.network.train()
@@ -107,8 +106,7 @@ class Rival:
         rows = self._expert.sample_evenly(half, rng)
         actions, tasks = self._expert.labels(rows)
         shown, novice_actions, novice_tasks = self._replay.sample_evenly(half, rng)
-        novice = channels_first(shown, self._expert.pixels)
-        images = torch.cat([self._expert.images(rows), novice])
+        images = torch.cat([self._expert.images(rows), shown])
         return Pairs(
             augment(images, self._augmentations, rng),
             torch.cat([actions, novice_actions]),
@@ -130,8 +128,3 @@ class Rival:
         load_optimizer(self.optimizer, tree["discriminator_optimizer"])
         self._replay.load(tree["replay"], self._compute.device)
         self._normaliser.load(tree["reward_statistics"])
-
-
-def channels_first(images: Tensor, pixels: PixelSpec) -> Tensor:
-    """Images as the environment gives them as (B, C, H, W)."""
-    return images if pixels.channels_first else images.permute(0, 3, 1, 2)

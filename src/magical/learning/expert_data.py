@@ -14,10 +14,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from magical.demos import Dataset, Frames, Trajectory
+from magical.demos import Dataset, Trajectory
+from magical.demos.reader import TrajectorySource
 from magical.errors import DemonstrationsError
 from magical.learning.streams import Purpose, stream
-from magical.observe import PixelSpec
+from magical.observe import Component, ObservationSpec
+from magical.observe.arrays import stack_indices
 from magical.scene import NOOP
 
 Rows = NDArray[np.int64]  # (B,) numbers of samples
@@ -83,21 +85,22 @@ class ExpertData:
         self,
         demonstrations: Iterable[tuple[str, Trajectory]],
         task_names: Sequence[str],
-        pixels: PixelSpec,
+        spec: ObservationSpec,
         *,
         device: str = "cpu",
         remove_noops: bool = False,
     ) -> None:
-        self.pixels = pixels
+        self.spec = spec
         self.task_names = tuple(task_names)
-        frames: list[list[NDArray[np.uint8]]] = [[] for _ in pixels.parts]
+        frames: list[list[NDArray[Any]]] = [[] for _ in spec.components]
         samples: list[_Samples] = []
         first = 0  # number of the trajectory's first frame
         for task, trajectory in demonstrations:
-            for kept, (view, _) in zip(frames, pixels.parts, strict=True):
-                kept.append(_draw(trajectory, view, pixels))
+            source, moments = TrajectorySource(trajectory), np.arange(len(trajectory))
+            for kept, component in zip(frames, spec.components, strict=True):
+                kept.append(component.read(source, moments))
             number = self.task_names.index(task)
-            samples.append(_samples(trajectory, number, first, pixels, remove_noops))
+            samples.append(_samples(trajectory, number, first, spec.components, remove_noops))
             first += len(trajectory)
         self._frames = [torch.from_numpy(np.concatenate(kept)).to(device) for kept in frames]
         self._moments = [
@@ -161,20 +164,14 @@ class _Samples:
 
 
 def _samples(
-    trajectory: Trajectory, task: int, first: int, pixels: PixelSpec, remove_noops: bool
+    trajectory: Trajectory,
+    task: int,
+    first: int,
+    components: Sequence[Component],
+    remove_noops: bool,
 ) -> _Samples:
     steps = np.arange(len(trajectory))
     if remove_noops:
         steps = np.flatnonzero(trajectory.actions != NOOP)
-    moments = [
-        first + np.maximum(steps[:, None] + np.arange(1 - frames, 1), 0)
-        for _, frames in pixels.parts
-    ]
+    moments = [first + stack_indices(steps, component.frames) for component in components]
     return _Samples(trajectory.actions[steps], np.full(len(steps), task), moments)
-
-
-def _draw(trajectory: Trajectory, view: str, pixels: PixelSpec) -> NDArray[np.uint8]:
-    """Frames before each action, (T, 3, H, W)."""
-    frames = Frames(trajectory, view, pixels.size, pixels.samples)
-    shown = frames.take(np.arange(len(trajectory)))
-    return np.ascontiguousarray(shown.transpose(0, 3, 1, 2))

@@ -49,7 +49,7 @@ class Trunk(nn.Module):
     def __init__(
         self,
         width: Width,
-        image_shape: tuple[int, int, int],
+        image_shape: tuple[int, ...],
         batch_norm: bool = False,
         action_input: bool = False,
     ) -> None:
@@ -178,7 +178,7 @@ class Discriminator(nn.Module):
     def __init__(
         self,
         width: Width,
-        image_shape: tuple[int, int, int],
+        image_shape: tuple[int, ...],
         num_tasks: int,
         batch_norm: bool = True,
     ) -> None:

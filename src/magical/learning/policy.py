@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from magical.envs import parse_env_id
-from magical.errors import PolicyError, RunFolderError
+from magical.errors import ObservationError, PolicyError, RunFolderError
 from magical.evaluation.policy import Actions, Mask
 from magical.learning.algorithms import find_algorithm
 from magical.learning.augment import to_unit
@@ -18,7 +18,7 @@ from magical.learning.checkpoints import load_module, load_tree
 from magical.learning.config import Config
 from magical.learning.devices import Compute, choose_device
 from magical.learning.runs import CHECKPOINT, CONFIG, RECORD, read_json
-from magical.observe import PixelSpec, StateLayout
+from magical.observe import ObservationSpec
 
 
 class NetworkPolicy:
@@ -29,7 +29,7 @@ class NetworkPolicy:
         network: nn.Module,
         tasks: Sequence[str],
         observation: str,
-        form: PixelSpec | StateLayout,
+        spec: ObservationSpec,
         compute: Compute,
         greedy: bool = False,
     ) -> None:
@@ -37,7 +37,7 @@ class NetworkPolicy:
         self.tasks = tuple(tasks)
         self.observation = observation
         self.greedy = greedy
-        self._form = form
+        self._spec = spec
         self._compute = compute
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
@@ -60,7 +60,7 @@ class NetworkPolicy:
 
     def probabilities(self, observations: Any, env_ids: Sequence[str]) -> NDArray[np.float64]:
         """The distribution over actions, (B, 18) float64."""
-        inputs = to_inputs(observations, self._form).to(self._compute.device)
+        inputs = to_inputs(observations, self._spec).to(self._compute.device)
         tasks = self._task_numbers(env_ids).to(self._compute.device)
         with torch.inference_mode(), self._compute.autocast():
             logits = self.network(to_unit(inputs), tasks)  # (B, 18)
@@ -80,39 +80,16 @@ class NetworkPolicy:
         return torch.tensor([numbers[env_id] for env_id in env_ids])
 
 
-def to_inputs(observations: Any, form: PixelSpec | StateLayout) -> Tensor:
-    """Observations of an environment as a network's: images, or state vectors (B, size) float32.
+def to_inputs(observations: Any, spec: ObservationSpec) -> Tensor:
+    """Observations of an environment as a network's input, sharing their memory.
 
     Raises:
-        PolicyError: they are of another shape or type than `form` says.
+        PolicyError: they are of another shape or type than the specification says.
     """
-    if isinstance(form, PixelSpec):
-        return to_images(observations, form)
-    array = np.asarray(observations)
-    if array.dtype != np.float32 or array.shape[1:] != (form.size,):
-        raise PolicyError(
-            f"observations: expected state vectors, float32 of shape (B, {form.size}), found "
-            f"{array.dtype} of shape {array.shape}"
-        )
-    return torch.from_numpy(array)
-
-
-def to_images(observations: Any, pixels: PixelSpec) -> Tensor:
-    """Observations of an environment as images (B, C, H, W), uint8, sharing their memory.
-
-    Raises:
-        PolicyError: they are of another shape or type than `pixels` says.
-    """
-    shape = pixels.shape(sum(frames for _, frames in pixels.parts))
-    array = np.asarray(observations)
-    if array.dtype != np.uint8 or array.shape[1:] != shape:
-        raise PolicyError(
-            f"observations: expected uint8 of shape (B, {', '.join(map(str, shape))}), found "
-            f"{array.dtype} of shape {array.shape}; make the environments with the observation "
-            "that the policy was trained on"
-        )
-    images = torch.from_numpy(array)
-    return images if pixels.channels_first else images.permute(0, 3, 1, 2)
+    try:
+        return torch.from_numpy(spec.network_input(observations))
+    except ObservationError as error:
+        raise PolicyError(str(error)) from error
 
 
 def is_run(path: Path | str) -> bool:
@@ -139,7 +116,12 @@ def load_policy(run: Path | str, device: str = "auto", greedy: bool = False) -> 
     same = where == recorded["device"]
     compute = Compute(where, recorded["precision"] if same else "float32")
     return NetworkPolicy(
-        network.to(where), config.tasks, config.observation, config.form, compute, greedy
+        network.to(where),
+        config.tasks,
+        config.observation,
+        config.observation_spec,
+        compute,
+        greedy,
     )
 
 

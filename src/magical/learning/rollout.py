@@ -11,13 +11,13 @@ from torch import Tensor
 
 from magical.envs import EnvId
 from magical.envs.env import Reward
+from magical.envs.seeds import sample_training_seeds
 from magical.envs.vector import MagicalVectorEnv
-from magical.evaluation.seeds import FIRST_SEED
 from magical.learning.augment import to_unit
 from magical.learning.checkpoints import Tree
 from magical.learning.reinforcement import ReinforcementConfig
 from magical.learning.streams import Purpose, stream
-from magical.observe import PixelSpec, StateLayout
+from magical.observe import ObservationSpec
 from magical.scene import NUM_ACTIONS
 from magical.tasks import get_task
 
@@ -29,7 +29,7 @@ Act = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
 class Samples:
     """What T steps of N worlds gave."""
 
-    observations: Tensor  # (T, N, ...), before each action, as the environment gives them
+    observations: Tensor  # (T, N, ...), before each action, in the network's layout
     actions: Tensor  # (T, N) int64
     log_probs: Tensor  # (T, N) float32, of the actions when they were chosen
     values: Tensor  # (T, N) float32, of the observations
@@ -51,7 +51,7 @@ class Sampler:
         self.tasks = torch.from_numpy(self.task_of).to(device)
         names = [config.tasks[number] for number in self.task_of]
         self.envs = MagicalVectorEnv(
-            [str(EnvId(name, "Demo")) for name in names],
+            [EnvId(name, "Demo") for name in names],
             workers=config.workers,
             observation=config.observation,
             reward=reward,
@@ -59,6 +59,7 @@ class Sampler:
             copy=False,
         )
         self._config = config
+        self._spec: ObservationSpec = config.observation_spec
         self._device = device
         self._horizons = np.array([get_task(name).horizon for name in names])
 
@@ -74,7 +75,7 @@ class Sampler:
         Otherwise all worlds of a task would end their episodes in the same update.
         """
         rng = stream(self._config.seed, Purpose.ENVIRONMENTS)
-        seeds = rng.integers(FIRST_SEED, size=self.envs.num_envs).tolist()
+        seeds = sample_training_seeds(rng, self.envs.num_envs)
         self._present, _ = self.envs.reset(seed=seeds)
         waits = rng.integers(self._horizons) * self._config.decorrelate
         for moment in range(waits.max()):
@@ -85,8 +86,13 @@ class Sampler:
         """Let `act` choose among its distributions for `time_steps` steps of every world."""
         steps, worlds = self._config.time_steps, self.envs.num_envs
         draws = torch.from_numpy(rng.random((steps, worlds), np.float32)).to(self._device)
-        shape, dtype = self._present.shape, torch.from_numpy(self._present).dtype
-        observations = torch.empty((steps, *shape), dtype=dtype, device=self._device)
+        first = self._network_input(self._present)
+        observations = torch.empty_strided(
+            (steps, *first.shape),
+            (first.numel(), *first.stride()),
+            dtype=first.dtype,
+            device=self._device,
+        )
         actions = torch.empty((steps, worlds), dtype=torch.int64, device=self._device)
         log_probs, values, final_values = torch.zeros((3, steps, worlds), device=self._device)
         rewards = np.empty((steps, worlds), np.float32)
@@ -94,7 +100,7 @@ class Sampler:
         scores: list[tuple[int, float]] = []
         with torch.no_grad():
             for t in range(steps):
-                observations[t] = torch.from_numpy(self._present)
+                observations[t] = self._network_input(self._present)
                 logits, values[t] = act(observations[t], self.tasks)
                 actions[t], log_probs[t] = choose(logits, draws[t])
                 self._present, rewards[t], _, ended[t], infos = self.envs.step(
@@ -104,7 +110,7 @@ class Sampler:
                     scores += self._scores(infos, ended[t])
                     if self._config.bootstrap:
                         self._value_ends(act, infos, ended[t], final_values[t])
-            _, last = act(torch.from_numpy(self._present).to(self._device), self.tasks)
+            _, last = act(self._network_input(self._present).to(self._device), self.tasks)
         over = torch.from_numpy(ended).to(self._device)
         following = torch.cat([values[1:], last.float()[None]])
         return Samples(
@@ -128,6 +134,9 @@ class Sampler:
         shown = [self.envs.set_state(row, state) for row, state in enumerate(tree["worlds"])]
         self._present = np.stack(shown)
 
+    def _network_input(self, observations: Any) -> Tensor:
+        return torch.from_numpy(self._spec.network_input(observations))
+
     def _scores(
         self, infos: Mapping[str, Any], ended: NDArray[np.bool_]
     ) -> list[tuple[int, float]]:
@@ -137,7 +146,7 @@ class Sampler:
     def _value_ends(
         self, act: Act, infos: Mapping[str, Any], ended: NDArray[np.bool_], out: Tensor
     ) -> None:
-        shown = torch.from_numpy(np.stack(infos["final_obs"][ended])).to(self._device)
+        shown = self._network_input(np.stack(infos["final_obs"][ended])).to(self._device)
         rows = torch.from_numpy(np.flatnonzero(ended)).to(self._device)
         out[rows] = act(shown, self.tasks[rows])[1].float()
 
@@ -151,11 +160,6 @@ def choose(logits: Tensor, draws: Tensor) -> tuple[Tensor, Tensor]:
     return actions, log_probs.gather(1, actions[:, None]).squeeze(1)
 
 
-def as_inputs(observations: Tensor, form: PixelSpec | StateLayout) -> Tensor:
-    """Observations (B, ...) as the environment gives them, ready for a network.
-
-    Images become (B, C, H, W) float32 in [0, 1]; state vectors stay as they are.
-    """
-    if isinstance(form, PixelSpec) and not form.channels_first:
-        observations = observations.permute(0, 3, 1, 2)
+def as_inputs(observations: Tensor) -> Tensor:
+    """Observations (B, ...) in the network's layout as float: images scaled to [0, 1]."""
     return to_unit(observations)

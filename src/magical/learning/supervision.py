@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.demos import Trajectory
-from magical.demos.provenance import provenance
-from magical.envs import parse_env_id
+from magical.demos.store.provenance import provenance
+from magical.envs import EnvId
+from magical.envs.seeds import sample_training_seeds
 from magical.envs.vector import MagicalVectorEnv
 from magical.errors import DemonstrationsError
 from magical.evaluation.policy import Policy
-from magical.evaluation.seeds import FIRST_SEED
 from magical.experts import Memory, expert_for
 from magical.scene import NUM_ACTIONS, Dynamics, Scene, State
 
@@ -28,7 +28,7 @@ class Supervision:
     It follows the episode from its start, with its memory, whoever acts.
     """
 
-    def __init__(self, env_ids: Sequence[str], observation: str, workers: int | None) -> None:
+    def __init__(self, env_ids: Sequence[EnvId], observation: str, workers: int | None) -> None:
         self.envs = MagicalVectorEnv(
             env_ids,
             workers=workers,
@@ -60,7 +60,7 @@ class Supervision:
             NoExpertError: a task has no expert.
         """
         envs, count = self.envs, self.envs.num_envs
-        seeds = rng.integers(FIRST_SEED, size=count).tolist()
+        seeds = sample_training_seeds(rng, count)
         observations, _ = envs.reset(seed=seeds)
         policy.reset(np.ones(count, np.bool_))
         begun = [(state.scene, self._dynamics(row)) for row, state in enumerate(envs.states())]
@@ -118,8 +118,8 @@ class Supervision:
 class _Watcher:
     """An expert and what it remembers of its episode."""
 
-    def __init__(self, env_id: str, seed: int) -> None:
-        self._expert = expert_for(parse_env_id(env_id).task, seed=seed)
+    def __init__(self, env_id: EnvId, seed: int) -> None:
+        self._expert = expert_for(env_id.task, seed=seed)
         self._memory: Memory | None = None
 
     def act(self, state: State) -> int:

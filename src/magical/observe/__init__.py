@@ -1,15 +1,28 @@
-"""What an agent is shown: presets, frame stacks, state vectors."""
+"""What an agent observes: pixels or state vectors, behind one interface."""
 
-from magical.observe.spec import PRESETS, RAW, STATE, Observation, PixelSpec, parse_observation
-from magical.observe.vector import StateLayout, StateObserver
+from magical.observe.pixels import PixelSpec
+from magical.observe.presets import NAMED, PRESETS, RAW, Observation, make_spec
+from magical.observe.spec import (
+    Component,
+    EpisodeSource,
+    FrameSource,
+    ObservationSpec,
+    Observer,
+)
+from magical.observe.state_vector import STATE, StateSpec
 
 __all__ = [
+    "NAMED",
     "PRESETS",
     "RAW",
     "STATE",
+    "Component",
+    "EpisodeSource",
+    "FrameSource",
     "Observation",
+    "ObservationSpec",
+    "Observer",
     "PixelSpec",
-    "StateLayout",
-    "StateObserver",
-    "parse_observation",
+    "StateSpec",
+    "make_spec",
 ]

@@ -1,75 +1,235 @@
-"""Frame stacks, kept in the array where they are shown."""
+"""Pixel observations: stacks of rendered frames.
+
+Source: appendix A.1; docs/specification.md, section 7.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
 
-from magical.observe.spec import PixelSpec
-from magical.render import Renderer, shift_stack
+from magical.errors import ObservationError
+from magical.observe.arrays import SINGLE, ArrayFields, empty, stack_indices
+from magical.observe.spec import EpisodeSource, FrameSource
+from magical.scene.constants import FRAME_SIZE
 from magical.scene.scene import Scene
+from magical.scene.vocabulary import View, parse_word
+
+if TYPE_CHECKING:
+    from magical.render import Renderer
+
+STACK = 4  # frames
+CHANNELS = 3  # of a frame: red, green, blue
 
 Pixels = NDArray[np.uint8]
-PixelArrays = Pixels | dict[str, Pixels]
+
+
+@dataclass(frozen=True, slots=True)
+class PixelSpec:
+    """The last frames of one or two views, oldest first, uint8 RGB.
+
+    Args:
+        parts: the views in channel order, each with its number of frames.
+        size: height and width in pixels.
+        samples: samples x samples samples are averaged in each pixel; `None` takes as many as make
+            384 across, as the published pipeline does.
+        separate: a dict of views instead of one array (size, size, 3 * frames).
+        channels_first: arrays (3 * frames, size, size).
+
+    Before the first step the first frame is repeated. Raises `ValueError` for impossible settings.
+    """
+
+    parts: tuple[tuple[View, int], ...] = ((View.EGO, STACK),)
+    size: int = FRAME_SIZE
+    samples: int | None = None
+    separate: bool = False
+    channels_first: bool = False
+
+    def __post_init__(self) -> None:
+        parts = tuple((parse_word(View, view), int(frames)) for view, frames in self.parts)
+        object.__setattr__(self, "parts", parts)
+        if not parts or min(frames for _, frames in parts) < 1:
+            raise ValueError(f"parts: expected views with at least one frame each, found {parts}")
+        if len({view for view, _ in parts}) < len(parts):
+            raise ValueError(f"parts: expected each view once, found {parts}")
+        if self.size < 1 or (self.samples is not None and self.samples < 1):
+            raise ValueError(
+                f"expected positive size and samples, found {self.size} and {self.samples}"
+            )
+
+    def shape(self, frames: int) -> tuple[int, int, int]:
+        """The shape of an array of `frames` stacked frames."""
+        channels = CHANNELS * frames
+        if self.channels_first:
+            return channels, self.size, self.size
+        return self.size, self.size, channels
+
+    @property
+    def fields(self) -> ArrayFields:
+        """See `ObservationSpec`."""
+        if self.separate:
+            return {str(view): (self.shape(frames), np.uint8) for view, frames in self.parts}
+        return {SINGLE: (self.shape(self._stacked), np.uint8)}
+
+    @property
+    def space(self) -> spaces.Space[Any]:
+        """See `ObservationSpec`."""
+        boxes: dict[str, spaces.Space[Any]] = {
+            name: spaces.Box(0, 255, shape, np.uint8) for name, (shape, _) in self.fields.items()
+        }
+        return spaces.Dict(boxes) if self.separate else boxes[SINGLE]
+
+    @property
+    def frames(self) -> int:
+        """See `ObservationSpec`."""
+        return max(frames for _, frames in self.parts)
+
+    @property
+    def num_images(self) -> int:
+        """See `ObservationSpec`."""
+        return len(self.parts)
+
+    @property
+    def network_shape(self) -> tuple[int, ...]:
+        """See `ObservationSpec`: (3 * frames, size, size)."""
+        if self.separate:
+            raise ObservationError(
+                "observation: expected one array of images, found a dict of views; use a preset "
+                "with one array"
+            )
+        return CHANNELS * self._stacked, self.size, self.size
+
+    @property
+    def components(self) -> "tuple[ViewComponent, ...]":
+        """See `ObservationSpec`."""
+        return tuple(
+            ViewComponent(view, frames, self.size, self.samples) for view, frames in self.parts
+        )
+
+    @property
+    def _stacked(self) -> int:
+        return sum(frames for _, frames in self.parts)
+
+    def network_input(self, observations: Any) -> NDArray[Any]:
+        """See `ObservationSpec`: images (B, C, H, W) uint8 that share the observations' memory."""
+        _ = self.network_shape  # raises for a dict of views
+        expected = self.shape(self._stacked)
+        array = np.asarray(observations)
+        if array.dtype != np.uint8 or array.shape[1:] != expected:
+            raise ObservationError(
+                f"observations: expected uint8 of shape (B, {', '.join(map(str, expected))}), "
+                f"found {array.dtype} of shape {array.shape}; make the environments with the "
+                "observation that the policy was trained on"
+            )
+        return array if self.channels_first else array.transpose(0, 3, 1, 2)
+
+    def stacks(self, observation: Any) -> list[Pixels]:
+        """A window (..., size, size, 3 * frames) on each view of an observation or a batch."""
+        windows, first = [], 0
+        for view, frames in self.parts:
+            array = observation[str(view)] if self.separate else observation
+            if self.channels_first:
+                array = np.moveaxis(array, -3, -1)
+            if not self.separate:
+                array = array[..., first : first + CHANNELS * frames]
+                first += CHANNELS * frames
+            windows.append(array)
+        return windows
+
+    def observer(self, out: Any = None) -> "PixelObserver":
+        """See `ObservationSpec`."""
+        return PixelObserver(self, out)
+
+    def read(self, source: EpisodeSource, times: ArrayLike, out: Any = None) -> Any:
+        """See `ObservationSpec`. A frame that several stacks share is rendered once."""
+        moments = np.asarray(times, np.intp)
+        out = empty(self.fields, moments.shape) if out is None else out
+        for (view, frames), window in zip(self.parts, self.stacks(out), strict=True):
+            rendered = source.frames(view, self.size, self.samples)
+            _render_stacks(rendered, stack_indices(moments, frames), window)
+        return out
+
+    def to_dict(self) -> dict[str, Any]:
+        """See `ObservationSpec`."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, slots=True)
+class ViewComponent:
+    """One view's frames, channels first."""
+
+    view: View
+    frames: int
+    size: int
+    samples: int | None
+
+    def read(self, source: EpisodeSource, times: NDArray[np.intp]) -> Pixels:
+        """See `Component`: (B, 3, size, size) uint8."""
+        rendered = source.frames(self.view, self.size, self.samples)
+        images = np.empty((len(times), self.size, self.size, CHANNELS), np.uint8)
+        for time, image in zip(times.tolist(), images, strict=True):
+            rendered.render(time, image)
+        return np.ascontiguousarray(images.transpose(0, 3, 1, 2))
 
 
 class PixelObserver:
-    """Draws one world's pixel observation into an array it is given, or into one of its own.
+    """Renders a running episode's frames into its observation, which is the frame stack itself.
 
-    `table` is float64 (5 + blocks, 6): x, y, angle and their velocities in the rows of `Poses`.
-    The array is the frame stack: `update` moves its frames one place towards the oldest and draws
-    the newest.
+    `update` moves the frames one place towards the oldest and renders the newest.
     """
 
-    def __init__(self, spec: PixelSpec, out: PixelArrays | None = None) -> None:
+    def __init__(self, spec: PixelSpec, out: Any = None) -> None:
         self.spec = spec
-        self.out = self.empty() if out is None else out
-        self._stacks = self._frame_stacks()
+        self.out = empty(spec.fields) if out is None else out
+        self._stacks = spec.stacks(self.out)
         self._renderers: list[Renderer] = []
 
-    def start(self, scene: Scene, table: NDArray[np.float64]) -> None:
+    def start(self, scene: Scene, bodies: NDArray[np.float64]) -> None:
         """Begin an episode: the first frame fills every place of the stack."""
+        from magical.render import Renderer  # imports numba: only when something is rendered
+
         spec = self.spec
         self._renderers = [Renderer(scene, view, spec.size, spec.samples) for view, _ in spec.parts]
         for renderer, stack in zip(self._renderers, self._stacks, strict=True):
-            renderer.draw(table, stack[:, :, -3:])
-            for oldest in range(0, stack.shape[2] - 3, 3):
-                stack[:, :, oldest : oldest + 3] = stack[:, :, -3:]
+            newest = stack[:, :, -CHANNELS:]
+            renderer.render(bodies, newest)
+            for first in range(0, stack.shape[2] - CHANNELS, CHANNELS):
+                stack[:, :, first : first + CHANNELS] = newest
 
-    def update(self, table: NDArray[np.float64]) -> None:
-        """Show the next moment."""
-        if isinstance(self.out, dict) or len(self._stacks) == 1:
+    def update(self, bodies: NDArray[np.float64]) -> None:
+        """Observe the next moment."""
+        if self.spec.separate or len(self._stacks) == 1:
             for renderer, stack in zip(self._renderers, self._stacks, strict=True):
-                renderer.draw_stacked(table, stack)
+                renderer.render_stacked(bodies, stack)
             return
-        # A whole array is moved quickly; what thereby crosses into another view is drawn over.
-        shift_stack(self._channels_last(self.out))
+        from magical.render import shift_stack
+
+        # Moving the whole array at once is fast; what crosses into another view is rendered over.
+        whole = np.moveaxis(self.out, 0, -1) if self.spec.channels_first else self.out
+        shift_stack(whole)
         for renderer, stack in zip(self._renderers, self._stacks, strict=True):
-            renderer.draw(table, stack[:, :, -3:])
+            renderer.render(bodies, stack[:, :, -CHANNELS:])
 
-    def copy(self) -> PixelArrays:
-        """The observation, in memory of its own."""
-        if isinstance(self.out, dict):
-            return {view: array.copy() for view, array in self.out.items()}
-        return self.out.copy()
 
-    def empty(self) -> PixelArrays:
-        """Arrays of the observation's shape, not yet drawn."""
-        shape = self.spec.shape
-        if self.spec.separate:
-            return {str(view): np.empty(shape(n), np.uint8) for view, n in self.spec.parts}
-        return np.empty(shape(sum(n for _, n in self.spec.parts)), np.uint8)
+def copy_pixels(source: Pixels, out: Pixels) -> None:
+    """Copy an image channel by channel: NumPy takes three times as long pixel by pixel."""
+    for channel in range(CHANNELS):
+        out[..., channel] = source[..., channel]
 
-    def _frame_stacks(self) -> list[Pixels]:
-        """One (size, size, 3 * frames) window on `out` for each view."""
-        windows, first = [], 0
-        for view, frames in self.spec.parts:
-            array = self._channels_last(
-                self.out[str(view)] if isinstance(self.out, dict) else self.out
-            )
-            if not self.spec.separate:
-                array = array[:, :, first : first + 3 * frames]
-            windows.append(array)
-            first += 3 * frames
-        return windows
 
-    def _channels_last(self, array: Pixels) -> Pixels:
-        return array.transpose(1, 2, 0) if self.spec.channels_first else array
+def _render_stacks(
+    frames: FrameSource, indices: NDArray[np.intp], stacks: Sequence[Pixels] | Pixels
+) -> None:
+    """Render each frame where it appears first, and copy it to its other places."""
+    rendered: dict[int, Pixels] = {}
+    for stack, times in zip(stacks, indices.tolist(), strict=True):
+        for k, time in enumerate(times):
+            place = stack[..., CHANNELS * k : CHANNELS * (k + 1)]
+            if time in rendered:
+                copy_pixels(rendered[time], place)
+            else:
+                frames.render(time, place)
+                rendered[time] = place

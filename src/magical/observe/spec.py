@@ -1,103 +1,117 @@
-"""What an agent is shown: pixel observations and the five published presets.
+"""What an observation specification is: the one interface to every kind of observation.
 
-Source: appendix A.1; details.md, section 7.
+An `ObservationSpec` owns its Gymnasium space, the arrays it is stored in, how it is made while an
+episode runs (`Observer`) and from a stored episode (`read`), and what a network gets of it. Code
+outside this room never asks which kind of observation it has.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Protocol
 
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
 
-from magical.errors import UnknownNameError
-from magical.scene.vocabulary import View, parse_word
-
-LOW_RESOLUTION = 96  # pixels
-RAW_RESOLUTION = 384  # pixels
-STACK = 4  # frames
+from magical.observe.arrays import ArrayFields
+from magical.scene.scene import Scene
+from magical.scene.vocabulary import View
 
 
-@dataclass(frozen=True, slots=True)
-class PixelSpec:
-    """A pixel observation: the last `frames` frames of each view, oldest first, uint8 RGB.
+class Observer(Protocol):
+    """Keeps the present observation of one running episode in its array (or dict of arrays) `out`.
 
-    `parts` names the views in channel order, each with its number of frames; with `separate` the
-    observation is a dict of views, otherwise one array (size, size, 3 * frames), or with
-    `channels_first` (3 * frames, size, size). `samples` x `samples` samples are averaged in each
-    pixel; `None` chooses as many as make 384 across, as the published pipeline does. Before the
-    first step the first frame is repeated.
+    `bodies` are float64 (5 + blocks, 6): x, y, angle and their velocities in the rows of `Poses`.
     """
 
-    parts: tuple[tuple[View, int], ...] = ((View.EGO, STACK),)
-    size: int = LOW_RESOLUTION
-    samples: int | None = None
-    separate: bool = False
-    channels_first: bool = False
+    out: Any
 
-    def __post_init__(self) -> None:
-        parts = tuple((parse_word(View, view), int(frames)) for view, frames in self.parts)
-        object.__setattr__(self, "parts", parts)
-        if not parts or min(frames for _, frames in parts) < 1:
-            raise ValueError(f"parts: expected views with at least one frame each, found {parts}")
-        if len({view for view, _ in parts}) < len(parts):
-            raise ValueError(f"parts: expected each view once, found {parts}")
-        if self.size < 1 or (self.samples is not None and self.samples < 1):
-            raise ValueError(
-                f"expected positive size and samples, found {self.size} and {self.samples}"
-            )
+    def start(self, scene: Scene, bodies: NDArray[np.float64]) -> None:
+        """Begin an episode."""
 
-    def shape(self, frames: int) -> tuple[int, int, int]:
-        """The shape of an array of `frames` stacked frames."""
-        channels = 3 * frames
-        if self.channels_first:
-            return channels, self.size, self.size
-        return self.size, self.size, channels
+    def update(self, bodies: NDArray[np.float64]) -> None:
+        """Observe the next moment."""
+
+
+class FrameSource(Protocol):
+    """The frames of a stored episode in one view."""
+
+    def render(self, time: int, out: NDArray[np.uint8]) -> None:
+        """Write the frame of one moment into `out` (size, size, 3), of any layout."""
+
+
+class EpisodeSource(Protocol):
+    """A stored episode of T steps, from which observations can be made again."""
+
+    @property
+    def scene(self) -> Scene:
+        """The initial scene."""
+
+    def __len__(self) -> int:
+        """T; moments are counted from 0 to T."""
+
+    def frames(self, view: View, size: int, samples: int | None) -> FrameSource:
+        """Its frames in one view at one resolution."""
+
+    def body_states(self) -> NDArray[np.float64]:
+        """Poses and velocities of every body at every moment, (T + 1, 5 + blocks, 6)."""
+
+
+class Component(Protocol):
+    """A part of an observation as a network gets it: an array a moment, stacked `frames` deep."""
+
+    @property
+    def frames(self) -> int:
+        """How many of the latest moments are stacked along the first axis."""
+
+    def read(self, source: EpisodeSource, times: NDArray[np.intp]) -> NDArray[Any]:
+        """The arrays of single moments `times` (B,): (B, channels, ...), not yet stacked."""
+
+
+class ObservationSpec(Protocol):
+    """One kind of observation, with all its settings."""
 
     @property
     def space(self) -> spaces.Space[Any]:
-        """The Gymnasium space of this observation."""
+        """The Gymnasium space."""
 
-        def box(frames: int) -> spaces.Box:
-            return spaces.Box(0, 255, self.shape(frames), np.uint8)
+    @property
+    def fields(self) -> ArrayFields:
+        """Shape and type of each array of one observation, by name."""
 
-        if self.separate:
-            return spaces.Dict({str(view): box(frames) for view, frames in self.parts})
-        return box(sum(frames for _, frames in self.parts))
+    @property
+    def frames(self) -> int:
+        """How many of the latest moments one observation depends on."""
 
+    @property
+    def num_images(self) -> int:
+        """How many images are rendered for each step."""
 
-_BOTH = (View.ALLO, View.EGO)
+    @property
+    def network_shape(self) -> tuple[int, ...]:
+        """The shape of one observation as a network gets it: (C, H, W), or (size,).
 
-PRESETS: Mapping[str, PixelSpec] = {
-    "LoResStack": PixelSpec(tuple((view, STACK) for view in _BOTH), separate=True),
-    "LoRes4E": PixelSpec(((View.EGO, STACK),)),
-    "LoRes4A": PixelSpec(((View.ALLO, STACK),)),
-    "LoRes3EA": PixelSpec(((View.ALLO, 1), (View.EGO, STACK - 1))),
-    "LoResCHW4E": PixelSpec(((View.EGO, STACK),), channels_first=True),
-}
+        Raises `ObservationError` for an observation that is not one array.
+        """
 
-RAW = PixelSpec(tuple((view, 1) for view in _BOTH), size=RAW_RESOLUTION, separate=True)
+    @property
+    def components(self) -> Sequence[Component]:
+        """What `network_input` consists of, in the order of its first axis."""
 
-STATE = "state"  # the name of the state-vector observation
-Observation = str | PixelSpec | Mapping[str, Any] | None
+    def network_input(self, observations: Any) -> NDArray[Any]:
+        """A batch of observations (B, ...) as a network gets it, (B, *network_shape); a view.
 
+        Raises `ObservationError` for arrays of another shape or type.
+        """
 
-def parse_observation(observation: Observation) -> PixelSpec | str:
-    """Turn what `observation=` accepts into a `PixelSpec`, or `STATE`.
+    def observer(self, out: Any = None) -> Observer:
+        """An observer that writes into `out`, or into arrays of its own."""
 
-    Accepts a preset's name, `"raw"` or `None` (the raw dict), `"state"`, a `PixelSpec`, or a
-    mapping of its fields. Raises `UnknownNameError` for anything else.
-    """
-    if isinstance(observation, PixelSpec) or observation == STATE:
-        return observation
-    if observation is None or observation == "raw":
-        return RAW
-    if isinstance(observation, str) and observation in PRESETS:
-        return PRESETS[observation]
-    names = {field.name for field in fields(PixelSpec)}
-    if isinstance(observation, Mapping) and set(observation) <= names:
-        return PixelSpec(**observation)
-    raise UnknownNameError(
-        f"observation {observation!r} is unknown; expected one of {', '.join(PRESETS)}, raw, "
-        f"{STATE}, a PixelSpec, or a mapping with some of {sorted(names)}"
-    )
+    def read(self, source: EpisodeSource, times: ArrayLike, out: Any = None) -> Any:
+        """The observations of a stored episode at moments `times` (B,), each 0 to T.
+
+        Moment 0 is what `reset` returned, moment t what step t returned. Returns arrays of shape
+        (B, *shape) as `fields` has them, written into `out` if it is given.
+        """
+
+    def to_dict(self) -> Any:
+        """Plain data for JSON, from which `make_spec` makes the same specification again."""

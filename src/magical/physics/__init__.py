@@ -1,5 +1,5 @@
-"""Scenes made to move with pymunk (Chipmunk), the only room that knows it."""
+"""Simulation of scenes with pymunk (Chipmunk): the only room that imports it."""
 
-from magical.physics.world import World
+from magical.physics.simulation import Simulation
 
-__all__ = ["World"]
+__all__ = ["Simulation"]

@@ -1,4 +1,4 @@
-"""Blocks and walls in a pymunk space (details.md, sections 3 and 4)."""
+"""Blocks and walls in a pymunk space (docs/specification.md, sections 3 and 4)."""
 
 from functools import cache
 
@@ -12,7 +12,7 @@ from magical.scene.vocabulary import Shape
 
 
 def add_walls(space: pymunk.Space) -> None:
-    """Four static segments around the workspace."""
+    """Add four static segments around the workspace."""
     far = c.WORKSPACE_HALF + c.WALL_DISTANCE
     corners = ((-far, far), (far, far), (far, -far), (-far, -far))
     for start, end in zip(corners, corners[1:] + corners[:1], strict=True):
@@ -22,7 +22,7 @@ def add_walls(space: pymunk.Space) -> None:
 
 
 def add_block(space: pymunk.Space, block: Block, dynamics: Dynamics, group: int) -> pymunk.Body:
-    """One block with its drag on the floor; `group` is a collision group of its own."""
+    """Add one block with its surface drag; `group` is a collision group of its own."""
     body, shapes = _MAKERS[block.shape]()
     body.position, body.angle = block.pose[:2], block.pose.angle
     space.add(body)
@@ -67,7 +67,7 @@ def _star() -> tuple[pymunk.Body, list[pymunk.Shape]]:
 
 @cache
 def _star_parts() -> list[list[pymunk.Vec2d]]:
-    # Once only: pymunk loses some 2 kB at every decomposition.
+    # Cached: pymunk leaks some 2 kB at every decomposition.
     outline = list(block_outline(Shape.STAR))
     return pymunk.autogeometry.convex_decomposition(outline + outline[:1], 0)
 

@@ -1,14 +1,17 @@
-"""The robot's bodies, joints and shapes, and its control law (details.md, section 2)."""
+"""The robot's bodies, joints and shapes, and its control law.
+
+Source: docs/specification.md, section 2.
+"""
 
 import math
 from collections.abc import Callable
 
 import pymunk
-from pymunk._chipmunk_cffi import lib
 
+from magical.physics import chipmunk
 from magical.scene import constants as c
 from magical.scene.actions import ACTIONS, Gripper, Longitudinal, Turn
-from magical.scene.geometry import Polygon, finger_polygons, to_world
+from magical.scene.geometry import Polygon, finger_polygons, to_workspace
 from magical.scene.scene import Dynamics, Pose
 
 ROBOT_GROUP = 1  # collision group shared by all shapes of the robot
@@ -20,14 +23,14 @@ _SPEED = {
 }
 _LEAD = {Turn.STRAIGHT: 0.0, Turn.LEFT: c.TURN_LEAD, Turn.RIGHT: -c.TURN_LEAD}
 _TARGET = {Gripper.OPEN: c.FINGER_OPEN, Gripper.CLOSED: 0.0}
-# What each action asks for: drive speed (units / s), lead of the control body (rad), finger target.
+# Each action's drive speed (units / s), lead of the control body (rad) and finger target (rad).
 COMMANDS = tuple((_SPEED[a.longitudinal], _LEAD[a.turn], _TARGET[a.gripper]) for a in ACTIONS)
 
 
 class Robot:
     """The robot in a pymunk space.
 
-    `steer(speed, lead, target)` is to be called before every substep, with one of `COMMANDS`.
+    Call `steer(*command)` before every substep, with one of `COMMANDS`.
     """
 
     def __init__(self, space: pymunk.Space, pose: Pose, dynamics: Dynamics) -> None:
@@ -57,15 +60,14 @@ def _control_law(
 ) -> Callable[[float, float, float], None]:
     """The function `steer(speed, lead, target)` that sets control body and finger motors.
 
-    It runs before each of ten substeps and would be a third of a control step through pymunk's
-    properties; calling Chipmunk through pymunk's own bindings more than halves that. The tests
-    hold it against the same law written with the properties.
+    It runs before each of ten substeps. Calling Chipmunk directly takes less than half the time of
+    pymunk's properties; the tests compare it with the same law written with the properties.
     """
-    robot, controller = body._body, control._body
-    left, right = (finger._body for finger in fingers)
-    left_motor, right_motor = (motor._constraint for motor in motors)
-    get_angle, set_angle = lib.cpBodyGetAngle, lib.cpBodySetAngle
-    set_velocity, set_rate = lib.cpBodySetVelocity, lib.cpSimpleMotorSetRate
+    robot, controller = chipmunk.body_handle(body), chipmunk.body_handle(control)
+    left, right = map(chipmunk.body_handle, fingers)
+    left_motor, right_motor = map(chipmunk.motor_handle, motors)
+    get_angle, set_angle = chipmunk.get_angle, chipmunk.set_angle
+    set_velocity, set_rate = chipmunk.set_velocity, chipmunk.set_motor_rate
     sin, cos = math.sin, math.cos
 
     left_rate = right_rate = 0.0
@@ -137,7 +139,7 @@ def _add_finger(
     upper, forearm = finger_polygons(side)
     finger = pymunk.Body(c.FINGER_MASS, _finger_moment(upper, forearm))
     root = (side * c.FINGER_ROOT_X, c.FINGER_ROOT_Y)
-    finger.position, finger.angle = to_world(root, pose), pose.angle - side * c.FINGER_OPEN
+    finger.position, finger.angle = to_workspace(root, pose), pose.angle - side * c.FINGER_OPEN
     # A pin joint of zero length, as published; a pivot joint grips visibly differently.
     pin = pymunk.PinJoint(body, finger, root, (0, 0))
     pin.error_bias = 0

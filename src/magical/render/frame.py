@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from magical.render.canvas import Canvas, cover, finish_bodies, finish_ground, paint, squeeze
 from magical.render.jit import entry_point, inlined, source_stamp
-from magical.render.lines import PUBLISHED_SIZE, dashes, outline, whole
+from magical.render.lines import dashes, outline, whole
 from magical.render.palette import OUTSIDE, lanes
 from magical.render.polygons import MOST_SIDES, SUBSAMPLES, Floats, Ints, place, scan
+from magical.scene.constants import RAW_FRAME_SIZE
 
-VIEW_WIDTH = 2.04  # units: both cameras show as much (details.md, section 6)
+VIEW_WIDTH = 2.04  # units: both cameras show as much (docs/specification.md, section 6)
 ROBOT_HEIGHT = 0.15  # of the frame: where the egocentric camera has the robot, from below
 FAR = 1e6  # units: poses beyond are taken for a mistake
 EGO, GROUND, ALLO = 0, 1, 2  # what `draw` draws
@@ -81,7 +82,7 @@ def _counter_left_by_allocentric_frame(corners: Floats) -> int:
 
     The published environments draw an allocentric frame before every egocentric one.
     """
-    pixel = VIEW_WIDTH / PUBLISHED_SIZE
+    pixel = VIEW_WIDTH / RAW_FRAME_SIZE
     width, height = corners[1, 0] - corners[0, 0], corners[0, 1] - corners[3, 1]
     return 2 * (whole(width / pixel) + whole(height / pixel))
 
@@ -121,7 +122,7 @@ def drawable(bodies: Floats) -> bool:
 
 
 @cache
-def compiled_draw(samples: int) -> Callable[..., int]:
+def compiled_render(samples: int) -> Callable[..., int]:
     """The entry point for samples x samples samples a pixel (1, 2 or 4 across)."""
     stamp = source_stamp()
 

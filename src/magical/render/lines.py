@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from magical.render.canvas import Canvas, open_tile
 from magical.render.jit import inlined
 from magical.render.polygons import Floats
+from magical.scene.constants import RAW_FRAME_SIZE
 
-PUBLISHED_SIZE = 384.0  # pixels of the frame in whose pixels the lengths below are given
+# Lengths are given in pixels of the published raw frame, RAW_FRAME_SIZE across.
 EDGE_WIDTH = 1.0
 DASH_WIDTH = 2.5
 DASH = 8  # on, and as many off
@@ -146,7 +147,7 @@ def outline(canvas: Canvas, corners: Floats, colour: int) -> None:
     line = np.empty(4)
     for i in range(4):
         if _side(corners, i, extent, line):
-            stroke(canvas, line, EDGE_WIDTH * extent / PUBLISHED_SIZE, colour)
+            stroke(canvas, line, EDGE_WIDTH * extent / RAW_FRAME_SIZE, colour)
 
 
 @inlined
@@ -158,7 +159,7 @@ def dashes(canvas: Canvas, corners: Floats, colour: int, counter: int) -> int:
     again at an outline's first side, but, as in the published frames, only if that is in view.
     """
     extent = canvas.size * canvas.samples
-    unit = extent / PUBLISHED_SIZE
+    unit = extent / RAW_FRAME_SIZE
     line, dash = np.empty(4), np.empty(4)
     for i in range(4):
         if _side(corners, i, extent, line):

@@ -1,4 +1,4 @@
-"""Frames of scenes: what the rest of the package draws with."""
+"""Frames of scenes: what the rest of the package renders with."""
 
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -6,17 +6,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.errors import DrawingError
+from magical.errors import RenderError
 from magical.render.canvas import blank
 from magical.render.display import display_list
-from magical.render.frame import ALLO, EGO, FAR, GROUND, compiled_draw
-from magical.render.lines import PUBLISHED_SIZE
+from magical.render.frame import ALLO, EGO, FAR, GROUND, compiled_render
 from magical.render.output import CHANNELS, compiled_store, push
+from magical.scene.constants import FRAME_SIZE, RAW_FRAME_SIZE
 from magical.scene.poses import FIRST_BLOCK, Poses
 from magical.scene.scene import Pose, Scene
 from magical.scene.vocabulary import View, parse_word
 
-LOW_RESOLUTION = 96  # pixels: the published observations
 SAMPLES = (1, 2, 4)
 
 Image = NDArray[np.uint8]
@@ -24,14 +23,14 @@ Image = NDArray[np.uint8]
 
 def default_samples(size: int) -> int:
     """Samples across a pixel: as few as make the published 384 across a frame, at most 4."""
-    return next((n for n in SAMPLES if n * size >= PUBLISHED_SIZE), max(SAMPLES))
+    return next((n for n in SAMPLES if n * size >= RAW_FRAME_SIZE), max(SAMPLES))
 
 
 class Renderer:
-    """Draws one scene, seen by one camera, at any moment: a pure function of the poses.
+    """Renders one scene in one view; a frame is a pure function of the poses.
 
     Args:
-        scene: what is drawn; its poses are not used.
+        scene: what is rendered; its poses are not used.
         view: `View.EGO` or `View.ALLO`, or their names.
         size: height and width of the frame in pixels.
         samples: 1, 2 or 4; samples x samples are averaged in each pixel, halves rounded to even.
@@ -40,25 +39,25 @@ class Renderer:
 
     Raises:
         UnknownNameError: there is no such view.
-        DrawingError: a size or number of samples that cannot be drawn.
+        RenderError: an impossible size or number of samples.
     """
 
     def __init__(
         self,
         scene: Scene,
         view: View | str,
-        size: int = LOW_RESOLUTION,
+        size: int = FRAME_SIZE,
         samples: int | None = None,
     ) -> None:
         self.view = parse_word(View, view)
         self.size = size
         self.samples = default_samples(size) if samples is None else samples
         if not isinstance(size, int) or size < 1 or self.samples not in SAMPLES:
-            raise DrawingError(
+            raise RenderError(
                 f"expected a whole, positive size and samples among {SAMPLES}, "
                 f"found {size!r} and {samples!r}"
             )
-        self._draw = compiled_draw(self.samples)
+        self._compiled = compiled_render(self.samples)
         self._store = compiled_store()
         self._display = display_list(scene)
         self._bodies = np.empty((FIRST_BLOCK + len(scene.blocks), 3))
@@ -70,7 +69,7 @@ class Renderer:
             memory, mode = self._kept_ground(layers), ALLO
         self._arguments = (*self._display, *memory, size, mode)
 
-    def draw(self, bodies: NDArray[np.float64], out: Image) -> None:
+    def render(self, bodies: NDArray[np.float64], out: Image) -> None:
         """Write the frame into `out`, which may be a view of any layout, such as a stack's end.
 
         Args:
@@ -78,89 +77,89 @@ class Renderer:
             out: (size, size, 3) uint8.
 
         Raises:
-            DrawingError: bodies or `out` do not fit, or a pose is not finite.
+            RenderError: bodies or `out` do not fit, or a pose is not finite.
         """
         self._check(out, CHANNELS)
-        self._draw_pixels(bodies)
+        self._render_pixels(bodies)
         self._store(self._pixels, out)
 
-    def draw_stacked(
+    def render_stacked(
         self, bodies: NDArray[np.float64], stack: Image, out: Image | None = None
     ) -> None:
-        """Move a stack on and draw the newest frame in its last three channels.
+        """Shift a stack by one frame and render the newest one in its last three channels.
 
         Args:
-            bodies: as for `draw`.
+            bodies: as for `render`.
             stack: (size, size, 3 * frames) uint8, oldest first, any layout.
             out: where the result goes; by default `stack` itself. Must not overlap it partly.
 
         Raises:
-            DrawingError: bodies, `stack` or `out` do not fit, or a pose is not finite.
+            RenderError: bodies, `stack` or `out` do not fit, or a pose is not finite.
         """
         out = stack if out is None else out
         self._check(out, stack.shape[-1])
         if stack.shape != out.shape:
-            raise DrawingError(f"expected a stack {out.shape} to move on, found {stack.shape}")
-        self._draw_pixels(bodies)
+            raise RenderError(f"expected a stack {out.shape} to shift, found {stack.shape}")
+        self._render_pixels(bodies)
         push(self._pixels, stack, out)
 
     def _check(self, out: Image, channels: int) -> None:
         shape = (self.size, self.size, channels)
         if out.shape != shape or out.dtype.char != "B" or not out.flags.writeable:
-            raise DrawingError(
-                f"expected a writeable array {shape} of uint8 to draw into, found "
+            raise RenderError(
+                f"expected a writeable array {shape} of uint8 to render into, found "
                 f"{out.shape} of {out.dtype}{'' if out.flags.writeable else ', read-only'}"
             )
 
-    def _draw_pixels(self, bodies: NDArray[np.float64]) -> None:
+    def _render_pixels(self, bodies: NDArray[np.float64]) -> None:
         mine = self._bodies
         if len(bodies) != len(mine) or bodies.shape[1] < mine.shape[1]:
-            raise DrawingError(
+            raise RenderError(
                 f"expected the poses (x, y, angle) of {len(mine)} bodies, five of the robot's and "
                 f"one for each block, found an array {bodies.shape}"
             )
         mine[:] = bodies[:, :3]
-        if self._draw(mine, *self._arguments) < 0:
-            raise DrawingError(f"expected finite poses within {FAR:g} units, found {mine.tolist()}")
+        if self._compiled(mine, *self._arguments) < 0:
+            raise RenderError(f"expected finite poses within {FAR:g} units, found {mine.tolist()}")
 
     def _kept_ground(self, layers: int) -> "_Memory":
-        """Draw the ground once, since the allocentric camera does not move, and keep it."""
+        """Render the ground once, since the allocentric camera does not move, and keep it."""
         shared = _shared_memory(self.size, self.samples, layers, self._pixels)
         own = shared._replace(ground=np.empty_like(self._pixels), tiles=np.empty_like(shared.tiles))
         self._bodies[:] = 0.0
-        tiles = self._draw(self._bodies, *self._display, *own, self.size, GROUND)
+        tiles = self._compiled(self._bodies, *self._display, *own, self.size, GROUND)
         return own._replace(tiles=own.tiles[:tiles].copy(), kept=self._pixels.copy())
 
 
-def draw_frame(
+def render_frame(
     scene: Scene,
     poses: Poses,
     view: View | str,
-    size: int = LOW_RESOLUTION,
+    size: int = FRAME_SIZE,
     samples: int | None = None,
 ) -> Image:
     """One frame (size, size, 3) uint8; for many frames of a scene, a `Renderer` is faster."""
     out = np.empty((size, size, CHANNELS), np.uint8)
-    Renderer(scene, view, size, samples).draw(poses.bodies, out)
+    Renderer(scene, view, size, samples).render(poses.bodies, out)
     return out
 
 
-def draw_both(
-    scene: Scene, poses: Poses, size: int = LOW_RESOLUTION, samples: int | None = None
+def render_views(
+    scene: Scene, poses: Poses, size: int = FRAME_SIZE, samples: int | None = None
 ) -> Image:
     """The egocentric and the allocentric frame side by side, (size, 2 * size, 3) uint8."""
     views = (View.EGO, View.ALLO)
-    return np.concatenate([draw_frame(scene, poses, v, size, samples) for v in views], axis=1)
+    return np.concatenate([render_frame(scene, poses, v, size, samples) for v in views], axis=1)
 
 
 def warm_up(samples: int = max(SAMPLES)) -> None:
-    """Compile what drawing needs, or load it from the disk, so that the first frame is fast."""
+    """Compile the renderer, or load it from the disk, so that the first frame is fast."""
     scene = Scene(Pose(0.0, 0.0, 0.0))
-    draw_frame(scene, Poses.at_rest(scene), View.EGO, 8, samples)
+    render_frame(scene, Poses.at_rest(scene), View.EGO, 8, samples)
 
 
 class _Memory(NamedTuple):
-    """What one frame is drawn in (see `canvas.Canvas` and `frame.compiled_draw`)."""
+    """The arrays that one frame is rendered in (see `canvas.Canvas`, `frame.compiled_render`)."""
 
     ground: NDArray[np.int32]
     tiles: NDArray[np.int64]

@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from magical.envs import EnvId
+from magical.envs.seeds import evaluation_seed
 from magical.envs.vector import MagicalVectorEnv
 from magical.evaluation.policy import Policy, checked_actions, is_privileged
 from magical.evaluation.rollouts import shown_to
-from magical.evaluation.seeds import RolloutRng, rollout_seed
+from magical.evaluation.seeds import RolloutRng
 from magical.render import Renderer
 from magical.scene import State, View
 from magical.scene.constants import CONTROL_RATE
@@ -26,7 +28,7 @@ LAST_FRAME = 1.5  # seconds that an animation rests at its end
 class Clip:
     """One rollout, the allocentric view at every control step, and its final score."""
 
-    env_id: str
+    env_id: EnvId
     score: float
     frames: NDArray[np.uint8]  # (T + 1, H, W, 3)
 
@@ -54,13 +56,13 @@ class Clip:
 
 
 def record_clips(
-    policy: Policy, env_ids: Sequence[str], rollout: int = 0, seed: int = 0, size: int = SIZE
+    policy: Policy, env_ids: Sequence[EnvId], rollout: int = 0, seed: int = 0, size: int = SIZE
 ) -> list[Clip]:
     """Roll the policy out once in each environment, all of one task, with evaluation's seeds.
 
     Raises `PolicyError` where the policy returns something else than actions.
     """
-    seeds = [rollout_seed(rollout, seed)] * len(env_ids)
+    seeds = [evaluation_seed(rollout, seed)] * len(env_ids)
     observation = shown_to(policy)
     with closing(MagicalVectorEnv(env_ids, workers=0, observation=observation)) as envs:
         rng = RolloutRng(env_ids, seeds)
@@ -84,7 +86,7 @@ def record_clips(
 
 def _photo(camera: Renderer, state: State) -> NDArray[np.uint8]:
     frame = np.empty((camera.size, camera.size, 3), np.uint8)
-    camera.draw(state.poses.bodies, frame)
+    camera.render(state.poses.bodies, frame)
     return frame
 
 

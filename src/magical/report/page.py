@@ -7,7 +7,6 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from magical.envs import parse_env_id
 from magical.evaluation.variants import short_variant
 from magical.files import write_atomically
 from magical.report.clips import SIZE, Clip, data_uri, png
@@ -66,7 +65,7 @@ class Page:
 def _reel(title: str, clips: Sequence[Clip]) -> dict[str, Any]:
     shown = [
         {
-            "variant": short_variant(parse_env_id(clip.env_id).variant),
+            "variant": short_variant(clip.env_id.variant),
             "score": clip.score,
             "uri": data_uri(clip.webp(), "image/webp"),
         }

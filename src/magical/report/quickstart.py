@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from magical import __version__
-from magical.demos.dataset import Dataset
 from magical.demos.generate import generate
-from magical.envs.workers import available_cores
+from magical.demos.store.dataset import Dataset
+from magical.envs.vector.workers import available_cores
 from magical.evaluation import (
     Entry,
     Policy,
@@ -160,7 +160,7 @@ def evaluate_all(settings: Settings, task: str, trained: Policy) -> list[Entry]:
 
 
 def _is_of(entry: Entry, task: str) -> bool:
-    return entry.scores[0].env_id.startswith(f"magical/{task}-")
+    return entry.scores[0].env_id.task == task
 
 
 def _page(

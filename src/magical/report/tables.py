@@ -131,7 +131,7 @@ def _horizon_note(task: Task, runs: Sequence[Entry]) -> str:
 def _rule_note(task: Task, published: bool) -> str:
     if not published:
         return "Scored by the appendix's rule."
-    if task.published_rule is None and task.horizon == task.published_horizon:
+    if task.published_score_fn is None and task.horizon == task.published_horizon:
         return "The published code's rule and horizon are the appendix's on this task."
     horizon = f", whose horizon is {task.published_horizon} control steps"
     return (

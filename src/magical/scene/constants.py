@@ -1,7 +1,8 @@
 """Every physical constant once, with its unit and source; what follows from it is computed.
 
 Units: workspace units (the workspace is the square [-1, 1] x [-1, 1], y up), radians
-(counter-clockwise positive), seconds, kilogram-like mass units. Sections are of details.md.
+(counter-clockwise positive), seconds, kilogram-like mass units. Sections are those of
+docs/specification.md.
 """
 
 import math
@@ -58,3 +59,7 @@ PENTAGON_SIDE = 2.0 * BLOCK_SIZE * math.sqrt(math.pi / 5 * math.tan(math.pi / 5)
 PENTAGON_RADIUS = PENTAGON_SIDE / (2.0 * math.sin(math.pi / 5))  # units
 STAR_OUTER_RADIUS = 1.3 * BLOCK_SIZE  # units
 STAR_INNER_RADIUS = 0.5 * STAR_OUTER_RADIUS  # units
+
+# Sections 6 and 7: the resolutions of the published frames.
+RAW_FRAME_SIZE = 384  # pixels: as rendered, one sample a pixel
+FRAME_SIZE = 96  # pixels: after averaging 4 x 4

@@ -30,7 +30,7 @@ def rotate(point: Point, angle: float) -> Point:
     return cos * point[0] - sin * point[1], sin * point[0] + cos * point[1]
 
 
-def to_world(point: Point, pose: Pose) -> Point:
+def to_workspace(point: Point, pose: Pose) -> Point:
     """A point of a body's own frame in the world."""
     x, y = rotate(point, pose.angle)
     return pose.x + x, pose.y + y
@@ -108,7 +108,7 @@ def robot_pieces() -> tuple[Piece, ...]:
 
 def place(pieces: Iterable[Piece], pose: Pose) -> tuple[Piece, ...]:
     """Pieces of a body's own frame in the world."""
-    return tuple(Piece(tuple(to_world(v, pose) for v in p.vertices), p.radius) for p in pieces)
+    return tuple(Piece(tuple(to_workspace(v, pose) for v in p.vertices), p.radius) for p in pieces)
 
 
 def placed_block(block: Block) -> tuple[Piece, ...]:

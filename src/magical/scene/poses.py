@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.scene.constants import FINGER_OPEN, FINGER_ROOT_X, FINGER_ROOT_Y, SIDES
-from magical.scene.geometry import to_world
+from magical.scene.geometry import to_workspace
 from magical.scene.scene import Pose, Scene
 
 ROBOT = 0  # row of the robot's body
@@ -44,7 +44,7 @@ class Poses:
     def at_rest(scene: Scene) -> "Poses":
         """The poses a scene starts from: fingers fully open, eyes straight ahead."""
         x, y, angle = scene.robot
-        roots = [to_world((side * FINGER_ROOT_X, FINGER_ROOT_Y), scene.robot) for side in SIDES]
+        roots = [to_workspace((side * FINGER_ROOT_X, FINGER_ROOT_Y), scene.robot) for side in SIDES]
         rows = [
             (x, y, angle),
             *((*root, angle - side * FINGER_OPEN) for root, side in zip(roots, SIDES, strict=True)),

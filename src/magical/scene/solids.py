@@ -88,7 +88,7 @@ class Solid:
     def parts(self) -> list[tuple[g.Piece, g.Point, float]]:
         """Each piece in the world with the centre and radius of the circle around it."""
         pieces, circles, _, _ = self.silhouette
-        centres = [g.to_world(centre, self.pose) for centre, _ in circles]
+        centres = [g.to_workspace(centre, self.pose) for centre, _ in circles]
         radii = [radius for _, radius in circles]
         return list(zip(g.place(pieces, self.pose), centres, radii, strict=True))
 

@@ -2,7 +2,7 @@
 
 from magical.tasks.axes import VARIANTS, Axis
 from magical.tasks.checking import check_placement
-from magical.tasks.placement import Placing
+from magical.tasks.placement import Placement
 from magical.tasks.registry import TASKS, discover, get_task, register_task, unregister_task
 from magical.tasks.task import Task
 from magical.tasks.validation import validate_scene
@@ -11,7 +11,7 @@ __all__ = [
     "TASKS",
     "VARIANTS",
     "Axis",
-    "Placing",
+    "Placement",
     "Task",
     "check_placement",
     "get_task",

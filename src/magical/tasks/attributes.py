@@ -12,19 +12,19 @@ from magical.tasks.axes import Axis
 Item = TypeVar("Item")
 
 
-def draw(items: Sequence[Item], rng: np.random.Generator) -> Item:
+def sample_item(items: Sequence[Item], rng: np.random.Generator) -> Item:
     """One of the items, uniformly."""
     return items[int(rng.integers(len(items)))]
 
 
-def draw_count(least: int, most: int, rng: np.random.Generator) -> int:
+def sample_count(least: int, most: int, rng: np.random.Generator) -> int:
     """A whole number from `least` to `most`, uniformly."""
     return int(rng.integers(least, most + 1))
 
 
-def draw_covering(items: Sequence[Item], count: int, rng: np.random.Generator) -> list[Item]:
+def sample_covering(items: Sequence[Item], count: int, rng: np.random.Generator) -> list[Item]:
     """`count` items in random order: each item once, the rest uniform."""
-    drawn = [*items, *(draw(items, rng) for _ in range(count - len(items)))]
+    drawn = [*items, *(sample_item(items, rng) for _ in range(count - len(items)))]
     return [drawn[i] for i in rng.permutation(count)]
 
 
@@ -41,8 +41,8 @@ def repaint(blocks: Sequence[Block], axes: Axis, rng: np.random.Generator) -> tu
     return tuple(
         replace(
             block,
-            colour=draw(COLOURS, rng) if Axis.COLOUR in axes else block.colour,
-            shape=draw(SHAPES, rng) if Axis.SHAPE in axes else block.shape,
+            colour=sample_item(COLOURS, rng) if Axis.COLOUR in axes else block.colour,
+            shape=sample_item(SHAPES, rng) if Axis.SHAPE in axes else block.shape,
         )
         for block in blocks
     )

@@ -1,4 +1,4 @@
-"""Whether a scene keeps the placement rules of a variant (details.md, section 8).
+"""Whether a scene obeys the placement rules of a variant (docs/specification.md, section 8).
 
 The counterpart of `placement`, written against the rules and not against the sampler.
 """
@@ -41,7 +41,7 @@ def check_placement(task: Task, variant: str, scene: Scene, slack: float = v.ROU
 
 def _kept_apart(task: Task, scene: Scene) -> Iterator[_Pair]:
     bodies, regions = list(v.named_bodies(scene).items()), list(v.named_regions(scene).items())
-    enclosed = {i + 1: r for i, r in task.placing.enclosed(len(scene.blocks)).items()}
+    enclosed = {i + 1: r for i, r in task.placement.enclosed(len(scene.blocks)).items()}
     yield from combinations(bodies, 2)
     yield from combinations(regions, 2)
     for (i, body), (j, region) in product(enumerate(bodies), enumerate(regions)):
@@ -57,16 +57,16 @@ def _check_counts(task: Task, scene: Scene) -> None:
 
 
 def _check_sizes(task: Task, scene: Scene, slack: float) -> None:
-    low, high = task.placing.region_size
+    low, high = task.placement.region_size
     for size in (size for r in scene.regions for size in (r.height, r.width)):
         if not low - slack <= size <= high + slack:
             raise InvalidSceneError(f"region size: expected {low} to {high}, found {size:g}")
 
 
 def _check_enclosed(task: Task, axes: Axis, scene: Scene, slack: float) -> None:
-    for i, r in task.placing.enclosed(len(scene.blocks)).items():
+    for i, r in task.placement.enclosed(len(scene.blocks)).items():
         (x, y), pose = scene.regions[r].centre, scene.blocks[i].pose
-        limit = task.placing.limit(scene.regions[r])
+        limit = task.placement.limit(scene.regions[r])
         if Axis.JITTER in axes:
             limit = min(limit, POSITION_JITTER)
         _near(f"block {i} in region {r}", (x, y), pose[:2], (limit, limit), slack)
@@ -74,7 +74,7 @@ def _check_enclosed(task: Task, axes: Axis, scene: Scene, slack: float) -> None:
 
 def _check_near_demo(task: Task, axes: Axis, scene: Scene, slack: float) -> None:
     jitter = float(Axis.JITTER in axes)
-    enclosed = task.placing.enclosed(len(scene.blocks)) if jitter else {}
+    enclosed = task.placement.enclosed(len(scene.blocks)) if jitter else {}
     position, angle, size = (
         jitter * limit for limit in (POSITION_JITTER, ANGLE_JITTER, SIZE_JITTER)
     )

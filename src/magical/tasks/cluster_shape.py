@@ -41,9 +41,9 @@ def published_score(scene: Scene, poses: Poses) -> float:
     return clustering.published_score(scene, poses, shape_of)
 
 
-def fault(scene: Scene) -> str:
+def find_problem(scene: Scene) -> str:
     """Why the scene does not fit the task, or an empty text."""
-    return clustering.fault(scene, shape_of, SHAPES)
+    return clustering.find_problem(scene, shape_of, SHAPES)
 
 
 TASK = Task(
@@ -54,10 +54,10 @@ TASK = Task(
     published_horizon=clustering.PUBLISHED_HORIZON,
     demo=DEMO,
     axes=EVERYTHING,
-    redraw=clustering.redraw,
-    rule=score,
-    published_rule=published_score,
+    randomise_fn=clustering.randomise,
+    score_fn=score,
+    published_score_fn=published_score,
     max_blocks=clustering.BLOCKS[1],
     max_regions=0,
-    fault=fault,
+    validate_fn=find_problem,
 )

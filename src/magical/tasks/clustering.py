@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.scene import COLOURS, SHAPES, Block, Poses, Scene
-from magical.tasks.attributes import draw_count, draw_covering, take
+from magical.tasks.attributes import sample_count, sample_covering, take
 from magical.tasks.axes import Axis
 from magical.tasks.scoring import positions
 
@@ -29,15 +29,15 @@ Attribute = Callable[[Block], str]
 Distances = NDArray[np.float64]  # (number of blocks,) squared units
 
 
-def redraw(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
+def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """The number of blocks; their colours and shapes with each of the four values present."""
-    count = draw_count(*BLOCKS, rng) if Axis.COUNT in axes else len(scene.blocks)
+    count = sample_count(*BLOCKS, rng) if Axis.COUNT in axes else len(scene.blocks)
     blocks = take(scene.blocks, count)
     if Axis.COLOUR in axes:
-        colours = draw_covering(COLOURS, count, rng)
+        colours = sample_covering(COLOURS, count, rng)
         blocks = tuple(replace(b, colour=c) for b, c in zip(blocks, colours, strict=True))
     if Axis.SHAPE in axes:
-        shapes = draw_covering(SHAPES, count, rng)
+        shapes = sample_covering(SHAPES, count, rng)
         blocks = tuple(replace(b, shape=s) for b, s in zip(blocks, shapes, strict=True))
     return replace(scene, blocks=blocks)
 
@@ -74,7 +74,7 @@ def centroid_distances(
     return own, other
 
 
-def fault(scene: Scene, attribute: Attribute, expected: Sequence[str]) -> str:
+def find_problem(scene: Scene, attribute: Attribute, expected: Sequence[str]) -> str:
     """Why the scene does not fit the task, or an empty text."""
     missing = [value for value in expected if value not in map(attribute, scene.blocks)]
     return f"expected at least one {' and one '.join(missing)} block, found none" if missing else ""

@@ -15,9 +15,9 @@ from dataclasses import replace
 import numpy as np
 
 from magical.scene import Block, Colour, Pose, Poses, Region, Scene, Shape
-from magical.tasks.attributes import draw_count, repaint, take
+from magical.tasks.attributes import repaint, sample_count, take
 from magical.tasks.axes import EVERYTHING, Axis
-from magical.tasks.placement import Placing
+from magical.tasks.placement import Placement
 from magical.tasks.scoring import blocks_inside
 from magical.tasks.task import Task
 
@@ -44,12 +44,12 @@ def query_in_region(count: int) -> Mapping[int, int]:
     return {count - 1: 0}
 
 
-def redraw(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
+def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """The query's colour and shape, the others' number, colours and shapes."""
     *others, duplicate, query = scene.blocks
     (query,) = repaint([query], axes, rng)
     if Axis.COUNT in axes:
-        others = list(take(others, draw_count(*OTHERS, rng)))
+        others = list(take(others, sample_count(*OTHERS, rng)))
     duplicate = replace(query, pose=duplicate.pose)
     return replace(
         scene,
@@ -79,7 +79,7 @@ def _alike(scene: Scene) -> set[int]:
     return {i for i, block in enumerate(scene.blocks) if (block.shape, block.colour) == wanted}
 
 
-def fault(scene: Scene) -> str:
+def find_problem(scene: Scene) -> str:
     """Why the scene does not fit the task, or an empty text."""
     if len(scene.regions) != 1 or not scene.blocks:
         return "expected 1 goal region and the query as the last block, found fewer; add them"
@@ -96,11 +96,11 @@ TASK = Task(
     horizon=100,
     demo=DEMO,
     axes=EVERYTHING,
-    redraw=redraw,
-    placing=Placing(enclosed=query_in_region, margin=MARGIN),
-    rule=score,
-    published_rule=published_score,
+    randomise_fn=randomise,
+    placement=Placement(enclosed=query_in_region, margin=MARGIN),
+    score_fn=score,
+    published_score_fn=published_score,
     max_blocks=OTHERS[1] + 2,
     max_regions=1,
-    fault=fault,
+    validate_fn=find_problem,
 )

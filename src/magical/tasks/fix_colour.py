@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from magical.scene import COLOURS, Block, Colour, Pose, Poses, Region, Scene, Shape
-from magical.tasks.attributes import draw, draw_count, repaint, take
+from magical.tasks.attributes import repaint, sample_count, sample_item, take
 from magical.tasks.axes import EVERYTHING, Axis
-from magical.tasks.placement import Placing
+from magical.tasks.placement import Placement
 from magical.tasks.scoring import blocks_inside
 from magical.tasks.task import Task
 
@@ -41,16 +41,16 @@ def own_region(count: int) -> Mapping[int, int]:
     return {i: i for i in range(count)}
 
 
-def redraw(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
+def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """The number of pairs, the blocks' shapes, the regions' colours and the mismatch."""
-    count = draw_count(*PAIRS, rng) if Axis.COUNT in axes else len(scene.blocks)
+    count = sample_count(*PAIRS, rng) if Axis.COUNT in axes else len(scene.blocks)
     blocks = list(repaint(take(scene.blocks, count), axes & Axis.SHAPE, rng))
     regions = scene.regions[:count]
     if Axis.COLOUR in axes:
-        regions = tuple(replace(region, colour=draw(COLOURS, rng)) for region in regions)
+        regions = tuple(replace(region, colour=sample_item(COLOURS, rng)) for region in regions)
         colours = [region.colour for region in regions]
-        odd = draw_count(0, count - 1, rng)
-        colours[odd] = draw([colour for colour in COLOURS if colour != colours[odd]], rng)
+        odd = sample_count(0, count - 1, rng)
+        colours[odd] = sample_item([colour for colour in COLOURS if colour != colours[odd]], rng)
         blocks = [replace(b, colour=c) for b, c in zip(blocks, colours, strict=True)]
     return replace(scene, blocks=tuple(blocks), regions=regions)
 
@@ -71,7 +71,7 @@ def mismatches(scene: Scene) -> set[int]:
     return {i for i, (block, region) in enumerate(pairs) if block.colour != region.colour}
 
 
-def fault(scene: Scene) -> str:
+def find_problem(scene: Scene) -> str:
     """Why the scene does not fit the task, or an empty text."""
     if len(scene.blocks) != len(scene.regions):
         return (
@@ -93,10 +93,10 @@ TASK = Task(
     horizon=60,
     demo=DEMO,
     axes=EVERYTHING,
-    redraw=redraw,
-    placing=Placing(region_size=REGION_SIZE, enclosed=own_region, margin=MARGIN),
-    rule=score,
+    randomise_fn=randomise,
+    placement=Placement(region_size=REGION_SIZE, enclosed=own_region, margin=MARGIN),
+    score_fn=score,
     max_blocks=PAIRS[1],
     max_regions=PAIRS[1],
-    fault=fault,
+    validate_fn=find_problem,
 )

@@ -15,7 +15,7 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from magical.scene import Block, Colour, Pose, Poses, Scene, Shape
-from magical.tasks.attributes import draw_count, repaint, take
+from magical.tasks.attributes import repaint, sample_count, take
 from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.scoring import Point, positions
 from magical.tasks.task import Task
@@ -36,11 +36,11 @@ DEMO = Scene(
 )
 
 
-def redraw(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
+def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """The number of blocks, each block's colour and shape."""
     blocks = scene.blocks
     if Axis.COUNT in axes:
-        blocks = take(blocks, draw_count(*BLOCKS, rng))
+        blocks = take(blocks, sample_count(*BLOCKS, rng))
     return replace(scene, blocks=repaint(blocks, axes, rng))
 
 
@@ -79,7 +79,7 @@ def line_through(a: Point, b: Point, blocks: Sequence[Point]) -> int:
     return longest
 
 
-def fault(scene: Scene) -> str:
+def find_problem(scene: Scene) -> str:
     """Why the scene does not fit the task, or an empty text."""
     return "" if len(scene.blocks) > 1 else "expected at least 2 blocks, found fewer; add blocks"
 
@@ -91,10 +91,10 @@ TASK = Task(
     horizon=180,
     demo=DEMO,
     axes=EVERYTHING,
-    redraw=redraw,
-    rule=score,
-    published_rule=published_score,
+    randomise_fn=randomise,
+    score_fn=score,
+    published_score_fn=published_score,
     max_blocks=BLOCKS[1],
     max_regions=0,
-    fault=fault,
+    validate_fn=find_problem,
 )

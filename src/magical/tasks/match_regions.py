@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from magical.scene import COLOURS, Block, Colour, Pose, Poses, Region, Scene, Shape
-from magical.tasks.attributes import draw, draw_count, repaint, take
+from magical.tasks.attributes import repaint, sample_count, sample_item, take
 from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.scoring import blocks_inside
 from magical.tasks.task import Task
@@ -36,14 +36,14 @@ DEMO = Scene(
 )
 
 
-def redraw(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
+def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """The target colour with the others in order, then numbers of blocks, then shapes."""
     region, blocks = scene.regions[0], scene.blocks
-    target = draw(COLOURS, rng) if Axis.COLOUR in axes else region.colour
+    target = sample_item(COLOURS, rng) if Axis.COLOUR in axes else region.colour
     renamed = dict(zip(_target_first(region.colour), _target_first(target), strict=True))
     colours = [renamed[block.colour] for block in blocks]
     if Axis.COUNT in axes:
-        counts = [draw_count(*TARGETS, rng), *(draw_count(*DISTRACTORS, rng) for _ in range(3))]
+        counts = [sample_count(*TARGETS, rng), *(sample_count(*DISTRACTORS, rng) for _ in range(3))]
         groups = zip(_target_first(target), counts, strict=True)
         colours = [colour for colour, count in groups for _ in range(count)]
     blocks = tuple(
@@ -71,7 +71,7 @@ def score(scene: Scene, poses: Poses) -> float:
     return len(targets & inside) / len(targets) * (1 - len(inside - targets) / len(inside))
 
 
-def fault(scene: Scene) -> str:
+def find_problem(scene: Scene) -> str:
     """Why the scene does not fit the task, or an empty text."""
     if len(scene.regions) != 1:
         return "expected 1 goal region, found none"
@@ -87,9 +87,9 @@ TASK = Task(
     horizon=120,
     demo=DEMO,
     axes=EVERYTHING,
-    redraw=redraw,
-    rule=score,
+    randomise_fn=randomise,
+    score_fn=score,
     max_blocks=TARGETS[1] + DISTRACTORS[1] * (len(COLOURS) - 1),
     max_regions=1,
-    fault=fault,
+    validate_fn=find_problem,
 )

@@ -29,7 +29,7 @@ DEMO = Scene(
 )
 
 
-def redraw(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
+def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """The block's colour and shape."""
     return replace(scene, blocks=repaint(scene.blocks, axes, rng))
 
@@ -50,7 +50,7 @@ def progress(scene: Scene, poses: Poses) -> float:
     return -math.dist(block, GOAL) - max(apart, 0.0) / 2
 
 
-def fault(scene: Scene) -> str:
+def find_problem(scene: Scene) -> str:
     """Why the scene does not fit the task, or an empty text."""
     return "" if len(scene.blocks) == 1 else f"expected 1 block, found {len(scene.blocks)}"
 
@@ -62,10 +62,10 @@ TASK = Task(
     horizon=80,
     demo=DEMO,
     axes=Axis.JITTER | Axis.COLOUR | Axis.SHAPE | Axis.DYNAMICS,
-    redraw=redraw,
-    rule=score,
+    randomise_fn=randomise,
+    score_fn=score,
     max_blocks=1,
     max_regions=0,
-    progress=progress,
-    fault=fault,
+    progress_fn=progress,
+    validate_fn=find_problem,
 )

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from magical.scene import COLOURS, Colour, Pose, Poses, Region, Scene
-from magical.tasks.attributes import draw
+from magical.tasks.attributes import sample_item
 from magical.tasks.axes import Axis
 from magical.tasks.task import Task
 
@@ -20,11 +20,11 @@ DEMO = Scene(
 )
 
 
-def redraw(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
+def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """The region's colour."""
     if Axis.COLOUR not in axes:
         return scene
-    return replace(scene, regions=(replace(scene.regions[0], colour=draw(COLOURS, rng)),))
+    return replace(scene, regions=(replace(scene.regions[0], colour=sample_item(COLOURS, rng)),))
 
 
 def score(scene: Scene, poses: Poses) -> float:
@@ -37,7 +37,7 @@ def progress(scene: Scene, poses: Poses) -> float:
     return -math.dist(poses.robot[:2], scene.regions[0].centre)
 
 
-def fault(scene: Scene) -> str:
+def find_problem(scene: Scene) -> str:
     """Why the scene does not fit the task, or an empty text."""
     return "" if len(scene.regions) == 1 else "expected 1 goal region, found none"
 
@@ -49,10 +49,10 @@ TASK = Task(
     horizon=40,
     demo=DEMO,
     axes=Axis.JITTER | Axis.LAYOUT | Axis.COLOUR | Axis.DYNAMICS,
-    redraw=redraw,
-    rule=score,
+    randomise_fn=randomise,
+    score_fn=score,
     max_blocks=0,
     max_regions=1,
-    progress=progress,
-    fault=fault,
+    progress_fn=progress,
+    validate_fn=find_problem,
 )

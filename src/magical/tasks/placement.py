@@ -1,8 +1,10 @@
-"""Placing regions, robot and blocks by bounded rejection (details.md, section 8).
+"""Placing regions, robot and blocks by bounded rejection sampling.
+
+Source: docs/specification.md, section 8.
 
 One body at a time, uniform proposals, in the order regions, robot, blocks; what would overlap a
-body, region or wall already placed is proposed again. A body that finds no room starts the whole
-scene anew, a bounded number of times. Scenes are plain data, so giving up leaves nothing behind.
+body, region or wall already placed is proposed again. If a body finds no room, the whole scene is
+sampled again, a bounded number of times. Scenes are plain data, so giving up leaves nothing behind.
 """
 
 import math
@@ -30,7 +32,7 @@ def _nowhere(count: int) -> Mapping[int, int]:
 
 
 @dataclass(frozen=True)
-class Placing:
+class Placement:
     """How a task's regions and blocks are placed where the common rules leave a choice."""
 
     region_size: tuple[float, float] = (0.5, 0.8)  # units: range of height and width
@@ -49,7 +51,7 @@ class _Box(NamedTuple):
     position: float
     angle: float
 
-    def draw(self, rng: np.random.Generator) -> Pose:
+    def sample(self, rng: np.random.Generator) -> Pose:
         x, y, angle = (2.0 * rng.random(3) - 1.0).tolist()
         return Pose(
             self.centre.x + self.position * x,
@@ -69,19 +71,19 @@ def _box(pose: Pose, axes: Axis) -> _Box:
     return _Box(pose, POSITION_JITTER, ANGLE_JITTER)
 
 
-def scatter(scene: Scene, axes: Axis, rng: np.random.Generator, placing: Placing) -> Scene:
-    """The scene with poses and region sizes drawn anew along JITTER or LAYOUT, or unchanged.
+def scatter(scene: Scene, axes: Axis, rng: np.random.Generator, placement: Placement) -> Scene:
+    """Sample poses and region sizes along JITTER or LAYOUT; without these the scene is unchanged.
 
     Raises `PlacementError` after `MAX_RESTARTS` scenes in which a body found no room.
     """
     if not axes & (Axis.JITTER | Axis.LAYOUT):
         return scene
-    sizes = [_resized(region, axes, rng, placing.region_size) for region in scene.regions]
+    sizes = [_resized(region, axes, rng, placement.region_size) for region in scene.regions]
     scene = replace(scene, regions=tuple(sizes))
     stuck = ""
     for _ in range(MAX_RESTARTS):
         try:
-            return _attempt(scene, axes, rng, placing)
+            return _attempt(scene, axes, rng, placement)
         except PlacementError as error:
             stuck = str(error)
     raise PlacementError(
@@ -92,25 +94,25 @@ def scatter(scene: Scene, axes: Axis, rng: np.random.Generator, placing: Placing
 def _resized(
     region: Region, axes: Axis, rng: np.random.Generator, limits: tuple[float, float]
 ) -> Region:
-    def draw(size: float) -> float:
+    def sample_size(size: float) -> float:
         low, high = limits
         if Axis.LAYOUT not in axes:
             low, high = max(low, size - SIZE_JITTER), min(high, size + SIZE_JITTER)
         return float(rng.uniform(low, high))
 
-    return replace(region, height=draw(region.height), width=draw(region.width))
+    return replace(region, height=sample_size(region.height), width=sample_size(region.width))
 
 
-def _attempt(scene: Scene, axes: Axis, rng: np.random.Generator, placing: Placing) -> Scene:
+def _attempt(scene: Scene, axes: Axis, rng: np.random.Generator, placement: Placement) -> Scene:
     regions = _place_regions(scene, axes, rng)
     robot = _fit("the robot", robot_silhouette(), _box(scene.robot, axes), regions, rng)
     solids, blocks = [*regions, robot], list(scene.blocks)
-    enclosed = placing.enclosed(len(blocks))
+    enclosed = placement.enclosed(len(blocks))
     for i in sorted(range(len(blocks)), key=lambda i: i in enclosed):
         block, box, obstacles = blocks[i], _box(blocks[i].pose, axes), solids
         if i in enclosed:
             own = regions[enclosed[i]]
-            box = box.around(own.pose, placing.limit(scene.regions[enclosed[i]]))
+            box = box.around(own.pose, placement.limit(scene.regions[enclosed[i]]))
             obstacles = [solid for solid in solids if solid is not own]
         what = f"block {i} ({block.colour} {block.shape})"
         solid = _fit(what, block_silhouette(block.shape), box, obstacles, rng)
@@ -138,7 +140,7 @@ def _fit(
     what: str, silhouette: Silhouette, box: _Box, others: list[Solid], rng: np.random.Generator
 ) -> Solid:
     for _ in range(MAX_PROPOSALS):
-        solid = Solid(silhouette, box.draw(rng))
+        solid = Solid(silhouette, box.sample(rng))
         if solid.is_inside() and not any(map(solid.overlaps, others)):
             return solid
     raise PlacementError(f"found no room for {what} in {MAX_PROPOSALS} proposals")

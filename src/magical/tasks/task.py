@@ -9,36 +9,41 @@ import numpy as np
 from magical.errors import InvalidSceneError, InvalidTaskError, UnknownNameError
 from magical.scene import Dynamics, Poses, Scene
 from magical.tasks.axes import ALL, VARIANTS, Axis
-from magical.tasks.placement import Placing, scatter
+from magical.tasks.placement import Placement, scatter
 from magical.tasks.validation import validate_scene
 
-Redraw = Callable[[Scene, Axis, np.random.Generator], Scene]
-Rule = Callable[[Scene, Poses], float]
+RandomiseFn = Callable[[Scene, Axis, np.random.Generator], Scene]
+ScoreFn = Callable[[Scene, Poses], float]
+ValidateFn = Callable[[Scene], str]
 
 
-def _no_fault(scene: Scene) -> str:
+def _accept(scene: Scene) -> str:
     return ""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """One task of the benchmark; raises `InvalidTaskError` where the fields do not fit."""
+    """One task of the benchmark.
+
+    Raises `InvalidTaskError` for fields that do not fit together, `InvalidSceneError` for a Demo
+    scene that does not fit the task.
+    """
 
     name: str  # as in environment ids, for instance MoveToCorner
     summary: str  # one line: what the robot must do
     section: str = ""  # of the appendix; tasks are listed in its order, those without come last
     horizon: int  # control steps (appendix A.2)
     published_horizon: int = 0  # that of the published code; 0: the same
-    demo: Scene  # the Demo variant's scene (details.md, section 8)
+    demo: Scene  # the Demo variant's scene (docs/specification.md, section 8)
     axes: Axis  # the axes that its variants may change (appendix, Table 2)
-    redraw: Redraw  # draws counts, colours and shapes along the given axes; poses are drawn after
-    placing: Placing = field(default_factory=Placing)  # how regions and blocks are placed
-    rule: Rule  # the appendix's score of a final state, 0 to 1
-    published_rule: Rule | None = None  # the published code's, where different (section 9)
+    randomise_fn: RandomiseFn  # samples counts, colours and shapes along the given axes; not poses
+    placement: Placement = field(default_factory=Placement)  # how regions and blocks are placed
+    score_fn: ScoreFn  # the appendix's score of a final state, 0 to 1
+    published_score_fn: ScoreFn | None = None  # the published code's, where different (section 9)
     max_blocks: int  # over all variants
     max_regions: int  # over all variants
-    progress: Rule | None = None  # what the dense reward is the increase of, where there is one
-    fault: Callable[[Scene], str] = _no_fault  # why a scene does not fit the task, or ""
+    progress_fn: ScoreFn | None = None  # the dense reward is its increase; None: no dense reward
+    validate_fn: ValidateFn = _accept  # why a scene does not fit the task, or ""
 
     def __post_init__(self) -> None:
         if not self.name.isalnum():
@@ -70,7 +75,7 @@ class Task:
         """The axes along which a variant differs from Demo; raises `UnknownNameError`.
 
         TestAll changes everything that the task supports, and jitters poses only where they
-        cannot be laid out freely (details.md, section 8).
+        cannot be laid out freely (docs/specification.md, section 8).
         """
         if variant not in self.variants:
             raise UnknownNameError(self._unknown_variant(variant))
@@ -86,23 +91,23 @@ class Task:
         return f"{variant!r} is no variant; {self.name} has: {known}{hint}"
 
     def sample(self, variant: str, rng: np.random.Generator) -> tuple[Scene, Dynamics]:
-        """Draw an episode's initial scene and dynamics.
+        """Sample an episode's initial scene and dynamics.
 
         Raises:
             UnknownNameError: the task lacks the variant; says which it has.
             PlacementError: no room was found for a body.
         """
         axes = self.axes_of(variant)
-        scene = scatter(self.redraw(self.demo, axes, rng), axes, rng, self.placing)
+        scene = scatter(self.randomise_fn(self.demo, axes, rng), axes, rng, self.placement)
         return scene, Dynamics.sample(rng) if Axis.DYNAMICS in axes else Dynamics()
 
     def score(self, scene: Scene, poses: Poses) -> float:
         """The appendix's score, 0 to 1, of final poses in an episode that began with `scene`."""
-        return self.rule(scene, poses)
+        return self.score_fn(scene, poses)
 
     def published_code_score(self, scene: Scene, poses: Poses) -> float:
-        """The published code's score of the same (details.md, section 9)."""
-        return (self.published_rule or self.rule)(scene, poses)
+        """The published code's score of the same (docs/specification.md, section 9)."""
+        return (self.published_score_fn or self.score_fn)(scene, poses)
 
     def validate(self, scene: Scene) -> None:
         """Raise `InvalidSceneError` where an episode of this task cannot start from the scene."""
@@ -113,5 +118,5 @@ class Task:
                 f"{self.name}: expected at most {self.max_blocks} blocks and {self.max_regions} "
                 f"regions, found {found[0]} and {found[1]}; remove some"
             )
-        if fault := self.fault(scene):
-            raise InvalidSceneError(f"{self.name}: {fault}")
+        if problem := self.validate_fn(scene):
+            raise InvalidSceneError(f"{self.name}: {problem}")

@@ -79,9 +79,9 @@ class ALConfig(ReinforcementConfig, ImitationConfig):
         self.require_positive("reward_std", "replay_batches")
         self.require_augmentations("augment")
         self.require_one_task()
-        if self.pixels.size != SIZE:
+        if self.input_shape[1:] != (SIZE, SIZE):
             raise InvalidConfigError(
-                f"observation: expected images of {SIZE} pixels, found {self.pixels.size}"
+                f"observation: expected images of {SIZE} pixels, found {self.input_shape[1:]}"
             )
 
     @property
@@ -95,7 +95,9 @@ def train(config: ALConfig, run: Run) -> None:
     chosen = choose_demonstrations(config.demos, config.tasks, config.num_demos, config.seed)
     run.describe(demonstrations=list(chosen.record))
     with Learner(config, run, before=config.pretraining_batches) as learner:
-        expert = ExpertData(chosen.trajectories, config.tasks, config.pixels, device=learner.device)
+        expert = ExpertData(
+            chosen.trajectories, config.tasks, config.observation_spec, device=learner.device
+        )
         autoencoder = make_autoencoder(config).to(learner.device)
         if not pretrain(config, run, learner, expert, autoencoder):
             return
@@ -170,7 +172,7 @@ def imitate(
         samples = learner.collect(number)
         began = time.perf_counter()
         shown = zip(samples.observations, samples.actions, strict=True)
-        features = torch.stack([encode(as_inputs(o, config.form), a) for o, a in shown])
+        features = torch.stack([encode(as_inputs(o), a) for o, a in shown])
         replay.add(features, samples.actions)  # (T, N, 32)
         rng = stream(config.seed, Purpose.DISCRIMINATOR, number)
         rows = torch.from_numpy(expert.sample_evenly(config.feature_samples, rng))
@@ -226,7 +228,7 @@ def draw_reconstructions(
 def make_autoencoder(config: ALConfig) -> Autoencoder:
     """The network, with first weights from the seed."""
     with seeded_weights(config.seed, WEIGHTS_NUMBER):
-        return Autoencoder(get_width(config.network), config.image_shape)
+        return Autoencoder(get_width(config.network), config.input_shape)
 
 
 ALGORITHM = Algorithm(ALConfig, train, make_policy)

@@ -135,7 +135,7 @@ def bc_step(
 def make_policy(config: BCConfig) -> PolicyNetwork:
     """The network, with first weights from the seed; policies of BC have batch norm."""
     with seeded_weights(config.seed):
-        trunk = Trunk(get_width(config.network), config.image_shape, batch_norm=True)
+        trunk = Trunk(get_width(config.network), config.input_shape, batch_norm=True)
         return PolicyNetwork(trunk, len(config.tasks))
 
 
@@ -159,7 +159,7 @@ def load_demonstrations(config: BCConfig, run: Run, device: str) -> ExpertData:
     chosen = choose_demonstrations(config.demos, config.tasks, config.num_demos, config.seed)
     run.describe(demonstrations=list(chosen.record))
     return ExpertData(
-        chosen.trajectories, config.tasks, config.pixels, device=device, remove_noops=True
+        chosen.trajectories, config.tasks, config.observation_spec, device=device, remove_noops=True
     )
 
 

@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from magical.demos import Dataset, DatasetWriter, Trajectory
+from magical.envs import EnvId
 from magical.errors import InvalidConfigError, RunFolderError
 from magical.evaluation import environments
 from magical.evaluation.variants import full_variant, short_variant
@@ -95,7 +96,7 @@ class DAggerConfig(BCConfig):
         return self.rounds * self.batches
 
     @property
-    def env_ids(self) -> list[str]:
+    def env_ids(self) -> list[EnvId]:
         """The worlds of a round, one an episode; tasks act in those of the variants they have."""
         found = [environments([task], self.variants) for task in self.tasks]
         return [ids[i % len(ids)] for ids in found for i in range(self.episodes)]
@@ -180,7 +181,7 @@ class Aggregate:
         data = ExpertData(
             everything,
             config.tasks,
-            config.pixels,
+            config.observation_spec,
             device=device,
             remove_noops=not config.keep_noops,
         )
@@ -200,7 +201,7 @@ class Learner:
         self.device = choose_device(config.device)
         self.begin()
         size = config.batch_size
-        images = torch.zeros(size, *config.image_shape, device=self.device)
+        images = torch.zeros(size, *config.input_shape, device=self.device)
         numbers = torch.zeros(size, dtype=torch.int64, device=self.device)
         probe = Batch(images, numbers, numbers)
         self.compute = choose_compute(config, run, self.device, self.network, probe)
@@ -218,7 +219,7 @@ class Learner:
         """What acts in the worlds: the present network."""
         config = self.config
         return NetworkPolicy(
-            self.network, config.tasks, config.observation, config.form, self.compute
+            self.network, config.tasks, config.observation, config.observation_spec, self.compute
         )
 
     def learn(

@@ -79,7 +79,9 @@ def train_against(config: GAILConfig, run: Run, loss: Loss, to_reward: ToReward)
     chosen = choose_demonstrations(config.demos, config.tasks, config.num_demos, config.seed)
     run.describe(demonstrations=list(chosen.record))
     with Learner(config, run) as learner:
-        expert = ExpertData(chosen.trajectories, config.tasks, config.pixels, device=learner.device)
+        expert = ExpertData(
+            chosen.trajectories, config.tasks, config.observation_spec, device=learner.device
+        )
         rival = Rival(
             make_discriminator(config).to(learner.device),
             expert,
@@ -128,7 +130,7 @@ def discriminator_loss(
 def make_discriminator(config: GAILConfig) -> Discriminator:
     """The network with batch norm and action input, with first weights from the seed."""
     with seeded_weights(config.seed, WEIGHTS_NUMBER):
-        return Discriminator(get_width(config.network), config.image_shape, len(config.tasks))
+        return Discriminator(get_width(config.network), config.input_shape, len(config.tasks))
 
 
 ALGORITHM = Algorithm(GAILConfig, train, make_policy)

@@ -31,8 +31,7 @@ from magical.learning.reinforcement import QUICK, ReinforcementConfig
 from magical.learning.rollout import Sampler, Samples, as_inputs
 from magical.learning.runs import METRICS, Run
 from magical.learning.streams import Purpose, seeded_weights, stream
-from magical.observe import STATE, PixelSpec, StateLayout
-from magical.tasks import get_task
+from magical.observe import NAMED
 
 RECENT = 100  # episodes over which the reported score is averaged
 EVALUATION_SEED = 1  # not the seeds that results are reported for
@@ -59,16 +58,8 @@ class PPOConfig(ReinforcementConfig):
 
     def check_observation(self) -> None:
         """Raise unless the observation is one array of images, or `state`."""
-        if self.observation != STATE:
+        if self.observation not in NAMED:
             super().check_observation()
-
-    @property
-    def form(self) -> PixelSpec | StateLayout:
-        """The observation's form; the environment refuses tasks with different state vectors."""
-        if self.observation != STATE:
-            return self.pixels
-        task = get_task(self.tasks[0])
-        return StateLayout(task.max_blocks, task.max_regions)
 
 
 def train(config: PPOConfig, run: Run) -> None:
@@ -96,7 +87,7 @@ class Learner:
         self.device = choose_device(config.device)
         self.network = make_policy(config).to(self.device)
         self.optimizer = Adam(self.network.parameters(), config.learning_rate, fused=True)
-        states = isinstance(config.form, StateLayout)
+        states = len(config.input_shape) == 1
         # Positions need more digits than pixels.
         precision = "float32" if states and config.precision == "auto" else config.precision
         self.compute = run.compute(self.device, precision, self._probe)
@@ -140,7 +131,7 @@ class Learner:
 
     def act(self, observations: Tensor, tasks: Tensor) -> tuple[Tensor, Tensor]:
         """Logits (B, 18) and values (B,) of observations as the environment gives them."""
-        return self._forward(as_inputs(observations, self.config.form), tasks)
+        return self._forward(as_inputs(observations), tasks)
 
     def _forward(self, inputs: Tensor, tasks: Tensor) -> tuple[Tensor, Tensor]:
         with self.compute.autocast():
@@ -228,10 +219,10 @@ class Learner:
 
     def _evaluate(self) -> float:
         config = self.config
-        shown = config.observation, config.form
+        shown = config.observation, config.observation_spec
         scores = evaluate(
             NetworkPolicy(self.network, config.tasks, *shown, self.compute),
-            [str(EnvId(task, "Demo")) for task in config.tasks],
+            [EnvId(task, "Demo") for task in config.tasks],
             rollouts=config.evaluation_rollouts,
             seed=EVALUATION_SEED,
             workers=config.workers,
@@ -250,8 +241,7 @@ class Learner:
 
     def _probe(self) -> Tensor:
         """A forward pass of a minibatch, to measure precisions with."""
-        form, size = self.config.form, self.config.minibatch_size
-        shape = (form.size,) if isinstance(form, StateLayout) else self.config.image_shape
+        shape, size = self.config.input_shape, self.config.minibatch_size
         tasks = torch.zeros(size, dtype=torch.int64, device=self.device)
         logits, values = self.network.both(torch.zeros(size, *shape, device=self.device), tasks)
         return logits.sum() + values.sum()
@@ -280,13 +270,9 @@ def ppo_loss(
 
 def make_policy(config: ReinforcementConfig) -> ActorCritic:
     """The network, with first weights from the seed; no batch norm (appendix B)."""
-    width, form = get_width(config.network), config.form
+    width, shape = get_width(config.network), config.input_shape
     with seeded_weights(config.seed):
-        trunk = (
-            StateTrunk(form.size, width.linear)
-            if isinstance(form, StateLayout)
-            else Trunk(width, config.image_shape)
-        )
+        trunk = StateTrunk(*shape, width.linear) if len(shape) == 1 else Trunk(width, shape)
         network = ActorCritic(trunk, len(config.tasks))
         if config.first_weights == "centred" and isinstance(trunk, Trunk):
             centre(network)

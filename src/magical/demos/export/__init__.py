@@ -1,0 +1,1 @@
+"""Demonstrations in other formats: Minari, LeRobot, video."""

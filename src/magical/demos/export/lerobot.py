@@ -1,0 +1,269 @@
+"""Export to a LeRobotDataset v3.0: Parquet tables, one film for each camera, and their description.
+
+The layout follows the format's documentation and its reference writer: `meta/info.json`,
+`meta/stats.json`, `meta/tasks.parquet`, `meta/episodes/`, `data/`, `videos/<camera>/`. Episodes are
+concatenated into large files; `meta/episodes` says where each lies. Needs the `lerobot` extra.
+"""
+
+import json
+import tempfile
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+import magical
+from magical.demos.export.lerobot_stats import Stats, merged
+from magical.demos.export.lerobot_video import VIDEO_INFO, Film
+from magical.demos.reader import Frames
+from magical.demos.store.dataset import Dataset
+from magical.demos.store.trajectory import VIEWS, Trajectory
+from magical.errors import DatasetError
+from magical.scene.constants import CONTROL_RATE, FRAME_SIZE
+from magical.scene.poses import FINGERS, ROBOT
+
+VERSION = "v3.0"
+FILES_PER_CHUNK = 1000
+FRAMES_PER_FILE = 50_000  # then new files are begun
+FPS = int(CONTROL_RATE)
+CAMERAS = {view: f"observation.images.{view}" for view in VIEWS}
+_PLACE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
+_STATE = ("robot_x", "robot_y", "robot_angle", "left_finger_angle", "right_finger_angle")
+_INDICES = ("frame_index", "episode_index", "index", "task_index")
+
+Columns = dict[str, NDArray[Any]]
+
+
+def export_lerobot(
+    dataset: Dataset, folder: Path, *, frames_per_file: int = FRAMES_PER_FILE
+) -> int:
+    """Write the dataset into a new folder; returns the number of frames, one for each action.
+
+    Features: both cameras at 96 x 96 (H.264, so with slight losses), `action` (int64, 0 to 17),
+    `next.done`, and where all poses are known `observation.state` (the robot's pose and fingers).
+    Scores, demonstrator and environment id are columns of `meta/episodes`.
+
+    Raises:
+        DatasetError: the folder exists, the dataset is empty or a trajectory is damaged; nothing
+            is left behind.
+    """
+    if folder.exists() or not len(dataset):
+        found = f"{folder}, which exists" if len(dataset) else "no trajectories"
+        raise DatasetError(f"export: expected trajectories and a new folder, found {found}")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".part-") as temporary:
+        root = Path(temporary) / folder.name
+        with _Writer(root, dataset) as writer:
+            for entry, trajectory in zip(dataset.entries, dataset, strict=True):
+                if writer.frames_in_file >= frames_per_file:
+                    writer.begin_files()
+                writer.add(trajectory, {"demonstrator": entry.demonstrator})
+        writer.finish()
+        root.rename(folder)
+    return writer.total
+
+
+class _Writer:
+    """The open files of an export: one table and one film for each camera."""
+
+    def __init__(self, root: Path, dataset: Dataset) -> None:
+        self.root = root
+        self.total = 0
+        self.frames_in_file = 0
+        self._with_state = all(entry.has_poses for entry in dataset.entries)
+        self._tasks: dict[str, int] = {}
+        self._episodes: list[dict[str, Any]] = []
+        self._stats: list[dict[str, Stats]] = []
+        self._file = -1
+        self._open = ExitStack()
+
+    def __enter__(self) -> "_Writer":
+        self.begin_files()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._open.close()
+
+    def begin_files(self) -> None:
+        """Close the files, and begin the next ones."""
+        self._open.close()
+        self._file += 1
+        self.frames_in_file = 0
+        path = self._path("data", "parquet")
+        self._table = self._open.enter_context(pq.ParquetWriter(path, self._schema()))
+        self._films = {
+            view: self._open.enter_context(Film(self._path(f"videos/{camera}", "mp4"), FPS))
+            for view, camera in CAMERAS.items()
+        }
+
+    def add(self, trajectory: Trajectory, more: Mapping[str, Any]) -> None:
+        """Write one episode: the frame seen before each action, and the action."""
+        steps = len(trajectory)
+        task = self._tasks.setdefault(trajectory.task.summary, len(self._tasks))
+        columns = self._columns(trajectory, task)
+        stats = {name: Stats.of(column) for name, column in columns.items()}
+        arrays = {name: _arrow(column) for name, column in columns.items()}
+        self._table.write_table(pa.table(arrays, schema=self._schema()))
+        for view, film in self._films.items():
+            frames = Frames(trajectory, view, FRAME_SIZE).take(np.arange(steps))
+            film.write(frames)
+            stats[CAMERAS[view]] = Stats.of_frames(frames)
+        self._episodes.append({**self._episode(trajectory), **more})
+        self._stats.append(stats)
+        self.total += steps
+        self.frames_in_file += steps
+
+    def finish(self) -> None:
+        """Write what describes the closed files."""
+        meta = self.root / "meta"
+        rows = [
+            {**row, **_flat(stats)} for row, stats in zip(self._episodes, self._stats, strict=True)
+        ]
+        path = meta / "episodes" / f"{_PLACE.format(chunk_index=0, file_index=0)}.parquet"
+        path.parent.mkdir(parents=True)
+        pq.write_table(pa.Table.from_pylist(rows), path)
+        pq.write_table(_task_table(list(self._tasks)), meta / "tasks.parquet")
+        _write_json(meta / "stats.json", {k: v.plain() for k, v in merged(self._stats).items()})
+        _write_json(meta / "info.json", self._info())
+
+    def _columns(self, trajectory: Trajectory, task: int) -> Columns:
+        steps = len(trajectory)
+        frame = np.arange(steps)
+        columns: Columns = {"action": trajectory.actions, "next.done": frame == steps - 1}
+        if self._with_state:
+            assert trajectory.poses is not None
+            columns["observation.state"] = _robot_states(trajectory.poses[:-1])
+        return columns | {
+            "timestamp": (frame / FPS).astype(np.float32),
+            "frame_index": frame,
+            "episode_index": np.full(steps, len(self._episodes)),
+            "index": self.total + frame,
+            "task_index": np.full(steps, task),
+        }
+
+    def _episode(self, trajectory: Trajectory) -> dict[str, Any]:
+        steps, start = len(trajectory), self.frames_in_file
+        chunk, file = divmod(self._file, FILES_PER_CHUNK)
+        row: dict[str, Any] = {
+            "episode_index": len(self._episodes),
+            "tasks": [trajectory.task.summary],
+            "length": steps,
+            "dataset_from_index": self.total,
+            "dataset_to_index": self.total + steps,
+            "data/chunk_index": chunk,
+            "data/file_index": file,
+            "meta/episodes/chunk_index": 0,
+            "meta/episodes/file_index": 0,
+            "env_id": str(trajectory.env_id),
+            "score": trajectory.score,
+            "published_code_score": trajectory.published_code_score,
+        }
+        for camera in CAMERAS.values():
+            row[f"videos/{camera}/chunk_index"] = chunk
+            row[f"videos/{camera}/file_index"] = file
+            row[f"videos/{camera}/from_timestamp"] = start / FPS
+            row[f"videos/{camera}/to_timestamp"] = (start + steps) / FPS
+        return row
+
+    def _schema(self) -> Any:
+        state = [("observation.state", pa.list_(pa.float32(), len(_STATE)))]
+        return pa.schema(
+            [
+                ("action", pa.int64()),
+                ("next.done", pa.bool_()),
+                *(state if self._with_state else []),
+                ("timestamp", pa.float32()),
+                *((name, pa.int64()) for name in _INDICES),
+            ]
+        )
+
+    def _features(self) -> dict[str, Any]:
+        def feature(dtype: str, names: Sequence[str] | None = None) -> dict[str, Any]:
+            return {"dtype": dtype, "shape": [len(names or "1")], "names": names}
+
+        camera = {
+            "dtype": "video",
+            "shape": [FRAME_SIZE, FRAME_SIZE, 3],
+            "names": ["height", "width", "channels"],
+            "info": VIDEO_INFO | {"video.fps": FPS},
+        }
+        return {
+            **dict.fromkeys(CAMERAS.values(), camera),
+            **({"observation.state": feature("float32", _STATE)} if self._with_state else {}),
+            "action": feature("int64", ["action"]),
+            "next.done": feature("bool"),
+            "timestamp": feature("float32"),
+            **{name: feature("int64") for name in _INDICES},
+        }
+
+    def _info(self) -> dict[str, Any]:
+        return {
+            "codebase_version": VERSION,
+            "robot_type": "magical",
+            "total_episodes": len(self._episodes),
+            "total_frames": self.total,
+            "total_tasks": len(self._tasks),
+            "chunks_size": FILES_PER_CHUNK,
+            "data_files_size_in_mb": 100,
+            "video_files_size_in_mb": 500,
+            "fps": FPS,
+            "splits": {"train": f"0:{len(self._episodes)}"},
+            "data_path": f"data/{_PLACE}.parquet",
+            "video_path": f"videos/{{video_key}}/{_PLACE}.mp4",
+            "features": self._features(),
+            "exported_by": f"magical {magical.__version__}",
+        }
+
+    def _path(self, folder: str, suffix: str) -> Path:
+        chunk, file = divmod(self._file, FILES_PER_CHUNK)
+        place = _PLACE.format(chunk_index=chunk, file_index=file)
+        path = self.root / folder / f"{place}.{suffix}"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
+
+def _robot_states(poses: NDArray[np.float64]) -> NDArray[np.float32]:
+    """The robot's pose, and its fingers' angles relative to it: (T, 5)."""
+    robot = poses[:, ROBOT]
+    fingers = poses[:, FINGERS, 2] - robot[:, 2:]
+    return np.concatenate([robot, fingers], axis=1).astype(np.float32)
+
+
+def _arrow(column: NDArray[Any]) -> Any:
+    if column.ndim == 1:
+        return pa.array(column)
+    return pa.FixedSizeListArray.from_arrays(pa.array(column.ravel()), column.shape[1])
+
+
+def _task_table(tasks: list[str]) -> Any:
+    """The tasks as pandas writes a frame that is indexed by them, which readers expect."""
+
+    def column(name: str, pandas_type: str, numpy_type: str) -> dict[str, Any]:
+        types = {"pandas_type": pandas_type, "numpy_type": numpy_type}
+        return {"name": name, "field_name": name, "metadata": None, **types}
+
+    description = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "columns": [column("task_index", "int64", "int64"), column("task", "unicode", "object")],
+        "pandas_version": "2.2.0",
+    }
+    table = pa.table({"task_index": range(len(tasks)), "task": tasks})
+    return table.replace_schema_metadata({"pandas": json.dumps(description)})
+
+
+def _flat(stats: Mapping[str, Stats]) -> dict[str, Any]:
+    return {
+        f"stats/{feature}/{name}": value
+        for feature, one in stats.items()
+        for name, value in one.plain().items()
+    }
+
+
+def _write_json(path: Path, content: Mapping[str, Any]) -> None:
+    path.write_text(json.dumps(content, indent=4) + "\n")

@@ -1,0 +1,138 @@
+"""Export to Minari: one dataset for each environment, pictures without loss; needs the extra."""
+
+import os
+import tempfile
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import minari
+import numpy as np
+from minari.data_collector.episode_buffer import EpisodeBuffer
+from minari.namespace import create_namespace, list_local_namespaces
+from minari.storage import get_dataset_path
+
+import magical
+from magical.demos.reader import observations
+from magical.demos.store.dataset import Dataset
+from magical.demos.store.trajectory import Trajectory
+from magical.envs.ids import EnvId
+from magical.errors import DatasetError
+from magical.observe import PRESETS
+from magical.scene import NUM_ACTIONS
+
+_ROOT = "MINARI_DATASETS_PATH"
+
+
+def export_minari(
+    dataset: Dataset, name: str = "demos", preset: str = "LoRes4E", root: Path | None = None
+) -> list[str]:
+    """Write Minari datasets `magical/<Task>-<Variant>-<preset>/<name>-v0`; returns their ids.
+
+    Observations are the preset's, as the environment showed them, in HDF5 with
+    `jpeg_encoding=False`. Rewards are 0; the last info of an episode has both scores, and its
+    metadata the demonstrator. `root` is Minari's folder of datasets (default: Minari's own).
+
+    Raises:
+        DatasetError: a dataset of that name is there already, or a trajectory is damaged; what was
+            begun is removed.
+        TrajectoryError: a recording cannot show the preset.
+    """
+    if preset not in PRESETS:
+        raise DatasetError(f"preset: expected one of {', '.join(PRESETS)}, found {preset!r}")
+    made = []
+    for env_id in dict.fromkeys(entry.env_id for entry in dataset.entries):
+        part = dataset.filter(env_id=env_id)
+        with_preset = EnvId(env_id.task, env_id.variant, preset)
+        minari_id = f"magical/{env_id.task}-{env_id.variant}-{preset}/{name}-v0"
+        with _written_whole(minari_id, root):
+            _create(minari_id, gym.spec(with_preset), part, preset)
+        made.append(minari_id)
+    return made
+
+
+def _create(minari_id: str, spec: Any, part: Dataset, preset: str) -> None:
+    with warnings.catch_warnings():
+        # Minari warns of every missing author and link; a dataset's owner adds those.
+        warnings.filterwarnings(
+            "ignore", message=r"`(author|author_email|code_permalink|eval_env)` is set"
+        )
+        created = minari.create_dataset_from_buffers(
+            minari_id,
+            buffer=_buffers(part, preset),  # one at a time: Minari only iterates
+            env=spec,
+            observation_space=PRESETS[preset].space,
+            action_space=gym.spaces.Discrete(NUM_ACTIONS),
+            jpeg_encoding=False,
+            data_format="hdf5",
+            algorithm_name=", ".join(sorted({entry.demonstrator for entry in part.entries})),
+            description=f"MAGICAL demonstrations, exported by magical {magical.__version__}",
+            requirements=[f"magical-benchmark>={magical.__version__}"],
+        )
+    created.storage.update_episode_metadata(
+        [
+            {
+                "demonstrator": entry.demonstrator,
+                "published_code_score": entry.published_code_score,
+                **({} if entry.score is None else {"score": entry.score}),
+            }
+            for entry in part.entries
+        ]
+    )
+
+
+def _buffers(part: Dataset, preset: str) -> Iterator[Any]:
+    for index, trajectory in enumerate(part):
+        steps = len(trajectory)
+        yield EpisodeBuffer(
+            id=index,
+            seed=trajectory.seed,
+            observations=observations(trajectory, preset),
+            actions=trajectory.actions,
+            rewards=[0.0] * steps,
+            terminations=[False] * steps,
+            truncations=[False] * (steps - 1) + [True],
+            infos=_infos(trajectory),
+        )
+
+
+def _infos(trajectory: Trajectory) -> dict[str, Any]:
+    """The scores as the environment's `info` gives them, 0.0 before the last step."""
+    scores = {"published_code_score": trajectory.published_code_score}
+    if trajectory.score is not None:
+        scores["eval_score"] = trajectory.score
+    return {name: np.append(np.zeros(len(trajectory)), score) for name, score in scores.items()}
+
+
+@contextmanager
+def _written_whole(minari_id: str, root: Path | None) -> Iterator[None]:
+    """Let Minari write into a folder of our own, and move the dataset to its place when whole."""
+    namespace = minari_id.rpartition("/")[0]
+    with _minari_root(root):
+        home, target = Path(get_dataset_path()), Path(get_dataset_path(minari_id))
+        if target.exists():
+            raise DatasetError(f"{target}: there is a dataset of that name; choose another")
+        with tempfile.TemporaryDirectory(dir=home, prefix=".part-") as folder:
+            with _minari_root(Path(folder)):
+                yield
+            target.parent.mkdir(parents=True, exist_ok=True)
+            (Path(folder) / minari_id).rename(target)
+        if namespace not in list_local_namespaces():
+            create_namespace(namespace)
+
+
+@contextmanager
+def _minari_root(root: Path | None) -> Iterator[None]:
+    """Point Minari to another folder of datasets: it asks the environment each time."""
+    before = os.environ.get(_ROOT)
+    if root is not None:
+        os.environ[_ROOT] = str(root)
+    try:
+        yield
+    finally:
+        os.environ.pop(_ROOT, None)
+        if before is not None:
+            os.environ[_ROOT] = before

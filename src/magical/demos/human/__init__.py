@@ -1,0 +1,1 @@
+"""The published human demonstrations: download, safe reading, import."""

@@ -1,0 +1,224 @@
+"""The observations of a stored trajectory, bit for bit as the environment returned them."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from magical.demos.store.trajectory import Trajectory
+from magical.errors import ObservationError, TrajectoryError
+from magical.observe import Observation, make_spec
+from magical.observe.arrays import SINGLE, copy_arrays, empty, select
+from magical.observe.pixels import copy_pixels
+from magical.physics import Simulation
+from magical.scene import Scene, View
+from magical.scene.constants import FRAME_SIZE, RAW_FRAME_SIZE
+
+if TYPE_CHECKING:
+    from magical.demos.store.dataset import Dataset
+    from magical.render import Renderer
+
+Pixels = NDArray[np.uint8]
+
+
+class Frames:
+    """Single frames of one trajectory and view, rendered from poses or taken from the recording.
+
+    Raises `TrajectoryError` where only frames were recorded, and others are asked for.
+    """
+
+    def __init__(
+        self,
+        trajectory: Trajectory,
+        view: View | str,
+        size: int = FRAME_SIZE,
+        samples: int | None = None,
+    ) -> None:
+        self.size = size
+        self._poses = trajectory.poses
+        self._recorded: Pixels | None = None
+        self._renderer: Renderer | None = None
+        if trajectory.poses is not None:
+            from magical import render  # imports numba: only when something is rendered
+
+            self._renderer = render.Renderer(trajectory.scene, View(view), size, samples)
+        else:
+            self._recorded = _recorded(trajectory, str(view), size, samples)
+
+    def render(self, time: int, out: Pixels) -> None:
+        """Write the frame of one moment, 0 to T, into `out` (size, size, 3), of any layout."""
+        if self._renderer is None:
+            assert self._recorded is not None
+            copy_pixels(self._recorded[time], out)
+        else:
+            assert self._poses is not None
+            self._renderer.render(self._poses[time], out)
+
+    def take(self, times: ArrayLike) -> Pixels:
+        """The frames of several moments: (len(times), size, size, 3) uint8."""
+        moments = np.asarray(times, np.intp)
+        frames = np.empty((len(moments), self.size, self.size, 3), np.uint8)
+        for time, frame in zip(moments.tolist(), frames, strict=True):
+            self.render(time, frame)
+        return frames
+
+
+class TrajectorySource:
+    """A trajectory as an `EpisodeSource`; renderers are kept between calls."""
+
+    def __init__(self, trajectory: Trajectory) -> None:
+        self.trajectory = trajectory
+        self._frames: dict[tuple[View, int, int | None], Frames] = {}
+
+    @property
+    def scene(self) -> Scene:
+        """The initial scene."""
+        return self.trajectory.scene
+
+    def __len__(self) -> int:
+        """The number of actions, T."""
+        return len(self.trajectory)
+
+    def frames(self, view: View, size: int, samples: int | None) -> Frames:
+        """Its frames in one view at one resolution; raises `TrajectoryError`."""
+        key = view, size, samples
+        if key not in self._frames:
+            self._frames[key] = Frames(self.trajectory, *key)
+        return self._frames[key]
+
+    def body_states(self) -> NDArray[np.float64]:
+        """Poses and velocities, (T + 1, 5 + blocks, 6), from simulating the actions again.
+
+        Velocities are not stored. Raises `TrajectoryError` where poses are unknown, or where the
+        simulation does not repeat them.
+        """
+        trajectory = self.trajectory
+        if trajectory.poses is None:
+            raise TrajectoryError(f"{trajectory.env_id}: a recording of frames has no states")
+        simulation = Simulation(trajectory.scene, trajectory.dynamics)
+        states = [simulation.read().copy()]
+        for time, action in enumerate(trajectory.actions.tolist(), 1):
+            simulation.step(action)
+            states.append(simulation.read().copy())
+            if not np.array_equal(states[-1][:, :3], trajectory.poses[time]):
+                raise TrajectoryError(
+                    f"{trajectory.env_id}: the simulation departs from the recorded poses at step "
+                    f"{time}, so velocities are unknown; record the trajectory with this version"
+                )
+        return np.stack(states)
+
+
+class ObservationReader:
+    """Random access to the observations of one trajectory, for training."""
+
+    def __init__(self, trajectory: Trajectory, observation: Observation = "LoRes4E") -> None:
+        self.spec = make_spec(observation, trajectory.task)
+        self.moments = len(trajectory) + 1
+        self._source = TrajectorySource(trajectory)
+
+    def read(self, times: ArrayLike, out: Any = None) -> Any:
+        """The observations at moments `times` (B,), each 0 to T: (B, *shape), or a dict of such.
+
+        Moment 0 is what `reset` returned, moment t what step t returned. Raises `TrajectoryError`
+        for moments that are not in the trajectory, or where it lacks what the observation needs.
+        """
+        moments = np.atleast_1d(np.asarray(times, np.intp))
+        if len(moments) and (moments.min() < 0 or moments.max() >= self.moments):
+            raise TrajectoryError(
+                f"moments: expected 0 to {self.moments - 1}, "
+                f"found {moments.min()} to {moments.max()}"
+            )
+        return self.spec.read(self._source, moments, out)
+
+
+def observations(
+    trajectory: Trajectory,
+    observation: Observation = "LoRes4E",
+    times: ArrayLike | None = None,
+) -> Any:
+    """The observations that the environment returned: (T + 1, *shape), or a dict of such.
+
+    Args:
+        trajectory: the stored episode.
+        observation: see `magical.observe.make_spec`. State vectors are simulated again, since
+            velocities are not stored.
+        times: moments from 0 to T, by default all.
+
+    Raises:
+        TrajectoryError: a recording of frames has no other observations; or the simulation does
+            not repeat the trajectory, which state vectors need.
+        UnknownNameError: no such observation.
+    """
+    moments = np.arange(len(trajectory) + 1) if times is None else times
+    return ObservationReader(trajectory, observation).read(moments)
+
+
+def observation_at(trajectory: Trajectory, time: int, observation: Observation = "LoRes4E") -> Any:
+    """One observation; for many, an `ObservationReader` is faster."""
+    return copy_arrays(select(observations(trajectory, observation, [time]), 0))
+
+
+def dataset_arrays(dataset: "Dataset", observation: Observation = "LoRes4E") -> dict[str, Any]:
+    """Every step of every trajectory, N in all, as plain arrays.
+
+    Returns:
+        `observations` (N, *shape), or a dict of such: what was observed before each action.
+        `actions` (N,) int64.
+        `episodes` (N,) int64: which trajectory, counted from 0 in the dataset's order.
+        `steps` (N,) int64: which step of it.
+        `env_ids`, `scores`, `published_code_scores`, `demonstrators`: one for each trajectory.
+
+    Raises what `observations` raises, and `ObservationError` for state vectors of tasks with
+    vectors of different lengths.
+    """
+    lengths = [entry.length for entry in dataset.entries]
+    total = sum(lengths)
+    batch: Any = None
+    actions = np.empty(total, np.int64)
+    start = 0
+    for trajectory in dataset:
+        rows = slice(start, start + len(trajectory))
+        actions[rows] = trajectory.actions
+        reader = ObservationReader(trajectory, observation)
+        batch = empty(reader.spec.fields, (total,)) if batch is None else batch
+        _check_shape(batch, reader)
+        reader.read(np.arange(len(trajectory)), select(batch, rows))
+        start = rows.stop
+    return {
+        "observations": batch,
+        "actions": actions,
+        "episodes": np.repeat(np.arange(len(lengths)), lengths),
+        "steps": _counted(lengths),
+        "env_ids": np.array([str(entry.env_id) for entry in dataset.entries]),
+        "scores": np.array([np.nan if e.score is None else e.score for e in dataset.entries]),
+        "published_code_scores": np.array([e.published_code_score for e in dataset.entries]),
+        "demonstrators": np.array([entry.demonstrator for entry in dataset.entries]),
+    }
+
+
+def _check_shape(batch: Any, reader: ObservationReader) -> None:
+    fields = reader.spec.fields
+    if SINGLE in fields and batch.shape[1:] != fields[SINGLE][0]:
+        raise ObservationError(
+            f"expected observations of one shape {batch.shape[1:]}, found {fields[SINGLE][0]}; "
+            "filter the dataset by task, or use a pixel observation"
+        )
+
+
+def _counted(lengths: Sequence[int]) -> NDArray[np.int64]:
+    return np.concatenate(
+        [np.arange(n, dtype=np.int64) for n in lengths] or [np.empty(0, np.int64)]
+    )
+
+
+def _recorded(trajectory: Trajectory, view: str, size: int, samples: int | None) -> Pixels:
+    averaged = RAW_FRAME_SIZE // FRAME_SIZE
+    frames = (trajectory.frames or {}).get(view)
+    if frames is None or size != FRAME_SIZE or samples not in (None, averaged):
+        raise TrajectoryError(
+            f"{trajectory.env_id}: this recording has only frames of {FRAME_SIZE} x {FRAME_SIZE} "
+            f"pixels of the views {', '.join(trajectory.frames or {})}, not {view} frames of "
+            f"{size} x {size} with {samples or 'any'} samples; use a preset of that size"
+        )
+    return frames

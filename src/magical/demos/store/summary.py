@@ -1,0 +1,73 @@
+"""What a dataset holds, task by task."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from magical.demos.store.dataset import Dataset
+from magical.demos.store.manifest import ManifestEntry
+from magical.scene import ACTION_NAMES, NUM_ACTIONS
+
+
+@dataclass(frozen=True, slots=True)
+class DatasetSummary:
+    """The trajectories of one environment."""
+
+    env_id: str
+    count: int
+    with_poses: int
+    demonstrators: tuple[str, ...]
+    lengths: tuple[int, float, int]  # control steps: least, mean, most
+    score: float | None  # mean by the appendix's rule, over those where it is known
+    published_code_score: float  # mean
+    size: int  # bytes on disk
+    actions: tuple[int, ...]  # how often each of the 18 was taken
+
+    @property
+    def usual_actions(self) -> list[tuple[str, float]]:
+        """The actions taken, most frequent first: name and share of all steps."""
+        total = sum(self.actions)
+        order = np.argsort(self.actions, kind="stable")[::-1]
+        return [(ACTION_NAMES[i], self.actions[i] / total) for i in order if self.actions[i]]
+
+
+def summarise_dataset(dataset: Dataset) -> list[DatasetSummary]:
+    """A summary for each environment, in the order of the names; reads every trajectory once.
+
+    Raises `DatasetError` for a damaged one; open with `skip_damaged=True` to leave those out.
+    """
+    groups: dict[str, list[ManifestEntry]] = {}
+    actions: dict[str, np.ndarray[tuple[int], np.dtype[np.int64]]] = {}
+    for entry in dataset.entries:
+        groups.setdefault(entry.env_id, []).append(entry)
+        counts = np.bincount(dataset.read(entry).actions, minlength=NUM_ACTIONS)
+        actions[entry.env_id] = actions.get(entry.env_id, 0) + counts
+    return [_summary(env_id, groups[env_id], actions[env_id].tolist()) for env_id in sorted(groups)]
+
+
+def find_duplicates(entries: Iterable[ManifestEntry]) -> list[tuple[str, str]]:
+    """Pairs (later, earlier) with the same actions and poses or frames, by source or file."""
+    first: dict[str, ManifestEntry] = {}
+    pairs = []
+    for entry in entries:
+        earlier = first.setdefault(entry.fingerprint, entry)
+        if earlier is not entry:
+            pairs.append((entry.source or entry.file, earlier.source or earlier.file))
+    return pairs
+
+
+def _summary(env_id: str, entries: list[ManifestEntry], actions: list[int]) -> DatasetSummary:
+    lengths = [entry.length for entry in entries]
+    scores = [entry.score for entry in entries if entry.score is not None]
+    return DatasetSummary(
+        env_id=env_id,
+        count=len(entries),
+        with_poses=sum(entry.has_poses for entry in entries),
+        demonstrators=tuple(sorted({entry.demonstrator for entry in entries})),
+        lengths=(min(lengths), float(np.mean(lengths)), max(lengths)),
+        score=float(np.mean(scores)) if scores else None,
+        published_code_score=float(np.mean([entry.published_code_score for entry in entries])),
+        size=sum(entry.size for entry in entries),
+        actions=tuple(actions),
+    )

@@ -1,0 +1,161 @@
+"""One demonstration: what was done from where, and how every body or picture moved."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from magical.envs.ids import EnvId, parse_env_id
+from magical.errors import TrajectoryError
+from magical.scene import NUM_ACTIONS, Dynamics, Poses, Scene, View
+from magical.scene.constants import FRAME_SIZE
+from magical.scene.poses import FIRST_BLOCK
+from magical.tasks import Task
+
+VIEWS = tuple(str(view) for view in View)
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class Trajectory:
+    """A recorded episode of T control steps; T + 1 moments are known.
+
+    Either `poses` are known, from which any view can be drawn exactly at any resolution, or only
+    `frames`. Arrays are copied and made read-only. Metadata must be plain JSON data.
+
+    Raises:
+        TrajectoryError: the parts do not fit together; says which.
+        UnknownNameError: there is no such environment.
+    """
+
+    env_id: EnvId  # without a preset, such as magical/FindDupe-TestAll-v0; text is parsed
+    scene: Scene  # what the episode began with
+    actions: NDArray[np.int64]  # (T,)
+    published_code_score: float  # of the last state (details.md, section 9)
+    score: float | None = None  # of the last state by the appendix's rule; None: poses unknown
+    dynamics: Dynamics = field(default_factory=Dynamics)
+    seed: int | None = None  # that the environment was reset with, where known
+    poses: NDArray[np.float64] | None = None  # (T + 1, 5 + blocks, 3), rows as in `Poses`
+    frames: Mapping[str, NDArray[np.uint8]] | None = None  # view: (T + 1, 96, 96, 3)
+    demonstrator: str = "unknown"  # who or what chose the actions
+    metadata: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "env_id", parse_env_id(self.env_id).without_preset)
+        object.__setattr__(self, "actions", _checked_actions(self.actions))
+        if (self.poses is None) == (self.frames is None):
+            raise TrajectoryError("expected either poses or frames, found both or none")
+        if self.poses is not None:
+            object.__setattr__(self, "poses", self._checked_poses(self.poses))
+        if self.frames is not None:
+            object.__setattr__(self, "frames", self._checked_frames(self.frames))
+        self._check_scores()
+        if self.seed is not None and (isinstance(self.seed, bool) or int(self.seed) < 0):
+            raise TrajectoryError(f"seed: expected an integer of at least 0, found {self.seed!r}")
+        if not isinstance(self.demonstrator, str) or not self.demonstrator:
+            raise TrajectoryError(f"demonstrator: expected a name, found {self.demonstrator!r}")
+        object.__setattr__(self, "metadata", _checked_metadata(self.metadata))
+
+    @staticmethod
+    def from_poses(
+        env_id: str, scene: Scene, actions: ArrayLike, poses: ArrayLike, **more: Any
+    ) -> "Trajectory":
+        """A trajectory scored here, by both rules, from its last poses."""
+        table = np.asarray(poses, np.float64)
+        if table.ndim != 3 or not len(table):
+            raise TrajectoryError(
+                f"poses: expected shape (T + 1, 5 + blocks, 3), found {table.shape}"
+            )
+        parsed, last = parse_env_id(env_id).without_preset, Poses(table[-1])
+        task = parsed.task_spec
+        return Trajectory(
+            env_id=parsed,
+            scene=scene,
+            actions=np.asarray(actions),
+            poses=table,
+            score=float(task.score(scene, last)),
+            published_code_score=float(task.published_code_score(scene, last)),
+            **more,
+        )
+
+    def __len__(self) -> int:
+        """The number of actions, T."""
+        return len(self.actions)
+
+    @property
+    def task(self) -> Task:
+        """The task that was demonstrated."""
+        return self.env_id.task_spec
+
+    @property
+    def variant(self) -> str:
+        """The variant, such as `Demo`."""
+        return self.env_id.variant
+
+    def _checked_poses(self, poses: ArrayLike) -> NDArray[np.float64]:
+        expected = (len(self.actions) + 1, FIRST_BLOCK + len(self.scene.blocks), 3)
+        array = np.asarray(poses)
+        if array.shape != expected or array.dtype != np.float64 or not np.isfinite(array).all():
+            raise TrajectoryError(
+                f"poses: expected finite float64 {expected} for {len(self.actions)} actions and "
+                f"{len(self.scene.blocks)} blocks, found {array.dtype} {array.shape}"
+            )
+        return _frozen(array)
+
+    def _checked_frames(self, frames: Mapping[str, Any]) -> dict[str, NDArray[np.uint8]]:
+        if not frames or not set(map(str, frames)) <= set(VIEWS):
+            raise TrajectoryError(f"frames: expected views of {VIEWS}, found {sorted(frames)}")
+        expected = (len(self.actions) + 1, FRAME_SIZE, FRAME_SIZE, 3)
+        arrays = {str(view): np.asarray(frames[view]) for view in sorted(frames)}
+        for view, array in arrays.items():
+            if array.shape != expected or array.dtype != np.uint8:
+                raise TrajectoryError(
+                    f"{view} frames: expected uint8 {expected} (one more than the "
+                    f"{len(self.actions)} actions), found {array.dtype} {array.shape}"
+                )
+        return {view: _frozen(array) for view, array in arrays.items()}
+
+    def _check_scores(self) -> None:
+        if self.score is None and self.poses is not None:
+            raise TrajectoryError(
+                "score: expected the appendix's score, found None; use from_poses"
+            )
+        for name in ("score", "published_code_score"):
+            value = getattr(self, name)
+            if value is None and name == "score":
+                continue
+            if not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
+                raise TrajectoryError(f"{name}: expected a number from 0 to 1, found {value!r}")
+            object.__setattr__(self, name, float(value))
+
+
+def _frozen(array: NDArray[Any]) -> NDArray[Any]:
+    copied = array.copy() if array.flags.writeable or not array.flags.c_contiguous else array
+    copied.flags.writeable = False
+    return copied
+
+
+def _checked_actions(actions: ArrayLike) -> NDArray[np.int64]:
+    array = np.asarray(actions)
+    if array.ndim != 1 or not len(array) or array.dtype.kind not in "iu":
+        raise TrajectoryError(
+            f"actions: expected integers of shape (T,), T at least 1, "
+            f"found {array.dtype} {array.shape}"
+        )
+    if array.min() < 0 or array.max() >= NUM_ACTIONS:
+        raise TrajectoryError(
+            f"actions: expected numbers from 0 to {NUM_ACTIONS - 1}, "
+            f"found {array.min()} to {array.max()}"
+        )
+    return _frozen(array.astype(np.int64))
+
+
+def _checked_metadata(metadata: Mapping[str, Any]) -> dict[str, Any]:
+    try:
+        plain = json.loads(json.dumps(dict(metadata), allow_nan=False))
+    except (TypeError, ValueError, RecursionError) as error:
+        raise TrajectoryError(f"metadata: expected plain JSON data, found {error}") from error
+    assert isinstance(plain, dict)
+    return plain

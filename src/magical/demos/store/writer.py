@@ -1,0 +1,69 @@
+"""Appending to a dataset, one trajectory at a time, wholly or not at all."""
+
+from pathlib import Path
+
+from magical.demos.store import manifest
+from magical.demos.store.codec import encode
+from magical.demos.store.lock import locked
+from magical.demos.store.manifest import ManifestEntry
+from magical.demos.store.trajectory import Trajectory
+from magical.errors import DatasetError
+from magical.files import write_atomically
+
+
+class DatasetWriter:
+    """Appends to a dataset, which is made if there is none; several processes may do so at once.
+
+    Raises `DatasetError` if the folder holds something else or cannot be written.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        try:
+            self._create()
+        except OSError as error:
+            raise DatasetError(f"{self.path}: cannot be written: {error}") from error
+
+    def append(self, trajectory: Trajectory) -> ManifestEntry:
+        """Store a trajectory: either wholly, or if it fails not at all.
+
+        Raises:
+            DatasetError: the disk is full, or the manifest is damaged; names the file.
+        """
+        raw = encode(trajectory)
+        return self.append_encoded(ManifestEntry.of(trajectory, raw), raw)
+
+    def append_encoded(self, entry: ManifestEntry, raw: bytes) -> ManifestEntry:
+        """`append` for what `encode` made, perhaps in another process."""
+        try:
+            with locked(self.path / manifest.LOCK):
+                index, check = manifest.last_line(self.path)
+                entry = entry.at(index)
+                file = self.path / entry.file
+                if file.exists():
+                    raise DatasetError(f"{file}: is not in the manifest; {manifest.ADVICE}")
+                self._store(file, raw, entry, check)
+        except OSError as error:
+            where = error.filename or self.path
+            raise DatasetError(f"{where}: cannot be written: {error}") from error
+        return entry
+
+    def _store(self, file: Path, raw: bytes, entry: ManifestEntry, check: str) -> None:
+        try:
+            with write_atomically(file) as out:
+                out.write(raw)
+            manifest.append(self.path, entry, check)
+        except BaseException:
+            file.unlink(missing_ok=True)
+            raise
+
+    def _create(self) -> None:
+        (self.path / manifest.FOLDER).mkdir(parents=True, exist_ok=True)
+        with locked(self.path / manifest.LOCK):
+            if not (self.path / manifest.NAME).exists():
+                if any((self.path / manifest.FOLDER).glob("*.npz")):
+                    raise DatasetError(
+                        f"{self.path}: {manifest.NAME} is missing; {manifest.ADVICE}"
+                    )
+                with write_atomically(self.path / manifest.NAME) as file:
+                    file.write(manifest.new_text([]).encode())

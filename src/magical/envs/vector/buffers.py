@@ -1,0 +1,155 @@
+"""The arrays that sub-environments write to and their caller reads from, in one piece of memory."""
+
+import contextlib
+import mmap
+import os
+import sys
+import tempfile
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from magical.observe import ObservationSpec
+from magical.observe.arrays import gather
+
+_ALIGNMENT = 64  # bytes: a cache line
+Shape = tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class BufferLayout:
+    """Which arrays there are for `num_envs` sub-environments of at most `max_bodies` bodies.
+
+    `keep_final` adds room for each sub-environment's last observation of an episode (SAME_STEP
+    autoreset). `copies` is the number of observation arrays that may be handed out (`Copies`).
+    """
+
+    num_envs: int
+    spec: ObservationSpec
+    max_bodies: int
+    keep_final: bool
+    copies: int
+
+    def fields(self) -> dict[str, tuple[Shape, DTypeLike]]:
+        """Shape and type of each array by name; an observation's arrays are `name/part`."""
+        n = self.num_envs
+        fields: dict[str, tuple[Shape, DTypeLike]] = {
+            "actions": ((n,), np.int64),
+            "rewards": ((n,), np.float64),
+            "truncations": ((n,), np.bool_),
+            "scores": ((2, n), np.float64),
+            "bodies": ((n, self.max_bodies, 6), np.float64),
+            "body_counts": ((n,), np.int64),
+            "steps": ((n,), np.int64),
+            "horizons": ((n,), np.int64),
+            "copy_to": ((1,), np.int64),
+        }
+        names = ["observations", *("final_observations",) * self.keep_final]
+        for name in names + [f"copy{i}" for i in range(self.copies)]:
+            for part, (shape, dtype) in self.spec.fields.items():
+                fields[f"{name}/{part}"] = ((n, *shape), dtype)
+        return fields
+
+    def places(self) -> dict[str, tuple[Shape, DTypeLike, int]]:
+        """Shape, type and offset in bytes of each array by name."""
+        places, offset = {}, 0
+        for name, (shape, dtype) in self.fields().items():
+            places[name] = (shape, dtype, offset)
+            offset += _bytes(shape, dtype)
+        return places
+
+    @property
+    def size(self) -> int:
+        """Bytes of all arrays together."""
+        return sum(_bytes(*field) for field in self.fields().values())
+
+
+class VectorBuffers:
+    """The arrays of N sub-environments."""
+
+    actions: NDArray[np.int64]  # (N,), -1 for an inactive sub-environment
+    rewards: NDArray[np.float64]  # (N,)
+    truncations: NDArray[np.bool_]  # (N,)
+    scores: NDArray[np.float64]  # (2, N): by the appendix's rule, by the published code's
+    bodies: NDArray[np.float64]  # (N, max bodies, 6): x, y, angle and their velocities
+    body_counts: NDArray[np.int64]  # (N,): how many rows of `bodies` are in use
+    steps: NDArray[np.int64]  # (N,): control steps since reset
+    horizons: NDArray[np.int64]  # (N,)
+    copy_to: NDArray[np.int64]  # (1,): which of `copies` a step fills, or -1
+    observations: Any  # (N, ...), or a dict of such
+    final_observations: Any  # the same, or None
+    copies: list[Any]  # each the same
+
+    def __init__(self, layout: BufferLayout, memory: Any = None) -> None:
+        """Lay the arrays over `memory`, or over memory of their own."""
+        self.layout = layout
+        self.memory = np.zeros(layout.size, np.uint8) if memory is None else memory
+        arrays = {
+            name: np.ndarray(shape, dtype, self.memory, offset)
+            for name, (shape, dtype, offset) in layout.places().items()
+        }
+        self.observations = _take(arrays, "observations")
+        self.final_observations = _take(arrays, "final_observations") if layout.keep_final else None
+        self.copies = [_take(arrays, f"copy{i}") for i in range(layout.copies)]
+        for name, array in arrays.items():
+            setattr(self, name, array)
+
+
+class SharedMemory:
+    """Unnamed memory that worker processes can open as well.
+
+    Without a name nothing is left behind, however the processes end. `handle` is passed to the
+    workers: a file descriptor to inherit, or a tag on Windows.
+    """
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self.handle: int | str
+        if os.name == "nt":
+            self.handle = f"magical-{os.getpid()}-{id(self)}"
+        else:
+            self.handle = _unnamed_file(size)
+        self.memory = open_memory(self.handle, size)
+
+    @property
+    def inherited(self) -> tuple[int, ...]:
+        """File descriptors that workers must inherit."""
+        return (self.handle,) if isinstance(self.handle, int) else ()
+
+    def release_handle(self) -> None:
+        """Close the handle, which only starting workers need; the mapping stays."""
+        if isinstance(self.handle, int) and self.handle >= 0:
+            os.close(self.handle)
+            self.handle = -1
+
+
+def open_memory(handle: int | str, size: int) -> mmap.mmap:
+    """Map shared memory, in the process that made it or in a worker that inherited its handle."""
+    if sys.platform == "win32":
+        return mmap.mmap(-1, size, str(handle))
+    return mmap.mmap(int(handle), size)
+
+
+def _unnamed_file(size: int) -> int:
+    with contextlib.suppress(AttributeError):  # Linux only
+        descriptor = os.memfd_create("magical")
+        os.ftruncate(descriptor, size)
+        return descriptor
+    with tempfile.TemporaryFile() as file:
+        file.truncate(size)
+        return os.dup(file.fileno())
+
+
+def _bytes(shape: Shape, dtype: DTypeLike) -> int:
+    size = int(np.prod(shape)) * np.dtype(dtype).itemsize
+    return -(-size // _ALIGNMENT) * _ALIGNMENT
+
+
+def _take(arrays: dict[str, NDArray[Any]], name: str) -> Any:
+    """Remove an observation's arrays from the others and put them together."""
+    parts = {
+        key.split("/")[1]: arrays.pop(key) for key in list(arrays) if key.startswith(f"{name}/")
+    }
+    return gather(parts)

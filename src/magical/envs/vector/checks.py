@@ -1,0 +1,80 @@
+"""Checks of the arguments of a vector environment."""
+
+import operator
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical.errors import InvalidActionError, ResetNeededError
+from magical.scene.actions import NUM_ACTIONS
+
+
+def checked_actions(actions: Any, num_envs: int) -> NDArray[Any]:
+    """Actions as an array of integers (N,); raises `InvalidActionError`."""
+    array: NDArray[Any]
+    try:
+        array = np.asarray(actions)
+    except ValueError:  # ragged
+        array = np.empty(0)
+    good = (
+        array.shape == (num_envs,)
+        and array.dtype.kind in "iu"
+        and array.min() >= 0
+        and array.max() < NUM_ACTIONS
+    )
+    if not good:
+        raise InvalidActionError(
+            f"actions: expected {num_envs} integers from 0 to {NUM_ACTIONS - 1}, found {actions!r}"
+        )
+    return array
+
+
+def checked_mask(name: str, mask: Any, num_envs: int) -> NDArray[np.bool_]:
+    """A choice of sub-environments as bool (N,), all of them for None; raises `ValueError`."""
+    if mask is None:
+        return np.ones(num_envs, np.bool_)
+    array = np.asarray(mask)
+    if array.shape != (num_envs,) or array.dtype != np.bool_ or not array.any():
+        raise ValueError(
+            f"{name}: expected bool ({num_envs},) with at least one True, found {mask!r}"
+        )
+    return array
+
+
+def checked_seeds(seed: int | Sequence[int | None] | None, num_envs: int) -> list[int | None]:
+    """One seed for each sub-environment: `seed + i`, or a list's entries.
+
+    Raises `ValueError`.
+    """
+    if seed is None:
+        return [None] * num_envs
+    entries: Any = seed  # arrays can be iterated over as well as lists: try
+    try:
+        seeds = [None if s is None else operator.index(s) for s in entries]
+    except TypeError:
+        seeds = _consecutive(seed, num_envs)
+    if len(seeds) != num_envs or any(s is not None and s < 0 for s in seeds):
+        raise ValueError(
+            f"seed: expected a non-negative integer, {num_envs} of them, or None, found {seed!r}"
+        )
+    return seeds
+
+
+def require_episodes(what: str, running: NDArray[np.bool_], env_ids: Sequence[str]) -> None:
+    """Raise `ResetNeededError` that names the sub-environments without an episode, if any."""
+    if not running.all():
+        rows = np.flatnonzero(~running).tolist()
+        names = ", ".join(f"{row} ({env_ids[row]})" for row in rows[:5])
+        raise ResetNeededError(
+            f"{what}: expected a running episode in every environment, found none in {len(rows)} "
+            f"of {len(env_ids)}: {names}{', ...' if len(rows) > 5 else ''}; call reset() first"
+        )
+
+
+def _consecutive(seed: Any, num_envs: int) -> list[int | None]:
+    try:
+        return [operator.index(seed) + i for i in range(num_envs)]
+    except TypeError:
+        return []

@@ -1,0 +1,304 @@
+"""Gymnasium's vector environment, over worker processes."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from magical.envs.env import MagicalEnv, Reward
+from magical.envs.ids import EnvId, parse_env_id
+from magical.envs.vector.buffers import SharedMemory, VectorBuffers
+from magical.envs.vector.checks import (
+    checked_actions,
+    checked_mask,
+    checked_seeds,
+    require_episodes,
+)
+from magical.envs.vector.copies import Copies
+from magical.envs.vector.infos import Infos, same_step_infos, score_infos
+from magical.envs.vector.sub_envs import SubEnvs, VectorSpec, common_observation
+from magical.envs.vector.workers import RemoteSubEnvs, available_cores, defining_modules
+from magical.errors import (
+    ClosedEnvironmentError,
+    UnknownNameError,
+    WorkerDiedError,
+)
+from magical.observe import Observation
+from magical.observe.arrays import copy_arrays, select
+from magical.scene.actions import NUM_ACTIONS
+from magical.scene.constants import RAW_FRAME_SIZE
+from magical.scene.poses import Poses
+from magical.scene.scene import Scene
+from magical.scene.state import State
+
+Bools = NDArray[np.bool_]
+
+
+class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
+    """N sub-environments, of one or of several tasks and variants, stepped together.
+
+    Sub-environment i behaves as `MagicalEnv` of `env_ids[i]` does when it is reset with the same
+    seed and given the same actions, to the last bit, whatever the number of workers. Observations
+    are batched as Gymnasium batches them; `infos` holds `eval_score` and `published_code_score` as
+    arrays with their masks.
+
+    Args:
+        env_ids: the sub-environments' ids, with or without a preset.
+        workers: processes that the sub-environments are divided among, at most one for each; 0
+            steps them in this process; None starts one for each core. Workers are fresh
+            interpreters and never import the main script. If one ends unexpectedly, the next call
+            raises `WorkerDiedError` and the environment is closed.
+        observation: see `observe.make_spec`; takes precedence over the ids' preset.
+        horizon, reward: as for `MagicalEnv`.
+        autoreset_mode: what happens after an episode's last step. NEXT_STEP: the next step
+            ignores the action and begins another episode. SAME_STEP: that step already returns the
+            next episode's first observation; the last observation and scores are in
+            `infos["final_obs"]` and `infos["final_info"]`. DISABLED: nothing, until
+            `reset(seed=..., options={"reset_mask": ended})`.
+        copy: whether returned observations are the caller's to keep; otherwise they are the
+            buffers' own arrays, which the next step or reset overwrites.
+        render_mode: "rgb_array" or None.
+        plugins: modules that workers import to register tasks from outside the package; modules
+            that hold such a task are found without this.
+
+    Raises:
+        UnknownNameError: an unknown id, observation, reward or render mode.
+        MismatchedSpacesError: sub-environments whose observation spaces differ.
+        InvalidTaskError: a task that workers could not import.
+    """
+
+    def __init__(
+        self,
+        env_ids: Sequence[str],
+        workers: int | None = None,
+        observation: Observation = None,
+        horizon: int | None = None,
+        reward: Reward = "none",
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        copy: bool = True,
+        render_mode: str | None = None,
+        plugins: Sequence[str] = (),
+    ) -> None:
+        if isinstance(env_ids, str) or not env_ids:
+            raise ValueError(f"env_ids: expected a list of environment ids, found {env_ids!r}")
+        if workers is not None and workers < 0:
+            raise ValueError(f"workers: expected at least 0, or None, found {workers}")
+        if render_mode not in (None, *MagicalEnv.metadata["render_modes"]):
+            raise UnknownNameError(f"render mode {render_mode!r}: expected rgb_array or None")
+        parsed = [parse_env_id(env_id) for env_id in env_ids]
+        self.env_ids = tuple(env_id.without_preset for env_id in parsed)
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**MagicalEnv.metadata, "autoreset_mode": self.autoreset_mode}
+        self.copy = copy
+        self.render_mode = render_mode
+        common = common_observation(parsed, observation)
+        spec = VectorSpec(self.env_ids, common, horizon, reward, self.autoreset_mode, copy)
+        layout = spec.layout()
+        self._set_spaces(layout.spec.space)
+        self._running = np.zeros(self.num_envs, np.bool_)
+        self._scenes: list[Any] = [None] * self.num_envs
+        self._sub_envs: SubEnvs | RemoteSubEnvs
+        self.workers = min(available_cores() if workers is None else workers, self.num_envs)
+        if self.workers:
+            plugins = [*plugins, *defining_modules([] if plugins else spec.tasks())]
+            memory = SharedMemory(layout.size)
+            self._buffers = VectorBuffers(layout, memory.memory)
+            self._sub_envs = RemoteSubEnvs(spec, self.workers, memory, plugins)
+        else:
+            self._buffers = VectorBuffers(layout)
+            self._sub_envs = SubEnvs(spec, range(self.num_envs), self._buffers)
+        self._copies = Copies(self._buffers)
+
+    def _set_spaces(self, single: spaces.Space[Any]) -> None:
+        self.num_envs = len(self.env_ids)
+        self.single_observation_space = single
+        self.observation_space = batch_space(single, self.num_envs)
+        self.single_action_space = spaces.Discrete(NUM_ACTIONS)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Any, Infos]:
+        """Begin an episode in every sub-environment, or where `options["reset_mask"]` is True.
+
+        Args:
+            seed: sub-environment i gets `seed + i`, or `seed[i]` of a list; None continues each
+                one's own random generator.
+            options: `reset_mask`, bool (N,); `scene` and `dynamics` as for `MagicalEnv`.
+
+        Returns:
+            All observations, and `infos` masked to the sub-environments that were reset.
+
+        Raises:
+            InvalidSceneError, PlacementError: an episode cannot begin so.
+        """
+        self._require_open("reset")
+        chosen = dict(options or {})
+        mask = checked_mask("reset_mask", chosen.pop("reset_mask", None), self.num_envs)
+        seeds = checked_seeds(seed, self.num_envs)
+        super().reset(seed=seed if isinstance(seed, int) else None)
+        rows = np.flatnonzero(mask).tolist()
+        wanted = [(row, seeds[row]) for row in rows]
+        self._begin(self._exchange(lambda: self._sub_envs.reset(wanted, chosen), rows))
+        return self._observations(-1), score_infos(np.zeros((2, self.num_envs)), mask)
+
+    def step(
+        self, actions: Any, active: Bools | None = None
+    ) -> tuple[Any, NDArray[np.float64], Bools, Bools, Infos]:
+        """Act in every sub-environment for one control step of 1/8 s.
+
+        Args:
+            actions: integers (N,), each from 0 to 17.
+            active: bool (N,); where it is False nothing changes, and `infos` masks the
+                sub-environment out. By default all are active.
+
+        Raises:
+            InvalidActionError: actions of a wrong shape, type or size; nothing has happened.
+            ResetNeededError: a sub-environment has no running episode; nothing has happened.
+        """
+        self._require_open("step")
+        acting = checked_mask("active", active, self.num_envs)
+        require_episodes("step", self._running | ~acting, self.env_ids)
+        self._buffers.actions[:] = np.where(acting, checked_actions(actions, self.num_envs), -1)
+        copy = self._buffers.copy_to[0] = self._copies.choose()
+        self._begin(self._exchange(self._sub_envs.step, range(self.num_envs)))
+        truncations = self._buffers.truncations.copy()
+        if self.autoreset_mode is AutoresetMode.DISABLED:
+            self._running[truncations] = False
+        infos = self._infos(acting, truncations)
+        terminations = np.zeros(self.num_envs, np.bool_)
+        return (
+            self._observations(copy),
+            self._buffers.rewards.copy(),
+            terminations,
+            truncations,
+            infos,
+        )
+
+    def states(self) -> list[State]:
+        """The true state of every sub-environment, for experts and privileged policies."""
+        self._require_episodes("states")
+        bodies = self._buffers.bodies.copy()
+        counts, steps = self._buffers.body_counts.tolist(), self._buffers.steps.tolist()
+        horizons = self._buffers.horizons.tolist()
+        return [
+            State(
+                self._scene(i), Poses(bodies[i, :n, :3]), bodies[i, :n, 3:], steps[i], horizons[i]
+            )
+            for i, n in enumerate(counts)
+        ]
+
+    @property
+    def bodies(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """All bodies as (N, max bodies, 6): x, y, angle and their velocities.
+
+        The rows are those of `Poses`; the second array, (N,), is the number in use. Both are
+        read-only views of the buffers, which the next step or reset overwrites.
+        """
+        self._require_episodes("bodies")
+        bodies, counts = self._buffers.bodies.view(), self._buffers.body_counts.view()
+        bodies.flags.writeable = counts.flags.writeable = False
+        return bodies, counts
+
+    @property
+    def worker_process_ids(self) -> list[int]:
+        """The worker processes' ids; none for `workers=0` and after closing."""
+        sub_envs = getattr(self, "_sub_envs", None)
+        return sub_envs.process_ids if isinstance(sub_envs, RemoteSubEnvs) else []
+
+    def get_state(self, index: int) -> dict[str, Any]:
+        """What `MagicalEnv.get_state` returns, of sub-environment `index`."""
+        self._require_episodes("get_state", index)
+        row = range(self.num_envs)[index]
+        state: dict[str, Any] = self._exchange(lambda: self._sub_envs.get_state(row))
+        return state
+
+    def set_state(self, index: int, state: Mapping[str, Any]) -> Any:
+        """Continue sub-environment `index` from a state, as `MagicalEnv.set_state` does.
+
+        Returns its observation. Raises `InvalidStateError`.
+        """
+        self._require_open("set_state")
+        row = range(self.num_envs)[index]
+        self._begin(self._exchange(lambda: self._sub_envs.set_state(row, state), [row]))
+        return copy_arrays(select(self._buffers.observations, index))
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """Both views of every sub-environment side by side: N arrays (384, 768, 3)."""
+        if self.render_mode is None:
+            return None
+        from magical.render import render_views  # imports numba: only when something is rendered
+
+        states = self.states()
+        return tuple(
+            render_views(state.scene, state.poses, size=RAW_FRAME_SIZE) for state in states
+        )
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """End the workers; `close` calls this."""
+        if hasattr(self, "_sub_envs"):
+            self._sub_envs.close()
+            del self._sub_envs, self._buffers, self._copies
+
+    def _begin(self, started: Sequence[tuple[int, Any]]) -> None:
+        for row, scene in started:
+            self._scenes[row] = scene
+            # Only a state that was set can be at its episode's end.
+            ended = self._buffers.steps[row] >= self._buffers.horizons[row]
+            self._running[row] = not (ended and self.autoreset_mode is AutoresetMode.DISABLED)
+
+    def _infos(self, acting: Bools, ended: Bools) -> Infos:
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
+            return same_step_infos(self._buffers, acting, ended)
+        return score_infos(self._buffers.scores.copy(), acting)
+
+    def _observations(self, copy: int) -> Any:
+        return self._copies.hand_out(copy) if self.copy else self._buffers.observations
+
+    def _scene(self, row: int) -> Scene:
+        scene = self._scenes[row]
+        if not isinstance(scene, Scene):  # from a worker, parsed when it is first needed
+            scene = self._scenes[row] = Scene.from_dict(scene)
+        return scene
+
+    def _exchange(self, call: Callable[[], Any], rows: Iterable[int] = ()) -> Any:
+        """Call the sub-environments; if that fails, those in `rows` need a reset."""
+        try:
+            return call()
+        except BaseException as error:
+            for row in rows:
+                self._running[row], self._scenes[row] = False, None
+            if isinstance(error, WorkerDiedError) or not isinstance(error, Exception):
+                self.close()  # an interrupted exchange cannot be continued
+            raise
+
+    def _require_open(self, what: str) -> None:
+        if self.closed:
+            raise ClosedEnvironmentError(
+                f"{what}: expected an open environment, found a closed one; make a new one"
+            )
+
+    def _require_episodes(self, what: str, index: int | None = None) -> None:
+        self._require_open(what)
+        running = np.array([scene is not None for scene in self._scenes])
+        if index is not None:
+            running[np.arange(self.num_envs) != range(self.num_envs)[index]] = True
+        require_episodes(what, running, self.env_ids)
+
+
+def make_vector_env(
+    task: str, variant: str, num_envs: int = 1, observation: Observation = None, **options: Any
+) -> MagicalVectorEnv:
+    """The entry point of `gymnasium.make_vec("magical/<id>", num_envs=N, ...)`.
+
+    `options` are those of `MagicalVectorEnv`: workers, horizon, reward, autoreset_mode, copy, ...
+    """
+    env_ids = [EnvId(task, variant)] * num_envs
+    return MagicalVectorEnv(env_ids, observation=observation, **options)

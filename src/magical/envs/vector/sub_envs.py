@@ -1,0 +1,254 @@
+"""Some of a vector environment's sub-environments, stepped one after the other in one process."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode
+
+from magical.envs.env import Reward
+from magical.envs.episode import Episode, check_options
+from magical.envs.ids import EnvId, parse_env_id
+from magical.envs.vector.buffers import BufferLayout, VectorBuffers
+from magical.errors import InvalidSceneError, InvalidStateError, MismatchedSpacesError
+from magical.observe import Observation, ObservationSpec, make_spec
+from magical.observe.arrays import assign, select
+from magical.scene.poses import FIRST_BLOCK
+from magical.scene.scene import Scene
+from magical.tasks import Task
+
+# The present observations, those before, and those being made: what training loops hold on to.
+COPIES = 3
+Started = list[tuple[int, Scene]]  # sub-environments that began an episode, and its scene
+Seeds = Sequence[tuple[int, int | None]]  # sub-environments to reset, and their seeds
+
+
+@dataclass(frozen=True, slots=True)
+class VectorSpec:
+    """What a vector environment consists of."""
+
+    env_ids: tuple[EnvId, ...]  # one for each sub-environment, without presets
+    observation: Observation
+    horizon: int | None
+    reward: Reward
+    autoreset_mode: AutoresetMode
+    copy: bool
+
+    def tasks(self) -> list[Task]:
+        """The sub-environments' tasks."""
+        return [env_id.task_spec for env_id in self.env_ids]
+
+    def observation_spec(self) -> ObservationSpec:
+        """The observation that all sub-environments share.
+
+        Raises `MismatchedSpacesError` for state vectors of different lengths.
+        """
+        first, *others = {task.name: task for task in self.tasks()}.values()
+        for task in (first, *others):
+            check_options(task, self.horizon, self.reward)
+        spec = make_spec(self.observation, first)
+        for task in others:
+            other = make_spec(self.observation, task)
+            if other.space != spec.space:
+                raise MismatchedSpacesError(
+                    "environments in one batch: expected one observation space, found "
+                    f"{spec.space} ({first.name}) and {other.space} ({task.name}); use a pixel "
+                    "observation or a batch for each task"
+                )
+        return spec
+
+    def layout(self) -> BufferLayout:
+        """The memory that all sub-environments need."""
+        most_blocks = max(task.max_blocks for task in self.tasks())
+        keep_final = self.autoreset_mode is AutoresetMode.SAME_STEP
+        spec, bodies = self.observation_spec(), FIRST_BLOCK + most_blocks
+        copies = COPIES if self.copy and spec.num_images else 0
+        return BufferLayout(len(self.env_ids), spec, bodies, keep_final, copies)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return {
+            "env_ids": list(self.env_ids),
+            "observation": self.observation_spec().to_dict(),
+            "horizon": self.horizon,
+            "reward": self.reward,
+            "autoreset_mode": self.autoreset_mode.value,
+            "copy": self.copy,
+        }
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> "VectorSpec":
+        """The inverse of `to_dict`."""
+        mode = AutoresetMode(data["autoreset_mode"])
+        env_ids = tuple(map(parse_env_id, data["env_ids"]))
+        return VectorSpec(**{**data, "env_ids": env_ids, "autoreset_mode": mode})
+
+
+class SubEnvs:
+    """The sub-environments in `rows` of a vector environment, writing to its buffers.
+
+    Actions are read from the buffers; everything else is written there. Arguments are checked by
+    the vector environment, not here.
+    """
+
+    def __init__(self, spec: VectorSpec, rows: Sequence[int], buffers: VectorBuffers) -> None:
+        observation_spec = spec.observation_spec()
+        self._envs = {row: _SubEnv(spec, row, observation_spec, buffers) for row in rows}
+        self._in_order = list(self._envs.values())
+        self._same_step = spec.autoreset_mode is AutoresetMode.SAME_STEP
+        part = slice(rows[0], rows[-1] + 1)
+        self._actions = buffers.actions[part]
+        self._steps = buffers.steps[part]
+        self._copy_to = buffers.copy_to
+        self._ends = (buffers.rewards[part], buffers.truncations[part], buffers.scores[:, part])
+
+    def step(self) -> Started:
+        """Act in every sub-environment whose action is not -1; reset those whose episode ended."""
+        started: Started = []
+        for array in self._ends:
+            array.fill(0)
+        np.add(self._steps, 1, out=self._steps, where=self._actions >= 0)
+        copy = int(self._copy_to[0])
+        for env, action in zip(self._in_order, self._actions.tolist(), strict=True):
+            try:
+                if action >= 0 and self._advance(env, action):
+                    started.append(env.reset())
+            except Exception as error:
+                error.add_note(f"in {env.name}")
+                raise
+            if copy >= 0:
+                env.copy_observation(copy)
+        return started
+
+    def _advance(self, env: "_SubEnv", action: int) -> bool:
+        """Act unless the episode has ended; returns whether to begin another."""
+        if env.ended:
+            return True
+        if not env.step(action) or not self._same_step:
+            return False
+        env.keep_final_observation()
+        return True
+
+    def reset(self, seeds: Seeds, options: Mapping[str, Any] | None) -> Started:
+        """Begin episodes in the sub-environments named, each with its seed."""
+        started: Started = []
+        for row, seed in seeds:
+            env = self._envs[row]
+            try:
+                started.append(env.reset(seed, options))
+            except Exception as error:
+                error.add_note(f"in {env.name}")
+                raise
+        return started
+
+    def get_state(self, row: int) -> dict[str, Any]:
+        """What `MagicalEnv.get_state` returns."""
+        env = self._envs[row]
+        return {**env.episode.save(), "rng": env.rng.bit_generator.state}
+
+    def set_state(self, row: int, state: Mapping[str, Any]) -> Started:
+        """Continue from `get_state`'s data; raises `InvalidStateError`."""
+        return [self._envs[row].restore(state)]
+
+    def close(self) -> None:
+        """Release the sub-environments."""
+        self._envs.clear()
+        self._in_order.clear()
+
+
+class _SubEnv:
+    """One sub-environment and its row in the buffers."""
+
+    def __init__(
+        self, spec: VectorSpec, row: int, observation_spec: ObservationSpec, buffers: VectorBuffers
+    ) -> None:
+        env_id = spec.env_ids[row]
+        self._observation = select(buffers.observations, row)
+        self._copies = [select(copy, row) for copy in buffers.copies]
+        self.name = f"environment {row} ({env_id})"
+        self.episode = Episode(
+            env_id.task_spec,
+            env_id.variant,
+            observation_spec,
+            spec.horizon,
+            spec.reward,
+            self._observation,
+        )
+        self.rng: np.random.Generator
+        self.ended = False  # the next step begins another episode
+        self._row = row
+        self._buffers = buffers
+        self._always_rewarded = spec.reward == "dense"
+        self._bodies = buffers.bodies[row]
+
+    def step(self, action: int) -> bool:
+        """Act; returns whether the episode has ended."""
+        episode = self.episode
+        self.ended = episode.step(action)
+        self._bodies[:] = episode.bodies
+        if self.ended or self._always_rewarded:
+            row, buffers = self._row, self._buffers
+            buffers.rewards[row], scores = episode.outcome(self.ended)
+            buffers.truncations[row] = self.ended
+            buffers.scores[:, row] = scores.score, scores.published_code
+        return self.ended
+
+    def reset(
+        self, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[int, Scene]:
+        """Begin an episode as `MagicalEnv.reset` does."""
+        if seed is not None or not hasattr(self, "rng"):
+            self.rng, _ = seeding.np_random(seed)
+        self.ended = True  # should the start fail
+        self.episode.start(self.rng, options)
+        return self._began()
+
+    def restore(self, state: Mapping[str, Any]) -> tuple[int, Scene]:
+        """Continue as `MagicalEnv.set_state` does."""
+        rng, _ = seeding.np_random()
+        try:
+            rng.bit_generator.state = state["rng"]
+        except (KeyError, TypeError, ValueError) as error:
+            raise InvalidStateError(f"saved state has no usable 'rng': {error!r}") from error
+        self.episode.restore(state)
+        self.rng = rng
+        return self._began()
+
+    def keep_final_observation(self) -> None:
+        """Copy the observation to where the next episode's first one does not overwrite it."""
+        assign(select(self._buffers.final_observations, self._row), self._observation)
+
+    def copy_observation(self, copy: int) -> None:
+        """Copy the observation to the array that is handed out to the caller."""
+        assign(self._copies[copy], self._observation)
+
+    def _began(self) -> tuple[int, Scene]:
+        row, buffers, episode = self._row, self._buffers, self.episode
+        scene, count = episode.simulation.scene, len(episode.bodies)
+        if count > buffers.bodies.shape[1]:
+            raise InvalidSceneError(
+                f"{self.name}: expected at most {buffers.bodies.shape[1] - FIRST_BLOCK} blocks, "
+                f"found {len(scene.blocks)}; remove some"
+            )
+        self.ended = len(episode.actions) >= episode.horizon
+        self._bodies = buffers.bodies[row, :count]
+        self._bodies[:] = episode.bodies
+        buffers.body_counts[row] = count
+        buffers.steps[row], buffers.horizons[row] = len(episode.actions), episode.horizon
+        return row, scene
+
+
+def common_observation(env_ids: Sequence[EnvId], observation: Observation) -> Observation:
+    """The observation given, or else the preset that the ids agree on.
+
+    Raises `MismatchedSpacesError` if they do not.
+    """
+    presets = {env_id.preset for env_id in env_ids}
+    if observation is not None or len(presets) == 1:
+        return presets.pop() if observation is None else observation
+    raise MismatchedSpacesError(
+        "environments in one batch: expected the same preset in all ids, found "
+        f"{', '.join(sorted(map(str, presets)))}; or give observation=..."
+    )

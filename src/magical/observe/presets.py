@@ -1,0 +1,66 @@
+"""Observations by name: the published presets, raw frames, state vectors.
+
+Source of the presets: docs/specification.md, section 7.
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from magical.errors import UnknownNameError
+from magical.observe.pixels import STACK, PixelSpec
+from magical.observe.spec import ObservationSpec
+from magical.observe.state_vector import STATE, StateSpec
+from magical.scene.constants import RAW_FRAME_SIZE
+from magical.scene.vocabulary import View
+from magical.tasks import Task
+
+# What `observation=` accepts: a name, a specification, a mapping of PixelSpec's fields, or None.
+Observation = str | PixelSpec | StateSpec | Mapping[str, Any] | None
+
+_BOTH = (View.ALLO, View.EGO)
+
+# The presets that environment ids may name.
+PRESETS: Mapping[str, PixelSpec] = {
+    "LoResStack": PixelSpec(tuple((view, STACK) for view in _BOTH), separate=True),
+    "LoRes4E": PixelSpec(((View.EGO, STACK),)),
+    "LoRes4A": PixelSpec(((View.ALLO, STACK),)),
+    "LoRes3EA": PixelSpec(((View.ALLO, 1), (View.EGO, STACK - 1))),
+    "LoResCHW4E": PixelSpec(((View.EGO, STACK),), channels_first=True),
+}
+
+RAW = PixelSpec(tuple((view, 1) for view in _BOTH), size=RAW_FRAME_SIZE, separate=True)
+
+# Every other named observation; some depend on the task.
+NAMED: Mapping[str, Callable[[Task], ObservationSpec]] = {
+    "raw": lambda task: RAW,
+    STATE: lambda task: StateSpec(task.max_blocks, task.max_regions),
+}
+
+
+def make_spec(observation: Observation, task: Task) -> ObservationSpec:
+    """The specification that `observation=` means for a task.
+
+    Args:
+        observation: a preset's name, "raw" or `None` (both views at 384 x 384), "state", a
+            `PixelSpec` or a mapping of its fields.
+        task: state vectors have slots for its largest variant.
+
+    Raises:
+        UnknownNameError: none of these.
+    """
+    if isinstance(observation, PixelSpec | StateSpec):
+        return observation
+    if observation is None:
+        return RAW
+    names = {field.name for field in dataclasses.fields(PixelSpec)}
+    if isinstance(observation, Mapping) and set(observation) <= names:
+        return PixelSpec(**observation)
+    if isinstance(observation, str) and observation in PRESETS:
+        return PRESETS[observation]
+    if isinstance(observation, str) and observation in NAMED:
+        return NAMED[observation](task)
+    raise UnknownNameError(
+        f"observation {observation!r} is unknown; expected one of "
+        f"{', '.join((*PRESETS, *NAMED))}, a PixelSpec, or a mapping with some of {sorted(names)}"
+    )

@@ -1,0 +1,180 @@
+"""State vectors: a fixed-length description of a task's true state.
+
+Layout of the float32 vector (poses in workspace units and radians, velocities per second):
+
+- robot, 11: x, y, cos, sin of its angle; its velocity x, y, angular; each finger's angle relative
+  to the body (left, right); each finger's angular velocity relative to the body.
+- each block slot, 16: presence (0 or 1); shape one-hot (square, circle, pentagon, star); colour
+  one-hot (red, green, blue, yellow); x, y, cos, sin of its angle; velocity x, y, angular.
+- each region slot, 9: presence; colour one-hot; left x, top y, height, width.
+
+There are as many slots as the task's largest variant needs; unused ones are 0. Blocks and regions
+are in the scene's order. `StateSpec.names` lists every entry.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
+
+from magical.errors import InvalidSceneError, ObservationError
+from magical.observe.arrays import SINGLE, ArrayFields
+from magical.observe.spec import EpisodeSource
+from magical.scene.poses import FINGERS, FIRST_BLOCK, ROBOT
+from magical.scene.scene import Scene
+from magical.scene.vocabulary import COLOURS, SHAPES
+
+STATE = "state"  # the name of this observation
+
+_POSE = ("x", "y", "cos", "sin")
+_VELOCITY = ("velocity_x", "velocity_y", "angular_velocity")
+_ROBOT = (*_POSE, *_VELOCITY, "left_angle", "right_angle", "left_velocity", "right_velocity")
+_KIND = ("present", *SHAPES, *COLOURS)
+_BLOCK = (*_KIND, *_POSE, *_VELOCITY)
+_REGION = ("present", *COLOURS, "left", "top", "height", "width")
+
+
+@dataclass(frozen=True, slots=True)
+class StateSpec:
+    """A state vector with slots for `max_blocks` blocks and `max_regions` regions."""
+
+    max_blocks: int
+    max_regions: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """One name for each entry, such as `robot.x` or `block3.star`."""
+        slots: list[tuple[str, tuple[str, ...]]] = [("robot", _ROBOT)]
+        slots += [(f"block{i}", _BLOCK) for i in range(self.max_blocks)]
+        slots += [(f"region{i}", _REGION) for i in range(self.max_regions)]
+        return tuple(f"{slot}.{entry}" for slot, entries in slots for entry in entries)
+
+    @property
+    def size(self) -> int:
+        """The vector's length."""
+        return len(_ROBOT) + len(_BLOCK) * self.max_blocks + len(_REGION) * self.max_regions
+
+    @property
+    def space(self) -> spaces.Box:
+        """See `ObservationSpec`."""
+        return spaces.Box(-np.inf, np.inf, (self.size,), np.float32)
+
+    @property
+    def fields(self) -> ArrayFields:
+        """See `ObservationSpec`."""
+        return {SINGLE: ((self.size,), np.float32)}
+
+    @property
+    def frames(self) -> int:
+        """See `ObservationSpec`: velocities are part of the vector, so one moment is enough."""
+        return 1
+
+    @property
+    def num_images(self) -> int:
+        """See `ObservationSpec`."""
+        return 0
+
+    @property
+    def network_shape(self) -> tuple[int, ...]:
+        """See `ObservationSpec`."""
+        return (self.size,)
+
+    @property
+    def components(self) -> "tuple[StateComponent, ...]":
+        """See `ObservationSpec`."""
+        return (StateComponent(self),)
+
+    def network_input(self, observations: Any) -> NDArray[Any]:
+        """See `ObservationSpec`."""
+        array = np.asarray(observations)
+        if array.dtype != np.float32 or array.shape[1:] != (self.size,):
+            raise ObservationError(
+                f"observations: expected state vectors, float32 of shape (B, {self.size}), found "
+                f"{array.dtype} of shape {array.shape}"
+            )
+        return array
+
+    def observer(self, out: NDArray[np.float32] | None = None) -> "StateObserver":
+        """See `ObservationSpec`."""
+        return StateObserver(self, out)
+
+    def read(self, source: EpisodeSource, times: ArrayLike, out: Any = None) -> Any:
+        """See `ObservationSpec`."""
+        bodies = source.body_states()
+        observer = self.observer()
+        observer.start(source.scene, bodies[0])
+        vectors = np.empty((len(bodies), self.size), np.float32)
+        for vector, moment in zip(vectors, bodies, strict=True):
+            observer.update(moment)
+            vector[:] = observer.out
+        chosen = vectors[np.asarray(times, np.intp)]
+        if out is None:
+            return chosen
+        out[...] = chosen
+        return out
+
+    def to_dict(self) -> str:
+        """See `ObservationSpec`: the size follows from the task."""
+        return STATE
+
+    def check(self, scene: Scene) -> None:
+        """Raise `InvalidSceneError` if the scene has more blocks or regions than slots."""
+        if len(scene.blocks) > self.max_blocks or len(scene.regions) > self.max_regions:
+            raise InvalidSceneError(
+                f"expected at most {self.max_blocks} blocks and {self.max_regions} regions for "
+                f"this task's state vector, found {len(scene.blocks)} and {len(scene.regions)}; "
+                "use a pixel observation or a smaller scene"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class StateComponent:
+    """State vectors as they are."""
+
+    spec: StateSpec
+    frames: int = 1
+
+    def read(self, source: EpisodeSource, times: NDArray[np.intp]) -> NDArray[np.float32]:
+        """See `Component`: (B, size) float32."""
+        vectors: NDArray[np.float32] = self.spec.read(source, times)
+        return vectors
+
+
+class StateObserver:
+    """Writes a running episode's state vector into an array that is given, or one of its own."""
+
+    def __init__(self, spec: StateSpec, out: NDArray[np.float32] | None = None) -> None:
+        self.spec = spec
+        self.out = np.zeros(spec.size, np.float32) if out is None else out
+        blocks_end = len(_ROBOT) + len(_BLOCK) * spec.max_blocks
+        self._blocks = self.out[len(_ROBOT) : blocks_end].reshape(-1, len(_BLOCK))
+        self._regions = self.out[blocks_end:].reshape(-1, len(_REGION))
+
+    def start(self, scene: Scene, bodies: NDArray[np.float64]) -> None:
+        """Begin an episode; raises `InvalidSceneError` for a scene with too many bodies."""
+        self.spec.check(scene)
+        self.out[:] = 0
+        for slot, block in zip(self._blocks, scene.blocks, strict=False):
+            slot[[0, 1 + SHAPES.index(block.shape), 5 + COLOURS.index(block.colour)]] = 1
+        for slot, region in zip(self._regions, scene.regions, strict=False):
+            slot[[0, 1 + COLOURS.index(region.colour)]] = 1
+            slot[5:] = region.x, region.y, region.height, region.width
+        self.update(bodies)
+
+    def update(self, bodies: NDArray[np.float64]) -> None:
+        """Observe the next moment."""
+        self._write(self.out[:7], bodies[ROBOT])
+        relative = bodies[FINGERS] - bodies[ROBOT]
+        self.out[7:9] = relative[:, 2]
+        self.out[9:11] = relative[:, 5]
+        blocks = bodies[FIRST_BLOCK:]
+        self._write(self._blocks[: len(blocks), len(_KIND) :], blocks)
+
+    @staticmethod
+    def _write(out: NDArray[np.float32], rows: NDArray[np.float64]) -> None:
+        out[..., 0:2] = rows[..., 0:2]
+        np.cos(rows[..., 2], out=out[..., 2], casting="same_kind")
+        np.sin(rows[..., 2], out=out[..., 3], casting="same_kind")
+        out[..., 4:7] = rows[..., 3:6]

@@ -1,0 +1,69 @@
+"""The physics of one episode."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pymunk
+from numpy.typing import NDArray
+
+from magical.physics.blocks import add_block, add_walls
+from magical.physics.chipmunk import BodyReader
+from magical.physics.robot import COMMANDS, ROBOT_GROUP, Robot
+from magical.scene import constants as c
+from magical.scene.poses import Poses
+from magical.scene.scene import Dynamics, Scene
+
+
+class Simulation:
+    """A scene under given dynamics, stepped at the control rate of 8 Hz.
+
+    Bodies are added to the space in rendering order, walls first: the solver's result depends on
+    the order (docs/specification.md, section 6).
+
+    Attributes:
+        advance: what advances the physics by a substep, given its duration in seconds; replaced by
+            a timed version where the time inside the physics engine is measured.
+    """
+
+    def __init__(self, scene: Scene, dynamics: Dynamics | None = None) -> None:
+        self.scene = scene
+        self.dynamics = dynamics or Dynamics()
+        self._space = pymunk.Space()
+        self._space.iterations = c.SOLVER_ITERATIONS
+        self._space.collision_slop = c.COLLISION_SLOP
+        self.advance: Callable[[float], None] = self._space.step
+        add_walls(self._space)
+        if scene.robot_first:
+            self._robot = Robot(self._space, scene.robot, self.dynamics)
+        blocks = [
+            add_block(self._space, block, self.dynamics, group=ROBOT_GROUP + 1 + i)
+            for i, block in enumerate(scene.blocks)
+        ]
+        if not scene.robot_first:
+            self._robot = Robot(self._space, scene.robot, self.dynamics)
+        bodies = [self._robot.body, *self._robot.fingers, *self._robot.eyes, *blocks]
+        self._reader = BodyReader(self._space, bodies)
+
+    def step(self, action: int) -> None:
+        """Advance by one control step of 1/8 s under one of the 18 actions."""
+        speed, lead, target = COMMANDS[action]
+        steer, advance = self._robot.steer, self.advance
+        for _ in range(c.SUBSTEPS):
+            steer(speed, lead, target)
+            advance(c.SUBSTEP_TIME)
+
+    def poses(self) -> Poses:
+        """The present pose of every body."""
+        return Poses(self.read()[:, :3].copy())
+
+    def velocities(self) -> NDArray[np.float64]:
+        """Velocity (x, y, angular) of every body in the rows of `Poses`, (5 + blocks, 3)."""
+        return self.read()[:, 3:].copy()
+
+    def read(self) -> NDArray[np.float64]:
+        """Pose and velocity of every body in one pass: x, y, angle, their velocities.
+
+        Returns (5 + number of blocks, 6) in the rows of `Poses`. Eyes have no position of their
+        own; theirs is the robot's.
+        """
+        return self._reader.read()

@@ -1,0 +1,269 @@
+"""Files that mean harm: each is refused by name, and nothing in it runs."""
+
+import copyreg
+import gzip
+import io
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from magical.cli import main
+from magical.demos import Dataset
+from magical.demos.human.published import read_published
+from magical.demos.human.safe_pickle import Record, load
+from magical.errors import MagicalError, UnsafeFileError
+
+MARKER = Path("executed")  # in the working folder, which is the test's own
+SCRIPT = f"open({str(MARKER)!r}, 'w').close()"
+
+
+class Calls:
+    """Pickles to a call of a function."""
+
+    def __init__(self, function: Any, *arguments: Any, state: Any = None) -> None:
+        self.reduced = (function, arguments) if state is None else (function, arguments, state)
+
+    def __reduce__(self) -> Any:
+        return self.reduced
+
+
+def dumped(function: Any, *arguments: Any, protocol: int = 4) -> bytes:
+    return pickle.dumps(Calls(function, *arguments), protocol)
+
+
+def text(value: str) -> bytes:
+    return b"\x8c" + bytes([len(value)]) + value.encode()
+
+
+def called(module: str, attribute: str, *arguments: str) -> bytes:
+    """STACK_GLOBAL and REDUCE, without the pickle's frame."""
+    packed = b"(" + b"".join(text(argument) for argument in arguments) + b"t"
+    return text(module) + text(attribute) + b"\x93" + packed + b"R"
+
+
+def nested(payload: bytes) -> bytes:
+    """A payload where a trajectory's observations should be."""
+    record = text("milbench.baselines.saved_trajectories") + text("MILBenchTrajectory") + b"\x93"
+    return b"\x80\x04}" + text("trajectory") + record + b"(N" + payload + b"]]t\x81s."
+
+
+def memoised() -> bytes:
+    """The names lie in the memo long before STACK_GLOBAL takes them from there."""
+    first = b"\x80\x04" + text("os") + b"\x940" + text("system") + b"\x940"
+    return first + b"h\x00h\x01\x93" + b"(" + text(f"touch {MARKER}") + b"tR."
+
+
+def extension() -> bytes:
+    """A global by its number in the extension registry."""
+    return b"\x80\x02\x82\x07(" + b"X" + np.uint32(len(SCRIPT)).tobytes() + SCRIPT.encode() + b"tR."
+
+
+def extended() -> bytes:
+    """`pickle.loads` finds extension 7 as `builtins.exec`."""
+    copyreg.add_extension("builtins", "exec", 7)
+    return extension()
+
+
+OS = "nt" if os.name == "nt" else "posix"
+TOUCH = f"touch {MARKER}"
+ARMED: dict[str, Callable[[], bytes]] = {
+    **{
+        f"reduce os.system, protocol {n}": lambda n=n: dumped(os.system, TOUCH, protocol=n)  # type: ignore[misc]
+        for n in range(6)
+    },
+    "builtins.eval": lambda: dumped(eval, SCRIPT),
+    "builtins.exec": lambda: dumped(exec, SCRIPT),
+    "builtins.exec by its old name": lambda: (
+        b"c__builtin__\nexec\n(S" + repr(SCRIPT).encode() + b"\ntR."
+    ),
+    "getattr chain": lambda: (
+        b"\x80\x04"
+        + text("builtins")
+        + text("getattr")
+        + b"\x93("
+        + called("importlib", "import_module", "os")
+        + text("system")
+        + b"tR("
+        + text(TOUCH)
+        + b"tR."
+    ),
+    "dotted name": lambda: b"\x80\x04" + called("os", "path.os.system", TOUCH) + b".",
+    "subprocess": lambda: dumped(subprocess.check_call, ["touch", str(MARKER)]),
+    "nested in the trajectory": lambda: nested(called(OS, "system", TOUCH)),
+    "memoised STACK_GLOBAL": memoised,
+    "extension code": extended,
+    "INST": lambda: b"(S" + repr(TOUCH).encode() + b"\ni" + OS.encode() + b"\nsystem\n.",
+    "OBJ": lambda: b"(c" + OS.encode() + b"\nsystem\nS" + repr(TOUCH).encode() + b"\no.",
+    "open for writing": lambda: b"\x80\x04" + called("io", "open", str(MARKER), "w") + b".",
+    "numpy saving a file": lambda: (
+        b"\x80\x04"
+        + text("numpy")
+        + text("save")
+        + b"\x93("
+        + text(str(MARKER))
+        + b"]K\x01aK\x00tR0N."
+    ),
+    "runpy": lambda: b"\x80\x04" + called("runpy", "run_path", "evil.py") + b".",
+    "state of an object": lambda: pickle.dumps(
+        Calls(copyreg._reconstructor, object, object, None, state=Calls(os.system, TOUCH))  # type: ignore[attr-defined]
+    ),
+}
+DEVIOUS: dict[str, bytes] = {
+    "NEWOBJ_EX": b"\x80\x04"
+    + text("subprocess")
+    + text("Popen")
+    + b"\x93)}"
+    + text("args")
+    + b"]("
+    + text("touch")
+    + text(str(MARKER))
+    + b"es\x92.",
+    "persistent id": b"\x80\x04" + text("x") + b"Q.",
+    "persistent id as text": b"Pos.system\n.",
+    "numpy loading a file": b"\x80\x04" + called("numpy", "load", "evil.npy") + b".",
+    "BUILD on a function": b"\x80\x04"
+    + text("numpy.core.multiarray")
+    + text("_reconstruct")
+    + b"\x93}"
+    + text("__code__")
+    + b"Nsb.",
+    "BUILD on a function by slots": b"\x80\x04"
+    + text("numpy.core.multiarray")
+    + text("_reconstruct")
+    + b"\x93N}"
+    + text("__code__")
+    + b"Ns\x86b.",
+    "BUILD on a class": b"\x80\x04"
+    + text("collections")
+    + text("OrderedDict")
+    + b"\x93}"
+    + text("__setitem__")
+    + b"Nsb.",
+    "calling ndarray": b"\x80\x04"
+    + text("numpy")
+    + text("ndarray")
+    + b"\x93J\xff\xff\xff\x7f\x85R.",
+    "reconstructing another class": b"\x80\x04"
+    + text("numpy.core.multiarray")
+    + text("_reconstruct")
+    + b"\x93"
+    + text("collections")
+    + text("OrderedDict")
+    + b"\x93K\x00\x85C\x01b\x87R.",
+    "object dtype": b"\x80\x04"
+    + text("numpy")
+    + text("dtype")
+    + b"\x93"
+    + text("O8")
+    + b"K\x00K\x01\x87R.",
+    "allowed module, other name": b"\x80\x04" + text("numpy") + text("fromfile") + b"\x93.",
+    "the five under another module": b"\x80\x04"
+    + text("numpy._core.multiarray")
+    + text("_reconstruct")
+    + b"\x93.",
+    "dotted from an allowed name": b"\x80\x04"
+    + text("collections")
+    + text("OrderedDict.__init__.__globals__")
+    + b"\x93.",
+    "a buffer out of band": b"\x80\x05\x97.",
+    "a set": b"\x80\x04\x8f.",
+    "terminal escapes": b"\x80\x04" + text("os\x1b[2J\x07") + text("system") + b"\x93.",
+    "underflow": b"\x80\x04R.",
+    "no end": b"\x80\x04]",
+    "two values": b"\x80\x04]].",
+    "more after the end": b"\x80\x04}.}.",
+    "memo of nothing": b"\x80\x04h\x05.",
+    "no pickle": b"PK\x03\x04 hello",
+    "empty": b"",
+    "a list of itself": b"\x80\x04]\x94h\x00a.",
+    "a dict of keys that are no text": b"\x80\x04}]Ns.",
+    "a large item": b"\x80\x04\x8e" + (1 << 62).to_bytes(8, "little") + b"x.",
+}
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "evil.py").write_text(SCRIPT)
+    return tmp_path
+
+
+@pytest.fixture(autouse=True)
+def _forget_extension() -> Any:
+    yield
+    if ("builtins", "exec") in copyreg._extension_registry:  # type: ignore[attr-defined]
+        copyreg.remove_extension("builtins", "exec", 7)
+
+
+@pytest.mark.parametrize("name", ARMED)
+def test_armed_pickle_is_refused_and_does_nothing(
+    here: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    payload = ARMED[name]()
+    record = ModuleType("milbench.baselines.saved_trajectories")
+    vars(record)["MILBenchTrajectory"] = Record
+    for module in ("milbench", "milbench.baselines", record.__name__):
+        monkeypatch.setitem(sys.modules, module, record)
+    with suppress(pickle.UnpicklingError):
+        loaded = pickle.loads(payload)  # noqa: S301  (that it is armed is the point)
+        getattr(loaded, "close", lambda: None)()
+    monkeypatch.undo()
+    monkeypatch.chdir(here)
+    assert list(here.glob("executed*")), "not armed"
+    for trace in here.glob("executed*"):
+        trace.unlink()
+    refuse(here, payload)
+
+
+@pytest.mark.parametrize("name", DEVIOUS)
+def test_devious_pickle_is_refused_and_does_nothing(here: Path, name: str) -> None:
+    refuse(here, DEVIOUS[name])
+
+
+def refuse(here: Path, payload: bytes) -> None:
+    file = here / "demo.pkl.gz"
+    file.write_bytes(gzip.compress(payload))
+    modules = set(sys.modules)
+    with pytest.raises(MagicalError) as caught:
+        read_published(file)
+    assert str(caught.value).startswith(str(file))
+    assert str(caught.value).isprintable()
+    assert not list(here.glob("executed*"))
+    assert not any("milbench" in module for module in set(sys.modules) - modules)
+
+
+def test_message_says_what_and_where() -> None:
+    with pytest.raises(
+        UnsafeFileError, match=r"byte 2\d.*it names os\.system, expected only numpy"
+    ):
+        load(io.BytesIO(b"\x80\x04" + text("a" * 8) + called("os", "system")), lambda a: a)
+
+
+def test_one_bad_file_does_not_stop_the_others(
+    here: Path, published: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (here / "in").mkdir()
+    for i in range(3):
+        published(seed=i).write(here / "in" / f"demo-{i}.pkl.gz")
+    (here / "in" / "demo-1b.pkl.gz").write_bytes(gzip.compress(dumped(os.system, TOUCH)))
+    (here / "in" / "demo-2b.pkl.gz").write_bytes(b"")
+    status = main(["demos", "import", "in", "--out", "out", "--workers", "1"])
+    assert status == 1
+    shown = capsys.readouterr()
+    assert "imported 3 demonstrations" in shown.out
+    assert "in/demo-1b.pkl.gz: refused at byte" in shown.err
+    assert "in/demo-2b.pkl.gz" in shown.err
+    assert not (here / MARKER).exists()
+    assert [entry.source for entry in Dataset.open("out").entries] == [
+        f"demo-{i}.pkl.gz" for i in range(3)
+    ]
+    assert not [path for path in here.rglob("*") if "part" in path.name]

@@ -1,0 +1,167 @@
+"""The published human demonstrations: import, download, summary, replay."""
+
+import gzip
+import pickle
+from collections import OrderedDict, namedtuple
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from magical.cli import main
+from magical.demos import Dataset, DatasetWriter, Trajectory
+from magical.demos.human.importing import find_published, import_published
+from magical.demos.human.published import published_sums, read_published
+from magical.demos.store.summary import find_duplicates
+from magical.errors import DatasetError
+
+MakeTrajectory = Callable[..., Trajectory]
+Run = Callable[..., tuple[int, dict[str, Any]]]
+
+
+@pytest.fixture(scope="session")
+def human(archive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """All 40 files, imported."""
+    out = tmp_path_factory.mktemp("human") / "dataset"
+    report = import_published(find_published(archive), out)
+    assert len(report.imported) == 40
+    assert (report.failed, report.duplicates, report.already) == ((), (), ())
+    return out
+
+
+class Unpickler(pickle.Unpickler):
+    """An independent reading of the published files, with real arrays."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        known = {
+            "_reconstruct": np._core.multiarray._reconstruct,  # type: ignore[attr-defined]
+            "ndarray": np.ndarray,
+            "dtype": np.dtype,
+            "OrderedDict": OrderedDict,
+            "MILBenchTrajectory": namedtuple("MILBenchTrajectory", "acts obs rews infos"),
+        }
+        return known[name]
+
+
+@pytest.mark.parametrize("task", ["move-to-region", "fix-colour", "find-dupe"])
+def test_frames_are_the_4_x_4_average(human: Path, archive: Path, task: str) -> None:
+    for file in sorted((archive / task).iterdir())[:2]:
+        with gzip.open(file) as opened:
+            data = Unpickler(opened).load()
+        (entry,) = (e for e in Dataset.open(human).entries if e.source == file.name)
+        stored = Dataset.open(human).read(entry)
+        assert stored.frames is not None
+        assert stored.published_code_score == data["score"]
+        np.testing.assert_array_equal(stored.actions, data["trajectory"].acts)
+        assert len(stored.frames["ego"]) == len(data["trajectory"].obs)
+        for time, shown in enumerate(data["trajectory"].obs):
+            for view in ("allo", "ego"):
+                blocks = shown[view].reshape(96, 4, 96, 4, 3).astype(np.float64)
+                average = np.round(blocks.mean(axis=(1, 3))).astype(np.uint8)
+                np.testing.assert_array_equal(stored.frames[view][time], average)
+
+
+def test_all_forty_are_whole_and_as_published(human: Path, archive: Path) -> None:
+    lengths = {"MoveToCorner": 80, "MoveToRegion": 40, "MatchRegions": 120, "MakeLine": 180}
+    lengths |= {"FindDupe": 100, "FixColour": 60, "ClusterColour": 240, "ClusterShape": 240}
+    dataset = Dataset.open(human)
+    for entry, trajectory in zip(dataset.entries, dataset, strict=True):
+        assert (len(trajectory), trajectory.demonstrator) == (lengths[entry.task], "human")
+        assert trajectory.scene == trajectory.task.demo
+        assert (trajectory.score, trajectory.poses) == (None, None)
+        assert trajectory.published_code_score == 1.0
+        (file,) = archive.glob(f"*/{entry.source}")
+        assert entry.source_sha256 == published_sums()[f"{file.parent.name}/{file.name}"]
+
+
+def test_first_frame_is_the_demo_scene(human: Path) -> None:
+    from magical.demos import Frames
+    from magical.scene import Dynamics, Poses
+
+    for task in ("MoveToCorner", "ClusterShape", "FixColour"):
+        pictures = Dataset.open(human).filter(task=task)[0]
+        assert pictures.frames is not None
+        start = Poses.at_rest(pictures.scene).bodies
+        drawn = Trajectory.from_poses(
+            pictures.env_id, pictures.scene, [0], np.stack([start, start]), dynamics=Dynamics()
+        )
+        for view in ("ego", "allo"):
+            ours = Frames(drawn, view).take([0])[0]
+            assert np.abs(ours.astype(int) - pictures.frames[view][0]).mean() < 1.0
+
+
+def test_import_again_changes_nothing(human: Path, archive: Path, run: Run) -> None:
+    before = (human / "manifest.jsonl").read_bytes()
+    status, result = run("import", archive / "fix-colour", "--out", human)
+    assert (status, result["imported"], len(result["already"])) == (0, [], 5)
+    assert (human / "manifest.jsonl").read_bytes() == before
+
+
+def test_duplicates_are_reported(tmp_path: Path, published: Any, run: Run) -> None:
+    pickled = published().pickle
+    for level, name in enumerate(("018", "019", "020"), 1):
+        data = pickled if level > 1 else published(seed=1).pickle
+        (tmp_path / f"demo-{name}.pkl.gz").write_bytes(gzip.compress(data, level, mtime=level))
+    pair = ["demo-020.pkl.gz", "demo-019.pkl.gz"]
+    status, result = run("import", tmp_path, "--out", tmp_path / "all")
+    assert (status, result["duplicates"], len(result["imported"])) == (0, [pair], 3)
+    status, result = run("info", tmp_path / "all")
+    assert (status, result["duplicates"]) == (0, [pair])
+    status, result = run("import", tmp_path, "--out", tmp_path / "once", "--skip-duplicates")
+    assert (status, result["duplicates"], len(result["imported"])) == (0, [pair], 2)
+
+
+def test_sums_of_the_published_archive(shared: Path) -> None:
+    sums = published_sums()
+    assert len(sums) == 203
+    for line in (shared / "reference" / "human-demos.sha256").read_text().splitlines():
+        digest, path = line.split()
+        assert sums[path] == digest
+
+
+def test_info_and_replay(human: Path, run: Run) -> None:
+    status, result = run("info", human)
+    assert (status, result["count"], result["problems"]) == (0, 40, [])
+    assert {e["count"] for e in result["environments"]} == {5}
+    for environment in result["environments"]:
+        assert sum(environment["actions"]) == 5 * environment["lengths"][0]
+    status, result = run("replay", human)
+    assert status == 0
+    assert len(result["replays"]) == 40
+    means = {e["env_id"].split("/")[1]: e for e in result["environments"]}
+    for task in ("MoveToRegion", "FindDupe", "FixColour"):
+        assert means[f"{task}-Demo-v0"]["published_code_score"] == 1.0
+        assert means[f"{task}-Demo-v0"]["published_replay"] == [1.0, 1.0]
+    assert means["MoveToCorner-Demo-v0"]["published_code_score"] >= 0.6
+    assert means["MatchRegions-Demo-v0"]["published_code_score"] >= 0.4
+
+
+def test_sources_that_are_none(tmp_path: Path) -> None:
+    for source in (tmp_path, tmp_path / "missing"):
+        with pytest.raises(DatasetError, match="expected files"):
+            find_published(source)
+    assert main(["demos", "import", str(tmp_path), "--out", str(tmp_path / "out")]) == 1
+
+
+def test_duplicate_recordings(small_dataset: Path) -> None:
+    assert find_duplicates(Dataset.open(small_dataset).entries) == []
+    DatasetWriter(small_dataset).append(Dataset.open(small_dataset)[1])
+    (pair,) = find_duplicates(Dataset.open(small_dataset).entries)
+    assert pair == (
+        "trajectories/000003-FindDupe-TestAll.npz",
+        "trajectories/000001-FindDupe-TestAll.npz",
+    )
+
+
+def test_hand_made_file_reads_as_the_real_ones_do(tmp_path: Path, published: Any) -> None:
+    made = published()
+    trajectory = read_published(made.write(tmp_path / "demo.pkl.gz"))
+    assert trajectory.frames is not None
+    for k, view in enumerate(("allo", "ego")):
+        blocks = made.frames[:, k].reshape(3, 96, 4, 96, 4, 3).astype(np.float64)
+        average = np.round(blocks.mean(axis=(2, 4)))
+        np.testing.assert_array_equal(trajectory.frames[view], average)
+    assert trajectory.actions.tolist() == made.actions.tolist()
+    assert trajectory.published_code_score == 0.75

@@ -1,0 +1,202 @@
+"""Damage is noticed and named, the rest stays usable, nothing is half-written."""
+
+import io
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import pytest
+
+from magical.demos import Dataset, DatasetWriter, Trajectory
+from magical.demos.store.codec import decode
+from magical.demos.store.manifest import ManifestEntry
+from magical.demos.store.repair import check, repair
+from magical.errors import DatasetError
+from magical.files import write_atomically
+
+MakeTrajectory = Callable[..., Trajectory]
+
+
+def flipped(raw: bytes, rng: np.random.Generator) -> bytes:
+    place = int(rng.integers(len(raw)))
+    return raw[:place] + bytes([raw[place] ^ (1 << int(rng.integers(8)))]) + raw[place + 1 :]
+
+
+def stored_files(path: Path) -> list[Path]:
+    return [path / "manifest.jsonl", *sorted((path / "trajectories").iterdir())]
+
+
+def test_every_flip_and_truncation_is_noticed(small_dataset: Path) -> None:
+    rng = np.random.default_rng(0)
+    for trial in range(240):
+        file = stored_files(small_dataset)[trial % 4]
+        raw = file.read_bytes()
+        file.write_bytes(flipped(raw, rng) if trial % 3 else raw[: int(rng.integers(len(raw)))])
+        problems = check(small_dataset)
+        assert any(problem.file == str(file) for problem in problems) or (
+            file.name == "manifest.jsonl" and problems
+        ), f"trial {trial}: {file} unnoticed"
+        with pytest.raises(DatasetError, match=r"trajectories|manifest"):
+            list(Dataset.open(small_dataset))
+        file.write_bytes(raw)
+    assert check(small_dataset) == []
+
+
+@pytest.mark.parametrize("damage", ["flip", "cut", "missing", "swapped"])
+def test_rest_of_a_damaged_dataset_is_usable(small_dataset: Path, damage: str) -> None:
+    _, first, second, _ = stored_files(small_dataset)
+    if damage == "flip":
+        second.write_bytes(flipped(second.read_bytes(), np.random.default_rng(0)))
+    elif damage == "cut":
+        second.write_bytes(second.read_bytes()[:-100])
+    elif damage == "missing":
+        second.unlink()
+    else:
+        second.write_bytes(first.read_bytes())
+    dataset = Dataset.open(small_dataset)
+    with pytest.raises(DatasetError, match="cannot be read" if damage == "missing" else "SHA-256"):
+        dataset[1]
+    assert [dataset[i].seed for i in (0, 2)] == [1, 3]
+    rest = Dataset.open(small_dataset, skip_damaged=True)
+    assert [t.seed for t in rest] == [1, 3]
+    assert [problem.file for problem in rest.problems] == [str(second)]
+
+
+@pytest.mark.parametrize("cut", [1, 40, 700])
+def test_manifest_cut_off_is_noticed_and_repaired(small_dataset: Path, cut: int) -> None:
+    manifest = small_dataset / "manifest.jsonl"
+    manifest.write_bytes(manifest.read_bytes()[:-cut])
+    with pytest.raises(DatasetError, match="--repair"):
+        Dataset.open(small_dataset)
+    with pytest.raises(DatasetError):
+        DatasetWriter(small_dataset).append(Dataset.open(small_dataset, skip_damaged=True)[0])
+    assert repair(small_dataset)
+    assert [t.seed for t in Dataset.open(small_dataset)] == [1, 2, 3]
+    assert check(small_dataset) == []
+
+
+def test_manifest_cut_at_a_line_is_noticed(small_dataset: Path) -> None:
+    manifest = small_dataset / "manifest.jsonl"
+    manifest.write_text("".join(manifest.read_text().splitlines(keepends=True)[:-1]))
+    with pytest.raises(DatasetError, match=r"000002-MoveToCorner-TestJitter\.npz: not in"):
+        Dataset.open(small_dataset)
+    repair(small_dataset)
+    assert len(Dataset.open(small_dataset)) == 3
+
+
+def test_repair_sets_the_damaged_aside(small_dataset: Path) -> None:
+    second = stored_files(small_dataset)[2]
+    raw = second.read_bytes()
+    second.write_bytes(raw[: len(raw) // 2])
+    (small_dataset / "manifest.jsonl").unlink()
+    assert [problem.file for problem in repair(small_dataset)][-1] == str(second)
+    assert [t.seed for t in Dataset.open(small_dataset)] == [1, 3]
+    assert (small_dataset / "damaged" / second.name).exists()
+    with pytest.raises(DatasetError, match="expected a dataset"):
+        repair(small_dataset / "nowhere")
+
+
+def test_manifest_cannot_point_elsewhere(small_dataset: Path) -> None:
+    entry = Dataset.open(small_dataset).entries[0]
+    content = {name: getattr(entry, name) for name in ManifestEntry.__slots__}
+    ManifestEntry(**content)
+    with pytest.raises(ValueError, match="expected the name"):
+        ManifestEntry(**{**content, "file": "../../secret.npz"})
+
+
+def test_no_dataset_there(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"expected a dataset, found no manifest\.jsonl"):
+        Dataset.open(tmp_path)
+
+
+def test_objects_in_an_npz_are_not_loaded(small_dataset: Path) -> None:
+    raw = stored_files(small_dataset)[1].read_bytes()
+    decode(raw)
+    file = io.BytesIO()
+    np.savez(file, header=np.array([{}], object), actions=np.array([1]))
+    with pytest.raises(DatasetError, match="allow_pickle"):
+        decode(file.getvalue())
+
+
+class FullDisk:
+    """A file that takes a few bytes and then no more."""
+
+    def __init__(self, file: IO[bytes], room: int) -> None:
+        self._file = file
+        self._room = room
+
+    def write(self, data: bytes) -> int:
+        written = self._file.write(data[: self._room])
+        self._room -= written
+        if len(data) > written:
+            raise OSError(28, "No space left on device")
+        return written
+
+
+@pytest.mark.parametrize("room", [0, 1, 500])
+def test_full_disk_leaves_nothing_half_written(
+    small_dataset: Path,
+    make_trajectory: MakeTrajectory,
+    monkeypatch: pytest.MonkeyPatch,
+    room: int,
+) -> None:
+    before = {path: path.read_bytes() for path in small_dataset.rglob("*") if path.is_file()}
+
+    @contextmanager
+    def full(path: Path) -> Iterator[FullDisk]:
+        with write_atomically(path) as file:
+            yield FullDisk(file, room)
+
+    writer = DatasetWriter(small_dataset)
+    monkeypatch.setattr("magical.demos.store.writer.write_atomically", full)
+    with pytest.raises(DatasetError, match="No space left"):
+        writer.append(make_trajectory())
+    monkeypatch.undo()
+    monkeypatch.setattr("magical.demos.store.manifest._write_all", _fill_then_fail)
+    with pytest.raises(DatasetError, match="No space left"):
+        writer.append(make_trajectory())
+    monkeypatch.undo()
+    assert {p: p.read_bytes() for p in small_dataset.rglob("*") if p.is_file()} == before
+    writer.append(make_trajectory(seed=9))
+    assert [t.seed for t in Dataset.open(small_dataset)] == [1, 2, 3, 9]
+
+
+def _fill_then_fail(file: IO[bytes], data: bytes) -> None:
+    file.write(data[: len(data) // 2])
+    raise OSError(28, "No space left on device")
+
+
+LIMITED = """
+import resource, signal, sys
+from magical.cli import main
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs a limit on the size of files")
+def test_command_on_a_full_disk_exits_with_1(tmp_path: Path, published: Any) -> None:
+    file = published().write(tmp_path / "demo.pkl.gz")
+    out = tmp_path / "out"
+    command = ["demos", "import", str(file), "--out", str(out), "--workers", "1"]
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED, *command], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 1, done.stderr
+    assert "cannot be written" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not list((out / "trajectories").iterdir())
+    assert len(Dataset.open(out)) == 0
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_dataset_without_write_permission_can_be_read(small_dataset: Path) -> None:
+    for path in (small_dataset, small_dataset / ".lock"):
+        path.chmod(0o555)
+    assert len(list(Dataset.open(small_dataset))) == 3

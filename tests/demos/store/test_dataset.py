@@ -1,0 +1,145 @@
+"""The store: exact, small, appended to by many at once, damage noticed."""
+
+import subprocess
+import sys
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from magical.demos import Dataset, DatasetWriter, Trajectory
+from magical.demos.store.codec import decode, encode
+from magical.demos.store.repair import check
+from magical.errors import DatasetError, UnknownNameError
+
+MakeTrajectory = Callable[..., Trajectory]
+
+
+def assert_equal(a: Trajectory, b: Trajectory) -> None:
+    for field in ("env_id", "scene", "dynamics", "seed", "score", "published_code_score"):
+        assert getattr(a, field) == getattr(b, field), field
+    assert (a.demonstrator, a.metadata) == (b.demonstrator, b.metadata)
+    np.testing.assert_array_equal(a.actions, b.actions)
+    assert (a.poses is None) == (b.poses is None)
+    if a.poses is not None and b.poses is not None:
+        assert a.poses.tobytes() == b.poses.tobytes()
+    assert (a.frames is None) == (b.frames is None)
+    for view, frames in (a.frames or {}).items():
+        assert b.frames is not None
+        np.testing.assert_array_equal(frames, b.frames[view])
+
+
+def test_round_trip_is_exact(
+    make_trajectory: MakeTrajectory, make_pictures: MakeTrajectory
+) -> None:
+    posed = make_trajectory("magical/FixColour-TestAll-v0", metadata={"who": "I", "deep": [1, {}]})
+    for trajectory in (posed, make_pictures()):
+        assert_equal(trajectory, decode(encode(trajectory)))
+        assert encode(trajectory) == encode(decode(encode(trajectory)))
+
+
+def test_fullest_trajectory_takes_at_most_150_kb(make_trajectory: MakeTrajectory) -> None:
+    sizes = []
+    for seed in range(200):
+        one = make_trajectory("magical/ClusterColour-TestAll-v0", steps=1, seed=seed)
+        if len(one.scene.blocks) == 10:
+            full = make_trajectory("magical/ClusterColour-TestAll-v0", steps=320, seed=seed)
+            sizes.append(len(encode(full)))
+        if len(sizes) == 2:
+            break
+    assert max(sizes) <= 150_000
+    rng = np.random.default_rng(0)
+    assert full.poses is not None
+    noise = Trajectory.from_poses(
+        full.env_id, full.scene, full.actions, rng.normal(size=full.poses.shape)
+    )
+    assert len(encode(noise)) <= 150_000  # not even then
+
+
+def test_open_read_filter(small_dataset: Path, make_trajectory: MakeTrajectory) -> None:
+    dataset = Dataset.open(small_dataset)
+    assert len(dataset) == 3
+    assert_equal(dataset[0], make_trajectory(seed=1))
+    assert_equal(dataset[-1], make_trajectory("magical/MoveToCorner-TestJitter-v0", seed=3))
+    assert [t.seed for t in dataset] == [1, 2, 3]
+    assert [t.seed for t in dataset[1:]] == [2, 3]
+    assert [t.seed for t in dataset.filter(task="MoveToCorner")] == [1, 3]
+    assert [t.seed for t in dataset.filter(variant="TestAll")] == [2]
+    assert [t.seed for t in dataset.filter(demonstrator="other")] == [2]
+    assert [t.seed for t in dataset.filter(env_id="MoveToCorner-Demo-LoRes4E-v0")] == [1]
+    assert not len(dataset.filter(min_score=1.1))
+    assert len(dataset.filter(min_score=0.0)) == 3
+    assert not len(dataset.filter(task="MakeLine"))
+    with pytest.raises(UnknownNameError, match="did you mean 'MoveToCorner'"):
+        dataset.filter(task="MoveToCornr")
+    with pytest.raises(UnknownNameError, match="no variant"):
+        dataset.filter(variant="demo")
+    with pytest.raises(IndexError):
+        dataset[3]
+
+
+def test_min_score_takes_the_rule_that_is_known(
+    tmp_path: Path, make_pictures: MakeTrajectory
+) -> None:
+    writer = DatasetWriter(tmp_path / "d")
+    for score in (0.2, 0.9):
+        writer.append(make_pictures(published_code_score=score))
+    chosen = Dataset.open(tmp_path / "d").filter(min_score=0.5)
+    assert [entry.published_code_score for entry in chosen.entries] == [0.9]
+
+
+def test_sample_depends_on_the_generator_alone(small_dataset: Path) -> None:
+    dataset = Dataset.open(small_dataset)
+    draws = [dataset.sample(2, np.random.default_rng(seed)).entries for seed in (0, 0, 1, 2, 3)]
+    assert draws[0] == draws[1]
+    assert len(set(draws)) > 1
+    with pytest.raises(DatasetError, match="expected 4 trajectories, found 3"):
+        dataset.sample(4, np.random.default_rng(0))
+
+
+APPEND_SOME = """
+import sys
+from magical.demos import Dataset, DatasetWriter
+source, target, index = sys.argv[1:]
+trajectory, writer = Dataset.open(source)[int(index)], DatasetWriter(target)
+for _ in range(25):
+    writer.append(trajectory)
+"""
+
+
+def test_three_processes_append_at_once(tmp_path: Path, small_dataset: Path) -> None:
+    path = tmp_path / "target"
+    jobs = [
+        subprocess.Popen([sys.executable, "-c", APPEND_SOME, small_dataset, path, str(index)])
+        for index in range(3)
+    ]
+    assert [job.wait() for job in jobs] == [0, 0, 0]
+    dataset = Dataset.open(path)
+    assert [entry.index for entry in dataset.entries] == list(range(75))
+    seeds = [t.seed or 0 for t in dataset]
+    assert sorted(seeds) == [1] * 25 + [2] * 25 + [3] * 25
+    assert seeds != sorted(seeds)  # they did take turns
+    assert check(path) == []
+
+
+def test_reading_many_needs_the_memory_of_one(
+    tmp_path: Path, make_pictures: MakeTrajectory
+) -> None:
+    path = tmp_path / "dataset"
+    writer = DatasetWriter(path)
+    one = make_pictures(steps=9)
+    for _ in range(40):
+        writer.append(one)
+    size = 2 * 10 * 96 * 96 * 3
+
+    def peak(count: int) -> int:
+        tracemalloc.start()
+        total = sum(len(t) for t in Dataset.open(path)[:count])
+        assert total == 9 * count
+        found = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return found
+
+    assert peak(40) < peak(2) + size / 2

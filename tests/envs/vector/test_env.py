@@ -1,0 +1,267 @@
+"""Vector environments: the same worlds as single ones, Gymnasium's promises, states."""
+
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+from magical.envs.env import MagicalEnv
+from magical.envs.ids import parse_env_id
+from magical.envs.vector import MagicalVectorEnv
+from magical.errors import InvalidStateError, ResetNeededError
+from magical.scene.actions import NUM_ACTIONS
+from magical.scene.scene import Dynamics, Pose
+
+MIXED = (
+    "magical/FindDupe-TestAll-v0",
+    "magical/FindDupe-Demo-v0",
+    "magical/FindDupe-TestDynamics-v0",
+)
+HORIZON = 7
+
+
+def vector(
+    env_ids: Any = MIXED, workers: int = 0, observation: Any = "state", **options: Any
+) -> MagicalVectorEnv:
+    return MagicalVectorEnv(env_ids, workers=workers, observation=observation, **options)
+
+
+def single(env_id: str, observation: Any = "state", **options: Any) -> MagicalEnv:
+    parsed = parse_env_id(env_id)
+    return MagicalEnv(parsed.task, parsed.variant, observation=observation, **options)
+
+
+def actions_for(num_envs: int, steps: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, NUM_ACTIONS, (steps, num_envs))
+
+
+def same(found: Any, expected: Any) -> None:
+    """Hold nested results to equality in values, types and shapes."""
+    assert type(found) is type(expected)
+    if isinstance(expected, dict):
+        assert found.keys() == expected.keys()
+        for key in expected:
+            same(found[key], expected[key])
+    elif isinstance(expected, (tuple, list)):
+        assert len(found) == len(expected)
+        for one, other in zip(found, expected, strict=True):
+            same(one, other)
+    elif isinstance(expected, np.ndarray) and expected.dtype == object:
+        same(found.tolist(), expected.tolist())
+    elif isinstance(expected, np.ndarray):
+        assert found.dtype == expected.dtype
+        np.testing.assert_array_equal(found, expected)
+    else:
+        assert found == expected
+
+
+@pytest.mark.parametrize("num_envs", [1, 2, 16])
+@pytest.mark.parametrize("workers", [0, 1, 2])
+def test_worlds_are_bit_equal_to_single_environments(num_envs: int, workers: int) -> None:
+    env_ids = [MIXED[i % len(MIXED)] for i in range(num_envs)]
+    steps = actions_for(num_envs, 2 * HORIZON + 3)
+    envs = vector(env_ids, workers, horizon=HORIZON)
+    singles = [single(env_id, horizon=HORIZON) for env_id in env_ids]
+    observations, _ = envs.reset(seed=3)
+    expected = [env.reset(seed=3 + i)[0] for i, env in enumerate(singles)]
+    np.testing.assert_array_equal(observations, np.stack(expected))
+    for step, actions in enumerate(steps):
+        observations, _, _, truncated, infos = envs.step(actions)
+        if step % (HORIZON + 1) == HORIZON:
+            expected = [env.reset()[0] for env in singles]
+            assert not truncated.any()
+        else:
+            results = [env.step(a) for env, a in zip(singles, actions, strict=True)]
+            expected = [result[0] for result in results]
+            scores = [result[4]["eval_score"] for result in results]
+            np.testing.assert_array_equal(infos["eval_score"], scores)
+            np.testing.assert_array_equal(truncated, [result[3] for result in results])
+        np.testing.assert_array_equal(observations, np.stack(expected))
+    for i, env in enumerate(singles):
+        assert envs.get_state(i) == env.get_state()
+    envs.close()
+
+
+@pytest.mark.parametrize("observation", ["LoRes4E", "LoResStack", "LoResCHW4E"])
+def test_pixels_of_mixed_tasks_are_bit_equal_to_single_environments(observation: str) -> None:
+    env_ids = [f"magical/{name}-v0" for name in ("MakeLine-TestAll", "MoveToCorner-Demo")] * 2
+    singles = [single(env_id, observation, horizon=3) for env_id in env_ids]
+    several = [vector(env_ids, workers, observation, horizon=3) for workers in (0, 1, 2)]
+    expected: Any = tuple(env.reset(seed=i)[0] for i, env in enumerate(singles))
+    found = [envs.reset(seed=0)[0] for envs in several]
+    for step, actions in enumerate(actions_for(len(env_ids), 6)):
+        space = several[0].single_observation_space
+        batch: Any = gymnasium.vector.utils.create_empty_array(space, len(env_ids))
+        batch = gymnasium.vector.utils.concatenate(space, expected, batch)
+        for observations in found:
+            same(observations, batch)
+        if step == 3:
+            expected = tuple(env.reset()[0] for env in singles)
+        else:
+            expected = tuple(env.step(a)[0] for env, a in zip(singles, actions, strict=True))
+        found = [envs.step(actions)[0] for envs in several]
+    for envs in several:
+        envs.close()
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+@pytest.mark.parametrize("workers", [0, 2])
+def test_autoreset_as_gymnasiums_own(mode: AutoresetMode, workers: int) -> None:
+    options: dict[str, Any] = {"horizon": 3, "reward": "score"}
+    env_ids = ["magical/MoveToCorner-Demo-v0"] * 3
+    own = vector(env_ids, workers, autoreset_mode=mode, **options)
+    makers = [partial(single, env_id, **options) for env_id in env_ids]
+    plain = SyncVectorEnv(makers, autoreset_mode=mode)
+    assert own.metadata["autoreset_mode"] is mode
+    same(own.reset(seed=5), plain.reset(seed=5))
+    own.set_state(1, own.get_state(0))
+    plain.envs[1].set_state(plain.envs[0].get_state())  # type: ignore[attr-defined]
+    for actions in actions_for(3, 8):
+        same(own.step(actions), plain.step(actions))
+    own.close()
+
+
+def test_worlds_that_end_at_different_times_begin_anew_each_by_itself() -> None:
+    env_ids = ["magical/MoveToRegion-Demo-v0", "magical/FixColour-Demo-v0"]
+    envs = vector(env_ids, observation={"size": 8, "samples": 1})
+    envs.reset(seed=0)
+    ends: list[list[int]] = [[], []]
+    for step in range(125):
+        truncated = envs.step([0, 0])[3]
+        for row in np.flatnonzero(truncated):
+            ends[row].append(step)
+    assert ends == [[39, 80, 121], [59, 120]]
+
+
+def test_disabled_autoreset_resets_what_the_mask_names() -> None:
+    envs = vector(MIXED, 2, horizon=3, autoreset_mode="Disabled")
+    envs.reset(seed=[10, 11, 12])
+    before = [envs.step([1, 1, 1])[3] for _ in range(3)]
+    assert not np.any(before[:2])
+    assert np.all(before[2])
+    with pytest.raises(ResetNeededError, match="found none in 3 of 3"):
+        envs.step([0, 0, 0])
+    options = {"reset_mask": np.array([True, False, True])}
+    observations, infos = envs.reset(seed=[20, None, 22], options=options)
+    assert "reset_mask" in options
+    np.testing.assert_array_equal(infos["_eval_score"], [True, False, True])
+    np.testing.assert_array_equal(observations[2], single(MIXED[2]).reset(seed=22)[0])
+    with pytest.raises(ResetNeededError, match=r"in 1 of 3: 1 \(magical/FindDupe-Demo-v0\)"):
+        envs.step([0, 0, 0])
+    _, _, _, truncated, infos = envs.step([0, 0, 0], active=np.array([True, False, True]))
+    assert not truncated.any()
+    np.testing.assert_array_equal(infos["_eval_score"], [True, False, True])
+    assert [state.step for state in envs.states()] == [1, 3, 1]
+    envs.close()
+
+
+def test_resting_worlds_do_not_move() -> None:
+    envs = vector()
+    before, _ = envs.reset(seed=0)
+    after = envs.step([1, 1, 1], active=np.array([False, True, False]))[0]
+    np.testing.assert_array_equal(np.any(before != after, axis=1), [False, True, False])
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_states_are_those_of_single_environments(workers: int) -> None:
+    envs = vector(MIXED, workers, horizon=9)
+    envs.reset(seed=0)
+    singles = [single(env_id, horizon=9) for env_id in MIXED]
+    for i, env in enumerate(singles):
+        env.reset(seed=i)
+    kept = envs.states()
+    for actions in actions_for(3, 4):
+        envs.step(actions)
+        for env, action in zip(singles, actions, strict=True):
+            env.step(action)
+    for found, env in zip(envs.states(), singles, strict=True):
+        expected = env.state()
+        assert found.scene == expected.scene
+        assert (found.step, found.horizon, found.steps_left) == (4, 9, 5)
+        np.testing.assert_array_equal(found.poses.bodies, expected.poses.bodies)
+        np.testing.assert_array_equal(found.velocities, expected.velocities)
+    bodies, counts = envs.bodies
+    np.testing.assert_array_equal(bodies[2, : counts[2], :3], singles[2].state().poses.bodies)
+    assert not bodies.flags.writeable
+    assert kept[0].poses.robot == kept[0].scene.robot  # what was read once stays as it was
+    envs.close()
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_a_saved_state_continues_in_another_place(workers: int) -> None:
+    envs = vector(["magical/MakeLine-TestAll-v0"] * 3, workers, horizon=12)
+    other = single("magical/MakeLine-TestAll-v0", horizon=12)
+    envs.reset(seed=0)
+    other.reset(seed=50)
+    for action in (1, 10, 4, 7):
+        other.step(action)
+    observation = envs.set_state(2, other.get_state())
+    shown = single("magical/MakeLine-TestAll-v0").set_state(other.get_state())
+    np.testing.assert_array_equal(observation, shown)
+    assert envs.get_state(2) == other.get_state()
+    for action in (3, 1, 1):
+        expected = other.step(action)[0]
+        np.testing.assert_array_equal(envs.step([0, 0, action])[0][2], expected)
+    assert envs.states()[2].scene == other.state().scene
+    with pytest.raises(InvalidStateError, match="MakeLine"):
+        envs.set_state(0, {"task": "FindDupe", "rng": other.get_state()["rng"]})
+    with pytest.raises(ResetNeededError, match="in 1 of 3: 0 "):
+        envs.step([0, 0, 0])
+    with pytest.raises(IndexError):
+        envs.get_state(3)
+    assert envs.get_state(-1) == other.get_state()
+    envs.close()
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+def test_reset_takes_scenes_and_dynamics(workers: int) -> None:
+    dynamics = Dynamics(body_pivot_max_force=2.5)
+    envs = vector(["magical/MoveToCorner-Demo-v0"], workers)
+    given = single("magical/MoveToCorner-Demo-v0").reset(seed=0)[0]
+    drawn, _ = envs.reset(seed=0)
+    np.testing.assert_array_equal(drawn[0], given)
+    demo = envs.states()[0].scene
+    moved = replace(demo, robot=Pose(0.5, 0.5, 0.0))
+    envs.reset(options={"scene": moved, "dynamics": dynamics})
+    assert envs.states()[0].scene == moved
+    assert envs.get_state(0)["dynamics"]["body_pivot_max_force"] == 2.5
+    with pytest.raises(ValueError, match="reset options"):
+        envs.reset(options={"scenes": moved})
+    envs.close()
+
+
+def test_spaces_contain_what_is_given() -> None:
+    envs = vector()
+    observations, _ = envs.reset(seed=0)
+    assert observations in envs.observation_space
+    assert envs.action_space.sample().shape == (3,)
+    assert envs.single_action_space == gymnasium.spaces.Discrete(NUM_ACTIONS)
+    results = envs.step(envs.action_space.sample())
+    assert results[0] in envs.observation_space
+    assert [array.dtype for array in results[1:4]] == [np.float64, np.bool_, np.bool_]
+
+
+def test_rewards() -> None:
+    envs = vector(["magical/MoveToRegion-Demo-v0"] * 2, horizon=3, reward="dense")
+    env = single("magical/MoveToRegion-Demo-v0", horizon=3, reward="dense")
+    envs.reset(seed=0)
+    env.reset(seed=0)
+    for _ in range(3):
+        rewards = envs.step([1, 0])[1]
+        assert rewards[0] == env.step(1)[1]
+    assert rewards[0] != rewards[1]
+
+
+def test_render_shows_every_world() -> None:
+    envs = vector(MIXED, render_mode="rgb_array")
+    envs.reset(seed=0)
+    frames = envs.render()
+    assert frames is not None
+    env = single(MIXED[1], render_mode="rgb_array")
+    env.reset(seed=1)
+    np.testing.assert_array_equal(frames[1], env.render())
+    assert vector().render() is None

@@ -1,0 +1,123 @@
+"""The world: faithful construction, control law, reading of bodies."""
+
+import math
+
+import numpy as np
+import pytest
+
+from magical.physics import Simulation
+from magical.physics.robot import COMMANDS, Robot
+from magical.scene import Action, Block, Colour, Dynamics, Pose, Poses, Scene, Shape
+from magical.scene import constants as c
+from magical.scene.actions import Gripper, Longitudinal, Turn
+
+SCENE = Scene(
+    Pose(0.3, -0.2, 0.7),
+    (
+        Block(Shape.SQUARE, Colour.RED, Pose(0.0, 0.3, 0.1)),
+        Block(Shape.CIRCLE, Colour.BLUE, Pose(-0.5, 0.5, 1.0)),
+        Block(Shape.PENTAGON, Colour.GREEN, Pose(0.6, 0.6, -2.0)),
+        Block(Shape.STAR, Colour.YELLOW, Pose(-0.6, -0.6, 3.0)),
+    ),
+)
+
+
+@pytest.mark.parametrize("robot_first", [False, True])
+def test_poses_start_as_the_scene_says(robot_first: bool) -> None:
+    scene = Scene(SCENE.robot, SCENE.blocks, robot_first=robot_first)
+    world = Simulation(scene)
+    assert np.array_equal(world.poses().bodies, Poses.at_rest(scene).bodies)
+    assert not world.velocities().any()
+
+
+def test_finger_moments_are_the_published_ones() -> None:
+    left, right = Simulation(SCENE)._robot.fingers
+    assert left.moment == pytest.approx(0.005006, abs=5e-7)
+    assert right.moment == pytest.approx(0.004983, abs=5e-7)
+
+
+def test_same_actions_same_bits() -> None:
+    actions = np.random.default_rng(0).integers(18, size=200)
+    tables: list[np.ndarray] = []
+    for _ in range(2):
+        world = Simulation(SCENE, Dynamics.sample(np.random.default_rng(1)))
+        for action in actions:
+            world.step(int(action))
+        tables.append(world.read())
+    assert np.array_equal(tables[0], tables[1])
+
+
+def _steer_plainly(robot: Robot, speed: float, lead: float, target: float) -> None:
+    """The control law of details.md, section 2, through pymunk's properties."""
+    angle = robot.body.angle
+    robot._control.angle = angle + lead
+    robot._control.velocity = (-math.sin(angle) * speed, math.cos(angle) * speed)
+    for side, finger, motor in zip(c.SIDES, robot.fingers, robot._motors, strict=True):
+        rate = 10 * (finger.angle - angle + side * target)
+        rate = min(1.0, max(-1.0, rate))
+        motor.rate = 0.0 if abs(rate) < 1e-4 else rate
+
+
+def test_fast_control_law_equals_the_plain_one() -> None:
+    fast, plain = Simulation(SCENE), Simulation(SCENE)
+    plain._robot.steer = lambda *command: _steer_plainly(plain._robot, *command)
+    for action in np.random.default_rng(2).integers(18, size=120):
+        fast.step(int(action))
+        plain.step(int(action))
+    # The two may differ in the last bit of (finger - angle -+ target), nothing else.
+    assert np.allclose(fast.read(), plain.read(), atol=1e-6)
+
+
+def test_steering_rates() -> None:
+    for lon, speed in (
+        (Longitudinal.STOP, 0),
+        (Longitudinal.FORWARD, 0.8),
+        (Longitudinal.BACK, -0.6),
+    ):
+        assert COMMANDS[Action(lon).id][0] == pytest.approx(speed)
+    assert COMMANDS[Action(turn=Turn.LEFT).id][1] == 1.5
+    assert COMMANDS[Action(turn=Turn.RIGHT).id][1] == -1.5
+    assert COMMANDS[Action(gripper=Gripper.OPEN).id][2] == pytest.approx(math.pi / 8)
+    assert COMMANDS[Action(gripper=Gripper.CLOSED).id][2] == 0
+
+
+@pytest.mark.parametrize(
+    "field",
+    [
+        "body_pivot_max_force",
+        "body_gear_max_force",
+        "finger_motor_max_force",
+        "block_pivot_max_force",
+        "block_gear_max_force",
+    ],
+)
+def test_every_dynamics_parameter_matters(field: str) -> None:
+    # The robot drives at a block off its centre, turning and gripping.
+    scene = Scene(Pose(0, 0, 0), (Block(Shape.SQUARE, Colour.RED, Pose(0.08, 0.4, 0.3)),))
+    actions = [Action(Longitudinal.FORWARD, Turn.LEFT, Gripper.CLOSED).id] * 8
+    tables: list[np.ndarray] = []
+    for dynamics in (Dynamics(), Dynamics(**{field: 0.5 * getattr(Dynamics(), field)})):
+        world = Simulation(scene, dynamics)
+        for action in actions:
+            world.step(action)
+        tables.append(world.read())
+    assert not np.allclose(tables[0], tables[1], atol=1e-6)
+
+
+def test_walls_hold() -> None:
+    world = Simulation(Scene(Pose(0, 0.5, 0)))
+    for _ in range(40):
+        world.step(Action(Longitudinal.FORWARD).id)
+    assert world.poses().robot.y < 0.85
+
+
+def test_many_worlds_leave_no_memory_behind() -> None:
+    resource = pytest.importorskip(
+        "resource", reason="peak memory is read through the resource module"
+    )
+    for _ in range(50):
+        Simulation(SCENE).step(0)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for _ in range(500):
+        Simulation(SCENE).step(0)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 5000  # kB
