@@ -24,7 +24,7 @@ RENDER_SIZE = 384  # pixels: the published raw frame
 
 
 class MagicalEnv(gym.Env[Any, np.int64]):
-    """One task in one variant (appendix A.1; details.md, sections 1 and 7).
+    """One task in one variant (appendix A.1; docs/specification.md, sections 1 and 7).
 
     Actions: `Discrete(18)`, named in `ACTION_NAMES`. Observations: see `observe.PixelSpec` and
     `observe.StateLayout`. Episodes are truncated at the horizon and never terminate. The reward is

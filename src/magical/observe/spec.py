@@ -1,6 +1,6 @@
 """What an agent is shown: pixel observations and the five published presets.
 
-Source: appendix A.1; details.md, section 7.
+Source: appendix A.1; docs/specification.md, section 7.
 """
 
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""Blocks and walls in a pymunk space (details.md, sections 3 and 4)."""
+"""Blocks and walls in a pymunk space (docs/specification.md, sections 3 and 4)."""
 
 from functools import cache
 

@@ -1,4 +1,4 @@
-"""The robot's bodies, joints and shapes, and its control law (details.md, section 2)."""
+"""The robot's bodies, joints and shapes, and its control law (docs/specification.md, section 2)."""
 
 import math
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Software drawing of scenes into numpy arrays (details.md, section 6)."""
+"""Software drawing of scenes into numpy arrays (docs/specification.md, section 6)."""
 
 from magical.render.output import shift_stack
 from magical.render.renderer import Renderer, default_samples, draw_both, draw_frame, warm_up

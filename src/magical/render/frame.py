@@ -13,7 +13,7 @@ from magical.render.lines import PUBLISHED_SIZE, dashes, outline, whole
 from magical.render.palette import OUTSIDE, lanes
 from magical.render.polygons import MOST_SIDES, SUBSAMPLES, Floats, Ints, place, scan
 
-VIEW_WIDTH = 2.04  # units: both cameras show as much (details.md, section 6)
+VIEW_WIDTH = 2.04  # units: both cameras show as much (docs/specification.md, section 6)
 ROBOT_HEIGHT = 0.15  # of the frame: where the egocentric camera has the robot, from below
 FAR = 1e6  # units: poses beyond are taken for a mistake
 EGO, GROUND, ALLO = 0, 1, 2  # what `draw` draws

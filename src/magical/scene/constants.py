@@ -1,7 +1,8 @@
 """Every physical constant once, with its unit and source; what follows from it is computed.
 
 Units: workspace units (the workspace is the square [-1, 1] x [-1, 1], y up), radians
-(counter-clockwise positive), seconds, kilogram-like mass units. Sections are of details.md.
+(counter-clockwise positive), seconds, kilogram-like mass units. Sections are those of
+docs/specification.md.
 """
 
 import math

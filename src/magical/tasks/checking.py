@@ -1,4 +1,4 @@
-"""Whether a scene keeps the placement rules of a variant (details.md, section 8).
+"""Whether a scene keeps the placement rules of a variant (docs/specification.md, section 8).
 
 The counterpart of `placement`, written against the rules and not against the sampler.
 """

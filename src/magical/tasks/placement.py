@@ -1,4 +1,4 @@
-"""Placing regions, robot and blocks by bounded rejection (details.md, section 8).
+"""Placing regions, robot and blocks by bounded rejection (docs/specification.md, section 8).
 
 One body at a time, uniform proposals, in the order regions, robot, blocks; what would overlap a
 body, region or wall already placed is proposed again. A body that finds no room starts the whole

@@ -29,12 +29,13 @@ class Task:
     section: str = ""  # of the appendix; tasks are listed in its order, those without come last
     horizon: int  # control steps (appendix A.2)
     published_horizon: int = 0  # that of the published code; 0: the same
-    demo: Scene  # the Demo variant's scene (details.md, section 8)
+    demo: Scene  # the Demo variant's scene (docs/specification.md, section 8)
     axes: Axis  # the axes that its variants may change (appendix, Table 2)
     redraw: Redraw  # draws counts, colours and shapes along the given axes; poses are drawn after
     placing: Placing = field(default_factory=Placing)  # how regions and blocks are placed
     rule: Rule  # the appendix's score of a final state, 0 to 1
-    published_rule: Rule | None = None  # the published code's, where different (section 9)
+    # The published code's rule, where it differs (docs/specification.md, section 9).
+    published_rule: Rule | None = None
     max_blocks: int  # over all variants
     max_regions: int  # over all variants
     progress: Rule | None = None  # what the dense reward is the increase of, where there is one
@@ -70,7 +71,7 @@ class Task:
         """The axes along which a variant differs from Demo; raises `UnknownNameError`.
 
         TestAll changes everything that the task supports, and jitters poses only where they
-        cannot be laid out freely (details.md, section 8).
+        cannot be laid out freely (docs/specification.md, section 8).
         """
         if variant not in self.variants:
             raise UnknownNameError(self._unknown_variant(variant))
@@ -101,7 +102,7 @@ class Task:
         return self.rule(scene, poses)
 
     def published_code_score(self, scene: Scene, poses: Poses) -> float:
-        """The published code's score of the same (details.md, section 9)."""
+        """The published code's score of the same (docs/specification.md, section 9)."""
         return (self.published_rule or self.rule)(scene, poses)
 
     def validate(self, scene: Scene) -> None:
