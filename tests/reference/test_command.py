@@ -55,9 +55,7 @@ def test_a_kind_alone_is_checked_against_its_files(run: Run) -> None:
     ]
 
 
-def test_a_limit_missed_in_one_recording_fails(
-    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_limit_missed_in_one_recording_fails(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("magical.conformance.motions.GRIP_LIMIT", 0.01)
     monkeypatch.setitem(RECORDINGS, "frames", ())
     monkeypatch.setitem(RECORDINGS, "scenes", ())
