@@ -2,7 +2,7 @@
 
     python benchmarks/demos.py [SRC]
 
-SRC is a folder of published files (default: ../shared/human-demos beside the repository).
+SRC is a folder of published human demonstrations; without it the import is not measured.
 """
 
 import resource
@@ -30,11 +30,9 @@ BATCH = 64  # observations read at random at one time
 
 
 def main() -> None:
-    default = Path(__file__).resolve().parents[2] / "shared" / "human-demos"
-    source = Path(sys.argv[1]) if len(sys.argv) > 1 else default
     with tempfile.TemporaryDirectory() as folder:
-        if source.is_dir():
-            measure_import(source, Path(folder) / "human")
+        if len(sys.argv) > 1:
+            measure_import(Path(sys.argv[1]), Path(folder) / "human")
         measure_recordings(Path(folder) / "random")
     for task in ("MoveToCorner", "ClusterColour"):
         measure_drawing(random_trajectory(task))

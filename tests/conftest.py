@@ -7,6 +7,12 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
+# Human demonstrations, which cannot be part of the repository: the folder of each fixture below.
+# Tests that ask for a fixture are skipped where its folder is missing.
+OUTSIDE = {
+    "human_archive": SHARED / "human-demos",
+    "human_trajectories": SHARED / "human-trajectories",
+}
 
 
 @pytest.fixture(scope="session")
@@ -16,21 +22,34 @@ def root() -> Path:
 
 
 @pytest.fixture(scope="session")
-def shared() -> Path:
-    """The reference directory beside the repository; tests that need it are skipped without it."""
-    if not SHARED.is_dir():
-        pytest.skip(f"the reference directory {SHARED} is missing")
-    return SHARED
+def human_archive() -> Path:
+    """Human demonstrations as published: gzipped pickles, a folder for each task."""
+    return _outside("human_archive")
+
+
+@pytest.fixture(scope="session")
+def human_trajectories() -> Path:
+    """A dataset of the human demonstrations: 96 x 96 frames and actions."""
+    return _outside("human_trajectories")
+
+
+def _outside(fixture: str) -> Path:
+    folder = OUTSIDE[fixture]
+    if not folder.is_dir():
+        pytest.skip(f"needs the human demonstrations, not part of the repository: no {folder}")
+    return folder
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Where the reference directory exists, a test that asks for it must not be skipped."""
+    """Where the folders of `OUTSIDE` that a test asks for exist, a skip is a failure."""
     report = yield
-    needs_shared = "shared" in getattr(item, "fixturenames", ())
-    if report.skipped and needs_shared and SHARED.is_dir() and not hasattr(report, "wasxfail"):
+    needed = [OUTSIDE[name] for name in getattr(item, "fixturenames", ()) if name in OUTSIDE]
+    present = bool(needed) and all(folder.is_dir() for folder in needed)
+    if report.skipped and present and not hasattr(report, "wasxfail"):
         report.outcome = "failed"
-        report.longrepr = f"skipped although {SHARED} exists: {report.longrepr}"
+        names = ", ".join(map(str, needed))
+        report.longrepr = f"skipped although {names} exists: {report.longrepr}"
     return report

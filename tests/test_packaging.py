@@ -69,6 +69,8 @@ print(magical.__file__, second.shape, bool((first != second).any()), truncated, 
     assert printed[1].startswith("(96, 96, 12) True True ['eval_score'")
     version = run_python("-m", "magical", "--version", cwd=tmp_path, path=site)
     assert version.split()[0] == "magical"
+    table = run_python("-m", "magical", "conformance", "motions", cwd=tmp_path, path=site)
+    assert {line.split()[0] for line in table.splitlines()[2:]} == {"ok"}
 
 
 def test_importing_loads_nothing_heavy(tmp_path: Path) -> None:

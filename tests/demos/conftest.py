@@ -74,11 +74,6 @@ def small_dataset(tmp_path: Path, make_trajectory: MakeTrajectory) -> Path:
     return path
 
 
-@pytest.fixture(scope="session")
-def archive(shared: Path) -> Path:
-    return shared / "human-demos"
-
-
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str]) -> Run:
     """Runs the command; returns its exit status and JSON."""

@@ -48,7 +48,7 @@ def test_same_actions_same_bits() -> None:
 
 
 def _steer_plainly(robot: Robot, speed: float, lead: float, target: float) -> None:
-    """The control law of details.md, section 2, through pymunk's properties."""
+    """The control law of docs/specification.md, section 2, through pymunk's properties."""
     angle = robot.body.angle
     robot._control.angle = angle + lead
     robot._control.velocity = (-math.sin(angle) * speed, math.cos(angle) * speed)

@@ -1,4 +1,4 @@
-"""The drawing against recorded frames."""
+"""Comparison of the renderer with recorded frames."""
 
 import dataclasses
 import json
@@ -10,36 +10,36 @@ import numpy as np
 import pytest
 
 from magical.conformance import frames
+from magical.conformance.recordings import recording_path
 from magical.errors import RecordingError
+from magical.evaluation import published_tasks
 from magical.scene import View
+from magical.tasks import get_task
 
-EQUAL_ENOUGH = 0.01  # of 255: what is left is where rounding puts single samples
+ROUNDING = 0.01  # of 255: single samples on an edge, which rounding puts on either side
 
 
 @pytest.fixture(scope="module", params=[96, 384])
-def recording(request: pytest.FixtureRequest, shared: Path) -> frames.Recording:
-    return frames.load(shared / "reference" / f"frames-{request.param}.npz")
+def recording(request: pytest.FixtureRequest) -> frames.Recording:
+    return frames.load(recording_path(f"frames-{request.param}.npz"))
 
 
 def test_within_limits(recording: frames.Recording) -> None:
-    lines = frames.compare(recording, frames.compute(recording))
-    assert [line for line in lines if not line.passed] == []
-    tasks = {
-        "ClusterColour", "ClusterShape", "FindDupe", "FixColour",
-        "MakeLine", "MatchRegions", "MoveToCorner", "MoveToRegion",
-    }  # fmt: skip
-    expected = {f"{task} {view}" for task in tasks for view in View}
-    assert {line.name for line in lines} == expected | {"worst ego frame", "worst allo frame"}
-    with_regions = {line.name.split()[0] for line in lines if line.limit == frames.REGION_LIMIT}
-    assert with_regions == {"FindDupe", "FixColour", "MatchRegions", "MoveToRegion"}
-    assert max(line.figure for line in lines) < EQUAL_ENOUGH
+    comparisons = frames.compare(recording, frames.compute(recording))
+    assert [each for each in comparisons if not each.passed] == []
+    expected = {f"{task} {view}" for task in published_tasks() for view in View}
+    assert {each.name for each in comparisons} == expected | {"worst ego frame", "worst allo frame"}
+    regions = [each for each in comparisons if each.limit == frames.REGION_LIMIT]
+    with_regions = {each.name.split()[0] for each in regions}
+    assert with_regions == {name for name in published_tasks() if get_task(name).demo.regions}
+    assert max(each.figure for each in comparisons) < ROUNDING
 
 
-def test_a_wrong_drawing_is_noticed(recording: frames.Recording) -> None:
+def test_a_wrong_frame_is_detected(recording: frames.Recording) -> None:
     first = dataclasses.replace(recording, **_only_first(recording))
-    drawn = frames.compute(first)
-    drawn[View.EGO] = drawn[View.EGO][:, ::-1]
-    failed = {line.name for line in frames.compare(first, drawn) if not line.passed}
+    rendered = frames.compute(first)
+    rendered[View.EGO] = rendered[View.EGO][:, ::-1]
+    failed = {each.name for each in frames.compare(first, rendered) if not each.passed}
     assert failed == {f"{first.tasks[0]} ego", "worst ego frame"}
 
 
@@ -49,35 +49,35 @@ def _only_first(recording: frames.Recording) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def records(shared: Path) -> str:
-    with np.load(shared / "reference" / "frames-96.npz", allow_pickle=False) as archive:
+def records() -> str:
+    with np.load(recording_path("frames-96.npz"), allow_pickle=False) as archive:
         return json.dumps(json.loads(str(archive["records"]))[:3])
 
 
-@pytest.mark.parametrize(("name", "size"), [("asked.npz", 96), ("frames-384.npz", 384)])
+@pytest.mark.parametrize(("name", "size"), [("states.npz", 96), ("frames-384.npz", 384)])
 def test_without_frames_it_only_computes(
     name: str, size: int, records: str, tmp_path: Path
 ) -> None:
     np.savez(tmp_path / name, records=np.array(records))
     data = frames.load(tmp_path / name)
-    drawn = frames.compute(data)
-    assert frames.compare(data, drawn) == []
-    frames.write(drawn, tmp_path / "out.npz")
+    rendered = frames.compute(data)
+    assert frames.compare(data, rendered) == []
+    frames.write(rendered, tmp_path / "out.npz")
     with np.load(tmp_path / "out.npz", allow_pickle=False) as archive:
         assert set(archive) == {"allo", "ego"}
         for view in View:
             assert archive[view].shape == (3, size, size, 3)
-            np.testing.assert_array_equal(archive[view], drawn[view])
+            np.testing.assert_array_equal(archive[view], rendered[view])
     assert frames.load(tmp_path / name, size=40).size == 40
 
 
 def test_one_view_is_enough(records: str, tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", records=np.array(records), ego=np.zeros((3, 50, 50, 3), np.uint8))
     data = frames.load(tmp_path / "a.npz")
-    lines = frames.compare(data, frames.compute(data))
+    comparisons = frames.compare(data, frames.compute(data))
     assert data.size == 50
-    assert [line.name for line in lines] == ["ClusterShape ego", "worst ego frame"]
-    assert not any(line.passed for line in lines)
+    assert [each.name for each in comparisons] == ["ClusterShape ego", "worst ego frame"]
+    assert not any(each.passed for each in comparisons)
 
 
 def _broken(records: str, **changes: Any) -> dict[str, Any]:
@@ -104,6 +104,7 @@ DAMAGES = {
     "one pupil": lambda r: _broken(r, pupil_angles=[0.0]),
     "not finite": lambda r: _broken(r, finger_angles=[0.0, float("nan")]),
     "no environment": lambda r: _broken(r, env=None),
+    "unknown environment": lambda r: _broken(r, env="MoveToMoon-Demo-v0"),
 }  # fmt: skip
 
 
@@ -114,8 +115,8 @@ def test_damaged_contents(damage: Any, records: str, tmp_path: Path) -> None:
         frames.load(tmp_path / "bad.npz")
 
 
-def test_damaged_files(shared: Path, tmp_path: Path) -> None:
-    whole = shared / "reference" / "frames-384.npz"
+def test_damaged_files(tmp_path: Path) -> None:
+    whole = recording_path("frames-384.npz")
     shutil.copy(whole, tmp_path / "cut.npz")
     with (tmp_path / "cut.npz").open("r+b") as file:
         file.truncate(whole.stat().st_size // 2)

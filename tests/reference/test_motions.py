@@ -1,4 +1,4 @@
-"""The physics against recorded motions."""
+"""Comparison of the physics with recorded motions."""
 
 import copy
 import json
@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from magical.conformance import motions
+from magical.conformance.recordings import recording_path
 from magical.errors import RecordingError
 
 
 @pytest.fixture(scope="module")
-def recorded(shared: Path) -> dict[str, Any]:
-    return motions.load(shared / "reference" / "motions.json")
+def recorded() -> dict[str, Any]:
+    return motions.load(recording_path("motions.json"))
 
 
 @pytest.fixture(scope="module")
@@ -23,12 +24,12 @@ def computed(recorded: dict[str, Any]) -> dict[str, Any]:
 
 
 def test_within_limits(recorded: dict[str, Any], computed: dict[str, Any]) -> None:
-    lines = motions.compare(recorded, computed)
-    assert {line.name for line in lines} == {
+    comparisons = motions.compare(recorded, computed)
+    assert {each.name for each in comparisons} == {
         "drive position", "drive robot angle", "turn position", "turn robot angle",
         "push position", "push robot angle", "grip position",
     }  # fmt: skip
-    assert [line for line in lines if not line.passed] == []
+    assert [each for each in comparisons if not each.passed] == []
 
 
 def test_fingers_follow_the_recordings_where_nothing_is_touched(
@@ -39,26 +40,26 @@ def test_fingers_follow_the_recordings_where_nothing_is_touched(
         assert np.abs(difference).max() < 0.01, name
 
 
-def test_a_wrong_recording_is_noticed(recorded: dict[str, Any], computed: dict[str, Any]) -> None:
+def test_a_wrong_motion_is_detected(recorded: dict[str, Any], computed: dict[str, Any]) -> None:
     wrong = copy.deepcopy(recorded)
     wrong["push_star"]["block_poses"][-1][0][0] += 0.1
     wrong["turn_left"]["robot_pose"][3][2] += 0.05
-    failed = {line.name for line in motions.compare(wrong, computed) if not line.passed}
+    failed = {each.name for each in motions.compare(wrong, computed) if not each.passed}
     assert failed == {"push position", "turn robot angle"}
 
 
-def test_without_answers_it_only_computes(
+def test_without_recorded_results_it_only_computes(
     recorded: dict[str, Any], computed: dict[str, Any], tmp_path: Path
 ) -> None:
-    asked = {
+    inputs = {
         name: {key: motion[key] for key in ("robot", "blocks", "actions")}
         for name, motion in recorded.items()
     }
-    (tmp_path / "asked.json").write_text(json.dumps(asked))
-    data = motions.load(tmp_path / "asked.json")
-    answers = motions.compute(data)
-    assert motions.compare(data, answers) == []
-    motions.write(answers, tmp_path / "out.json")
+    (tmp_path / "inputs.json").write_text(json.dumps(inputs))
+    data = motions.load(tmp_path / "inputs.json")
+    results = motions.compute(data)
+    assert motions.compare(data, results) == []
+    motions.write(results, tmp_path / "out.json")
     assert json.loads((tmp_path / "out.json").read_text()) == computed
 
 

@@ -1,4 +1,4 @@
-"""Sampled scenes against the recorded ones: distributions, rules, damaged recordings."""
+"""Comparison of sampled scenes with recorded ones: distributions and rules."""
 
 import json
 from collections.abc import Callable
@@ -8,7 +8,10 @@ from typing import Any
 import pytest
 
 from magical.conformance import scenes
+from magical.conformance.recordings import recording_path
+from magical.envs import parse_env_id
 from magical.errors import RecordingError
+from magical.evaluation import published_tasks
 from magical.scene import Scene
 from magical.tasks import TASKS, check_placement, get_task, placement
 
@@ -17,30 +20,24 @@ Recorded = dict[str, list[scenes.Row]]
 
 
 @pytest.fixture(scope="module")
-def recorded(shared: Path) -> Recorded:
-    return scenes.load(shared / "reference" / "scenes.json.gz")
+def recorded() -> Recorded:
+    return scenes.load(recording_path("scenes.json.gz"))
 
 
-def test_distributions_equal_the_recorded_ones(recorded: Recorded) -> None:
-    lines = scenes.compare(recorded, scenes.compute(recorded))
-    assert {line.name for line in lines} == set(TASKS)
-    assert [line for line in lines if not line.passed] == []
-
-
-def test_all_sixty_environments_are_recorded(recorded: Recorded) -> None:
-    expected = {f"{task.name}-{v}-v0" for task in TASKS.values() for v in task.variants}
+def test_every_published_environment_is_recorded(recorded: Recorded) -> None:
+    expected = {f"{name}-{v}-v0" for name in published_tasks() for v in TASKS[name].variants}
     assert set(recorded) == expected
 
 
 def test_recorded_scenes_keep_the_rules(recorded: Recorded) -> None:
     for env, rows in recorded.items():
-        name, variant, _ = env.split("-")
+        task, variant, _ = parse_env_id(env)
         for row in rows:
-            check_placement(get_task(name), variant, Scene.from_dict(row), RECORDED_ROUNDING)
+            check_placement(get_task(task), variant, Scene.from_dict(row), RECORDED_ROUNDING)
 
 
 @pytest.mark.parametrize("name", ["FindDupe", "FixColour"])
-def test_recorded_enclosed_blocks_come_close_to_the_limit(name: str, recorded: Recorded) -> None:
+def test_recorded_enclosed_blocks_reach_the_limit(name: str, recorded: Recorded) -> None:
     placement, left = get_task(name).placement, []
     for row in recorded[f"{name}-TestLayout-v0"]:
         scene = Scene.from_dict(row)
@@ -52,9 +49,9 @@ def test_recorded_enclosed_blocks_come_close_to_the_limit(name: str, recorded: R
 
 
 def test_demo_scenes_are_the_recorded_ones(recorded: Recorded) -> None:
-    for name, task in TASKS.items():
+    for name in published_tasks():
         (row,) = recorded[f"{name}-Demo-v0"]
-        found = task.demo.to_dict()
+        found = get_task(name).demo.to_dict()
         for key in ("blocks", "regions"):
             assert [b[:2] for b in found["blocks"]] == [b[:2] for b in row["blocks"]]
             assert len(found[key]) == len(row[key])
@@ -68,7 +65,7 @@ def test_demo_scenes_are_the_recorded_ones(recorded: Recorded) -> None:
 
 def passed(recorded: Recorded, env: str) -> bool:
     data = {env: recorded[env]}
-    return all(line.passed for line in scenes.compare(data, scenes.compute(data)))
+    return all(comparison.passed for comparison in scenes.compare(data, scenes.compute(data)))
 
 
 WRONG: dict[str, tuple[str, float | tuple[float, float], str]] = {
@@ -80,7 +77,7 @@ WRONG: dict[str, tuple[str, float | tuple[float, float], str]] = {
 
 
 @pytest.mark.parametrize(("constant", "value", "env"), WRONG.values(), ids=WRONG)
-def test_wrong_ranges_are_noticed(
+def test_wrong_ranges_are_detected(
     constant: str, value: float, env: str, recorded: Recorded, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert passed(recorded, env)
@@ -88,12 +85,12 @@ def test_wrong_ranges_are_noticed(
     assert not passed(recorded, env)
 
 
-def test_wrong_words_and_constants_are_noticed(recorded: Recorded) -> None:
+def test_wrong_categories_and_constants_are_detected(recorded: Recorded) -> None:
     env = "MakeLine-TestColour-v0"
     data = {env: recorded[env]}
     sampled = scenes.compute(data, samples=200).scenes[env]
-    (line,) = scenes.compare(data, scenes.Computed({env: sampled}, {env: 1}))
-    assert line.passed
+    (comparison,) = scenes.compare(data, scenes.SampledScenes({env: sampled}, {env: 1}))
+    assert comparison.passed
     changes: tuple[Callable[[scenes.Row], dict[str, Any]], ...] = (
         lambda row: {"blocks": [[b[0], "red", *b[2:]] for b in row["blocks"]]},
         lambda row: {"blocks": [["star", *b[1:]] for b in row["blocks"]]},
@@ -102,8 +99,8 @@ def test_wrong_words_and_constants_are_noticed(recorded: Recorded) -> None:
     )
     for change in changes:
         changed = [{**row, **change(row)} for row in sampled]
-        (line,) = scenes.compare(data, scenes.Computed({env: changed}, {env: 1}))
-        assert not line.passed
+        (comparison,) = scenes.compare(data, scenes.SampledScenes({env: changed}, {env: 1}))
+        assert not comparison.passed
 
 
 def test_as_many_scenes_are_written_as_were_recorded(tmp_path: Path) -> None:
@@ -134,7 +131,7 @@ def test_as_many_scenes_are_written_as_were_recorded(tmp_path: Path) -> None:
     assert len(row["dynamics"]) == 5
 
 
-def test_a_list_of_names_will_do_and_seeds_matter(tmp_path: Path) -> None:
+def test_a_list_of_names_is_accepted_and_seeds_matter(tmp_path: Path) -> None:
     path = tmp_path / "names.json"
     path.write_text(json.dumps(["MakeLine-TestAll-v0"]))
     data = scenes.load(path)
@@ -152,7 +149,7 @@ DAMAGES: dict[str, Any] = {
     "no scene": {"MakeLine-Demo-v0": [3]},
     "no robot": {"MakeLine-Demo-v0": [{k: v for k, v in ROW.items() if k != "robot"}]},
     "no dynamics": {"MakeLine-Demo-v0": [{k: v for k, v in ROW.items() if k != "dynamics"}]},
-    "a shape that is none": {"MakeLine-Demo-v0": [ROW | {"blocks": [["cube", "red", 0, 0, 0]]}]},
+    "unknown shape": {"MakeLine-Demo-v0": [ROW | {"blocks": [["cube", "red", 0, 0, 0]]}]},
 }
 
 

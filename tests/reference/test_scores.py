@@ -1,4 +1,4 @@
-"""Both scoring rules against the recorded final states, and damaged recordings."""
+"""Comparison of both scoring rules with recorded final states."""
 
 import gzip
 import json
@@ -8,37 +8,39 @@ from typing import Any
 import pytest
 
 from magical.conformance import scores
+from magical.conformance.recordings import recording_path
 from magical.errors import RecordingError
+from magical.evaluation import published_tasks
 from magical.tasks import TASKS
 
 
 @pytest.fixture(scope="module")
-def recorded(shared: Path) -> list[scores.Entry]:
-    return scores.load(shared / "reference" / "scores.json.gz")
+def recorded() -> list[scores.ScoredState]:
+    return scores.load(recording_path("scores.json.gz"))
 
 
-def test_every_score_equals_the_recorded_one(recorded: list[scores.Entry]) -> None:
-    lines = scores.compare(recorded, scores.compute(recorded))
-    assert {line.name for line in lines} == set(TASKS)
-    assert [line for line in lines if not line.passed] == []
-    assert max(line.figure for line in lines) <= 1e-9
+def test_every_score_equals_the_recorded_one(recorded: list[scores.ScoredState]) -> None:
+    comparisons = scores.compare(recorded, scores.compute(recorded))
+    assert {each.name for each in comparisons} == set(published_tasks())
+    assert [each for each in comparisons if not each.passed] == []
+    assert max(each.figure for each in comparisons) <= 1e-9
 
 
-def test_the_recording_holds_both_rules_apart(recorded: list[scores.Entry]) -> None:
-    differing = {e["task"] for e in recorded if e["score"] != e["published_code_score"]}
+def test_the_recording_distinguishes_the_two_rules(recorded: list[scores.ScoredState]) -> None:
+    differing = {s["task"] for s in recorded if s["score"] != s["published_code_score"]}
     assert differing == {"ClusterColour", "ClusterShape", "FindDupe", "MakeLine"}
 
 
-def test_a_wrong_score_misses_the_limit(recorded: list[scores.Entry]) -> None:
+def test_a_wrong_score_misses_the_limit(recorded: list[scores.ScoredState]) -> None:
     computed = scores.compute(recorded[:1])
     computed[0]["published_code_score"] += 1e-6
-    (line,) = scores.compare(recorded[:1], computed)
-    assert not line.passed
-    assert line.figure == pytest.approx(1e-6)
+    (comparison,) = scores.compare(recorded[:1], computed)
+    assert not comparison.passed
+    assert comparison.figure == pytest.approx(1e-6)
 
 
-def entry() -> dict[str, Any]:
-    """A recorded state without its scores."""
+def state() -> dict[str, Any]:
+    """A final state without scores."""
     demo = TASKS["MoveToCorner"].demo.to_dict()
     final = {"robot": demo["robot"], "blocks": [["square", "red", -0.8, 0.8, 0.0]]}
     return {"task": "MoveToCorner", "variant": "Demo", "scene": demo, "final": final}
@@ -46,7 +48,7 @@ def entry() -> dict[str, Any]:
 
 def test_without_scores_it_only_computes_and_writes(tmp_path: Path) -> None:
     path, out = tmp_path / "in.json", tmp_path / "out.json"
-    path.write_text(json.dumps([entry(), entry()]))
+    path.write_text(json.dumps([state(), state()]))
     data = scores.load(path)
     computed = scores.compute(data)
     assert scores.compare(data, computed) == []
@@ -59,11 +61,11 @@ def test_without_scores_it_only_computes_and_writes(tmp_path: Path) -> None:
 DAMAGES: dict[str, Any] = {
     "no list": {},
     "no state": [3],
-    "no final": [{k: v for k, v in entry().items() if k != "final"}],
-    "unknown task": [entry() | {"task": "MoveToMoon"}],
-    "another number of blocks": [entry() | {"final": {"robot": [0, 0, 0], "blocks": []}}],
-    "a scene without blocks": [entry() | {"scene": {"robot": [0, 0, 0]}}],
-    "a score in words": [entry() | {"score": "high"}],
+    "no final": [{k: v for k, v in state().items() if k != "final"}],
+    "unknown task": [state() | {"task": "MoveToMoon"}],
+    "another number of blocks": [state() | {"final": {"robot": [0, 0, 0], "blocks": []}}],
+    "a scene without blocks": [state() | {"scene": {"robot": [0, 0, 0]}}],
+    "a score that is text": [state() | {"score": "high"}],
 }
 
 
@@ -75,11 +77,11 @@ def test_a_damaged_file_is_named(damage: object, tmp_path: Path) -> None:
         scores.load(path)
 
 
-def test_a_torn_file_is_named(tmp_path: Path) -> None:
+def test_a_truncated_or_corrupt_file_is_named(tmp_path: Path) -> None:
     path = tmp_path / "scores.json.gz"
-    whole = gzip.compress(json.dumps([entry()]).encode())
-    for torn in (whole[:-20], whole[:20] + b"\xff\xff" + whole[22:], b"", b"\xff\xfe"):
-        path.write_bytes(torn)
+    whole = gzip.compress(json.dumps([state()]).encode())
+    for damaged in (whole[:-20], whole[:20] + b"\xff\xff" + whole[22:], b"", b"\xff\xfe"):
+        path.write_bytes(damaged)
         with pytest.raises(RecordingError, match=r"scores\.json\.gz: expected JSON"):
             scores.load(path)
     with pytest.raises(RecordingError, match="cannot be read"):

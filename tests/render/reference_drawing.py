@@ -3,7 +3,7 @@
 One sample frame is painted back to front: every polygon by testing all sample centres with exact
 integers, every smoothed line by computing all samples' shares; then blocks of samples are averaged.
 Nothing is shared with `magical.render`: colours, sizes and rules are written down a second time,
-from details.md, section 6.
+from docs/specification.md, section 6.
 """
 
 import math

@@ -1,63 +1,105 @@
-"""Hold the package against recordings of the published environments.
+"""Compare the package with recordings of the published environments.
 
-Prints one line for each figure with its limit; the exit status is 1 when a limit is missed. A
-recording without answers is only computed, and written with --out.
+Without arguments, every recording in the package is checked; with a kind, those of that kind; with
+a kind and a file, a recording of your own. Prints each figure with its limit; the exit status is 1
+when a limit is missed. A file without recorded results is only computed, and written with --out.
 """
 
 import argparse
 import importlib
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from magical.commands._common import add_json, log, print_json, print_table
+from magical.conformance.recordings import RECORDINGS, recording_path
 
 if TYPE_CHECKING:
-    from magical.conformance.report import Line
+    from magical.conformance.comparison import Comparison
 
 HELP = "compare with recordings of the published environments"
-KINDS = ("frames", "motions", "scenes", "scores")
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
-    parser.add_argument("kind", choices=KINDS, help="what the recording holds")
-    parser.add_argument("data", type=Path, metavar="DATA", help="the recording")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="write what was computed")
+    parser.add_argument(
+        "kind", nargs="?", choices=RECORDINGS, help="what the recordings hold (default: all kinds)"
+    )
+    parser.add_argument(
+        "recording",
+        nargs="?",
+        type=Path,
+        metavar="RECORDING",
+        help="a file of that kind (default: those in the package)",
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="FILE", help="write what was computed for a single recording"
+    )
+    parser.set_defaults(usage_error=parser.error)
     add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compute, write, compare."""
-    room = importlib.import_module(f"magical.conformance.{args.kind}")
-    data = room.load(args.data)
-    computed = room.compute(data)
-    if args.out:
-        room.write(computed, args.out)
-        log(f"wrote {args.out}")
-    lines: list[Line] = room.compare(data, computed)
-    if lines:
-        _print(lines)
-    else:
-        log(f"{args.data} holds no answers: nothing compared")
-    passed = all(line.passed for line in lines)
+    """Check each recording, print the figures, report whether all passed."""
+    recordings = _recordings(args.kind, args.recording)
+    if args.out and len(recordings) > 1:
+        names = ", ".join(path.name for _, path in recordings)
+        args.usage_error(f"--out: expected a single recording, found {names}")
+    results: list[dict[str, Any]] = []
+    for kind, path in recordings:
+        if results:
+            print()
+        if len(recordings) > 1:
+            print(f"{path.name} ({kind})")
+        results.append(_check(kind, path, args.out))
+    passed = all(result["passed"] for result in results)
     if args.json:
-        report = [asdict(line) for line in lines]
-        print_json({"kind": args.kind, "passed": passed, "lines": report})
+        single = results[0] if len(results) == 1 else {}
+        print_json({**single, "passed": passed, "recordings": results})
     return 0 if passed else 1
 
 
-def _print(lines: "list[Line]") -> None:
+def _recordings(kind: str | None, file: Path | None) -> list[tuple[str, Path]]:
+    """The kind and the path of each recording to check."""
+    if kind and file:
+        return [(kind, file)]
+    kinds = [kind] if kind else RECORDINGS
+    return [(each, recording_path(name)) for each in kinds for name in RECORDINGS[each]]
+
+
+def _check(kind: str, path: Path, out: Path | None) -> dict[str, Any]:
+    """Load, compute, write, compare and print one recording; the result is for JSON."""
+    module = importlib.import_module(f"magical.conformance.{kind}")
+    data = module.load(path)
+    computed = module.compute(data)
+    if out:
+        module.write(computed, out)
+        log(f"wrote {out}")
+    comparisons: list[Comparison] = module.compare(data, computed)
+    if comparisons:
+        _print(comparisons)
+    else:
+        log(f"{path} holds no recorded results: nothing compared")
+    return {
+        "kind": kind,
+        "file": path.name,
+        "passed": all(comparison.passed for comparison in comparisons),
+        "lines": [asdict(comparison) for comparison in comparisons],
+    }
+
+
+def _print(comparisons: "Sequence[Comparison]") -> None:
     header = ("", "what", "figure", "limit", "unit", "detail")
     rows = [
         (
-            "ok" if line.passed else "MISSED",
-            line.name,
-            f"{line.figure:.4g}",
-            f"{line.limit:g}",
-            line.unit,
-            line.detail,
+            "ok" if comparison.passed else "MISSED",
+            comparison.name,
+            f"{comparison.figure:.4g}",
+            f"{comparison.limit:g}",
+            comparison.unit,
+            comparison.detail,
         )
-        for line in lines
+        for comparison in comparisons
     ]
     print_table(header, rows)

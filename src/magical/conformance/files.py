@@ -1,4 +1,4 @@
-"""Reading recordings safely."""
+"""Safe reading of recording files."""
 
 import gzip
 import json
@@ -10,7 +10,11 @@ from magical.errors import RecordingError
 
 
 def read_json(path: Path | str) -> Any:
-    """Read JSON, gzipped or not; raises `RecordingError` naming the file."""
+    """Read JSON, gzipped or not.
+
+    Raises:
+        RecordingError: The file cannot be read or is not JSON.
+    """
     try:
         raw = Path(path).read_bytes()
         return json.loads(gzip.decompress(raw) if raw[:2] == b"\x1f\x8b" else raw)

@@ -1,4 +1,4 @@
-"""Holds the drawing against recorded frames (`frames-96.npz`, `frames-384.npz`)."""
+"""Compares the renderer with recorded frames (`frames-96.npz`, `frames-384.npz`)."""
 
 import json
 import zipfile
@@ -11,41 +11,44 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.conformance.report import Line
+from magical.conformance.comparison import Comparison
+from magical.envs.ids import parse_env_id
 from magical.errors import MagicalError, RecordingError
 from magical.files import write_atomically
 from magical.render import Renderer
 from magical.scene import Pose, Poses, Scene, View
 
-LIMIT = 0.25  # of 255: mean absolute difference of a task's frames without regions
-REGION_LIMIT = 0.5  # of 255: the same of a task with regions
-FRAME_LIMIT = 1.0  # of 255: mean absolute difference of any single frame
+LIMIT = 0.25  # of 255: mean absolute difference over the frames of a task without regions
+REGION_LIMIT = 0.5  # of 255: the same for a task with regions
+FRAME_LIMIT = 1.0  # of 255: mean absolute difference of the worst single frame
 UNIT = "of 255"
-SIZES = (96, 384)  # pixels of the recordings; which one a file without frames asks for
+SIZES = (96, 384)  # pixels: the resolutions of the recordings, lowest first
 
 Frames = NDArray[np.uint8]  # (N, size, size, 3)
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """States and, as far as they were recorded, their frames."""
+    """N states and, for the views that were recorded, their frames."""
 
-    scenes: tuple[Scene, ...]
-    poses: tuple[Poses, ...]
-    tasks: tuple[str, ...]
-    names: tuple[str, ...]
+    scenes: tuple[Scene, ...]  # N
+    poses: tuple[Poses, ...]  # N
+    tasks: tuple[str, ...]  # N
+    names: tuple[str, ...]  # N: environment, seed and step
     frames: Mapping[View, Frames]
-    size: int
+    size: int  # pixels
 
 
 def load(path: Path | str, size: int | None = None) -> Recording:
-    """Read a frames file: one JSON string `records` and, where known, `allo` and `ego`.
+    """Read a frames file: the JSON string `records` and, where recorded, `allo` and `ego`.
 
-    `size` is the resolution at which a file without frames is drawn; by default 384 if the file's
-    name says so, otherwise 96.
+    Args:
+        path: An .npz file; its format is described beside the recordings in `data`.
+        size: The resolution in pixels at which to render the states of a file without frames; by
+            default 384 if the file's name contains 384, otherwise 96.
 
     Raises:
-        RecordingError: the file cannot be read, or is not in the documented format.
+        RecordingError: The file cannot be read, or is not in the documented format.
     """
     arrays = _read(path)
     frames = {view: arrays[view] for view in View if view in arrays}
@@ -69,18 +72,18 @@ def load(path: Path | str, size: int | None = None) -> Recording:
 
 
 def compute(data: Recording) -> dict[View, Frames]:
-    """Draw every state in both views at the recording's resolution."""
+    """Render every state in both views at the recording's resolution."""
     shape = (len(data.scenes), data.size, data.size, 3)
-    drawn = {view: np.empty(shape, np.uint8) for view in View}
+    rendered = {view: np.empty(shape, np.uint8) for view in View}
     for i, (scene, poses) in enumerate(zip(data.scenes, data.poses, strict=True)):
-        for view, frames in drawn.items():
+        for view, frames in rendered.items():
             Renderer(scene, view, data.size).render(poses.bodies, frames[i])
-    return drawn
+    return rendered
 
 
-def compare(data: Recording, computed: Mapping[View, Frames]) -> list[Line]:
-    """Mean absolute differences: one line for each task and view, one for a view's worst frame."""
-    lines = []
+def compare(data: Recording, computed: Mapping[View, Frames]) -> list[Comparison]:
+    """Mean absolute differences, for each task and view and for the worst frame of each view."""
+    comparisons = []
     for view, recorded in data.frames.items():
         differences = _differences(recorded, computed[view])
         for task in dict.fromkeys(data.tasks):
@@ -88,11 +91,12 @@ def compare(data: Recording, computed: Mapping[View, Frames]) -> list[Line]:
             limit = REGION_LIMIT if any(data.scenes[i].regions for i in indices) else LIMIT
             figure, exact = differences[indices].mean(), sum(differences[indices] == 0)
             detail = f"{len(indices)} frames, {exact} of them equal"
-            lines.append(_line(f"{task} {view}", float(figure), limit, detail))
+            name = f"{task} {view}"
+            comparisons.append(Comparison.at_most(name, float(figure), limit, UNIT, detail))
         worst = int(differences.argmax())
-        figure = differences[worst]
-        lines.append(_line(f"worst {view} frame", float(figure), FRAME_LIMIT, data.names[worst]))
-    return lines
+        figure, name = float(differences[worst]), f"worst {view} frame"
+        comparisons.append(Comparison.at_most(name, figure, FRAME_LIMIT, UNIT, data.names[worst]))
+    return comparisons
 
 
 def write(computed: Mapping[View, Frames], out: Path | str) -> None:
@@ -101,13 +105,9 @@ def write(computed: Mapping[View, Frames], out: Path | str) -> None:
         np.savez_compressed(file, allo=computed[View.ALLO], ego=computed[View.EGO])
 
 
-def _line(name: str, figure: float, limit: float, detail: str) -> Line:
-    return Line(name, figure, limit, UNIT, figure <= limit, detail)
-
-
-def _differences(recorded: Frames, drawn: Frames) -> NDArray[np.float64]:
-    """Each frame's mean absolute difference."""
-    pairs = zip(recorded, drawn, strict=True)
+def _differences(recorded: Frames, rendered: Frames) -> NDArray[np.float64]:
+    """The mean absolute difference of each frame, (N,)."""
+    pairs = zip(recorded, rendered, strict=True)
     return np.array([np.abs(a.astype(np.int16) - b).mean() for a, b in pairs])
 
 
@@ -127,7 +127,7 @@ def _read(path: Path | str) -> dict[str, NDArray[Any]]:
 
 
 def _check_frames(view: View, frames: NDArray[Any], count: int) -> int:
-    """The size of the frames, if they are what they should be."""
+    """The size of the frames; raises `ValueError` for a wrong shape or type."""
     size = frames.shape[1] if frames.ndim == 4 else 0
     if frames.shape != (count, size, size, 3) or frames.dtype != np.uint8:
         raise ValueError(f"{count} records and `{view}` {frames.shape} of {frames.dtype}")
@@ -135,14 +135,13 @@ def _check_frames(view: View, frames: NDArray[Any], count: int) -> int:
 
 
 def _task(env_id: Any) -> str:
-    """The task in an environment's id."""
     if not isinstance(env_id, str):
-        raise TypeError(f"env: expected an environment's id, found {env_id!r}")
-    return env_id.split("/")[-1].split("-")[0]
+        raise TypeError(f"env: expected an environment id, found {env_id!r}")
+    return parse_env_id(env_id).task
 
 
 def _state(index: int, record: Mapping[str, Any]) -> tuple[Scene, Poses]:
-    """One record's scene and poses."""
+    """The scene and the poses of one record."""
     try:
         order = record["draw_order"]
         robot_first = "Shape" in order and order.index("Robot") < order.index("Shape")
@@ -153,7 +152,7 @@ def _state(index: int, record: Mapping[str, Any]) -> tuple[Scene, Poses]:
 
 
 def _bodies(scene: Scene, record: Mapping[str, Any]) -> NDArray[np.float64]:
-    """The rows of `Poses` that a record describes."""
+    """The rows of `Poses` in one record."""
     robot = Pose(*record["robot"])
     fingers = zip(record["finger_positions"], record["finger_angles"], strict=True)
     rows: Sequence[tuple[float, ...]] = [

@@ -1,4 +1,4 @@
-"""Holds the physics against recorded motions (`motions.json`)."""
+"""Compares the physics with recorded motions (`motions.json`)."""
 
 import json
 import math
@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from magical.conformance.comparison import Comparison
 from magical.conformance.files import read_json
-from magical.conformance.report import Line
 from magical.errors import MagicalError, RecordingError
 from magical.files import write_atomically
 from magical.physics import Simulation
@@ -18,18 +18,19 @@ from magical.scene.actions import NUM_ACTIONS
 from magical.scene.scene import Block, Pose, Scene
 from magical.scene.vocabulary import Colour
 
-POSITION_LIMIT = 0.02  # units: driving, turning and pushing, robot and blocks, at every step
-ANGLE_LIMIT = 0.02  # rad: the robot's angle while driving, turning and pushing
+POSITION_LIMIT = 0.02  # units: robot and blocks at every step of driving, turning and pushing
+ANGLE_LIMIT = 0.02  # rad: the robot at every step of driving, turning and pushing
 GRIP_LIMIT = 0.12  # units: gripping, where the published physics itself is chaotic
-_ANSWERS = ("robot_pose", "finger_angles", "block_poses")
+_RESULTS = ("robot_pose", "finger_angles", "block_poses")
 
 Motion = dict[str, Any]
 
 
 def load(path: Path | str) -> dict[str, Motion]:
-    """Read a motions file: name -> `robot`, `blocks`, `actions` and, where known, the answers.
+    """Read a motions file: name -> `robot`, `blocks`, `actions` and, where recorded, the results.
 
-    Raises `RecordingError` for a damaged file.
+    Raises:
+        RecordingError: The file cannot be read, or is not in the documented format.
     """
     data = read_json(path)
     if not isinstance(data, dict):
@@ -39,9 +40,9 @@ def load(path: Path | str) -> dict[str, Motion]:
             _scene(motion)
             if not all(a in range(NUM_ACTIONS) for a in motion["actions"]):
                 raise ValueError(f"actions: expected integers from 0 to {NUM_ACTIONS - 1}")
-            for key in _ANSWERS:
+            for key in _RESULTS:
                 if key in motion and len(motion[key]) != len(motion["actions"]) + 1:
-                    raise ValueError(f"{key}: expected one entry more than actions")
+                    raise ValueError(f"{key}: expected one more than actions")
         except (KeyError, IndexError, TypeError, ValueError, MagicalError) as error:
             raise RecordingError(
                 f"{path}: motion {name!r} is damaged; expected robot [[x, y], angle], blocks "
@@ -51,32 +52,36 @@ def load(path: Path | str) -> dict[str, Motion]:
 
 
 def compute(data: Mapping[str, Motion]) -> dict[str, Motion]:
-    """Act the motions out: name -> `robot_pose`, `finger_angles`, `block_poses` at every step."""
-    return {name: _act(_scene(motion), motion["actions"]) for name, motion in data.items()}
+    """Simulate the motions: name -> `robot_pose`, `finger_angles`, `block_poses` at every step."""
+    return {name: _simulate(_scene(motion), motion["actions"]) for name, motion in data.items()}
 
 
-def compare(data: Mapping[str, Motion], computed: Mapping[str, Motion]) -> list[Line]:
-    """One line for each kind of motion and quantity: the largest difference at any step.
+def compare(data: Mapping[str, Motion], computed: Mapping[str, Motion]) -> list[Comparison]:
+    """The largest difference at any step, for each kind of motion and quantity.
 
     Differences of the blocks' angles are reported in the detail and have no limit: where corners
     meet they depend on the last bit of the arithmetic (docs/determinism.md).
     """
     groups: dict[str, list[str]] = {}
     for name, motion in data.items():
-        if all(key in motion for key in _ANSWERS):
+        if all(key in motion for key in _RESULTS):
             groups.setdefault(_kind(name), []).append(name)
-    return [line for kind, names in groups.items() for line in _lines(kind, names, data, computed)]
+    return [
+        comparison
+        for kind, names in groups.items()
+        for comparison in _compare_kind(kind, names, data, computed)
+    ]
 
 
 def write(computed: Mapping[str, Motion], out: Path | str) -> None:
-    """Write what was computed as JSON."""
+    """Write the simulated motions as JSON."""
     with write_atomically(out) as file:
         file.write(json.dumps(computed).encode())
 
 
-def _lines(
+def _compare_kind(
     kind: str, names: Sequence[str], data: Mapping[str, Motion], computed: Mapping[str, Motion]
-) -> list[Line]:
+) -> list[Comparison]:
     errors = np.array([_errors(data[name], computed[name]) for name in names])
     position, angle, block_angle = errors.max(axis=0).tolist()
     worst = names[int(errors[:, 0].argmax())]
@@ -84,14 +89,15 @@ def _lines(
     detail = (
         f"{len(names)} motions, worst {worst}; robot {angle:.4f} rad, blocks {block_angle:.4f} rad"
     )
-    lines = [Line(f"{kind} position", position, limit, "units", position <= limit, detail)]
+    comparisons = [Comparison.at_most(f"{kind} position", position, limit, "units", detail)]
     if kind != "grip":
-        lines.append(Line(f"{kind} robot angle", angle, ANGLE_LIMIT, "rad", angle <= ANGLE_LIMIT))
-    return lines
+        name = f"{kind} robot angle"
+        comparisons.append(Comparison.at_most(name, angle, ANGLE_LIMIT, "rad"))
+    return comparisons
 
 
 def _errors(recorded: Motion, computed: Motion) -> tuple[float, float, float]:
-    """Largest difference in any body's position, the robot's angle, any block's angle."""
+    """The largest difference in any position, the robot's angle, and any block's angle."""
     robot = np.array(computed["robot_pose"]) - np.array(recorded["robot_pose"])  # (T + 1, 3)
     count = len(recorded["robot_pose"])
     blocks = np.array(computed["block_poses"]) - np.array(recorded["block_poses"])
@@ -100,13 +106,13 @@ def _errors(recorded: Motion, computed: Motion) -> tuple[float, float, float]:
     block_position = np.hypot(blocks[..., 0], blocks[..., 1])
     return (
         max(position, float(block_position.max(initial=0.0))),
-        float(_turn(robot[:, 2]).max()),
-        float(_turn(blocks[..., 2]).max(initial=0.0)),
+        float(_angle_distance(robot[:, 2]).max()),
+        float(_angle_distance(blocks[..., 2]).max(initial=0.0)),
     )
 
 
-def _turn(difference: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Angle differences without whole turns, as absolute values."""
+def _angle_distance(difference: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Absolute differences of angles modulo full turns, in [0, pi]."""
     return np.abs((difference + math.pi) % (2 * math.pi) - math.pi)
 
 
@@ -125,7 +131,7 @@ def _scene(motion: Motion) -> Scene:
     return Scene(Pose(x, y, angle), blocks)
 
 
-def _act(scene: Scene, actions: Sequence[int]) -> Motion:
+def _simulate(scene: Scene, actions: Sequence[int]) -> Motion:
     world = Simulation(scene)
     history = [world.poses()]
     for action in actions:

@@ -1,8 +1,8 @@
-"""Holds the distributions of sampled scenes against recorded ones (`scenes.json.gz`).
+"""Compares the distributions of sampled scenes with recorded ones (`scenes.json.gz`).
 
 Two-sample Kolmogorov-Smirnov tests on every coordinate, chi-squared tests on colours, shapes and
-counts; what the recordings hold constant must be equal. One exception: FixColour's mismatched
-colour, which the recordings draw with a bias; only which block is mismatched is compared.
+counts; what is constant in the recordings must be equal. One exception: FixColour's mismatched
+colour, which was sampled with a bias in the recordings; only which block is mismatched is compared.
 """
 
 import json
@@ -15,18 +15,19 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from magical.conformance.comparison import Comparison
 from magical.conformance.files import read_json
-from magical.conformance.report import Line
+from magical.envs.ids import parse_env_id
 from magical.errors import MagicalError, RecordingError
 from magical.files import write_atomically
 from magical.scene import Dynamics, Scene
-from magical.tasks import Task, get_task
+from magical.tasks import get_task
 from magical.tasks.axes import DEMO
 
-LIMIT = 1e-4  # smallest p after Bonferroni's correction over all tests
+LIMIT = 1e-4  # of the smallest p-value, after Bonferroni correction over all tests
 ROUNDING = 2e-5  # units and rad: recordings are rounded to five decimals
-LEAST_RECORDED = 20  # scenes that have a block slot, for a test of that slot
-SAMPLES = 1000  # scenes drawn of each environment, where the recording does not hold more
+LEAST_RECORDED = 20  # the fewest values of a coordinate or category that are tested
+SAMPLES = 1000  # scenes sampled for each environment, where the recording does not hold more
 BIASED_COLOURS = "FixColour"
 
 Row = Mapping[str, Any]
@@ -34,8 +35,8 @@ Value = TypeVar("Value", float, str)
 
 
 @dataclass(frozen=True)
-class Computed:
-    """Sampled scenes of each environment, and how many of them the recording asks for."""
+class SampledScenes:
+    """Sampled scenes of each environment, and how many of them `write` writes."""
 
     scenes: Mapping[str, Sequence[Row]]
     wanted: Mapping[str, int]
@@ -51,8 +52,11 @@ class _Test:
 def load(path: Path | str) -> dict[str, list[Row]]:
     """Read recorded scenes: environment -> [{robot, blocks, regions, dynamics}, ...].
 
-    Lists may be empty, and a list of names will do, where there is nothing to compare with.
-    Raises `RecordingError` for a damaged file.
+    An environment's list may be empty, and a plain list of environments is accepted: their scenes
+    are then sampled without being compared.
+
+    Raises:
+        RecordingError: The file cannot be read, or is not in the documented format.
     """
     data = read_json(path)
     if isinstance(data, list):
@@ -63,7 +67,7 @@ def load(path: Path | str) -> dict[str, list[Row]]:
         )
     try:
         for env, rows in data.items():
-            _parse(env)
+            parse_env_id(env)
             data[env] = list(rows or ())
             for row in filter(None, data[env]):
                 Scene.from_dict(row)
@@ -76,24 +80,20 @@ def load(path: Path | str) -> dict[str, list[Row]]:
     return data
 
 
-def _parse(env: str) -> tuple[Task, str]:
-    name, variant, version = env.split("-")
-    task = get_task(name)
-    task.axes_of(variant)
-    if version != "v0":
-        raise ValueError(f"version {version}")
-    return task, variant
+def compute(
+    data: Mapping[str, Sequence[Row]], seed: int = 0, samples: int = SAMPLES
+) -> SampledScenes:
+    """Sample at least `samples` scenes of every environment (Demo: one).
 
-
-def compute(data: Mapping[str, Sequence[Row]], seed: int = 0, samples: int = SAMPLES) -> Computed:
-    """Draw at least `samples` scenes of every environment, one of Demo, each from its own seed."""
+    The random numbers of an environment depend on `seed` and its position in `data` alone.
+    """
     scenes = {}
     for i, (env, rows) in enumerate(data.items()):
-        task, variant = _parse(env)
-        rng = np.random.default_rng((seed, i))
-        count = max(len(rows), 1 if variant == DEMO else samples)
-        scenes[env] = [_row(*task.sample(variant, rng)) for _ in range(count)]
-    return Computed(scenes, {env: len(rows) or len(scenes[env]) for env, rows in data.items()})
+        env_id, rng = parse_env_id(env), np.random.default_rng((seed, i))
+        task = get_task(env_id.task)
+        count = max(len(rows), 1 if env_id.variant == DEMO else samples)
+        scenes[env] = [_row(*task.sample(env_id.variant, rng)) for _ in range(count)]
+    return SampledScenes(scenes, {env: len(rows) or len(scenes[env]) for env, rows in data.items()})
 
 
 def _row(scene: Scene, dynamics: Dynamics) -> Row:
@@ -103,41 +103,41 @@ def _row(scene: Scene, dynamics: Dynamics) -> Row:
     }
 
 
-def write(computed: Computed, out: Path | str) -> None:
-    """Write as many scenes of each environment as the recording holds, in its format."""
+def write(computed: SampledScenes, out: Path | str) -> None:
+    """Write as many scenes of each environment as were recorded, in the recordings' format."""
     scenes = {env: rows[: computed.wanted[env]] for env, rows in computed.scenes.items()}
     with write_atomically(out) as file:
         file.write(json.dumps(scenes).encode())
 
 
-def compare(data: Mapping[str, Sequence[Row]], computed: Computed) -> list[Line]:
-    """One line a task: the smallest p of all its tests; none where no scenes were recorded."""
+def compare(data: Mapping[str, Sequence[Row]], computed: SampledScenes) -> list[Comparison]:
+    """The smallest p-value of all tests, for each task with recorded scenes."""
     tests = [
         test
         for env, rows in data.items()
         if (recorded := [row for row in rows if row])
         for test in _tests(env, recorded, computed.scenes[env])
     ]
-    return [_line(task, tests) for task in dict.fromkeys(test.task for test in tests)]
+    return [_compare_task(task, tests) for task in dict.fromkeys(test.task for test in tests)]
 
 
-def _line(task: str, tests: Sequence[_Test]) -> Line:
+def _compare_task(task: str, tests: Sequence[_Test]) -> Comparison:
     own = [test for test in tests if test.task == task]
     worst = min(own, key=lambda test: test.p)
     figure = min(1.0, worst.p * len(tests))
     detail = f"{len(own)} tests, smallest p {worst.p:.2g}: {worst.name}"
-    return Line(task, figure, LIMIT, "least p", figure >= LIMIT, detail)
+    return Comparison.at_least(task, figure, LIMIT, "least p", detail)
 
 
 def _tests(env: str, recorded: Sequence[Row], sampled: Sequence[Row]) -> Iterator[_Test]:
-    task, variant = _parse(env)
+    task, variant, _ = parse_env_id(env)
     least = 1 if variant == DEMO else LEAST_RECORDED
     found = {
         **_p_values(_coordinates(recorded), _coordinates(sampled), _ks, least),
-        **_p_values(_words(recorded, task), _words(sampled, task), _chi_squared, least),
+        **_p_values(_categories(task, recorded), _categories(task, sampled), _chi_squared, least),
     }
     for name, p in found.items():
-        yield _Test(task.name, f"{variant} {name}", p)
+        yield _Test(task, f"{variant} {name}", p)
 
 
 def _p_values(
@@ -153,27 +153,27 @@ def _p_values(
 
 
 def _ks(recorded: Sequence[float], sampled: Sequence[float]) -> float:
-    """The p of two samples of a coordinate; 0 or 1 where the recorded one does not vary."""
+    """The p-value for two samples of a coordinate; 0 or 1 where it is constant in `recorded`."""
     from scipy import stats
 
     a, b = np.array(recorded), np.array(sampled)
     if not a.size or np.ptp(a) <= ROUNDING:
         return float(a.size > 0 and np.abs(b - a[0]).max() <= ROUNDING)
     middle = np.median(a)
-    # The test of the values alone hardly sees a range that is too wide on both sides.
+    # On the values alone, the test has little power against a range too wide on both sides.
     pairs = [(a, b), (abs(a - middle), abs(b - middle))]
     p_values = [float(stats.ks_2samp(*pair, method="asymp").pvalue) for pair in pairs]
     return min(1.0, len(pairs) * min(p_values))
 
 
 def _chi_squared(recorded: Sequence[str], sampled: Sequence[str]) -> float:
-    """The p of two samples of words; 0 or 1 where the recorded one does not vary."""
+    """The p-value for two samples of a category; 0 or 1 where it is constant in `recorded`."""
     from scipy import stats
 
-    words = sorted({*recorded, *sampled})
+    values = sorted({*recorded, *sampled})
     if len(set(recorded)) <= 1:
         return float(set(sampled) == set(recorded))
-    table = [[Counter(sample)[word] for word in words] for sample in (recorded, sampled)]
+    table = [[Counter(sample)[value] for value in values] for sample in (recorded, sampled)]
     return float(stats.chi2_contingency(table).pvalue)
 
 
@@ -199,13 +199,13 @@ def _closest(blocks: Sequence[Sequence[Any]]) -> float:
     return min(float(np.hypot(a[2] - b[2], a[3] - b[3])) for a, b in combinations(blocks, 2))
 
 
-def _words(rows: Sequence[Row], task: Task) -> dict[str, list[str]]:
+def _categories(task: str, rows: Sequence[Row]) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     for row in rows:
         found.setdefault("number of blocks", []).append(str(len(row["blocks"])))
         found.setdefault("number of regions", []).append(str(len(row["regions"])))
         for i, (shape, colour, *_) in enumerate(row["blocks"]):
-            if task.name == BIASED_COLOURS:
+            if task == BIASED_COLOURS:
                 colour = "its region's" if colour == row["regions"][i][0] else "another"
             found.setdefault(f"block {i} shape", []).append(shape)
             found.setdefault(f"block {i} colour", []).append(colour)

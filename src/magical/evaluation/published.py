@@ -2,7 +2,7 @@
 
 Each is the mean and the standard deviation over five runs of the mean of 100 rollouts. They were
 computed by the published code: compare them with `published_code_score` and evaluate with
-`horizon="published"` (details.md, sections 1 and 9).
+`horizon="published"` (docs/specification.md, sections 1 and 9).
 """
 
 import csv

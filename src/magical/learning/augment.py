@@ -2,7 +2,7 @@
 
 One draw a stack, different draws in a batch; the noise alone is drawn anew for every pixel and
 channel. Order: colour jitter, one combined rotation and translation with mirrored borders, noise,
-clamp (details.md, section 10). Everything runs batched on the images' own device.
+clamp (docs/specification.md, section 10). Everything runs batched on the images' own device.
 """
 
 import math

@@ -1,7 +1,7 @@
 """Features of observations and actions, learned by reconstructing the expert's (appendix B).
 
 The encoder is the discriminator's network with its last layer removed and the one before it made
-32 wide; the decoder is details.md's, section 10.
+32 wide. The decoder is that of docs/specification.md, section 10.
 """
 
 from pathlib import Path

@@ -1,4 +1,6 @@
-"""Networks for policies, value functions and discriminators (Fig. 11; details.md, section 10).
+"""Networks for policies, value functions and discriminators.
+
+Source: appendix B, Fig. 11; docs/specification.md, section 10.
 
 A trunk turns observations into features; a last layer a task turns features into logits, values or
 scores. Images come in as float (B, C, H, W) in [0, 1], `tasks` as int64 (B,): the position of each

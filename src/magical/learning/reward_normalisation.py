@@ -8,7 +8,7 @@ from torch import Tensor
 
 from magical.learning.checkpoints import Tree
 
-SMALLEST_DIVISOR = 1e-3  # details.md, section 10
+SMALLEST_DIVISOR = 1e-3  # docs/specification.md, section 10
 
 
 class RewardNormaliser:

@@ -1,6 +1,6 @@
 """What there is to draw, as arrays: made once for a scene, placed anew by every frame.
 
-Source of all sizes: details.md, sections 2, 3 and 6.
+Source of all sizes: docs/specification.md, sections 2, 3 and 6.
 """
 
 import math
@@ -72,7 +72,7 @@ class DisplayList(NamedTuple):
 
 
 def display_list(scene: Scene) -> DisplayList:
-    """Everything of a scene, in the order in which it is drawn (details.md, section 6)."""
+    """All polygons of a scene, in rendering order (docs/specification.md, section 6)."""
     robot = _robot_parts()
     blocks = [part for row, block in enumerate(scene.blocks) for part in _block_parts(row, block)]
     parts = [*robot, *blocks] if scene.robot_first else [*blocks, *robot]

@@ -1,4 +1,4 @@
-"""The 8-bit colours of everything drawn (details.md, section 6)."""
+"""The 8-bit colours of everything drawn (docs/specification.md, section 6)."""
 
 from typing import NamedTuple
 

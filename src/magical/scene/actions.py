@@ -1,4 +1,4 @@
-"""The 18 discrete actions and their names (appendix A.1; details.md, section 1).
+"""The 18 discrete actions and their names (appendix A.1; docs/specification.md, section 1).
 
 `id = longitudinal + 3 * turn + 9 * gripper`; action 0 (stop, straight, open) is the no-op.
 """

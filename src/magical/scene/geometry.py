@@ -1,7 +1,7 @@
 """Outlines of blocks and robot, transforms, and exact overlap tests between convex pieces.
 
 A shape is a list of convex `Piece`s: polygons (counter-clockwise vertices) grown by a radius, or
-discs (one vertex grown by a radius). Sources: details.md, sections 2, 3 and 8.
+discs (one vertex grown by a radius). Source: docs/specification.md, sections 2, 3, 4 and 8.
 """
 
 import math
@@ -65,7 +65,7 @@ def finger_polygons(side: int, shrink: float = 0.0) -> tuple[Polygon, Polygon]:
     bend = side * c.FOREARM_BEND
     turned = [rotate(vertex, bend) for vertex in rectangle(thickness, fore_length)]
     elbow_x, elbow_y = rotate((-side * thickness / 2, fore_length / 2), bend)
-    # Summed in the order details.md gives: where fingers grip, the last bit matters.
+    # Summed in the order of docs/specification.md, section 2: the last bit matters for gripping.
     centre_x, centre_y = side * thickness / 2 + elbow_x, upper_length / 2 + elbow_y
     return upper, shift(turned, centre_x, centre_y + upper_length / 2)
 

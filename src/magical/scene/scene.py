@@ -47,7 +47,10 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """A goal region: the axis-aligned rectangle with left `x`, top `y` (details.md, section 4)."""
+    """A goal region: an axis-aligned rectangle with left `x` and top `y`.
+
+    Source: docs/specification.md, section 4.
+    """
 
     colour: Colour
     x: float
@@ -70,7 +73,7 @@ class Region:
         return self.x + self.width / 2, self.y - self.height / 2
 
     def contains(self, x: float, y: float) -> bool:
-        """Whether the point lies inside, edges included (details.md, section 4)."""
+        """Whether the point lies inside, edges included (docs/specification.md, section 4)."""
         return self.x <= x <= self.x + self.width and self.y - self.height <= y <= self.y
 
     @staticmethod
@@ -81,7 +84,7 @@ class Region:
 
 @dataclass(frozen=True, slots=True)
 class Dynamics:
-    """The five parameters that the Dynamics variant draws (details.md, section 5)."""
+    """The five parameters that the Dynamics variant draws (docs/specification.md, section 5)."""
 
     body_pivot_max_force: float = 3.0
     body_gear_max_force: float = 1.0
@@ -123,7 +126,7 @@ class Scene:
     """A world at rest before it moves: robot with open fingers, blocks, goal regions.
 
     Bodies are made and drawn in order: regions, blocks, robot; with `robot_first` the robot comes
-    before (under) the blocks, as in MoveToCorner (details.md, section 6).
+    before (under) the blocks, as in MoveToCorner (docs/specification.md, section 6).
     """
 
     robot: Pose

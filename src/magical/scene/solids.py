@@ -1,8 +1,7 @@
 """Bodies at poses, for overlap tests made quick: circles first, exact pieces only when needed.
 
-Placing blocks by rejection asks this question hundreds of times a scene (details.md, section 8).
-The answers equal `geometry.overlap` of the exact pieces, which is the slow reference beside the
-tests.
+Placement by rejection (docs/specification.md, section 8) runs hundreds of overlap tests a scene.
+The results equal `geometry.overlap` of the exact pieces, which is the slow reference in the tests.
 """
 
 import math

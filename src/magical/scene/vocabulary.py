@@ -1,4 +1,4 @@
-"""The words scenes are made of: shapes, colours, views (details.md, sections 3 and 6)."""
+"""The vocabulary of scenes: shapes, colours, views (docs/specification.md, sections 3 and 6)."""
 
 from enum import StrEnum
 from typing import Any, TypeVar

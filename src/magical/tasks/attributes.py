@@ -1,4 +1,4 @@
-"""Drawing what blocks are: their number, colours and shapes (details.md, section 8)."""
+"""Drawing what blocks are: their number, colours and shapes (docs/specification.md, section 8)."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -6,14 +6,17 @@ from types import MappingProxyType
 
 
 class Axis(Flag):
-    """One way in which a variant's scenes differ from the Demo scene (details.md, section 8)."""
+    """One way in which a variant's scenes differ from the Demo scene.
+
+    Source: docs/specification.md, section 8.
+    """
 
     JITTER = auto()  # small changes of poses and region sizes
     LAYOUT = auto()  # poses anywhere in the workspace, region sizes in their whole range
     COLOUR = auto()  # colours of blocks and regions
     SHAPE = auto()  # shapes of blocks
     COUNT = auto()  # number of blocks; only together with LAYOUT, COLOUR and SHAPE
-    DYNAMICS = auto()  # friction and motor forces (details.md, section 5)
+    DYNAMICS = auto()  # friction and motor forces (docs/specification.md, section 5)
 
 
 NOTHING = Axis(0)

@@ -37,7 +37,7 @@ def score(scene: Scene, poses: Poses) -> float:
 
 
 def published_score(scene: Scene, poses: Poses) -> float:
-    """The published code's score by colour (details.md, section 9)."""
+    """The published code's score by colour (docs/specification.md, section 9)."""
     return clustering.published_score(scene, poses, colour_of)
 
 

@@ -5,7 +5,7 @@ the blocks of value a is less than a third of that to the nearest other value's 
 the fraction of such blocks, the score is 0 up to f = 0.5 and rises linearly to 1 at f = 1.
 
 The published code asks for sqrt(own) < sqrt(nearest other) - 2 own, own and nearest other being
-squared distances, and scores from f = 0.75 (details.md, section 9).
+squared distances, and scores from f = 0.75 (docs/specification.md, section 9).
 """
 
 from collections.abc import Callable, Sequence
@@ -49,7 +49,7 @@ def score(scene: Scene, poses: Poses, attribute: Attribute) -> float:
 
 
 def published_score(scene: Scene, poses: Poses, attribute: Attribute) -> float:
-    """The published code's score, 0 to 1 (details.md, section 9)."""
+    """The published code's score, 0 to 1 (docs/specification.md, section 9)."""
     own, other = centroid_distances(scene, poses, attribute)
     clustered = np.sqrt(own) < np.sqrt(other) - 2 * own
     return _above(float(np.mean(clustered)), PUBLISHED_NO_SCORE_FRACTION)

@@ -5,8 +5,8 @@ the distractors and R the blocks that end inside the goal region, the score is
 
     [q in R]  x  [T & R not empty]  x  (1 - |D & R| / |R|).
 
-In the published code any two blocks like the query will do, q need not stay (details.md, section
-9). Blocks are in the order other outside blocks, duplicate, query.
+In the published code any two blocks like the query suffice, and q need not stay
+(docs/specification.md, section 9). Blocks are in the order outside blocks, duplicate, query.
 """
 
 from collections.abc import Mapping
@@ -67,7 +67,7 @@ def score(scene: Scene, poses: Poses) -> float:
 
 
 def published_score(scene: Scene, poses: Poses) -> float:
-    """As `score`, with any two blocks like the query inside (details.md, section 9)."""
+    """As `score`, with any two blocks like the query inside (docs/specification.md, section 9)."""
     alike, inside = _alike(scene), blocks_inside(scene.regions[0], scene, poses)
     return len(inside & alike) / len(inside) if len(alike & inside) > 1 else 0.0
 

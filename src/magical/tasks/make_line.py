@@ -4,7 +4,7 @@ Horizon 180 control steps. For a pair of blocks, the inliers are the blocks at m
 from the geometric line through the pair. Sorted along that line, they fall into subsets wherever
 neighbours are more than 0.42 units apart. With n blocks and m the size of the largest subset over
 all pairs, the score is 1 if m = n, 0.5 if m = n - 1, otherwise 0. Colours and shapes do not
-count. The published code gives nothing for two blocks in line (details.md, section 9).
+count. The published code gives nothing for two blocks in line (docs/specification.md, section 9).
 """
 
 import math
@@ -52,7 +52,7 @@ def score(scene: Scene, poses: Poses) -> float:
 
 
 def published_score(scene: Scene, poses: Poses) -> float:
-    """As `score`, but two blocks of three in line give 0 (details.md, section 9)."""
+    """As `score`, but two blocks of three in line give 0 (docs/specification.md, section 9)."""
     blocks = positions(scene, poses)
     longest = longest_line(blocks)
     if longest < min(PUBLISHED_SHORTEST, len(blocks)):

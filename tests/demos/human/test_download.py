@@ -51,14 +51,14 @@ class Handler(http.server.SimpleHTTPRequestHandler):
 
 
 @pytest.fixture
-def served(archive: Path) -> Iterator[tuple[str, type[Handler]]]:
+def served(human_archive: Path) -> Iterator[tuple[str, type[Handler]]]:
     """The archive on a local server: its address and its handler's class."""
 
     class Mine(Handler):
         asked: list[tuple[str, str | None]] = []  # noqa: RUF012
 
     server = http.server.ThreadingHTTPServer(
-        ("127.0.0.1", 0), functools.partial(Mine, directory=str(archive))
+        ("127.0.0.1", 0), functools.partial(Mine, directory=str(human_archive))
     )
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
     thread.start()
@@ -106,22 +106,22 @@ def test_what_the_server_lacks_is_named(
 
 @pytest.mark.parametrize("ranges", [True, False])
 def test_broken_off_download_goes_on(
-    tmp_path: Path, archive: Path, served: tuple[str, type[Handler]], ranges: bool
+    tmp_path: Path, human_archive: Path, served: tuple[str, type[Handler]], ranges: bool
 ) -> None:
     url, handler = served
     handler.break_off, handler.ranges = 100_000, ranges
     assert fetch_all({ONE: published_sums()[ONE]}, tmp_path, url) == []
-    assert (tmp_path / ONE).read_bytes() == (archive / ONE).read_bytes()
+    assert (tmp_path / ONE).read_bytes() == (human_archive / ONE).read_bytes()
     assert [asked for _, asked in handler.asked] == [None, "bytes=100000-"]
 
 
 def test_part_of_an_earlier_run_is_continued(
-    tmp_path: Path, archive: Path, served: tuple[str, type[Handler]]
+    tmp_path: Path, human_archive: Path, served: tuple[str, type[Handler]]
 ) -> None:
     url, handler = served
     part = tmp_path / f"{ONE}.part"
     part.parent.mkdir(parents=True)
-    part.write_bytes((archive / ONE).read_bytes()[:5000])
+    part.write_bytes((human_archive / ONE).read_bytes()[:5000])
     assert fetch_all({ONE: published_sums()[ONE]}, tmp_path, url) == []
     assert [asked for _, asked in handler.asked] == ["bytes=5000-"]
     part.write_bytes(b"x" * 10_000_000)  # longer than the file, and wrong

@@ -1,8 +1,10 @@
 """The published human demonstrations: import, download, summary, replay."""
 
 import gzip
+import hashlib
 import pickle
-from collections import OrderedDict, namedtuple
+import re
+from collections import Counter, OrderedDict, namedtuple
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,10 +24,10 @@ Run = Callable[..., tuple[int, dict[str, Any]]]
 
 
 @pytest.fixture(scope="session")
-def human(archive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def human(human_archive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """All 40 files, imported."""
     out = tmp_path_factory.mktemp("human") / "dataset"
-    report = import_published(find_published(archive), out)
+    report = import_published(find_published(human_archive), out)
     assert len(report.imported) == 40
     assert (report.failed, report.duplicates, report.already) == ((), (), ())
     return out
@@ -46,8 +48,8 @@ class Unpickler(pickle.Unpickler):
 
 
 @pytest.mark.parametrize("task", ["move-to-region", "fix-colour", "find-dupe"])
-def test_frames_are_the_4_x_4_average(human: Path, archive: Path, task: str) -> None:
-    for file in sorted((archive / task).iterdir())[:2]:
+def test_frames_are_the_4_x_4_average(human: Path, human_archive: Path, task: str) -> None:
+    for file in sorted((human_archive / task).iterdir())[:2]:
         with gzip.open(file) as opened:
             data = Unpickler(opened).load()
         (entry,) = (e for e in Dataset.open(human).entries if e.source == file.name)
@@ -63,7 +65,7 @@ def test_frames_are_the_4_x_4_average(human: Path, archive: Path, task: str) -> 
                 np.testing.assert_array_equal(stored.frames[view][time], average)
 
 
-def test_all_forty_are_whole_and_as_published(human: Path, archive: Path) -> None:
+def test_all_forty_are_whole_and_as_published(human: Path, human_archive: Path) -> None:
     lengths = {"MoveToCorner": 80, "MoveToRegion": 40, "MatchRegions": 120, "MakeLine": 180}
     lengths |= {"FindDupe": 100, "FixColour": 60, "ClusterColour": 240, "ClusterShape": 240}
     dataset = Dataset.open(human)
@@ -72,7 +74,7 @@ def test_all_forty_are_whole_and_as_published(human: Path, archive: Path) -> Non
         assert trajectory.scene == trajectory.task.demo
         assert (trajectory.score, trajectory.poses) == (None, None)
         assert trajectory.published_code_score == 1.0
-        (file,) = archive.glob(f"*/{entry.source}")
+        (file,) = human_archive.glob(f"*/{entry.source}")
         assert entry.source_sha256 == published_sums()[f"{file.parent.name}/{file.name}"]
 
 
@@ -92,9 +94,9 @@ def test_first_frame_is_the_demo_scene(human: Path) -> None:
             assert np.abs(ours.astype(int) - pictures.frames[view][0]).mean() < 1.0
 
 
-def test_import_again_changes_nothing(human: Path, archive: Path, run: Run) -> None:
+def test_import_again_changes_nothing(human: Path, human_archive: Path, run: Run) -> None:
     before = (human / "manifest.jsonl").read_bytes()
-    status, result = run("import", archive / "fix-colour", "--out", human)
+    status, result = run("import", human_archive / "fix-colour", "--out", human)
     assert (status, result["imported"], len(result["already"])) == (0, [], 5)
     assert (human / "manifest.jsonl").read_bytes() == before
 
@@ -113,12 +115,20 @@ def test_duplicates_are_reported(tmp_path: Path, published: Any, run: Run) -> No
     assert (status, result["duplicates"], len(result["imported"])) == (0, [pair], 2)
 
 
-def test_sums_of_the_published_archive(shared: Path) -> None:
+def test_sums_of_the_published_archive(root: Path) -> None:
+    file = root / "src" / "magical" / "demos" / "data" / "human-demos.sha256"
+    sha256 = "e58d49ee1ac3309353a901573f38ce8519dcfc4eef4247e2d141bcb93f206566"
+    assert hashlib.sha256(file.read_bytes()).hexdigest() == sha256
     sums = published_sums()
-    assert len(sums) == 203
-    for line in (shared / "reference" / "human-demos.sha256").read_text().splitlines():
-        digest, path = line.split()
-        assert sums[path] == digest
+    demonstrations = Counter(path.split("/")[0] for path in sums)
+    assert sum(demonstrations.values()) == 203
+    assert set(demonstrations) == {
+        "cluster-colour", "cluster-shape", "find-dupe", "fix-colour",
+        "make-line", "match-regions", "move-to-corner", "move-to-region",
+    }  # fmt: skip
+    assert min(demonstrations.values()) == 25
+    assert all(re.fullmatch("[0-9a-f]{64}", digest) for digest in sums.values())
+    assert len(set(sums.values())) == 203  # duplicates are compressed differently
 
 
 def test_info_and_replay(human: Path, run: Run) -> None:

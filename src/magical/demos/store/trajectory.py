@@ -33,7 +33,7 @@ class Trajectory:
     env_id: EnvId  # without a preset, such as magical/FindDupe-TestAll-v0; text is parsed
     scene: Scene  # what the episode began with
     actions: NDArray[np.int64]  # (T,)
-    published_code_score: float  # of the last state (details.md, section 9)
+    published_code_score: float  # of the last state (docs/specification.md, section 9)
     score: float | None = None  # of the last state by the appendix's rule; None: poses unknown
     dynamics: Dynamics = field(default_factory=Dynamics)
     seed: int | None = None  # that the environment was reset with, where known

@@ -1,4 +1,6 @@
-"""Generative adversarial imitation learning (appendix B, Table 4; details.md, section 10).
+"""Generative adversarial imitation learning.
+
+Source: appendix B, Table 4; docs/specification.md, section 10.
 
 The discriminator learns to tell the expert's observations and actions from the novice's; PPO
 learns to be taken for the expert. Single- and multi-task.

@@ -1,4 +1,6 @@
-"""Wasserstein GAIL with a gradient penalty (appendix C; details.md, section 10).
+"""Wasserstein GAIL with a gradient penalty.
+
+Source: appendix B, Table 4, and C; docs/specification.md, section 10.
 
 The discriminator is a critic without a last sigmoid: its logit is the reward, and a penalty keeps
 it nearly 1-Lipschitz in the image. Everything else is as in GAIL. Single-task only.

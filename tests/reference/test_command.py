@@ -1,0 +1,123 @@
+"""The recordings in the package: `magical conformance` checks them all, and notices damage."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from magical import cli
+from magical.conformance import recordings
+from magical.conformance.recordings import DATA, RECORDINGS, recording_path
+from magical.errors import RecordingError
+from magical.evaluation import published_tasks
+
+Run = Callable[..., tuple[int, list[str], dict[str, Any]]]
+FILES = [(kind, name) for kind, names in RECORDINGS.items() for name in names]
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Runs the command; returns its exit status, the lines it printed, and its JSON."""
+
+    def call(*arguments: object) -> tuple[int, list[str], dict[str, Any]]:
+        status = cli.main(["conformance", *map(str, arguments), "--json"])
+        *lines, last = capsys.readouterr().out.splitlines()
+        return status, lines, json.loads(last)
+
+    return call
+
+
+def test_without_arguments_everything_in_the_package_is_checked(run: Run) -> None:
+    status, lines, result = run()
+    assert status == 0
+    assert [(each["kind"], each["file"]) for each in result["recordings"]] == FILES
+    assert set(result) == {"passed", "recordings"}
+    assert [each["file"] for each in result["recordings"] if not each["passed"]] == []
+    for kind, name in FILES:
+        assert f"{name} ({kind})" in lines
+    compared = {
+        each["file"]: {line["name"] for line in each["lines"]} for each in result["recordings"]
+    }
+    assert compared["scenes.json.gz"] == compared["scores.json.gz"] == set(published_tasks())
+    assert {"drive position", "grip position"} < compared["motions.json"]
+    assert {"MakeLine ego", "worst allo frame"} < compared["frames-384.npz"]
+
+
+def test_a_kind_alone_is_checked_against_its_files(run: Run) -> None:
+    status, lines, result = run("motions")
+    assert (status, result["kind"], result["file"]) == (0, "motions", "motions.json")
+    assert len(result["lines"]) == len(lines) - 2  # header and rule
+    assert result["recordings"] == [
+        {key: result[key] for key in ("kind", "file", "passed", "lines")}
+    ]
+
+
+def test_a_limit_missed_in_one_recording_fails(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("magical.conformance.motions.GRIP_LIMIT", 0.01)
+    monkeypatch.setitem(RECORDINGS, "frames", ())
+    monkeypatch.setitem(RECORDINGS, "scenes", ())
+    status, _, result = run()
+    assert (status, result["passed"]) == (1, False)
+    assert {each["kind"]: each["passed"] for each in result["recordings"]} == {
+        "motions": False,
+        "scores": True,
+    }
+
+
+@pytest.mark.parametrize("arguments", [[], ["frames"]])
+def test_out_needs_a_single_recording(
+    arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    assert cli.main(["conformance", *arguments, "--out", str(out)]) == 2
+    assert "expected a single recording, found frames-96.npz" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_every_data_file_has_its_sum_and_its_kind() -> None:
+    names = sorted(name for _, name in FILES)
+    sums = [line.split()[1] for line in (DATA / "SHA256SUMS").read_text().splitlines()]
+    assert sums == names
+    data = {path.name for path in DATA.iterdir()} - {"README.md", "SHA256SUMS"}
+    assert sorted(data) == names
+    readme = (DATA / "README.md").read_text()
+    assert [name for name in names if f"| `{name}` |" not in readme] == []
+
+
+def _flip_a_bit(folder: Path) -> None:
+    data = bytearray((folder / "motions.json").read_bytes())
+    data[1000] ^= 1
+    (folder / "motions.json").write_bytes(data)
+
+
+DAMAGES: dict[str, Callable[[Path], object]] = {
+    "changed": _flip_a_bit,
+    "truncated": lambda folder: (folder / "motions.json").write_bytes(b""),
+    "missing": lambda folder: (folder / "motions.json").unlink(),
+    "no sums": lambda folder: (folder / "SHA256SUMS").unlink(),
+    "empty sums": lambda folder: (folder / "SHA256SUMS").write_bytes(b""),
+    "binary sums": lambda folder: (folder / "SHA256SUMS").write_bytes(b"\xff\x00 \xfe\n" * 9),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
+def test_a_damaged_package_says_what_to_do(
+    damage: Callable[[Path], object],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    folder = tmp_path / "data"
+    shutil.copytree(DATA, folder)
+    monkeypatch.setattr(recordings, "DATA", folder)
+    assert recording_path("motions.json") == folder / "motions.json"
+    damage(folder)
+    with pytest.raises(RecordingError, match=r"motions\.json: .* reinstall the package"):
+        recording_path("motions.json")
+    assert cli.main(["conformance"]) == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "reinstall the package" in captured.err
