@@ -1,11 +1,12 @@
-"""Let the scripted experts act and score them.
+"""Score the scripted experts.
 
-`magical expert evaluate` plays unfiltered episodes with fresh seeds; without `--env`, in all
-environments.
+`magical expert evaluate` is `magical evaluate expert` with the experts' own options, and for all
+tasks by default.
 """
 
 import argparse
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from magical.commands._common import (
     add_json,
@@ -15,10 +16,8 @@ from magical.commands._common import (
     print_table,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
 HELP = "score the scripted experts"
+TAKEOVER = 1 / 3  # share of each episode in which a random policy acts first
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -29,39 +28,54 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--env", action="append", metavar="ENV_ID", help="may be repeated (default: all)"
     )
     evaluate.add_argument(
-        "--rollouts", type=positive_int, default=100, help="in each environment (default: 100)"
+        "--rollouts",
+        type=positive_int,
+        default=100,
+        metavar="N",
+        help="in each environment (default: 100)",
     )
-    evaluate.add_argument("--seed", type=non_negative_int, default=0, help="default: 0")
-    evaluate.add_argument("--skill", type=float, default=1.0, help="0 to 1 (default: 1)")
+    evaluate.add_argument(
+        "--seed",
+        type=non_negative_int,
+        default=0,
+        metavar="S",
+        help="which set of evaluation's seeds (default: 0)",
+    )
+    evaluate.add_argument(
+        "--skill", type=float, default=1.0, metavar="X", help="0 to 1 (default: 1)"
+    )
     evaluate.add_argument(
         "--takeover",
         action="store_true",
         help="a random policy acts in the first third of each episode",
     )
-    evaluate.add_argument("--workers", type=positive_int, help="processes (default: the cores)")
+    evaluate.add_argument(
+        "--workers", type=positive_int, metavar="K", help="processes (default: one for each core)"
+    )
     add_json(evaluate)
 
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate, print."""
-    from rich.console import Console
-    from rich.progress import Progress
-
     from magical.envs import all_env_ids
-    from magical.experts import evaluate_expert
+    from magical.evaluation import evaluate
+    from magical.evaluation.expert import ExpertPolicy
+    from magical.progress import progress_bar
 
+    policy = ExpertPolicy(args.skill, TAKEOVER if args.takeover else 0.0)
     env_ids = args.env or all_env_ids()
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        rollouts = bar.add_task("rollouts", total=len(env_ids) * args.rollouts)
-        scores = evaluate_expert(
+    with progress_bar("rollouts", len(env_ids) * args.rollouts) as advance:
+        rows = evaluate(
+            policy,
             env_ids,
-            args.rollouts,
+            rollouts=args.rollouts,
             seed=args.seed,
-            skill=args.skill,
-            takeover=args.takeover,
             workers=args.workers,
-            progress=lambda count: bar.advance(rollouts, count),
+            progress=advance,
         )
+    scores: dict[str, list[float]] = {}
+    for row in rows:
+        scores.setdefault(row.env_id, []).append(row.score)
     results = {env_id: _summary(values) for env_id, values in scores.items()}
     _print_summaries(results)
     if args.json:
@@ -69,13 +83,13 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _summary(scores: "Sequence[float]") -> dict[str, object]:
+def _summary(scores: Sequence[float]) -> dict[str, Any]:
     from statistics import fmean, pstdev
 
     return {"mean": fmean(scores), "std": pstdev(scores), "scores": list(scores)}
 
 
-def _print_summaries(results: "Mapping[str, Mapping[str, object]]") -> None:
+def _print_summaries(results: Mapping[str, Mapping[str, Any]]) -> None:
     rows = [(env_id, f"{r['mean']:.3f}", f"{r['std']:.3f}") for env_id, r in results.items()]
     print_table(("environment", "mean", "std"), rows)
-    print(f"\nmean over {len(results)}: {sum(float(row[1]) for row in rows) / len(rows):.3f}")
+    print(f"\nmean over {len(results)}: {sum(r['mean'] for r in results.values()) / len(results):.3f}")

@@ -6,21 +6,34 @@ from typing import Any
 import numpy as np
 
 from magical.envs import EnvId
+from magical.errors import InvalidConfigError
 from magical.evaluation.policy import Actions, Mask
 from magical.experts import Expert, expert_for
-from magical.scene import State
+from magical.scene import NUM_ACTIONS, State
 
 
 class ExpertPolicy:
     """Each environment's scripted expert, with a strategy sampled for every episode.
 
-    Raises `UnknownNameError` where a task has no expert.
+    Args:
+        skill: 1 acts as well as it can; below, it makes mistakes.
+        random_share: the share of each episode, from its start, in which actions are uniformly
+            random; then the expert takes over from wherever that led.
+
+    Raises:
+        InvalidConfigError: a share or skill outside [0, 1].
+        NoExpertError: a task has no expert; raised by the first `act`.
     """
 
     privileged = True
+    in_processes = True  # copies may run in several processes: it is fast to start and costly to run
 
-    def __init__(self, skill: float = 1.0) -> None:
+    def __init__(self, skill: float = 1.0, random_share: float = 0.0) -> None:
+        for name, value in (("skill", skill), ("random_share", random_share)):
+            if not 0.0 <= value <= 1.0:
+                raise InvalidConfigError(f"{name}: expected a number from 0 to 1, found {value}")
         self.skill = skill
+        self.random_share = random_share
         self._experts: list[Expert | None] = []
         self._memories: list[Any] = []
 
@@ -30,11 +43,15 @@ class ExpertPolicy:
         """Each expert's action in the present state."""
         if any(expert is None for expert in self._experts):
             self._make_experts(env_ids, rng)
+        random_steps = [int(self.random_share * state.horizon) for state in observations]
         actions = np.empty(len(env_ids), np.int64)
+        if self.random_share:
+            actions = rng.integers(NUM_ACTIONS, size=len(env_ids))
         for row, state in enumerate(observations):
             expert = self._experts[row]
             assert expert is not None
-            actions[row], self._memories[row] = expert.act(state, self._memories[row])
+            if state.step >= random_steps[row]:
+                actions[row], self._memories[row] = expert.act(state, self._memories[row])
         return actions
 
     def reset(self, mask: Mask) -> None:
@@ -48,5 +65,5 @@ class ExpertPolicy:
         seeds = rng.integers(2**31, size=len(env_ids))
         for row, expert in enumerate(self._experts):
             if expert is None:
-                task = env_ids[row].task
-                self._experts[row] = expert_for(task, seed=int(seeds[row]), skill=self.skill)
+                task, seed = env_ids[row].task, int(seeds[row])
+                self._experts[row] = expert_for(task, seed=seed, skill=self.skill)

@@ -1,6 +1,8 @@
 """Rollouts with fixed seeds: a policy, environments, scores."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -15,14 +17,16 @@ from magical.evaluation.scores import RolloutScore
 from magical.evaluation.seeds import RolloutRng
 from magical.evaluation.variants import variants_of
 from magical.observe import Observation
+from magical.processes import map_in_processes
 from magical.tasks import TASKS, Task, get_task
 
 ROLLOUTS = 100  # on each variant (appendix C)
-NUM_ENVS = 64  # worlds side by side: bounds the memory, hardly changes the speed
+NUM_ENVS = 64  # sub-environments stepped together: bounds the memory, hardly changes the speed
+SHARE = 10  # rollouts of one environment that a process computes at a time
 DEFAULT_OBSERVATION = "LoRes4E"
 
 Horizon = int | Literal["published"] | None
-Progress = Callable[[int], None]  # is told how many rollouts have just ended
+Progress = Callable[[int], None]  # called with the number of rollouts that have just ended
 
 
 def environments(
@@ -51,10 +55,10 @@ def evaluate(
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> list[RolloutScore]:
-    """Score a policy on environments, all variants of a task in one sweep.
+    """Score a policy on environments, all variants of a task together.
 
     Rollout i of every environment is reset with `evaluation_seed(i, seed)`, so every policy gets
-    the same scenes. Scores depend neither on `workers` nor, for policies that draw their random
+    the same scenes. Scores depend neither on `workers` nor, for policies that sample their random
     numbers row by row (`RolloutRng`), on `num_envs` or on what else is evaluated; a network's
     arithmetic may still differ in the last bit between batch sizes.
 
@@ -66,8 +70,9 @@ def evaluate(
         observation: by default the policy's own, or `LoRes4E`; states for a privileged policy.
         horizon: control steps; `"published"` takes the published code's, for comparison with
             published tables.
-        num_envs: the most worlds to step side by side (at least one for each environment).
-        workers: processes, as for `MagicalVectorEnv`.
+        num_envs: the most environments to step together (at least one for each environment id).
+        workers: processes; by default one for each core. They step the environments, and for a
+            policy with `in_processes` they run the policy too.
         progress: called with the number of rollouts that have just ended.
 
     Returns:
@@ -82,90 +87,130 @@ def evaluate(
         ids = [parse_env_id(env_id).without_preset for env_id in env_ids]
     if rollouts < 1:
         raise ValueError(f"rollouts: expected at least 1, found {rollouts}")
+    setting = _Setting(policy, observation, horizon, num_envs, seed)
+    if getattr(policy, "in_processes", False):
+        parts = _in_processes(setting, ids, rollouts, workers)
+    else:
+        parts = _in_this_process(setting, ids, rollouts, workers)
     scores: dict[EnvId, list[RolloutScore]] = {env_id: [] for env_id in ids}
-    for task, group in _by_task(ids):
-        with _Sweep(
-            policy, task, group, rollouts, num_envs, observation, horizon, workers
-        ) as sweep:
-            for score in sweep.run(rollouts, seed, progress):
-                scores[score.env_id].append(score)
+    for part in parts:
+        for score in part:
+            scores[score.env_id].append(score)
+        if progress:
+            progress(len(part))
     return [score for env_id in ids for score in scores[env_id]]
 
 
-class _Sweep:
-    """All of one task's environments side by side, episodes in step with each other.
+@dataclass(frozen=True, slots=True)
+class _Setting:
+    """What all rollouts of an evaluation have in common."""
 
-    Episodes end at the horizon and never before, so that all worlds begin and end together. Where
-    the last wave has fewer rollouts than worlds, the worlds over rest.
+    policy: Policy
+    observation: Observation
+    horizon: Horizon
+    num_envs: int
+    seed: int
+
+
+def _in_this_process(
+    setting: _Setting, env_ids: Sequence[EnvId], rollouts: int, workers: int | None
+) -> Iterator[list[RolloutScore]]:
+    """The policy runs here, on all environments of a task at once; workers step them."""
+    for task, group in _by_task(env_ids):
+        with _Rollouts(setting, task, group, rollouts, workers) as batch:
+            yield from batch.run(range(rollouts))
+
+
+def _in_processes(
+    setting: _Setting, env_ids: Sequence[EnvId], rollouts: int, workers: int | None
+) -> Iterator[list[RolloutScore]]:
+    """Copies of the policy run in several processes, each on a share of the rollouts."""
+    shares = [
+        (env_id, range(first, min(first + SHARE, rollouts)))
+        for env_id in env_ids
+        for first in range(0, rollouts, SHARE)
+    ]
+    yield from map_in_processes(partial(_score_share, setting), shares, workers)
+
+
+def _score_share(setting: _Setting, share: tuple[EnvId, range]) -> list[RolloutScore]:
+    env_id, numbers = share
+    with _Rollouts(setting, env_id.task_spec, [env_id], len(numbers), workers=0) as batch:
+        return [score for part in batch.run(numbers) for score in part]
+
+
+class _Rollouts:
+    """Environments of one task, each with several copies, whose episodes run in step.
+
+    Episodes end at the horizon and never before, so all begin and end together. Where the last
+    round has fewer rollouts than copies, the remaining copies are inactive.
     """
 
     def __init__(
         self,
-        policy: Policy,
+        setting: _Setting,
         task: Task,
         env_ids: Sequence[EnvId],
         rollouts: int,
-        num_envs: int,
-        observation: Observation,
-        horizon: Horizon,
         workers: int | None,
     ) -> None:
-        waves = -(-rollouts // max(1, num_envs // len(env_ids)))
-        self.repeats = -(-rollouts // waves)  # worlds for each environment
-        self.policy = policy
-        self.privileged = is_privileged(policy)
-        self.env_ids = tuple(env_id for env_id in env_ids for _ in range(self.repeats))
-        self.horizon = _resolve_horizon(horizon, task)
+        rounds = -(-rollouts // max(1, setting.num_envs // len(env_ids)))
+        self.copies = -(-rollouts // rounds)  # of each environment
+        self.policy = setting.policy
+        self.seed = setting.seed
+        self.privileged = is_privileged(self.policy)
+        self.env_ids = tuple(env_id for env_id in env_ids for _ in range(self.copies))
+        self.horizon = _resolve_horizon(setting.horizon, task)
         self.envs = MagicalVectorEnv(
             self.env_ids,
             workers=workers,
-            observation=shown_to(policy, observation),
+            observation=observation_for(self.policy, setting.observation),
             horizon=self.horizon,
             copy=False,
         )
 
-    def __enter__(self) -> "_Sweep":
+    def __enter__(self) -> "_Rollouts":
         return self
 
     def __exit__(self, *error: object) -> None:
         self.envs.close()
 
-    def run(self, rollouts: int, seed: int, progress: Progress | None) -> Iterator[RolloutScore]:
-        """Every rollout's score, a wave at a time."""
-        for first in range(0, rollouts, self.repeats):
-            wave = np.arange(first, first + self.repeats)
-            numbers = np.tile(wave, len(self.env_ids) // self.repeats)
-            counted = numbers < rollouts
-            seeds = [evaluation_seed(int(number), seed) for number in numbers]
-            scores, published = self._episodes(seeds, counted)
-            for row in np.flatnonzero(counted):
-                yield RolloutScore(
+    def run(self, numbers: range) -> Iterator[list[RolloutScore]]:
+        """The scores of the rollouts with these numbers in every environment, round by round."""
+        for first in numbers[:: self.copies]:
+            each = np.arange(first, first + self.copies)
+            rollouts = np.tile(each, len(self.env_ids) // self.copies)
+            active = rollouts < numbers.stop
+            seeds = [evaluation_seed(number, self.seed) for number in rollouts.tolist()]
+            scores, published = self._episodes(seeds, active)
+            yield [
+                RolloutScore(
                     self.env_ids[row],
-                    int(numbers[row]),
+                    int(rollouts[row]),
                     seeds[row],
                     float(scores[row]),
                     float(published[row]),
                 )
-            if progress:
-                progress(int(counted.sum()))
+                for row in np.flatnonzero(active).tolist()
+            ]
 
     def _episodes(self, seeds: Sequence[int], active: Mask) -> tuple[NDArray[Any], NDArray[Any]]:
-        """One episode in each active world, and the final scores by both rules."""
+        """One episode in each active environment, and the final scores by both rules."""
         rng = RolloutRng(self.env_ids, seeds)
         observations, infos = self.envs.reset(seed=list(seeds))
         self.policy.reset(np.ones(len(seeds), np.bool_))
         for _ in range(self.horizon):
-            shown = self.envs.states() if self.privileged else observations
-            actions = checked_actions(self.policy.act(shown, self.env_ids, rng), len(seeds))
+            given = self.envs.states() if self.privileged else observations
+            actions = checked_actions(self.policy.act(given, self.env_ids, rng), len(seeds))
             observations, _, _, truncated, infos = self.envs.step(actions, active)
         assert truncated[active].all()
         return infos["eval_score"], infos["published_code_score"]
 
 
-def shown_to(policy: Policy, observation: Observation = None) -> Observation:
-    """What a policy is shown: what is asked for, else its own, else `LoRes4E`.
+def observation_for(policy: Policy, observation: Observation = None) -> Observation:
+    """The observation to make environments with: the one given, the policy's own, or `LoRes4E`.
 
-    A privileged policy gets states; the environments then draw nothing.
+    A privileged policy gets states; nothing is rendered for it.
     """
     if is_privileged(policy):
         return "state"
