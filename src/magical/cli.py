@@ -1,6 +1,6 @@
-"""The `magical` command: a thin door to the rooms.
+"""The `magical` command.
 
-A command is one file in `magical/commands/` with `HELP`, `configure(parser)` and `run(args)`; the
+A sub-command is one file in `magical/commands/` with `HELP`, `configure(parser)` and `run(args)`; the
 file's name is the command's. Commands are listed in alphabetical order. Exit status: 0 good, 1 a
 check failed or an error was met, 2 wrong usage, 130 interrupted.
 """
@@ -41,15 +41,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # argparse: --help, --version, wrong usage
         return stop.code if isinstance(stop.code, int) else USAGE
     except UnknownNameError as error:
-        return _complain(error, USAGE)
+        return _report(error, USAGE)
     except BrokenPipeError:
-        # The reader has left (`magical envs | head`); keep the exit's own flush from failing too.
+        # The reader closed the pipe (`magical envs | head`); keep the exit's own flush from failing.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
     except ModuleNotFoundError as error:
-        return _complain(_missing(error), FAILED)
+        return _report(_missing(error), FAILED)
     except (MagicalError, OSError) as error:
-        return _complain(error, FAILED)
+        return _report(error, FAILED)
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return INTERRUPTED
@@ -78,13 +78,13 @@ def find_commands() -> Iterator[tuple[str, ModuleType]]:
 
 
 def _missing(error: ModuleNotFoundError) -> str:
-    """What to install; an unknown module is a fault of ours and raised again."""
+    """What to install; a missing module that is no optional library is a bug and raised again."""
     extra = EXTRAS.get((error.name or "").partition(".")[0])
     if extra is None:
         raise error
     return f"this needs {error.name}, not installed: pip install 'magical-benchmark[{extra}]'"
 
 
-def _complain(error: Exception | str, status: int) -> int:
+def _report(error: Exception | str, status: int) -> int:
     print(f"error: {error}", file=sys.stderr)
     return status

@@ -1,4 +1,4 @@
-"""Errors a user can cause. Each message says what was expected, what was found and what to do."""
+"""Errors that a user can cause: each message says what was expected, what was found, what to do."""
 
 
 class MagicalError(Exception):
@@ -10,7 +10,7 @@ class UnknownNameError(MagicalError, ValueError):
 
 
 class InvalidSceneError(MagicalError, ValueError):
-    """A scene that cannot be built: overlapping or outside bodies, or values out of range."""
+    """An impossible scene: overlapping or outside bodies, or values out of range."""
 
 
 class PlacementError(MagicalError, RuntimeError):
@@ -42,7 +42,7 @@ class InvalidTaskError(MagicalError, ValueError):
 
 
 class PolicyError(MagicalError, ValueError):
-    """A policy that cannot be loaded, or that returned something else than actions."""
+    """A policy that cannot be loaded, or that returned something other than actions."""
 
 
 class NoExpertError(MagicalError, LookupError):
@@ -58,7 +58,7 @@ class ScoresError(MagicalError, ValueError):
 
 
 class TrajectoryError(MagicalError, ValueError):
-    """A trajectory whose parts do not fit together, or that cannot show what is asked of it."""
+    """A trajectory whose parts do not fit together, or that lacks what an observation needs."""
 
 
 class DatasetError(MagicalError, RuntimeError):
@@ -86,7 +86,7 @@ class WorkerDiedError(MagicalError, RuntimeError):
 
 
 class WorkerError(MagicalError, RuntimeError):
-    """An exception of a foreign class in a worker process; its traceback is the cause."""
+    """An exception in a worker process whose class cannot be rebuilt; its traceback is the cause."""
 
 
 class MissingDependencyError(MagicalError, ImportError):
@@ -102,7 +102,7 @@ class InvalidConfigError(MagicalError, ValueError):
 
 
 class RunFolderError(MagicalError, RuntimeError):
-    """A run folder that is taken, missing, damaged or cannot be written to."""
+    """A run folder that is in use, missing, damaged or cannot be written to."""
 
 
 class CheckpointError(MagicalError, ValueError):
@@ -110,15 +110,15 @@ class CheckpointError(MagicalError, ValueError):
 
 
 class DemonstrationsError(MagicalError, ValueError):
-    """Demonstrations that cannot be learned from: too few, of another task, of another form."""
+    """Demonstrations that cannot be learned from: too few, or of another task or observation."""
 
 
 class DivergedError(MagicalError, ArithmeticError):
-    """Training met a loss or weights that are no finite numbers."""
+    """A loss or weights that are not finite."""
 
 
 class DeviceError(MagicalError, RuntimeError):
-    """A device that was asked for and is not there."""
+    """A device that is not available."""
 
 
 class RenderError(MagicalError, ValueError):

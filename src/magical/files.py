@@ -1,4 +1,4 @@
-"""Writing files so that a reader never finds half of one."""
+"""Atomic writing of files."""
 
 import os
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ from typing import IO
 
 @contextmanager
 def write_atomically(path: Path | str) -> Iterator[IO[bytes]]:
-    """A file under a temporary name beside `path`, renamed to it if the block succeeds.
+    """Open a file under a temporary name beside `path`, renamed to it if the block succeeds.
 
     Missing folders are made. If the block raises, nothing is left behind and an older file at
     `path` stays as it was.

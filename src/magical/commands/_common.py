@@ -1,4 +1,4 @@
-"""What commands share: machine-readable results, tables, messages, pictures."""
+"""Shared by the commands: JSON results, tables, messages, images, argument types."""
 
 import argparse
 import json
@@ -14,7 +14,7 @@ from magical.files import write_atomically
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
-    """Offer `--json`: the last line of standard output is one JSON object."""
+    """Add `--json`: the last line of standard output is one JSON object."""
     parser.add_argument(
         "--json", action="store_true", help="end standard output with one line of JSON"
     )
@@ -26,7 +26,7 @@ def print_json(result: Mapping[str, Any]) -> None:
 
 
 def log(message: str) -> None:
-    """Say something that is not the result: progress and remarks, on standard error."""
+    """Print a message that is not the result, on standard error."""
     print(message, file=sys.stderr)
 
 
@@ -53,7 +53,7 @@ def _is_number(cell: str) -> bool:
 
 
 def write_image(path: Path, pixels: NDArray[np.uint8]) -> None:
-    """Write an (H, W, 3) picture as PNG, in one go.
+    """Write an (H, W, 3) image as PNG, atomically.
 
     Raises:
         OSError: the folder cannot be made or written to.

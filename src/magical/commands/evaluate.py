@@ -113,12 +113,12 @@ def make_entry(
     from magical import __version__
     from magical.evaluation import Entry
     from magical.evaluation.policy import is_privileged
-    from magical.evaluation.rollouts import shown_to
+    from magical.evaluation.rollouts import observation_for
 
     return Entry(
         method=args.method or Path(args.policy).name,
         scores=scores,
-        observation=str(shown_to(policy, args.observation)),
+        observation=str(observation_for(policy, args.observation)),
         privileged=is_privileged(policy),
         horizon="appendix" if args.horizon is None else str(args.horizon),
         seed=args.seed,

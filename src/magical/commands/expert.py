@@ -92,4 +92,6 @@ def _summary(scores: Sequence[float]) -> dict[str, Any]:
 def _print_summaries(results: Mapping[str, Mapping[str, Any]]) -> None:
     rows = [(env_id, f"{r['mean']:.3f}", f"{r['std']:.3f}") for env_id, r in results.items()]
     print_table(("environment", "mean", "std"), rows)
-    print(f"\nmean over {len(results)}: {sum(r['mean'] for r in results.values()) / len(results):.3f}")
+    print(
+        f"\nmean over {len(results)}: {sum(r['mean'] for r in results.values()) / len(results):.3f}"
+    )

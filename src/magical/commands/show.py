@@ -1,4 +1,4 @@
-"""Write a picture of a scene, egocentric and allocentric view side by side."""
+"""Write an image of a scene, egocentric and allocentric view side by side."""
 
 import argparse
 from pathlib import Path
@@ -6,14 +6,14 @@ from pathlib import Path
 from magical.commands._common import add_json, non_negative_int, print_json, write_image
 from magical.envs import parse_env_id
 
-HELP = "write a picture of a scene"
+HELP = "write an image of a scene"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
     parser.add_argument("env_id", metavar="ENV_ID", help="for instance magical/FindDupe-TestAll-v0")
     parser.add_argument(
-        "--seed", type=non_negative_int, default=0, help="which scene is drawn (default: 0)"
+        "--seed", type=non_negative_int, default=0, help="which scene is sampled (default: 0)"
     )
     parser.add_argument(
         "--out", type=Path, metavar="FILE.png", help="default: the id, slashes replaced, .png"
@@ -26,13 +26,13 @@ def run(args: argparse.Namespace) -> int:
     import gymnasium
     import numpy as np
 
-    parsed = parse_env_id(args.env_id)
-    out = args.out or Path(f"{str(parsed).replace('/', '-')}.png")
-    env = gymnasium.make(str(parsed), render_mode="rgb_array")
+    env_id = parse_env_id(args.env_id)
+    out = args.out or Path(f"{env_id.replace('/', '-')}.png")
+    env = gymnasium.make(env_id, render_mode="rgb_array")
     env.reset(seed=args.seed)
     write_image(out, np.asarray(env.render(), dtype=np.uint8))
     env.close()
     print(f"wrote {out}")
     if args.json:
-        print_json({"env_id": str(parsed), "seed": args.seed, "out": str(out)})
+        print_json({"env_id": env_id, "seed": args.seed, "out": str(out)})
     return 0

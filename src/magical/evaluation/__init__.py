@@ -2,8 +2,7 @@
 
 from magical.evaluation.entry import Entry, read_entry
 from magical.evaluation.loading import BUILT_IN, as_policy, load_policy
-from magical.evaluation.policies import FunctionPolicy, NoopPolicy, RandomPolicy
-from magical.evaluation.policy import Policy
+from magical.evaluation.policy import FunctionPolicy, NoopPolicy, Policy, RandomPolicy
 from magical.evaluation.published import (
     published_methods,
     published_score,

@@ -1,4 +1,4 @@
-"""An entry of the tables on disk: `scores.csv` and, beside it, `entry.json` (docs/protocol.md)."""
+"""An evaluated run on disk: `scores.csv` and `entry.json` (docs/protocol.md)."""
 
 import json
 from collections.abc import Sequence
@@ -17,12 +17,12 @@ SCORES_FILE, ENTRY_FILE = "scores.csv", "entry.json"
 class Entry:
     """One training run's evaluation: how it was made, and every rollout's score.
 
-    Runs with the same `method` are repetitions of each other and share a row of the tables.
+    Entries with the same `method` are runs of it and share a row of the tables.
     """
 
     method: str  # the row's name
     scores: Sequence[RolloutScore] = field(repr=False)
-    observation: str = ""  # what the policy saw; "state" for a privileged one
+    observation: str = ""  # the policy's observation; "state" for a privileged one
     privileged: bool = False
     horizon: str = "appendix"  # or "published", or a number of control steps
     seed: int = 0  # which set of fixed seeds
@@ -58,7 +58,7 @@ def read_entry(folder: Path | str) -> Entry:
     if "method" not in data or set(data) - known:
         raise ScoresError(
             f"{source / ENTRY_FILE}: expected method and some of {sorted(known)}, "
-            f"found {sorted(data)}; put what else there is to say into details"
+            f"found {sorted(data)}; put everything else into details"
         )
     return Entry(scores=read_scores(source / SCORES_FILE), **data)
 

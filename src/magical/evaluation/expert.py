@@ -26,7 +26,9 @@ class ExpertPolicy:
     """
 
     privileged = True
-    in_processes = True  # copies may run in several processes: it is fast to start and costly to run
+    in_processes = (
+        True  # copies may run in several processes: it is fast to start and costly to run
+    )
 
     def __init__(self, skill: float = 1.0, random_share: float = 0.0) -> None:
         for name, value in (("skill", skill), ("random_share", random_share)):

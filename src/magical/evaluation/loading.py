@@ -1,4 +1,4 @@
-"""Policies by name: `random`, `noop`, `expert`, or a user's own `module:name`."""
+"""Loading policies by name: `random`, `noop`, `expert`, or a user's own `module:name`."""
 
 import importlib
 import importlib.util
@@ -10,12 +10,11 @@ from types import ModuleType
 from typing import Any
 
 from magical.errors import PolicyError, UnknownNameError
-from magical.evaluation.policies import FunctionPolicy, NoopPolicy, RandomPolicy
-from magical.evaluation.policy import Policy
+from magical.evaluation.policy import FunctionPolicy, NoopPolicy, Policy, RandomPolicy
 
 
 def _expert() -> Policy:
-    from magical.evaluation.expert import ExpertPolicy  # only who asks for experts loads them
+    from magical.evaluation.expert import ExpertPolicy  # imported only when it is used
 
     return ExpertPolicy()
 
@@ -28,16 +27,16 @@ BUILT_IN: dict[str, Callable[[], Policy]] = {
 
 
 def load_policy(name: str) -> Policy:
-    """The policy of a name: one of `BUILT_IN`, `module:name` or `path/to/file.py:name`.
+    """Load a policy by name: one of `BUILT_IN`, `module:name` or `path/to/file.py:name`.
 
     The name in the module may be a policy (an object with `act` and `reset`), a class or function
-    that makes one when called without arguments, or a plain function
-    `(observations, env_ids, rng) -> actions` for a policy without memory. The working directory
-    is searched for modules first.
+    that returns one when called without arguments, or a plain function
+    `(observations, env_ids, rng) -> actions` for a policy without memory. Modules are also searched
+    in the working directory.
 
     Raises:
         UnknownNameError: neither a built-in policy nor of the form `module:name`.
-        PolicyError: the module or what it should hold cannot be found, or is no policy.
+        PolicyError: the module or the name in it cannot be found, or is not a policy.
     """
     if name in BUILT_IN:
         return BUILT_IN[name]()
@@ -51,7 +50,7 @@ def load_policy(name: str) -> Policy:
 
 
 def as_policy(thing: Any, name: str = "policy") -> Policy:
-    """Make a policy of what `load_policy` accepts in a module; raises `PolicyError`."""
+    """Return or make a policy from what `load_policy` accepts; raises `PolicyError`."""
     if not inspect.isclass(thing) and isinstance(thing, Policy):
         return thing
     if not callable(thing):
@@ -63,7 +62,7 @@ def as_policy(thing: Any, name: str = "policy") -> Policy:
         return made
     if inspect.isclass(thing):
         raise PolicyError(
-            f"{name}: expected a class that can be made without arguments, found one that needs "
+            f"{name}: expected a class that can be instantiated without arguments, found one that needs "
             f"{inspect.signature(thing)}; name a function that makes it"
         )
     return FunctionPolicy(thing)
@@ -71,7 +70,7 @@ def as_policy(thing: Any, name: str = "policy") -> Policy:
 
 _EXPECTED = (
     "expected an object with act(observations, env_ids, rng) and reset(mask), something that "
-    "makes one when called without arguments, or a function (observations, env_ids, rng) -> actions"
+    "returns one when called without arguments, or a function (observations, env_ids, rng) -> actions"
 )
 
 

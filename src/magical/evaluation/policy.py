@@ -1,6 +1,6 @@
-"""The one protocol that every policy follows, and the check of what policies return."""
+"""The protocol of policies, the check of the actions they return, and simple policies."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from magical.envs import EnvId
 from magical.errors import PolicyError
-from magical.scene import NUM_ACTIONS
+from magical.scene import NOOP, NUM_ACTIONS
 
 Actions = NDArray[np.int64]  # (B,)
 Mask = NDArray[np.bool_]  # (B,)
@@ -23,6 +23,7 @@ class Policy(Protocol):
     - `privileged` (bool): it gets true states; `observations` is then a list of B `State`s.
     - `observation`: the observation it was made for, as in `gymnasium.make(..., observation=...)`.
     - `tasks` (sequence of names): the tasks it was made for.
+    - `in_processes` (bool): copies of it may act in several processes; it can be pickled.
     """
 
     def act(self, observations: Any, env_ids: Sequence[EnvId], rng: np.random.Generator) -> Actions:
@@ -79,3 +80,50 @@ def checked_actions(actions: Any, count: int) -> Actions:
 _EXPECTED = (
     f"policy: expected act() to return integers from 0 to {NUM_ACTIONS - 1} of shape ({{}},)"
 )
+
+
+class RandomPolicy:
+    """Every action with equal probability at every step."""
+
+    observation = "state"  # unused: nothing is rendered
+
+    def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
+        """One uniform sample for each environment."""
+        return rng.integers(NUM_ACTIONS, size=len(env_ids))
+
+    def reset(self, mask: Mask) -> None:
+        """Nothing to reset."""
+
+
+class NoopPolicy:
+    """The no-op at every step: the score of the scene itself."""
+
+    observation = "state"
+
+    def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
+        """The no-op for each environment."""
+        return np.full(len(env_ids), NOOP)
+
+    def reset(self, mask: Mask) -> None:
+        """Nothing to reset."""
+
+
+class FunctionPolicy:
+    """A policy without memory from a function `(observations, env_ids, rng) -> actions`.
+
+    The function's own attributes `privileged`, `observation` and `tasks` are the policy's.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self.function = function
+        self.privileged = bool(getattr(function, "privileged", False))
+        self.observation = getattr(function, "observation", None)
+        self.tasks = getattr(function, "tasks", None)
+
+    def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
+        """Call the function."""
+        actions: Actions = self.function(observations, env_ids, rng)
+        return actions
+
+    def reset(self, mask: Mask) -> None:
+        """Nothing to reset."""

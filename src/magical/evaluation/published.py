@@ -1,7 +1,7 @@
 """The appendix's Tables 5 to 8: published scores of the baselines, as data.
 
 Each is the mean and the standard deviation over five runs of the mean of 100 rollouts. They were
-computed by the published code: compare them with `published_code_score` and evaluate with
+computed by the published code: compare them with `published_code_score`, evaluated with
 `horizon="published"` (docs/specification.md, sections 1 and 9).
 """
 
@@ -47,7 +47,7 @@ def published_score(task: str, method: str, variant: str) -> Spread | None:
     """The published mean and standard deviation; `None` where the table has a dash.
 
     `variant` may be short (`Jitter`) or as in ids (`TestJitter`). Raises `UnknownNameError` for a
-    task, method or variant that the tables do not know.
+    task, method or variant that is not in the tables.
     """
     for what, name, known in (
         ("task", task, published_tasks()),
@@ -55,6 +55,6 @@ def published_score(task: str, method: str, variant: str) -> Spread | None:
     ):
         if name not in known:
             raise UnknownNameError(
-                f"{name!r} is no {what} of the published tables; they have: {', '.join(known)}"
+                f"{name!r} is not a {what} of the published tables; they have: {', '.join(known)}"
             )
     return published_table().get((task, method, short_variant(full_variant(variant))))

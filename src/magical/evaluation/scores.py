@@ -1,4 +1,4 @@
-"""Scores of rollouts: as rows in a file, and summed up."""
+"""Scores of rollouts: rows of a file, and their summaries."""
 
 import csv
 import io
@@ -28,7 +28,7 @@ HEADER = RolloutScore._fields
 
 
 def write_scores(scores: Iterable[RolloutScore], path: Path | str) -> None:
-    """Write `scores.csv`; floats are written so that they are read back unchanged."""
+    """Write `scores.csv`; floats are read back unchanged."""
     with write_atomically(path) as file, io.TextIOWrapper(file, "utf-8", newline="") as text:
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(HEADER)
@@ -36,7 +36,7 @@ def write_scores(scores: Iterable[RolloutScore], path: Path | str) -> None:
 
 
 def read_scores(path: Path | str) -> list[RolloutScore]:
-    """Read what `write_scores` wrote; raises `ScoresError` with the line that is wrong."""
+    """Read what `write_scores` wrote; raises `ScoresError` naming the line that is wrong."""
     with Path(path).open(newline="", encoding="utf-8") as file:
         lines = list(csv.reader(file))
     if not lines or tuple(lines[0]) != HEADER:
@@ -59,7 +59,7 @@ def _parse(line: Sequence[str], where: str) -> RolloutScore:
 
 
 def by_variant(scores: Iterable[RolloutScore]) -> dict[str, dict[str, list[RolloutScore]]]:
-    """Scores by task, then by variant under its short name, in the order in which they come."""
+    """Group scores by task, then by the variant's short name, in the order of the rows."""
     table: dict[str, dict[str, list[RolloutScore]]] = {}
     for row in scores:
         cells = table.setdefault(row.env_id.task, {})
@@ -68,7 +68,7 @@ def by_variant(scores: Iterable[RolloutScore]) -> dict[str, dict[str, list[Rollo
 
 
 def summarise(scores: Iterable[RolloutScore]) -> dict[str, Any]:
-    """Plain data for JSON: variant -> `mean`, `std`, `scores`, `published_code_mean`.
+    """Summarise scores as plain data: variant -> `mean`, `std`, `scores`, `published_code_mean`.
 
     `std` is over rollouts (divisor: their number). Nested by task where there are several.
     """

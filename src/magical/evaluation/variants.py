@@ -22,7 +22,7 @@ def full_variant(variant: str) -> str:
         if variant in (name, short_variant(name)):
             return name
     raise UnknownNameError(
-        f"{variant!r} is no variant; expected some of: {', '.join(SHORT_VARIANTS)}"
+        f"{variant!r} is not a variant; expected some of: {', '.join(SHORT_VARIANTS)}"
     )
 
 

@@ -1,4 +1,4 @@
-"""Tables, pictures and the page."""
+"""Tables, figures and the page; from files alone."""
 
 from magical.report.contact_sheet import contact_sheet
 from magical.report.page import Page

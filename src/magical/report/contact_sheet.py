@@ -1,4 +1,4 @@
-"""All environments in one picture: a row for each task, a column for each variant."""
+"""All environments in one image: a row for each task, a column for each variant."""
 
 from collections.abc import Sequence
 
@@ -29,7 +29,7 @@ def contact_sheet(
     size: int = 152,
     view: View = View.ALLO,
 ) -> Pixels:
-    """Draw the initial scene of every task's every variant, labelled.
+    """Render the initial scene of every variant of every task, labelled.
 
     A scene is the one that `gymnasium.make(id).reset(seed=seed)` starts from. The allocentric view
     shows all of it. A dash stands where a task lacks the variant.
@@ -37,7 +37,7 @@ def contact_sheet(
     Args:
         tasks: names of tasks, all by default.
         variants: names of variants (short ones will do), all by default.
-        seed: which scenes are drawn.
+        seed: which scenes are sampled.
         size: pixels across a scene.
         view: the camera.
 

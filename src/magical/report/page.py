@@ -15,7 +15,7 @@ from magical.report.tables import DARKEST, LIGHTEST, Table
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """What a page shows; parts that are empty are left out."""
+    """The contents of a page; empty parts are left out."""
 
     title: str
     subtitle: str
@@ -26,10 +26,10 @@ class Page:
     curves: str = ""  # SVG
     reels: Mapping[str, Sequence[Clip]] = field(default_factory=dict)  # rollouts by title
     sheet: NDArray[Any] | None = None  # (H, W, 3) uint8
-    facts: Mapping[str, str] = field(default_factory=dict)  # how it was made
+    facts: Mapping[str, str] = field(default_factory=dict)  # how it was made, by name
 
     def html(self) -> str:
-        """The page's source; everything is inside, nothing is loaded from elsewhere."""
+        """The page's source, with everything inline: nothing is loaded from elsewhere."""
         import jinja2  # from the report extra
 
         environment = jinja2.Environment(

@@ -19,7 +19,7 @@ from magical.evaluation import (
     load_policy,
 )
 from magical.evaluation.policy import is_privileged
-from magical.evaluation.rollouts import shown_to
+from magical.evaluation.rollouts import observation_for
 from magical.files import write_atomically
 from magical.learning import NetworkPolicy, find_algorithm, train
 from magical.report.clips import png, record_clips
@@ -150,7 +150,7 @@ def evaluate_all(settings: Settings, task: str, trained: Policy) -> list[Entry]:
         entry = Entry(
             method=method,
             scores=scores,
-            observation=str(shown_to(policy)),
+            observation=str(observation_for(policy)),
             privileged=is_privileged(policy),
             version=__version__,
         )
