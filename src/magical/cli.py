@@ -1,7 +1,7 @@
 """The `magical` command.
 
-A sub-command is one file in `magical/commands/` with `HELP`, `configure(parser)` and `run(args)`; the
-file's name is the command's. Commands are listed in alphabetical order. Exit status: 0 good, 1 a
+Each command is one file in `magical/commands/` with `HELP`, `configure(parser)` and `run(args)`, and
+has the file's name. Commands are listed in alphabetical order. Exit status: 0 good, 1 a
 check failed or an error was met, 2 wrong usage, 130 interrupted.
 """
 
@@ -43,7 +43,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except UnknownNameError as error:
         return _report(error, USAGE)
     except BrokenPipeError:
-        # The reader closed the pipe (`magical envs | head`); keep the exit's own flush from failing.
+        # The reader closed the pipe (`magical envs | head`); the exit's own flush must not fail.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
     except ModuleNotFoundError as error:

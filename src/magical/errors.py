@@ -86,7 +86,7 @@ class WorkerDiedError(MagicalError, RuntimeError):
 
 
 class WorkerError(MagicalError, RuntimeError):
-    """An exception in a worker process whose class cannot be rebuilt; its traceback is the cause."""
+    """A worker's exception of a class that cannot be rebuilt; its traceback is the cause."""
 
 
 class MissingDependencyError(MagicalError, ImportError):

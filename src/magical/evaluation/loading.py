@@ -62,7 +62,7 @@ def as_policy(thing: Any, name: str = "policy") -> Policy:
         return made
     if inspect.isclass(thing):
         raise PolicyError(
-            f"{name}: expected a class that can be instantiated without arguments, found one that needs "
+            f"{name}: expected a class that can be instantiated without arguments, found one with "
             f"{inspect.signature(thing)}; name a function that makes it"
         )
     return FunctionPolicy(thing)
@@ -70,7 +70,8 @@ def as_policy(thing: Any, name: str = "policy") -> Policy:
 
 _EXPECTED = (
     "expected an object with act(observations, env_ids, rng) and reset(mask), something that "
-    "returns one when called without arguments, or a function (observations, env_ids, rng) -> actions"
+    "returns one when called without arguments, or a function (observations, env_ids, rng) -> "
+    "actions"
 )
 
 
