@@ -1,7 +1,7 @@
 """The `magical` command.
 
-A command is one file in `magical/commands/` with `HELP`, `configure(parser)` and `run(args)`; it has
-the file's name. Commands are listed in alphabetical order. Exit status: 0 good, 1 a
+A command is a file in `magical/commands/` with `HELP`, `configure(parser)` and `run(args)`; the
+file's name is the command's. Commands are listed in alphabetical order. Exit status: 0 good, 1 a
 check failed or an error was met, 2 wrong usage, 130 interrupted.
 """
 

@@ -175,3 +175,53 @@ def test_experts_solve_what_nobody_else_does() -> None:
     noop = evaluate(load_policy("noop"), [LAYOUT], rollouts=20, workers=0)
     assert np.mean([row.score for row in expert]) >= 0.95
     assert np.mean([row.score for row in noop]) <= 0.4
+
+
+class Reacting:
+    """Acts by what it observes; with `edits` it overwrites its observations afterwards."""
+
+    tasks = ("MoveToRegion",)
+
+    def __init__(self, observation: str, privileged: bool, edits: bool) -> None:
+        self.observation = observation
+        self.privileged = privileged
+        self.edits = edits
+
+    def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
+        arrays = self._arrays(observations)
+        sums = sum(np.abs(array).reshape(len(env_ids), -1).sum(axis=1) for array in arrays)
+        if self.edits:
+            for array in arrays:
+                array[...] = 7
+        return (1000 * np.asarray(sums)).astype(np.int64) % 18
+
+    def reset(self, mask: Mask) -> None:
+        pass
+
+    def _arrays(self, observations: Any) -> list[Any]:
+        if self.privileged:
+            base = observations[0].poses.bodies.base
+            assert base is not None
+            return [base, observations[0].velocities.base]
+        return list(observations.values()) if isinstance(observations, dict) else [observations]
+
+
+@pytest.mark.parametrize("workers", [0, 1])
+@pytest.mark.parametrize(
+    "observation", ["LoRes4E", "LoRes3EA", "LoResStack", "state", "true state"]
+)
+def test_a_policy_that_edits_its_observations_changes_nothing(
+    observation: str, workers: int
+) -> None:
+    privileged = observation == "true state"
+    results = [
+        evaluate(
+            Reacting("state" if privileged else observation, privileged, edits),
+            [DEMO],
+            rollouts=2,
+            horizon=6,
+            workers=workers,
+        )
+        for edits in (False, True)
+    ]
+    assert results[0] == results[1]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from magical.envs import EnvId
+from magical.envs.seeds import evaluation_seed
 from magical.errors import ScoresError
 from magical.evaluation import (
     Entry,
@@ -21,7 +22,9 @@ SCORES = [
     RolloutScore(EnvId("MakeLine", "Demo"), 0, 1_000_000_000, 0.5, 0.0),
     RolloutScore(EnvId("MakeLine", "Demo"), 1, 1_000_000_001, 1.0, 1.0),
     RolloutScore(EnvId("MakeLine", "TestJitter"), 0, 1_000_000_000, 1 / 3, 0.25),
+    RolloutScore(EnvId("MakeLine", "TestJitter"), 1, 1_000_000_001, 0.0, 0.0),
 ]
+DEMO = "magical/MakeLine-Demo-v0"
 
 
 def test_scores_are_read_back_unchanged(tmp_path: Path) -> None:
@@ -55,10 +58,11 @@ def test_summary_of_several_tasks_is_nested() -> None:
     [
         ("", "found nothing"),
         ("env,score\n", "expected the header env_id,rollout"),
-        ("{}a,1,2\n", "line 2: expected env_id"),
-        ("{}a,1,2,x,0.0\n", "line 2"),
-        ("{}a,1,2,0.5,0.5\na,1,2,1.5,0.0\n", "line 3: expected scores from 0 to 1"),
-        ("{}a,1,2,nan,0.0\n", "line 2: expected scores from 0 to 1"),
+        (f"{{}}{DEMO},1,2\n", "line 2: expected env_id"),
+        (f"{{}}{DEMO},1,2,x,0.0\n", "line 2"),
+        ("{}a,1,2,0.5,0.5\n", "line 2: expected env_id"),
+        (f"{{}}{DEMO},1,2,0.5,0.5\n{DEMO},1,2,1.5,0.0\n", "line 3: expected scores from 0 to 1"),
+        (f"{{}}{DEMO},1,2,nan,0.0\n", "line 2: expected scores from 0 to 1"),
     ],
 )
 def test_damaged_files_are_named(tmp_path: Path, text: str, message: str) -> None:
@@ -100,3 +104,70 @@ def test_std_in_the_summary_is_over_rollouts() -> None:
         RolloutScore(EnvId("FindDupe", "Demo"), i, i, s, s) for i, s in enumerate((0.0, 0.5, 1.0))
     ]
     assert summarise(scores)["Demo"]["std"] == pytest.approx(np.std([0.0, 0.5, 1.0]))
+
+
+def rows(env_id: EnvId, numbers: list[int], seed: int = 0) -> list[RolloutScore]:
+    return [RolloutScore(env_id, i, evaluation_seed(i, seed), 0.5, 0.5) for i in numbers]
+
+
+LINE, DUPE = EnvId("MakeLine", "Demo"), EnvId("FindDupe", "Demo")
+
+
+@pytest.mark.parametrize(
+    ("scores", "seed", "message"),
+    [
+        ([], 0, "at least one rollout, found none"),
+        (rows(LINE, [0, 1, 1]), 0, "rollout 1 once, found it twice"),
+        (rows(LINE, [0, 2]), 0, "expected rollouts 0 to 1, found 2; missing: 1"),
+        (rows(LINE, [0, 1]) + rows(DUPE, [0]), 0, "FindDupe.*expected rollouts 0 to 1, found 1"),
+        (rows(LINE, [0, 1]), 3, "expected seed 1003000000 for rollout 0, found 1000000000"),
+        ([RolloutScore(LINE, -1, 999_999_999, 0.5, 0.5)], 0, "rollout -1"),
+    ],
+)
+def test_an_entry_that_breaks_the_protocol_is_refused(
+    tmp_path: Path, scores: list[RolloutScore], seed: int, message: str
+) -> None:
+    Entry(method="mine", scores=scores, seed=seed).write(tmp_path)
+    with pytest.raises(ScoresError, match=message) as caught:
+        read_entry(tmp_path)
+    assert str(tmp_path / "scores.csv") in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"method": "\x1b[31mred"},
+        {"method": "x" * 201},
+        {"method": 3},
+        {"method": "m", "privileged": "no"},
+        {"method": "m", "seed": -1},
+        {"method": "m", "seed": True},
+        {"method": "m", "details": []},
+    ],
+)
+def test_fields_of_an_entry_are_checked(tmp_path: Path, fields: dict[str, object]) -> None:
+    Entry(method="mine", scores=SCORES).write(tmp_path)
+    (tmp_path / "entry.json").write_text(json.dumps(fields))
+    with pytest.raises(ScoresError, match="expected") as caught:
+        read_entry(tmp_path)
+    assert str(caught.value).isprintable()
+
+
+def test_a_seeded_fuzz_of_entries_raises_nothing_else(tmp_path: Path) -> None:
+    """Mutated files are read, or refused with `ScoresError`."""
+    Entry(method="mine", scores=SCORES).write(tmp_path)
+    whole = {name: (tmp_path / name).read_bytes() for name in ("scores.csv", "entry.json")}
+    rng = np.random.default_rng(0)
+    refused = 0
+    for _ in range(400):
+        name = rng.choice(list(whole))
+        data = bytearray(whole[name])
+        for _ in range(rng.integers(1, 4)):
+            data[rng.integers(len(data))] = rng.integers(256)
+        (tmp_path / name).write_bytes(bytes(data[: rng.integers(1, len(data) + 1)]))
+        try:
+            read_entry(tmp_path)
+        except ScoresError:
+            refused += 1
+        (tmp_path / name).write_bytes(whole[name])
+    assert refused > 300

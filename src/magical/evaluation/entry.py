@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from magical.errors import ScoresError
-from magical.evaluation.scores import RolloutScore, read_scores, write_scores
+from magical.evaluation.scores import RolloutScore, check_protocol, read_scores, write_scores
 from magical.files import write_atomically
 
 SCORES_FILE, ENTRY_FILE = "scores.csv", "entry.json"
@@ -41,10 +41,11 @@ class Entry:
 
 
 def read_entry(folder: Path | str) -> Entry:
-    """Read what `Entry.write` wrote.
+    """Read what `Entry.write` wrote, and check it against the protocol.
 
     Raises:
-        ScoresError: a file is missing or damaged; says which and what was expected.
+        ScoresError: a file is missing or damaged, or the rollouts are not the protocol's; says
+            which and what was expected.
     """
     source = Path(folder)
     for name in (SCORES_FILE, ENTRY_FILE):
@@ -60,14 +61,47 @@ def read_entry(folder: Path | str) -> Entry:
             f"{source / ENTRY_FILE}: expected method and some of {sorted(known)}, "
             f"found {sorted(data)}; put everything else into details"
         )
-    return Entry(scores=read_scores(source / SCORES_FILE), **data)
+    _check_fields(source / ENTRY_FILE, data)
+    scores = read_scores(source / SCORES_FILE)
+    try:
+        check_protocol(scores, data.get("seed", 0))
+    except ScoresError as error:
+        raise ScoresError(f"{source / SCORES_FILE}: {error}") from error
+    return Entry(scores=scores, **data)
+
+
+_TYPES = {
+    "method": str,
+    "observation": str,
+    "privileged": bool,
+    "horizon": str,
+    "seed": int,
+    "version": str,
+    "details": dict,
+}
+MAX_TEXT = 200  # characters of a text field
+
+
+def _check_fields(path: Path, data: dict[str, Any]) -> None:
+    """Raise `ScoresError` for a field of another type, or text that cannot be printed."""
+    for name, value in data.items():
+        expected = _TYPES[name]
+        if type(value) is not expected or (name == "seed" and value < 0):
+            raise ScoresError(
+                f"{path}: {name}: expected {expected.__name__}, found {type(value).__name__}"
+            )
+        if isinstance(value, str) and (len(value) > MAX_TEXT or not value.isprintable()):
+            raise ScoresError(
+                f"{path}: {name}: expected at most {MAX_TEXT} printable characters, found "
+                f"{value!r:.{MAX_TEXT}}"
+            )
 
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
         data = json.loads(path.read_bytes())
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ScoresError(f"{path}: expected JSON, found none: {error}") from error
     if not isinstance(data, dict):
-        raise ScoresError(f"{path}: expected a JSON object, found {data!r:.60}")
+        raise ScoresError(f"{path}: expected a JSON object, found {type(data).__name__}")
     return data

@@ -165,8 +165,7 @@ class _Rollouts:
             self.env_ids,
             workers=workers,
             observation=observation_for(self.policy, setting.observation),
-            horizon=self.horizon,
-            copy=False,
+            horizon=self.horizon,  # observations are copies: the policy may change them
         )
 
     def __enter__(self) -> "_Rollouts":

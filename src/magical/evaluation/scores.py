@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from magical.envs import EnvId, parse_env_id
+from magical.envs.seeds import evaluation_seed
 from magical.errors import ScoresError
 from magical.evaluation.variants import short_variant
 from magical.files import write_atomically
@@ -25,6 +26,7 @@ class RolloutScore(NamedTuple):
 
 
 HEADER = RolloutScore._fields
+SHOWN = 200  # characters of a damaged line that a message shows
 
 
 def write_scores(scores: Iterable[RolloutScore], path: Path | str) -> None:
@@ -37,25 +39,68 @@ def write_scores(scores: Iterable[RolloutScore], path: Path | str) -> None:
 
 def read_scores(path: Path | str) -> list[RolloutScore]:
     """Read what `write_scores` wrote; raises `ScoresError` naming the line that is wrong."""
-    with Path(path).open(newline="", encoding="utf-8") as file:
-        lines = list(csv.reader(file))
-    if not lines or tuple(lines[0]) != HEADER:
-        found = lines[0] if lines else "nothing"
-        raise ScoresError(f"{path}: expected the header {','.join(HEADER)}, found {found}")
-    return [_parse(line, f"{path}, line {number}") for number, line in enumerate(lines[1:], 2)]
+    env_ids: dict[str, EnvId] = {}  # an id is parsed once, not in every row
+    with Path(path).open(newline="", encoding="utf-8", errors="replace") as file:
+        lines = csv.reader(file)
+        try:
+            header = next(lines, [])
+            if tuple(header) != HEADER:
+                found = repr(header)[:SHOWN] if header else "nothing"
+                raise ScoresError(f"{path}: expected the header {','.join(HEADER)}, found {found}")
+            return [_parse(line, env_ids, path, number) for number, line in enumerate(lines, 2)]
+        except csv.Error as error:
+            raise ScoresError(f"{path}: line {lines.line_num} is damaged: {error}") from error
 
 
-def _parse(line: Sequence[str], where: str) -> RolloutScore:
+def _parse(
+    line: Sequence[str], env_ids: dict[str, EnvId], path: Path | str, number: int
+) -> RolloutScore:
     try:
-        env_id, rollout, seed, score, published = line
-        row = RolloutScore(
-            parse_env_id(env_id), int(rollout), int(seed), float(score), float(published)
-        )
+        text, rollout, seed, score, published = line
+        env_id = env_ids.get(text) or env_ids.setdefault(text, parse_env_id(text))
+        row = RolloutScore(env_id, int(rollout), int(seed), float(score), float(published))
     except ValueError as error:
-        raise ScoresError(f"{where}: expected {','.join(HEADER)}, found {line}") from error
+        raise ScoresError(
+            f"{path}, line {number}: expected {','.join(HEADER)}, found {repr(line)[:SHOWN]}"
+        ) from error
     if not (0.0 <= row.score <= 1.0 and 0.0 <= row.published_code_score <= 1.0):
-        raise ScoresError(f"{where}: expected scores from 0 to 1, found {line[3:]}")
+        raise ScoresError(
+            f"{path}, line {number}: expected scores from 0 to 1, found {repr(line[3:])[:SHOWN]}"
+        )
     return row
+
+
+def check_protocol(scores: Iterable[RolloutScore], seed: int) -> None:
+    """Check that every environment has the same rollouts, each once, with the protocol's seeds.
+
+    Args:
+        scores: of one evaluation.
+        seed: which set of fixed seeds it was made with.
+
+    Raises:
+        ScoresError: names the environment, and what is missing, duplicated or foreign.
+    """
+    rollouts: dict[EnvId, set[int]] = {}
+    for row in scores:
+        seen = rollouts.setdefault(row.env_id, set())
+        if row.rollout in seen:
+            raise ScoresError(f"{row.env_id}: expected rollout {row.rollout} once, found it twice")
+        if row.rollout < 0 or row.seed != evaluation_seed(row.rollout, seed):
+            raise ScoresError(
+                f"{row.env_id}: expected seed {evaluation_seed(max(row.rollout, 0), seed)} for "
+                f"rollout {row.rollout}, found {row.seed}; evaluate with `magical evaluate`"
+            )
+        seen.add(row.rollout)
+    if not rollouts:
+        raise ScoresError("expected at least one rollout, found none")
+    expected = set(range(max(map(len, rollouts.values()))))
+    for env_id, found in rollouts.items():
+        if found != expected:
+            missing = sorted(expected - found)
+            raise ScoresError(
+                f"{env_id}: expected rollouts 0 to {len(expected) - 1}, found {len(found)}; "
+                f"missing: {', '.join(map(str, missing[:5]))}{', ...' if missing[5:] else ''}"
+            )
 
 
 def by_variant(scores: Iterable[RolloutScore]) -> dict[str, dict[str, list[RolloutScore]]]:
