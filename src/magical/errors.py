@@ -78,11 +78,11 @@ class ClosedEnvironmentError(MagicalError, RuntimeError):
 
 
 class WorkerDiedError(MagicalError, RuntimeError):
-    """A worker process of a vector environment has ended; the environment is closed."""
+    """A worker process ended by itself or was killed; a vector environment is then closed."""
 
 
 class WorkerError(MagicalError, RuntimeError):
-    """An exception of a foreign class in a worker process; its traceback is the cause."""
+    """An exception in a worker process that is neither built in nor one of these."""
 
 
 class MissingDependencyError(MagicalError, ImportError):
