@@ -16,13 +16,14 @@ from magical.envs.copies import Copies
 from magical.envs.env import RENDER_SIZE, MagicalEnv, Reward
 from magical.envs.ids import EnvId, parse_env_id
 from magical.envs.infos import Infos, same_step_infos, score_infos
-from magical.envs.workers import RemoteBatch, available_cores, defining_modules
+from magical.envs.workers import RemoteBatch, defining_modules
 from magical.errors import (
     ClosedEnvironmentError,
     UnknownNameError,
     WorkerDiedError,
 )
 from magical.observe.spec import Observation
+from magical.processes import available_cores
 from magical.scene.actions import NUM_ACTIONS
 from magical.scene.poses import Poses
 from magical.scene.scene import Scene
