@@ -7,16 +7,15 @@ from functools import partial
 from pathlib import Path
 
 from magical.demos.human.published import MAX_UNPACKED, read_published
-from magical.demos.processes import in_processes, usable_cores
 from magical.demos.store.codec import encode
 from magical.demos.store.dataset import Dataset
 from magical.demos.store.manifest import ManifestEntry
 from magical.demos.store.writer import DatasetWriter
 from magical.errors import DatasetError, MagicalError
+from magical.processes import available_cores, map_in_processes
 
 SUFFIX = ".pkl.gz"
 Progress = Callable[[int], None]  # is told how many files have just been dealt with
-_Result = tuple[ManifestEntry, bytes] | MagicalError
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,12 +64,13 @@ def import_published(
     tell = progress or (lambda _: None)
     tell(len(already))
     imported, duplicates, failed = [], [], []
-    workers = min(workers or usable_cores(), len(wanted))
-    results = in_processes(partial(_convert, max_bytes=max_bytes), wanted, workers)
+    workers = min(workers or available_cores(), len(wanted))
+    convert = partial(_convert, max_bytes=max_bytes)
+    results = map_in_processes(convert, wanted, workers, on_error="return")
     for file, result in zip(wanted, results, strict=True):
         tell(1)
-        if isinstance(result, MagicalError):
-            failed.append((str(file), str(result)))
+        if isinstance(result, Exception):
+            failed.append((str(file), _reason(file, result)))
             continue
         earlier = first.setdefault(result[0].fingerprint, file.name)
         if earlier != file.name:
@@ -91,10 +91,13 @@ def _sum(file: Path) -> str:
         return ""
 
 
-def _convert(file: Path, max_bytes: int) -> _Result:
-    try:
-        trajectory = read_published(file, max_bytes)
-        raw = encode(trajectory)
-        return ManifestEntry.of(trajectory, raw), raw
-    except MagicalError as error:
-        return error
+def _convert(file: Path, max_bytes: int) -> tuple[ManifestEntry, bytes]:
+    trajectory = read_published(file, max_bytes)
+    raw = encode(trajectory)
+    return ManifestEntry.of(trajectory, raw), raw
+
+
+def _reason(file: Path, error: Exception) -> str:
+    """Why a file failed, with its name."""
+    why = str(error) if isinstance(error, MagicalError) else f"{type(error).__name__}: {error}"
+    return why if str(file) in why else f"{file}: {why}"
