@@ -5,7 +5,7 @@ POLICY is a run folder, `random`, `noop`, `expert`, or a policy of your own as `
 """
 
 import argparse
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -141,29 +141,53 @@ def progress_bar(what: str, total: int) -> Iterator[Callable[[int], None]]:
 
 
 def print_scores(scores: "Sequence[RolloutScore]") -> None:
-    """Print a table: a row for each environment, with a bootstrap interval for its mean."""
+    """Print a row for each environment, then the generalisation gap over all tasks."""
     from magical.evaluation import by_variant
-    from magical.evaluation.statistics import bootstrap_interval
+    from magical.evaluation.intervals import rollout_mean
 
     header = ("task", "variant", "mean", "95% interval", "std", "gap", "published code's rule")
     rows = []
     for task, cells in by_variant(scores).items():
-        means = {name: np.mean([row.score for row in cell]) for name, cell in cells.items()}
         for variant, cell in cells.items():
-            column = np.array([row.score for row in cell])
-            # Bounds of an interval should not change from call to call.
-            interval = bootstrap_interval(column[:, None], np.random.default_rng(0))
-            gap = f"{means['Demo'] - means[variant]:.3f}" if "Demo" in means else ""
+            rollouts = np.array([row.score for row in cell])
+            value, low, high = rollout_mean(rollouts)
             published = np.mean([row.published_code_score for row in cell])
             rows.append(
                 (
                     task,
                     variant,
-                    f"{interval.value:.3f}",
-                    f"{interval.low:.3f} to {interval.high:.3f}",
-                    f"{column.std():.3f}",
-                    gap,
+                    f"{value:.3f}",
+                    f"{low:.3f} to {high:.3f}",
+                    f"{rollouts.std():.3f}",
+                    _gap(cells, variant),
                     f"{published:.3f}",
                 )
             )
     print_table(header, rows)
+    print(_note(scores))
+
+
+def _gap(cells: "Mapping[str, Sequence[RolloutScore]]", variant: str) -> str:
+    """One task's generalisation gap along one axis; empty where there is none."""
+    from magical.evaluation.statistics import generalisation_gap, run_means
+
+    if variant == "Demo" or "Demo" not in cells:
+        return ""
+    pair = [cells["Demo"], cells[variant]]
+    env_ids = [cell[0].env_id for cell in pair]
+    means = run_means([[row for cell in pair for row in cell]], env_ids)
+    return f"{generalisation_gap(means, env_ids, variant).value:.3f}"
+
+
+def _note(scores: "Sequence[RolloutScore]") -> str:
+    """What the intervals are over, and the generalisation gap if Demo and TestAll are there."""
+    from magical.evaluation.statistics import gap_weights, over_rollouts
+
+    note = "Intervals are over rollouts and do not include the spread between training runs."
+    env_ids = list(dict.fromkeys(row.env_id for row in scores))
+    try:
+        weights = gap_weights(env_ids)
+    except ValueError:
+        return note
+    value, low, high = over_rollouts([scores], env_ids, weights)
+    return f"generalisation gap (Demo less TestAll): {value:.3f} ({low:.3f} to {high:.3f})\n{note}"
