@@ -1,7 +1,7 @@
 """Importing the published human demonstrations into a dataset."""
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,28 +11,30 @@ from magical.demos.processes import in_processes, usable_cores
 from magical.demos.store.codec import encode
 from magical.demos.store.dataset import Dataset
 from magical.demos.store.manifest import ManifestEntry
+from magical.demos.store.regular_files import open_regular
 from magical.demos.store.writer import DatasetWriter
 from magical.errors import DatasetError, MagicalError
 
 SUFFIX = ".pkl.gz"
-Progress = Callable[[int], None]  # is told how many files have just been dealt with
+Progress = Callable[[int], None]  # called with the number of files finished since the last call
 _Result = tuple[ManifestEntry, bytes] | MagicalError
 
 
 @dataclass(frozen=True, slots=True)
 class ImportReport:
-    """What became of the files, by their names."""
+    """Names of the files, by outcome of the import."""
 
     imported: tuple[str, ...]
-    already: tuple[str, ...]  # were in the dataset before
+    already: tuple[str, ...]  # in the dataset before
     duplicates: tuple[tuple[str, str], ...]  # (file, earlier one with the same actions and frames)
-    failed: tuple[tuple[str, str], ...]  # (file, why)
+    failed: tuple[tuple[str, str], ...]  # (file, reason)
 
 
 def find_published(source: Path) -> list[Path]:
     """The published files in a folder and its subfolders, or the one file.
 
-    Raises `DatasetError` if there are none.
+    Raises:
+        DatasetError: there are none.
     """
     found = sorted(source.rglob(f"*{SUFFIX}")) if source.is_dir() else [source]
     if not found or not found[0].is_file():
@@ -47,12 +49,22 @@ def import_published(
     workers: int | None = None,
     max_bytes: int = MAX_UNPACKED,
     skip_duplicates: bool = False,
+    sums: Mapping[Path, str] | None = None,
     progress: Progress | None = None,
 ) -> ImportReport:
-    """Append published files to a dataset, in their order; one bad file does not stop the rest.
+    """Append published files to a dataset, in their order; a bad file does not stop the others.
 
-    Files of the same name and bytes that are in the dataset already are left alone. Those with the
-    same actions and frames as another are imported, unless `skip_duplicates`, and reported.
+    Files of the same name and bytes that are already in the dataset are skipped.
+
+    Args:
+        files: the published files.
+        out: the dataset, created if there is none.
+        workers: number of processes; default: the usable cores.
+        max_bytes: the most that one file may unpack to.
+        skip_duplicates: leave out files with the same actions and frames as an earlier one, which
+            are otherwise imported and reported.
+        sums: the SHA-256 sum of every file; a file with another one is not imported.
+        progress: called with the number of files finished since the last call.
 
     Raises:
         DatasetError: the dataset cannot be written; what was imported before stays.
@@ -62,15 +74,16 @@ def import_published(
     first = {entry.fingerprint: entry.source or entry.file for entry in entries}
     wanted = [file for file in files if (file.name, _sum(file)) not in known]
     already = [file.name for file in files if file not in set(wanted)]
-    tell = progress or (lambda _: None)
-    tell(len(already))
+    advance = progress or (lambda _: None)
+    advance(len(already))
     imported, duplicates, failed = [], [], []
     workers = min(workers or usable_cores(), len(wanted))
     results = in_processes(partial(_convert, max_bytes=max_bytes), wanted, workers)
     for file, result in zip(wanted, results, strict=True):
-        tell(1)
-        if isinstance(result, MagicalError):
-            failed.append((str(file), str(result)))
+        advance(1)
+        problem = _problem(file, result, sums)
+        if problem or isinstance(result, MagicalError):
+            failed.append((str(file), problem))
             continue
         earlier = first.setdefault(result[0].fingerprint, file.name)
         if earlier != file.name:
@@ -83,12 +96,22 @@ def import_published(
 
 
 def _sum(file: Path) -> str:
-    """The file's SHA-256, or nothing where it cannot be read: reading it again will say why."""
+    """The file's SHA-256; empty where it cannot be read, which reading it later reports."""
     try:
-        with file.open("rb") as opened:
+        with open_regular(file, follow_links=True) as opened:
             return hashlib.file_digest(opened, "sha256").hexdigest()
     except OSError:
         return ""
+
+
+def _problem(file: Path, result: _Result, sums: Mapping[Path, str] | None) -> str:
+    """Why a file is not imported; empty if it is."""
+    if isinstance(result, MagicalError):
+        return str(result)
+    found = result[0].source_sha256 or ""
+    if sums is not None and found != sums[file]:
+        return f"{file}: expected SHA-256 {sums[file][:12]}..., found {found[:12]}..."
+    return ""
 
 
 def _convert(file: Path, max_bytes: int) -> _Result:
