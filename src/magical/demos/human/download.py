@@ -8,6 +8,7 @@ import hashlib
 import http.client
 import re
 import socket
+import ssl
 import threading
 import time
 import urllib.error
@@ -17,7 +18,6 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from email.message import Message
-from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
@@ -36,6 +36,13 @@ MAX_REDIRECTS = 5
 _CHUNK = 1 << 16
 _REDIRECTS = frozenset({301, 302, 303, 307, 308})
 _HOST = re.compile(r"[A-Za-z0-9._-]{1,253}|[0-9A-Fa-f:.]{2,45}")
+_INTERRUPTIONS = (
+    ConnectionError,
+    TimeoutError,
+    ValueError,  # of http.client, for lines that are not HTTP
+    http.client.HTTPException,
+    ssl.SSLError,
+)
 _CONTENT_RANGE = re.compile(r"bytes (\d{1,12})-\d{1,12}/(?:\d{1,12}|\*)")
 
 
@@ -110,7 +117,7 @@ def _fetch(url: str, target: Path, digest: str) -> None:
             problem = printable(str(error.reason))
             if attempt == ATTEMPTS:
                 raise _UnreachableError(f"{url}: no answer: {problem}") from error
-        except (http.client.HTTPException, ConnectionError, TimeoutError, ValueError) as error:
+        except _INTERRUPTIONS as error:
             problem = f"interrupted: {printable(f'{type(error).__name__}: {error}')}"
     raise DownloadError(f"{url}: could not be fetched: {problem}; run again to resume")
 
@@ -243,13 +250,14 @@ class _Response(http.client.HTTPResponse):
         super().__init__(sock, *args, **options)
         self.received = 0
         self._socket = sock
-        self._start = time.monotonic()
+        self._start = 0.0
         self._finished = threading.Event()
         self._too_slow = False
-        threading.Thread(target=self._watch, daemon=True).start()
 
     def begin(self) -> None:
-        """Read the status line and the headers."""
+        """Start the timer; read the status line and the headers."""
+        self._start = time.monotonic()
+        threading.Thread(target=self._watch, daemon=True).start()
         try:
             super().begin()
         finally:
@@ -296,8 +304,12 @@ class _SecureHandler(urllib.request.HTTPSHandler):
 
 
 class _NoRedirects(urllib.request.HTTPRedirectHandler):
-    def redirect_request(self, *_: Any) -> None:
-        """Leave redirects to `_open`: the standard handler reads their bodies without bound."""
+    """Leaves redirects to `_open`: the standard handler reads their bodies without a bound."""
+
+    def http_error_302(self, *_: Any) -> Any:
+        """Decline, so that the response is raised as an `HTTPError`."""
+
+    http_error_301 = http_error_303 = http_error_307 = http_error_308 = http_error_302
 
 
 _OPENER = urllib.request.build_opener(_Handler, _SecureHandler, _NoRedirects)
