@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from magical.demos import Dataset, DatasetWriter, Frames, ObservationReader, Trajectory
 from magical.demos.human.importing import find_published, import_published
-from magical.demos.processes import usable_cores
 from magical.physics import Simulation
+from magical.processes import available_cores
 from magical.tasks import TASKS
 
 Pixels = NDArray[np.uint8]
@@ -49,7 +49,7 @@ def measure_import(source: Path, out: Path) -> None:
     )
     spent = resource.getrusage(resource.RUSAGE_CHILDREN).ru_utime
     print(f"import of {len(files)} files: {elapsed:.1f} s, {spent:.1f} s of processor time, with")
-    print(f"  {usable_cores()} workers; peak memory {own} MB here, {workers} MB in a worker")
+    print(f"  {available_cores()} workers; peak memory {own} MB here, {workers} MB in a worker")
     report_sizes("human demonstrations", Dataset.open(out))
 
 

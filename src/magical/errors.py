@@ -82,7 +82,7 @@ class ClosedEnvironmentError(MagicalError, RuntimeError):
 
 
 class WorkerDiedError(MagicalError, RuntimeError):
-    """A worker process of a vector environment has ended; the environment is closed."""
+    """A worker process ended by itself or was killed; a vector environment is then closed."""
 
 
 class WorkerError(MagicalError, RuntimeError):

@@ -1,22 +1,23 @@
 """Demonstrations from the scripted experts."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from itertools import count
 from pathlib import Path
 
-from magical.demos.processes import in_processes
 from magical.demos.store.codec import encode
 from magical.demos.store.manifest import ManifestEntry
 from magical.demos.store.provenance import provenance
 from magical.demos.store.trajectory import Trajectory
 from magical.demos.store.writer import DatasetWriter
-from magical.envs.ids import parse_env_id
+from magical.envs.ids import EnvId, parse_env_id
 from magical.envs.seeds import episode_seed
 from magical.errors import DatasetError
-from magical.experts import rollout
+from magical.experts import modules_of, rollout
+from magical.processes import available_cores, map_in_processes
+from magical.tasks import load_tasks
 
 PATIENCE = 20  # attempts for each demonstration wanted, on average, before giving up
 
@@ -46,19 +47,24 @@ def generate(
 
     Attempt i starts as `reset(seed=episode_seed(seed, i))` does and has a strategy of its own.
     Attempts that score less than `min_score` (appendix's rule) are dropped. The result depends on
-    the arguments alone, not on `workers`.
+    the arguments alone, not on `workers` (processes; default: the available cores).
 
     Raises:
         DatasetError: too few attempts reach the score, or the dataset cannot be written; what was
             kept before stays.
+        InvalidTaskError: worker processes could not import the task.
         NoExpertError: the task has no expert.
         NoSolutionError: a scene cannot be solved.
+        WorkerDiedError: a worker process was killed; what was kept before stays.
     """
+    parsed = parse_env_id(env_id)
+    workers = workers or available_cores()
+    modules = modules_of(parsed.task) if workers > 1 else []
     writer = DatasetWriter(out)
-    attempt = partial(_attempt, parse_env_id(env_id), seed, skill)
+    attempt = partial(_attempt, modules, parsed, seed, skill)
     scores: list[float] = []
     dropped = 0
-    with closing(in_processes(attempt, count(), workers)) as results:
+    with closing(map_in_processes(attempt, count(), workers)) as results:
         while len(scores) < number:
             if dropped > PATIENCE * number:
                 raise DatasetError(
@@ -95,7 +101,11 @@ def demonstrate(env_id: str, seed: int, skill: float = 1.0) -> Trajectory:
     )
 
 
-def _attempt(env_id: str, seed: int, skill: float, attempt: int) -> tuple[ManifestEntry, bytes]:
+def _attempt(
+    modules: Sequence[str], env_id: EnvId, seed: int, skill: float, attempt: int
+) -> tuple[ManifestEntry, bytes]:
+    for module in modules:
+        load_tasks(module)
     trajectory = demonstrate(env_id, episode_seed(seed, attempt), skill)
     raw = encode(trajectory)
     return ManifestEntry.of(trajectory, raw), raw

@@ -86,7 +86,7 @@ def _check_fields(path: Path, data: dict[str, Any]) -> None:
     """Raise `ScoresError` for a field of another type, or text that cannot be printed."""
     for name, value in data.items():
         expected = _TYPES[name]
-        if type(value) is not expected or (name == "seed" and value < 0):
+        if type(value) is not expected or (isinstance(value, int) and value < 0):
             raise ScoresError(
                 f"{path}: {name}: expected {expected.__name__}, found {type(value).__name__}"
             )

@@ -8,7 +8,7 @@ import numpy as np
 from magical.envs import EnvId
 from magical.errors import InvalidConfigError
 from magical.evaluation.policy import Actions, Mask
-from magical.experts import Expert, expert_for
+from magical.experts import Expert, expert_for, modules_of
 from magical.scene import NUM_ACTIONS, State
 
 
@@ -62,6 +62,10 @@ class ExpertPolicy:
             self._experts, self._memories = [None] * len(mask), [None] * len(mask)
         for row in np.flatnonzero(mask):
             self._experts[row] = self._memories[row] = None
+
+    def modules(self, tasks: Sequence[str]) -> list[str]:
+        """The modules from which a new process learns of the tasks' experts."""
+        return sorted({module for task in tasks for module in modules_of(task)})
 
     def _make_experts(self, env_ids: Sequence[EnvId], rng: np.random.Generator) -> None:
         seeds = rng.integers(2**31, size=len(env_ids))

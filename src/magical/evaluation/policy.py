@@ -24,6 +24,7 @@ class Policy(Protocol):
     - `observation`: the observation it was made for, as in `gymnasium.make(..., observation=...)`.
     - `tasks` (sequence of names): the tasks it was made for.
     - `in_processes` (bool): copies of it may act in several processes; it can be pickled.
+    - `modules(tasks)`: the modules that such processes must import first.
     """
 
     def act(self, observations: Any, env_ids: Sequence[EnvId], rng: np.random.Generator) -> Actions:

@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 from magical.envs import EnvId, parse_env_id
 from magical.envs.seeds import evaluation_seed
 from magical.envs.vector import MagicalVectorEnv
+from magical.envs.vector.workers import defining_modules
 from magical.errors import UnknownNameError
 from magical.evaluation.policy import Mask, Policy, checked_actions, is_privileged
 from magical.evaluation.scores import RolloutScore
 from magical.evaluation.seeds import RolloutRng
 from magical.evaluation.variants import variants_of
 from magical.observe import Observation
-from magical.processes import map_in_processes
-from magical.tasks import TASKS, Task, get_task
+from magical.processes import available_cores, map_in_processes
+from magical.tasks import TASKS, Task, get_task, load_tasks
 
 ROLLOUTS = 100  # on each variant (appendix C)
 NUM_ENVS = 64  # sub-environments stepped together: bounds the memory, hardly changes the speed
@@ -130,10 +131,23 @@ def _in_processes(
         for env_id in env_ids
         for first in range(0, rollouts, SHARE)
     ]
-    yield from map_in_processes(partial(_score_share, setting), shares, workers)
+    count = min(available_cores() if workers is None else workers, len(shares))
+    modules = _modules(setting.policy, env_ids) if count > 1 else []
+    yield from map_in_processes(partial(_score_share, setting, modules), shares, count)
 
 
-def _score_share(setting: _Setting, share: tuple[EnvId, range]) -> list[RolloutScore]:
+def _modules(policy: Policy, env_ids: Sequence[EnvId]) -> list[str]:
+    """The modules from which a new process learns of the tasks, and what the policy needs."""
+    tasks = {env_id.task: env_id.task_spec for env_id in env_ids}
+    needed = getattr(policy, "modules", None)
+    return [*defining_modules(list(tasks.values())), *(needed(list(tasks)) if needed else [])]
+
+
+def _score_share(
+    setting: _Setting, modules: Sequence[str], share: tuple[EnvId, range]
+) -> list[RolloutScore]:
+    for module in modules:
+        load_tasks(module)
     env_id, numbers = share
     with _Rollouts(setting, env_id.task_spec, [env_id], len(numbers), workers=0) as batch:
         return [score for part in batch.run(numbers) for score in part]

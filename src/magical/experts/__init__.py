@@ -3,7 +3,7 @@
 from magical.experts import clusters, lines, regions
 from magical.experts.expert import Expert, Memory, expert_for
 from magical.experts.goals import Goals, Move, Plan, Style, goals_of, register_goals
-from magical.experts.rollout import Rollout, check_solvable, evaluate_expert, rollout
+from magical.experts.rollout import Rollout, check_solvable, evaluate_expert, modules_of, rollout
 
 __all__ = [
     "Expert",
@@ -19,6 +19,7 @@ __all__ = [
     "expert_for",
     "goals_of",
     "lines",
+    "modules_of",
     "regions",
     "register_goals",
     "rollout",

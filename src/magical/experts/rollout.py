@@ -1,21 +1,22 @@
 """Whole episodes of the scripted experts, and their scores over many."""
 
-import multiprocessing
-import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
 from magical.envs.ids import parse_env_id
+from magical.envs.vector.workers import defining_modules
 from magical.errors import NoSolutionError
 from magical.experts.expert import Memory, expert_for
 from magical.experts.goals import goals_of
 from magical.physics import Simulation
+from magical.processes import available_cores, map_in_processes
 from magical.scene import NUM_ACTIONS, Dynamics, Poses, Scene, State
-from magical.tasks import get_task
+from magical.tasks import get_task, load_tasks
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,12 +93,19 @@ def evaluate_expert(
 
     With `takeover`, a random policy acts in the first third of each episode. Episode i begins as
     `reset(seed=s)` does, s drawn from `seed`, i and nothing else, so the result does not depend
-    on `workers` (processes; default: the cores).
+    on `workers` (processes; default: the available cores).
+
+    Raises:
+        InvalidTaskError: worker processes could not import a task.
+        WorkerDiedError: a worker process was killed.
     """
     ids = [str(parse_env_id(env_id)) for env_id in env_ids]
     jobs = [(env_id, seed, i, skill, takeover) for env_id in ids for i in range(rollouts)]
+    workers = min(workers or available_cores(), len(jobs))
+    tasks = {parse_env_id(env_id).task for env_id in ids} if workers > 1 else ()
+    modules = sorted({module for task in tasks for module in modules_of(task)})
     scores: list[float] = []
-    for score in _in_processes(jobs, workers or os.cpu_count() or 1):
+    for score in map_in_processes(partial(_score, modules), jobs, workers):
         scores.append(score)
         if progress:
             progress(1)
@@ -107,15 +115,19 @@ def evaluate_expert(
 _Job = tuple[str, int, int, float, bool]
 
 
-def _in_processes(jobs: list[_Job], workers: int) -> Iterator[float]:
-    if workers == 1 or len(jobs) < 2:
-        yield from map(_score, jobs)
-        return
-    with multiprocessing.get_context("spawn").Pool(min(workers, len(jobs))) as pool:
-        yield from pool.imap(_score, jobs, chunksize=4)
+def modules_of(task: str) -> list[str]:
+    """The modules by which a worker process learns of a task and of its expert.
+
+    Raises:
+        InvalidTaskError: the task is from outside the package and in no importable module.
+        NoExpertError: the task has no expert.
+    """
+    return sorted({*defining_modules([get_task(task)]), goals_of(task).plan.__module__})
 
 
-def _score(job: _Job) -> float:
+def _score(modules: Sequence[str], job: _Job) -> float:
+    for module in modules:
+        load_tasks(module)
     env_id, seed, number, skill, takeover = job
     parsed = parse_env_id(env_id)
     episode = int(np.random.SeedSequence([seed, number]).generate_state(1)[0])

@@ -10,7 +10,6 @@ from pathlib import Path
 from magical import __version__
 from magical.demos.generate import generate
 from magical.demos.store.dataset import Dataset
-from magical.envs.vector.workers import available_cores
 from magical.evaluation import (
     Entry,
     Policy,
@@ -22,6 +21,7 @@ from magical.evaluation.policy import is_privileged
 from magical.evaluation.rollouts import observation_for
 from magical.files import write_atomically
 from magical.learning import NetworkPolicy, find_algorithm, train
+from magical.processes import available_cores
 from magical.report.clips import png, record_clips
 from magical.report.contact_sheet import Pixels, contact_sheet
 from magical.report.curves import learning_curves

@@ -3,7 +3,14 @@
 from magical.tasks.axes import VARIANTS, Axis
 from magical.tasks.checking import check_placement
 from magical.tasks.placement import Placement
-from magical.tasks.registry import TASKS, discover, get_task, register_task, unregister_task
+from magical.tasks.registry import (
+    TASKS,
+    discover,
+    get_task,
+    load_tasks,
+    register_task,
+    unregister_task,
+)
 from magical.tasks.task import Task
 from magical.tasks.validation import validate_scene
 
@@ -15,6 +22,7 @@ __all__ = [
     "Task",
     "check_placement",
     "get_task",
+    "load_tasks",
     "register_task",
     "unregister_task",
     "validate_scene",

@@ -39,6 +39,13 @@ def get_task(name: str) -> Task:
     raise UnknownNameError(f"{name!r} is no task; expected one of: {', '.join(_tasks)}{hint}")
 
 
+def load_tasks(module: str) -> None:
+    """Import a module by name and register the tasks that it holds, if it has not done so."""
+    for task in vars(importlib.import_module(module)).values():
+        if isinstance(task, Task) and task.name not in _tasks:
+            register_task(task)
+
+
 def discover(package: str, path: Iterable[str]) -> None:
     """Register the `TASK` of every module in a package, in the order of the appendix's sections."""
     names = [f"{package}.{module.name}" for module in pkgutil.iter_modules(path)]

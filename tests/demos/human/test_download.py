@@ -99,7 +99,7 @@ def test_what_the_server_lacks_is_named(
     status = main([*command, "--files", "move-to-region/*00[4-6]*"])
     assert status == 1
     shown = capsys.readouterr()
-    assert "Demo-v0-005.pkl.gz: could not be fetched: the server says 404" in shown.err
+    assert "Demo-v0-005.pkl.gz: could not be fetched: the server answered 404" in shown.err
     assert "imported 1 demonstrations" in shown.out
     assert main([*command, "--files", "nothing/*"]) == 1
 
@@ -110,7 +110,7 @@ def test_broken_off_download_goes_on(
 ) -> None:
     url, handler = served
     handler.break_off, handler.ranges = 100_000, ranges
-    assert fetch_all({ONE: published_sums()[ONE]}, tmp_path, url) == []
+    assert fetch_all({ONE: published_sums()[ONE]}, tmp_path, url).errors == []
     assert (tmp_path / ONE).read_bytes() == (human_archive / ONE).read_bytes()
     assert [asked for _, asked in handler.asked] == [None, "bytes=100000-"]
 
@@ -122,16 +122,16 @@ def test_part_of_an_earlier_run_is_continued(
     part = tmp_path / f"{ONE}.part"
     part.parent.mkdir(parents=True)
     part.write_bytes((human_archive / ONE).read_bytes()[:5000])
-    assert fetch_all({ONE: published_sums()[ONE]}, tmp_path, url) == []
+    assert fetch_all({ONE: published_sums()[ONE]}, tmp_path, url).errors == []
     assert [asked for _, asked in handler.asked] == ["bytes=5000-"]
     part.write_bytes(b"x" * 10_000_000)  # longer than the file, and wrong
     (tmp_path / ONE).write_bytes(b"damaged")
-    assert fetch_all({ONE: published_sums()[ONE]}, tmp_path, url) == []
+    assert fetch_all({ONE: published_sums()[ONE]}, tmp_path, url).errors == []
     assert not part.exists()
 
 
 def test_wrong_bytes_are_never_kept(tmp_path: Path, served: tuple[str, type[Handler]]) -> None:
-    (error,) = fetch_all({ONE: hashlib.sha256(b"other").hexdigest()}, tmp_path, served[0])
+    (error,) = fetch_all({ONE: hashlib.sha256(b"other").hexdigest()}, tmp_path, served[0]).errors
     assert "expected SHA-256" in str(error)
     assert "MoveToRegion-Demo-v0-001" in str(error)
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]

@@ -4,11 +4,12 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+from tests.ends import alive, gone, soon
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals and /proc")
 USE = """
@@ -18,30 +19,19 @@ envs = MagicalVectorEnv(["magical/MakeLine-Demo-v0"] * 2, workers=2, observation
 envs.reset(seed=0)
 print(*envs.worker_process_ids, flush=True)
 """
+HANGING = """
+import os, threading
+from dataclasses import replace
+from pathlib import Path
+from magical import get_task
+
+def rule(scene, poses):
+    Path(__file__).with_name(str(os.getpid())).touch()
+    threading.Event().wait()
+
+TASK = replace(get_task("MakeLine"), name="Hanging", rule=rule)
+"""
 Start = Callable[[str], "subprocess.Popen[str]"]
-
-
-def alive(process_id: int) -> bool:
-    """Whether a process runs; one that has ended and waits to be collected does not."""
-    try:
-        state = Path(f"/proc/{process_id}/stat").read_text().rsplit(")", 1)[1].split()[0]
-    except (FileNotFoundError, ProcessLookupError):
-        return False
-    return state != "Z"
-
-
-def soon(condition: Callable[[], bool], seconds: float = 5.0) -> bool:
-    """Whether a condition comes true in time."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        if condition():
-            return True
-        os.sched_yield()
-    return condition()
-
-
-def gone(process_ids: list[int]) -> bool:
-    return soon(lambda: not any(map(alive, process_ids)))
 
 
 @pytest.fixture
@@ -75,6 +65,24 @@ def test_workers_end_with_their_parent(script: Start, how: signal.Signals) -> No
     errors = process.communicate(timeout=30)[1]
     assert gone(workers)
     assert errors.count("Traceback") == (how is signal.SIGINT)
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
+def test_workers_end_with_their_parent_while_a_task_hangs(
+    script: Start, how: signal.Signals, tmp_path: Path
+) -> None:
+    (tmp_path / "hanging_task.py").write_text(HANGING)
+    process = script(
+        "import magical, hanging_task\nmagical.register_task(hanging_task.TASK)\n"
+        + USE.replace("MakeLine", "Hanging").replace("workers=2", "workers=2, horizon=1")
+        + "envs.step([0, 0])"
+    )
+    assert process.stdout is not None
+    workers = [int(i) for i in process.stdout.readline().split()]
+    assert soon(lambda: all((tmp_path / str(worker)).exists() for worker in workers), 30)
+    process.send_signal(how)
+    process.communicate(timeout=30)
+    assert gone(workers)
 
 
 def test_a_fork_does_not_end_its_parents_workers(script: Start) -> None:

@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from magical.envs.vector import MagicalVectorEnv
-from magical.envs.vector.workers import RemoteSubEnvs, WorkerTraceback, split
+from magical.envs.vector.workers import RemoteSubEnvs, split
 from magical.errors import (
     ClosedEnvironmentError,
     InvalidTaskError,
@@ -22,7 +22,9 @@ from magical.errors import (
     WorkerDiedError,
     WorkerError,
 )
+from magical.processes import WorkerTraceback
 from magical.tasks import Task, register_task, unregister_task
+from tests.ends import alive, gone, soon
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals and /proc")
 IDS = ("magical/MakeLine-Demo-v0", "magical/MakeLine-TestColour-v0")
@@ -49,29 +51,6 @@ TASK = replace(get_task("MakeLine"), name="Breaking", score_fn=rule)
 def process_ids(envs: MagicalVectorEnv) -> list[int]:
     assert len(envs.worker_process_ids) == envs.workers
     return envs.worker_process_ids
-
-
-def alive(process_id: int) -> bool:
-    """Whether a process runs; one that has ended and waits to be collected does not."""
-    try:
-        state = Path(f"/proc/{process_id}/stat").read_text().rsplit(")", 1)[1].split()[0]
-    except (FileNotFoundError, ProcessLookupError):
-        return False
-    return state != "Z"
-
-
-def soon(condition: Callable[[], bool], seconds: float = 5.0) -> bool:
-    """Whether a condition comes true in time."""
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        if condition():
-            return True
-        os.sched_yield()
-    return condition()
-
-
-def gone(process_ids: list[int]) -> bool:
-    return soon(lambda: not any(map(alive, process_ids)))
 
 
 def processor_ticks(process_id: int) -> int:

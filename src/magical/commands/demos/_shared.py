@@ -1,8 +1,7 @@
-"""Arguments, progress and messages that the sub-commands of `magical demos` share."""
+"""Arguments and messages that the sub-commands of `magical demos` share."""
 
 import argparse
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,14 +56,3 @@ def log_problems(problems: "tuple[Problem, ...]") -> None:
     """Report what is wrong with a dataset on standard error."""
     for problem in problems:
         log(f"error: {problem}")
-
-
-@contextmanager
-def progress_bar(what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """A progress bar on standard error; yields what advances it."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(what, total=total)
-        yield lambda count: bar.advance(task, count)

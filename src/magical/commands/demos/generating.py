@@ -15,7 +15,6 @@ from magical.commands.demos._shared import (
     add_command,
     add_out,
     add_workers,
-    progress_bar,
 )
 
 
@@ -48,6 +47,7 @@ def run_generate(args: argparse.Namespace) -> int:
     """`magical demos generate`."""
     from magical.demos.generate import generate
     from magical.envs import parse_env_id
+    from magical.progress import progress_bar
 
     ids = [parse_env_id(env_id).without_preset for env_id in args.env]
     reports = []

@@ -14,7 +14,6 @@ from magical.commands.demos._shared import (
     add_command,
     add_out,
     add_workers,
-    progress_bar,
 )
 from magical.errors import DownloadError
 from magical.untrusted import printable
@@ -62,6 +61,7 @@ def run_download(args: argparse.Namespace) -> int:
     from magical.demos import Dataset, DatasetWriter
     from magical.demos.human.download import BASE_URL, fetch_all
     from magical.demos.human.published import MAX_UNPACKED, published_sums
+    from magical.progress import progress_bar
 
     wanted = {f: s for f, s in published_sums().items() if fnmatch.fnmatch(f, args.files)}
     if not wanted:
@@ -102,6 +102,7 @@ def _import(
     not_fetched: Sequence[str] = (),
 ) -> int:
     from magical.demos.human.importing import import_published
+    from magical.progress import progress_bar
 
     with progress_bar("import", len(files)) as advance:
         report = import_published(

@@ -11,7 +11,6 @@ from magical.commands.demos._shared import (
     log_problems,
     names,
     number,
-    progress_bar,
 )
 from magical.untrusted import printable
 
@@ -85,6 +84,7 @@ def run_replay(args: argparse.Namespace) -> int:
     """`magical demos replay`: exit status 1 if anything is damaged."""
     from magical.demos import Dataset
     from magical.demos.replay import mean_replays, replay
+    from magical.progress import progress_bar
 
     dataset = Dataset.open(args.dataset, skip_damaged=True)
     replays = []

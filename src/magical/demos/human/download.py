@@ -4,7 +4,6 @@ The server is not trusted: addresses, redirects, headers and the rate of transfe
 only files with the published SHA-256 sums are returned.
 """
 
-import hashlib
 import http.client
 import re
 import socket
@@ -21,7 +20,7 @@ from email.message import Message
 from pathlib import Path
 from typing import IO, Any
 
-from magical.demos.store.regular_files import open_regular
+from magical.demos.store.regular_files import open_regular, sha256_sum
 from magical.errors import DownloadError
 from magical.untrusted import printable, quoted
 
@@ -234,7 +233,7 @@ def _sum(path: Path) -> str:
     """The SHA-256 of a file; empty if there is none, or it is not a regular file."""
     try:
         with open_regular(path) as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+            return sha256_sum(file)
     except OSError:
         return ""
 

@@ -1,23 +1,22 @@
 """Importing the published human demonstrations into a dataset."""
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from magical.demos.human.published import MAX_UNPACKED, read_published
-from magical.demos.processes import in_processes, usable_cores
+from magical.demos.human.published import MAX_PATH, MAX_UNPACKED, read_published
 from magical.demos.store.codec import encode
 from magical.demos.store.dataset import Dataset
 from magical.demos.store.manifest import ManifestEntry
-from magical.demos.store.regular_files import open_regular
+from magical.demos.store.regular_files import open_regular, sha256_sum
 from magical.demos.store.writer import DatasetWriter
 from magical.errors import DatasetError, MagicalError
+from magical.processes import available_cores, map_in_processes
+from magical.untrusted import printable
 
 SUFFIX = ".pkl.gz"
 Progress = Callable[[int], None]  # called with the number of files finished since the last call
-_Result = tuple[ManifestEntry, bytes] | MagicalError
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,13 +76,13 @@ def import_published(
     advance = progress or (lambda _: None)
     advance(len(already))
     imported, duplicates, failed = [], [], []
-    workers = min(workers or usable_cores(), len(wanted))
-    results = in_processes(partial(_convert, max_bytes=max_bytes), wanted, workers)
+    workers = min(workers or available_cores(), len(wanted))
+    convert = partial(_convert, max_bytes=max_bytes, sums=sums)
+    results = map_in_processes(convert, wanted, workers, on_error="return")
     for file, result in zip(wanted, results, strict=True):
         advance(1)
-        problem = _problem(file, result, sums)
-        if problem or isinstance(result, MagicalError):
-            failed.append((str(file), problem))
+        if isinstance(result, Exception):
+            failed.append((str(file), _reason(file, result)))
             continue
         earlier = first.setdefault(result[0].fingerprint, file.name)
         if earlier != file.name:
@@ -99,25 +98,26 @@ def _sum(file: Path) -> str:
     """The file's SHA-256; empty where it cannot be read, which reading it later reports."""
     try:
         with open_regular(file, follow_links=True) as opened:
-            return hashlib.file_digest(opened, "sha256").hexdigest()
+            return sha256_sum(opened)
     except OSError:
         return ""
 
 
-def _problem(file: Path, result: _Result, sums: Mapping[Path, str] | None) -> str:
-    """Why a file is not imported; empty if it is."""
-    if isinstance(result, MagicalError):
-        return str(result)
-    found = result[0].source_sha256 or ""
-    if sums is not None and found != sums[file]:
-        return f"{file}: expected SHA-256 {sums[file][:12]}..., found {found[:12]}..."
-    return ""
+def _convert(
+    file: Path, max_bytes: int, sums: Mapping[Path, str] | None
+) -> tuple[ManifestEntry, bytes]:
+    trajectory = read_published(file, max_bytes)
+    raw = encode(trajectory)
+    entry = ManifestEntry.of(trajectory, raw)
+    if sums is not None and entry.source_sha256 != sums[file]:
+        found = str(entry.source_sha256)
+        raise DatasetError(f"expected SHA-256 {sums[file][:12]}..., found {found[:12]}...")
+    return entry, raw
 
 
-def _convert(file: Path, max_bytes: int) -> _Result:
-    try:
-        trajectory = read_published(file, max_bytes)
-        raw = encode(trajectory)
-        return ManifestEntry.of(trajectory, raw), raw
-    except MagicalError as error:
-        return error
+def _reason(file: Path, error: Exception) -> str:
+    """Why a file failed, with its name."""
+    name = printable(str(file), MAX_PATH)
+    known = isinstance(error, MagicalError)
+    reason = str(error) if known else printable(f"{type(error).__name__}: {error}")
+    return reason if name in reason else f"{name}: {reason}"

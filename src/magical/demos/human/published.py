@@ -1,7 +1,6 @@
 """Published human demonstrations: gzipped pickles of 384 x 384 frames (milbench, 2020)."""
 
 import gzip
-import hashlib
 import zlib
 from collections.abc import Mapping
 from functools import cache
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.demos.human.safe_pickle import Array, Record, load
-from magical.demos.store.regular_files import open_regular
+from magical.demos.store.regular_files import open_regular, sha256_sum
 from magical.demos.store.trajectory import MAX_NAME, Trajectory
 from magical.envs.ids import parse_env_id
 from magical.errors import MagicalError, TrajectoryError, UnsafeFileError
@@ -22,6 +21,7 @@ from magical.scene.constants import FRAME_SIZE, RAW_FRAME_SIZE
 from magical.untrusted import printable, quoted
 
 MAX_UNPACKED = 512 << 20  # bytes; the largest published file unpacks to 213 MB
+MAX_PATH = 1000  # characters of a path in a message
 BINNING = RAW_FRAME_SIZE // FRAME_SIZE  # pixels averaged along each axis
 _CHUNK = 1 << 17
 _VIEWS = (str(View.ALLO), str(View.EGO))
@@ -42,10 +42,10 @@ def read_published(path: Path, max_bytes: int = MAX_UNPACKED) -> Trajectory:
             holds anything but a demonstration's plain data.
         TrajectoryError: its arrays do not fit together.
     """
-    name = printable(str(path), 1000)
+    name = printable(str(path), MAX_PATH)
     try:
         with open_regular(path, follow_links=True) as file:
-            source = hashlib.file_digest(file, "sha256").hexdigest()
+            source = sha256_sum(file)
             check_unpacked_size(file, max_bytes)
             file.seek(0)
             with gzip.open(file) as unpacked:

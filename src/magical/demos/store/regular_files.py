@@ -1,6 +1,7 @@
 """Opening regular files only: a device or FIFO under a file's name would block or never end."""
 
 import errno
+import hashlib
 import os
 import stat
 from pathlib import Path
@@ -14,6 +15,7 @@ _FLAGS = {
 }
 # None of these exists on every platform; O_NONBLOCK keeps the opening of a FIFO from waiting.
 _SAFE = sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))
+_CHUNK = 1 << 18  # bytes
 _NO_LINKS = getattr(os, "O_NOFOLLOW", 0)
 
 
@@ -44,6 +46,14 @@ def open_regular(
     except BaseException:
         os.close(descriptor)
         raise
+
+
+def sha256_sum(file: IO[bytes]) -> str:
+    """The SHA-256 sum of the rest of a file."""
+    digest = hashlib.sha256()
+    while chunk := file.read(_CHUNK):
+        digest.update(chunk)
+    return digest.hexdigest()
 
 
 def _check_regular(status: os.stat_result, path: Path) -> None:

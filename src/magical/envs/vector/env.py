@@ -21,7 +21,7 @@ from magical.envs.vector.checks import (
 from magical.envs.vector.copies import Copies
 from magical.envs.vector.infos import Infos, same_step_infos, score_infos
 from magical.envs.vector.sub_envs import SubEnvs, VectorSpec, common_observation
-from magical.envs.vector.workers import RemoteSubEnvs, available_cores, defining_modules
+from magical.envs.vector.workers import RemoteSubEnvs, defining_modules
 from magical.errors import (
     ClosedEnvironmentError,
     UnknownNameError,
@@ -29,6 +29,7 @@ from magical.errors import (
 )
 from magical.observe import Observation
 from magical.observe.arrays import copy_arrays, select
+from magical.processes import available_cores
 from magical.scene.actions import NUM_ACTIONS
 from magical.scene.constants import RAW_FRAME_SIZE
 from magical.scene.poses import Poses

@@ -7,12 +7,9 @@ pipe of requests closes, because the parent closed it or is gone, the worker end
 
 import contextlib
 import gc
-import importlib
 import json
 import os
-import signal
 import struct
-import traceback
 from collections.abc import Sequence
 from typing import Any
 
@@ -21,9 +18,10 @@ import numpy as np
 from magical.envs.episode import Episode
 from magical.envs.vector.buffers import VectorBuffers, open_memory
 from magical.envs.vector.sub_envs import SubEnvs, VectorSpec
+from magical.processes import describe
 from magical.scene.actions import NOOP
 from magical.scene.scene import Dynamics, Scene
-from magical.tasks import TASKS, Task, register_task
+from magical.tasks import load_tasks
 
 STEP, CALL = b"s", b"c"  # requests
 DONE, RESULT, ERROR = b".", b"r", b"!"  # replies
@@ -58,24 +56,13 @@ def receive(descriptor: int) -> tuple[bytes, Any]:
     return kind, json.loads(_read(descriptor, length))
 
 
-def main() -> None:
-    """Serve the parent until it goes away. Nobody but `workers.py` starts this."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's affair
-    requests, replies = os.dup(0), os.dup(1)
-    os.dup2(2, 1)  # what tasks print must not get among the replies
-    nothing = os.open(os.devnull, os.O_RDONLY)
-    os.dup2(nothing, 0)
-    os.close(nothing)
-    with contextlib.suppress(EOFError, BrokenPipeError):
-        _serve(requests, replies)
-
-
-def _serve(requests: int, replies: int) -> None:
+def main(requests: int, replies: int) -> None:
+    """Serve the parent until it closes the pipes; `RemoteSubEnvs` starts this in a child."""
     _, setup = receive(requests)
     try:
         sub_envs = _make_sub_envs(**setup)
     except Exception as error:
-        send(replies, encode(ERROR, _describe(error)))
+        send(replies, encode(ERROR, describe(error)))
         return
     # What is loaded by now stays; without it collections take a millisecond or two.
     gc.collect()
@@ -92,7 +79,7 @@ def _serve(requests: int, replies: int) -> None:
             reply = encode(RESULT, result) if result else encode(DONE)
             begun += len(result) if isinstance(result, list) else 0
         except Exception as error:
-            reply = encode(ERROR, _describe(error))
+            reply = encode(ERROR, describe(error))
         send(replies, reply)
         if begun >= EPISODES_KEPT:
             gc.collect()
@@ -103,7 +90,7 @@ def _make_sub_envs(
     spec: dict[str, Any], rows: Sequence[int], handle: int | str, plugins: Sequence[str]
 ) -> SubEnvs:
     for plugin in plugins:
-        _load_tasks(plugin)
+        load_tasks(plugin)
     checked = VectorSpec.from_dict(spec)
     layout = checked.layout()
     memory = open_memory(handle, layout.size)
@@ -120,22 +107,6 @@ def _warm_up(spec: VectorSpec) -> None:
     with contextlib.suppress(Exception):  # an error here will be raised again by the first reset
         episode.start(np.random.default_rng(0))
         episode.step(NOOP)
-
-
-def _load_tasks(plugin: str) -> None:
-    """Import a module and register the tasks it defines, if it has not done so itself."""
-    for task in vars(importlib.import_module(plugin)).values():
-        if isinstance(task, Task) and task.name not in TASKS:
-            register_task(task)
-
-
-def _describe(error: Exception) -> dict[str, Any]:
-    return {
-        "name": type(error).__qualname__,
-        "arguments": [a if isinstance(a, (str, int, float)) else str(a) for a in error.args],
-        "notes": getattr(error, "__notes__", []),
-        "traceback": "".join(traceback.format_exception(error)),
-    }
 
 
 def _plain(value: Any) -> Any:

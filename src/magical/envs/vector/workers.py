@@ -1,9 +1,6 @@
 """The parent's side of worker processes: starting, talking to, and ending them."""
 
-import builtins
-import json
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -14,29 +11,16 @@ from types import ModuleType
 from typing import Any
 
 import magical.tasks
-from magical import errors
 from magical.envs.vector.buffers import SharedMemory
 from magical.envs.vector.sub_envs import Seeds, VectorSpec
 from magical.envs.vector.worker import CALL, ERROR, STEP, encode, receive, send
-from magical.errors import InvalidTaskError, WorkerDiedError, WorkerError
+from magical.errors import InvalidTaskError, WorkerDiedError
+from magical.processes import Child, rebuild
 from magical.scene.scene import Scene
 from magical.tasks import Task
 
 _PATIENCE = 2.0  # seconds that workers are given to end by themselves
-_START = (
-    "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
-    "from magical.envs.vector.worker import main; main()"
-)
-# A worker uses one core; libraries that start a thread for each core would only cost memory.
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 Started = list[tuple[int, Scene | Mapping[str, Any]]]
-
-
-class WorkerTraceback(Exception):
-    """What went wrong in a worker, in its own words."""
-
-    def __str__(self) -> str:
-        return f"in a worker process:\n\n{self.args[0]}"
 
 
 class RemoteSubEnvs:
@@ -67,7 +51,7 @@ class RemoteSubEnvs:
     @property
     def process_ids(self) -> list[int]:
         """The workers' process ids."""
-        return [worker.process.pid for worker in self._workers]
+        return [worker.child.process.pid for worker in self._workers]
 
     def step(self) -> Started:
         """See `Batch.step`."""
@@ -124,11 +108,11 @@ class RemoteSubEnvs:
                 self._mourn(worker)
         for kind, data in answers:
             if kind == ERROR:
-                raise _rebuilt(data) from WorkerTraceback(data["traceback"])
+                raise rebuild(data)
         return [data for _, data in answers]
 
     def _mourn(self, worker: "_Worker") -> None:
-        end = worker.describe_end()
+        end = worker.child.describe_end()
         self.close()
         raise WorkerDiedError(
             f"worker {worker.index} (environments {worker.rows[0]} to {worker.rows[-1]}: "
@@ -146,25 +130,9 @@ class _Worker:
         self.index = index
         self.rows = rows
         self.env_ids = env_ids
-        # A process group of its own keeps a terminal's Ctrl-C away while the interpreter starts.
-        group: dict[str, Any] = (
-            {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0)}
-            if os.name == "nt"
-            else {"process_group": 0}
-        )
-        self.process = subprocess.Popen(
-            [sys.executable, "-c", _START, json.dumps(sys.path)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            bufsize=0,
-            env={**os.environ, **_ONE_THREAD},
-            pass_fds=inherited,
-            **group,
-        )
-        assert self.process.stdin is not None
-        assert self.process.stdout is not None
-        self._requests = self.process.stdin.fileno()
-        self._replies = self.process.stdout.fileno()
+        self.child = Child("magical.envs.vector.worker", inherited)
+        self._requests = self.child.requests.fileno()
+        self._replies = self.child.replies.fileno()
 
     def ask(self, message: bytes) -> None:
         """Send a request."""
@@ -174,35 +142,12 @@ class _Worker:
         """Wait for the reply; raises `EOFError` if the worker has ended."""
         return receive(self._replies)
 
-    def hang_up(self) -> None:
-        """Close both pipes, which the worker takes as its end."""
-        for pipe in (self.process.stdin, self.process.stdout):
-            if pipe is not None:
-                pipe.close()
-
-    def describe_end(self) -> str:
-        """How the process ended."""
-        try:
-            code = self.process.wait(_PATIENCE)
-        except subprocess.TimeoutExpired:
-            return "stopped answering"
-        if code >= 0:
-            return f"ended with exit status {code}"
-        return f"was killed by signal {-code} ({signal.Signals(-code).name})"
-
 
 def split(count: int, workers: int) -> Iterator[range]:
     """Shares of `count` worlds for at most `workers` workers, in order, as even as can be."""
     workers = min(workers, count)
     for i in range(workers):
         yield range(count * i // workers, count * (i + 1) // workers)
-
-
-def available_cores() -> int:
-    """How many cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def defining_modules(tasks: Sequence[Task]) -> list[str]:
@@ -222,7 +167,7 @@ def _defining_module(task: Task) -> str:
     raise InvalidTaskError(
         f"task {task.name}: workers import tasks by themselves, and no importable module holds "
         "this one (the main script is never imported); move it to a module and give that "
-        "module's name in plugins=[...], or use workers=0"
+        "module's name in plugins=[...], or use workers=0 (for experts, workers=1)"
     )
 
 
@@ -230,28 +175,14 @@ def _holds(module: ModuleType, task: Task) -> bool:
     return any(value is task for value in list(getattr(module, "__dict__", {}).values()))
 
 
-def _rebuilt(data: Mapping[str, Any]) -> Exception:
-    """The worker's exception; of class `WorkerError` if it is neither ours nor built in."""
-    kind = getattr(errors, data["name"], None) or getattr(builtins, data["name"], None)
-    error: Exception = WorkerError(f"{data['name']}: {', '.join(map(str, data['arguments']))}")
-    if isinstance(kind, type) and issubclass(kind, Exception):
-        with suppress(TypeError):  # its constructor wants other arguments
-            error = kind(*data["arguments"])
-    for note in data["notes"]:
-        error.add_note(note)
-    return error
-
-
 def _end(workers: list[_Worker], owner: int) -> None:
     """End workers and wait until they have; kill those that take too long."""
     if os.getpid() != owner:  # a fork of the process they belong to
         return
     for worker in workers:
-        worker.hang_up()
+        worker.child.hang_up()
     deadline = time.monotonic() + _PATIENCE
     for worker in workers:
-        try:
-            worker.process.wait(max(0.0, deadline - time.monotonic()))
-        except subprocess.TimeoutExpired:
-            worker.process.kill()
-            worker.process.wait()
+        with suppress(subprocess.TimeoutExpired):
+            worker.child.process.wait(max(0.0, deadline - time.monotonic()))
+        worker.child.close()

@@ -1,0 +1,125 @@
+"""A child process: a fresh interpreter that ends with this one, however this one ends."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, Any
+
+from magical.processes.import_path import (
+    absolute_python_path,
+    folders_of_modules,
+    import_path,
+)
+
+_START = Path(__file__).with_name("start.py")
+_WAIT = 2.0  # seconds that a child is given to end once its pipes are closed
+# A child uses one core; libraries that start a thread for each core would only cost memory.
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+class Child:
+    """A fresh interpreter that runs `main(requests, replies)` of a module.
+
+    `main` gets the descriptors of two pipes, one to read requests from and one to write replies
+    to; what it prints goes to standard error. The child imports what this process would, except
+    from the working folder (see `import_path`). It ends when this process does, even in the middle
+    of a computation, and ignores Ctrl-C, which is this process's to handle.
+
+    Args:
+        module: the module's name.
+        inherited: file descriptors to keep open in the child (not on Windows).
+
+    Attributes:
+        process: the process.
+        requests: the writing end of the pipe of requests.
+        replies: the reading end of the pipe of replies.
+    """
+
+    def __init__(self, module: str, inherited: Sequence[int] = ()) -> None:
+        path = import_path()
+        setup = {"module": module, "path": path, "folders": folders_of_modules(path)}
+        read_end, write_end = _lifeline()
+        try:
+            self.process = _start(setup, read_end, inherited)
+        except BaseException:
+            os.close(write_end)
+            raise
+        finally:
+            os.close(read_end)
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        self.requests: IO[bytes] = self.process.stdin
+        self.replies: IO[bytes] = self.process.stdout
+        self._lifeline = os.fdopen(write_end, "wb")
+
+    def hang_up(self) -> None:
+        """Close the pipes of requests and replies, at which `main` should return."""
+        for pipe in (self.requests, self.replies):
+            with suppress(OSError):  # what could not be written any more
+                pipe.close()
+
+    def kill(self) -> None:
+        """End the process at once, whatever it is doing, and wait for its end."""
+        self.process.kill()
+        self.process.wait()
+
+    def close(self) -> None:
+        """Kill the process if it runs, and close all pipes."""
+        self.kill()
+        self.hang_up()
+        self._lifeline.close()
+
+    def describe_end(self) -> str:
+        """How the process ended, for a message: "was killed by signal 9 (SIGKILL)"."""
+        try:
+            code = self.process.wait(_WAIT)
+        except subprocess.TimeoutExpired:
+            return "stopped answering"
+        if code >= 0:
+            return f"ended with exit status {code}"
+        name = f" ({signal.Signals(-code).name})" if -code in set(signal.Signals) else ""
+        return f"was killed by signal {-code}{name}"
+
+
+def _lifeline() -> tuple[int, int]:
+    """A pipe, not at descriptors 0 to 2 even if they are free: a child has others there."""
+    ends = os.pipe()
+    if sys.platform == "win32" or min(ends) > 2:
+        return ends
+    import fcntl
+
+    above = [fcntl.fcntl(end, fcntl.F_DUPFD_CLOEXEC, 3) for end in ends]
+    for end in ends:
+        os.close(end)
+    return above[0], above[1]
+
+
+def _start(
+    setup: dict[str, Any], lifeline: int, inherited: Sequence[int]
+) -> "subprocess.Popen[bytes]":
+    platform: dict[str, Any]
+    # A process group of its own keeps a terminal's Ctrl-C away while the interpreter starts.
+    if sys.platform == "win32":
+        import msvcrt
+
+        lifeline = msvcrt.get_osfhandle(lifeline)
+        os.set_handle_inheritable(lifeline, True)
+        platform = {
+            "creationflags": subprocess.CREATE_NEW_PROCESS_GROUP,
+            "startupinfo": subprocess.STARTUPINFO(lpAttributeList={"handle_list": [lifeline]}),
+        }
+    else:
+        platform = {"process_group": 0, "pass_fds": (lifeline, *inherited)}
+    return subprocess.Popen(
+        # -P: the folder of the file that is run is not put on `sys.path`.
+        [sys.executable, "-P", str(_START), json.dumps({**setup, "lifeline": lifeline})],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env={**os.environ, **_ONE_THREAD, "PYTHONPATH": absolute_python_path()},
+        **platform,
+    )

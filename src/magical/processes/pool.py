@@ -1,0 +1,214 @@
+"""A function mapped over items in several processes: the one pool for finite work."""
+
+import atexit
+import os
+import pickle
+import struct
+from collections import deque
+from collections.abc import Callable, Generator, Iterable
+from concurrent.futures import Future
+from contextlib import closing
+from queue import SimpleQueue
+from threading import Lock, Thread
+from typing import IO, Any, Literal, TypeVar, overload
+
+from magical.errors import WorkerDiedError
+from magical.processes.children import Child
+from magical.processes.exceptions import describe, rebuild
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+_LENGTH = struct.Struct("!Q")  # of a message, before it
+
+
+def available_cores() -> int:
+    """The number of processor cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+@overload
+def map_in_processes(
+    work: Callable[[Item], Result],
+    items: Iterable[Item],
+    workers: int | None = None,
+    *,
+    on_error: Literal["raise"] = "raise",
+) -> Generator[Result, None, None]: ...
+
+
+@overload
+def map_in_processes(
+    work: Callable[[Item], Result],
+    items: Iterable[Item],
+    workers: int | None = None,
+    *,
+    on_error: Literal["return"],
+) -> Generator[Result | Exception, None, None]: ...
+
+
+def map_in_processes(
+    work: Callable[[Item], Result],
+    items: Iterable[Item],
+    workers: int | None = None,
+    *,
+    on_error: Literal["raise", "return"] = "raise",
+) -> Generator[Result | Exception, None, None]:
+    """Yield `work(item)` for each item, in the items' order, computed in child processes.
+
+    Only a few results wait at any time, so items may be infinite; closing the generator kills the
+    processes. They end with this process too, however it ends, and leave nothing behind. A process
+    that dies costs the item it was working on and is replaced. The main script is never imported,
+    so it needs no `if __name__ == "__main__":`, and `work` must be in a module that can be.
+
+    Args:
+        work: a function that pickle can name, such as one at the top of a module, or a partial.
+        items: what can be pickled.
+        workers: the number of processes; with 1 everything is done in this process. Default: one
+            for each available core.
+        on_error: what to do with an exception in `work`, and with the `WorkerDiedError` of a
+            process that died: "raise" it, or "return" it as the item's result and go on. From a
+            child, an exception that is neither built in nor of `magical.errors` is a
+            `WorkerError`; its cause is the child's traceback.
+
+    Raises:
+        WorkerDiedError: a process ended by itself or was killed.
+    """
+    count = available_cores() if workers is None else workers
+    results = _map_here(work, items) if count <= 1 else _map_in_pool(work, items, count)
+    with closing(results):
+        for result in results:
+            error = result.exception() if on_error == "return" else None
+            yield error if isinstance(error, Exception) else result.result()
+
+
+def _map_here(
+    work: Callable[[Item], Result], items: Iterable[Item]
+) -> Generator["Future[Result]", None, None]:
+    for item in items:
+        result: Future[Result] = Future()
+        try:
+            result.set_result(work(item))
+        except Exception as error:
+            result.set_exception(error)
+        yield result
+
+
+def _map_in_pool(
+    work: Callable[[Item], Result], items: Iterable[Item], count: int
+) -> Generator["Future[Result]", None, None]:
+    with closing(_Pool(count)) as pool:
+        waiting: deque[Future[Result]] = deque()
+        for item in items:
+            waiting.append(pool.submit(work, item))
+            if len(waiting) > 2 * count:
+                yield waiting.popleft()
+        yield from waiting
+
+
+class _Pool:
+    """Child processes, and as many threads, each of which waits for the answer to one task."""
+
+    def __init__(self, count: int) -> None:
+        self._tasks: SimpleQueue[tuple[bytes, Future[Any]] | None] = SimpleQueue()
+        self._children: list[Child] = []
+        self._idle: list[Child] = []  # those without a task
+        self._lock = Lock()  # held while a child is chosen, started or removed
+        self._closed = False
+        self._owner = os.getpid()
+        atexit.register(self.close)  # while the threads can still run
+        self._threads = [Thread(target=self._serve, daemon=True) for _ in range(count)]
+        for thread in self._threads:
+            thread.start()
+
+    def submit(self, work: Callable[[Item], Result], item: Item) -> "Future[Result]":
+        """Compute `work(item)` in a child as soon as one is idle."""
+        result: Future[Result] = Future()
+        self._tasks.put((pickle.dumps((work, item)), result))
+        return result
+
+    def close(self) -> None:
+        """End all children at once, whatever they are doing."""
+        if os.getpid() != self._owner:  # a fork of the process that they belong to
+            return
+        atexit.unregister(self.close)
+        with self._lock:
+            self._closed = True
+            for child in self._children:
+                child.kill()
+        for _ in self._threads:
+            self._tasks.put(None)
+        for thread in self._threads:
+            thread.join()
+        for child in self._children:
+            child.close()
+
+    def _serve(self) -> None:
+        while task := self._tasks.get():
+            message, result = task
+            try:
+                result.set_result(self._compute(message))
+            except BaseException as error:
+                result.set_exception(error)
+
+    def _compute(self, message: bytes) -> Any:
+        child = self._idle_child()
+        try:
+            _send(child.requests, message)
+            reply = _receive(child.replies)
+        except (EOFError, OSError):
+            end = child.describe_end()
+            with self._lock:
+                self._children.remove(child)
+            child.close()
+            raise WorkerDiedError(f"a worker process {end}") from None
+        self._idle.append(child)
+        succeeded, value = pickle.loads(reply)  # noqa: S301  (our own child's)
+        if succeeded:
+            return value
+        raise rebuild(value)
+
+    def _idle_child(self) -> Child:
+        """A child without a task, started if there is none."""
+        with self._lock:
+            if self._idle:
+                return self._idle.pop()
+            if self._closed:
+                raise WorkerDiedError("the pool of processes is closed")
+            self._children.append(Child(__name__))
+            return self._children[-1]
+
+
+def main(requests: int, replies: int) -> None:
+    """The child's side: compute one task after another until the parent closes the pipes."""
+    with os.fdopen(requests, "rb") as incoming, os.fdopen(replies, "wb") as outgoing:
+        while True:
+            _send(outgoing, _answer(_receive(incoming)))
+
+
+def _answer(message: bytes) -> bytes:
+    try:
+        work, item = pickle.loads(message)  # noqa: S301  (our own parent's)
+        return pickle.dumps((True, work(item)))
+    except Exception as error:
+        return pickle.dumps((False, describe(error)))
+
+
+def _send(pipe: IO[bytes], message: bytes) -> None:
+    """Write a message; raises `BrokenPipeError` if the other process has ended."""
+    pipe.write(_LENGTH.pack(len(message)))
+    pipe.write(message)
+    pipe.flush()
+
+
+def _receive(pipe: IO[bytes]) -> bytes:
+    """Read a message; raises `EOFError` if the other process has ended."""
+    header = pipe.read(_LENGTH.size)
+    if len(header) < _LENGTH.size:
+        raise EOFError
+    (length,) = _LENGTH.unpack(header)
+    message = pipe.read(length)
+    if len(message) < length:
+        raise EOFError
+    return message

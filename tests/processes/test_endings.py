@@ -1,0 +1,196 @@
+"""However a program ends, the processes of its pool end as well and leave nothing behind."""
+
+import gzip
+import os
+import signal
+import subprocess
+import sys
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from uuid import uuid4
+
+import pytest
+
+from tests.ends import alive, gone, soon
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals and /proc")
+PROGRAM = """
+import os, signal, sys
+from pathlib import Path
+from magical.processes import map_in_processes
+from tests.processes import work
+results = map_in_processes(work.{function}, ["", *["."] * 9], 2)
+next(results)
+while len(found := [*Path().iterdir()]) < 2:
+    pass
+print(*found, flush=True)
+{end}
+"""
+
+
+Run = Callable[..., "Program"]
+
+
+class Program:
+    """A program whose processes are known by a mark in their environment."""
+
+    def __init__(self, *command: str) -> None:
+        self.mark = f"MARK={uuid4()}"
+        environment = {**os.environ, "MARK": self.mark.partition("=")[2]}
+        self.process = subprocess.Popen(
+            command,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+
+    def process_ids(self) -> list[int]:
+        """Every process of the program that runs."""
+        found = []
+        for folder in Path("/proc").glob("[0-9]*"):
+            try:
+                if self.mark.encode() in (folder / "environ").read_bytes().split(b"\0"):
+                    found.append(int(folder.name))
+            except OSError:  # has ended
+                continue
+        return [process_id for process_id in found if alive(process_id)]
+
+
+@pytest.fixture
+def run() -> Iterator[Run]:
+    """Starts programs, all of whose processes are killed in the end."""
+    programs: list[Program] = []
+
+    def start(*command: str) -> Program:
+        programs.append(Program(sys.executable, *command))
+        return programs[-1]
+
+    yield start
+    for program in programs:
+        for process_id in program.process_ids():
+            os.kill(process_id, signal.SIGKILL)
+        program.process.communicate()
+
+
+def named_memory(process_ids: list[int]) -> list[str]:
+    """What processes share under a name, semaphores too, which could be left behind."""
+    maps = "\n".join(Path(f"/proc/{process_id}/maps").read_text() for process_id in process_ids)
+    return [line for line in maps.splitlines() if "/dev/shm/" in line]
+
+
+def opened_files(process_ids: list[int], pattern: str) -> list[Path]:
+    """The matching files that processes have open."""
+    found = []
+    for process_id in process_ids:
+        for link in Path(f"/proc/{process_id}/fd").glob("*"):
+            with suppress(OSError):  # closed, or the process has ended
+                found.append(link.readlink())
+    return [path for path in found if path.match(pattern)]
+
+
+@pytest.fixture
+def slow_files(tmp_path: Path) -> Path:
+    """Files under the names of published ones, each of which takes a second to unpack."""
+    member = gzip.compress(bytes(1 << 24), 1)
+    folder = tmp_path / "files"
+    folder.mkdir()
+    for i in range(20):
+        (folder / f"demo-{i}.pkl.gz").write_bytes(member * 30 + zlib.compress(bytes([i])))
+    return folder
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+def test_killing_generate_leaves_nothing(how: signal.Signals, run: Run, tmp_path: Path) -> None:
+    env_id = "magical/ClusterColour-TestAll-v0"
+    program = run(
+        *("-m", "magical", "demos", "generate", "--env", env_id, "-n", "10000"),
+        *("--out", str(tmp_path / "out"), "--workers", "2"),
+    )
+    assert soon(lambda: any((tmp_path / "out").glob("trajectories/*.npz")), 60)
+    processes = program.process_ids()
+    assert (len(processes), named_memory(processes)) == (3, [])
+    program.process.send_signal(how)
+    assert gone(processes)
+    assert program.process_ids() == []
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
+def test_killing_import_leaves_nothing(
+    how: signal.Signals, run: Run, tmp_path: Path, slow_files: Path
+) -> None:
+    program = run(
+        *("-m", "magical", "demos", "import", str(slow_files)),
+        *("--out", str(tmp_path / "out"), "--workers", "2"),
+    )
+
+    def both_read() -> bool:
+        children = [i for i in program.process_ids() if i != program.process.pid]
+        return len(opened_files(children, "*.pkl.gz")) == 2
+
+    assert soon(both_read, 60)
+    processes = program.process_ids()
+    assert (len(processes), named_memory(processes)) == (3, [])
+    program.process.send_signal(how)
+    assert gone(processes)
+    assert program.process_ids() == []
+
+
+@pytest.mark.parametrize(
+    ("end", "function"),
+    [
+        ("sys.exit(3)", "compute_for_ever"),  # with an iterator that is still open
+        ("raise RuntimeError", "wait_for_ever"),
+        ("os._exit(3)", "wait_for_ever"),
+        ("os.kill(os.getpid(), signal.SIGINT)", "compute_for_ever"),
+        ("os.kill(os.getpid(), signal.SIGKILL)", "compute_for_ever"),
+        ("os.kill(os.getpid(), signal.SIGKILL)", "wait_for_ever"),
+    ],
+)
+def test_processes_end_with_their_parent_in_the_middle_of_their_work(
+    end: str,
+    function: str,
+    run: Run,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    root: Path,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([*sys.path, str(root)]))
+    program = run("-c", PROGRAM.format(function=function, end=end))
+    output, errors = program.process.communicate(timeout=60)
+    assert (len(output.split()), program.process.returncode != 0) == (2, True)
+    assert gone(map(int, output.split()))
+    assert program.process_ids() == []
+    assert errors.count("Traceback") == (end.startswith("raise") or "SIGINT" in end)
+
+
+@pytest.mark.parametrize("closed", ["<&-", "<&- 2>&-", "<&- >&- 2>&-"])
+def test_standard_streams_may_be_closed(closed: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
+    text = """
+from magical.processes import map_in_processes
+assert list(map_in_processes(abs, [-1, -2], 2)) == [1, 2]
+"""
+    command = ["sh", "-c", f'exec "$0" -c "$1" {closed}', sys.executable, text]
+    assert subprocess.run(command, check=False).returncode == 0
+
+
+def test_a_fork_does_not_end_the_processes_of_its_parent(
+    run: Run, monkeypatch: pytest.MonkeyPatch, root: Path
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([*sys.path, str(root)]))
+    text = """
+import itertools, os, sys
+from magical.processes import map_in_processes
+results = map_in_processes(abs, itertools.count(), 2)
+print(next(results), flush=True)
+if not (child := os.fork()):
+    sys.exit()
+print(os.waitpid(child, 0)[1], *itertools.islice(results, 9))
+"""
+    output, errors = run("-c", text).process.communicate(timeout=60)
+    assert (output, errors) == ("0\n0 1 2 3 4 5 6 7 8 9\n", "")

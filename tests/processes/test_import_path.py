@@ -1,0 +1,140 @@
+"""What children import: never what lies in the working folder without having been chosen."""
+
+import os
+import subprocess
+import sys
+from importlib.machinery import ModuleSpec
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from magical.processes.import_path import absolute_python_path, folders_of_modules, import_path
+
+HOSTILE = (
+    *("json", "pickle", "struct", "signal", "threading", "subprocess", "multiprocessing"),
+    *("numpy", "gymnasium", "magical", "sitecustomize", "usercustomize"),
+)
+# Arms the working folder once this process has imported what it needs, then starts children.
+PROGRAM = f"""
+from pathlib import Path
+import beside
+from magical.envs.vector import MagicalVectorEnv
+from magical.processes import map_in_processes
+for name in {HOSTILE!r}:
+    Path(name + ".py").write_text("open('executed', 'a').write(__name__ + ' ')")
+print(*map_in_processes(beside.double, [1, 2], 2))
+envs = MagicalVectorEnv(["magical/MakeLine-Demo-v0"] * 2, workers=2, observation="state")
+envs.reset(seed=0)
+envs.close()
+"""
+BESIDE = "def double(number):\n    return 2 * number\n"
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working folder."""
+    path = tmp_path / "folder"
+    path.mkdir()
+    monkeypatch.chdir(path)
+    return path
+
+
+@pytest.fixture
+def elsewhere(tmp_path: Path) -> Path:
+    """The folder of a script."""
+    path = tmp_path / "elsewhere"
+    path.mkdir()
+    (path / "program.py").write_text(PROGRAM)
+    (path / "beside.py").write_text(BESIDE)
+    return path
+
+
+@pytest.mark.parametrize("how", ["script", "-c", "-m", "standard input", "empty in PYTHONPATH"])
+def test_nothing_in_the_working_folder_is_executed(how: str, folder: Path, elsewhere: Path) -> None:
+    script = str(elsewhere / "program.py")
+    arguments = {"-c": ["-c", PROGRAM], "-m": ["-m", "program"], "standard input": ["-"]}
+    variable = os.environ.get("PYTHONPATH", "")
+    if how in arguments:  # Python puts the working folder on its path
+        (folder / "program.py").write_text(PROGRAM)
+        (folder / "beside.py").write_text(BESIDE)
+    elif how != "script":
+        variable = os.pathsep.join(["", variable])
+    done = subprocess.run(
+        [sys.executable, *arguments.get(how, [script])],
+        env={**os.environ, "PYTHONPATH": variable},
+        input=PROGRAM,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.stdout, done.stderr, done.returncode) == ("2 4\n", "", 0)
+    assert (folder / "json.py").exists()
+    assert not (folder / "executed").exists()
+
+
+class Interpreter:
+    """Stands for an interpreter started in a certain way."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self._patch = monkeypatch
+
+    def start(self, path: list[str], module: str | None = None, variable: str = "") -> list[str]:
+        """The import path of its children."""
+        main = ModuleType("__main__")
+        main.__spec__ = module and ModuleSpec(module, None)  # type: ignore[assignment]
+        self._patch.setitem(sys.modules, "__main__", main)
+        self._patch.setattr(sys, "path", path)
+        self._patch.setenv("PYTHONPATH", variable)
+        return import_path()
+
+
+@pytest.fixture
+def interpreter(monkeypatch: pytest.MonkeyPatch) -> Interpreter:
+    return Interpreter(monkeypatch)
+
+
+def test_a_working_folder_that_python_added_is_left_out(
+    folder: Path, interpreter: Interpreter
+) -> None:
+    here = str(folder)
+    assert interpreter.start(["", "/lib"]) == ["/lib"]
+    assert interpreter.start([here, "/lib"], "program") == ["/lib"]
+    assert interpreter.start(["/bin", here, "/lib"], variable=":/x") == ["/bin", "/lib"]
+    assert interpreter.start([here, here, "/lib"], "program", variable=":/x") == ["/lib"]
+
+
+def test_a_working_folder_that_was_chosen_stays(folder: Path, interpreter: Interpreter) -> None:
+    here = str(folder)
+    assert interpreter.start([here, "/lib"]) == [here, "/lib"]  # a script in it
+    assert interpreter.start([here, "/lib"], "__main__") == [here, "/lib"]  # python FOLDER
+    named = [here, here, "/lib"]
+    assert interpreter.start(named, "program", variable=here) == named
+    assert interpreter.start(named, "program", variable="/x:.") == named
+    assert interpreter.start([here, here, "/lib"], "program") == named  # added by the program
+    assert interpreter.start(["", "/lib", "."]) == ["/lib", here]
+
+
+def test_entries_are_absolute_texts(folder: Path, interpreter: Interpreter) -> None:
+    odd: list[str] = ["sub", Path("/path"), "/lib"]  # type: ignore[list-item]
+    assert interpreter.start(odd) == [str(folder / "sub"), "/lib"]
+    interpreter.start([], variable=":/a:b::/c")
+    assert absolute_python_path() == "/a:/c"
+
+
+def test_modules_from_elsewhere_are_found_there(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "lonely.py").touch()
+    (folder / "packed").mkdir()
+    (folder / "packed" / "__init__.py").touch()
+    (folder / "spaced").mkdir()
+    names = ["lonely", "packed", "spaced"]
+    with monkeypatch.context() as patch:
+        patch.syspath_prepend(folder)
+        for name in names:
+            patch.setitem(sys.modules, name, __import__(name))
+        assert not {*names} & {*folders_of_modules(sys.path)}
+        found = folders_of_modules([entry for entry in sys.path if entry != str(folder)])
+    assert {name: found.get(name) for name in names} == dict.fromkeys(names, str(folder))
+    assert "os" not in found

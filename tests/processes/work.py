@@ -1,0 +1,84 @@
+"""Work for child processes."""
+
+import itertools
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+
+class Odd(Exception):
+    """An exception that can be neither pickled nor printed."""
+
+    def __init__(self, first: int, second: int) -> None:
+        super().__init__(first, lambda: second)
+
+
+class Mute(Exception):
+    """An exception whose methods fail."""
+
+    def __str__(self) -> str:
+        raise RuntimeError
+
+    def __reduce__(self) -> Any:
+        raise RuntimeError
+
+
+def exit_at(bad: int, item: int) -> tuple[int, int]:
+    """The item and the process id; the process ends at the bad item."""
+    if item == bad:
+        os._exit(7)
+    return item, os.getpid()
+
+
+def kill_itself(number: int) -> None:
+    os.kill(os.getpid(), number)
+
+
+def raise_error(kind: str) -> None:
+    raise {
+        "value": ValueError("not this one", 3),
+        "file": FileNotFoundError(2, "No such file", "name.txt"),
+        "foreign": Odd(1, 2),
+        "mute": Mute("text"),
+        "group": ExceptionGroup("several", [ValueError("a"), TypeError("b")]),
+        "huge": ValueError("x" * 50_000_000, 10**5_000),
+        "many": ValueError(*range(1000)),
+        "unicode": UnicodeDecodeError("utf-8", b"\xff", 0, 1, "invalid start byte"),
+    }[kind]
+
+
+def raise_with_notes(kind: str) -> None:
+    error = KeyError("key")
+    error.__notes__ = {"text": ["x" * 50_000_000, 5], "none": 5}[kind]  # type: ignore[assignment]
+    raise error
+
+
+def large(size: int) -> bytes:
+    """Bytes, more than a pipe holds."""
+    return b"\x01" * size
+
+
+def not_to_be_pickled(item: int) -> Any:
+    return lambda: item
+
+
+def print_and_read(item: str) -> tuple[str, dict[str, str]]:
+    """Print, read standard input; the environment."""
+    print(item)
+    return sys.stdin.read(), dict(os.environ)
+
+
+def compute_for_ever(folder: str) -> None:
+    """Leave the process id as a file's name, then let no thread run; return without a folder."""
+    if folder:
+        (Path(folder) / str(os.getpid())).touch()
+        _ = -1 in itertools.count()
+
+
+def wait_for_ever(folder: str) -> None:
+    """Leave the process id as a file's name, then wait for a signal; return without a folder."""
+    if folder:
+        (Path(folder) / str(os.getpid())).touch()
+        signal.pause()
