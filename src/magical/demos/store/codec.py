@@ -28,6 +28,7 @@ from magical.untrusted import check_plain, printable, quoted
 FORMAT = {"format": "magical-trajectory", "version": 1}
 MAX_UNPACKED = 512 << 20  # bytes of all members together
 MAX_HEADER = 1 << 20  # bytes of JSON
+MAX_STEPS = 1 << 20  # actions of one trajectory: 36 hours at 8 Hz
 MAX_FILE = MAX_UNPACKED + (1 << 20)  # bytes: what cannot be compressed, and the archive's own
 _FIELDS = ("env_id", "seed", "score", "published_code_score", "demonstrator", "metadata")
 
@@ -164,8 +165,11 @@ def _check_members(infos: list[zipfile.ZipInfo]) -> dict[str, zipfile.ZipInfo]:
     if not {"header", "actions"} <= set(members) <= set(_MEMBERS) or len(members) < len(infos):
         found = printable(", ".join(sorted(members)))
         raise DatasetError(f"expected members {', '.join(_MEMBERS)}, each once; found {found}")
+    limits = {"header": MAX_HEADER, "actions": MAX_STEPS}
     size = sum(info.file_size for info in infos)
-    if size > MAX_UNPACKED or members["header"].file_size > MAX_HEADER + _MAX_NPY_HEADER:
+    if size > MAX_UNPACKED or any(
+        members[name].file_size > limit + _MAX_NPY_HEADER for name, limit in limits.items()
+    ):
         raise DatasetError(f"expected at most {MAX_UNPACKED} bytes unpacked, found {size}")
     for name, info in members.items():
         if info.flag_bits & 1 or info.compress_type not in (

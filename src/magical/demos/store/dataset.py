@@ -242,7 +242,7 @@ def read_file(path: Path, size: int | None = None) -> bytes:
                     f"{path}: expected {'at most ' if size is None else ''}{limit} bytes, "
                     f"found {found}; the file was changed or cut off after it was written"
                 )
-            return file.read(limit)
+            return file.read(found)
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read: {error.strerror or error}") from error
 

@@ -15,7 +15,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
-from magical.demos.store.codec import MAX_FILE, MAX_UNPACKED, fingerprint
+from magical.demos.store.codec import MAX_FILE, MAX_STEPS, fingerprint
 from magical.demos.store.regular_files import open_regular
 from magical.demos.store.trajectory import MAX_NAME, Trajectory
 from magical.envs.ids import EnvId, split_env_id
@@ -137,7 +137,7 @@ _CHECKS: dict[str, Callable[[object], bool]] = {
     "sha256": _is_sha256,
     "size": lambda value: type(value) is int and 0 < value <= MAX_FILE,
     "env_id": _is_name,
-    "length": lambda value: type(value) is int and 0 < value <= MAX_UNPACKED,
+    "length": lambda value: type(value) is int and 0 < value <= MAX_STEPS,
     "score": lambda value: value is None or _is_score(value),
     "published_code_score": _is_score,
     "demonstrator": _is_name,
