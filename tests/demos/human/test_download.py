@@ -5,6 +5,7 @@ import hashlib
 import http.server
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,9 @@ import pytest
 
 from magical.cli import main
 from magical.demos import Dataset
+from magical.demos.human.download import _checked_redirect as redirected
 from magical.demos.human.download import fetch_all
+from magical.demos.human.importing import import_published
 from magical.demos.human.published import published_sums
 from magical.errors import DownloadError
 
@@ -99,7 +102,7 @@ def test_what_the_server_lacks_is_named(
     status = main([*command, "--files", "move-to-region/*00[4-6]*"])
     assert status == 1
     shown = capsys.readouterr()
-    assert "Demo-v0-005.pkl.gz: could not be fetched: the server says 404" in shown.err
+    assert "Demo-v0-005.pkl.gz: could not be fetched: the server answered 404" in shown.err
     assert "imported 1 demonstrations" in shown.out
     assert main([*command, "--files", "nothing/*"]) == 1
 
@@ -110,7 +113,7 @@ def test_broken_off_download_goes_on(
 ) -> None:
     url, handler = served
     handler.break_off, handler.ranges = 100_000, ranges
-    assert fetch_all({ONE: published_sums()[ONE]}, tmp_path, url) == []
+    assert fetch_all({ONE: published_sums()[ONE]}, tmp_path, url).errors == []
     assert (tmp_path / ONE).read_bytes() == (human_archive / ONE).read_bytes()
     assert [asked for _, asked in handler.asked] == [None, "bytes=100000-"]
 
@@ -122,16 +125,16 @@ def test_part_of_an_earlier_run_is_continued(
     part = tmp_path / f"{ONE}.part"
     part.parent.mkdir(parents=True)
     part.write_bytes((human_archive / ONE).read_bytes()[:5000])
-    assert fetch_all({ONE: published_sums()[ONE]}, tmp_path, url) == []
+    assert fetch_all({ONE: published_sums()[ONE]}, tmp_path, url).errors == []
     assert [asked for _, asked in handler.asked] == ["bytes=5000-"]
     part.write_bytes(b"x" * 10_000_000)  # longer than the file, and wrong
     (tmp_path / ONE).write_bytes(b"damaged")
-    assert fetch_all({ONE: published_sums()[ONE]}, tmp_path, url) == []
+    assert fetch_all({ONE: published_sums()[ONE]}, tmp_path, url).errors == []
     assert not part.exists()
 
 
 def test_wrong_bytes_are_never_kept(tmp_path: Path, served: tuple[str, type[Handler]]) -> None:
-    (error,) = fetch_all({ONE: hashlib.sha256(b"other").hexdigest()}, tmp_path, served[0])
+    (error,) = fetch_all({ONE: hashlib.sha256(b"other").hexdigest()}, tmp_path, served[0]).errors
     assert "expected SHA-256" in str(error)
     assert "MoveToRegion-Demo-v0-001" in str(error)
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
@@ -143,3 +146,189 @@ def test_no_server_and_no_http(tmp_path: Path) -> None:
         fetch_all(sums, tmp_path, "http://127.0.0.1:9")
     with pytest.raises(DownloadError, match="expected http"):
         fetch_all(sums, tmp_path, f"file://{tmp_path}")
+
+
+Reply = Callable[[http.server.BaseHTTPRequestHandler], None]
+
+
+@pytest.fixture
+def serve() -> Iterator[Callable[[Reply], str]]:
+    """Starts a server with one reply to everything; returns its address."""
+    servers = []
+
+    def start(reply: Reply) -> str:
+        class Mine(http.server.BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                with suppress(ConnectionError):
+                    reply(self)
+
+            def log_message(self, *args: Any) -> None:
+                pass
+
+        server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Mine)
+        options = {"poll_interval": 0.01}
+        thread = threading.Thread(target=server.serve_forever, kwargs=options)
+        thread.start()
+        servers.append((server, thread))
+        return f"http://127.0.0.1:{server.server_port}"
+
+    yield start
+    for server, thread in servers:
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+def answer(body: bytes, status: int = 200, reason: str | None = None, **headers: str) -> Reply:
+    def reply(handler: http.server.BaseHTTPRequestHandler) -> None:
+        handler.send_response(status, reason)
+        for name, value in headers.items():
+            handler.send_header(name.replace("_", "-"), value)
+        handler.end_headers()
+        handler.wfile.write(body)
+
+    return reply
+
+
+SUMS = {"file": hashlib.sha256(b"content").hexdigest()}
+
+
+def only_error(folder: Path, url: str) -> str:
+    download = fetch_all(SUMS, folder, url)
+    assert download.files == {}
+    assert not [path for path in folder.rglob("*") if path.is_file() and path.suffix != ".part"]
+    (error,) = download.errors
+    assert str(error).isprintable()
+    assert len(str(error)) < 500
+    return str(error)
+
+
+def test_foreign_file_under_a_published_name_is_not_imported(
+    tmp_path: Path,
+    published: Any,
+    serve: Callable[[Reply], str],
+    monkeypatch: pytest.MonkeyPatch,
+    run: Run,
+) -> None:
+    url = serve(answer(b"", 404))
+    kept = tmp_path / "kept" / ONE
+    kept.parent.mkdir(parents=True)
+    published().write(kept)
+    command = ("download", "--out", tmp_path / "d", "--base-url", url, "--files", ONE)
+    status, result = run(*command, "--keep", tmp_path / "kept", "--workers", 1)
+    assert (status, result["imported"], len(result["not_fetched"])) == (1, [], 1)
+    assert len(Dataset.open(tmp_path / "d")) == 0
+    sums = {ONE: hashlib.sha256(kept.read_bytes()).hexdigest()}
+    monkeypatch.setattr("magical.demos.human.published.published_sums", lambda: sums)
+    status, result = run(*command, "--keep", tmp_path / "kept", "--workers", 1)
+    assert (status, len(result["imported"])) == (0, 1)
+
+
+def test_file_replaced_after_it_was_fetched_is_not_imported(tmp_path: Path, published: Any) -> None:
+    file = published().write(tmp_path / "demo.pkl.gz")
+    report = import_published([file], tmp_path / "d", sums={file: "0" * 64}, workers=1)
+    assert report.imported == ()
+    assert "demo.pkl.gz: expected SHA-256 000000000000..." in report.failed[0][1]
+
+
+@pytest.mark.parametrize("length", ["-5", "abc", "9" * 30, "1e3", "7, 8", "\x1b[2J"])
+def test_impossible_content_length_is_named(
+    tmp_path: Path, serve: Callable[[Reply], str], length: str
+) -> None:
+    error = only_error(tmp_path, serve(answer(b"content", Content_Length=length)))
+    assert "Content-Length: expected a number of bytes, found" in error
+
+
+def test_two_content_lengths_are_refused(tmp_path: Path, serve: Callable[[Reply], str]) -> None:
+    reply = answer(b"content", Content_Length="7", content_length="8")
+    assert "7 and 8" in only_error(tmp_path, serve(reply))
+
+
+def test_large_content_length_is_refused(tmp_path: Path, serve: Callable[[Reply], str]) -> None:
+    error = only_error(tmp_path, serve(answer(b"content", Content_Length="999999999999")))
+    assert "expected at most" in error
+
+
+def test_body_shorter_than_its_length(tmp_path: Path, serve: Callable[[Reply], str]) -> None:
+    error = only_error(tmp_path, serve(answer(b"", Content_Length="7")))
+    assert "IncompleteRead" in error
+
+
+def test_reason_of_the_server_is_shown_escaped(
+    tmp_path: Path, serve: Callable[[Reply], str]
+) -> None:
+    error = only_error(tmp_path, serve(answer(b"", 404, "\x1b[2J" + "x" * 1000)))
+    assert "the server answered 404 \\x1b[2Jxxx" in error
+
+
+@pytest.mark.parametrize("part", ["headers", "body"])
+def test_server_that_is_too_slow_is_given_up(
+    tmp_path: Path, serve: Callable[[Reply], str], monkeypatch: pytest.MonkeyPatch, part: str
+) -> None:
+    monkeypatch.setattr("magical.demos.human.download.TIMEOUT", 0.3)
+    finished = threading.Event()
+
+    def trickle(handler: http.server.BaseHTTPRequestHandler) -> None:
+        start = b"HTTP/1.0 200 OK\r\n" + (
+            b"Content-Length: 7000\r\n\r\n" if part == "body" else b"X"
+        )
+        handler.wfile.write(start)
+        for _ in range(500):
+            handler.wfile.write(b"x")
+            if finished.wait(0.05):
+                return
+
+    assert "less than 5000 bytes per second" in only_error(tmp_path, serve(trickle))
+    finished.set()
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "", "http://", "https:///path", "http://host:port/", "http://host:99999/", "http://host:0/",
+        "http://host:/", "http://a b/", "http://host/a b", "http://ho\nst/", "http://\x1b[2J/",
+        "http://h\u00f6st/", "http://host/\u00e4", "http://user:word@host/", "http://[::1",
+        "http://host/?a", "http://host/#a", "ftp://host/", "file:///etc/", "host", "http://" + "a" * 999,
+    ],
+)  # fmt: skip
+def test_addresses_that_are_none(tmp_path: Path, url: str) -> None:
+    with pytest.raises(DownloadError, match="expected") as caught:
+        fetch_all(SUMS, tmp_path, url)
+    assert str(caught.value).isprintable()
+    assert len(str(caught.value)) < 300
+
+
+@pytest.mark.parametrize("location", ["/other", "{}/file", "//{}/file"])
+def test_redirect_is_followed(tmp_path: Path, serve: Callable[[Reply], str], location: str) -> None:
+    target = serve(answer(b"content", Content_Length="7"))
+    address = location.format(target.removeprefix("http:" if "//" in location[:2] else ""))
+    if location == "//{}/file":
+        address = target.removeprefix("http:") + "/file"
+
+    def reply(handler: http.server.BaseHTTPRequestHandler) -> None:
+        moved = handler.path != "/other"
+        headers = {"Location": address} if moved else {"Content_Length": "7"}
+        answer(b"" if moved else b"content", 302 if moved else 200, **headers)(handler)
+
+    download = fetch_all(SUMS, tmp_path, serve(reply))
+    assert download.errors == []
+    assert (tmp_path / "file").read_bytes() == b"content"
+
+
+@pytest.mark.parametrize(
+    "location",
+    ["file:///etc/passwd", "ftp://host/", "gopher://x", "", "/file", "http://[", "http://"],
+)
+def test_redirect_elsewhere_or_without_end_is_refused(
+    tmp_path: Path, serve: Callable[[Reply], str], location: str
+) -> None:
+    error = only_error(tmp_path, serve(answer(b"", 302, Location=location)))
+    assert "expected" in error
+
+
+def test_redirect_does_not_leave_https() -> None:
+    assert redirected("https://a/b", "https://c/d") == "https://c/d"
+    assert redirected("http://a/b", "https://c/d") == "https://c/d"
+    assert redirected("https://a/b", "/d e") == "https://a/d%20e"
+    with pytest.raises(DownloadError, match="expected a redirect to https://"):
+        redirected("https://a/b", "http://a/b")

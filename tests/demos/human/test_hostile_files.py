@@ -7,7 +7,7 @@ import os
 import pickle
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
@@ -243,7 +243,7 @@ def refuse(here: Path, payload: bytes) -> None:
 
 def test_message_says_what_and_where() -> None:
     with pytest.raises(
-        UnsafeFileError, match=r"byte 2\d.*it names os\.system, expected only numpy"
+        UnsafeFileError, match=r"byte 2\d.*expected only numpy .*, found the name os\.system"
     ):
         load(io.BytesIO(b"\x80\x04" + text("a" * 8) + called("os", "system")), lambda a: a)
 
@@ -267,3 +267,89 @@ def test_one_bad_file_does_not_stop_the_others(
         f"demo-{i}.pkl.gz" for i in range(3)
     ]
     assert not [path for path in here.rglob("*") if "part" in path.name]
+
+
+DEEP = b")" + b"\x85" * 190_000  # a tuple in a tuple in a tuple ...
+DOUBLED = b")" + b"".join(b"\x94h" + bytes([i]) + b"\x86" for i in range(100))  # 2^100 elements
+NUMPY_DTYPE = text("numpy") + text("dtype") + b"\x93"
+UINT8 = NUMPY_DTYPE + text("u1") + b"K\x00K\x01\x87R"
+NEW_ARRAY = (
+    text("numpy.core.multiarray")
+    + text("_reconstruct")
+    + b"\x93"
+    + text("numpy")
+    + text("ndarray")
+    + b"\x93K\x00\x85C\x01b\x87R"
+)
+
+
+def wherever(value: bytes) -> Iterator[bytes]:
+    """Pickles with a value in every place that is checked."""
+    record = text("milbench.baselines.saved_trajectories") + text("MILBenchTrajectory") + b"\x93"
+    reconstruct = text("numpy.core.multiarray") + text("_reconstruct") + b"\x93"
+    trajectory = text("trajectory") + record + b"(" + value + b"]]]t\x81"
+    fields = (trajectory, text("score") + value, text("env_name") + value)
+    yield b"\x80\x04}(" + b"".join(fields) + b"u."
+    yield b"\x80\x04}(" + trajectory + text("score") + value
+    yield b"\x80\x04" + value + b"."
+    yield b"\x80\x04}(" + value + b"Nu."
+    yield b"\x80\x04" + value + text("system") + b"\x93."
+    yield b"\x80\x04" + NUMPY_DTYPE + value + b"K\x00K\x01\x87R."
+    yield b"\x80\x04" + reconstruct + value + b"K\x00K\x01\x87R."
+    yield b"\x80\x04" + UINT8 + b"(K\x03" + value + b"NNNtb."
+    yield b"\x80\x04" + UINT8 + b"(K\x03" + text("|") + value + b"NNtb."
+    yield b"\x80\x04" + NEW_ARRAY + b"(" + value + b")" + UINT8 + b"\x89C\x00tb."
+    yield b"\x80\x04" + NEW_ARRAY + b"(K\x01" + value + UINT8 + b"\x89C\x00tb."
+    yield b"\x80\x04" + NEW_ARRAY + b"(K\x01" + value + b"\x85" + UINT8 + b"\x89C\x00tb."
+    yield b"\x80\x04" + NEW_ARRAY + b"(K\x01)" + value + b"\x89C\x00tb."
+
+
+def test_nested_and_shared_values_are_refused_at_once(here: Path, published: Any) -> None:
+    good = published()
+    (here / "in").mkdir()
+    for number, payload in enumerate((*wherever(DEEP), *wherever(DOUBLED))):
+        (here / "in" / f"demo-{number:02}.pkl.gz").write_bytes(gzip.compress(payload))
+    for number, value in enumerate((DEEP, DOUBLED)):
+        made = published()
+        made.score = value
+        made.write(here / "in" / f"score-{number}.pkl.gz")
+    good.write(here / "in" / "whole.pkl.gz")
+    command = ["demos", "import", "in", "--out", "out", "--workers", "1"]
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "import sys; from magical.cli import main; sys.exit(main())",
+            *command,
+        ],
+        capture_output=True,
+        text=True,
+        timeout=100,
+        check=False,
+    )
+    assert done.returncode == 1, done.stderr
+    assert "imported 1 demonstrations" in done.stdout
+    lines = [line for line in done.stderr.splitlines() if line.startswith("error: in/")]
+    assert len(lines) == 28
+    assert max(map(len, lines)) < 400
+
+
+def test_shape_that_overflows_is_refused(here: Path) -> None:
+    huge = b"\x8a\xfa" + b"\x00" * 249 + b"\x01"  # LONG1
+    refuse(
+        here, b"\x80\x04" + NEW_ARRAY + b"(K\x01K\x00" + huge + b"\x86" + UINT8 + b"\x89C\x00tb."
+    )
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs FIFOs and device files")
+def test_special_files_are_refused(here: Path) -> None:
+    os.mkfifo(here / "fifo.pkl.gz")
+    (here / "link.pkl.gz").symlink_to("/dev/zero")
+    for name in ("fifo", "link"):
+        with pytest.raises(UnsafeFileError, match="not a regular file"):
+            read_published(here / f"{name}.pkl.gz")
+
+
+def test_linked_file_is_read(here: Path, published: Any) -> None:
+    (here / "link.pkl.gz").symlink_to(published().write(here / "demo"))
+    assert len(read_published(here / "link.pkl.gz")) == 2

@@ -116,7 +116,7 @@ def test_duplicates_are_reported(tmp_path: Path, published: Any, run: Run) -> No
 
 
 def test_sums_of_the_published_archive(root: Path) -> None:
-    file = root / "src" / "magical" / "demos" / "data" / "human-demos.sha256"
+    file = root / "src" / "magical" / "demos" / "human" / "data" / "human-demos.sha256"
     sha256 = "e58d49ee1ac3309353a901573f38ce8519dcfc4eef4247e2d141bcb93f206566"
     assert hashlib.sha256(file.read_bytes()).hexdigest() == sha256
     sums = published_sums()

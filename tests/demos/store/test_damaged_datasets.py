@@ -59,7 +59,8 @@ def test_rest_of_a_damaged_dataset_is_usable(small_dataset: Path, damage: str) -
     else:
         second.write_bytes(first.read_bytes())
     dataset = Dataset.open(small_dataset)
-    with pytest.raises(DatasetError, match="cannot be read" if damage == "missing" else "SHA-256"):
+    messages = {"missing": "cannot be read", "cut": "found [0-9]+; the file was changed or cut"}
+    with pytest.raises(DatasetError, match=messages.get(damage, "SHA-256|found [0-9]+; the file")):
         dataset[1]
     assert [dataset[i].seed for i in (0, 2)] == [1, 3]
     rest = Dataset.open(small_dataset, skip_damaged=True)
@@ -119,7 +120,7 @@ def test_objects_in_an_npz_are_not_loaded(small_dataset: Path) -> None:
     decode(raw)
     file = io.BytesIO()
     np.savez(file, header=np.array([{}], object), actions=np.array([1]))
-    with pytest.raises(DatasetError, match="allow_pickle"):
+    with pytest.raises(DatasetError, match="without pickled objects"):
         decode(file.getvalue())
 
 

@@ -1,1 +1,7 @@
-"""The published human demonstrations: download, safe reading, import."""
+"""The published human demonstrations.
+
+- `download`: fetches the published files over HTTPS and checks their SHA-256 sums.
+- `safe_pickle`: reads pickles of plain data without executing anything.
+- `published`: one published file as a trajectory of 96 x 96 frames.
+- `importing`: appends published files to a dataset.
+"""

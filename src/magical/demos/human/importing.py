@@ -1,37 +1,39 @@
 """Importing the published human demonstrations into a dataset."""
 
-import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from magical.demos.human.published import MAX_UNPACKED, read_published
+from magical.demos.human.published import MAX_PATH, MAX_UNPACKED, read_published
 from magical.demos.store.codec import encode
 from magical.demos.store.dataset import Dataset
 from magical.demos.store.manifest import ManifestEntry
+from magical.demos.store.regular_files import open_regular, sha256_sum
 from magical.demos.store.writer import DatasetWriter
 from magical.errors import DatasetError, MagicalError
 from magical.processes import available_cores, map_in_processes
+from magical.untrusted import printable
 
 SUFFIX = ".pkl.gz"
-Progress = Callable[[int], None]  # is told how many files have just been dealt with
+Progress = Callable[[int], None]  # called with the number of files finished since the last call
 
 
 @dataclass(frozen=True, slots=True)
 class ImportReport:
-    """What became of the files, by their names."""
+    """Names of the files, by outcome of the import."""
 
     imported: tuple[str, ...]
-    already: tuple[str, ...]  # were in the dataset before
+    already: tuple[str, ...]  # in the dataset before
     duplicates: tuple[tuple[str, str], ...]  # (file, earlier one with the same actions and frames)
-    failed: tuple[tuple[str, str], ...]  # (file, why)
+    failed: tuple[tuple[str, str], ...]  # (file, reason)
 
 
 def find_published(source: Path) -> list[Path]:
     """The published files in a folder and its subfolders, or the one file.
 
-    Raises `DatasetError` if there are none.
+    Raises:
+        DatasetError: there are none.
     """
     found = sorted(source.rglob(f"*{SUFFIX}")) if source.is_dir() else [source]
     if not found or not found[0].is_file():
@@ -46,12 +48,22 @@ def import_published(
     workers: int | None = None,
     max_bytes: int = MAX_UNPACKED,
     skip_duplicates: bool = False,
+    sums: Mapping[Path, str] | None = None,
     progress: Progress | None = None,
 ) -> ImportReport:
-    """Append published files to a dataset, in their order; one bad file does not stop the rest.
+    """Append published files to a dataset, in their order; a bad file does not stop the others.
 
-    Files of the same name and bytes that are in the dataset already are left alone. Those with the
-    same actions and frames as another are imported, unless `skip_duplicates`, and reported.
+    Files of the same name and bytes that are already in the dataset are skipped.
+
+    Args:
+        files: the published files.
+        out: the dataset, created if there is none.
+        workers: number of processes; default: the usable cores.
+        max_bytes: the most that one file may unpack to.
+        skip_duplicates: leave out files with the same actions and frames as an earlier one, which
+            are otherwise imported and reported.
+        sums: the SHA-256 sum of every file; a file with another one is not imported.
+        progress: called with the number of files finished since the last call.
 
     Raises:
         DatasetError: the dataset cannot be written; what was imported before stays.
@@ -61,14 +73,14 @@ def import_published(
     first = {entry.fingerprint: entry.source or entry.file for entry in entries}
     wanted = [file for file in files if (file.name, _sum(file)) not in known]
     already = [file.name for file in files if file not in set(wanted)]
-    tell = progress or (lambda _: None)
-    tell(len(already))
+    advance = progress or (lambda _: None)
+    advance(len(already))
     imported, duplicates, failed = [], [], []
     workers = min(workers or available_cores(), len(wanted))
-    convert = partial(_convert, max_bytes=max_bytes)
+    convert = partial(_convert, max_bytes=max_bytes, sums=sums)
     results = map_in_processes(convert, wanted, workers, on_error="return")
     for file, result in zip(wanted, results, strict=True):
-        tell(1)
+        advance(1)
         if isinstance(result, Exception):
             failed.append((str(file), _reason(file, result)))
             continue
@@ -83,21 +95,29 @@ def import_published(
 
 
 def _sum(file: Path) -> str:
-    """The file's SHA-256, or nothing where it cannot be read: reading it again will say why."""
+    """The file's SHA-256; empty where it cannot be read, which reading it later reports."""
     try:
-        with file.open("rb") as opened:
-            return hashlib.file_digest(opened, "sha256").hexdigest()
+        with open_regular(file, follow_links=True) as opened:
+            return sha256_sum(opened)
     except OSError:
         return ""
 
 
-def _convert(file: Path, max_bytes: int) -> tuple[ManifestEntry, bytes]:
+def _convert(
+    file: Path, max_bytes: int, sums: Mapping[Path, str] | None
+) -> tuple[ManifestEntry, bytes]:
     trajectory = read_published(file, max_bytes)
     raw = encode(trajectory)
-    return ManifestEntry.of(trajectory, raw), raw
+    entry = ManifestEntry.of(trajectory, raw)
+    if sums is not None and entry.source_sha256 != sums[file]:
+        found = str(entry.source_sha256)
+        raise DatasetError(f"expected SHA-256 {sums[file][:12]}..., found {found[:12]}...")
+    return entry, raw
 
 
 def _reason(file: Path, error: Exception) -> str:
     """Why a file failed, with its name."""
-    why = str(error) if isinstance(error, MagicalError) else f"{type(error).__name__}: {error}"
-    return why if str(file) in why else f"{file}: {why}"
+    name = printable(str(file), MAX_PATH)
+    known = isinstance(error, MagicalError)
+    reason = str(error) if known else printable(f"{type(error).__name__}: {error}")
+    return reason if name in reason else f"{name}: {reason}"

@@ -1,26 +1,28 @@
-"""The published human demonstrations: gzipped pickles of 384 x 384 frames (milbench, 2020)."""
+"""Published human demonstrations: gzipped pickles of 384 x 384 frames (milbench, 2020)."""
 
 import gzip
-import hashlib
 import zlib
 from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from magical.demos.human.safe_pickle import Array, Record, load
-from magical.demos.store.trajectory import Trajectory
+from magical.demos.store.regular_files import open_regular, sha256_sum
+from magical.demos.store.trajectory import MAX_NAME, Trajectory
 from magical.envs.ids import parse_env_id
 from magical.errors import MagicalError, TrajectoryError, UnsafeFileError
 from magical.scene import View
 from magical.scene.constants import FRAME_SIZE, RAW_FRAME_SIZE
+from magical.untrusted import printable, quoted
 
 MAX_UNPACKED = 512 << 20  # bytes; the largest published file unpacks to 213 MB
-BLOCK = RAW_FRAME_SIZE // FRAME_SIZE
+MAX_PATH = 1000  # characters of a path in a message
+BINNING = RAW_FRAME_SIZE // FRAME_SIZE  # pixels averaged along each axis
 _CHUNK = 1 << 17
 _VIEWS = (str(View.ALLO), str(View.EGO))
 
@@ -28,52 +30,62 @@ _VIEWS = (str(View.ALLO), str(View.EGO))
 def read_published(path: Path, max_bytes: int = MAX_UNPACKED) -> Trajectory:
     """Read one published file; frames are averaged 4 x 4 down to 96 x 96, exactly.
 
-    The appendix's score is unknown (None): the files hold pictures, not poses. Memory stays at the
-    reduced frames' size, however large the file is.
+    The appendix's score is unknown (None), since the files hold frames, not poses. Memory use is
+    that of the reduced frames, however large the file is.
+
+    Args:
+        path: the file.
+        max_bytes: the most that it may unpack to.
 
     Raises:
-        UnsafeFileError: it holds anything but a demonstration's plain data, unpacks to more than
-            `max_bytes`, or is damaged.
+        UnsafeFileError: it is not a regular file, is damaged, unpacks to more than `max_bytes`, or
+            holds anything but a demonstration's plain data.
         TrajectoryError: its arrays do not fit together.
     """
+    name = printable(str(path), MAX_PATH)
     try:
-        source = unpacked_sum(path, max_bytes)
-        with gzip.open(path) as file:
-            data = load(file, average)
+        with open_regular(path, follow_links=True) as file:
+            source = sha256_sum(file)
+            check_unpacked_size(file, max_bytes)
+            file.seek(0)
+            with gzip.open(file) as unpacked:
+                data = load(unpacked, average)
         return _trajectory(data, {"source": path.name, "source_sha256": source})
     except UnsafeFileError as error:
-        raise UnsafeFileError(f"{path}: {error}") from error
+        raise UnsafeFileError(f"{name}: {error}") from error
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise UnsafeFileError(f"{path}: expected a whole gzip file, found {error}") from error
+        raise UnsafeFileError(f"{name}: expected a complete gzip file, found {error}") from error
     except OSError as error:
-        raise UnsafeFileError(f"{path}: cannot be read: {error}") from error
+        reason = error.strerror or error
+        raise UnsafeFileError(f"{name}: cannot be read: {reason}") from error
     except MagicalError as error:
-        raise TrajectoryError(f"{path}: {error}") from error
+        raise TrajectoryError(f"{name}: {error}") from error
 
 
-def unpacked_sum(path: Path, max_bytes: int) -> str:
-    """Count what a gzip file unpacks to, keeping none of it; returns the file's SHA-256.
+def check_unpacked_size(file: IO[bytes], max_bytes: int) -> None:
+    """Count what a gzip file unpacks to, without keeping it in memory.
 
-    Raises `UnsafeFileError` beyond `max_bytes`, and what `gzip` raises for damaged files.
+    Raises:
+        UnsafeFileError: it is more than `max_bytes`.
+        EOFError, zlib.error, gzip.BadGzipFile: the file is damaged.
     """
-    with path.open("rb") as file:
-        source = hashlib.file_digest(file, "sha256").hexdigest()
+    file.seek(0)
     count = 0
-    with gzip.open(path) as unpacked:
+    with gzip.open(file) as unpacked:
         while chunk := unpacked.read(_CHUNK):
             count += len(chunk)
             if count > max_bytes:
                 raise UnsafeFileError(
-                    f"unpacks to more than {max_bytes} bytes, which is no published demonstration; "
-                    "refused before reading it"
+                    f"unpacks to more than {max_bytes} bytes, more than any published "
+                    "demonstration; refused before reading it"
                 )
-    return source
 
 
 def average(array: NDArray[Any]) -> NDArray[Any]:
-    """A published frame (384, 384, 3) uint8 averaged 4 x 4, halves to even; actions as they are.
+    """A published frame (384, 384, 3) uint8 averaged 4 x 4, halves to even; actions unchanged.
 
-    Raises `UnsafeFileError` for any other array.
+    Raises:
+        UnsafeFileError: any other array.
     """
     if array.ndim == 1 and array.dtype.kind in "if":
         return array
@@ -82,8 +94,8 @@ def average(array: NDArray[Any]) -> NDArray[Any]:
             f"expected actions or uint8 frames ({RAW_FRAME_SIZE}, {RAW_FRAME_SIZE}, 3), "
             f"found {array.dtype} {array.shape}"
         )
-    rows = array.reshape(FRAME_SIZE, BLOCK, -1).sum(axis=1, dtype=np.uint16)
-    parts = rows.reshape(FRAME_SIZE, FRAME_SIZE, BLOCK, 3)
+    rows = array.reshape(FRAME_SIZE, BINNING, -1).sum(axis=1, dtype=np.uint16)
+    parts = rows.reshape(FRAME_SIZE, FRAME_SIZE, BINNING, 3)
     total = parts[:, :, 0] + parts[:, :, 1] + parts[:, :, 2] + parts[:, :, 3]
     odd = (total >> 4) & 1
     mean: NDArray[Any] = ((total + 7 + odd) >> 4).astype(np.uint8)
@@ -93,19 +105,21 @@ def average(array: NDArray[Any]) -> NDArray[Any]:
 def _trajectory(data: Any, metadata: Mapping[str, Any]) -> Trajectory:
     if type(data) is not dict or not {"env_name", "score", "trajectory"} <= set(data):
         raise TrajectoryError("expected a dict of env_name, score and trajectory")
-    record = data["trajectory"]
-    if type(record) is not Record or type(data["env_name"]) is not str:
+    record, env_name, score = data["trajectory"], data["env_name"], data["score"]
+    if type(record) is not Record or type(env_name) is not str or len(env_name) > MAX_NAME:
         raise TrajectoryError("expected a trajectory of acts, obs, rews and infos, and a name")
-    env_id = parse_env_id(data["env_name"]).without_preset
+    if type(score) not in (int, float):
+        raise TrajectoryError(f"score: expected a number, found {quoted(score)}")
+    env_id = parse_env_id(env_name).without_preset
     if env_id.variant != "Demo":
-        raise TrajectoryError(f"expected a Demo environment, found {data['env_name']!r}")
+        raise TrajectoryError(f"expected a Demo environment, found {quoted(env_name)}")
     actions = _values(record.acts)
     return Trajectory(
         env_id=env_id,
-        scene=env_id.task_spec.demo,  # Demo scenes are fixed, so it began with this one
+        scene=env_id.task_spec.demo,  # every episode of a Demo environment has this scene
         actions=actions,
         frames={view: _stacked(record.obs, view, len(actions)) for view in _VIEWS},
-        published_code_score=data["score"],
+        published_code_score=score,
         demonstrator="human",
         metadata=metadata,
     )

@@ -1,9 +1,12 @@
 """Reading published pickles without executing anything.
 
-A pickle is a program for a small stack machine whose opcodes may import and call things. The
-machine here has only the opcodes that build plain data. The five names that the published files
-mention are tokens to it: "calling" one makes a value of this module after its arguments were
-checked, and everything else is refused. No foreign code is looked up, imported or called.
+A pickle is a program for a small stack machine whose opcodes may import and call anything. The
+machine here implements only the opcodes that build plain data. The five global names in the
+published files are tokens to it: "calling" one checks its arguments and builds a value of this
+module; any other name is refused. Nothing that a pickle names is looked up, imported or called.
+
+What the machine builds may be nested without bound, or share parts without bound, so values are
+never hashed, compared or printed before their type is checked.
 """
 
 import math
@@ -16,25 +19,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.errors import UnsafeFileError
+from magical.untrusted import printable, quoted
 
-# Bounds far above what the largest published file needs: 17,500 opcodes, 442,368 bytes an item,
-# hardly any bytes that are not consumed at once.
+# Bounds far above what the largest published file needs: 17,500 opcodes, items of 442,368 bytes,
+# and next to no bytes that do not become part of an array at once.
 MAX_OPCODES = 200_000
 MAX_ITEM = 1 << 20  # bytes of one string, array or line
-MAX_HELD = 16 << 20  # bytes of strings and byte strings kept at one time
-MAX_KEPT = 64 << 20  # bytes of arrays after they were reduced
+MAX_HELD = 16 << 20  # bytes of strings and byte strings in memory at one time
+MAX_KEPT = 64 << 20  # bytes of arrays after `reduce`
+MAX_SIZE = 1 << 31  # of one dimension of an array
 
 Reduce = Callable[[NDArray[Any]], NDArray[Any]]
 
 
 class Name(NamedTuple):
-    """A token for something that a pickle mentions."""
+    """A token for a global name in a pickle."""
 
     module: str
     name: str
 
     def __str__(self) -> str:
-        return f"{self.module}.{self.name}"
+        return printable(f"{self.module}.{self.name}")
 
 
 DTYPE = Name("numpy", "dtype")
@@ -47,7 +52,7 @@ DTYPES = {"u1": "|", "i8": "<", "f8": "<", "f4": "<"}  # code: byte order
 
 
 class Record(NamedTuple):
-    """The published files' named tuple."""
+    """The named tuple of the published files."""
 
     acts: Any
     obs: Any
@@ -56,25 +61,37 @@ class Record(NamedTuple):
 
 
 class _Bytes:
-    """Bytes on their way into an array; gone once they are in it."""
+    """The bytes of one array; released when the array is built."""
 
     def __init__(self, data: bytes) -> None:
         self.data: bytes | None = data
 
 
 class _DType:
+    """A data type by its code, one of `DTYPES`."""
+
     def __init__(self, code: str) -> None:
         self.code = code
 
+    def has_state(self, state: tuple[Any, ...]) -> bool:
+        """Whether a pickled state is that of a plain data type of the expected byte order."""
+        if len(state) < 5 or type(state[1]) is not str or state[1] != DTYPES[self.code]:
+            return False
+        return all(value is None for value in state[2:5])
+
+
+def _is_dtype(code: Any) -> bool:
+    return type(code) is str and code in DTYPES
+
 
 class Array:
-    """An array, or (`values` None) the promise of one."""
+    """An array; `values` is `None` until its state is set."""
 
     values: NDArray[Any] | None = None
 
 
 class _Reader:
-    """What pickletools reads from: one item at a time is bounded."""
+    """The file that pickletools reads from, with a bound on the size of one item."""
 
     def __init__(self, file: IO[bytes] | GzipFile) -> None:
         self._file = file
@@ -106,10 +123,10 @@ def load(file: IO[bytes] | GzipFile, reduce: Reduce) -> Any:
             _refuse(position, f"more than {MAX_OPCODES} opcodes")
         try:
             machine.do(opcode.name, argument)
-        except (IndexError, KeyError, TypeError, ValueError) as error:
+        except (IndexError, KeyError, OverflowError, TypeError, ValueError) as error:
             _refuse(position, f"{opcode.name}: {error}", error)
     if reader.read(1):
-        _refuse(position, "more data after the end")
+        _refuse(position, "data after the end")
     return machine.result()
 
 
@@ -121,8 +138,8 @@ def _opcodes(reader: _Reader) -> Iterator[tuple[Any, Any, int | None]]:
 
 
 def _refuse(position: int | None, what: str, cause: Exception | None = None) -> NoReturn:
-    shown = what.encode("unicode_escape").decode()[:300]  # what a pickle says goes to a terminal
-    raise UnsafeFileError(f"refused at byte {position}: {shown}; nothing was executed") from cause
+    where = "" if position is None else f" at byte {position}"
+    raise UnsafeFileError(f"refused{where}: {printable(what)}; nothing was executed") from cause
 
 
 class _Machine:
@@ -137,7 +154,7 @@ class _Machine:
         self._kept = 0
 
     def do(self, opcode: str, argument: Any) -> None:
-        """Carry out one opcode; raises ValueError for one that the machine lacks."""
+        """Execute one opcode; raises ValueError for one that is not implemented."""
         if opcode in _IGNORED:
             return
         if opcode in _CONSTANTS:
@@ -148,13 +165,13 @@ class _Machine:
             self._stack.append(self._memo[argument])
         elif opcode in _PUTS:
             self._memo[argument] = self._stack[-1]
-        elif opcode in _ACTS:
-            _ACTS[opcode](self, argument)
+        elif opcode in _ACTIONS:
+            _ACTIONS[opcode](self, argument)
         else:
-            raise ValueError("not among the opcodes of plain data")
+            raise ValueError("not an opcode of plain data")
 
     def result(self) -> Any:
-        """What is left at the end."""
+        """The one value on the stack at the end."""
         if len(self._stack) != 1 or self._marks:
             _refuse(None, f"{len(self._stack)} values left, expected 1")
         return self._stack[0]
@@ -163,7 +180,7 @@ class _Machine:
         if isinstance(argument, str | bytes):
             self._held += len(argument)
             if self._held > MAX_HELD:
-                raise ValueError(f"more than {MAX_HELD} bytes that belong to no array")
+                raise ValueError(f"more than {MAX_HELD} bytes that are not part of an array")
         self._stack.append(_Bytes(argument) if isinstance(argument, bytes) else argument)
 
     def _memoize(self, _: Any) -> None:
@@ -180,7 +197,7 @@ class _Machine:
 
     def _pop(self, kind: type) -> Any:
         if self._marks and len(self._stack) <= self._marks[-1]:
-            raise ValueError("nothing to take")
+            raise ValueError("the stack is empty")
         value = self._stack.pop()
         if type(value) is not kind:
             raise ValueError(f"expected {kind.__name__}, found {type(value).__name__}")
@@ -191,7 +208,7 @@ class _Machine:
 
     def _tuple_of(self, count: int) -> None:
         if len(self._stack) - (self._marks[-1] if self._marks else 0) < count:
-            raise ValueError("nothing to take")
+            raise ValueError("the stack is empty")
         items = tuple(self._stack[-count:])
         del self._stack[-count:]
         self._stack.append(items)
@@ -206,11 +223,14 @@ class _Machine:
         target = self._stack[-1]
         keys, values = items[::2], items[1::2]
         if type(target) is not dict or not all(type(key) is str for key in keys):
-            raise ValueError(f"setting items of {type(target).__name__}, or keys that are no text")
+            raise ValueError(
+                f"setting items of {type(target).__name__}, or keys that are not strings"
+            )
         target.update(zip(keys, values, strict=True))
 
     def _global(self, argument: str) -> None:
-        self._stack.append(_allowed(*argument.split(" ", 1)))
+        module, name = argument.split(" ", 1)
+        self._stack.append(_allowed(module, name))
 
     def _stack_global(self, _: Any) -> None:
         name, module = self._pop(str), self._pop(str)
@@ -220,50 +240,59 @@ class _Machine:
         arguments, name = self._pop(tuple), self._pop(Name)
         if name == ORDERED_DICT and not arguments:
             self._stack.append({})
-        elif name == DTYPE and len(arguments) == 3 and arguments[0] in DTYPES:
+        elif name == DTYPE and len(arguments) == 3 and _is_dtype(arguments[0]):
             self._stack.append(_DType(arguments[0]))
-        elif name == RECONSTRUCT and len(arguments) == 3 and arguments[0] == NDARRAY:
+        elif name == RECONSTRUCT and len(arguments) == 3 and arguments[0] is NDARRAY:
             self._stack.append(Array())
         else:
-            raise ValueError(f"calling {name} with {len(arguments)} arguments of another kind")
+            raise ValueError(f"calling {name} with {len(arguments)} unexpected arguments")
 
     def _new(self, _: Any) -> None:
         arguments, name = self._pop(tuple), self._pop(Name)
         if name != RECORD or len(arguments) != len(Record._fields):
-            raise ValueError(f"making {name} of {len(arguments)} arguments")
+            raise ValueError(f"constructing {name} from {len(arguments)} arguments")
         self._stack.append(Record(*arguments))
 
     def _build(self, _: Any) -> None:
         state, target = self._pop(tuple), self._stack[-1]
         if type(target) is Array and target.values is None:
+            if len(state) != 5:
+                raise ValueError("the state of an array in another format")
             target.values = self._reduce(self._array(*state))
             self._kept += target.values.nbytes
             if self._kept > MAX_KEPT:
                 raise ValueError(f"arrays of more than {MAX_KEPT} bytes")
-        elif type(target) is not _DType or state[1:5] != (DTYPES[target.code], None, None, None):
+        elif type(target) is not _DType or not target.has_state(state):
             raise ValueError(f"changing the state of {type(target).__name__}")
 
     def _array(self, version: Any, shape: Any, dtype: Any, fortran: Any, held: Any) -> NDArray[Any]:
-        if version != 1 or fortran is not False or type(dtype) is not _DType:
-            raise ValueError("an array of another format")
-        if type(shape) is not tuple or len(shape) > 4 or any(type(n) is not int for n in shape):
-            raise ValueError("an array's shape that is none")
+        if type(version) is not int or version != 1 or fortran is not False:
+            raise ValueError("the state of an array in another format")
+        if type(dtype) is not _DType:
+            raise ValueError("an array without a data type")
+        if type(shape) is not tuple or len(shape) > 4 or not all(map(_is_size, shape)):
+            raise ValueError(f"an array of shape {quoted(shape)}")
         if type(held) is not _Bytes or held.data is None:
-            raise ValueError("an array without bytes of its own")
+            raise ValueError("an array without its own bytes")
         kind = np.dtype(DTYPES[dtype.code] + dtype.code)
-        if min(shape, default=0) < 0 or math.prod(shape) * kind.itemsize != len(held.data):
-            raise ValueError(f"an array of another size than its {len(held.data)} bytes")
+        if math.prod(shape) * kind.itemsize != len(held.data):
+            raise ValueError(f"an array whose shape does not match its {len(held.data)} bytes")
         values = np.frombuffer(held.data, kind).reshape(shape)
         self._held -= len(held.data)
         held.data = None
         return values
 
 
+def _is_size(value: Any) -> bool:
+    return type(value) is int and 0 <= value < MAX_SIZE
+
+
 def _allowed(module: str, name: str) -> Name:
-    mentioned = Name(module, name)
-    if mentioned not in ALLOWED:
-        raise ValueError(f"it names {mentioned}, expected only {', '.join(map(str, ALLOWED))}")
-    return mentioned
+    for allowed in ALLOWED:
+        if (module, name) == (allowed.module, allowed.name):
+            return allowed
+    found = printable(f"{module}.{name}", 60)
+    raise ValueError(f"expected only numpy arrays and {RECORD.name}, found the name {found}")
 
 
 _IGNORED = frozenset({"PROTO", "FRAME", "STOP"})
@@ -280,7 +309,7 @@ _TEXTS = ("SHORT_BINUNICODE", "BINUNICODE", "BINUNICODE8")
 _PUSHES = frozenset({*_NUMBERS, *_TEXTS, "SHORT_BINBYTES", "BINBYTES", "BINBYTES8"})
 _GETS = frozenset({"BINGET", "LONG_BINGET"})
 _PUTS = frozenset({"BINPUT", "LONG_BINPUT"})
-_ACTS: dict[str, Callable[[_Machine, Any], None]] = {
+_ACTIONS: dict[str, Callable[[_Machine, Any], None]] = {
     "MEMOIZE": _Machine._memoize,
     "MARK": _Machine._mark,
     "TUPLE": _Machine._tuple,

@@ -1,1 +1,11 @@
-"""Trajectories on disk: the trajectory, its file format, the manifest, reading and writing."""
+"""Datasets on disk.
+
+- `trajectory`: one recorded episode.
+- `codec`: its file format, an .npz archive; `decode` reads files from anywhere safely.
+- `manifest`: the list of a dataset's trajectories, with checksums.
+- `dataset`, `writer`: reading a dataset, and appending to it.
+- `repair`: checking a dataset, and rebuilding its manifest.
+- `summary`: counts and mean scores for each environment, duplicates.
+- `provenance`: when and with which versions an episode was recorded.
+- `lock`, `regular_files`: file locks, and opening regular files only.
+"""

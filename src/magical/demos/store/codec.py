@@ -1,40 +1,95 @@
-"""A trajectory as one .npz file: plain arrays that NumPy alone reads, without pickle.
+"""The file format of a trajectory: an .npz archive, plain arrays that NumPy reads without pickle.
 
 Members: `header` (JSON as uint8), `actions` (T,) uint8, and either `poses` (T + 1, 5 + blocks, 3)
-float64 or `frames_allo` and `frames_ego` (T + 1, 96, 96, 3) uint8. Deflate finds the repeated rows
-of blocks at rest, and a frame's predecessor, by itself: filters before it gained nothing.
+float64 or `frames_allo` and `frames_ego` (T + 1, 96, 96, 3) uint8. Deflate already exploits the
+repeated rows of blocks at rest and the similarity of successive frames: filters in front of it
+saved nothing.
 """
 
 import hashlib
 import io
 import json
+import math
+import re
+import struct
 import zipfile
 import zlib
-from typing import Any
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.demos.store.trajectory import VIEWS, Trajectory
-from magical.errors import DatasetError, MagicalError
+from magical.demos.store.trajectory import MAX_NAME, VIEWS, Trajectory
+from magical.errors import DatasetError, MagicalError, TrajectoryError
 from magical.scene import Dynamics, Scene
+from magical.scene.constants import FRAME_SIZE
+from magical.untrusted import check_plain, printable, quoted
 
 FORMAT = {"format": "magical-trajectory", "version": 1}
 MAX_UNPACKED = 512 << 20  # bytes of all members together
-_MEMBERS = frozenset({"header", "actions", "poses", *(f"frames_{view}" for view in VIEWS)})
+MAX_HEADER = 1 << 20  # bytes of JSON
+MAX_STEPS = 1 << 20  # actions of one trajectory: 36 hours at 8 Hz
+MAX_FILE = MAX_UNPACKED + (1 << 20)  # bytes: what cannot be compressed, and the archive's own
 _FIELDS = ("env_id", "seed", "score", "published_code_score", "demonstrator", "metadata")
 
 
+class _Member(NamedTuple):
+    dtype: str
+    trailing: tuple[int | None, ...]  # sizes after the first; None: any
+    per_moment: bool  # as many rows as moments, T + 1
+
+
+_FRAMES = _Member("|u1", (FRAME_SIZE, FRAME_SIZE, 3), per_moment=True)
+_MEMBERS = {  # in the order of reading
+    "header": _Member("|u1", (), per_moment=False),
+    "actions": _Member("|u1", (), per_moment=False),
+    "poses": _Member("<f8", (None, 3), per_moment=True),
+    **{f"frames_{view}": _FRAMES for view in VIEWS},
+}
+# The header of an .npy file as NumPy writes it for such arrays (format version 1.0).
+_NPY_MAGIC = b"\x93NUMPY\x01\x00"
+_NPY_HEADER = re.compile(
+    rb"\{'descr': '([<|][uf][18])', 'fortran_order': False, "
+    rb"'shape': \((\d{1,9}(?:, \d{1,9}){0,3}),?\), \} *\n"
+)
+_MAX_NPY_HEADER = 256  # bytes; NumPy writes 118
+_END_RECORD = struct.Struct("<4s4H2LH")  # the end of a ZIP archive's directory
+_ZIP64_LOCATOR = 20  # bytes, before the end record where there is one
+
+# What zipfile, zlib, json and the constructors raise for files that are no trajectories.
+_DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, struct.error)
+_MALFORMED = (
+    ArithmeticError,
+    AttributeError,
+    LookupError,
+    MagicalError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+)
+
+
 def encode(trajectory: Trajectory) -> bytes:
-    """The file's bytes; the same trajectory always gives the same."""
+    """The file's bytes; the same trajectory always gives the same.
+
+    Raises:
+        TrajectoryError: its metadata is too large for the format.
+    """
     header = {
         **FORMAT,
         **{name: getattr(trajectory, name) for name in _FIELDS},
         "scene": trajectory.scene.to_dict(exact=True),
         "dynamics": trajectory.dynamics.to_dict(),
     }
+    text = json.dumps(header).encode()
+    if len(text) > MAX_HEADER:
+        raise TrajectoryError(
+            f"metadata: expected at most {MAX_HEADER} bytes of JSON with the scene, "
+            f"found {len(text)}"
+        )
     arrays: dict[str, NDArray[Any]] = {
-        "header": np.frombuffer(json.dumps(header).encode(), np.uint8),
+        "header": np.frombuffer(text, np.uint8),
         "actions": trajectory.actions.astype(np.uint8),
     }
     if trajectory.poses is not None:
@@ -47,49 +102,126 @@ def encode(trajectory: Trajectory) -> bytes:
 
 
 def decode(raw: bytes) -> Trajectory:
-    """The trajectory in a file's bytes.
+    """The trajectory in a file's bytes, which may come from anywhere.
+
+    Sizes, types and shapes are checked before anything is allocated for them.
 
     Raises:
-        DatasetError: damaged, of another format or version, or larger than can be.
+        DatasetError: the file is damaged, of another format or version, or too large.
     """
     try:
-        _check_members(raw)
-        with np.load(io.BytesIO(raw), allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        return _trajectory(json.loads(arrays["header"].tobytes()), arrays)
+        arrays = _read_arrays(raw)
+        return _trajectory(_read_header(arrays["header"]), arrays)
     except DatasetError:
         raise
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError) as error:
-        raise DatasetError(f"expected an .npz file, found a damaged one: {error}") from error
-    except (KeyError, TypeError, ValueError, OSError, MagicalError) as error:
-        raise DatasetError(f"expected a trajectory, found {error!r}") from error
+    except _DAMAGED as error:
+        raise DatasetError(
+            f"expected an .npz file, found a damaged one: {printable(str(error))}"
+        ) from error
+    except _MALFORMED as error:
+        what = printable(f"{type(error).__name__}: {error}")
+        raise DatasetError(f"expected a trajectory, found another file: {what}") from error
 
 
 def fingerprint(raw: bytes) -> str:
-    """What an encoded trajectory's actions and poses or frames are told apart by.
+    """Identifies the actions and poses or frames of an encoded trajectory.
 
-    Made of the archive's own check sums, so it costs nothing; for finding copies, not forgeries.
+    Computed from the archive's checksums, so it costs next to nothing; it finds duplicates, and is
+    no protection against forgery.
     """
     with zipfile.ZipFile(io.BytesIO(raw)) as archive:
         members = sorted((i.filename, i.CRC, i.file_size) for i in archive.infolist())
-    shown = repr([member for member in members if member[0] != "header.npy"])
-    return hashlib.sha256(shown.encode()).hexdigest()[:16]
+    content = repr([member for member in members if member[0] != "header.npy"])
+    return hashlib.sha256(content.encode()).hexdigest()[:16]
 
 
-def _check_members(raw: bytes) -> None:
+def _read_arrays(raw: bytes) -> dict[str, NDArray[Any]]:
+    _check_end_record(raw)
+    arrays: dict[str, NDArray[Any]] = {}
     with zipfile.ZipFile(io.BytesIO(raw)) as archive:
-        names = {info.filename.removesuffix(".npy") for info in archive.infolist()}
-        size = sum(info.file_size for info in archive.infolist())
-    if not {"header", "actions"} <= names <= _MEMBERS:
-        raise DatasetError(f"expected members {sorted(_MEMBERS)}, found {sorted(names)[:9]}")
-    if size > MAX_UNPACKED:
+        infos = _check_members(archive.infolist())
+        for name in (name for name in _MEMBERS if name in infos):
+            rows = len(arrays["actions"]) + 1 if _MEMBERS[name].per_moment else None
+            with archive.open(infos[name]) as file:
+                arrays[name] = _read_array(file, name, infos[name].file_size, rows)
+    return arrays
+
+
+def _check_end_record(raw: bytes) -> None:
+    """Bound the archive's directory before `zipfile` reads all of it."""
+    end = len(raw) - _END_RECORD.size
+    if end < 0:
+        raise DatasetError(f"expected an .npz file, found {len(raw)} bytes")
+    signature, disk, _, _, members, size, _, comment = _END_RECORD.unpack_from(raw, end)
+    zip64 = raw[max(end - _ZIP64_LOCATOR, 0) : end].startswith(b"PK\x06\x07")
+    if signature != b"PK\x05\x06" or disk or comment or zip64:
+        raise DatasetError("expected an .npz file, found one that was cut off or is damaged")
+    if members > len(_MEMBERS) or size > 256 * len(_MEMBERS):
+        raise DatasetError(f"expected at most {len(_MEMBERS)} members, found {members}")
+
+
+def _check_members(infos: list[zipfile.ZipInfo]) -> dict[str, zipfile.ZipInfo]:
+    members = {info.filename.removesuffix(".npy"): info for info in infos}
+    if not {"header", "actions"} <= set(members) <= set(_MEMBERS) or len(members) < len(infos):
+        found = printable(", ".join(sorted(members)))
+        raise DatasetError(f"expected members {', '.join(_MEMBERS)}, each once; found {found}")
+    limits = {"header": MAX_HEADER, "actions": MAX_STEPS}
+    size = sum(info.file_size for info in infos)
+    if size > MAX_UNPACKED or any(
+        members[name].file_size > limit + _MAX_NPY_HEADER for name, limit in limits.items()
+    ):
         raise DatasetError(f"expected at most {MAX_UNPACKED} bytes unpacked, found {size}")
+    for name, info in members.items():
+        if info.flag_bits & 1 or info.compress_type not in (
+            zipfile.ZIP_STORED,
+            zipfile.ZIP_DEFLATED,
+        ):
+            raise DatasetError(f"{name}: expected deflated data, found another compression")
+    return members
+
+
+def _read_array(file: IO[bytes], name: str, size: int, rows: int | None) -> NDArray[Any]:
+    """Read one .npy member of `size` bytes; `rows` is the expected first size, where known."""
+    expected = _MEMBERS[name]
+    start = file.read(len(_NPY_MAGIC) + 2)
+    length = int.from_bytes(start[-2:], "little")
+    if not start.startswith(_NPY_MAGIC) or length > _MAX_NPY_HEADER:
+        raise DatasetError(f"{name}: expected an array of .npy format 1.0, found another")
+    header = _NPY_HEADER.fullmatch(file.read(length))
+    if not header:
+        raise DatasetError(f"{name}: expected a plain array without pickled objects, found another")
+    dtype, shape = header[1].decode(), tuple(map(int, header[2].split(b", ")))
+    fits = len(shape) == 1 + len(expected.trailing) and all(
+        wanted in (None, found)
+        for wanted, found in zip((rows, *expected.trailing), shape, strict=True)
+    )
+    nbytes = math.prod(shape) * np.dtype(expected.dtype).itemsize
+    if dtype != expected.dtype or not fits or nbytes + len(start) + length != size:
+        raise DatasetError(
+            f"{name}: expected {expected.dtype} of shape {(rows, *expected.trailing)}, "
+            f"found {dtype} {shape} in {size} bytes"
+        )
+    data = file.read(nbytes)
+    if len(data) != nbytes or file.read(1):  # reading to the end checks the CRC
+        raise EOFError(f"{name} ends early")
+    return np.frombuffer(data, dtype).reshape(shape)
+
+
+def _read_header(array: NDArray[Any]) -> dict[str, Any]:
+    header = json.loads(array.tobytes().decode())
+    if not isinstance(header, dict):
+        raise DatasetError(f"header: expected an object, found {quoted(header)}")
+    check_plain(header)
+    if any(header.get(name) != value for name, value in FORMAT.items()):
+        found = ", ".join(quoted(header.get(name)) for name in FORMAT)
+        raise DatasetError(f"expected {FORMAT}, found {found}; use a newer version of magical")
+    env_id = header["env_id"]
+    if not isinstance(env_id, str) or len(env_id) > MAX_NAME:
+        raise DatasetError(f"header: expected an environment id, found {quoted(env_id)}")
+    return header
 
 
 def _trajectory(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Trajectory:
-    found = {name: header.get(name) for name in FORMAT}
-    if found != FORMAT:
-        raise DatasetError(f"expected {FORMAT}, found {found}; use a newer version of magical")
     frames = {view: arrays[f"frames_{view}"] for view in VIEWS if f"frames_{view}" in arrays}
     return Trajectory(
         **{name: header[name] for name in _FIELDS},

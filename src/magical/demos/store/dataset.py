@@ -1,6 +1,7 @@
-"""A dataset: a folder with one file a trajectory, and a manifest with their SHA-256 sums."""
+"""A dataset: a folder with one file for each trajectory, and a manifest with their checksums."""
 
 import hashlib
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,31 +10,41 @@ from typing import Any, overload
 import numpy as np
 
 from magical.demos.store import manifest
-from magical.demos.store.codec import decode
+from magical.demos.store.codec import MAX_FILE, decode
 from magical.demos.store.lock import locked
 from magical.demos.store.manifest import ManifestEntry
+from magical.demos.store.regular_files import open_regular
 from magical.demos.store.trajectory import Trajectory
 from magical.envs.ids import parse_env_id
 from magical.errors import DatasetError, UnknownNameError
 from magical.tasks import VARIANTS, get_task
+from magical.untrusted import printable
+
+MAX_MESSAGE = 1000  # characters of a problem: paths, and what was found
 
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """Something wrong with a dataset: the file, and what is wrong with it."""
+    """A damaged or unlisted file of a dataset, or a damaged line of its manifest."""
 
     file: str
     what: str
 
     def __str__(self) -> str:
-        return self.what if self.what.startswith(self.file) else f"{self.file}: {self.what}"
+        named = self.what.startswith(self.file)
+        return printable(self.what if named else f"{self.file}: {self.what}", MAX_MESSAGE)
 
 
 class Dataset(Sequence[Trajectory]):
     """Trajectories of any mix of tasks and variants, read from disk one at a time.
 
-    `dataset[i]`, iteration and `filter` never hold more than one trajectory. Reading a damaged file
-    raises `DatasetError`, which names it; the others stay readable.
+    `dataset[i]`, iteration and `filter` never hold more than one trajectory in memory. Reading a
+    damaged file raises a `DatasetError` that names it; the others stay readable.
+
+    Attributes:
+        path: the dataset's folder.
+        entries: one `ManifestEntry` for each trajectory.
+        problems: what `open(..., skip_damaged=True)` left out.
     """
 
     def __init__(
@@ -41,27 +52,31 @@ class Dataset(Sequence[Trajectory]):
     ) -> None:
         self.path = path
         self.entries = tuple(entries)
-        self.problems = tuple(problems)  # what `open(..., skip_damaged=True)` left out
+        self.problems = tuple(problems)
 
     @classmethod
     def open(cls, path: Path | str, *, skip_damaged: bool = False) -> "Dataset":
         """The dataset in a folder.
 
-        With `skip_damaged` every file is checked now; what is damaged is left out and listed in
-        `problems`.
+        Args:
+            path: the folder.
+            skip_damaged: read every file now; leave damaged ones out and list them in `problems`.
 
         Raises:
-            DatasetError: no dataset, or without `skip_damaged` a manifest that is damaged or does
-                not list the files that are there.
+            DatasetError: there is no dataset, or, without `skip_damaged`, the manifest is damaged
+                or does not list all files.
         """
         folder = Path(path)
-        with locked(folder / manifest.LOCK, reading=True):
-            entries, problems = read_manifest(folder)
+        try:
+            with locked(folder / manifest.LOCK, reading=True):
+                entries, problems = read_manifest(folder)
+        except OSError as error:
+            raise DatasetError(f"{folder}: cannot be read: {error}") from error
         if skip_damaged:
-            whole = cls(folder, entries)
-            found = {entry: _trouble(whole, entry) for entry in entries}
-            problems += [Problem(str(folder / e.file), what) for e, what in found.items() if what]
-            return cls(folder, [entry for entry, what in found.items() if not what], problems)
+            everything = cls(folder, entries)
+            damage = {entry: everything._damage(entry) for entry in entries}
+            problems += [Problem(str(folder / e.file), what) for e, what in damage.items() if what]
+            return cls(folder, [entry for entry, what in damage.items() if not what], problems)
         if problems:
             raise DatasetError(_summary(problems))
         return cls(folder, entries)
@@ -77,34 +92,46 @@ class Dataset(Sequence[Trajectory]):
     def __getitem__(self, index: slice) -> "Dataset": ...
 
     def __getitem__(self, index: int | slice) -> "Trajectory | Dataset":
-        """One trajectory, read and checked now; or some of the dataset."""
+        """One trajectory, read and checked now; or for a slice, a part of the dataset."""
         if isinstance(index, slice):
             return Dataset(self.path, self.entries[index])
         return self.read(self.entries[index])
 
     def __iter__(self) -> Iterator[Trajectory]:
-        """Read one trajectory after another."""
+        """Read the trajectories one after another."""
         return map(self.read, self.entries)
 
     def __repr__(self) -> str:
         return f"Dataset({str(self.path)!r}, {len(self)} trajectories)"
 
     def read(self, entry: ManifestEntry) -> Trajectory:
-        """The trajectory of an entry; raises `DatasetError` naming the file if it is damaged."""
+        """Read and check the trajectory of an entry.
+
+        Raises:
+            DatasetError: the file is missing, damaged or not the one in the manifest; names it.
+        """
         path = self.path / entry.file
-        raw = read_file(path)
+        raw = read_file(path, entry.size)
         if hashlib.sha256(raw).hexdigest() != entry.sha256:
             raise DatasetError(
-                f"{path}: expected {entry.size} bytes with SHA-256 {entry.sha256[:12]}..., found "
-                f"{len(raw)} bytes with another; it was changed or cut after it was written"
+                f"{path}: expected SHA-256 {entry.sha256[:12]}..., found another; the file was "
+                "changed after it was written"
             )
         try:
             trajectory = decode(raw)
         except DatasetError as error:
             raise DatasetError(f"{path}: {error}") from error
         if ManifestEntry.of(trajectory, raw, entry.index) != entry:
-            raise DatasetError(f"{path}: the manifest says something else of it; {manifest.ADVICE}")
+            raise DatasetError(f"{path}: the manifest describes another one; {manifest.ADVICE}")
         return trajectory
+
+    def _damage(self, entry: ManifestEntry) -> str:
+        """What is wrong with the file of an entry; empty if nothing is."""
+        try:
+            self.read(entry)
+        except DatasetError as error:
+            return str(error)
+        return ""
 
     def filter(
         self,
@@ -115,13 +142,21 @@ class Dataset(Sequence[Trajectory]):
         demonstrator: str | None = None,
         min_score: float | None = None,
     ) -> "Dataset":
-        """The trajectories for which everything given holds, without reading them.
+        """The part of the dataset that meets all given conditions; reads no trajectory.
 
-        `min_score` compares the appendix's score, or where poses are unknown (human demonstrations)
-        the published code's. Raises `UnknownNameError` for names that nothing has.
+        Args:
+            task: name of a task.
+            variant: name of a variant.
+            env_id: environment id; a preset in it is ignored.
+            demonstrator: the demonstrator's name.
+            min_score: lower bound for the appendix's score, or where poses are unknown (human
+                demonstrations) for the published code's.
+
+        Raises:
+            UnknownNameError: there is no such task, variant or environment.
         """
         if task and all(task != entry.task for entry in self.entries):
-            get_task(task)  # a task without demonstrations is well, a misspelt one is not
+            get_task(task)  # a task without demonstrations is no error, a misspelt one is
         if variant is not None and variant not in VARIANTS:
             raise UnknownNameError(
                 f"{variant!r} is no variant; expected one of: {', '.join(VARIANTS)}"
@@ -141,9 +176,10 @@ class Dataset(Sequence[Trajectory]):
         )
 
     def sample(self, count: int, rng: np.random.Generator) -> "Dataset":
-        """`count` trajectories drawn without replacement, in the dataset's order.
+        """`count` trajectories sampled without replacement, in the dataset's order.
 
-        Raises `DatasetError` if there are fewer.
+        Raises:
+            DatasetError: there are fewer.
         """
         if count > len(self):
             raise DatasetError(f"{self.path}: expected {count} trajectories, found {len(self)}")
@@ -152,17 +188,16 @@ class Dataset(Sequence[Trajectory]):
 
     def arrays(self, preset: Any = "LoRes4E") -> dict[str, Any]:
         """All steps as plain arrays; see `magical.demos.reader.dataset_arrays`."""
-        from magical.demos.reader import (
-            dataset_arrays,  # imports the renderer: only when needed
-        )
+        from magical.demos.reader import dataset_arrays  # imports the renderer: only when needed
 
         return dataset_arrays(self, preset)
 
 
 def read_manifest(folder: Path) -> tuple[list[ManifestEntry], list[Problem]]:
-    """What the manifest lists, and what is wrong with it or not in it; the caller holds the lock.
+    """The manifest's entries, and what is wrong with it or missing in it; the caller has the lock.
 
-    Raises `DatasetError` if there is no manifest.
+    Raises:
+        DatasetError: there is no manifest, or the trajectories' folder is a symbolic link.
     """
     lines = list(manifest.read_entries(folder))
     entries = [line for line in lines if isinstance(line, ManifestEntry)]
@@ -172,29 +207,44 @@ def read_manifest(folder: Path) -> tuple[list[ManifestEntry], list[Problem]]:
         if isinstance(error, DatasetError)
     ]
     listed = {entry.file for entry in entries}
-    present = sorted((folder / manifest.FOLDER).glob("*.npz"))
     problems += [
-        Problem(str(path), f"not in the manifest; {manifest.ADVICE}")
-        for path in present
+        Problem(printable(str(path), MAX_MESSAGE), f"not in the manifest; {manifest.ADVICE}")
+        for path in stored_files(folder)
         if f"{manifest.FOLDER}/{path.name}" not in listed
     ]
     return entries, problems
 
 
-def read_file(path: Path) -> bytes:
-    """A file's bytes; raises `DatasetError` naming it."""
+def stored_files(folder: Path) -> list[Path]:
+    """The paths of a dataset's trajectories, listed or not, in order of their names.
+
+    Raises:
+        DatasetError: their folder is a symbolic link, which could leave the dataset.
+    """
+    stored = folder / manifest.FOLDER
+    if stored.is_symlink():
+        raise DatasetError(f"{stored}: expected a folder of the dataset, found a symbolic link")
+    return sorted(stored.glob("*.npz"))
+
+
+def read_file(path: Path, size: int | None = None) -> bytes:
+    """A trajectory file's bytes, `size` of them if that is known.
+
+    Raises:
+        DatasetError: it is missing, not a regular file, or of another size; names it.
+    """
+    limit = MAX_FILE if size is None else size
     try:
-        return path.read_bytes()
+        with open_regular(path) as file:
+            found = os.fstat(file.fileno()).st_size
+            if found > limit or size not in (None, found):
+                raise DatasetError(
+                    f"{path}: expected {'at most ' if size is None else ''}{limit} bytes, "
+                    f"found {found}; the file was changed or cut off after it was written"
+                )
+            return file.read(found)
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read: {error.strerror or error}") from error
-
-
-def _trouble(dataset: Dataset, entry: ManifestEntry) -> str:
-    try:
-        dataset.read(entry)
-    except DatasetError as error:
-        return str(error)
-    return ""
 
 
 def _summary(problems: Sequence[Problem]) -> str:

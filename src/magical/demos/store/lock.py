@@ -1,10 +1,12 @@
-"""Locks between processes (and threads) that share a dataset."""
+"""File locks between the processes and threads that share a dataset."""
 
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
+
+from magical.demos.store.regular_files import open_regular
 
 if sys.platform == "win32":
     import msvcrt
@@ -14,15 +16,18 @@ else:
 
 @contextmanager
 def locked(path: Path, *, reading: bool = False) -> Iterator[None]:
-    """Hold the lock file `path`, alone or with other readers; waits for it.
+    """Hold a lock on the file `path`: exclusive, or with `reading` shared with other readers.
 
-    A reader goes without where there is no lock file, as in a copy that nobody writes to.
-    Raises `OSError` if the file cannot be made.
+    Waits until the lock is free. A reader takes no lock where there is no lock file, as in a
+    read-only copy.
+
+    Raises:
+        OSError: the lock file cannot be created, or is not a regular file.
     """
     if reading and not path.exists():
         yield
         return
-    with path.open("rb" if reading else "ab") as file:
+    with open_regular(path, "rb" if reading else "ab") as file:
         _lock(file, reading)
         try:
             yield

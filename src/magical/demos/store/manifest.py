@@ -1,32 +1,46 @@
-"""A dataset's list of contents: one line of JSON a trajectory, only ever appended to.
+"""The manifest of a dataset: a JSON Lines file with one line for each trajectory, append-only.
 
-Every line ends with a check sum over itself and the line before, so that a changed, lost or moved
-line shows. An end that was cut off shows as trajectory files that are not listed.
+Every line ends with a checksum of itself and the line before it, which reveals a changed, missing
+or moved line. A manifest that was cut off at the end of a line is revealed by the trajectory files
+that it does not list.
 """
 
 import hashlib
+import itertools
 import json
 import os
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, NamedTuple
 
-from magical.demos.store.codec import fingerprint
-from magical.demos.store.trajectory import Trajectory
+from magical.demos.store.codec import MAX_FILE, MAX_STEPS, fingerprint
+from magical.demos.store.regular_files import open_regular
+from magical.demos.store.trajectory import MAX_NAME, Trajectory
 from magical.envs.ids import EnvId, split_env_id
-from magical.errors import DatasetError
+from magical.errors import DatasetError, MagicalError
+from magical.untrusted import check_plain, quoted
 
 NAME = "manifest.jsonl"
 FOLDER = "trajectories"
 LOCK = ".lock"
 HEADER = {"format": "magical-dataset", "version": 1}
-_TAIL = 1 << 20  # bytes: more than any line has
+MAX_LINE = 1 << 16  # bytes; names of `MAX_NAME` characters fit
+MAX_DAMAGED_LINES = 1000  # then the rest of the manifest is not read
+_SHA256 = re.compile("[0-9a-f]{64}")
+_FINGERPRINT = re.compile("[0-9a-f]{16}")
+_NAME = re.compile(r"\w{1,100}")  # a task or variant, as part of a file's name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ManifestEntry:
-    """What the manifest knows of one trajectory."""
+    """One line of the manifest: the file of a trajectory, and its properties.
+
+    Raises:
+        ValueError: a field is of another type or outside its range.
+        UnknownNameError: `env_id` is not an environment id.
+    """
 
     index: int
     file: str  # relative to the dataset's folder
@@ -39,19 +53,31 @@ class ManifestEntry:
     demonstrator: str
     seed: int | None
     has_poses: bool
-    fingerprint: str  # the same for the same actions and poses or frames
-    source: str | None = None  # file that it was imported from
+    fingerprint: str  # equal for equal actions and poses or frames
+    source: str | None = None  # the file it was imported from
     source_sha256: str | None = None
 
     def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not _CHECKS[field.name](value):
+                raise ValueError(f"{field.name}: the format does not allow {quoted(value)}")
         # Names are not looked up: a task of another package may not be registered here.
-        object.__setattr__(self, "env_id", split_env_id(self.env_id))
+        env_id = split_env_id(self.env_id)
+        if not (_NAME.fullmatch(env_id.task) and _NAME.fullmatch(env_id.variant)):
+            raise ValueError(
+                f"env_id: expected names of letters and digits, found {quoted(env_id)}"
+            )
+        object.__setattr__(self, "env_id", env_id)
         if self.file != _file(self.index, self.env_id):
-            raise ValueError(f"expected the name of trajectory {self.index}, found {self.file!r}")
+            raise ValueError(
+                f"expected the name of trajectory {self.index}, found {quoted(self.file)}"
+            )
 
     @staticmethod
     def of(trajectory: Trajectory, raw: bytes, index: int = 0) -> "ManifestEntry":
         """The entry of a trajectory whose file has the bytes `raw`."""
+        source, source_sha256 = (trajectory.metadata.get(n) for n in ("source", "source_sha256"))
         return ManifestEntry(
             index=index,
             file=_file(index, trajectory.env_id),
@@ -65,12 +91,12 @@ class ManifestEntry:
             seed=trajectory.seed,
             has_poses=trajectory.poses is not None,
             fingerprint=fingerprint(raw),
-            source=trajectory.metadata.get("source"),
-            source_sha256=trajectory.metadata.get("source_sha256"),
+            source=source if _is_name(source) else None,
+            source_sha256=source_sha256 if _is_sha256(source_sha256) else None,
         )
 
     def at(self, index: int) -> "ManifestEntry":
-        """The same at another place in the dataset."""
+        """The entry with another index."""
         return replace(self, index=index, file=_file(index, self.env_id))
 
     @property
@@ -93,6 +119,36 @@ def _file(index: int, env_id: EnvId) -> str:
     return f"{FOLDER}/{index:06d}-{env_id.task}-{env_id.variant}.npz"
 
 
+def _is_name(value: object) -> bool:
+    return isinstance(value, str) and 0 < len(value) <= MAX_NAME
+
+
+def _is_sha256(value: object) -> bool:
+    return isinstance(value, str) and _SHA256.fullmatch(value) is not None
+
+
+def _is_score(value: object) -> bool:
+    return type(value) is float and 0.0 <= value <= 1.0
+
+
+_CHECKS: dict[str, Callable[[object], bool]] = {
+    "index": lambda value: type(value) is int and 0 <= value < 10**9,
+    "file": _is_name,
+    "sha256": _is_sha256,
+    "size": lambda value: type(value) is int and 0 < value <= MAX_FILE,
+    "env_id": _is_name,
+    "length": lambda value: type(value) is int and 0 < value <= MAX_STEPS,
+    "score": lambda value: value is None or _is_score(value),
+    "published_code_score": _is_score,
+    "demonstrator": _is_name,
+    "seed": lambda value: value is None or (type(value) is int and value >= 0),
+    "has_poses": lambda value: type(value) is bool,
+    "fingerprint": lambda value: isinstance(value, str) and bool(_FINGERPRINT.fullmatch(value)),
+    "source": lambda value: value is None or _is_name(value),
+    "source_sha256": lambda value: value is None or _is_sha256(value),
+}
+
+
 def new_text(entries: list[ManifestEntry]) -> str:
     """A whole manifest's text."""
     lines, check = [], ""
@@ -103,36 +159,50 @@ def new_text(entries: list[ManifestEntry]) -> str:
 
 
 def read_entries(folder: Path) -> Iterator[ManifestEntry | DatasetError]:
-    """The manifest's entries in order; in the place of a damaged line, the error that it is."""
+    """The manifest's entries in order; for a damaged line, the error instead of the entry.
+
+    Raises:
+        DatasetError: there is no manifest, or it cannot be read.
+    """
     path = folder / NAME
     try:
-        lines = path.read_bytes().decode(errors="replace").splitlines(keepends=True)
+        with open_regular(path) as file:
+            yield from _parse_lines(path, file)
     except FileNotFoundError as error:
         raise DatasetError(f"{folder}: expected a dataset, found no {NAME} in it") from error
     except OSError as error:
-        raise DatasetError(f"{path}: cannot be read: {error}") from error
-    check = ""
-    for number, line in enumerate(lines or [""], 1):
-        content, good = _parse(line, check)
-        check = str(content.pop("check", ""))
-        expected = HEADER if number == 1 else None
-        if not good or (expected and content != expected):
-            yield DatasetError(f"{path}: line {number} is damaged, or the line before it; {ADVICE}")
-        elif not expected:
-            yield ManifestEntry(**content)
+        raise DatasetError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
-ADVICE = "`magical demos info DIR --repair` lists the intact trajectories anew"
+def _parse_lines(path: Path, file: IO[bytes]) -> Iterator[ManifestEntry | DatasetError]:
+    check, damaged = "", 0
+    for number in itertools.count(1):
+        line = file.readline(MAX_LINE)
+        if not line and number > 1:
+            return
+        parsed = _parse(line, check)
+        check = parsed.check
+        if not parsed.intact or (number == 1) != (parsed.entry is None):
+            damaged += 1
+            yield DatasetError(f"{path}: line {number} or the line before it is damaged; {ADVICE}")
+        elif parsed.entry:
+            yield parsed.entry
+        if damaged == MAX_DAMAGED_LINES:
+            yield DatasetError(f"{path}: more than {damaged} damaged lines; {ADVICE}")
+            return
+
+
+ADVICE = "`magical demos info DIR --repair` rebuilds the manifest from the intact trajectories"
 
 
 def append(folder: Path, entry: ManifestEntry, check: str) -> None:
-    """Add a line; `check` is the last line's. On failure the file is as it was.
+    """Append a line; `check` is the last line's checksum. On failure the file stays as it was.
 
     Raises:
         OSError: the file cannot be written, or the disk is full.
     """
     line, _ = _line(asdict(entry), check)
-    with (folder / NAME).open("r+b", buffering=0) as file:
+    with open_regular(folder / NAME, "r+b", buffering=0) as file:
         size = file.seek(0, os.SEEK_END)
         try:
             _write_all(file, line.encode())
@@ -142,18 +212,20 @@ def append(folder: Path, entry: ManifestEntry, check: str) -> None:
 
 
 def last_line(folder: Path) -> tuple[int, str]:
-    """The next free index, and the last line's check sum.
+    """The next free index, and the last line's checksum.
 
-    Raises `DatasetError` if that line is damaged.
+    Raises:
+        DatasetError: the last line is damaged.
+        OSError: the manifest cannot be read.
     """
     path = folder / NAME
-    with path.open("rb") as file:
-        file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL))
-        lines = file.read().decode(errors="replace").splitlines(keepends=True)
-    content, good = _parse(lines[-1] if lines else "", None)
-    if not good or "check" not in content:
+    with open_regular(path) as file:
+        file.seek(max(0, file.seek(0, os.SEEK_END) - MAX_LINE))
+        lines = file.read(MAX_LINE).splitlines(keepends=True)
+    last = _parse(lines[-1] if lines else b"", None)
+    if not last.intact or not last.check:
         raise DatasetError(f"{path}: the last line is damaged; {ADVICE}")
-    return int(content.get("index", -1)) + 1, str(content["check"])
+    return last.entry.index + 1 if last.entry else 0, last.check
 
 
 def _line(content: dict[str, Any], previous: str) -> tuple[str, str]:
@@ -162,17 +234,27 @@ def _line(content: dict[str, Any], previous: str) -> tuple[str, str]:
     return f'{body[:-1]},"check":"{check}"}}\n', check
 
 
-def _parse(line: str, previous: str | None) -> tuple[dict[str, Any], bool]:
-    """A line's content and whether it is exactly what was written after `previous`."""
+class _ParsedLine(NamedTuple):
+    entry: ManifestEntry | None = None  # None: the header
+    check: str = ""
+    intact: bool = False
+
+
+def _parse(line: bytes, previous: str | None) -> _ParsedLine:
+    """Parse a line, and compare it with what is written after a line of checksum `previous`."""
     try:
-        content = json.loads(line)
-        plain = {name: value for name, value in content.items() if name != "check"}
-        good = previous is None or _line(plain, previous)[0] == line
-        if good and "index" in content:
-            ManifestEntry(**plain)
-        return content, good and line.endswith("\n")
-    except (AttributeError, IndexError, TypeError, ValueError):
-        return {}, False
+        text = line.decode()
+        content = json.loads(text)
+        check_plain(content)
+        check = content.pop("check")
+        if not isinstance(check, str):
+            return _ParsedLine()
+        intact = text.endswith("\n") and (previous is None or _line(content, previous)[0] == text)
+        if content == HEADER:
+            return _ParsedLine(None, check, intact)
+        return _ParsedLine(ManifestEntry(**content), check, intact)
+    except (AttributeError, LookupError, MagicalError, RecursionError, TypeError, ValueError):
+        return _ParsedLine()
 
 
 def _write_all(file: Any, data: bytes) -> None:

@@ -1,26 +1,39 @@
-"""Finding what is wrong with a dataset, and saving what is not."""
+"""Checking a dataset, and rebuilding the manifest of a damaged one."""
 
+import itertools
+import os
 from pathlib import Path
 
 from magical.demos.store import manifest
 from magical.demos.store.codec import decode
-from magical.demos.store.dataset import Dataset, Problem, read_file, read_manifest
+from magical.demos.store.dataset import (
+    MAX_MESSAGE,
+    Dataset,
+    Problem,
+    read_file,
+    read_manifest,
+    stored_files,
+)
 from magical.demos.store.lock import locked
 from magical.demos.store.manifest import ManifestEntry
 from magical.errors import DatasetError
 from magical.files import write_atomically
+from magical.untrusted import printable
 
 
 def check(path: Path | str) -> list[Problem]:
-    """Everything wrong with a dataset; reads every file."""
+    """All problems of a dataset; reads every file."""
     return list(Dataset.open(path, skip_damaged=True).problems)
 
 
 def repair(path: Path | str) -> list[Problem]:
-    """Write the manifest anew from the intact files; returns what was wrong.
+    """Rebuild the manifest from the intact trajectory files; returns the problems found.
 
-    Damaged trajectory files are moved to the folder `damaged`. Raises `DatasetError` where there is
-    no dataset, `OSError` where it cannot be written.
+    Damaged trajectory files are moved to the folder `damaged`.
+
+    Raises:
+        DatasetError: there is no dataset.
+        OSError: it cannot be written.
     """
     folder = Path(path)
     if not (folder / manifest.FOLDER).is_dir():
@@ -32,24 +45,36 @@ def repair(path: Path | str) -> list[Problem]:
             entries, problems = [], [Problem(str(folder / manifest.NAME), str(error))]
         sums = {entry.file: entry.sha256 for entry in entries}
         kept = []
-        for file in sorted((folder / manifest.FOLDER).glob("*.npz")):
+        for file in stored_files(folder):
             try:
                 kept.append(_recovered(folder, file, sums))
             except DatasetError as error:
-                problems.append(Problem(str(file), str(error)))
-                (folder / "damaged").mkdir(exist_ok=True)
-                file.rename(folder / "damaged" / file.name)
+                problems.append(Problem(printable(str(file), MAX_MESSAGE), str(error)))
+                _set_aside(file, folder / "damaged")
         with write_atomically(folder / manifest.NAME) as out:
             out.write(manifest.new_text(kept).encode())
     return problems
 
 
+def _set_aside(file: Path, damaged: Path) -> None:
+    """Move a damaged file to the folder `damaged`, under a name that is free there."""
+    if damaged.is_symlink():
+        raise DatasetError(f"{damaged}: expected a folder of the dataset, found a symbolic link")
+    damaged.mkdir(exist_ok=True)
+    names = itertools.chain([file.name], (f"{file.name}.{i}" for i in itertools.count(1)))
+    free = next(name for name in names if not os.path.lexists(damaged / name))
+    file.rename(damaged / free)
+
+
 def _recovered(folder: Path, file: Path, sums: dict[str, str]) -> ManifestEntry:
     raw = read_file(file)
-    number = file.name.split("-")[0]
-    entry = ManifestEntry.of(decode(raw), raw, int(number) if number.isdecimal() else -1)
+    trajectory, number = decode(raw), file.name.split("-")[0]
+    try:
+        entry = ManifestEntry.of(trajectory, raw, int(number) if number.isdecimal() else 0)
+    except ValueError as error:
+        raise DatasetError(f"{file}: cannot be listed in a manifest: {error}") from error
     if folder / entry.file != file:
         raise DatasetError(f"{file}: expected the name {entry.file}")
     if sums.get(entry.file, entry.sha256) != entry.sha256:
-        raise DatasetError(f"{file}: was changed after it was written")
+        raise DatasetError(f"{file}: the file was changed after it was written")
     return entry

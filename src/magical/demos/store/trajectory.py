@@ -1,4 +1,4 @@
-"""One demonstration: what was done from where, and how every body or picture moved."""
+"""The trajectory of one demonstration: initial scene, actions, and poses or recorded frames."""
 
 import json
 from collections.abc import Mapping
@@ -14,15 +14,17 @@ from magical.scene import NUM_ACTIONS, Dynamics, Poses, Scene, View
 from magical.scene.constants import FRAME_SIZE
 from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import Task
+from magical.untrusted import check_plain, quoted
 
 VIEWS = tuple(str(view) for view in View)
+MAX_NAME = 1000  # characters of an environment id or a demonstrator's name
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Trajectory:
-    """A recorded episode of T control steps; T + 1 moments are known.
+    """A recorded episode of T control steps, with T + 1 time steps from `reset` to its end.
 
-    Either `poses` are known, from which any view can be drawn exactly at any resolution, or only
+    Either `poses` are known, from which any view can be rendered exactly at any resolution, or only
     `frames`. Arrays are copied and made read-only. Metadata must be plain JSON data.
 
     Raises:
@@ -30,16 +32,16 @@ class Trajectory:
         UnknownNameError: there is no such environment.
     """
 
-    env_id: EnvId  # without a preset, such as magical/FindDupe-TestAll-v0; text is parsed
-    scene: Scene  # what the episode began with
+    env_id: EnvId  # without a preset, such as magical/FindDupe-TestAll-v0; a string is parsed
+    scene: Scene  # the initial scene
     actions: NDArray[np.int64]  # (T,)
-    published_code_score: float  # of the last state (docs/specification.md, section 9)
-    score: float | None = None  # of the last state by the appendix's rule; None: poses unknown
+    published_code_score: float  # of the final state (docs/specification.md, section 9)
+    score: float | None = None  # of the final state by the appendix's rule; None: poses unknown
     dynamics: Dynamics = field(default_factory=Dynamics)
-    seed: int | None = None  # that the environment was reset with, where known
+    seed: int | None = None  # passed to `reset`, where known
     poses: NDArray[np.float64] | None = None  # (T + 1, 5 + blocks, 3), rows as in `Poses`
     frames: Mapping[str, NDArray[np.uint8]] | None = None  # view: (T + 1, 96, 96, 3)
-    demonstrator: str = "unknown"  # who or what chose the actions
+    demonstrator: str = "unknown"  # the person or policy that chose the actions
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -52,17 +54,19 @@ class Trajectory:
         if self.frames is not None:
             object.__setattr__(self, "frames", self._checked_frames(self.frames))
         self._check_scores()
-        if self.seed is not None and (isinstance(self.seed, bool) or int(self.seed) < 0):
-            raise TrajectoryError(f"seed: expected an integer of at least 0, found {self.seed!r}")
-        if not isinstance(self.demonstrator, str) or not self.demonstrator:
-            raise TrajectoryError(f"demonstrator: expected a name, found {self.demonstrator!r}")
+        object.__setattr__(self, "seed", _checked_seed(self.seed))
+        if not isinstance(self.demonstrator, str) or not 0 < len(self.demonstrator) <= MAX_NAME:
+            raise TrajectoryError(
+                f"demonstrator: expected a name of at most {MAX_NAME} characters, "
+                f"found {quoted(self.demonstrator)}"
+            )
         object.__setattr__(self, "metadata", _checked_metadata(self.metadata))
 
     @staticmethod
     def from_poses(
         env_id: str, scene: Scene, actions: ArrayLike, poses: ArrayLike, **more: Any
     ) -> "Trajectory":
-        """A trajectory scored here, by both rules, from its last poses."""
+        """A trajectory whose two scores are computed from its final poses."""
         table = np.asarray(poses, np.float64)
         if table.ndim != 3 or not len(table):
             raise TrajectoryError(
@@ -127,7 +131,9 @@ class Trajectory:
             if value is None and name == "score":
                 continue
             if not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
-                raise TrajectoryError(f"{name}: expected a number from 0 to 1, found {value!r}")
+                raise TrajectoryError(
+                    f"{name}: expected a number from 0 to 1, found {quoted(value)}"
+                )
             object.__setattr__(self, name, float(value))
 
 
@@ -152,9 +158,18 @@ def _checked_actions(actions: ArrayLike) -> NDArray[np.int64]:
     return _frozen(array.astype(np.int64))
 
 
+def _checked_seed(seed: Any) -> int | None:
+    if seed is None:
+        return None
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        raise TrajectoryError(f"seed: expected an integer of at least 0, found {quoted(seed)}")
+    return int(seed)
+
+
 def _checked_metadata(metadata: Mapping[str, Any]) -> dict[str, Any]:
     try:
         plain = json.loads(json.dumps(dict(metadata), allow_nan=False))
+        check_plain(plain)
     except (TypeError, ValueError, RecursionError) as error:
         raise TrajectoryError(f"metadata: expected plain JSON data, found {error}") from error
     assert isinstance(plain, dict)

@@ -1,9 +1,11 @@
-"""Appending to a dataset, one trajectory at a time, wholly or not at all."""
+"""Appending trajectories to a dataset, each in one transaction."""
 
+import os
 from pathlib import Path
 
 from magical.demos.store import manifest
 from magical.demos.store.codec import encode
+from magical.demos.store.dataset import stored_files
 from magical.demos.store.lock import locked
 from magical.demos.store.manifest import ManifestEntry
 from magical.demos.store.trajectory import Trajectory
@@ -12,9 +14,10 @@ from magical.files import write_atomically
 
 
 class DatasetWriter:
-    """Appends to a dataset, which is made if there is none; several processes may do so at once.
+    """Appends to a dataset, which is created if there is none; several processes may do so at once.
 
-    Raises `DatasetError` if the folder holds something else or cannot be written.
+    Raises:
+        DatasetError: the folder holds something else or cannot be written.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -25,23 +28,24 @@ class DatasetWriter:
             raise DatasetError(f"{self.path}: cannot be written: {error}") from error
 
     def append(self, trajectory: Trajectory) -> ManifestEntry:
-        """Store a trajectory: either wholly, or if it fails not at all.
+        """Store a trajectory; on failure the dataset stays as it was.
 
         Raises:
             DatasetError: the disk is full, or the manifest is damaged; names the file.
+            TrajectoryError: its metadata is too large for the format.
         """
         raw = encode(trajectory)
         return self.append_encoded(ManifestEntry.of(trajectory, raw), raw)
 
     def append_encoded(self, entry: ManifestEntry, raw: bytes) -> ManifestEntry:
-        """`append` for what `encode` made, perhaps in another process."""
+        """`append` for an already encoded trajectory, such as one from another process."""
         try:
             with locked(self.path / manifest.LOCK):
                 index, check = manifest.last_line(self.path)
                 entry = entry.at(index)
                 file = self.path / entry.file
-                if file.exists():
-                    raise DatasetError(f"{file}: is not in the manifest; {manifest.ADVICE}")
+                if os.path.lexists(file):
+                    raise DatasetError(f"{file}: not in the manifest; {manifest.ADVICE}")
                 self._store(file, raw, entry, check)
         except OSError as error:
             where = error.filename or self.path
@@ -61,7 +65,7 @@ class DatasetWriter:
         (self.path / manifest.FOLDER).mkdir(parents=True, exist_ok=True)
         with locked(self.path / manifest.LOCK):
             if not (self.path / manifest.NAME).exists():
-                if any((self.path / manifest.FOLDER).glob("*.npz")):
+                if stored_files(self.path):
                     raise DatasetError(
                         f"{self.path}: {manifest.NAME} is missing; {manifest.ADVICE}"
                     )

@@ -1,0 +1,61 @@
+"""Opening regular files only: a device or FIFO under a file's name would block or never end."""
+
+import errno
+import hashlib
+import os
+import stat
+from pathlib import Path
+from typing import IO
+
+_FLAGS = {
+    "rb": os.O_RDONLY,
+    "r+b": os.O_RDWR,
+    "wb": os.O_WRONLY | os.O_CREAT,  # truncated after the check
+    "ab": os.O_WRONLY | os.O_CREAT | os.O_APPEND,
+}
+# None of these exists on every platform; O_NONBLOCK keeps the opening of a FIFO from waiting.
+_SAFE = sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))
+_CHUNK = 1 << 18  # bytes
+_NO_LINKS = getattr(os, "O_NOFOLLOW", 0)
+
+
+def open_regular(
+    path: Path, mode: str = "rb", *, follow_links: bool = False, buffering: int = -1
+) -> IO[bytes]:
+    """Open a regular file.
+
+    Args:
+        path: the file.
+        mode: `rb`, `r+b`, `wb` or `ab`.
+        follow_links: accept a symbolic link to a regular file.
+        buffering: as in `open`.
+
+    Raises:
+        OSError: it cannot be opened, is not a regular file or, unless `follow_links`, is a
+            symbolic link.
+    """
+    if os.path.lexists(path):  # before opening: opening some devices has effects
+        _check_regular(path.stat() if follow_links else path.lstat(), path)
+    flags = _FLAGS[mode] | _SAFE | (0 if follow_links else _NO_LINKS)
+    descriptor = os.open(path, flags, 0o666)
+    try:
+        _check_regular(os.fstat(descriptor), path)  # again: it may have been replaced
+        if mode == "wb":
+            os.ftruncate(descriptor, 0)
+        return os.fdopen(descriptor, mode, buffering)
+    except BaseException:
+        os.close(descriptor)
+        raise
+
+
+def sha256_sum(file: IO[bytes]) -> str:
+    """The SHA-256 sum of the rest of a file."""
+    digest = hashlib.sha256()
+    while chunk := file.read(_CHUNK):
+        digest.update(chunk)
+    return digest.hexdigest()
+
+
+def _check_regular(status: os.stat_result, path: Path) -> None:
+    if not stat.S_ISREG(status.st_mode):
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
