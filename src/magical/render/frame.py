@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.render.canvas import Canvas, cover, finish_bodies, finish_ground, paint, squeeze
-from magical.render.jit import entry_point, inlined, source_stamp
+from magical.render.jit import entry_point, inlined
 from magical.render.lines import dashes, outline, whole
 from magical.render.palette import OUTSIDE, lanes
 from magical.render.polygons import MOST_SIDES, SUBSAMPLES, Floats, Ints, place, scan
@@ -124,8 +124,6 @@ def drawable(bodies: Floats) -> bool:
 @cache
 def compiled_render(samples: int) -> Callable[..., int]:
     """The entry point for samples x samples samples a pixel (1, 2 or 4 across)."""
-    stamp = source_stamp()
-
     @entry_point
     def draw(
         bodies: Floats,
@@ -151,7 +149,6 @@ def compiled_render(samples: int) -> Callable[..., int]:
         in `kept`. The other arrays are those of `display.DisplayList` and `canvas.Canvas`. Returns
         the number of tiles, -1 if there are poses that cannot be drawn.
         """
-        _ = stamp  # makes it part of the key under which the compiled code is kept
         if not drawable(bodies):
             return -1
         extent, count, counts = size * samples, len(bodies), np.zeros(1, np.int64)

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.render.jit import entry_point, source_stamp
+from magical.render.jit import entry_point
 
 CHANNELS = 3
 
@@ -17,12 +17,9 @@ Stack = NDArray[np.uint8]
 @cache
 def compiled_store() -> Callable[..., None]:
     """The entry point that copies a canvas's pixels into an image."""
-    stamp = source_stamp()
-
     @entry_point
     def store(pixels: NDArray[np.int32], out: NDArray[np.uint8]) -> None:
         """Write pixels, lowest row first, into `out` (height, width, 3), highest row first."""
-        _ = stamp  # makes it part of the key under which the compiled code is kept
         height, width = out.shape[0], out.shape[1]
         for y in range(height):
             first = (height - 1 - y) * width
@@ -39,14 +36,11 @@ def compiled_store() -> Callable[..., None]:
 @cache
 def compiled_push() -> Callable[..., None]:
     """The entry point that moves stacks of four frames on and adds the newest, in one pass."""
-    stamp = source_stamp()
-
     @entry_point
     def push_four(
         pixels: NDArray[np.int32], source: NDArray[np.uint32], target: NDArray[np.uint32]
     ) -> None:
         """Stacks as little-endian words, three a pixel: (height, 3 * width). May be one array."""
-        _ = stamp  # makes it part of the key under which the compiled code is kept
         height, width = target.shape[0], target.shape[1] // 3
         old = np.empty(3 * width, np.uint32)
         for y in range(height):
