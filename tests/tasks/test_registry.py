@@ -37,7 +37,7 @@ def test_every_module_describes_itself_and_its_task_in_one_line() -> None:
         assert "\n" not in task.summary
 
 
-def test_unknown_task_is_answered_with_the_known_ones() -> None:
+def test_an_unknown_task_raises_with_the_known_ones() -> None:
     with pytest.raises(UnknownNameError) as error:
         get_task("MakeLines")
     assert "'MakeLines' is no task; expected one of: MoveToCorner, " in str(error.value)
@@ -50,7 +50,7 @@ def test_names_are_exact() -> None:
         get_task("makeline")
 
 
-def test_a_task_can_be_registered_and_taken_out() -> None:
+def test_a_task_can_be_registered_and_unregistered() -> None:
     before = list(TASKS)
     assert register_task(NEW) is NEW
     try:
@@ -66,7 +66,7 @@ def test_a_task_can_be_registered_and_taken_out() -> None:
 
 
 def test_a_taken_name_is_refused() -> None:
-    with pytest.raises(InvalidTaskError, match="found 'MakeLine', which is registered"):
+    with pytest.raises(InvalidTaskError, match="found 'MakeLine', which is registered already"):
         register_task(replace(MAKE_LINE, horizon=7))
     assert get_task("MakeLine") is MAKE_LINE
 

@@ -1,7 +1,7 @@
 """Chipmunk through pymunk's private bindings: the only file that uses them.
 
-Ten control-law updates and one reading of all bodies per control step would take a third of the
-step's time through pymunk's properties. The private names used here may change between releases,
+Through pymunk's properties, the ten control-law updates and the one read of all bodies in a control
+step would take a third of its time. The private names used here may change between releases,
 so importing this module checks that pymunk's version is in the range they were tested with.
 """
 
