@@ -69,7 +69,7 @@ def takeover() -> Iterator[str]:
     for env_id, mean in means.items():
         yield f"{env_id:32} {mean:.3f}"
     rest = [mean for env_id, mean in means.items() if "Cluster" not in env_id]
-    yield f"all eight {np.mean(list(means.values())):.3f}, without Cluster {np.mean(rest):.3f}"
+    yield f"all tasks {np.mean(list(means.values())):.3f}, without Cluster {np.mean(rest):.3f}"
 
 
 def skill() -> Iterator[str]:

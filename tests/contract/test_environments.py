@@ -13,6 +13,8 @@ from gymnasium.utils.env_checker import check_env
 
 import magical
 from magical.envs.env import MagicalEnv
+from magical.observe import PRESETS
+from magical.tasks import TASKS
 
 ENV_IDS = magical.all_env_ids()
 ALL_IDS = magical.all_env_ids(presets=True)
@@ -30,9 +32,9 @@ def _equal(first: Any, second: Any) -> bool:
     return first.dtype == second.dtype and np.array_equal(first, second)
 
 
-def test_count() -> None:
-    assert len(ENV_IDS) == 60
-    assert len(ALL_IDS) == 360
+def test_every_variant_is_registered_with_every_preset() -> None:
+    assert len(ENV_IDS) == sum(len(task.variants) for task in TASKS.values())
+    assert len(ALL_IDS) == len(ENV_IDS) * (1 + len(PRESETS))
     assert all(env_id in gym.registry for env_id in ALL_IDS)
 
 

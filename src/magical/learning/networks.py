@@ -128,7 +128,7 @@ def _linear_layers(inputs: int, sizes: tuple[int, ...]) -> nn.Sequential:
 class TaskLinear(nn.Module):
     """The last layer, with weights of its own for each task.
 
-    All tasks' outputs are computed and each row's picked: with at most eight tasks that is cheaper
+    All tasks' outputs are computed and each row's picked: with a handful of tasks that is cheaper
     than sorting rows, and shapes stay static.
     """
 

@@ -1,13 +1,13 @@
-"""How long a frame takes to draw, and where the time goes.
+"""Times the rendering of a frame and its parts.
 
-python benchmarks/drawing.py [--tasks ClusterColour FixColour] [--size 96] [--repeats 3000]
+python benchmarks/rendering.py [--tasks ClusterColour FixColour] [--size 96] [--repeats 3000]
 
-Microseconds, one line a Demo scene and view. The first columns are whole calls: a frame, a frame
-drawn in a stack of four that is moved on in place, a renderer made anew (once an episode). The
-others say what a frame consists of: the robot on the workspace, the regions, the blocks, writing
-the pixels out, and Python (checks, calls). The allocentric ground is drawn once for a scene, the
-egocentric one in every frame. Every figure is the fastest of many calls, since other processes
-can only add to it; the median of whole frames stands beside it.
+Microseconds, one line for each Demo scene and view. The first columns are whole calls: a frame, a
+frame rendered into a stack of four that is shifted in place, a new renderer (one an episode). The
+others are the parts of a frame: the robot on the workspace, the regions, the blocks, writing the
+pixels to the output, and Python (checks, calls). The allocentric ground is rendered once for a
+scene, the egocentric one in every frame. Every figure is the fastest of many calls, as other
+processes can only add to it; the median of whole frames is beside it.
 """
 
 import argparse
@@ -37,7 +37,7 @@ def microseconds(call: Callable[[], object], repeats: int) -> tuple[float, float
 
 
 def compiled(scene: Scene, view: View, size: int, repeats: int) -> float:
-    """The time of the compiled drawing alone."""
+    """The time of the compiled function alone."""
     renderer = Renderer(scene, view, size)
     bodies = Poses.at_rest(scene).bodies
     renderer.render(bodies, np.empty((size, size, 3), np.uint8))
@@ -53,13 +53,13 @@ def measure(scene: Scene, view: View, size: int, repeats: int) -> list[float]:
     newest = stack[:, :, -3:]
     frame, median = microseconds(lambda: renderer.render(bodies, newest), repeats)
     stacked, _ = microseconds(lambda: renderer.render_stacked(bodies, stack), repeats)
-    anew, _ = microseconds(lambda: Renderer(scene, view, size), max(1, repeats // 10))
+    created, _ = microseconds(lambda: Renderer(scene, view, size), max(1, repeats // 10))
     output, _ = microseconds(lambda: renderer._store(renderer._pixels, newest), repeats)
     bare, unblocked = replace(scene, blocks=(), regions=()), replace(scene, blocks=())
     parts = [compiled(s, view, size, repeats) for s in (bare, unblocked, scene)]
     regions, blocks = np.diff(parts).tolist()
     python = frame - output - parts[-1]
-    return [frame, median, stacked, anew, parts[0], regions, blocks, output, python]
+    return [frame, median, stacked, created, parts[0], regions, blocks, output, python]
 
 
 def main() -> None:

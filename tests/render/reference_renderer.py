@@ -1,7 +1,7 @@
-"""A slow, plain drawing of the same frames, to hold the fast one against.
+"""A slow, plain renderer of the same frames, to compare the fast one with.
 
 One sample frame is painted back to front: every polygon by testing all sample centres with exact
-integers, every smoothed line by computing all samples' shares; then blocks of samples are averaged.
+integers, every smoothed line by its coverage of all samples; then blocks of samples are averaged.
 Nothing is shared with `magical.render`: colours, sizes and rules are written down a second time,
 from docs/specification.md, section 6.
 """
@@ -36,7 +36,7 @@ GREY, GREY_OUTLINE, LIGHT = (162, 163, 175), (144, 145, 159), (231, 231, 234)
 WHITE, PUPIL = (255, 255, 255), (26, 26, 26)
 
 
-def draw(scene: Scene, poses: Poses, view: str, size: int, samples: int) -> Array:
+def render(scene: Scene, poses: Poses, view: str, size: int, samples: int) -> Array:
     """The frame (size, size, 3) uint8."""
     raw = _Frame(poses, view, size * samples)
     raw.fill([(-1, -1), (1, -1), (1, 1), (-1, 1)], WHITE)
