@@ -86,7 +86,27 @@ class WorkerDiedError(MagicalError, RuntimeError):
 
 
 class WorkerError(MagicalError, RuntimeError):
-    """An exception of a foreign class in a worker process; its traceback is the cause."""
+    """An exception of a class from outside in a worker process; its traceback is the cause."""
+
+
+class WorkerTimeoutError(MagicalError, TimeoutError):
+    """A worker process did not finish in time; the vector environment is closed."""
+
+
+class AlreadyPendingCallError(MagicalError, RuntimeError):
+    """A vector environment was called while another call of it was in progress."""
+
+
+class ForkedEnvironmentError(MagicalError, RuntimeError):
+    """A vector environment was used in a fork of the process that made it."""
+
+
+class NotPicklableError(MagicalError, TypeError):
+    """An environment cannot be pickled or copied; the message says what to do instead."""
+
+
+class InvalidScoreError(MagicalError, ValueError):
+    """A task's score that is not a number from 0 to 1."""
 
 
 class MissingDependencyError(MagicalError, ImportError):

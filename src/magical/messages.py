@@ -10,7 +10,13 @@ MAX_LENGTH = 200  # characters of a value in a message
 MAX_ITEMS = 8  # of a container
 _SHORT = 40  # characters of an item of a container
 _INTEGER_BITS = 256  # of the longest integer that is written out
-_BRACKETS = {list: "[]", tuple: "()", set: "{}", frozenset: "{}", dict: "{}"}
+_BRACKETS: dict[type, tuple[str, str]] = {
+    list: ("[", "]"),
+    tuple: ("(", ")"),
+    set: ("{", "}"),
+    frozenset: ("{", "}"),
+    dict: ("{", "}"),
+}
 
 
 def quoted(value: Any, limit: int = MAX_LENGTH) -> str:
@@ -77,8 +83,8 @@ def _integer(value: Any, limit: int) -> str:
 
 
 def _array(value: Any, limit: int) -> str:
-    shape = np.ndarray.shape.__get__(value)  # type: ignore[attr-defined]
-    dtype = np.ndarray.dtype.__get__(value)  # type: ignore[attr-defined]
+    shape = np.ndarray.shape.__get__(value)
+    dtype = np.ndarray.dtype.__get__(value)
     return f"<array of shape {shape}, {dtype.kind}{dtype.itemsize * 8}>"
 
 

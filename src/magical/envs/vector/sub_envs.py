@@ -1,6 +1,7 @@
 """Some of a vector environment's sub-environments, stepped one after the other in one process."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,8 +12,9 @@ from gymnasium.vector import AutoresetMode
 from magical.envs.env import Reward
 from magical.envs.episode import Episode, check_options
 from magical.envs.ids import EnvId, parse_env_id
+from magical.envs.saved_state import parse_state
 from magical.envs.vector.buffers import BufferLayout, VectorBuffers
-from magical.errors import InvalidSceneError, InvalidStateError, MismatchedSpacesError
+from magical.errors import InvalidSceneError, MismatchedSpacesError
 from magical.observe import Observation, ObservationSpec, make_spec
 from magical.observe.arrays import assign, select
 from magical.scene.poses import FIRST_BLOCK
@@ -116,7 +118,7 @@ class SubEnvs:
                 if action >= 0 and self._advance(env, action):
                     started.append(env.reset())
             except Exception as error:
-                error.add_note(f"in {env.name}")
+                _add_note(error, f"in {env.name}")
                 raise
             if copy >= 0:
                 env.copy_observation(copy)
@@ -139,14 +141,14 @@ class SubEnvs:
             try:
                 started.append(env.reset(seed, options))
             except Exception as error:
-                error.add_note(f"in {env.name}")
+                _add_note(error, f"in {env.name}")
                 raise
         return started
 
     def get_state(self, row: int) -> dict[str, Any]:
         """What `MagicalEnv.get_state` returns."""
         env = self._envs[row]
-        return {**env.episode.save(), "rng": env.rng.bit_generator.state}
+        return env.episode.save(env.rng)
 
     def set_state(self, row: int, state: Mapping[str, Any]) -> Started:
         """Continue from `get_state`'s data; raises `InvalidStateError`."""
@@ -207,13 +209,9 @@ class _SubEnv:
 
     def restore(self, state: Mapping[str, Any]) -> tuple[int, Scene]:
         """Continue as `MagicalEnv.set_state` does."""
-        rng, _ = seeding.np_random()
-        try:
-            rng.bit_generator.state = state["rng"]
-        except (KeyError, TypeError, ValueError) as error:
-            raise InvalidStateError(f"saved state has no usable 'rng': {error!r}") from error
-        self.episode.restore(state)
-        self.rng = rng
+        saved = parse_state(state, self.episode.task)
+        self.episode.restore(saved)
+        self.rng = saved.generator()
         return self._began()
 
     def keep_final_observation(self) -> None:
@@ -252,3 +250,8 @@ def common_observation(env_ids: Sequence[EnvId], observation: Observation) -> Ob
         "environments in one batch: expected the same preset in all ids, found "
         f"{', '.join(sorted(map(str, presets)))}; or give observation=..."
     )
+
+
+def _add_note(error: Exception, note: str) -> None:
+    with suppress(TypeError):  # notes that the exception already has are no list
+        error.add_note(note)

@@ -1,8 +1,8 @@
-"""A worker process: it owns some worlds and steps them when told.
+"""A worker process: it owns some of the sub-environments and steps them on request.
 
 Requests come in on a pipe, replies go out on another; arrays travel in shared memory only. A
 message is one byte, its kind, and for all but the two of a plain step a length and JSON. When the
-pipe of requests closes, because the parent closed it or is gone, the worker ends.
+pipe of requests closes, because the parent closed it or has ended, the worker ends.
 """
 
 import contextlib
@@ -10,9 +10,11 @@ import gc
 import importlib
 import json
 import os
+import select
 import signal
 import struct
-import traceback
+import threading
+import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -20,7 +22,9 @@ import numpy as np
 
 from magical.envs.episode import Episode
 from magical.envs.vector.buffers import VectorBuffers, open_memory
+from magical.envs.vector.exceptions import describe
 from magical.envs.vector.sub_envs import SubEnvs, VectorSpec
+from magical.messages import quoted
 from magical.scene.actions import NOOP
 from magical.scene.scene import Dynamics, Scene
 from magical.tasks import TASKS, Task, register_task
@@ -28,8 +32,8 @@ from magical.tasks import TASKS, Task, register_task
 STEP, CALL = b"s", b"c"  # requests
 DONE, RESULT, ERROR = b".", b"r", b"!"  # replies
 _BARE = (STEP, DONE)  # kinds without data
-# pymunk leaves worlds that have ended, some 80 kB each, to the garbage collector, which by itself
-# would come only after a few hundred.
+# pymunk leaves the spaces of past episodes, some 80 kB each, to the garbage collector, which by
+# itself would run only after a few hundred.
 EPISODES_KEPT = 16
 _LENGTH = struct.Struct("!I")
 
@@ -42,27 +46,64 @@ def encode(kind: bytes, data: Any = None) -> bytes:
     return kind + _LENGTH.pack(len(text)) + text
 
 
-def send(descriptor: int, message: bytes) -> None:
-    """Write a message; raises `BrokenPipeError` if nobody reads it any more."""
+def send(descriptor: int, message: bytes, deadline: float | None = None) -> None:
+    """Write a message.
+
+    Args:
+        descriptor: the writing end of a pipe.
+        message: what `encode` returned.
+        deadline: the latest value of `time.monotonic()`; None waits for ever.
+
+    Raises:
+        BrokenPipeError: the reading end is closed.
+        TimeoutError: the pipe stayed full until the deadline.
+    """
     rest = memoryview(message)
     while rest:
-        rest = rest[os.write(descriptor, rest) :]
+        if deadline is None:
+            rest = rest[os.write(descriptor, rest) :]
+        else:
+            _wait(descriptor, select.POLLOUT, deadline)
+            rest = rest[os.write(descriptor, rest[: select.PIPE_BUF]) :]  # never waits
 
 
-def receive(descriptor: int) -> tuple[bytes, Any]:
-    """Wait for a message and return its kind and data; raises `EOFError` if none can come."""
-    kind = _read(descriptor, 1)
+def receive(descriptor: int, deadline: float | None = None) -> tuple[bytes, Any]:
+    """Wait for a message and return its kind and data.
+
+    Args:
+        descriptor: the reading end of a pipe.
+        deadline: as for `send`.
+
+    Raises:
+        EOFError: the writing end is closed.
+        TimeoutError: the message was not complete at the deadline.
+    """
+    kind = _read(descriptor, 1, deadline)
     if kind in _BARE:
         return kind, None
-    (length,) = _LENGTH.unpack(_read(descriptor, _LENGTH.size))
-    return kind, json.loads(_read(descriptor, length))
+    (length,) = _LENGTH.unpack(_read(descriptor, _LENGTH.size, deadline))
+    return kind, json.loads(_read(descriptor, length, deadline))
+
+
+def watch_parent(lifeline: int) -> None:
+    """End this process when its parent ends, even while a task hangs.
+
+    Args:
+        lifeline: the reading end of a pipe that the parent keeps open and never writes to.
+    """
+
+    def wait() -> None:
+        os.read(lifeline, 1)
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
 def main() -> None:
-    """Serve the parent until it goes away. Nobody but `workers.py` starts this."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's affair
+    """Serve the parent until it closes the pipe or ends; `workers.py` starts this."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
     requests, replies = os.dup(0), os.dup(1)
-    os.dup2(2, 1)  # what tasks print must not get among the replies
+    os.dup2(2, 1)  # what tasks print must not mix with the replies
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, 0)
     os.close(nothing)
@@ -72,16 +113,18 @@ def main() -> None:
 
 def _serve(requests: int, replies: int) -> None:
     _, setup = receive(requests)
+    if (lifeline := setup.pop("lifeline")) is not None:
+        watch_parent(lifeline)
     try:
         sub_envs = _make_sub_envs(**setup)
     except Exception as error:
-        send(replies, encode(ERROR, _describe(error)))
+        send(replies, encode(ERROR, describe(error)))
         return
     # What is loaded by now stays; without it collections take a millisecond or two.
     gc.collect()
     gc.freeze()
     send(replies, encode(DONE))
-    begun = 0
+    episodes = 0  # since the last collection
     while True:
         kind, request = receive(requests)
         try:
@@ -90,13 +133,13 @@ def _serve(requests: int, replies: int) -> None:
             else:
                 result = getattr(sub_envs, request["call"])(*request["args"])
             reply = encode(RESULT, result) if result else encode(DONE)
-            begun += len(result) if isinstance(result, list) else 0
+            episodes += len(result) if isinstance(result, list) else 0
         except Exception as error:
-            reply = encode(ERROR, _describe(error))
+            reply = encode(ERROR, describe(error))
         send(replies, reply)
-        if begun >= EPISODES_KEPT:
+        if episodes >= EPISODES_KEPT:
             gc.collect()
-            begun = 0
+            episodes = 0  # since the last collection
 
 
 def _make_sub_envs(
@@ -114,7 +157,7 @@ def _make_sub_envs(
 
 
 def _warm_up(spec: VectorSpec) -> None:
-    """Take one step in an episode that is thrown away, so that everything needed is loaded."""
+    """Take one step in an episode of no further use, so that everything needed is loaded."""
     variant, observation_spec = spec.env_ids[0].variant, spec.observation_spec()
     episode = Episode(spec.tasks()[0], variant, observation_spec, spec.horizon, spec.reward)
     with contextlib.suppress(Exception):  # an error here will be raised again by the first reset
@@ -129,15 +172,6 @@ def _load_tasks(plugin: str) -> None:
             register_task(task)
 
 
-def _describe(error: Exception) -> dict[str, Any]:
-    return {
-        "name": type(error).__qualname__,
-        "arguments": [a if isinstance(a, (str, int, float)) else str(a) for a in error.args],
-        "notes": getattr(error, "__notes__", []),
-        "traceback": "".join(traceback.format_exception(error)),
-    }
-
-
 def _plain(value: Any) -> Any:
     if isinstance(value, Scene):
         return value.to_dict(exact=True)
@@ -145,14 +179,25 @@ def _plain(value: Any) -> Any:
         return value.to_dict()
     if isinstance(value, (np.generic, np.ndarray)):
         return value.tolist()
-    raise TypeError(f"expected plain data, found {value!r}")
+    raise TypeError(f"expected plain data, found {quoted(value)}")
 
 
-def _read(descriptor: int, size: int) -> bytes:
+def _read(descriptor: int, size: int, deadline: float | None = None) -> bytes:
     data = b""
     while len(data) < size:
+        if deadline is not None:
+            _wait(descriptor, select.POLLIN, deadline)
         piece = os.read(descriptor, size - len(data))
         if not piece:
             raise EOFError
         data += piece
     return data
+
+
+def _wait(descriptor: int, event: int, deadline: float) -> None:
+    """Wait until a pipe can be read or written; raises `TimeoutError` at the deadline."""
+    poll = select.poll()
+    poll.register(descriptor, event)
+    while not poll.poll(1000 * min(1.0, max(0.0, deadline - time.monotonic()))):
+        if time.monotonic() >= deadline:
+            raise TimeoutError
