@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from magical.envs.vector import MagicalVectorEnv
-from magical.envs.vector.workers import RemoteSubEnvs, WorkerTraceback, split
+from magical.envs.vector.exceptions import WorkerTraceback
+from magical.envs.vector.workers import RemoteSubEnvs, split
 from magical.errors import (
     ClosedEnvironmentError,
     InvalidTaskError,
@@ -187,7 +188,7 @@ def test_a_task_that_workers_could_not_find(breaking: Task) -> None:
 
 
 def test_an_interrupted_exchange_closes(monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(descriptor: int) -> None:
+    def interrupted(descriptor: int, deadline: float | None) -> None:
         raise KeyboardInterrupt
 
     envs = make()
