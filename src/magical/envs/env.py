@@ -106,12 +106,12 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         """Start an episode from a scene sampled for the variant.
 
         Args:
-            seed: of the random generator; `None` continues with the present one.
+            seed: of the random generator; `None` keeps the current generator.
             options: `scene` and `dynamics` (dataclasses, or plain dicts as `to_dict()` makes them)
                 to start from instead.
 
         Raises:
-            InvalidSceneError, PlacementError: the episode cannot start so.
+            InvalidSceneError, PlacementError: no episode can start from these.
         """
         super().reset(seed=seed)
         self._running = False
@@ -154,12 +154,12 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         return self._episode.state()
 
     def scores(self) -> Scores:
-        """The present state's scores, at any step."""
+        """The current state's scores, at any step; raises `InvalidScoreError`."""
         self._require_episode("scores")
         return self._episode.scores()
 
     def get_state(self) -> dict[str, Any]:
-        """Plain data (JSON will do) from which `set_state` continues bit-equally.
+        """Plain data, fit for JSON, from which `set_state` continues bit-equally.
 
         It holds the scene, the dynamics, the actions so far and the random generator's state.
         """

@@ -1,4 +1,4 @@
-"""One episode in progress: what the single and the vector environment have in common."""
+"""One episode in progress, for the single and the vector environment."""
 
 import operator
 from collections.abc import Mapping, Sequence
@@ -64,7 +64,7 @@ class Episode:
         self.bodies: NDArray[np.float64]  # (5 + blocks, 6): poses and velocities
 
     def start(self, rng: np.random.Generator, options: Mapping[str, Any] | None = None) -> None:
-        """Begin an episode from a sampled scene, or from the one that `options` give.
+        """Start an episode from a sampled scene, or from the one in `options`.
 
         Raises `InvalidSceneError` for an impossible scene, `ValueError` for unknown options.
         """
@@ -78,7 +78,7 @@ class Episode:
             self.task.validate(scene)
         if chosen.get("dynamics") is not None:
             dynamics = as_dynamics(chosen["dynamics"])
-        self._begin(scene, dynamics)
+        self._start_from(scene, dynamics)
 
     def step(self, action: int) -> bool:
         """Advance by one control step and observe it; returns whether the horizon is reached."""
@@ -103,11 +103,11 @@ class Episode:
 
     @property
     def poses(self) -> Poses:
-        """The present pose of every body."""
+        """The current pose of every body."""
         return Poses(self.bodies[:, :3])
 
     def scores(self) -> Scores:
-        """The present state's scores; raises `InvalidScoreError`."""
+        """The current state's scores; raises `InvalidScoreError`."""
         task, scene, poses = self.task, self.simulation.scene, self.poses
         return Scores(
             _checked_score(task, "score", task.score(scene, poses)),
@@ -142,11 +142,11 @@ class Episode:
         """
         self.horizon = state.horizon
         try:
-            self._begin(state.scene, state.dynamics, state.actions)
+            self._start_from(state.scene, state.dynamics, state.actions)
         except InvalidSceneError as error:
             raise InvalidStateError(f"saved state, 'scene': {error}") from error
 
-    def _begin(self, scene: Scene, dynamics: Dynamics, actions: Sequence[int] = ()) -> None:
+    def _start_from(self, scene: Scene, dynamics: Dynamics, actions: Sequence[int] = ()) -> None:
         self.simulation = Simulation(scene, dynamics)
         unobserved = max(0, len(actions) - self._frames + 1)
         for action in actions[:unobserved]:

@@ -1,4 +1,4 @@
-"""A task from outside the package whose score function misbehaves as it is asked to."""
+"""A task from outside the package with a faulty score function."""
 
 import sys
 from collections.abc import Callable, Iterator

@@ -30,8 +30,8 @@ def alive(process_id: int) -> bool:
     return state != "Z"
 
 
-def soon(condition: Callable[[], bool], seconds: float = 5.0) -> bool:
-    """Whether a condition comes true in time."""
+def becomes_true(condition: Callable[[], bool], seconds: float = 5.0) -> bool:
+    """Whether a condition becomes true in time."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
         if condition():
@@ -41,7 +41,7 @@ def soon(condition: Callable[[], bool], seconds: float = 5.0) -> bool:
 
 
 def gone(process_ids: list[int]) -> bool:
-    return soon(lambda: not any(map(alive, process_ids)))
+    return becomes_true(lambda: not any(map(alive, process_ids)))
 
 
 @pytest.fixture

@@ -69,7 +69,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             next episode's first observation; the last observation and scores are in
             `infos["final_obs"]` and `infos["final_info"]`. DISABLED: nothing, until
             `reset(seed=..., options={"reset_mask": ended})`.
-        copy: whether returned observations are the caller's to keep; otherwise they are the
+        copy: whether the caller owns returned observations; otherwise they are the
             buffers' own arrays, which the next step or reset overwrites.
         render_mode: "rgb_array" or None.
         plugins: modules that workers import to register tasks from outside the package; modules
@@ -156,7 +156,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             All observations, and `infos` masked to the sub-environments that were reset.
 
         Raises:
-            InvalidSceneError, PlacementError: an episode cannot start so.
+            InvalidSceneError, PlacementError: no episode can start from these.
             WorkerDiedError, WorkerTimeoutError: the environment is closed.
         """
         with self._call("reset"):

@@ -21,9 +21,10 @@ from magical.scene.poses import FIRST_BLOCK
 from magical.scene.scene import Scene
 from magical.tasks import Task
 
-# The present observations, those before, and those being made: what training loops hold on to.
+# The current observations, the previous ones, and those of the step in progress: training loops
+# keep the first two.
 COPIES = 3
-Started = list[tuple[int, Scene]]  # sub-environments that began an episode, and its scene
+Started = list[tuple[int, Scene]]  # sub-environments that started an episode, and its scene
 Seeds = Sequence[tuple[int, int | None]]  # sub-environments to reset, and their seeds
 
 
@@ -125,7 +126,7 @@ class SubEnvs:
         return started
 
     def _advance(self, env: "_SubEnv", action: int) -> bool:
-        """Act unless the episode has ended; returns whether to begin another."""
+        """Act unless the episode has ended; returns whether to start another."""
         if env.ended:
             return True
         if not env.step(action) or not self._same_step:
@@ -134,7 +135,7 @@ class SubEnvs:
         return True
 
     def reset(self, seeds: Seeds, options: Mapping[str, Any] | None) -> Started:
-        """Begin episodes in the sub-environments named, each with its seed."""
+        """Start episodes in the given sub-environments, each with its seed."""
         started: Started = []
         for row, seed in seeds:
             env = self._envs[row]
@@ -179,7 +180,7 @@ class _SubEnv:
             self._observation,
         )
         self.rng: np.random.Generator
-        self.ended = False  # the next step begins another episode
+        self.ended = False  # the next step starts another episode
         self._row = row
         self._buffers = buffers
         self._always_rewarded = spec.reward == "dense"
@@ -200,29 +201,29 @@ class _SubEnv:
     def reset(
         self, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[int, Scene]:
-        """Begin an episode as `MagicalEnv.reset` does."""
+        """Start an episode as `MagicalEnv.reset` does."""
         if seed is not None or not hasattr(self, "rng"):
             self.rng, _ = seeding.np_random(seed)
         self.ended = True  # should the start fail
         self.episode.start(self.rng, options)
-        return self._began()
+        return self._started()
 
     def restore(self, state: Mapping[str, Any]) -> tuple[int, Scene]:
         """Continue as `MagicalEnv.set_state` does."""
         saved = parse_state(state, self.episode.task)
         self.episode.restore(saved)
         self.rng = saved.generator()
-        return self._began()
+        return self._started()
 
     def keep_final_observation(self) -> None:
-        """Copy the observation to where the next episode's first one does not overwrite it."""
+        """Copy the last observation, which the next episode's first one would overwrite."""
         assign(select(self._buffers.final_observations, self._row), self._observation)
 
     def copy_observation(self, copy: int) -> None:
         """Copy the observation to the array that is handed out to the caller."""
         assign(self._copies[copy], self._observation)
 
-    def _began(self) -> tuple[int, Scene]:
+    def _started(self) -> tuple[int, Scene]:
         row, buffers, episode = self._row, self._buffers, self.episode
         scene, count = episode.simulation.scene, len(episode.bodies)
         if count > buffers.bodies.shape[1]:

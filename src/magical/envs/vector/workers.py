@@ -1,4 +1,4 @@
-"""The parent's side of worker processes: starting, talking to, and ending them."""
+"""The parent's side of worker processes: how they are started, called and ended."""
 
 import json
 import os
