@@ -22,7 +22,7 @@ from typing import IO, Any
 
 from magical.demos.store.regular_files import open_regular, sha256_sum
 from magical.errors import DownloadError
-from magical.untrusted import printable, quoted
+from magical.messages import printable, quoted
 
 # The repository at the commit whose sums are in data/human-demos.sha256.
 COMMIT = "42eb21c4bd6c0e2262ccc2fc00ef2a36b10b6a5a"
