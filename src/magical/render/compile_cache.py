@@ -7,11 +7,11 @@ compiled function: a SHA-256 digest, then what numba needs to load the function 
 is unpickled only if the digest matches, and whatever else is wrong has one outcome: the function is
 compiled again.
 
-The files are in a folder of the user's own, which no other user can read or write. The digest
-protects against damage. It does not protect against somebody who can write files as the user, who
-could as well change the package.
+The files are in a folder of the user's own, which no other user can read or write; that protects
+against code from other users. The digest protects against damage. Neither protects against programs
+that run as the same user, which could change the package itself.
 
-numba has no public interface for a cache of one's own, so this is the only file that uses
+numba has no public interface for a custom cache, so this is the only file that uses
 `numba.core`; where a release of numba differs, functions are compiled in every process.
 """
 
@@ -68,7 +68,7 @@ class CompileCache:
                 return None
             # What `save_overload` wrote, bit for bit, in a folder of the user's own.
             return CompileResult._rebuild(target_context, *pickle.loads(payload))  # noqa: S301
-        except Exception:  # whatever it is, compiling again mends it
+        except Exception:  # whatever it is, compiling again is the remedy
             return None
 
     def save_overload(self, signature: Any, result: Any) -> None:
@@ -113,7 +113,7 @@ def cache_folder() -> Path:
 
 
 def check_private(folder: Path) -> None:
-    """Raise `OSError` unless a path is a folder, no link, that is the user's alone (mode 0700).
+    """Raise `OSError` unless a path is a folder, no link, that is private to the user (mode 0700).
 
     Windows has no such modes; there, the user's profile is private by itself.
     """
