@@ -1,4 +1,4 @@
-"""Exports that others' tools read again."""
+"""Exports, read again by the libraries they are for."""
 
 import io
 import json
@@ -20,19 +20,21 @@ MISSING = "an optional extra that the pinned development environment has"
 
 
 @pytest.fixture
-def mixed(tmp_path: Path, make_trajectory: MakeTrajectory, make_pictures: MakeTrajectory) -> Path:
-    """Two environments with poses, one with pictures."""
+def mixed(
+    tmp_path: Path, make_trajectory: MakeTrajectory, make_frames_trajectory: MakeTrajectory
+) -> Path:
+    """Two environments with poses, one with frames."""
     path = tmp_path / "mixed"
     writer = DatasetWriter(path)
     for seed in (1, 2):
         writer.append(make_trajectory(steps=6, seed=seed))
     writer.append(make_trajectory("magical/MatchRegions-TestAll-v0", steps=5, seed=3))
-    writer.append(make_pictures(steps=4))
+    writer.append(make_frames_trajectory(steps=4))
     return path
 
 
 @pytest.mark.parametrize("preset", ["LoRes4E", "LoResStack", "LoResCHW4E"])
-def test_minari_loads_it_again_without_loss(
+def test_minari_export_is_lossless(
     mixed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, preset: str
 ) -> None:
     minari = pytest.importorskip("minari", reason=MISSING)
@@ -67,7 +69,7 @@ def test_minari_loads_it_again_without_loss(
     assert recovered.observation_space == PRESETS[preset].space
 
 
-def test_minari_refuses_and_leaves_nothing(mixed: Path, tmp_path: Path) -> None:
+def test_refused_minari_export_leaves_no_files(mixed: Path, tmp_path: Path) -> None:
     pytest.importorskip("minari", reason=MISSING)
     from magical.demos.export.minari import export_minari
 
@@ -86,7 +88,7 @@ def test_minari_refuses_and_leaves_nothing(mixed: Path, tmp_path: Path) -> None:
     assert sorted(root.rglob("*")) == before
 
 
-def test_lerobot_is_read_again(mixed: Path, tmp_path: Path) -> None:
+def test_lerobot_export_is_readable(mixed: Path, tmp_path: Path) -> None:
     av = pytest.importorskip("av", reason=MISSING)
     pq = pytest.importorskip("pyarrow.parquet", reason=MISSING)
     from magical.demos.export.lerobot import export_lerobot
@@ -117,23 +119,23 @@ def test_lerobot_is_read_again(mixed: Path, tmp_path: Path) -> None:
             key = f"observation.images.{view}"
             assert info["features"][key]["shape"] == [96, 96, 3]
             place = {name: row[f"videos/{key}/{name}"] for name in ("chunk_index", "file_index")}
-            film = decoded(av, root / info["video_path"].format(video_key=key, **place))
+            video = decoded(av, root / info["video_path"].format(video_key=key, **place))
             start = round(row[f"videos/{key}/from_timestamp"] * 8)
             assert row[f"videos/{key}/to_timestamp"] * 8 == start + len(trajectory)
-            shown = observations(trajectory, "LoRes4E" if view == "ego" else "LoRes4A")
-            assert isinstance(shown, np.ndarray)
+            expected = observations(trajectory, "LoRes4E" if view == "ego" else "LoRes4A")
+            assert isinstance(expected, np.ndarray)
             for step in range(len(trajectory)):
-                time, picture = film[start + step]
+                time, frame = video[start + step]
                 assert time == (start + step) / 8
-                assert np.abs(picture.astype(int) - shown[step, :, :, -3:]).mean() < 2
+                assert np.abs(frame.astype(int) - expected[step, :, :, -3:]).mean() < 2
     assert {row["data/file_index"] for row in episodes} == {0, 1}
 
 
 def decoded(av: Any, path: Path) -> list[tuple[float, Any]]:
-    with av.open(str(path)) as film:
+    with av.open(str(path)) as video:
         return [
             (float(frame.pts * frame.time_base), frame.to_ndarray(format="rgb24"))
-            for frame in film.decode(video=0)
+            for frame in video.decode(video=0)
         ]
 
 
@@ -156,12 +158,12 @@ def test_lerobot_statistics(mixed: Path, tmp_path: Path) -> None:
             np.testing.assert_allclose(np.ravel(stats[name][kind]), expected, atol=1e-9)
         assert stats[name]["count"] == [len(values)]
     assert np.shape(stats["observation.images.allo"]["mean"]) == (3, 1, 1)
-    assert "observation.state" not in stats  # pictures have none
+    assert "observation.state" not in stats  # unknown for recordings of frames
     with pytest.raises(DatasetError, match="new folder"):
         export_lerobot(dataset, tmp_path / "lerobot")
 
 
-def test_lerobot_leaves_nothing_half_written(mixed: Path, tmp_path: Path) -> None:
+def test_failed_lerobot_export_leaves_no_files(mixed: Path, tmp_path: Path) -> None:
     pytest.importorskip("av", reason=MISSING)
     pytest.importorskip("pyarrow", reason=MISSING)
     broken = mixed / Dataset.open(mixed).entries[1].file
@@ -174,22 +176,22 @@ def test_lerobot_leaves_nothing_half_written(mixed: Path, tmp_path: Path) -> Non
     assert json.loads((tmp_path / "lr/meta/info.json").read_text())["total_episodes"] == 3
 
 
-def test_lerobot_wants_a_folder(mixed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_lerobot_needs_a_folder(mixed: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["demos", "export", str(mixed), "--to", "lerobot"]) == 1
     assert "--out" in capsys.readouterr().err
 
 
 def test_video_as_webp(mixed: Path, tmp_path: Path) -> None:
-    out = tmp_path / "film.webp"
+    out = tmp_path / "video.webp"
     chosen = ["--index", "2", "--index", "3"]
     assert main(["demos", "video", str(mixed), "--out", str(out), *chosen]) == 0
-    with Image.open(io.BytesIO(out.read_bytes())) as film:
-        assert film.size == (768, 416)
-        assert film.n_frames == 6 + 5  # frames that repeat are shown longer
-        film.seek(0)
-        start = np.asarray(film.convert("RGB")).astype(int)
-        film.seek(5)
-        assert np.abs(np.asarray(film.convert("RGB")).astype(int) - start)[32:].max() > 30
+    with Image.open(io.BytesIO(out.read_bytes())) as video:
+        assert video.size == (768, 416)
+        assert video.n_frames == 6 + 5  # frames that repeat are shown longer
+        video.seek(0)
+        start = np.asarray(video.convert("RGB")).astype(int)
+        video.seek(5)
+        assert np.abs(np.asarray(video.convert("RGB")).astype(int) - start)[32:].max() > 30
 
 
 def test_video_as_mp4(mixed: Path, tmp_path: Path) -> None:
@@ -197,30 +199,30 @@ def test_video_as_mp4(mixed: Path, tmp_path: Path) -> None:
     pytest.importorskip("imageio_ffmpeg", reason=MISSING)
     from magical.demos.export.video import LAST_FRAME_REPEATS
 
-    out = tmp_path / "film.mp4"
+    out = tmp_path / "video.mp4"
     assert main(["demos", "video", str(mixed), "--out", str(out)]) == 0
-    film = decoded(av, out)
-    assert len(film) == 7 + 6 + 5 + 3 * LAST_FRAME_REPEATS  # one of each environment
-    assert film[0][1].shape == (416, 768, 3)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["film.mp4", "mixed"]
+    video = decoded(av, out)
+    assert len(video) == 7 + 6 + 5 + 3 * LAST_FRAME_REPEATS  # one of each environment
+    assert video[0][1].shape == (416, 768, 3)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["video.mp4", "mixed"]
 
 
-def test_film_shows_both_views_and_the_score(make_pictures: MakeTrajectory) -> None:
-    from magical.demos.export.video import BANNER, film
+def test_video_has_both_views_and_the_score(make_frames_trajectory: MakeTrajectory) -> None:
+    from magical.demos.export.video import BANNER, video_frames
 
-    pictures = make_pictures()
-    first, *_, last = film(pictures)
-    assert pictures.frames is not None
-    np.testing.assert_array_equal(first[BANNER::4, :384:4], pictures.frames["ego"][0])
-    np.testing.assert_array_equal(last[BANNER::4, 384::4], pictures.frames["allo"][-1])
+    recorded = make_frames_trajectory()
+    first, *_, last = video_frames(recorded)
+    assert recorded.frames is not None
+    np.testing.assert_array_equal(first[BANNER::4, :384:4], recorded.frames["ego"][0])
+    np.testing.assert_array_equal(last[BANNER::4, 384::4], recorded.frames["allo"][-1])
     assert (first[:BANNER] != last[:BANNER]).any()
 
 
-@pytest.mark.parametrize("change", [["--out", "film.avi"], ["--out", "f.webp", "--index", "9"]])
-def test_videos_that_cannot_be(mixed: Path, change: list[str]) -> None:
+@pytest.mark.parametrize("change", [["--out", "video.avi"], ["--out", "f.webp", "--index", "9"]])
+def test_invalid_video_options(mixed: Path, change: list[str]) -> None:
     assert main(["demos", "video", str(mixed), *change]) in (1, 2)
 
 
-def test_pictures_cannot_show_what_minari_asks(mixed: Path) -> None:
+def test_recorded_frames_lack_the_raw_observation(mixed: Path) -> None:
     with pytest.raises(TrajectoryError):
         Dataset.open(mixed).arrays(preset="raw")
