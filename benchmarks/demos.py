@@ -1,4 +1,4 @@
-"""Measure the demonstration store: import, bytes, reading, observations drawn for training.
+"""Measure the demonstration store: import, file sizes, reading, observations for training.
 
     python benchmarks/demos.py [SRC]
 
@@ -25,8 +25,8 @@ from magical.tasks import TASKS
 Pixels = NDArray[np.uint8]
 Render = Callable[[int, Pixels], None]
 
-SECONDS = 3.0  # to measure each rate for
-BATCH = 64  # observations read at random at one time
+SECONDS = 3.0  # of measurement for each rate
+BATCH = 64  # observations read at once, at random time steps
 
 
 def main() -> None:
@@ -35,7 +35,7 @@ def main() -> None:
             measure_import(Path(sys.argv[1]), Path(folder) / "human")
         measure_recordings(Path(folder) / "random")
     for task in ("MoveToCorner", "ClusterColour"):
-        measure_drawing(random_trajectory(task))
+        measure_rendering(random_trajectory(task))
 
 
 def measure_import(source: Path, out: Path) -> None:
@@ -71,25 +71,25 @@ def report_sizes(what: str, dataset: Dataset) -> None:
     print(f"  read and checked in {1000 * each:.1f} ms each")
 
 
-def measure_drawing(trajectory: Trajectory) -> None:
+def measure_rendering(trajectory: Trajectory) -> None:
     rng = np.random.default_rng(0)
-    moments = len(trajectory) + 1
+    num_steps = len(trajectory) + 1
     print(trajectory.env_id)
     out = np.empty((96, 96, 3), np.uint8)
     for view in ("ego", "allo"):
         render = Frames(trajectory, view).render
-        rate(f"  {view} frames", 1, partial(render_any, render, rng, moments, out))
+        rate(f"  {view} frames", 1, partial(render_any, render, rng, num_steps, out))
     reader = ObservationReader(trajectory, "LoRes4E")
     batch = np.empty((BATCH, 96, 96, 12), np.uint8)
     rate(
         f"  LoRes4E observations, random batches of {BATCH}",
         BATCH,
-        lambda: reader.read(rng.integers(moments, size=BATCH), batch),
+        lambda: reader.read(rng.integers(num_steps, size=BATCH), batch),
     )
 
 
-def render_any(render: Render, rng: np.random.Generator, moments: int, out: Pixels) -> None:
-    render(int(rng.integers(moments)), out)
+def render_any(render: Render, rng: np.random.Generator, num_steps: int, out: Pixels) -> None:
+    render(int(rng.integers(num_steps)), out)
 
 
 def rate(what: str, count: int, work: Callable[[], object]) -> None:
@@ -104,12 +104,12 @@ def rate(what: str, count: int, work: Callable[[], object]) -> None:
 def random_trajectory(task: str, seed: int = 0) -> Trajectory:
     rng = np.random.default_rng(seed)
     scene, dynamics = TASKS[task].sample("TestAll", rng)
-    world = Simulation(scene, dynamics)
+    simulation = Simulation(scene, dynamics)
     actions = rng.integers(18, size=TASKS[task].horizon)
-    poses = [world.poses().bodies.copy()]
+    poses = [simulation.poses().bodies.copy()]
     for action in actions.tolist():
-        world.step(action)
-        poses.append(world.poses().bodies.copy())
+        simulation.step(action)
+        poses.append(simulation.poses().bodies.copy())
     env_id = f"magical/{task}-TestAll-v0"
     return Trajectory.from_poses(env_id, scene, actions, np.stack(poses), dynamics=dynamics)
 

@@ -1,4 +1,4 @@
-"""Trajectories, and published files made by hand."""
+"""Trajectories, and hand-made published files."""
 
 import gzip
 import json
@@ -30,12 +30,12 @@ def make_trajectory() -> MakeTrajectory:
         rng = np.random.default_rng(seed)
         parsed = parse_env_id(env_id)
         scene, dynamics = get_task(parsed.task).sample(parsed.variant, rng)
-        world = Simulation(scene, dynamics)
+        simulation = Simulation(scene, dynamics)
         actions = rng.integers(18, size=steps)
-        poses = [world.poses().bodies.copy()]
+        poses = [simulation.poses().bodies.copy()]
         for action in actions.tolist():
-            world.step(action)
-            poses.append(world.poses().bodies.copy())
+            simulation.step(action)
+            poses.append(simulation.poses().bodies.copy())
         options = {"dynamics": dynamics, "seed": seed, "demonstrator": "random", **more}
         return Trajectory.from_poses(env_id, scene, actions, np.stack(poses), **options)
 
@@ -43,8 +43,8 @@ def make_trajectory() -> MakeTrajectory:
 
 
 @pytest.fixture
-def make_pictures() -> MakeTrajectory:
-    """Makes a recording that has only pictures, of noise."""
+def make_frames_trajectory() -> MakeTrajectory:
+    """Makes a recording that has only frames, of noise."""
 
     def make(steps: int = 3, seed: int = 0, **more: Any) -> Trajectory:
         rng = np.random.default_rng(seed)
@@ -87,7 +87,7 @@ def run(capsys: pytest.CaptureFixture[str]) -> Run:
 
 
 class Published:
-    """A published file put together opcode by opcode; every part can be replaced."""
+    """A published file assembled opcode by opcode; every part can be replaced."""
 
     def __init__(self, steps: int = 2, seed: int = 0) -> None:
         rng = np.random.default_rng(seed)
@@ -129,7 +129,7 @@ def name(module: str, attribute: str) -> bytes:
 
 
 def array(values: NDArray[Any], shape: Sequence[int] | None = None) -> bytes:
-    """An array as the published files hold it; `shape` may lie."""
+    """An array as the published files hold it; `shape` may differ from that of `values`."""
     kind = {"<i8": ("i8", "<"), "|u1": ("u1", "|"), "<f8": ("f8", "<")}[values.dtype.str]
     made = name("numpy.core.multiarray", "_reconstruct") + name("numpy", "ndarray")
     made += b"K\x00\x85C\x01b\x87R"

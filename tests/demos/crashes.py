@@ -1,18 +1,19 @@
-"""Reading a published file that ends the process, or fails in a way that was not foreseen."""
+"""Reading a published file that ends the process, or raises an unexpected exception."""
 
 import os
 import signal
 from pathlib import Path
+from typing import Any
 
 from magical.demos.human import importing
 from magical.demos.store.manifest import ManifestEntry
 
 
-def convert(file: Path, max_bytes: int) -> tuple[ManifestEntry, bytes]:
+def convert(file: Path, **options: Any) -> tuple[ManifestEntry, bytes]:
     if file.name.startswith("segfault"):
         os.kill(os.getpid(), signal.SIGSEGV)
     if file.name.startswith("exit"):
         os._exit(3)
     if file.name.startswith("memory"):
         raise MemoryError
-    return importing._convert(file, max_bytes)
+    return importing._convert(file, **options)

@@ -1,4 +1,4 @@
-"""`magical demos info` and `replay` on recordings, whole and damaged."""
+"""`magical demos info` and `replay` on intact and damaged recordings."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +12,7 @@ from magical.demos import Dataset
 Run = Callable[..., tuple[int, dict[str, Any]]]
 
 
-def test_info_counts_and_tells_problems(small_dataset: Path, run: Run) -> None:
+def test_info_counts_and_lists_problems(small_dataset: Path, run: Run) -> None:
     status, result = run("info", small_dataset)
     assert (status, result["count"], result["problems"]) == (0, 3, [])
     corner = result["environments"][1]
@@ -36,7 +36,7 @@ def test_replay_of_recordings_is_exact(small_dataset: Path, run: Run) -> None:
         assert (mean["exact"], mean["published_replay"]) == (mean["count"], None)
 
 
-def test_replay_goes_on_past_damage(
+def test_replay_skips_damaged_files(
     small_dataset: Path, run: Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
     entry = Dataset.open(small_dataset).entries[1]
@@ -49,7 +49,7 @@ def test_replay_goes_on_past_damage(
 
 
 @pytest.mark.parametrize("what", ["info", "replay", "export --to minari", "video --out v.webp"])
-def test_no_dataset_there(tmp_path: Path, what: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_missing_dataset(tmp_path: Path, what: str, capsys: pytest.CaptureFixture[str]) -> None:
     command, *more = what.split()
     assert main(["demos", command, str(tmp_path / "none"), *more]) == 1
     assert "expected a dataset" in capsys.readouterr().err

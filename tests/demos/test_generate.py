@@ -31,7 +31,7 @@ def test_result_depends_on_the_seed_alone(tmp_path: Path) -> None:
     assert len(set(poses(tmp_path / "a") + poses(tmp_path / "c"))) == 6
 
 
-def test_demonstration_is_what_the_environment_shows() -> None:
+def test_demonstration_matches_the_environment() -> None:
     seed = episode_seed(0, 5)
     trajectory = demonstrate(ENV, seed)
     env = gymnasium.make(ENV, observation="state")
@@ -47,14 +47,16 @@ def test_demonstration_is_what_the_environment_shows() -> None:
     assert replay(trajectory).departure == 0.0
 
 
-def test_only_good_ones_are_kept(tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_demonstrations_with_the_score_are_kept(
+    tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
     command = ("--env", ENV, "-n", 4, "--skill", 0.3, "--min-score", 0.9, "--workers", 1)
     status, result = run("generate", *command, "--out", tmp_path / "d")
     (report,) = result["environments"]
     assert (status, report["kept"]) == (0, 4)
     assert min(report["scores"]) >= 0.9
     assert [t.score for t in Dataset.open(tmp_path / "d")] == report["scores"]
-    monkeypatch.setattr("magical.demos.generate.PATIENCE", 1)
+    monkeypatch.setattr("magical.demos.generate.MAX_DROPPED", 1)
     with pytest.raises(DatasetError, match=r"attempts scored less than 1\.1"):
         generate(ENV, 2, tmp_path / "d", min_score=1.1, workers=1)
 
@@ -75,10 +77,10 @@ def test_several_environments_append(tmp_path: Path, run: Run) -> None:
 def test_scene_without_solution_is_an_error(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def lost(*_: Any, **__: Any) -> Any:
+    def unsolvable(*_: Any, **__: Any) -> Any:
         raise NoSolutionError("there is no duplicate")
 
-    monkeypatch.setattr("magical.demos.generate.rollout", lost)
+    monkeypatch.setattr("magical.demos.generate.rollout", unsolvable)
     command = ["demos", "generate", "--env", ENV, "-n", "1", "--workers", "1"]
     assert main([*command, "--out", str(tmp_path / "d")]) == 1
     assert "there is no duplicate" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""What is drawn from a stored trajectory is what the environment showed."""
+"""Observations of a stored trajectory are those that the environment returned."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +17,7 @@ from magical.observe import PRESETS, PixelSpec
 
 MakeTrajectory = Callable[..., Trajectory]
 STEPS = 7
-FORMS: dict[str, Any] = {
+OBSERVATIONS: dict[str, Any] = {
     **{preset: preset for preset in PRESETS},
     "raw": "raw",
     "state": "state",
@@ -35,27 +35,30 @@ def assert_same(a: Any, b: Any) -> None:
         np.testing.assert_array_equal(a, b)
 
 
-def stack(shown: list[Any]) -> Any:
-    if isinstance(shown[0], dict):
-        return {view: np.stack([one[view] for one in shown]) for view in shown[0]}
-    return np.stack(shown)
+def stack(values: list[Any]) -> Any:
+    if isinstance(values[0], dict):
+        return {view: np.stack([value[view] for value in values]) for view in values[0]}
+    return np.stack(values)
 
 
 @pytest.mark.parametrize("env", ["MoveToCorner-TestAll", "ClusterShape-TestAll", "FindDupe-Demo"])
-@pytest.mark.parametrize("form", FORMS)
-def test_drawn_again_bit_for_bit(tmp_path: Path, env: str, form: str) -> None:
-    made = gymnasium.make(f"magical/{env}-v0", observation=FORMS[form], horizon=STEPS)
+@pytest.mark.parametrize("observation", OBSERVATIONS)
+def test_observations_are_bit_identical(tmp_path: Path, env: str, observation: str) -> None:
+    made = gymnasium.make(f"magical/{env}-v0", observation=OBSERVATIONS[observation], horizon=STEPS)
     recorder = RecordTrajectories(made, tmp_path / "d", demonstrator="random")
     rng = np.random.default_rng(3)
-    shown = [recorder.reset(seed=5)[0]]
-    shown += [recorder.step(int(rng.integers(18)))[0] for _ in range(STEPS)]
+    returned = [recorder.reset(seed=5)[0]]
+    returned += [recorder.step(int(rng.integers(18)))[0] for _ in range(STEPS)]
     (trajectory,) = Dataset.open(tmp_path / "d")
-    assert_same(observations(trajectory, FORMS[form]), stack(shown))
-    assert_same(observations(trajectory, FORMS[form], [6, 0]), stack([shown[6], shown[0]]))
-    assert_same(observation_at(trajectory, 2, FORMS[form]), shown[2])
+    assert_same(observations(trajectory, OBSERVATIONS[observation]), stack(returned))
+    assert_same(
+        observations(trajectory, OBSERVATIONS[observation], [6, 0]),
+        stack([returned[6], returned[0]]),
+    )
+    assert_same(observation_at(trajectory, 2, OBSERVATIONS[observation]), returned[2])
 
 
-def test_reader_writes_into_what_it_is_given(make_trajectory: MakeTrajectory) -> None:
+def test_reader_writes_into_out(make_trajectory: MakeTrajectory) -> None:
     trajectory = make_trajectory()
     reader = ObservationReader(trajectory, "LoResCHW4E")
     out = np.zeros((3, 12, 96, 96), np.uint8)
@@ -68,57 +71,59 @@ def test_reader_writes_into_what_it_is_given(make_trajectory: MakeTrajectory) ->
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_pictures_make_the_low_resolution_presets(
+def test_recorded_frames_give_the_low_resolution_presets(
     make_trajectory: MakeTrajectory, preset: str
 ) -> None:
-    posed = make_trajectory("magical/FixColour-TestAll-v0")
-    frames = observations(posed, PixelSpec((("ego", 1), ("allo", 1)), separate=True))  # type: ignore[arg-type]
+    with_poses = make_trajectory("magical/FixColour-TestAll-v0")
+    frames = observations(with_poses, PixelSpec((("ego", 1), ("allo", 1)), separate=True))  # type: ignore[arg-type]
     assert isinstance(frames, dict)
-    pictures = Trajectory(
-        env_id=posed.env_id,
-        scene=posed.scene,
-        actions=posed.actions,
+    recorded = Trajectory(
+        env_id=with_poses.env_id,
+        scene=with_poses.scene,
+        actions=with_poses.actions,
         frames=frames,
-        published_code_score=posed.published_code_score,
+        published_code_score=with_poses.published_code_score,
     )
-    again = decode(encode(pictures))
-    assert_same(observations(again, preset), observations(posed, preset))
+    again = decode(encode(recorded))
+    assert_same(observations(again, preset), observations(with_poses, preset))
 
 
 @pytest.mark.parametrize(
-    "form", ["raw", "state", PixelSpec(size=64), PixelSpec(samples=1), {"size": 48}]
+    "observation", ["raw", "state", PixelSpec(size=64), PixelSpec(samples=1), {"size": 48}]
 )
-def test_pictures_cannot_show_the_rest(make_pictures: MakeTrajectory, form: Any) -> None:
-    pictures = make_pictures()
-    observations(pictures, PixelSpec(samples=4))
+def test_recorded_frames_give_no_other_observation(
+    make_frames_trajectory: MakeTrajectory, observation: Any
+) -> None:
+    recorded = make_frames_trajectory()
+    observations(recorded, PixelSpec(samples=4))
     with pytest.raises(TrajectoryError, match=r"recording of frames|only frames"):
-        observations(pictures, form)
+        observations(recorded, observation)
 
 
-def test_one_recorded_view_is_not_the_other(make_pictures: MakeTrajectory) -> None:
-    whole = make_pictures()
-    assert whole.frames is not None
-    ego = make_pictures(actions=whole.actions, frames={"ego": whole.frames["ego"]})
-    assert_same(observations(ego, "LoRes4E"), observations(whole, "LoRes4E"))
+def test_missing_view_is_an_error(make_frames_trajectory: MakeTrajectory) -> None:
+    both = make_frames_trajectory()
+    assert both.frames is not None
+    ego = make_frames_trajectory(actions=both.actions, frames={"ego": both.frames["ego"]})
+    assert_same(observations(ego, "LoRes4E"), observations(both, "LoRes4E"))
     with pytest.raises(TrajectoryError, match="not allo frames"):
         observations(ego, "LoRes3EA")
 
 
-def test_state_of_a_trajectory_that_physics_does_not_repeat(
+def test_states_that_the_simulation_does_not_reproduce(
     make_trajectory: MakeTrajectory,
 ) -> None:
     good = make_trajectory()
     assert good.poses is not None
     poses = good.poses.copy()
     poses[5, 0, 0] += 1e-12
-    bent = Trajectory.from_poses(good.env_id, good.scene, good.actions, poses)
-    observations(bent, "LoRes4E")
+    changed = Trajectory.from_poses(good.env_id, good.scene, good.actions, poses)
+    observations(changed, "LoRes4E")
     with pytest.raises(TrajectoryError, match="departs from the recorded poses at step 5"):
-        observations(bent, "state")
+        observations(changed, "state")
 
 
 @pytest.mark.parametrize("preset", ["LoRes4E", "LoResStack", "state"])
-def test_arrays_hold_every_step(
+def test_arrays_have_every_step(
     tmp_path: Path, make_trajectory: MakeTrajectory, preset: str
 ) -> None:
     writer = DatasetWriter(tmp_path / "d")
@@ -140,5 +145,5 @@ def test_arrays_hold_every_step(
         assert_same(arrays["observations"], np.concatenate(expected))
     assert arrays["env_ids"].tolist() == ["magical/MoveToCorner-Demo-v0"] * 2
     assert arrays["scores"].tolist() == [trajectory.score for trajectory in made]
-    mixed = dataset.filter(demonstrator="nobody").arrays(preset="LoRes4E")
+    mixed = dataset.filter(demonstrator="unknown").arrays(preset="LoRes4E")
     assert len(mixed["actions"]) == 0

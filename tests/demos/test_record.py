@@ -1,4 +1,4 @@
-"""Recording from policies, wrappers and the keyboard."""
+"""Recording policies, wrapped environments and keyboard play."""
 
 import os
 from pathlib import Path
@@ -28,16 +28,16 @@ def roll(env: gymnasium.Env[Any, Any], rng: np.random.Generator, seed: int | Non
             return result[-1]
 
 
-def test_whole_episodes_are_stored_with_where_they_come_from(tmp_path: Path) -> None:
+def test_complete_episodes_are_stored_with_provenance(tmp_path: Path) -> None:
     env = RecordTrajectories(
-        make(), tmp_path / "d", demonstrator="dice", metadata={"note": "first"}
+        make(), tmp_path / "d", demonstrator="random", metadata={"note": "first"}
     )
     rng = np.random.default_rng(0)
     infos = [roll(env, rng, seed=4), roll(env, rng)]
     first, second = Dataset.open(tmp_path / "d")
     assert env.recorded == 2
     assert (first.seed, second.seed) == (4, None)
-    assert (first.env_id, first.demonstrator, len(first)) == (ENV, "dice", 6)
+    assert (first.env_id, first.demonstrator, len(first)) == (ENV, "random", 6)
     assert [first.score, second.score] == [info["eval_score"] for info in infos]
     assert first.metadata["note"] == "first"
     assert {"magical", "pymunk", "numpy"} <= set(first.metadata["versions"])
@@ -45,8 +45,8 @@ def test_whole_episodes_are_stored_with_where_they_come_from(tmp_path: Path) -> 
     assert [replay(t).departure for t in (first, second)] == [0.0, 0.0]
 
 
-def test_unfinished_and_bad_episodes_are_not_stored(tmp_path: Path) -> None:
-    env = RecordTrajectories(make(), tmp_path / "d", demonstrator="dice", min_score=0.5)
+def test_unfinished_and_low_scoring_episodes_are_not_stored(tmp_path: Path) -> None:
+    env = RecordTrajectories(make(), tmp_path / "d", demonstrator="random", min_score=0.5)
     env.reset(seed=0)
     env.step(1)
     info = roll(env, np.random.default_rng(0), seed=0)
@@ -54,7 +54,7 @@ def test_unfinished_and_bad_episodes_are_not_stored(tmp_path: Path) -> None:
     assert len(Dataset.open(tmp_path / "d")) == 0
 
 
-def test_wrappers_below_and_above(tmp_path: Path) -> None:
+def test_wrappers_inside_and_around(tmp_path: Path) -> None:
     inner = TransformAction(make(), lambda action: 17 - action, gymnasium.spaces.Discrete(18))
     env = RecordEpisodeStatistics(RecordTrajectories(inner, tmp_path / "d", demonstrator="x"))
     env.reset(seed=0)
@@ -64,7 +64,7 @@ def test_wrappers_below_and_above(tmp_path: Path) -> None:
     assert trajectory.actions.tolist() == [17, 16, 15, 14, 13, 12]
 
 
-def test_jump_to_another_state_is_refused(tmp_path: Path) -> None:
+def test_set_state_in_an_episode_is_refused(tmp_path: Path) -> None:
     env = RecordTrajectories(make(), tmp_path / "d", demonstrator="x")
     env.reset(seed=0)
     env.step(0)
@@ -80,7 +80,7 @@ def roll_on(env: gymnasium.Env[Any, Any]) -> None:
         env.step(0)
 
 
-def test_other_environments_and_places_are_refused(tmp_path: Path, small_dataset: Path) -> None:
+def test_other_environments_and_folders_are_refused(tmp_path: Path, small_dataset: Path) -> None:
     with pytest.raises(TrajectoryError, match="magical's environments"):
         RecordTrajectories(gymnasium.make("CartPole-v1"), tmp_path / "d", demonstrator="x")
     with pytest.raises(DatasetError, match="cannot be written"):
@@ -93,7 +93,7 @@ def test_play_is_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     from gymnasium.utils.play import play
 
     env = RecordTrajectories(
-        make(horizon=4, render_mode="rgb_array"), tmp_path / "d", demonstrator="someone"
+        make(horizon=4, render_mode="rgb_array"), tmp_path / "d", demonstrator="player"
     )
 
     def press(*step: Any) -> None:
@@ -105,5 +105,5 @@ def test_play_is_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     play(env, fps=1000, callback=press, seed=3)
     pygame.quit()
     (trajectory,) = Dataset.open(tmp_path / "d")
-    assert (trajectory.demonstrator, trajectory.seed) == ("someone", 3)
+    assert (trajectory.demonstrator, trajectory.seed) == ("player", 3)
     assert trajectory.actions.tolist() == [0, 1, 1, 1]

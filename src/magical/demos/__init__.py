@@ -1,4 +1,4 @@
-"""Demonstrations: trajectories, datasets, the published human ones, recording, export.
+"""Demonstrations: datasets of trajectories, recording, the published human ones, export.
 
 from magical.demos import Dataset, RecordTrajectories
 
@@ -29,8 +29,8 @@ __all__ = [
     "observations",
 ]
 
-# These import the physics and the renderer, so they are imported when they are first used.
-_LATER = {
+# These import the physics and the renderer, so they are imported on first use.
+_LAZY = {
     "Frames": "reader",
     "ObservationReader": "reader",
     "RecordTrajectories": "record",
@@ -39,8 +39,8 @@ _LATER = {
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _LATER:
+    if name not in _LAZY:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from importlib import import_module
 
-    return getattr(import_module(f"{__name__}.{_LATER[name]}"), name)
+    return getattr(import_module(f"{__name__}.{_LAZY[name]}"), name)

@@ -19,17 +19,17 @@ from magical.experts import modules_of, rollout
 from magical.processes import available_cores, map_in_processes
 from magical.tasks import load_tasks
 
-PATIENCE = 20  # attempts for each demonstration wanted, on average, before giving up
+MAX_DROPPED = 20  # attempts below the score, per requested demonstration, before giving up
 
 
 @dataclass(frozen=True, slots=True)
 class GenerateReport:
-    """What became of the attempts in one environment."""
+    """The outcome of the attempts in one environment."""
 
     env_id: str
     kept: int
-    dropped: int  # below the score asked for
-    scores: tuple[float, ...]  # of the kept ones
+    dropped: int  # below `min_score`
+    scores: tuple[float, ...]  # of those kept
 
 
 def generate(
@@ -45,7 +45,7 @@ def generate(
 ) -> GenerateReport:
     """Append `number` demonstrations by the task's scripted expert to a dataset.
 
-    Attempt i starts as `reset(seed=episode_seed(seed, i))` does and has a strategy of its own.
+    Attempt i has the scene of `reset(seed=episode_seed(seed, i))` and its own strategy.
     Attempts that score less than `min_score` (appendix's rule) are dropped. The result depends on
     the arguments alone, not on `workers` (processes; default: the available cores).
 
@@ -66,7 +66,7 @@ def generate(
     dropped = 0
     with closing(map_in_processes(attempt, count(), workers)) as results:
         while len(scores) < number:
-            if dropped > PATIENCE * number:
+            if dropped > MAX_DROPPED * number:
                 raise DatasetError(
                     f"{env_id}: {dropped} attempts scored less than {min_score} and {len(scores)} "
                     "did not; give a lower score or a higher skill"
@@ -83,18 +83,20 @@ def generate(
 
 
 def demonstrate(env_id: str, seed: int, skill: float = 1.0) -> Trajectory:
-    """One episode of the scripted expert, from what `reset(seed=seed)` would start with.
+    """One episode of the scripted expert, in the scene of `reset(seed=seed)`.
 
-    Raises `NoExpertError` or `NoSolutionError`.
+    Raises:
+        NoExpertError: the task has no expert.
+        NoSolutionError: the scene cannot be solved.
     """
     parsed = parse_env_id(env_id)
-    done = rollout(parsed.task, parsed.variant, seed, skill=skill)
+    episode = rollout(parsed.task, parsed.variant, seed, skill=skill)
     return Trajectory.from_poses(
         parsed,
-        done.scene,
-        done.actions,
-        done.poses,
-        dynamics=done.dynamics,
+        episode.scene,
+        episode.actions,
+        episode.poses,
+        dynamics=episode.dynamics,
         seed=seed,
         demonstrator="expert",
         metadata={"skill": skill, **provenance()},

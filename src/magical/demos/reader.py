@@ -23,9 +23,10 @@ Pixels = NDArray[np.uint8]
 
 
 class Frames:
-    """Single frames of one trajectory and view, rendered from poses or taken from the recording.
+    """Single frames of one trajectory and view, rendered from poses or copied from the recording.
 
-    Raises `TrajectoryError` where only frames were recorded, and others are asked for.
+    Raises:
+        TrajectoryError: only frames were recorded, of other views or another size.
     """
 
     def __init__(
@@ -47,7 +48,7 @@ class Frames:
             self._recorded = _recorded(trajectory, str(view), size, samples)
 
     def render(self, time: int, out: Pixels) -> None:
-        """Write the frame of one moment, 0 to T, into `out` (size, size, 3), of any layout."""
+        """Write the frame at time step `time`, 0 to T, into `out` (size, size, 3)."""
         if self._renderer is None:
             assert self._recorded is not None
             copy_pixels(self._recorded[time], out)
@@ -56,16 +57,16 @@ class Frames:
             self._renderer.render(self._poses[time], out)
 
     def take(self, times: ArrayLike) -> Pixels:
-        """The frames of several moments: (len(times), size, size, 3) uint8."""
-        moments = np.asarray(times, np.intp)
-        frames = np.empty((len(moments), self.size, self.size, 3), np.uint8)
-        for time, frame in zip(moments.tolist(), frames, strict=True):
+        """The frames at several time steps: (len(times), size, size, 3) uint8."""
+        times = np.asarray(times, np.intp)
+        frames = np.empty((len(times), self.size, self.size, 3), np.uint8)
+        for time, frame in zip(times.tolist(), frames, strict=True):
             self.render(time, frame)
         return frames
 
 
 class TrajectorySource:
-    """A trajectory as an `EpisodeSource`; renderers are kept between calls."""
+    """A trajectory as an `EpisodeSource`; its renderers are cached."""
 
     def __init__(self, trajectory: Trajectory) -> None:
         self.trajectory = trajectory
@@ -81,17 +82,19 @@ class TrajectorySource:
         return len(self.trajectory)
 
     def frames(self, view: View, size: int, samples: int | None) -> Frames:
-        """Its frames in one view at one resolution; raises `TrajectoryError`."""
+        """Its frames in one view at one resolution; raises `TrajectoryError` as `Frames` does."""
         key = view, size, samples
         if key not in self._frames:
             self._frames[key] = Frames(self.trajectory, *key)
         return self._frames[key]
 
     def body_states(self) -> NDArray[np.float64]:
-        """Poses and velocities, (T + 1, 5 + blocks, 6), from simulating the actions again.
+        """Poses and velocities, (T + 1, 5 + blocks, 6) float64.
 
-        Velocities are not stored. Raises `TrajectoryError` where poses are unknown, or where the
-        simulation does not repeat them.
+        Velocities are not stored, so the actions are simulated again.
+
+        Raises:
+            TrajectoryError: poses are unknown, or the simulation does not reproduce them.
         """
         trajectory = self.trajectory
         if trajectory.poses is None:
@@ -110,26 +113,41 @@ class TrajectorySource:
 
 
 class ObservationReader:
-    """Random access to the observations of one trajectory, for training."""
+    """Random access to the observations of one trajectory, for training.
+
+    Args:
+        trajectory: the stored episode.
+        observation: see `magical.observe.make_spec`.
+    """
 
     def __init__(self, trajectory: Trajectory, observation: Observation = "LoRes4E") -> None:
         self.spec = make_spec(observation, trajectory.task)
-        self.moments = len(trajectory) + 1
+        self.num_steps = len(trajectory) + 1  # observations, T + 1
         self._source = TrajectorySource(trajectory)
 
     def read(self, times: ArrayLike, out: Any = None) -> Any:
-        """The observations at moments `times` (B,), each 0 to T: (B, *shape), or a dict of such.
+        """Observations at time steps `times` (B,), each 0 to T.
 
-        Moment 0 is what `reset` returned, moment t what step t returned. Raises `TrajectoryError`
-        for moments that are not in the trajectory, or where it lacks what the observation needs.
+        Observation 0 is what `reset` returned, observation t what the t-th `step` returned.
+
+        Args:
+            times: time steps.
+            out: where to write them; by default new arrays.
+
+        Returns:
+            An array (B, *shape), or a dict of such.
+
+        Raises:
+            TrajectoryError: a time step is outside the trajectory, or the trajectory lacks what
+                the observation needs.
         """
-        moments = np.atleast_1d(np.asarray(times, np.intp))
-        if len(moments) and (moments.min() < 0 or moments.max() >= self.moments):
+        steps = np.atleast_1d(np.asarray(times, np.intp))
+        if len(steps) and (steps.min() < 0 or steps.max() >= self.num_steps):
             raise TrajectoryError(
-                f"moments: expected 0 to {self.moments - 1}, "
-                f"found {moments.min()} to {moments.max()}"
+                f"time steps: expected 0 to {self.num_steps - 1}, "
+                f"found {steps.min()} to {steps.max()}"
             )
-        return self.spec.read(self._source, moments, out)
+        return self.spec.read(self._source, steps, out)
 
 
 def observations(
@@ -143,15 +161,15 @@ def observations(
         trajectory: the stored episode.
         observation: see `magical.observe.make_spec`. State vectors are simulated again, since
             velocities are not stored.
-        times: moments from 0 to T, by default all.
+        times: time steps from 0 to T, by default all.
 
     Raises:
         TrajectoryError: a recording of frames has no other observations; or the simulation does
-            not repeat the trajectory, which state vectors need.
+            not reproduce the trajectory, which state vectors need.
         UnknownNameError: no such observation.
     """
-    moments = np.arange(len(trajectory) + 1) if times is None else times
-    return ObservationReader(trajectory, observation).read(moments)
+    steps = np.arange(len(trajectory) + 1) if times is None else times
+    return ObservationReader(trajectory, observation).read(steps)
 
 
 def observation_at(trajectory: Trajectory, time: int, observation: Observation = "LoRes4E") -> Any:
@@ -163,14 +181,15 @@ def dataset_arrays(dataset: "Dataset", observation: Observation = "LoRes4E") -> 
     """Every step of every trajectory, N in all, as plain arrays.
 
     Returns:
-        `observations` (N, *shape), or a dict of such: what was observed before each action.
+        `observations` (N, *shape), or a dict of such: the observation before each action.
         `actions` (N,) int64.
-        `episodes` (N,) int64: which trajectory, counted from 0 in the dataset's order.
-        `steps` (N,) int64: which step of it.
+        `episodes` (N,) int64: index of the trajectory in the dataset.
+        `steps` (N,) int64: index of the step in the trajectory.
         `env_ids`, `scores`, `published_code_scores`, `demonstrators`: one for each trajectory.
 
-    Raises what `observations` raises, and `ObservationError` for state vectors of tasks with
-    vectors of different lengths.
+    Raises:
+        ObservationError: state vectors of tasks with vectors of different lengths.
+        TrajectoryError, UnknownNameError: as `observations` does.
     """
     lengths = [entry.length for entry in dataset.entries]
     total = sum(lengths)

@@ -1,4 +1,4 @@
-"""Recording trajectories from whatever acts in an environment."""
+"""Recording the episodes of an environment, whatever chooses the actions."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,14 +17,22 @@ from magical.scene import Dynamics
 
 
 class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
-    """Stores every finished episode of an environment in a dataset, made if there is none.
+    """A wrapper that stores every finished episode in a dataset, created if there is none.
 
-    It only watches, so a policy, an expert and `gymnasium.utils.play` are recorded alike; wrappers
-    may lie below and above it. An episode that is reset before its end is not stored.
+    It changes nothing that passes through it, so a policy, an expert and `gymnasium.utils.play` are
+    recorded alike; other wrappers may be inside or around it. An episode that is reset before its
+    end is not stored.
+
+    Args:
+        env: one of magical's environments, perhaps wrapped.
+        dataset: the dataset's folder.
+        demonstrator: name of the person or policy that chooses the actions.
+        min_score: episodes with a lower score (appendix's rule) are not stored.
+        metadata: plain JSON data to store with every episode.
 
     Raises:
-        TrajectoryError: the environment is not one of magical's; or it was taken to another state
-            with `set_state` in the middle of an episode.
+        TrajectoryError: the environment is not one of magical's; or `set_state` was called in the
+            middle of an episode.
         DatasetError: the dataset cannot be written.
     """
 
@@ -37,7 +45,6 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
         min_score: float | None = None,
         metadata: Mapping[str, Any] | None = None,
     ) -> None:
-        """Watch `env`; with `min_score` worse episodes are left out (by the appendix's rule)."""
         super().__init__(env)
         inner = env.unwrapped
         if not isinstance(inner, MagicalEnv):
@@ -46,7 +53,7 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
         self._writer = DatasetWriter(dataset)
         self._demonstrator = demonstrator
         self._min_score = min_score
-        self._remarks = dict(metadata or {})
+        self._metadata = dict(metadata or {})
         self._poses: list[NDArray[np.float64]] = []
         self._seed: int | None = None
         self.recorded = 0  # episodes stored so far
@@ -54,14 +61,14 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode, and its recording."""
+        """Reset the environment, and start recording an episode."""
         result = super().reset(seed=seed, options=options)
         self._seed = seed
         self._poses = [self._inner.state().poses.bodies.copy()]
         return result
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Act; at the end of the episode, store it."""
+        """Step the environment; at the end of the episode, store it."""
         result = super().step(action)
         self._poses.append(self._inner.state().poses.bodies.copy())
         if result[2] or result[3]:
@@ -86,7 +93,7 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
                 published_code_score=scores.published_code,
                 seed=self._seed,
                 demonstrator=self._demonstrator,
-                metadata={**provenance(), **self._remarks},
+                metadata={**provenance(), **self._metadata},
             )
         )
         self.recorded += 1

@@ -1,4 +1,4 @@
-"""Running recorded actions again in today's physics."""
+"""Replaying recorded actions in the simulation."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,8 +10,8 @@ from magical.demos.store.trajectory import Trajectory
 from magical.envs.ids import EnvId
 from magical.physics import Simulation
 
-# Mean scores (published_code rule) of 25 human demonstrations a task, replayed in the published
-# implementation itself, as they are and with the robot's start moved by 1e-9.
+# Mean scores (published code's rule) of 25 human demonstrations per task, replayed in the published
+# implementation itself: unchanged, and with the robot's initial position moved by 1e-9.
 PUBLISHED_REPLAY: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
         "MoveToCorner": (1.00, 0.96),
@@ -28,40 +28,40 @@ PUBLISHED_REPLAY: Mapping[str, tuple[float, float]] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """How one trajectory ended when its actions were run again."""
+    """The outcome of replaying one trajectory."""
 
     file: str
     env_id: EnvId
     demonstrator: str
     recorded: float  # the recorded score by the published code's rule
-    score: float  # of the last state, by the appendix's rule
+    score: float  # of the final state, by the appendix's rule
     published_code_score: float
-    departure: float | None  # units: how far any body's last place is from the recorded one
+    departure: float | None  # largest distance of a body's final x or y from the recorded one
 
 
 @dataclass(frozen=True, slots=True)
 class MeanReplay:
-    """Means over one environment's trajectories."""
+    """Means over the trajectories of one environment."""
 
     env_id: EnvId
     count: int
     recorded: float
     score: float
     published_code_score: float
-    published_replay: tuple[float, float] | None  # see `PUBLISHED_REPLAY`; human ones only
-    exact: int | None  # how many ended in exactly the recorded poses, where those are known
+    published_replay: tuple[float, float] | None  # `PUBLISHED_REPLAY`, for human demonstrations
+    exact: int | None  # number that ended in exactly the recorded poses, where those are known
 
 
 def replay(trajectory: Trajectory, file: str = "") -> Replay:
-    """Run a trajectory's actions from its start, and score where they lead."""
-    world = Simulation(trajectory.scene, trajectory.dynamics)
+    """Simulate a trajectory's actions from its initial scene, and score the final state."""
+    simulation = Simulation(trajectory.scene, trajectory.dynamics)
     for action in trajectory.actions.tolist():
-        world.step(action)
-    poses = world.poses()
+        simulation.step(action)
+    poses = simulation.poses()
     departure = None
     if trajectory.poses is not None:
-        moved = poses.bodies[:, :2] - trajectory.poses[-1, :, :2]
-        departure = float(np.abs(moved).max())
+        difference = poses.bodies[:, :2] - trajectory.poses[-1, :, :2]
+        departure = float(np.abs(difference).max())
     task = trajectory.task
     return Replay(
         file=file,
@@ -75,22 +75,22 @@ def replay(trajectory: Trajectory, file: str = "") -> Replay:
 
 
 def mean_replays(replays: Sequence[Replay]) -> list[MeanReplay]:
-    """Means for each environment, in the order of the names."""
+    """Means for each environment, sorted by id."""
     groups: dict[EnvId, list[Replay]] = {}
-    for one in replays:
-        groups.setdefault(one.env_id, []).append(one)
+    for replayed in replays:
+        groups.setdefault(replayed.env_id, []).append(replayed)
     return [_mean(env_id, groups[env_id]) for env_id in sorted(groups)]
 
 
 def _mean(env_id: EnvId, group: list[Replay]) -> MeanReplay:
-    human = env_id.variant == "Demo" and all(one.demonstrator == "human" for one in group)
-    known = [one.departure for one in group if one.departure is not None]
+    human = env_id.variant == "Demo" and all(r.demonstrator == "human" for r in group)
+    known = [r.departure for r in group if r.departure is not None]
     return MeanReplay(
         env_id=env_id,
         count=len(group),
-        recorded=float(np.mean([one.recorded for one in group])),
-        score=float(np.mean([one.score for one in group])),
-        published_code_score=float(np.mean([one.published_code_score for one in group])),
+        recorded=float(np.mean([r.recorded for r in group])),
+        score=float(np.mean([r.score for r in group])),
+        published_code_score=float(np.mean([r.published_code_score for r in group])),
         published_replay=PUBLISHED_REPLAY.get(env_id.task) if human else None,
         exact=sum(departure == 0.0 for departure in known) if known else None,
     )

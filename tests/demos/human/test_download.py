@@ -23,21 +23,23 @@ Run = Callable[..., tuple[int, dict[str, Any]]]
 
 
 class Handler(http.server.SimpleHTTPRequestHandler):
-    """Serves a folder; understands ranges, and can break off or lie."""
+    """Serves a folder; supports ranges, and can cut responses off."""
 
-    break_off: int = 0  # bytes after which the next answers end
+    cut_after: int = 0  # bytes after which the next response ends
     ranges = True
-    asked: list[tuple[str, str | None]]
+    requested: list[tuple[str, str | None]]
 
     def do_GET(self) -> None:
-        asked = self.headers.get("Range")
-        self.asked.append((self.path, asked))
+        requested = self.headers.get("Range")
+        self.requested.append((self.path, requested))
         path = Path(self.translate_path(self.path))
         if not path.is_file():
             self.send_error(404)
             return
         data = path.read_bytes()
-        start = int(asked.removeprefix("bytes=").rstrip("-")) if asked and self.ranges else 0
+        start = (
+            int(requested.removeprefix("bytes=").rstrip("-")) if requested and self.ranges else 0
+        )
         if start >= len(data):
             self.send_error(416)
             return
@@ -45,8 +47,8 @@ class Handler(http.server.SimpleHTTPRequestHandler):
         self.send_header("Content-Length", str(len(data) - start))
         self.end_headers()
         end = len(data)
-        if type(self).break_off:
-            end, type(self).break_off = start + type(self).break_off, 0
+        if type(self).cut_after:
+            end, type(self).cut_after = start + type(self).cut_after, 0
         self.wfile.write(data[start:end])
 
     def log_message(self, *args: Any) -> None:
@@ -58,7 +60,7 @@ def served(human_archive: Path) -> Iterator[tuple[str, type[Handler]]]:
     """The archive on a local server: its address and its handler's class."""
 
     class Mine(Handler):
-        asked: list[tuple[str, str | None]] = []  # noqa: RUF012
+        requested: list[tuple[str, str | None]] = []  # noqa: RUF012
 
     server = http.server.ThreadingHTTPServer(
         ("127.0.0.1", 0), functools.partial(Mine, directory=str(human_archive))
@@ -75,7 +77,7 @@ FIRST = "move-to-region/demo-MoveToRegion-Demo-v0-00[0-4].pkl.gz"
 ONE = "move-to-region/demo-MoveToRegion-Demo-v0-001.pkl.gz"
 
 
-def test_download_checks_imports_and_tidies_up(
+def test_download_verifies_imports_and_cleans_up(
     tmp_path: Path, served: tuple[str, type[Handler]], run: Run
 ) -> None:
     url, handler = served
@@ -88,12 +90,12 @@ def test_download_checks_imports_and_tidies_up(
         "manifest.jsonl",
         "trajectories",
     ]
-    asked = len(handler.asked)
+    requested = len(handler.requested)
     status, result = run(*command)
-    assert (status, result["imported"], len(handler.asked)) == (0, [], asked)
+    assert (status, result["imported"], len(handler.requested)) == (0, [], requested)
 
 
-def test_what_the_server_lacks_is_named(
+def test_file_missing_on_the_server_is_named(
     tmp_path: Path,
     served: tuple[str, type[Handler]],
     capsys: pytest.CaptureFixture[str],
@@ -108,17 +110,17 @@ def test_what_the_server_lacks_is_named(
 
 
 @pytest.mark.parametrize("ranges", [True, False])
-def test_broken_off_download_goes_on(
+def test_interrupted_download_is_resumed(
     tmp_path: Path, human_archive: Path, served: tuple[str, type[Handler]], ranges: bool
 ) -> None:
     url, handler = served
-    handler.break_off, handler.ranges = 100_000, ranges
+    handler.cut_after, handler.ranges = 100_000, ranges
     assert fetch_all({ONE: published_sums()[ONE]}, tmp_path, url).errors == []
     assert (tmp_path / ONE).read_bytes() == (human_archive / ONE).read_bytes()
-    assert [asked for _, asked in handler.asked] == [None, "bytes=100000-"]
+    assert [requested for _, requested in handler.requested] == [None, "bytes=100000-"]
 
 
-def test_part_of_an_earlier_run_is_continued(
+def test_partial_file_of_an_earlier_run_is_resumed(
     tmp_path: Path, human_archive: Path, served: tuple[str, type[Handler]]
 ) -> None:
     url, handler = served
@@ -126,21 +128,23 @@ def test_part_of_an_earlier_run_is_continued(
     part.parent.mkdir(parents=True)
     part.write_bytes((human_archive / ONE).read_bytes()[:5000])
     assert fetch_all({ONE: published_sums()[ONE]}, tmp_path, url).errors == []
-    assert [asked for _, asked in handler.asked] == ["bytes=5000-"]
+    assert [requested for _, requested in handler.requested] == ["bytes=5000-"]
     part.write_bytes(b"x" * 10_000_000)  # longer than the file, and wrong
     (tmp_path / ONE).write_bytes(b"damaged")
     assert fetch_all({ONE: published_sums()[ONE]}, tmp_path, url).errors == []
     assert not part.exists()
 
 
-def test_wrong_bytes_are_never_kept(tmp_path: Path, served: tuple[str, type[Handler]]) -> None:
+def test_file_with_another_sum_is_not_kept(
+    tmp_path: Path, served: tuple[str, type[Handler]]
+) -> None:
     (error,) = fetch_all({ONE: hashlib.sha256(b"other").hexdigest()}, tmp_path, served[0]).errors
     assert "expected SHA-256" in str(error)
     assert "MoveToRegion-Demo-v0-001" in str(error)
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
-def test_no_server_and_no_http(tmp_path: Path) -> None:
+def test_no_server_and_another_scheme(tmp_path: Path) -> None:
     sums = {ONE: published_sums()[ONE]}
     with pytest.raises(DownloadError, match="no answer"):
         fetch_all(sums, tmp_path, "http://127.0.0.1:9")
@@ -179,7 +183,7 @@ def serve() -> Iterator[Callable[[Reply], str]]:
         server.server_close()
 
 
-def answer(body: bytes, status: int = 200, reason: str | None = None, **headers: str) -> Reply:
+def response(body: bytes, status: int = 200, reason: str | None = None, **headers: str) -> Reply:
     def reply(handler: http.server.BaseHTTPRequestHandler) -> None:
         handler.send_response(status, reason)
         for name, value in headers.items():
@@ -210,7 +214,7 @@ def test_foreign_file_under_a_published_name_is_not_imported(
     monkeypatch: pytest.MonkeyPatch,
     run: Run,
 ) -> None:
-    url = serve(answer(b"", 404))
+    url = serve(response(b"", 404))
     kept = tmp_path / "kept" / ONE
     kept.parent.mkdir(parents=True)
     published().write(kept)
@@ -235,34 +239,34 @@ def test_file_replaced_after_it_was_fetched_is_not_imported(tmp_path: Path, publ
 def test_impossible_content_length_is_named(
     tmp_path: Path, serve: Callable[[Reply], str], length: str
 ) -> None:
-    error = only_error(tmp_path, serve(answer(b"content", Content_Length=length)))
+    error = only_error(tmp_path, serve(response(b"content", Content_Length=length)))
     assert "Content-Length: expected a number of bytes, found" in error
 
 
 def test_two_content_lengths_are_refused(tmp_path: Path, serve: Callable[[Reply], str]) -> None:
-    reply = answer(b"content", Content_Length="7", content_length="8")
+    reply = response(b"content", Content_Length="7", content_length="8")
     assert "7 and 8" in only_error(tmp_path, serve(reply))
 
 
 def test_large_content_length_is_refused(tmp_path: Path, serve: Callable[[Reply], str]) -> None:
-    error = only_error(tmp_path, serve(answer(b"content", Content_Length="999999999999")))
+    error = only_error(tmp_path, serve(response(b"content", Content_Length="999999999999")))
     assert "expected at most" in error
 
 
 def test_body_shorter_than_its_length(tmp_path: Path, serve: Callable[[Reply], str]) -> None:
-    error = only_error(tmp_path, serve(answer(b"", Content_Length="7")))
+    error = only_error(tmp_path, serve(response(b"", Content_Length="7")))
     assert "IncompleteRead" in error
 
 
 def test_reason_of_the_server_is_shown_escaped(
     tmp_path: Path, serve: Callable[[Reply], str]
 ) -> None:
-    error = only_error(tmp_path, serve(answer(b"", 404, "\x1b[2J" + "x" * 1000)))
+    error = only_error(tmp_path, serve(response(b"", 404, "\x1b[2J" + "x" * 1000)))
     assert "the server answered 404 \\x1b[2Jxxx" in error
 
 
 @pytest.mark.parametrize("part", ["headers", "body"])
-def test_server_that_is_too_slow_is_given_up(
+def test_slow_server_is_given_up(
     tmp_path: Path, serve: Callable[[Reply], str], monkeypatch: pytest.MonkeyPatch, part: str
 ) -> None:
     monkeypatch.setattr("magical.demos.human.download.TIMEOUT", 0.3)
@@ -288,29 +292,20 @@ def test_server_that_is_too_slow_is_given_up(
         "", "http://", "https:///path", "http://host:port/", "http://host:99999/", "http://host:0/",
         "http://host:/", "http://a b/", "http://host/a b", "http://ho\nst/", "http://\x1b[2J/",
         "http://h\u00f6st/", "http://host/\u00e4", "http://user:word@host/", "http://[::1",
-        "http://host/?a", "http://host/#a", "ftp://host/", "file:///etc/", "host", "http://" + "a" * 999,
+        "http://host/?a", "http://host/#a", "ftp://host/", "file:///etc/", "host",
+        "http://" + "a" * 999,
     ],
 )  # fmt: skip
-def test_addresses_that_are_none(tmp_path: Path, url: str) -> None:
+def test_invalid_address_is_named(tmp_path: Path, url: str) -> None:
     with pytest.raises(DownloadError, match="expected") as caught:
         fetch_all(SUMS, tmp_path, url)
     assert str(caught.value).isprintable()
     assert len(str(caught.value)) < 300
 
 
-@pytest.mark.parametrize("location", ["/other", "{}/file", "//{}/file"])
-def test_redirect_is_followed(tmp_path: Path, serve: Callable[[Reply], str], location: str) -> None:
-    target = serve(answer(b"content", Content_Length="7"))
-    address = location.format(target.removeprefix("http:" if "//" in location[:2] else ""))
-    if location == "//{}/file":
-        address = target.removeprefix("http:") + "/file"
-
-    def reply(handler: http.server.BaseHTTPRequestHandler) -> None:
-        moved = handler.path != "/other"
-        headers = {"Location": address} if moved else {"Content_Length": "7"}
-        answer(b"" if moved else b"content", 302 if moved else 200, **headers)(handler)
-
-    download = fetch_all(SUMS, tmp_path, serve(reply))
+def test_redirect_is_followed(tmp_path: Path, serve: Callable[[Reply], str]) -> None:
+    target = serve(response(b"content", Content_Length="7"))
+    download = fetch_all(SUMS, tmp_path, serve(response(b"", 302, Location=f"{target}/other")))
     assert download.errors == []
     assert (tmp_path / "file").read_bytes() == b"content"
 
@@ -319,10 +314,10 @@ def test_redirect_is_followed(tmp_path: Path, serve: Callable[[Reply], str], loc
     "location",
     ["file:///etc/passwd", "ftp://host/", "gopher://x", "", "/file", "http://[", "http://"],
 )
-def test_redirect_elsewhere_or_without_end_is_refused(
+def test_unsafe_or_endless_redirect_is_refused(
     tmp_path: Path, serve: Callable[[Reply], str], location: str
 ) -> None:
-    error = only_error(tmp_path, serve(answer(b"", 302, Location=location)))
+    error = only_error(tmp_path, serve(response(b"", 302, Location=location)))
     assert "expected" in error
 
 

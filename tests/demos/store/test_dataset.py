@@ -1,4 +1,4 @@
-"""The store: exact, small, appended to by many at once, damage noticed."""
+"""Datasets: exact, small, and appended to by several processes."""
 
 import subprocess
 import sys
@@ -32,15 +32,17 @@ def assert_equal(a: Trajectory, b: Trajectory) -> None:
 
 
 def test_round_trip_is_exact(
-    make_trajectory: MakeTrajectory, make_pictures: MakeTrajectory
+    make_trajectory: MakeTrajectory, make_frames_trajectory: MakeTrajectory
 ) -> None:
-    posed = make_trajectory("magical/FixColour-TestAll-v0", metadata={"who": "I", "deep": [1, {}]})
-    for trajectory in (posed, make_pictures()):
+    posed = make_trajectory(
+        "magical/FixColour-TestAll-v0", metadata={"name": "me", "deep": [1, {}]}
+    )
+    for trajectory in (posed, make_frames_trajectory()):
         assert_equal(trajectory, decode(encode(trajectory)))
         assert encode(trajectory) == encode(decode(encode(trajectory)))
 
 
-def test_fullest_trajectory_takes_at_most_150_kb(make_trajectory: MakeTrajectory) -> None:
+def test_largest_trajectory_takes_at_most_150_kb(make_trajectory: MakeTrajectory) -> None:
     sizes = []
     for seed in range(200):
         one = make_trajectory("magical/ClusterColour-TestAll-v0", steps=1, seed=seed)
@@ -80,21 +82,21 @@ def test_open_read_filter(small_dataset: Path, make_trajectory: MakeTrajectory) 
         dataset[3]
 
 
-def test_min_score_takes_the_rule_that_is_known(
-    tmp_path: Path, make_pictures: MakeTrajectory
+def test_min_score_uses_the_known_score(
+    tmp_path: Path, make_frames_trajectory: MakeTrajectory
 ) -> None:
     writer = DatasetWriter(tmp_path / "d")
     for score in (0.2, 0.9):
-        writer.append(make_pictures(published_code_score=score))
+        writer.append(make_frames_trajectory(published_code_score=score))
     chosen = Dataset.open(tmp_path / "d").filter(min_score=0.5)
     assert [entry.published_code_score for entry in chosen.entries] == [0.9]
 
 
 def test_sample_depends_on_the_generator_alone(small_dataset: Path) -> None:
     dataset = Dataset.open(small_dataset)
-    draws = [dataset.sample(2, np.random.default_rng(seed)).entries for seed in (0, 0, 1, 2, 3)]
-    assert draws[0] == draws[1]
-    assert len(set(draws)) > 1
+    samples = [dataset.sample(2, np.random.default_rng(seed)).entries for seed in (0, 0, 1, 2, 3)]
+    assert samples[0] == samples[1]
+    assert len(set(samples)) > 1
     with pytest.raises(DatasetError, match="expected 4 trajectories, found 3"):
         dataset.sample(4, np.random.default_rng(0))
 
@@ -125,11 +127,11 @@ def test_three_processes_append_at_once(tmp_path: Path, small_dataset: Path) -> 
 
 
 def test_reading_many_needs_the_memory_of_one(
-    tmp_path: Path, make_pictures: MakeTrajectory
+    tmp_path: Path, make_frames_trajectory: MakeTrajectory
 ) -> None:
     path = tmp_path / "dataset"
     writer = DatasetWriter(path)
-    one = make_pictures(steps=9)
+    one = make_frames_trajectory(steps=9)
     for _ in range(40):
         writer.append(one)
     size = 2 * 10 * 96 * 96 * 3

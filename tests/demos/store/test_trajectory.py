@@ -1,4 +1,4 @@
-"""What a trajectory must be."""
+"""Trajectories check their parts."""
 
 from typing import Any
 
@@ -22,7 +22,7 @@ GOOD: dict[str, Any] = {
 }
 
 
-def test_good_one_is_frozen_and_its_own() -> None:
+def test_trajectory_copies_its_arrays_and_is_read_only() -> None:
     actions, poses = np.array([1, 17]), POSES.copy()
     trajectory = Trajectory(**{**GOOD, "actions": actions, "poses": poses})
     actions[0], poses[0] = 3, 9.0
@@ -44,7 +44,7 @@ def test_preset_is_dropped_from_the_id() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "message"),
     [
         ({"actions": np.array([1, 18])}, "from 0 to 17, found 1 to 18"),
         ({"actions": np.array([-1, 2])}, "from 0 to 17"),
@@ -72,9 +72,9 @@ def test_preset_is_dropped_from_the_id() -> None:
         ({"metadata": {"a": float("inf")}}, "plain JSON"),
     ],
 )
-def test_what_does_not_fit_is_refused(change: dict[str, Any], says: str) -> None:
+def test_invalid_part_is_refused(change: dict[str, Any], message: str) -> None:
     Trajectory(**GOOD)
-    with pytest.raises(TrajectoryError, match=says):
+    with pytest.raises(TrajectoryError, match=message):
         Trajectory(**{**GOOD, **change})
 
 

@@ -61,7 +61,7 @@ def run_info(args: argparse.Namespace) -> int:
     print_table(
         ("environment", "actions, most frequent first"),
         [
-            (s.env_id, ", ".join(f"{name} {share:.0%}" for name, share in s.usual_actions[:6]))
+            (s.env_id, ", ".join(f"{name} {share:.0%}" for name, share in s.action_frequencies[:6]))
             for s in summaries
         ],
     )
@@ -111,8 +111,8 @@ def run_replay(args: argparse.Namespace) -> int:
     print(
         "recorded, replayed, published: by the published code's rule; appendix: by the appendix's."
     )
-    print("published: 25 human demonstrations replayed in the published implementation, as they")
-    print("are and with the robot's start moved by 1e-9. exact: ended in the recorded poses.")
+    print("published: 25 human demonstrations replayed in the published implementation, unchanged")
+    print("and with the robot's start moved by 1e-9. exact: ended in the recorded poses.")
     log_problems(dataset.problems)
     if args.json:
         print_json(

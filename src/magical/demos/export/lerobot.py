@@ -1,25 +1,28 @@
-"""Export to a LeRobotDataset v3.0: Parquet tables, one film for each camera, and their description.
+"""Export to a LeRobotDataset v3.0: Parquet tables, a video for each camera, and metadata.
 
 The layout follows the format's documentation and its reference writer: `meta/info.json`,
 `meta/stats.json`, `meta/tasks.parquet`, `meta/episodes/`, `data/`, `videos/<camera>/`. Episodes are
-concatenated into large files; `meta/episodes` says where each lies. Needs the `lerobot` extra.
+concatenated into large files; `meta/episodes` has the position of each. Needs the `lerobot` extra.
 """
 
 import json
 import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass, fields
+from fractions import Fraction
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
+import av
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
 import magical
-from magical.demos.export.lerobot_stats import Stats, merged
-from magical.demos.export.lerobot_video import VIDEO_INFO, Film
 from magical.demos.reader import Frames
 from magical.demos.store.dataset import Dataset
 from magical.demos.store.trajectory import VIEWS, Trajectory
@@ -29,14 +32,30 @@ from magical.scene.poses import FINGERS, ROBOT
 
 VERSION = "v3.0"
 FILES_PER_CHUNK = 1000
-FRAMES_PER_FILE = 50_000  # then new files are begun
+FRAMES_PER_FILE = 50_000  # at which the next files are started
 FPS = int(CONTROL_RATE)
 CAMERAS = {view: f"observation.images.{view}" for view in VIEWS}
-_PLACE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
+_FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 _STATE = ("robot_x", "robot_y", "robot_angle", "left_finger_angle", "right_finger_angle")
 _INDICES = ("frame_index", "episode_index", "index", "task_index")
 
+# Chroma at full resolution: with the usual subsampling, outlines two pixels wide lose their colour.
+CODEC, PIXEL_FORMAT = "libx264", "yuv444p"
+OPTIONS = {"crf": "12", "g": "2", "bf": "0"}  # nearly lossless; a key frame every other frame
+VIDEO_INFO = MappingProxyType(
+    {
+        "video.height": FRAME_SIZE,
+        "video.width": FRAME_SIZE,
+        "video.codec": "h264",
+        "video.pix_fmt": PIXEL_FORMAT,
+        "is_depth_map": False,
+        "video.channels": 3,
+        "has_audio": False,
+    }
+)
+
 Columns = dict[str, NDArray[Any]]
+Floats = NDArray[np.float64]
 
 
 def export_lerobot(
@@ -44,13 +63,13 @@ def export_lerobot(
 ) -> int:
     """Write the dataset into a new folder; returns the number of frames, one for each action.
 
-    Features: both cameras at 96 x 96 (H.264, so with slight losses), `action` (int64, 0 to 17),
-    `next.done`, and where all poses are known `observation.state` (the robot's pose and fingers).
+    Features: both cameras at 96 x 96 (H.264, slightly lossy), `action` (int64, 0 to 17),
+    `next.done`, and where all poses are known `observation.state` (robot pose and finger angles).
     Scores, demonstrator and environment id are columns of `meta/episodes`.
 
     Raises:
-        DatasetError: the folder exists, the dataset is empty or a trajectory is damaged; nothing
-            is left behind.
+        DatasetError: the folder exists, the dataset is empty or a trajectory is damaged; no partial
+            export remains.
     """
     if folder.exists() or not len(dataset):
         found = f"{folder}, which exists" if len(dataset) else "no trajectories"
@@ -61,7 +80,7 @@ def export_lerobot(
         with _Writer(root, dataset) as writer:
             for entry, trajectory in zip(dataset.entries, dataset, strict=True):
                 if writer.frames_in_file >= frames_per_file:
-                    writer.begin_files()
+                    writer.start_files()
                 writer.add(trajectory, {"demonstrator": entry.demonstrator})
         writer.finish()
         root.rename(folder)
@@ -69,7 +88,7 @@ def export_lerobot(
 
 
 class _Writer:
-    """The open files of an export: one table and one film for each camera."""
+    """The open files of an export: one table, and one video for each camera."""
 
     def __init__(self, root: Path, dataset: Dataset) -> None:
         self.root = root
@@ -83,48 +102,51 @@ class _Writer:
         self._open = ExitStack()
 
     def __enter__(self) -> "_Writer":
-        self.begin_files()
+        self.start_files()
         return self
 
     def __exit__(self, *error: object) -> None:
         self._open.close()
 
-    def begin_files(self) -> None:
-        """Close the files, and begin the next ones."""
+    def start_files(self) -> None:
+        """Close the files, and start the next ones."""
         self._open.close()
         self._file += 1
         self.frames_in_file = 0
         path = self._path("data", "parquet")
         self._table = self._open.enter_context(pq.ParquetWriter(path, self._schema()))
-        self._films = {
-            view: self._open.enter_context(Film(self._path(f"videos/{camera}", "mp4"), FPS))
+        self._videos = {
+            view: self._open.enter_context(_Video(self._path(f"videos/{camera}", "mp4"), FPS))
             for view, camera in CAMERAS.items()
         }
 
-    def add(self, trajectory: Trajectory, more: Mapping[str, Any]) -> None:
-        """Write one episode: the frame seen before each action, and the action."""
+    def add(self, trajectory: Trajectory, columns: Mapping[str, Any]) -> None:
+        """Write one episode: the frame before each action, and the action.
+
+        `columns` are added to the episode's row in `meta/episodes`.
+        """
         steps = len(trajectory)
         task = self._tasks.setdefault(trajectory.task.summary, len(self._tasks))
-        columns = self._columns(trajectory, task)
-        stats = {name: Stats.of(column) for name, column in columns.items()}
-        arrays = {name: _arrow(column) for name, column in columns.items()}
+        data = self._columns(trajectory, task)
+        stats = {name: Stats.of(column) for name, column in data.items()}
+        arrays = {name: _arrow(column) for name, column in data.items()}
         self._table.write_table(pa.table(arrays, schema=self._schema()))
-        for view, film in self._films.items():
+        for view, video in self._videos.items():
             frames = Frames(trajectory, view, FRAME_SIZE).take(np.arange(steps))
-            film.write(frames)
+            video.write(frames)
             stats[CAMERAS[view]] = Stats.of_frames(frames)
-        self._episodes.append({**self._episode(trajectory), **more})
+        self._episodes.append({**self._episode(trajectory), **columns})
         self._stats.append(stats)
         self.total += steps
         self.frames_in_file += steps
 
     def finish(self) -> None:
-        """Write what describes the closed files."""
+        """Write the metadata of the closed files."""
         meta = self.root / "meta"
         rows = [
             {**row, **_flat(stats)} for row, stats in zip(self._episodes, self._stats, strict=True)
         ]
-        path = meta / "episodes" / f"{_PLACE.format(chunk_index=0, file_index=0)}.parquet"
+        path = meta / "episodes" / f"{_FILE.format(chunk_index=0, file_index=0)}.parquet"
         path.parent.mkdir(parents=True)
         pq.write_table(pa.Table.from_pylist(rows), path)
         pq.write_table(_task_table(list(self._tasks)), meta / "tasks.parquet")
@@ -213,18 +235,109 @@ class _Writer:
             "video_files_size_in_mb": 500,
             "fps": FPS,
             "splits": {"train": f"0:{len(self._episodes)}"},
-            "data_path": f"data/{_PLACE}.parquet",
-            "video_path": f"videos/{{video_key}}/{_PLACE}.mp4",
+            "data_path": f"data/{_FILE}.parquet",
+            "video_path": f"videos/{{video_key}}/{_FILE}.mp4",
             "features": self._features(),
             "exported_by": f"magical {magical.__version__}",
         }
 
     def _path(self, folder: str, suffix: str) -> Path:
         chunk, file = divmod(self._file, FILES_PER_CHUNK)
-        place = _PLACE.format(chunk_index=chunk, file_index=file)
-        path = self.root / folder / f"{place}.{suffix}"
+        name = _FILE.format(chunk_index=chunk, file_index=file)
+        path = self.root / folder / f"{name}.{suffix}"
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
+
+
+class _Video:
+    """A video file being written; frame k has the timestamp k / fps seconds."""
+
+    def __init__(self, path: Path, fps: int) -> None:
+        self._container = av.open(str(path), "w")
+        stream = self._container.add_stream(CODEC, rate=fps, options=dict(OPTIONS))
+        assert isinstance(stream, VideoStream)
+        stream.width = stream.height = FRAME_SIZE
+        stream.pix_fmt = PIXEL_FORMAT
+        self._stream = stream
+        self._step = Fraction(1, fps)
+        self._count = 0
+
+    def write(self, frames: NDArray[np.uint8]) -> None:
+        """Append frames (T, 96, 96, 3) uint8."""
+        for array in frames:
+            frame = av.VideoFrame.from_ndarray(array, format="rgb24")
+            frame.pts, frame.time_base = self._count, self._step
+            self._container.mux(self._stream.encode(frame))
+            self._count += 1
+
+    def __enter__(self) -> "_Video":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._container.mux(self._stream.encode())
+        self._container.close()
+
+
+@dataclass(frozen=True, slots=True)
+class Stats:
+    """Statistics of one feature, as a LeRobotDataset has them."""
+
+    min: Floats  # (D,), or (3, 1, 1) for cameras, on [0, 1]
+    max: Floats
+    mean: Floats
+    std: Floats
+    count: NDArray[np.int64]  # (1,), number of values
+
+    @staticmethod
+    def of(values: NDArray[Any]) -> "Stats":
+        """The statistics of a column (T,) or (T, D)."""
+        table = values.reshape(len(values), -1).astype(np.float64)
+        return Stats(
+            table.min(0), table.max(0), table.mean(0), table.std(0), np.array([len(table)])
+        )
+
+    @staticmethod
+    def of_frames(frames: NDArray[np.uint8]) -> "Stats":
+        """The statistics of each channel of frames (T, H, W, 3), scaled to [0, 1]."""
+        counts = np.stack([np.bincount(frames[..., c].ravel(), minlength=256) for c in range(3)])
+        levels = np.arange(256) / 255.0
+        share = counts / counts.sum(1, keepdims=True)
+        mean = share @ levels
+        deviation = np.sqrt((share * (levels - mean[:, None]) ** 2).sum(1))
+        present = [np.flatnonzero(row) / 255.0 for row in counts]
+        low, high = np.array([row[0] for row in present]), np.array([row[-1] for row in present])
+        shape = (3, 1, 1)
+        return Stats(
+            low.reshape(shape),
+            high.reshape(shape),
+            mean.reshape(shape),
+            deviation.reshape(shape),
+            np.array([len(frames)]),
+        )
+
+    def plain(self) -> dict[str, Any]:
+        """The statistics as lists, for JSON and Parquet."""
+        return {field.name: getattr(self, field.name).tolist() for field in fields(self)}
+
+
+def merged(episodes: Sequence[dict[str, Stats]]) -> dict[str, Stats]:
+    """The statistics of all episodes together."""
+    return {name: _merge([episode[name] for episode in episodes]) for name in episodes[0]}
+
+
+def _merge(parts: list[Stats]) -> Stats:
+    counts = np.concatenate([part.count for part in parts])
+    weights = (counts / counts.sum()).reshape(-1, *([1] * parts[0].mean.ndim))
+    means = np.stack([part.mean for part in parts])
+    mean = (weights * means).sum(0)
+    squares = np.stack([part.std**2 for part in parts]) + (means - mean) ** 2
+    return Stats(
+        np.min([part.min for part in parts], axis=0),
+        np.max([part.max for part in parts], axis=0),
+        mean,
+        np.sqrt((weights * squares).sum(0)),
+        counts.sum(keepdims=True),
+    )
 
 
 def _robot_states(poses: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -241,20 +354,20 @@ def _arrow(column: NDArray[Any]) -> Any:
 
 
 def _task_table(tasks: list[str]) -> Any:
-    """The tasks as pandas writes a frame that is indexed by them, which readers expect."""
+    """The tasks in the layout of a pandas data frame with them as index, which readers expect."""
 
     def column(name: str, pandas_type: str, numpy_type: str) -> dict[str, Any]:
         types = {"pandas_type": pandas_type, "numpy_type": numpy_type}
         return {"name": name, "field_name": name, "metadata": None, **types}
 
-    description = {
+    pandas = {
         "index_columns": ["task"],
         "column_indexes": [],
         "columns": [column("task_index", "int64", "int64"), column("task", "unicode", "object")],
         "pandas_version": "2.2.0",
     }
     table = pa.table({"task_index": range(len(tasks)), "task": tasks})
-    return table.replace_schema_metadata({"pandas": json.dumps(description)})
+    return table.replace_schema_metadata({"pandas": json.dumps(pandas)})
 
 
 def _flat(stats: Mapping[str, Stats]) -> dict[str, Any]:

@@ -1,4 +1,7 @@
-"""Export to Minari: one dataset for each environment, pictures without loss; needs the extra."""
+"""Export to Minari: one dataset for each environment, with lossless frames.
+
+Needs the `minari` extra.
+"""
 
 import os
 import tempfile
@@ -32,14 +35,14 @@ def export_minari(
 ) -> list[str]:
     """Write Minari datasets `magical/<Task>-<Variant>-<preset>/<name>-v0`; returns their ids.
 
-    Observations are the preset's, as the environment showed them, in HDF5 with
+    Observations are the preset's, as the environment returned them, in HDF5 with
     `jpeg_encoding=False`. Rewards are 0; the last info of an episode has both scores, and its
     metadata the demonstrator. `root` is Minari's folder of datasets (default: Minari's own).
 
     Raises:
-        DatasetError: a dataset of that name is there already, or a trajectory is damaged; what was
-            begun is removed.
-        TrajectoryError: a recording cannot show the preset.
+        DatasetError: a dataset of that name exists, or a trajectory is damaged; no partial dataset
+            remains.
+        TrajectoryError: a recording of frames lacks those of the preset.
     """
     if preset not in PRESETS:
         raise DatasetError(f"preset: expected one of {', '.join(PRESETS)}, found {preset!r}")
@@ -48,7 +51,7 @@ def export_minari(
         part = dataset.filter(env_id=env_id)
         with_preset = EnvId(env_id.task, env_id.variant, preset)
         minari_id = f"magical/{env_id.task}-{env_id.variant}-{preset}/{name}-v0"
-        with _written_whole(minari_id, root):
+        with _moved_when_complete(minari_id, root):
             _create(minari_id, gym.spec(with_preset), part, preset)
         made.append(minari_id)
     return made
@@ -56,13 +59,13 @@ def export_minari(
 
 def _create(minari_id: str, spec: Any, part: Dataset, preset: str) -> None:
     with warnings.catch_warnings():
-        # Minari warns of every missing author and link; a dataset's owner adds those.
+        # Minari warns of every missing author and link; those are for the dataset's owner to add.
         warnings.filterwarnings(
             "ignore", message=r"`(author|author_email|code_permalink|eval_env)` is set"
         )
         created = minari.create_dataset_from_buffers(
             minari_id,
-            buffer=_buffers(part, preset),  # one at a time: Minari only iterates
+            buffer=_buffers(part, preset),  # a generator: one episode in memory at a time
             env=spec,
             observation_space=PRESETS[preset].space,
             action_space=gym.spaces.Discrete(NUM_ACTIONS),
@@ -108,13 +111,13 @@ def _infos(trajectory: Trajectory) -> dict[str, Any]:
 
 
 @contextmanager
-def _written_whole(minari_id: str, root: Path | None) -> Iterator[None]:
-    """Let Minari write into a folder of our own, and move the dataset to its place when whole."""
+def _moved_when_complete(minari_id: str, root: Path | None) -> Iterator[None]:
+    """Let Minari write into a temporary folder, and move the complete dataset to its own."""
     namespace = minari_id.rpartition("/")[0]
     with _minari_root(root):
         home, target = Path(get_dataset_path()), Path(get_dataset_path(minari_id))
         if target.exists():
-            raise DatasetError(f"{target}: there is a dataset of that name; choose another")
+            raise DatasetError(f"{target}: a dataset of that name exists; choose another")
         with tempfile.TemporaryDirectory(dir=home, prefix=".part-") as folder:
             with _minari_root(Path(folder)):
                 yield
@@ -126,7 +129,7 @@ def _written_whole(minari_id: str, root: Path | None) -> Iterator[None]:
 
 @contextmanager
 def _minari_root(root: Path | None) -> Iterator[None]:
-    """Point Minari to another folder of datasets: it asks the environment each time."""
+    """Set Minari's folder of datasets, an environment variable that it reads at every call."""
     before = os.environ.get(_ROOT)
     if root is not None:
         os.environ[_ROOT] = str(root)

@@ -1,4 +1,4 @@
-"""Films of demonstrations: both views side by side, with the score."""
+"""Videos of demonstrations: both views side by side, with the score."""
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -13,70 +13,70 @@ from magical.errors import UnknownNameError
 from magical.files import write_atomically
 from magical.scene import Poses
 from magical.scene.constants import CONTROL_RATE, FRAME_SIZE, RAW_FRAME_SIZE
+from magical.untrusted import printable
 
 SIZE = RAW_FRAME_SIZE  # pixels across of each view
-BANNER = 32  # pixels high, above the pictures
-LAST_FRAME_REPEATS = 12  # of the last moment of a demonstration
+BANNER = 32  # pixels high, above the frames
+LAST_FRAME_REPEATS = 12  # of the final frame of a demonstration
 SUFFIXES = (".mp4", ".webp")
-_PAPER, _INK = (255, 255, 255), (60, 60, 70)
+_BACKGROUND, _TEXT = (255, 255, 255), (60, 60, 70)
 
-Picture = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 
 
 def write_video(trajectories: Iterable[Trajectory], path: Path, rate: float = CONTROL_RATE) -> int:
-    """Write one film of all trajectories, one after another, and return its number of frames.
+    """Write one video of all trajectories, one after another; returns its number of frames.
 
     The suffix chooses the format: `.mp4` (H.264, needs the `video` extra) or `.webp` (animated).
 
     Raises:
-        UnknownNameError: another suffix.
+        UnknownNameError: the suffix is another one.
         ModuleNotFoundError: the extra is not installed.
-        OSError: the file cannot be written; nothing is left behind.
+        OSError: the file cannot be written; no partial file remains.
     """
     if path.suffix not in SUFFIXES:
-        raise UnknownNameError(f"{path}: expected a film's suffix {' or '.join(SUFFIXES)}")
-    pictures = (picture for one in trajectories for picture in film(one))
-    return (_write_mp4 if path.suffix == ".mp4" else _write_webp)(pictures, path, rate)
+        raise UnknownNameError(f"{path}: expected the suffix {' or '.join(SUFFIXES)}")
+    frames = (frame for trajectory in trajectories for frame in video_frames(trajectory))
+    return (_write_mp4 if path.suffix == ".mp4" else _write_webp)(frames, path, rate)
 
 
-def film(trajectory: Trajectory) -> Iterator[Picture]:
-    """The pictures of one demonstration, (BANNER + SIZE, 2 * SIZE, 3) uint8.
+def video_frames(trajectory: Trajectory) -> Iterator[Image]:
+    """The frames of one demonstration, (BANNER + SIZE, 2 * SIZE, 3) uint8.
 
-    With poses, both views are drawn at this size and the score is that of each moment; recorded
-    pictures are enlarged, and only the last moment's score is known.
+    With poses, both views are rendered at this size with the score at each time step; recorded
+    frames are enlarged, and only the final score is known.
     """
     views = [view for view in VIEWS if _has(trajectory, view)]
     size = SIZE if trajectory.poses is not None else FRAME_SIZE
-    frames = [Frames(trajectory, view, size) for view in views]
-    shown: Any = None
+    sources = [Frames(trajectory, view, size) for view in views]
+    frame: Any = None
     for time in range(len(trajectory) + 1):
-        parts = [one.take([time])[0] for one in frames]
-        pictures = [part.repeat(SIZE // size, 0).repeat(SIZE // size, 1) for part in parts]
-        shown = np.concatenate([_banner(trajectory, time, SIZE * len(views)), _joined(pictures)])
-        yield shown
+        images = [source.take([time])[0] for source in sources]
+        enlarged = [image.repeat(SIZE // size, 0).repeat(SIZE // size, 1) for image in images]
+        banner = _banner(trajectory, time, SIZE * len(views))
+        frame = np.concatenate([banner, np.concatenate(enlarged, axis=1)])
+        yield frame
     for _ in range(LAST_FRAME_REPEATS):
-        yield shown
-
-
-def _joined(pictures: list[Picture]) -> Picture:
-    return np.concatenate(pictures, axis=1)
+        yield frame
 
 
 def _has(trajectory: Trajectory, view: str) -> bool:
     return trajectory.frames is None or view in trajectory.frames
 
 
-def _banner(trajectory: Trajectory, time: int, width: int) -> Picture:
-    from PIL import Image, ImageDraw, ImageFont  # pictures are needed nowhere else here
+def _banner(trajectory: Trajectory, time: int, width: int) -> Image:
+    import PIL.Image
+    from PIL import ImageDraw, ImageFont  # imported only where an image is made
 
-    picture = Image.new("RGB", (width, BANNER), _PAPER)
-    draw = ImageDraw.Draw(picture)
+    image = PIL.Image.new("RGB", (width, BANNER), _BACKGROUND)
+    draw = ImageDraw.Draw(image)
     font = ImageFont.load_default(size=16)
-    left = f"{trajectory.env_id.task} {trajectory.env_id.variant}, {trajectory.demonstrator}"
+    demonstrator = printable(trajectory.demonstrator, 40)
+    left = f"{trajectory.env_id.task} {trajectory.env_id.variant}, {demonstrator}"
     right = f"step {time}/{len(trajectory)}   {_score(trajectory, time)}"
-    draw.text((8, 6), left, _INK, font)
-    draw.text((width - 8, 6), right, _INK, font, anchor="ra")
-    return np.asarray(picture)
+    draw.text((8, 6), left, _TEXT, font)
+    draw.text((width - 8, 6), right, _TEXT, font, anchor="ra")
+    return np.asarray(image)
 
 
 def _score(trajectory: Trajectory, time: int) -> str:
@@ -87,27 +87,27 @@ def _score(trajectory: Trajectory, time: int) -> str:
     return f"score {trajectory.published_code_score:.2f}" if last else "score  ...  "
 
 
-def _write_mp4(pictures: Iterable[Picture], path: Path, rate: float) -> int:
+def _write_mp4(frames: Iterable[Image], path: Path, rate: float) -> int:
     import imageio_ffmpeg
 
     count = 0
     with write_atomically(path) as file:
-        # The encoder wants a path of its own; its film then goes where only whole files appear.
+        # The encoder needs a path, so it writes beside `file` and the video is copied.
         temporary = Path(file.name).with_suffix(".mp4")
         writer: Any = None
         try:
-            for picture in pictures:
+            for frame in frames:
                 if writer is None:
                     writer = imageio_ffmpeg.write_frames(
                         str(temporary),
-                        (picture.shape[1], picture.shape[0]),
+                        (frame.shape[1], frame.shape[0]),
                         fps=rate,
                         codec="libx264",
                         quality=8,
                         macro_block_size=2,
                     )
                     writer.send(None)
-                writer.send(np.ascontiguousarray(picture))
+                writer.send(np.ascontiguousarray(frame))
                 count += 1
             if writer is not None:
                 writer.close()
@@ -120,10 +120,10 @@ def _write_mp4(pictures: Iterable[Picture], path: Path, rate: float) -> int:
     return count
 
 
-def _write_webp(pictures: Iterable[Picture], path: Path, rate: float) -> int:
-    from PIL import Image
+def _write_webp(frames: Iterable[Image], path: Path, rate: float) -> int:
+    import PIL.Image
 
-    images = [Image.fromarray(picture) for picture in pictures]
+    images = [PIL.Image.fromarray(frame) for frame in frames]
     duration = round(1000 / rate)
     with write_atomically(path) as file:
         images[0].save(

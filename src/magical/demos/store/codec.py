@@ -37,14 +37,14 @@ _FIELDS = ("env_id", "seed", "score", "published_code_score", "demonstrator", "m
 class _Member(NamedTuple):
     dtype: str
     trailing: tuple[int | None, ...]  # sizes after the first; None: any
-    per_moment: bool  # as many rows as moments, T + 1
+    per_time_step: bool  # T + 1 rows
 
 
-_FRAMES = _Member("|u1", (FRAME_SIZE, FRAME_SIZE, 3), per_moment=True)
+_FRAMES = _Member("|u1", (FRAME_SIZE, FRAME_SIZE, 3), per_time_step=True)
 _MEMBERS = {  # in the order of reading
-    "header": _Member("|u1", (), per_moment=False),
-    "actions": _Member("|u1", (), per_moment=False),
-    "poses": _Member("<f8", (None, 3), per_moment=True),
+    "header": _Member("|u1", (), per_time_step=False),
+    "actions": _Member("|u1", (), per_time_step=False),
+    "poses": _Member("<f8", (None, 3), per_time_step=True),
     **{f"frames_{view}": _FRAMES for view in VIEWS},
 }
 # The header of an .npy file as NumPy writes it for such arrays (format version 1.0).
@@ -142,7 +142,7 @@ def _read_arrays(raw: bytes) -> dict[str, NDArray[Any]]:
     with zipfile.ZipFile(io.BytesIO(raw)) as archive:
         infos = _check_members(archive.infolist())
         for name in (name for name in _MEMBERS if name in infos):
-            rows = len(arrays["actions"]) + 1 if _MEMBERS[name].per_moment else None
+            rows = len(arrays["actions"]) + 1 if _MEMBERS[name].per_time_step else None
             with archive.open(infos[name]) as file:
                 arrays[name] = _read_array(file, name, infos[name].file_size, rows)
     return arrays

@@ -151,7 +151,7 @@ _CHECKS: dict[str, Callable[[object], bool]] = {
 
 
 def new_text(entries: list[ManifestEntry]) -> str:
-    """A whole manifest's text."""
+    """The text of a new manifest."""
     lines, check = [], ""
     for content in (HEADER, *map(asdict, entries)):
         line, check = _line(content, check)

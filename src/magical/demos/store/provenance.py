@@ -1,4 +1,4 @@
-"""Where a recording comes from."""
+"""Provenance of a recording: date, versions and platform."""
 
 import platform
 from datetime import UTC, datetime
@@ -9,7 +9,7 @@ import magical
 
 
 def provenance() -> dict[str, Any]:
-    """When and with which versions something was recorded, as plain data."""
+    """Date, versions and platform of a recording made now, as plain data."""
     libraries = ("numpy", "pymunk", "gymnasium")
     return {
         "recorded": datetime.now(UTC).isoformat(timespec="seconds"),

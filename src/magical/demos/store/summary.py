@@ -1,4 +1,4 @@
-"""What a dataset holds, task by task."""
+"""Summaries of a dataset, and duplicates in it."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -12,30 +12,32 @@ from magical.scene import ACTION_NAMES, NUM_ACTIONS
 
 @dataclass(frozen=True, slots=True)
 class DatasetSummary:
-    """The trajectories of one environment."""
+    """Statistics of the trajectories of one environment."""
 
     env_id: str
     count: int
     with_poses: int
     demonstrators: tuple[str, ...]
-    lengths: tuple[int, float, int]  # control steps: least, mean, most
-    score: float | None  # mean by the appendix's rule, over those where it is known
+    lengths: tuple[int, float, int]  # control steps: minimum, mean, maximum
+    score: float | None  # mean of the known scores by the appendix's rule
     published_code_score: float  # mean
     size: int  # bytes on disk
-    actions: tuple[int, ...]  # how often each of the 18 was taken
+    actions: tuple[int, ...]  # count of each of the 18
 
     @property
-    def usual_actions(self) -> list[tuple[str, float]]:
-        """The actions taken, most frequent first: name and share of all steps."""
+    def action_frequencies(self) -> list[tuple[str, float]]:
+        """Names of the actions taken and their relative frequencies, most frequent first."""
         total = sum(self.actions)
         order = np.argsort(self.actions, kind="stable")[::-1]
         return [(ACTION_NAMES[i], self.actions[i] / total) for i in order if self.actions[i]]
 
 
 def summarise_dataset(dataset: Dataset) -> list[DatasetSummary]:
-    """A summary for each environment, in the order of the names; reads every trajectory once.
+    """A summary for each environment, sorted by id; reads every trajectory once.
 
-    Raises `DatasetError` for a damaged one; open with `skip_damaged=True` to leave those out.
+    Raises:
+        DatasetError: a trajectory is damaged; `Dataset.open(..., skip_damaged=True)` leaves those
+            out.
     """
     groups: dict[str, list[ManifestEntry]] = {}
     actions: dict[str, np.ndarray[tuple[int], np.dtype[np.int64]]] = {}

@@ -29,7 +29,7 @@ class Trajectory:
     `frames`. Arrays are copied and made read-only. Metadata must be plain JSON data.
 
     Raises:
-        TrajectoryError: the parts do not fit together; says which.
+        TrajectoryError: the parts do not match; the message names the one at fault.
         UnknownNameError: there is no such environment.
     """
 

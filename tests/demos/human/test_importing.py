@@ -1,4 +1,4 @@
-"""The published human demonstrations: import, download, summary, replay."""
+"""Importing the published human demonstrations; summary and replay of them."""
 
 import gzip
 import hashlib
@@ -34,7 +34,7 @@ def human(human_archive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 
 class Unpickler(pickle.Unpickler):
-    """An independent reading of the published files, with real arrays."""
+    """Reads the published files independently, with real arrays."""
 
     def find_class(self, module: str, name: str) -> Any:
         known = {
@@ -58,14 +58,14 @@ def test_frames_are_the_4_x_4_average(human: Path, human_archive: Path, task: st
         assert stored.published_code_score == data["score"]
         np.testing.assert_array_equal(stored.actions, data["trajectory"].acts)
         assert len(stored.frames["ego"]) == len(data["trajectory"].obs)
-        for time, shown in enumerate(data["trajectory"].obs):
+        for time, observation in enumerate(data["trajectory"].obs):
             for view in ("allo", "ego"):
-                blocks = shown[view].reshape(96, 4, 96, 4, 3).astype(np.float64)
+                blocks = observation[view].reshape(96, 4, 96, 4, 3).astype(np.float64)
                 average = np.round(blocks.mean(axis=(1, 3))).astype(np.uint8)
                 np.testing.assert_array_equal(stored.frames[view][time], average)
 
 
-def test_all_forty_are_whole_and_as_published(human: Path, human_archive: Path) -> None:
+def test_all_forty_are_complete_and_as_published(human: Path, human_archive: Path) -> None:
     lengths = {"MoveToCorner": 80, "MoveToRegion": 40, "MatchRegions": 120, "MakeLine": 180}
     lengths |= {"FindDupe": 100, "FixColour": 60, "ClusterColour": 240, "ClusterShape": 240}
     dataset = Dataset.open(human)
@@ -83,15 +83,15 @@ def test_first_frame_is_the_demo_scene(human: Path) -> None:
     from magical.scene import Dynamics, Poses
 
     for task in ("MoveToCorner", "ClusterShape", "FixColour"):
-        pictures = Dataset.open(human).filter(task=task)[0]
-        assert pictures.frames is not None
-        start = Poses.at_rest(pictures.scene).bodies
-        drawn = Trajectory.from_poses(
-            pictures.env_id, pictures.scene, [0], np.stack([start, start]), dynamics=Dynamics()
+        recorded = Dataset.open(human).filter(task=task)[0]
+        assert recorded.frames is not None
+        start = Poses.at_rest(recorded.scene).bodies
+        rendered = Trajectory.from_poses(
+            recorded.env_id, recorded.scene, [0], np.stack([start, start]), dynamics=Dynamics()
         )
         for view in ("ego", "allo"):
-            ours = Frames(drawn, view).take([0])[0]
-            assert np.abs(ours.astype(int) - pictures.frames[view][0]).mean() < 1.0
+            ours = Frames(rendered, view).take([0])[0]
+            assert np.abs(ours.astype(int) - recorded.frames[view][0]).mean() < 1.0
 
 
 def test_import_again_changes_nothing(human: Path, human_archive: Path, run: Run) -> None:
@@ -148,7 +148,7 @@ def test_info_and_replay(human: Path, run: Run) -> None:
     assert means["MatchRegions-Demo-v0"]["published_code_score"] >= 0.4
 
 
-def test_sources_that_are_none(tmp_path: Path) -> None:
+def test_source_without_published_files(tmp_path: Path) -> None:
     for source in (tmp_path, tmp_path / "missing"):
         with pytest.raises(DatasetError, match="expected files"):
             find_published(source)
@@ -165,7 +165,7 @@ def test_duplicate_recordings(small_dataset: Path) -> None:
     )
 
 
-def test_hand_made_file_reads_as_the_real_ones_do(tmp_path: Path, published: Any) -> None:
+def test_hand_made_file_is_read_as_the_published_ones(tmp_path: Path, published: Any) -> None:
     made = published()
     trajectory = read_published(made.write(tmp_path / "demo.pkl.gz"))
     assert trajectory.frames is not None

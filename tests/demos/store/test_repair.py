@@ -1,4 +1,4 @@
-"""Damage is noticed and named, the rest stays usable, nothing is half-written."""
+"""Damage is detected and named, the rest stays usable, and writes are atomic."""
 
 import io
 import os
@@ -31,7 +31,7 @@ def stored_files(path: Path) -> list[Path]:
     return [path / "manifest.jsonl", *sorted((path / "trajectories").iterdir())]
 
 
-def test_every_flip_and_truncation_is_noticed(small_dataset: Path) -> None:
+def test_every_flip_and_truncation_is_detected(small_dataset: Path) -> None:
     rng = np.random.default_rng(0)
     for trial in range(240):
         file = stored_files(small_dataset)[trial % 4]
@@ -40,7 +40,7 @@ def test_every_flip_and_truncation_is_noticed(small_dataset: Path) -> None:
         problems = check(small_dataset)
         assert any(problem.file == str(file) for problem in problems) or (
             file.name == "manifest.jsonl" and problems
-        ), f"trial {trial}: {file} unnoticed"
+        ), f"trial {trial}: {file} undetected"
         with pytest.raises(DatasetError, match=r"trajectories|manifest"):
             list(Dataset.open(small_dataset))
         file.write_bytes(raw)
@@ -69,7 +69,7 @@ def test_rest_of_a_damaged_dataset_is_usable(small_dataset: Path, damage: str) -
 
 
 @pytest.mark.parametrize("cut", [1, 40, 700])
-def test_manifest_cut_off_is_noticed_and_repaired(small_dataset: Path, cut: int) -> None:
+def test_manifest_cut_off_is_detected_and_repaired(small_dataset: Path, cut: int) -> None:
     manifest = small_dataset / "manifest.jsonl"
     manifest.write_bytes(manifest.read_bytes()[:-cut])
     with pytest.raises(DatasetError, match="--repair"):
@@ -81,7 +81,7 @@ def test_manifest_cut_off_is_noticed_and_repaired(small_dataset: Path, cut: int)
     assert check(small_dataset) == []
 
 
-def test_manifest_cut_at_a_line_is_noticed(small_dataset: Path) -> None:
+def test_manifest_cut_at_a_line_is_detected(small_dataset: Path) -> None:
     manifest = small_dataset / "manifest.jsonl"
     manifest.write_text("".join(manifest.read_text().splitlines(keepends=True)[:-1]))
     with pytest.raises(DatasetError, match=r"000002-MoveToCorner-TestJitter\.npz: not in"):
@@ -90,7 +90,7 @@ def test_manifest_cut_at_a_line_is_noticed(small_dataset: Path) -> None:
     assert len(Dataset.open(small_dataset)) == 3
 
 
-def test_repair_sets_the_damaged_aside(small_dataset: Path) -> None:
+def test_repair_moves_damaged_files(small_dataset: Path) -> None:
     second = stored_files(small_dataset)[2]
     raw = second.read_bytes()
     second.write_bytes(raw[: len(raw) // 2])
@@ -99,7 +99,7 @@ def test_repair_sets_the_damaged_aside(small_dataset: Path) -> None:
     assert [t.seed for t in Dataset.open(small_dataset)] == [1, 3]
     assert (small_dataset / "damaged" / second.name).exists()
     with pytest.raises(DatasetError, match="expected a dataset"):
-        repair(small_dataset / "nowhere")
+        repair(small_dataset / "missing")
 
 
 def test_manifest_cannot_point_elsewhere(small_dataset: Path) -> None:
@@ -110,7 +110,7 @@ def test_manifest_cannot_point_elsewhere(small_dataset: Path) -> None:
         ManifestEntry(**{**content, "file": "../../secret.npz"})
 
 
-def test_no_dataset_there(tmp_path: Path) -> None:
+def test_missing_dataset(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"expected a dataset, found no manifest\.jsonl"):
         Dataset.open(tmp_path)
 
@@ -125,7 +125,7 @@ def test_objects_in_an_npz_are_not_loaded(small_dataset: Path) -> None:
 
 
 class FullDisk:
-    """A file that takes a few bytes and then no more."""
+    """A file on a disk with room for a few bytes."""
 
     def __init__(self, file: IO[bytes], room: int) -> None:
         self._file = file
@@ -140,7 +140,7 @@ class FullDisk:
 
 
 @pytest.mark.parametrize("room", [0, 1, 500])
-def test_full_disk_leaves_nothing_half_written(
+def test_full_disk_leaves_no_partial_files(
     small_dataset: Path,
     make_trajectory: MakeTrajectory,
     monkeypatch: pytest.MonkeyPatch,

@@ -1,4 +1,4 @@
-"""Published files that are damaged, do not fit, or unpack to too much."""
+"""Published files that are damaged, inconsistent, or unpack to too much."""
 
 import gzip
 import subprocess
@@ -18,7 +18,7 @@ def text(value: str) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "message"),
     [
         (lambda p: p.obs.pop(), "expected 3 observations for 2 actions, found 2"),
         (lambda p: p.obs.append(p.obs[0]), "found 4"),
@@ -31,12 +31,14 @@ def text(value: str) -> bytes:
         (lambda p: setattr(p, "after", b"x"), "after the end"),
     ],
 )
-def test_parts_that_do_not_fit(tmp_path: Path, published: Any, change: Any, says: str) -> None:
+def test_inconsistent_parts_are_refused(
+    tmp_path: Path, published: Any, change: Any, message: str
+) -> None:
     made = published()
     assert len(read_published(made.write(tmp_path / "good.pkl.gz"))) == 2
     change(made)
     file = made.write(tmp_path / "bad.pkl.gz")
-    with pytest.raises(MagicalError, match=says) as caught:
+    with pytest.raises(MagicalError, match=message) as caught:
         read_published(file)
     assert str(file) in str(caught.value)
 
@@ -52,14 +54,16 @@ def test_parts_that_do_not_fit(tmp_path: Path, published: Any, change: Any, says
         (np.zeros(4, np.uint8), None),
     ],
 )
-def test_arrays_of_another_kind(tmp_path: Path, published: Any, values: Any, shape: Any) -> None:
+def test_arrays_of_another_shape_or_type_are_refused(
+    tmp_path: Path, published: Any, values: Any, shape: Any
+) -> None:
     made = published()
     made.obs[0] = made.observation(values, shape)
     with pytest.raises(MagicalError, match=r"bad\.pkl\.gz"):
         read_published(made.write(tmp_path / "bad.pkl.gz"))
 
 
-def test_truncated_gzip_everywhere(tmp_path: Path, published: Any) -> None:
+def test_truncated_gzip_file_is_refused(tmp_path: Path, published: Any) -> None:
     raw = gzip.compress(published().pickle, 1)
     file = tmp_path / "cut.pkl.gz"
     for end in (*range(20), len(raw) // 2, len(raw) - 9, len(raw) - 1):
@@ -68,7 +72,7 @@ def test_truncated_gzip_everywhere(tmp_path: Path, published: Any) -> None:
             read_published(file)
 
 
-def test_flips_in_a_gzip_never_crash(tmp_path: Path, published: Any) -> None:
+def test_flipped_bits_never_crash(tmp_path: Path, published: Any) -> None:
     raw, rng = gzip.compress(published(steps=1).pickle, 1), np.random.default_rng(0)
     whole = read_published(published(steps=1).write(tmp_path / "good.pkl.gz"))
     file = tmp_path / "flip.pkl.gz"

@@ -1,0 +1,39 @@
+"""A dataset to export, and reading videos."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from magical.demos import DatasetWriter, Trajectory
+
+MakeTrajectory = Callable[..., Trajectory]
+
+
+@pytest.fixture
+def mixed(
+    tmp_path: Path, make_trajectory: MakeTrajectory, make_frames_trajectory: MakeTrajectory
+) -> Path:
+    """Two environments with poses, one with frames."""
+    path = tmp_path / "mixed"
+    writer = DatasetWriter(path)
+    for seed in (1, 2):
+        writer.append(make_trajectory(steps=6, seed=seed))
+    writer.append(make_trajectory("magical/MatchRegions-TestAll-v0", steps=5, seed=3))
+    writer.append(make_frames_trajectory(steps=4))
+    return path
+
+
+@pytest.fixture
+def decoded() -> Any:
+    """Decodes a video: the time and the array of every frame."""
+    return _decoded
+
+
+def _decoded(av: Any, path: Path) -> list[tuple[float, Any]]:
+    with av.open(str(path)) as video:
+        return [
+            (float(frame.pts * frame.time_base), frame.to_ndarray(format="rgb24"))
+            for frame in video.decode(video=0)
+        ]

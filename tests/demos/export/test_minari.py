@@ -1,0 +1,74 @@
+"""Exports to Minari, read again by it."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from magical.demos import Dataset, Trajectory, observations
+from magical.errors import DatasetError, TrajectoryError
+from magical.observe import PRESETS
+
+MakeTrajectory = Callable[..., Trajectory]
+MISSING = "an optional extra that the pinned development environment has"
+
+
+@pytest.mark.parametrize("preset", ["LoRes4E", "LoResStack", "LoResCHW4E"])
+def test_minari_export_is_lossless(
+    mixed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, preset: str
+) -> None:
+    minari = pytest.importorskip("minari", reason=MISSING)
+    from magical.demos.export.minari import export_minari
+
+    dataset, root = Dataset.open(mixed), tmp_path / "minari"
+    names = export_minari(dataset, name="mine", preset=preset, root=root)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(root))
+    assert sorted(minari.list_local_datasets()) == sorted(names)
+    for name in names:
+        task, variant, _ = name.split("/")[1].split("-")
+        part = dataset.filter(task=task, variant=variant)
+        loaded = minari.load_dataset(name)
+        assert loaded.observation_space == PRESETS[preset].space
+        assert loaded.action_space.n == 18
+        assert len(loaded) == len(part)
+        assert not loaded.storage.jpeg_encoding
+        for episode, trajectory in zip(loaded, part, strict=True):
+            expected = observations(trajectory, preset)
+            if isinstance(expected, dict):
+                for view in expected:
+                    np.testing.assert_array_equal(episode.observations[view], expected[view])
+            else:
+                np.testing.assert_array_equal(episode.observations, expected)
+            np.testing.assert_array_equal(episode.actions, trajectory.actions)
+            assert episode.truncations.tolist() == [False] * (len(trajectory) - 1) + [True]
+            assert not episode.terminations.any()
+            assert episode.infos["published_code_score"][-1] == trajectory.published_code_score
+        (first, *_) = loaded.storage.get_episode_metadata([0])
+        assert first["demonstrator"] == part[0].demonstrator
+    recovered = minari.load_dataset(names[0]).recover_environment()
+    assert recovered.observation_space == PRESETS[preset].space
+
+
+def test_refused_minari_export_leaves_no_files(mixed: Path, tmp_path: Path) -> None:
+    pytest.importorskip("minari", reason=MISSING)
+    from magical.demos.export.minari import export_minari
+
+    root = tmp_path / "minari"
+    part = Dataset.open(mixed).filter(task="MoveToCorner")
+    export_minari(part, root=root)
+    before = sorted(root.rglob("*"))
+    with pytest.raises(DatasetError, match="there is a dataset of that name"):
+        export_minari(part, root=root)
+    with pytest.raises(DatasetError, match="expected one of LoResStack"):
+        export_minari(part, preset="raw", root=root)
+    broken = mixed / part.entries[1].file
+    broken.write_bytes(broken.read_bytes()[:-50])
+    with pytest.raises(DatasetError, match=broken.name):
+        export_minari(part, name="other", root=root)
+    assert sorted(root.rglob("*")) == before
+
+
+def test_recorded_frames_lack_the_raw_observation(mixed: Path) -> None:
+    with pytest.raises(TrajectoryError):
+        Dataset.open(mixed).arrays(preset="raw")

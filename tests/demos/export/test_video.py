@@ -1,0 +1,58 @@
+"""Videos of demonstrations."""
+
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from magical.cli import main
+from magical.demos import Trajectory
+
+MakeTrajectory = Callable[..., Trajectory]
+MISSING = "an optional extra that the pinned development environment has"
+
+
+def test_video_as_webp(mixed: Path, tmp_path: Path) -> None:
+    out = tmp_path / "video.webp"
+    chosen = ["--index", "2", "--index", "3"]
+    assert main(["demos", "video", str(mixed), "--out", str(out), *chosen]) == 0
+    with Image.open(io.BytesIO(out.read_bytes())) as video:
+        assert video.size == (768, 416)
+        assert video.n_frames == 6 + 5  # frames that repeat are shown longer
+        video.seek(0)
+        start = np.asarray(video.convert("RGB")).astype(int)
+        video.seek(5)
+        assert np.abs(np.asarray(video.convert("RGB")).astype(int) - start)[32:].max() > 30
+
+
+def test_video_as_mp4(mixed: Path, tmp_path: Path, decoded: Any) -> None:
+    av = pytest.importorskip("av", reason=MISSING)
+    pytest.importorskip("imageio_ffmpeg", reason=MISSING)
+    from magical.demos.export.video import LAST_FRAME_REPEATS
+
+    out = tmp_path / "video.mp4"
+    assert main(["demos", "video", str(mixed), "--out", str(out)]) == 0
+    video = decoded(av, out)
+    assert len(video) == 7 + 6 + 5 + 3 * LAST_FRAME_REPEATS  # one of each environment
+    assert video[0][1].shape == (416, 768, 3)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["video.mp4", "mixed"]
+
+
+def test_video_has_both_views_and_the_score(make_frames_trajectory: MakeTrajectory) -> None:
+    from magical.demos.export.video import BANNER, video_frames
+
+    recorded = make_frames_trajectory()
+    first, *_, last = video_frames(recorded)
+    assert recorded.frames is not None
+    np.testing.assert_array_equal(first[BANNER::4, :384:4], recorded.frames["ego"][0])
+    np.testing.assert_array_equal(last[BANNER::4, 384::4], recorded.frames["allo"][-1])
+    assert (first[:BANNER] != last[:BANNER]).any()
+
+
+@pytest.mark.parametrize("change", [["--out", "video.avi"], ["--out", "f.webp", "--index", "9"]])
+def test_invalid_video_options(mixed: Path, change: list[str]) -> None:
+    assert main(["demos", "video", str(mixed), *change]) in (1, 2)
