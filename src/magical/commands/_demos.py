@@ -3,8 +3,6 @@
 import argparse
 import fnmatch
 import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -29,6 +27,7 @@ def run_download(args: argparse.Namespace) -> int:
     from magical.demos import Dataset, DatasetWriter
     from magical.demos.human.download import BASE_URL, fetch_all
     from magical.demos.human.published import MAX_UNPACKED, published_sums
+    from magical.progress import progress_bar
 
     wanted = {f: s for f, s in published_sums().items() if fnmatch.fnmatch(f, args.files)}
     if not wanted:
@@ -39,7 +38,7 @@ def run_download(args: argparse.Namespace) -> int:
     have = {(e.source, e.source_sha256) for e in Dataset.open(args.out).entries}
     missing = {f: s for f, s in wanted.items() if (Path(f).name, s) not in have}
     folder = args.keep or args.out / "download"
-    with _progress("download", len(missing)) as advance:
+    with progress_bar("download", len(missing)) as advance:
         failed = fetch_all(missing, folder, args.base_url or BASE_URL, advance)
     for error in failed:
         log(f"error: {error}")
@@ -54,10 +53,11 @@ def run_generate(args: argparse.Namespace) -> int:
     """`magical demos generate`."""
     from magical.demos.generate import generate
     from magical.envs import parse_env_id
+    from magical.progress import progress_bar
 
     ids = [parse_env_id(env_id).without_preset for env_id in args.env]
     reports = []
-    with _progress("generate", args.n * len(ids)) as advance:
+    with progress_bar("generate", args.n * len(ids)) as advance:
         for env_id in ids:
             report = generate(
                 env_id,
@@ -133,10 +133,11 @@ def run_replay(args: argparse.Namespace) -> int:
     """`magical demos replay`: exit status 1 if anything is damaged."""
     from magical.demos import Dataset
     from magical.demos.replay import mean_replays, replay
+    from magical.progress import progress_bar
 
     dataset = Dataset.open(args.dataset, skip_damaged=True)
     replays = []
-    with _progress("replay", len(dataset)) as advance:
+    with progress_bar("replay", len(dataset)) as advance:
         for entry, trajectory in zip(dataset.entries, dataset, strict=True):
             replays.append(replay(trajectory, entry.file))
             advance(1)
@@ -219,8 +220,9 @@ def _import(
     not_fetched: list[str] | None = None,
 ) -> int:
     from magical.demos.human.importing import import_published
+    from magical.progress import progress_bar
 
-    with _progress("import", len(files)) as advance:
+    with progress_bar("import", len(files)) as advance:
         report = import_published(
             files,
             args.out,
@@ -259,14 +261,3 @@ def _number(value: float | None) -> str:
 def _log_problems(problems: "tuple[Problem, ...]") -> None:
     for problem in problems:
         log(f"error: {problem}")
-
-
-@contextmanager
-def _progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """A progress bar on standard error; yields what advances it."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(what, total=total)
-        yield lambda count: bar.advance(task, count)

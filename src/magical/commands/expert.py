@@ -29,30 +29,37 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--env", action="append", metavar="ENV_ID", help="may be repeated (default: all)"
     )
     evaluate.add_argument(
-        "--rollouts", type=positive_int, default=100, help="in each environment (default: 100)"
+        "--rollouts",
+        type=positive_int,
+        default=100,
+        metavar="N",
+        help="in each environment (default: 100)",
     )
-    evaluate.add_argument("--seed", type=non_negative_int, default=0, help="default: 0")
-    evaluate.add_argument("--skill", type=float, default=1.0, help="0 to 1 (default: 1)")
+    evaluate.add_argument(
+        "--seed", type=non_negative_int, default=0, metavar="N", help="default: 0"
+    )
+    evaluate.add_argument(
+        "--skill", type=float, default=1.0, metavar="X", help="0 to 1 (default: 1)"
+    )
     evaluate.add_argument(
         "--takeover",
         action="store_true",
         help="a random policy acts in the first third of each episode",
     )
-    evaluate.add_argument("--workers", type=positive_int, help="processes (default: the cores)")
+    evaluate.add_argument(
+        "--workers", type=positive_int, metavar="N", help="processes (default: the cores)"
+    )
     add_json(evaluate)
 
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate, print."""
-    from rich.console import Console
-    from rich.progress import Progress
-
     from magical.envs import all_env_ids
     from magical.experts import evaluate_expert
+    from magical.progress import progress_bar
 
     env_ids = args.env or all_env_ids()
-    with Progress(console=Console(stderr=True), transient=True) as bar:
-        rollouts = bar.add_task("rollouts", total=len(env_ids) * args.rollouts)
+    with progress_bar("rollouts", len(env_ids) * args.rollouts) as advance:
         scores = evaluate_expert(
             env_ids,
             args.rollouts,
@@ -60,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
             skill=args.skill,
             takeover=args.takeover,
             workers=args.workers,
-            progress=lambda count: bar.advance(rollouts, count),
+            progress=advance,
         )
     results = {env_id: _summary(values) for env_id, values in scores.items()}
     _print_summaries(results)

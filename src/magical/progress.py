@@ -1,0 +1,66 @@
+"""The progress display of all commands: a bar on standard error."""
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Self
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+LINE_INTERVAL = 30.0  # s between lines of metrics where standard error is no terminal
+
+
+class ProgressBar:
+    """A bar with a count, the time left and, in `update`, metrics.
+
+    Without a terminal there is no bar; `update` then prints a line every `LINE_INTERVAL` seconds.
+    """
+
+    def __init__(self, title: str, total: int | None = None, *, transient: bool = True) -> None:
+        """`transient` bars disappear when they are closed."""
+        console = Console(stderr=True)
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=None),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[metrics]}"),
+            TimeRemainingColumn(),
+            console=console,
+            transient=transient,
+            disable=not console.is_terminal,
+        )
+        self._title = title
+        self._task = self._progress.add_task(title, total=total, metrics="")
+        self._last_line = 0.0
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._progress.stop()
+
+    def advance(self, count: int = 1) -> None:
+        """Count more of what the bar counts."""
+        self._progress.advance(self._task, count)
+
+    def update(self, step: int, total: int, metrics: Mapping[str, float | str]) -> None:
+        """Show that `step` of `total` steps are done, and the latest metrics."""
+        text = "  ".join(_format(name, value) for name, value in metrics.items())
+        self._progress.update(self._task, completed=step, total=total, metrics=text)
+        now = time.monotonic()
+        if self._progress.disable and (step == total or now - self._last_line > LINE_INTERVAL):
+            self._last_line = now
+            self._progress.console.print(f"{self._title} {step}/{total}  {text}", highlight=False)
+
+
+@contextmanager
+def progress_bar(title: str, total: int) -> Iterator[Callable[[int], None]]:
+    """A bar that counts to `total`; yields the function that advances it."""
+    with ProgressBar(title, total) as bar:
+        yield bar.advance
+
+
+def _format(name: str, value: float | str) -> str:
+    return f"{name}: {value}" if isinstance(value, str) else f"{name} {value:.3g}"
