@@ -21,9 +21,9 @@ from torch.optim import SGD
 
 from magical.learning.algorithms.bc import Batch, BCConfig, bc_loss, make_optimizer, make_policy
 from magical.learning.augment import augment, parse_augmentations
-from magical.learning.devices import Compute, choose_device, choose_precision
+from magical.learning.devices import Compute, choose_device, choose_compute
 from magical.learning.networks import WIDTHS
-from magical.learning.prefetch import prepared
+from magical.learning.prefetch import prefetch
 from magical.scene import NUM_ACTIONS
 
 FRAMES = 1000  # about ten demonstrations
@@ -118,7 +118,7 @@ def measure(network: str, rounds: int, batch_size: int) -> None:
     def loss() -> Tensor:
         return bc_loss(probe(fixed.images, fixed.tasks), fixed.actions)
 
-    compute = choose_precision(device, "auto", loss)
+    compute = choose_compute(device, "auto", loss)
     plain, ours = plain_step(setup), our_step(setup, compute)
     for step, batch in ((plain, plain_batch), (ours, fixed)):
         step(batch)  # warm-up
@@ -126,7 +126,7 @@ def measure(network: str, rounds: int, batch_size: int) -> None:
     for _ in range(rounds):
         times["plain"].append(seconds(plain, repeat(plain_batch, steps), device))
         times["ours"].append(seconds(ours, repeat(fixed, steps), device))
-        with prepared(setup.batch, range(steps), device) as batches:
+        with prefetch(setup.batch, range(steps), device) as batches:
             times["whole"].append(seconds(ours, batches, device))
     median = {name: float(np.median(values)) for name, values in times.items()}
     speeds = "  ".join(f"{name} {batch_size / t:7.1f}" for name, t in median.items())

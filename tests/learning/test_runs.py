@@ -13,7 +13,7 @@ from magical.learning.config import options
 from magical.learning.devices import Compute
 from magical.learning.interrupts import Interrupts
 from magical.learning.progress import Silent
-from magical.learning.runs import CONFIG, METRICS, RECORD, Run, open_folder, read_metrics
+from magical.runs.folder import CONFIG, METRICS, RECORD, Run, open_folder, read_metrics
 
 CONFIGURATION = BCConfig(tasks=("MoveToCorner",), demos="demos")
 

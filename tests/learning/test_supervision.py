@@ -12,7 +12,7 @@ from magical.demos import Trajectory, observations
 from magical.envs import EnvId
 from magical.errors import DemonstrationsError
 from magical.experts import expert_for
-from magical.learning.supervision import LABELS, Supervision, relabelled
+from magical.learning.supervision import LABELS, LabelledEpisodes, relabel
 from magical.physics import Simulation
 from magical.scene import Poses, State
 
@@ -42,7 +42,7 @@ class Stubborn:
 
 def collect(share: float, seed: int = 0, workers: int = 0) -> tuple[list[Trajectory], Stubborn]:
     policy = Stubborn()
-    with Supervision(ENV_IDS, "LoRes4E", workers) as worlds:
+    with LabelledEpisodes(ENV_IDS, "LoRes4E", workers) as worlds:
         rng = np.random.default_rng(seed)
         return worlds.collect(policy, share, rng, round=3), policy
 
@@ -85,9 +85,9 @@ def test_what_is_learned_from_is_what_the_learner_saw() -> None:
         steps = len(trajectory)
         saw = np.stack(policy.shown)[:steps, row]
         assert np.array_equal(
-            np.asarray(observations(relabelled(trajectory), "LoRes4E"))[:steps], saw
+            np.asarray(observations(relabel(trajectory), "LoRes4E"))[:steps], saw
         )
-        assert np.array_equal(relabelled(trajectory).actions, labels_of(trajectory))
+        assert np.array_equal(relabel(trajectory).actions, labels_of(trajectory))
 
 
 def test_the_share_says_whose_actions_are_taken() -> None:
@@ -125,4 +125,4 @@ def test_labels_that_do_not_fit_are_named(labels: Any) -> None:
     trajectory = collect(1.0)[0][0]
     damaged = replace(trajectory, metadata={LABELS: labels} if labels is not None else {})
     with pytest.raises(DemonstrationsError, match="expected 40 actions in the metadata"):
-        relabelled(damaged)
+        relabel(damaged)

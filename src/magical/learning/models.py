@@ -12,6 +12,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from magical.learning.networks import find_network
+from magical.learning.reinforcement import ReinforcementConfig
+from magical.learning.streams import seeded_init
 from magical.scene import NUM_ACTIONS
 
 MEAN_BRIGHTNESS = 0.92  # of the tasks' frames, in [0, 1]
@@ -158,6 +160,19 @@ class Discriminator(nn.Module):
         """Logits (B,)."""
         logits: Tensor = self.last(self.trunk(images, actions), tasks)
         return logits.squeeze(1)
+
+
+def make_actor_critic(config: ReinforcementConfig) -> ActorCritic:
+    """The policy of PPO and the algorithms built on it, initialised from the seed.
+
+    It has no batch norm (appendix B).
+    """
+    with seeded_init(config.seed):
+        trunk = Trunk(config.network, config.input_shape)
+        network = ActorCritic(trunk, len(config.tasks))
+        if config.init == "centred" and trunk.convolutions is not None:
+            centre(network)
+        return network
 
 
 def centre(network: ActorCritic) -> None:

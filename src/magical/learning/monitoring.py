@@ -3,7 +3,7 @@
 import math
 import time
 from collections import deque
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from torch import Tensor
 
 from magical.learning.checkpoints import StateDict
+from magical.learning.rollouts import Rollout
 
 RECENT_EPISODES = 100  # over which the logged score is averaged
 COLLAPSE_UPDATES = 50  # consecutive updates with a symptom before a warning
@@ -27,10 +28,12 @@ class Monitor:
         self._recent: deque[tuple[int, float]] = deque(maxlen=RECENT_EPISODES)
         self._collapse = CollapseDetector()
         self._seconds: dict[str, float] = {}
+        self._one_action = False
 
-    def add_scores(self, scores: Iterable[tuple[int, float]]) -> None:
-        """Add the tasks and scores of finished episodes."""
-        self._recent.extend(scores)
+    def add_rollout(self, rollout: Rollout) -> None:
+        """Add the scores of finished episodes, and check whether the actions differ."""
+        self._recent.extend(rollout.scores)
+        self._one_action = bool((rollout.actions == rollout.actions[0, 0]).all())
 
     @contextmanager
     def timed(self, part: str) -> Iterator[None]:
@@ -46,9 +49,9 @@ class Monitor:
             found["score"] = mean_by_task(self._recent)
         return found
 
-    def warning(self, metrics: Mapping[str, float | str], one_action: bool) -> Metrics:
+    def warning(self, metrics: Mapping[str, float | str]) -> Metrics:
         """`{"warning": ...}` if the metrics of an update show a collapse, or nothing."""
-        text = self._collapse.update(metrics, one_action)
+        text = self._collapse.update(metrics, self._one_action)
         return {"warning": text} if text else {}
 
     def state_dict(self) -> StateDict:

@@ -19,13 +19,14 @@ from torch.optim import Adam
 
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
-from magical.learning.algorithms.ppo import PPOTrainer, make_policy
+from magical.learning.algorithms.ppo import PPOTrainer
 from magical.learning.augment import augment, to_unit
 from magical.learning.augmentations import parse_augmentations
 from magical.learning.autoencoder import SIZE, Autoencoder, save_reconstructions
 from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
 from magical.learning.config import ImitationConfig, option
 from magical.learning.expert_data import ExpertData, Rows, load_demonstrations
+from magical.learning.models import make_actor_critic
 from magical.learning.reinforcement import QUICK, ReinforcementConfig
 from magical.learning.replay_buffer import ReplayBuffer
 from magical.learning.reward_normalisation import RewardNormaliser
@@ -246,4 +247,4 @@ def make_autoencoder(config: ALConfig) -> Autoencoder:
         return Autoencoder(config.network, config.input_shape)
 
 
-ALGORITHM = Algorithm(ALConfig, train, make_policy)
+ALGORITHM = Algorithm(ALConfig, train, make_actor_critic)

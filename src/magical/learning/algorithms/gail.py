@@ -25,14 +25,14 @@ from torch.optim import Adam
 
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
-from magical.learning.algorithms.ppo import PPOTrainer, make_policy
+from magical.learning.algorithms.ppo import PPOTrainer
 from magical.learning.augment import augment, to_unit
 from magical.learning.augmentations import parse_augmentations
 from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
 from magical.learning.config import ImitationConfig, option
 from magical.learning.devices import Compute
 from magical.learning.expert_data import ExpertData, load_demonstrations
-from magical.learning.models import Discriminator, Trunk
+from magical.learning.models import Discriminator, Trunk, make_actor_critic
 from magical.learning.monitoring import Metrics
 from magical.learning.reinforcement import QUICK, ReinforcementConfig
 from magical.learning.replay_buffer import ReplayBuffer
@@ -245,4 +245,4 @@ def make_discriminator(config: GAILConfig) -> Discriminator:
         return Discriminator(trunk, len(config.tasks))
 
 
-ALGORITHM = Algorithm(GAILConfig, train, make_policy)
+ALGORITHM = Algorithm(GAILConfig, train, make_actor_critic)

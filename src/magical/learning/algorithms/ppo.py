@@ -6,8 +6,7 @@ One update:
 2. estimate the advantages A by generalised advantage estimation (GAE);
 3. for some epochs over shuffled minibatches, minimise the clipped surrogate loss by Adam.
 
-`train` uses the environment's own reward. The adversarial algorithms replace it by a learned one:
-they pass their rewards to `PPOTrainer.improve_policy`.
+`train` uses the environment's reward; other algorithms pass learned ones to `improve_policy`.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -26,18 +25,17 @@ from magical.learning.augment import to_unit
 from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
 from magical.learning.config import IMAGE_OBSERVATIONS, option
 from magical.learning.devices import choose_device, one_thread, zero_inputs
-from magical.learning.models import ActorCritic, Trunk, centre, sample_actions
+from magical.learning.models import make_actor_critic, sample_actions
 from magical.learning.monitoring import Metrics, Monitor, explained_variance
 from magical.learning.policy import demo_score
 from magical.learning.reinforcement import QUICK, ReinforcementConfig
 from magical.learning.rollouts import Rollout, RolloutBuffer, RolloutEnvs, shuffle_evenly
 from magical.learning.run import Run
-from magical.learning.streams import Purpose, seeded_init, stream
+from magical.learning.streams import Purpose, stream
 from magical.observe import NAMED
 
 ADVANTAGE_EPSILON = 1e-8
-# Network inputs (B, ...) and tasks (B,) -> logits (B, 18) and values (B,).
-Forward = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+Forward = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]  # as `PPOTrainer.forward`
 LOSS_PARTS = ("policy_loss", "value_loss", "entropy", "clip_fraction")
 
 
@@ -81,24 +79,22 @@ class PPOTrainer:
     ) -> None:
         """Create a new trainer, or resume from the run's checkpoint.
 
-        Args:
-            config: the configuration.
-            run: the run to log to.
-            reward: the environment's reward.
-            previous_steps: steps that the run takes before the first update, such as pretraining.
+        `previous_steps` is what the run takes before the first update, such as pretraining.
         """
         self.config, self.run, self.previous_steps = config, run, previous_steps
         self.device = choose_device(config.device)
-        self.network = make_policy(config).to(self.device)
+        self.network = make_actor_critic(config).to(self.device)
         self.optimizer = Adam(self.network.parameters(), config.learning_rate, fused=True)
         vectors = len(config.input_shape) == 1
         # Positions need more digits than pixels.
         precision = "float32" if vectors and config.precision == "auto" else config.precision
-        self.compute = run.compute(self.device, precision, self._forward_zeros)
+        zeros = zero_inputs(config.input_shape, config.minibatch_size, self.device)
+        self.compute = run.compute(
+            self.device, precision, lambda: self.network.logits_and_values(*zeros)[0].sum()
+        )
         forward = self.network.logits_and_values
         self._forward = torch.compile(forward) if config.compile else forward
         self.monitor = Monitor()
-        self._one_action = False
         with ExitStack() as stack:
             if vectors:
                 stack.enter_context(one_thread())
@@ -111,12 +107,6 @@ class PPOTrainer:
 
     def __exit__(self, *error: object) -> None:
         self._stack.close()
-
-    def _forward_zeros(self) -> Tensor:
-        """The forward pass of a minibatch, to measure precisions with."""
-        inputs = zero_inputs(self.config.input_shape, self.config.minibatch_size, self.device)
-        logits, values = self.network.logits_and_values(*inputs)
-        return logits.sum() + values.sum()
 
     def remaining_updates(self) -> Iterator[int]:
         """The numbers of the updates that are not done yet."""
@@ -133,8 +123,7 @@ class PPOTrainer:
         rng = stream(self.config.seed, Purpose.ACTIONS, update)
         with self.monitor.timed("sample"):
             rollout = collect_rollout(self.envs, self.forward, self.config, rng)
-        self.monitor.add_scores(rollout.scores)
-        self._one_action = bool((rollout.actions == rollout.actions[0, 0]).all())
+        self.monitor.add_rollout(rollout)
         return rollout
 
     def improve_policy(self, update: int, rollout: Rollout, rewards: Tensor) -> Metrics:
@@ -153,9 +142,15 @@ class PPOTrainer:
             for _ in range(config.epochs):
                 order = torch.from_numpy(shuffle_evenly(tasks, rng)).to(self.device)
                 for rows in torch.split(order, config.minibatch_size):
-                    sums += self._minibatch_step(samples.select(rows), config.clip * left) * len(
-                        rows
-                    )
+                    minibatch = samples.select(rows)
+                    logits, values = self.forward(minibatch.observations, minibatch.tasks)
+                    clip, bonus = config.clip * left, config.entropy_bonus
+                    loss, parts = ppo_loss(logits, values, minibatch, clip, bonus)
+                    self.optimizer.zero_grad()
+                    torch.autograd.backward(loss)
+                    nn.utils.clip_grad_norm_(self.network.parameters(), config.max_grad_norm)
+                    self.optimizer.step()
+                    sums += parts * len(rows)
             means = (sums / (config.epochs * len(tasks))).tolist()
         return {
             "reward": rewards.mean().item(),
@@ -164,22 +159,10 @@ class PPOTrainer:
             "explained_variance": explained_variance(rollout.values.flatten(), samples.returns),
         }
 
-    def _minibatch_step(self, minibatch: "Samples", clip: float) -> Tensor:
-        logits, values = self.forward(minibatch.observations, minibatch.tasks)
-        loss, parts = ppo_loss(logits, values, minibatch, clip, self.config.entropy_bonus)
-        self.optimizer.zero_grad()
-        torch.autograd.backward(loss)
-        nn.utils.clip_grad_norm_(self.network.parameters(), self.config.max_grad_norm)
-        self.optimizer.step()
-        return parts
-
     def finish_update(
         self, update: int, metrics: Metrics, extra_state: Callable[[], StateDict] = dict
     ) -> bool:
-        """Log, evaluate and save checkpoints, as often as configured; true if the run stops.
-
-        `extra_state` returns what an algorithm adds to the checkpoint.
-        """
+        """Log, evaluate and save checkpoints (with the extra state); true if the run stops."""
         config, done = self.config, update + 1
         step = self.previous_steps + done
         stops = done == config.updates or self.run.stops(step)
@@ -187,9 +170,8 @@ class PPOTrainer:
         every = config.evaluate_every
         if every and (done % every == 0 or done == config.updates):
             metrics["evaluation_score"] = demo_score(self.network, config, self.compute)
-        warning = self.monitor.warning(metrics, self._one_action)
-        env_steps = done * config.steps_per_update
-        self.run.log(step, config.total, **warning, environment_steps=env_steps, **metrics)
+        steps: Metrics = {"environment_steps": done * config.steps_per_update}
+        self.run.log(step, config.total, **self.monitor.warning(metrics), **steps, **metrics)
         self.run.require_finite(step, metrics)
         if stops or done % config.checkpoint_every == 0:
             self.run.checkpoint(step, {**self.state_dict(), **extra_state()})
@@ -237,7 +219,7 @@ def collect_rollout(
 
 
 class Samples(NamedTuple):
-    """The samples of a rollout, B = T * N of them, or a minibatch."""
+    """The samples of a rollout, B = T * N, or a minibatch of them."""
 
     observations: Tensor  # (B, ...) network inputs
     actions: Tensor  # (B,) int64
@@ -315,14 +297,4 @@ def ppo_loss(
     return loss, torch.stack([policy_loss, value_loss, entropy, clip_fraction]).detach()
 
 
-def make_policy(config: ReinforcementConfig) -> ActorCritic:
-    """The actor-critic, initialised from the seed; without batch norm (appendix B)."""
-    with seeded_init(config.seed):
-        trunk = Trunk(config.network, config.input_shape)
-        network = ActorCritic(trunk, len(config.tasks))
-        if config.init == "centred" and trunk.convolutions is not None:
-            centre(network)
-        return network
-
-
-ALGORITHM = Algorithm(PPOConfig, train, make_policy)
+ALGORITHM = Algorithm(PPOConfig, train, make_actor_critic)

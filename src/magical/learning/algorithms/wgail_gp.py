@@ -22,9 +22,8 @@ from magical.learning.algorithms.gail import (
     GAILConfig,
     train_adversarially,
 )
-from magical.learning.algorithms.ppo import make_policy
 from magical.learning.config import option
-from magical.learning.models import Discriminator
+from magical.learning.models import Discriminator, make_actor_critic
 from magical.learning.run import Run
 
 Critic = Callable[[Tensor, Tensor, Tensor], Tensor]  # images, actions, tasks -> logits (B,)
@@ -109,4 +108,4 @@ def gradient_penalty(critic: Critic, images: Tensor, actions: Tensor, tasks: Ten
     return (norms - 1.0).square().mean()
 
 
-ALGORITHM = Algorithm(WGAILGPConfig, train, make_policy)
+ALGORITHM = Algorithm(WGAILGPConfig, train, make_actor_critic)
