@@ -18,7 +18,7 @@ from magical.learning import train
 from magical.learning.algorithms.al import ALConfig, make_autoencoder
 from magical.learning.augment import to_unit
 from magical.learning.autoencoder import save_reconstructions
-from magical.learning.checkpoints import load_module, load_checkpoint
+from magical.learning.checkpoints import load_checkpoint, load_module
 from magical.learning.expert_data import ExpertData, sample_demonstrations
 from magical.learning.policy import is_run
 from magical.runs.folder import CHECKPOINT

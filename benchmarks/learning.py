@@ -21,7 +21,7 @@ from torch.optim import SGD
 
 from magical.learning.algorithms.bc import Batch, BCConfig, bc_loss, make_optimizer, make_policy
 from magical.learning.augment import augment, parse_augmentations
-from magical.learning.devices import Compute, choose_device, choose_compute
+from magical.learning.devices import Compute, choose_compute, choose_device
 from magical.learning.networks import WIDTHS
 from magical.learning.prefetch import prefetch
 from magical.scene import NUM_ACTIONS

@@ -9,9 +9,9 @@ from torch.optim import SGD, Adam, Optimizer
 
 from magical.errors import CheckpointError
 from magical.learning.checkpoints import (
+    load_checkpoint,
     load_module,
     load_optimizer,
-    load_checkpoint,
     optimizer_state,
     save_checkpoint,
 )

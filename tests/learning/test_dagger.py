@@ -23,8 +23,8 @@ from magical.experts import goals
 from magical.learning import load_policy, train
 from magical.learning.algorithms.bc import BCConfig, make_policy
 from magical.learning.algorithms.dagger import AGGREGATE, DAggerConfig
-from magical.runs import read_metrics
 from magical.learning.supervision import LABELS
+from magical.runs import read_metrics
 from tests.learning.conftest import TASKS
 from tests.learning.reinforcement import assert_same, checkpoint
 

@@ -7,7 +7,7 @@ import pytest
 
 from magical.demos import Dataset, Trajectory, observations
 from magical.errors import DemonstrationsError
-from magical.learning.expert_data import ExpertData, sample_demonstrations, digest
+from magical.learning.expert_data import ExpertData, digest, sample_demonstrations
 from magical.observe import PRESETS
 from tests.learning.conftest import STEPS, TASKS, picture_demo
 

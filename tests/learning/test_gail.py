@@ -53,7 +53,9 @@ class Linear(nn.Module):
 
 
 def batch_of(images: Tensor, actions: list[int]) -> DiscriminatorBatch:
-    return DiscriminatorBatch(images, torch.tensor(actions), torch.zeros(len(actions), dtype=torch.int64))
+    return DiscriminatorBatch(
+        images, torch.tensor(actions), torch.zeros(len(actions), dtype=torch.int64)
+    )
 
 
 def given(logits: list[float]) -> Any:

@@ -14,8 +14,8 @@ from magical.evaluation import Policy, evaluate
 from magical.learning import NetworkPolicy, is_run, load_policy, train
 from magical.learning.algorithms.bc import BCConfig
 from magical.learning.devices import Compute
-from magical.runs.folder import CHECKPOINT
 from magical.observe import PRESETS
+from magical.runs.folder import CHECKPOINT
 from tests.learning.conftest import TASKS
 
 CPU = Compute("cpu", "float32")

@@ -84,9 +84,7 @@ def test_what_is_learned_from_is_what_the_learner_saw() -> None:
     for row, trajectory in enumerate(trajectories):
         steps = len(trajectory)
         saw = np.stack(policy.shown)[:steps, row]
-        assert np.array_equal(
-            np.asarray(observations(relabel(trajectory), "LoRes4E"))[:steps], saw
-        )
+        assert np.array_equal(np.asarray(observations(relabel(trajectory), "LoRes4E"))[:steps], saw)
         assert np.array_equal(relabel(trajectory).actions, labels_of(trajectory))
 
 
