@@ -20,7 +20,7 @@ from magical.learning.augment import to_unit
 from magical.learning.autoencoder import save_reconstructions
 from magical.learning.checkpoints import load_checkpoint, load_module
 from magical.learning.expert_data import ExpertData, sample_demonstrations
-from magical.learning.policy import is_run
+from magical.runs import is_run
 from magical.runs.folder import CHECKPOINT
 
 NUMBER = 25  # of demonstrations, learned from and held out

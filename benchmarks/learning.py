@@ -20,9 +20,10 @@ from torch import Tensor, nn
 from torch.optim import SGD
 
 from magical.learning.algorithms.bc import Batch, BCConfig, bc_loss, make_optimizer, make_policy
-from magical.learning.augment import augment, parse_augmentations
+from magical.learning.augment import augment
+from magical.learning.augmentations import parse_augmentations
 from magical.learning.devices import Compute, choose_compute, choose_device
-from magical.learning.networks import WIDTHS
+from magical.learning.networks import find_network
 from magical.learning.prefetch import prefetch
 from magical.scene import NUM_ACTIONS
 
@@ -72,16 +73,17 @@ def our_step(setup: Setup, compute: Compute) -> Callable[[Batch], None]:
 
 
 def plain_step(setup: Setup) -> Callable[[Batch], None]:
-    """The same layers as anybody would write them first."""
+    """The same layers in plain PyTorch."""
     layers: list[nn.Module] = []
-    width, channels = WIDTHS[setup.config.network], 12
-    for out, kernel, stride in width.convolutions:
+    architecture = find_network(setup.config.network)
+    channels = 12
+    for out, kernel, stride in architecture.CONVOLUTIONS:  # type: ignore[attr-defined]
         convolution = nn.Conv2d(channels, out, kernel, stride, kernel // 2, bias=False)
         layers += [convolution, nn.ReLU(), nn.BatchNorm2d(out)]
         channels = out
     layers.append(nn.Flatten())
     inputs = nn.Sequential(*layers)(torch.zeros(2, 12, 96, 96)).shape[1]
-    for size in width.linear:
+    for size in architecture.HIDDEN:
         layers += [nn.Linear(inputs, size), nn.ReLU()]
         inputs = size
     network = nn.Sequential(*layers, nn.Linear(inputs, NUM_ACTIONS)).to(setup.device)

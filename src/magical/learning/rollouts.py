@@ -40,7 +40,7 @@ class Rollout:
 class Step:
     """What one step of the N environments returned."""
 
-    rewards: NDArray[np.float32]  # (N,)
+    rewards: NDArray[np.float64]  # (N,)
     dones: NDArray[np.bool_]  # (N,)
     final_observations: Tensor | None  # (number of dones, ...), network inputs; None without dones
     scores: tuple[tuple[int, float], ...]  # task and score of each episode that ended

@@ -4,6 +4,7 @@ import errno
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -87,24 +88,28 @@ def train(
     display = ProgressBar(config.algorithm, transient=False) if progress else nullcontext(None)
     with _full_disk_as_error(folder), restored_threads(), Interrupts() as interrupts:
         open_folder(folder, config.to_dict(), resume)
-        with display as bar:
-
-            def on_metrics(step: int, total: int, metrics: Metrics) -> None:
-                if bar is not None:
-                    bar.update(step, total, metrics)
-                if callback is not None:
-                    callback(step, metrics)
-
-            with Run(
+        with (
+            display as bar,
+            Run(
                 folder,
-                on_metrics=on_metrics,
+                on_metrics=partial(_show, bar, callback),
                 interrupts=interrupts,
                 stop_after=stop_after,
                 tensorboard=tensorboard,
-            ) as run:
-                algorithm.train(config, run)
+            ) as run,
+        ):
+            algorithm.train(config, run)
     newest = (read_metrics(folder) or [{"step": run.step}])[-1]
     return TrainResult(folder, run.step, config.total, interrupts.seen, newest)
+
+
+def _show(
+    bar: ProgressBar | None, callback: Callback | None, step: int, total: int, metrics: Metrics
+) -> None:
+    if bar is not None:
+        bar.update(step, total, metrics)
+    if callback is not None:
+        callback(step, metrics)
 
 
 @contextmanager
