@@ -42,9 +42,9 @@ class Stubborn:
 
 def collect(share: float, seed: int = 0, workers: int = 0) -> tuple[list[Trajectory], Stubborn]:
     policy = Stubborn()
-    with LabelledEpisodes(ENV_IDS, "LoRes4E", workers) as worlds:
+    with LabelledEpisodes(ENV_IDS, "LoRes4E", workers) as episodes:
         rng = np.random.default_rng(seed)
-        return worlds.collect(policy, share, rng, round=3), policy
+        return episodes.collect(policy, share, rng, round=3), policy
 
 
 def labels_of(trajectory: Trajectory) -> NDArray[np.int64]:
@@ -53,18 +53,18 @@ def labels_of(trajectory: Trajectory) -> NDArray[np.int64]:
 
 def expert_on(trajectory: Trajectory) -> tuple[list[int], NDArray[np.float64]]:
     """The expert's labels along an episode that is simulated again, and the episode's poses."""
-    world = Simulation(trajectory.scene, trajectory.dynamics)
+    simulation = Simulation(trajectory.scene, trajectory.dynamics)
     expert, memory = expert_for(trajectory.task.name, seed=trajectory.seed), None
-    labels, poses = [], [world.read()[:, :3].copy()]
+    labels, poses = [], [simulation.read()[:, :3].copy()]
     for step, action in enumerate(trajectory.actions.tolist()):
-        table = world.read().copy()
+        table = simulation.read().copy()
         state = State(
             trajectory.scene, Poses(table[:, :3]), table[:, 3:], step, trajectory.task.horizon
         )
         label, memory = expert.act(state, memory)
         labels.append(label)
-        world.step(action)
-        poses.append(world.read()[:, :3].copy())
+        simulation.step(action)
+        poses.append(simulation.read()[:, :3].copy())
     return labels, np.stack(poses)
 
 
