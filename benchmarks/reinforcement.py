@@ -23,8 +23,7 @@ from magical.evaluation.policy import Policy
 from magical.learning import find_algorithm, train
 from magical.learning.algorithms.ppo import PPOConfig
 from magical.learning.config import Config
-from magical.learning.policy import is_run
-from magical.learning.runs import read_metrics
+from magical.runs import is_run, read_metrics
 
 TASK, DEMO = "MoveToRegion", "magical/MoveToRegion-Demo-v0"
 PPO_STEPS = 80_000

@@ -1,6 +1,7 @@
 """Compiled code on disk: used when it is intact and the user's own, and never needed."""
 
 import errno
+import hashlib
 import os
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
+from numba.core import compiler, config, serialize
 
 import magical
 from magical.render import compile_cache, jit
@@ -35,7 +37,7 @@ def double(x: int) -> int:
 
 def dispatcher(folder: Path) -> Any:
     """`double`, not yet compiled, with its cache in a folder."""
-    function = numba.njit(double)
+    function: Any = numba.njit(double)
     function._cache = CompileCache(double, folder)
     return function
 
@@ -98,8 +100,8 @@ def test_a_truncated_file_is_rebuilt(part: float, folder: Path) -> None:
 
 def test_an_intact_file_of_something_else_is_rebuilt(folder: Path) -> None:
     """As when another release of numba wrote it under the same key."""
-    payload = compile_cache.dumps(("no", "compiled", "function"))
-    only_file(folder).write_bytes(compile_cache.hashlib.sha256(payload).digest() + payload)
+    payload = serialize.dumps(("no", "compiled", "function"))
+    only_file(folder).write_bytes(hashlib.sha256(payload).digest() + payload)
     assert hits(folder) == 0
     assert hits(folder) == 1
 
@@ -166,7 +168,7 @@ def test_a_user_without_a_home(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_numba_whose_results_cannot_be_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delattr(compile_cache.CompileResult, "_reduce")
+    monkeypatch.delattr(compiler.CompileResult, "_reduce")
     assert hits(tmp_path / "compiled") == 0
 
 
@@ -216,9 +218,9 @@ def test_the_oldest_files_are_removed(folder: Path) -> None:
 def test_numbas_own_setting_moves_the_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
     assert cache_folder() == tmp_path / "magical-benchmark" / "compiled"
-    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    monkeypatch.setattr(config, "CACHE_DIR", "")
     monkeypatch.setenv("LOCALAPPDATA" if sys.platform == "win32" else "XDG_CACHE_HOME", "/caches")
     assert cache_folder() == Path("/caches", "magical-benchmark", "compiled")
 

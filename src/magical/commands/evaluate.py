@@ -5,8 +5,7 @@ POLICY is a run folder, `random`, `noop`, `expert`, or a policy of your own as `
 """
 
 import argparse
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,7 +38,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--variants", nargs="+", metavar="VARIANT", help="such as Demo Jitter (default: all)"
     )
     parser.add_argument(
-        "--rollouts", type=positive_int, default=100, help="on each variant (default: 100)"
+        "--rollouts",
+        type=positive_int,
+        default=100,
+        metavar="N",
+        help="on each variant (default: 100)",
     )
     parser.add_argument(
         "--observation", metavar="PRESET", help="default: the policy's own, or LoRes4E"
@@ -51,9 +54,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="control steps; `published`: the published code's, to compare with its tables",
     )
     parser.add_argument(
-        "--seed", type=non_negative_int, default=0, help="which set of fixed seeds (default: 0)"
+        "--seed",
+        type=non_negative_int,
+        default=0,
+        metavar="N",
+        help="which set of fixed seeds (default: 0)",
     )
-    parser.add_argument("--workers", type=non_negative_int, help="processes (default: the cores)")
+    parser.add_argument(
+        "--workers", type=non_negative_int, metavar="N", help="processes (default: the cores)"
+    )
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="write scores.csv, entry.json there"
     )
@@ -68,6 +77,7 @@ def _horizon(text: str) -> int | str:
 def run(args: argparse.Namespace) -> int:
     """Evaluate, print, write."""
     from magical.evaluation import environments, evaluate, summarise
+    from magical.progress import progress_bar
 
     policy = find_policy(args.policy)
     env_ids = environments(args.task or getattr(policy, "tasks", None), args.variants)
@@ -99,7 +109,7 @@ def find_policy(name: str) -> "Policy":
     from magical.evaluation import load_policy
 
     if Path(name).is_dir():
-        from magical.learning import load_policy as load_run  # brings in torch
+        from magical.learning import load_policy as load_run  # imports PyTorch
 
         policy: Policy = load_run(Path(name))
         return policy
@@ -124,20 +134,6 @@ def make_entry(
         seed=args.seed,
         version=__version__,
     )
-
-
-@contextmanager
-def progress_bar(what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """A progress bar on standard error; yields the function that advances it."""
-    from rich.console import Console
-    from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
-
-    columns = (*Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeRemainingColumn())
-    console = Console(stderr=True)
-    quiet = not console.is_terminal
-    with Progress(*columns, console=console, transient=True, disable=quiet) as progress:
-        task = progress.add_task(what, total=total)
-        yield lambda count: progress.advance(task, count)
 
 
 def print_scores(scores: "Sequence[RolloutScore]") -> None:

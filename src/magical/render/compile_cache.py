@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core import config
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
@@ -108,7 +109,7 @@ def cache_folder() -> Path:
     for caches: `XDG_CACHE_HOME` or `~/.cache`, on Windows `LOCALAPPDATA`.
     """
     platform = "LOCALAPPDATA" if sys.platform == "win32" else "XDG_CACHE_HOME"
-    base = numba.config.CACHE_DIR or os.environ.get(platform) or Path("~", ".cache").expanduser()
+    base = config.CACHE_DIR or os.environ.get(platform) or Path("~", ".cache").expanduser()
     return Path(base, "magical-benchmark", "compiled")
 
 

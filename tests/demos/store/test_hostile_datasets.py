@@ -100,7 +100,7 @@ DAMAGE: dict[str, Callable[[bytes], bytes]] = {
     "an .npy header that is empty": lambda raw: with_members(raw, poses=b"\x93NUMPY\x01\x00"),
     "objects": lambda raw: with_members(raw, actions=array("(3,)", "|O", b"\x80\x04N.")),
     "another compression": lambda raw: with_members(raw, zipfile.ZIP_BZIP2),
-    "an unknown member": lambda raw: with_members(raw, **{ESCAPES: b""}),
+    "an unknown member": lambda raw: with_members(raw, zipfile.ZIP_STORED, **{ESCAPES: b""}),
     "no archive": lambda _: b"\x00" * 100,
     "nothing": lambda _: b"",
 }

@@ -1,8 +1,11 @@
-"""Run folders, whatever the algorithm."""
+"""Runs of any algorithm: logging, checkpoints, facts; and configurations."""
 
 import json
 import math
+import subprocess
+import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -11,55 +14,31 @@ from magical.errors import DivergedError, InvalidConfigError, RunFolderError, Un
 from magical.learning.algorithms.bc import BCConfig
 from magical.learning.config import options
 from magical.learning.devices import Compute
-from magical.learning.interrupts import Interrupts
-from magical.learning.progress import Silent
-from magical.learning.runs import CONFIG, METRICS, RECORD, Run, open_folder, read_metrics
+from magical.learning.run import Run
+from magical.runs import open_folder, read_metrics
+from magical.runs.folder import CONFIG, METRICS, RECORD
 
 CONFIGURATION = BCConfig(tasks=("MoveToCorner",), demos="demos")
 
 
 def opened(folder: Path, stop_after: int | None = None, tensorboard: bool = False) -> Run:
-    return Run(
-        folder,
-        progress=Silent(),
-        interrupts=Interrupts(),
-        stop_after=stop_after,
-        tensorboard=tensorboard,
-    )
+    return Run(folder, stop_after=stop_after, tensorboard=tensorboard)
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     path = tmp_path / "run"
-    open_folder(path, CONFIGURATION, resume=False)
+    open_folder(path, CONFIGURATION.to_dict(), resume=False)
     return path
 
 
-def test_a_new_folder_says_what_and_with_which_versions(folder: Path) -> None:
+def test_a_new_folder_holds_configuration_and_versions(folder: Path) -> None:
     written = json.loads((folder / CONFIG).read_text())
     assert BCConfig.from_dict(written) == CONFIGURATION
     assert json.loads((folder / RECORD).read_text())["versions"]["torch"] == torch.__version__
 
 
-def test_taken_folders(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(RunFolderError, match="holds this run already; add --resume"):
-        open_folder(folder, CONFIGURATION, resume=False)
-    open_folder(folder, CONFIGURATION, resume=True)
-    moved = BCConfig(tasks=("MoveToCorner",), demos="elsewhere")
-    open_folder(folder, moved, resume=True)
-    for resume in (False, True):
-        other = BCConfig(tasks=("MoveToCorner",), demos="demos", seed=1)
-        with pytest.raises(RunFolderError, match="another configuration: seed 0 there, 1 asked"):
-            open_folder(folder, other, resume=resume)
-    with pytest.raises(RunFolderError, match="expected a run to resume, found none"):
-        open_folder(tmp_path / "none", CONFIGURATION, resume=True)
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "thesis.tex").write_text("...")
-    with pytest.raises(RunFolderError, match="expected a new or an empty folder"):
-        open_folder(tmp_path / "mine", CONFIGURATION, resume=False)
-
-
-def test_metrics_after_the_checkpoint_are_forgotten(folder: Path) -> None:
+def test_metrics_after_the_checkpoint_are_dropped(folder: Path) -> None:
     with opened(folder) as run:
         run.log(1, 9, loss=0.5)
         run.checkpoint(1, {"a": torch.ones(2)})
@@ -157,3 +136,25 @@ def test_options_follow_the_fields() -> None:
     assert found["--batch-size"].kind is int
     assert found["--learning-rate"].default == 1e-3
     assert found["--anneal"].kind is bool
+    assert found["--optimizer"].choices == ("sgd", "adam")
+    assert (found["--batch-size"].metavar, found["--learning-rate"].metavar) == ("N", "X")
+
+
+def test_every_field_with_choices_accepts_these_alone() -> None:
+    for option in options(BCConfig):
+        for value in option.choices:
+            values: dict[str, Any] = {option.name: value}
+            made = BCConfig(tasks=("MoveToCorner",), demos="d", **values)
+            assert getattr(made, option.name) == value
+        if option.choices:
+            values = {option.name: "odd"}
+            with pytest.raises(UnknownNameError, match=f"{option.name} 'odd' is unknown"):
+                BCConfig(tasks=("MoveToCorner",), demos="d", **values)
+
+
+def test_learning_is_imported_without_pytorch() -> None:
+    code = (
+        "import sys, magical.learning, magical.learning.config, magical.learning.networks; "
+        "magical.learning.algorithm_names(); sys.exit('torch' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0
