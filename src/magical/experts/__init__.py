@@ -1,9 +1,11 @@
-"""Scripted demonstrators: closed-loop experts for every task, from any state."""
+"""Scripted experts."""
 
-from magical.experts import clusters, lines, regions
-from magical.experts.expert import Expert, Memory, expert_for
-from magical.experts.goals import Goals, Move, Plan, Style, goals_of, register_goals
+from magical.experts.expert import Expert, expert_for
+from magical.experts.goals import get_goals, register_goals
+from magical.experts.memory import Memory
+from magical.experts.planning import Goals, Move, Plan, Strategy
 from magical.experts.rollout import Rollout, check_solvable, evaluate_expert, rollout
+from magical.experts.state_view import StateView
 
 __all__ = [
     "Expert",
@@ -12,14 +14,12 @@ __all__ = [
     "Move",
     "Plan",
     "Rollout",
-    "Style",
+    "StateView",
+    "Strategy",
     "check_solvable",
-    "clusters",
     "evaluate_expert",
     "expert_for",
-    "goals_of",
-    "lines",
-    "regions",
+    "get_goals",
     "register_goals",
     "rollout",
 ]

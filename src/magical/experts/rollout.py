@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from magical.envs.ids import parse_env_id
 from magical.errors import NoSolutionError
-from magical.experts.expert import Memory, expert_for
-from magical.experts.goals import goals_of
+from magical.experts.expert import expert_for
+from magical.experts.goals import get_goals
+from magical.experts.memory import Memory
 from magical.physics import World
 from magical.scene import NUM_ACTIONS, Dynamics, Poses, Scene, State
 from magical.tasks import get_task
@@ -31,7 +32,7 @@ class Rollout:
 
 def check_solvable(task: str, scene: Scene) -> None:
     """Raise `NoSolutionError` where no sequence of actions could solve the task in this scene."""
-    if reason := goals_of(task).unsolvable(scene):
+    if reason := get_goals(task).unsolvable_fn(scene):
         raise NoSolutionError(f"{task}: {reason}")
 
 

@@ -22,7 +22,7 @@ from magical.demos import Dataset, DatasetWriter, Trajectory
 from magical.errors import InvalidConfigError, RunFolderError
 from magical.evaluation import environments
 from magical.evaluation.variants import full_variant, short_variant
-from magical.experts import goals_of
+from magical.experts import get_goals
 from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.bc import (
     Batch,
@@ -81,7 +81,7 @@ class DAggerConfig(BCConfig):
         if not self.variants:
             raise InvalidConfigError("variants: expected at least one, found none")
         for task in self.tasks:
-            goals_of(task)  # raises for a task without an expert
+            get_goals(task)  # raises for a task without an expert
             env_ids = environments([task], self.variants)
             if self.episodes < len(env_ids):
                 raise InvalidConfigError(

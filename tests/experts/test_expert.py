@@ -10,21 +10,13 @@ import numpy as np
 import pytest
 
 import magical.experts
-from magical.errors import InvalidConfigError, NoExpertError, NoSolutionError
+from magical.errors import InvalidConfigError, NoSolutionError
 from magical.experts import (
-    Expert,
-    Goals,
     Memory,
-    Move,
-    Plan,
-    Style,
     check_solvable,
     expert_for,
-    register_goals,
     rollout,
 )
-from magical.experts.goals import _GOALS
-from magical.experts.sight import Sight
 from magical.physics import World
 from magical.scene import (
     COLOURS,
@@ -33,34 +25,15 @@ from magical.scene import (
     Block,
     Colour,
     Pose,
-    Poses,
     Scene,
     Shape,
-    State,
 )
 from magical.scene.actions import Action, Gripper
 from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import TASKS, get_task
+from tests.experts.scenes import scattered, state_of
 
 STATES = 150  # random states a task here; benchmarks/experts.py looks at 10,000
-
-
-def state_of(world: World, scene: Scene, step: int = 0, horizon: int = 100) -> State:
-    table = world.read()
-    return State(scene, Poses(table[:, :3]), table[:, 3:], step, horizon)
-
-
-def scattered(scene: Scene, rng: np.random.Generator) -> State:
-    """The scene's bodies anywhere, at any angle and speed."""
-    poses = Poses.at_rest(scene).bodies.copy()
-    poses[:, :2] = rng.uniform(-0.88, 0.88, size=(len(poses), 2))
-    poses[:, 2] = rng.uniform(-20, 20, size=len(poses))
-    return State(scene, Poses(poses), rng.normal(size=poses.shape), 0, 100)
-
-
-@pytest.mark.parametrize("task", TASKS)
-def test_every_task_has_an_expert(task: str) -> None:
-    assert isinstance(expert_for(task, seed=0), Expert)
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -156,27 +129,6 @@ def test_skill_out_of_range(skill: float) -> None:
         expert_for("FindDupe", seed=0, skill=skill)
 
 
-def test_no_expert() -> None:
-    with pytest.raises(NoExpertError, match="MoveToCorner"):
-        expert_for("StackTower", seed=0)
-
-
-def test_a_task_from_outside_gets_its_expert() -> None:
-    def plan(sight: Sight, style: Style, plan: Plan) -> Plan:
-        return Plan((Move((0.5, 0.5), 0.1),)) if sight.distance((0.5, 0.5)) > 0.1 else Plan()
-
-    register_goals("DriveThere", Goals(plan))
-    try:
-        scene = get_task("MoveToRegion").demo
-        world, expert, memory = World(scene), expert_for("DriveThere", seed=0), None
-        for _ in range(40):
-            action, memory = expert.act(state_of(world, scene), memory)
-            world.step(action)
-        assert np.hypot(*(world.poses().bodies[0, :2] - 0.5)) < 0.2
-    finally:
-        del _GOALS["DriveThere"]
-
-
 def unsolvable() -> list[tuple[str, Scene]]:
     dupe, match, fix = (get_task(t).demo for t in ("FindDupe", "MatchRegions", "FixColour"))
     lonely = [b for b in dupe.blocks if b.colour != dupe.blocks[-1].colour]
@@ -207,7 +159,7 @@ def test_scene_without_solution(task: str, scene: Scene) -> None:
 
 def test_acting_knows_no_simulator() -> None:
     folder = Path(str(magical.experts.__file__)).parent
-    for file in folder.glob("*.py"):
+    for file in folder.rglob("*.py"):
         imported = {
             name
             for node in ast.walk(ast.parse(file.read_text()))
