@@ -3,10 +3,15 @@
 import math
 from collections.abc import Sequence
 
-from magical.experts.distances import CONTACT_DISTANCE, DRIVING_CLEARANCE, HELD_DISTANCE
+from magical.experts.distances import (
+    CONTACT_DISTANCE,
+    DRIVING_CLEARANCE,
+    HELD_DISTANCE,
+    ROBOT_LIMIT,
+)
 from magical.experts.grasp import GRASP, gate_point, point_behind
 from magical.experts.grasp_costs import COST
-from magical.experts.motions import DRIVE_STEP, TURN_STEP
+from magical.experts.motions import BACK_STEP, DRIVE_STEP, TURN_STEP
 from magical.experts.paths import segment_distance
 from magical.experts.state_view import StateView, bearing, is_within, wrap_angle
 from magical.scene.geometry import Point
@@ -54,7 +59,7 @@ def fingers(block: Point, side: float) -> tuple[Point, Point]:
 
 def outside(point: Point) -> float:
     """By how much the robot's centre would be too near to a wall."""
-    return max(0.0, abs(point[0]) - GRASP.robot_limit, abs(point[1]) - GRASP.robot_limit)
+    return max(0.0, abs(point[0]) - ROBOT_LIMIT, abs(point[1]) - ROBOT_LIMIT)
 
 
 def approach_steps(view: StateView, block: Point, gate: Point, side: float) -> float:
@@ -63,7 +68,7 @@ def approach_steps(view: StateView, block: Point, gate: Point, side: float) -> f
     straight = bearing(here, block)
     if abs(wrap_angle(straight - side)) < GRASP.cone:
         turn = abs(wrap_angle(straight - view.angle))
-        retreat = max(0.0, COST.retreat - away) if turn > COST.misaimed else 0.0
+        retreat = max(0.0, GRASP.sweep - away) if turn > COST.misaimed else 0.0
         return drive_steps(away - HELD_DISTANCE + 2 * retreat, turn)
     heading = bearing(here, gate)
     narrow = max(0.0, DRIVING_CLEARANCE - segment_distance(here, gate, block))
@@ -83,5 +88,5 @@ def carry_steps(block: Point, side: float, goal: Point) -> float:
     turn = abs(wrap_angle(bearing(stand, goal) - side))
     pushing = distance / DRIVE_STEP + COST.turn * turn / TURN_STEP
     turn = abs(wrap_angle(bearing(goal, block) - side))
-    pulling = COST.pull * distance + COST.turn * turn / TURN_STEP + COST.pull_steps
+    pulling = distance / BACK_STEP + COST.turn * turn / TURN_STEP + COST.pull_steps
     return min(pushing, pulling)

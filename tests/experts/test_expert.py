@@ -33,7 +33,7 @@ from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import TASKS, get_task
 from tests.experts.scenes import scattered, state_of
 
-STATES = 150  # random states a task here; benchmarks/experts.py looks at 10,000
+STATES = 150  # random states a task here; benchmarks/experts.py covers 10,000
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -44,7 +44,7 @@ def test_demo_is_solved(task: str) -> None:
 
 
 @pytest.mark.parametrize("away", [0.33, 0.46])
-def test_finished_expert_lets_go_and_stays(away: float) -> None:
+def test_finished_expert_releases_the_block_and_stays(away: float) -> None:
     """Fingers closed around a star, or its edge, creep on with it: here by 0.23 units."""
     places = ((0.0, 0.0), (0.0, 0.36), (0.0, -0.36))
     blocks = tuple(Block(Shape.STAR, Colour.RED, Pose(x, y, 0.3)) for x, y in places)
@@ -92,17 +92,17 @@ def test_starts_without_memory_at_any_time() -> None:
 
 
 @pytest.mark.parametrize("task", ["MoveToRegion", "MoveToCorner", "FixColour"])
-def test_demonstrators_differ_even_where_little_is_to_be_done(task: str) -> None:
+def test_demonstrators_differ_even_in_short_tasks(task: str) -> None:
     """Demo's scene is always the same in these tasks; what is done in it should not be."""
     episodes = {tuple(rollout(task, "Demo", seed).actions.tolist()) for seed in range(10)}
     assert len(episodes) >= 4
 
 
 def test_same_seed_same_episode_other_seed_other_strategy() -> None:
-    first, again = (rollout("MakeLine", "Demo", 3, style_seed=1) for _ in range(2))
+    first, again = (rollout("MakeLine", "Demo", 3, strategy_seed=1) for _ in range(2))
     assert np.array_equal(first.actions, again.actions)
     assert np.array_equal(first.poses, again.poses)
-    others = [rollout("MakeLine", "Demo", 3, style_seed=seed).actions for seed in range(2, 6)]
+    others = [rollout("MakeLine", "Demo", 3, strategy_seed=seed).actions for seed in range(2, 6)]
     assert any(not np.array_equal(first.actions, other) for other in others)
 
 
@@ -157,7 +157,7 @@ def test_scene_without_solution(task: str, scene: Scene) -> None:
     assert expert.act(state_of(World(scene), scene), memory)[0] == NOOP
 
 
-def test_acting_knows_no_simulator() -> None:
+def test_experts_do_not_import_the_simulator() -> None:
     folder = Path(str(magical.experts.__file__)).parent
     for file in folder.rglob("*.py"):
         imported = {

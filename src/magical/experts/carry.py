@@ -45,8 +45,6 @@ class CarrySettings:
 class CarryRoom:
     """The room that a motion with a block should leave."""
 
-    robot_to_block: float = CONTACT_DISTANCE - 0.01  # units; tuned
-    robot_limit: float = ROBOT_LIMIT  # units: largest coordinate of the robot's centre; geometry
     block_limit: float = 0.84  # units: largest coordinate of the held block's centre; tuned
     cost: float = 45.0  # control steps per unit of missing room; tuned
     rear: float = 0.18  # units behind the robot that should be free at the end; tuned
@@ -133,13 +131,13 @@ def _missing_room(
     rear = table.robot[motions, -1:] - ROOM.rear * table.ahead[motions, None]  # (P, 1, 2)
     rear = rear @ rotation + here
     robot = np.concatenate((robot, rear), axis=1)
-    missing: Floats = excess(robot, ROOM.robot_limit).max(axis=(1, 2))
-    missing += ROOM.rear_wall_cost * excess(rear, ROOM.robot_limit).max(axis=(1, 2))
+    missing: Floats = excess(robot, ROBOT_LIMIT).max(axis=(1, 2))
+    missing += ROOM.rear_wall_cost * excess(rear, ROBOT_LIMIT).max(axis=(1, 2))
     at_walls = excess(block, ROOM.block_limit).sum(axis=2).mean(axis=1)
     missing += ROOM.block_wall_cost * at_walls
     if others:
         points = np.array(others)
-        missing += _intrusion(robot, points, ROOM.robot_to_block)
+        missing += _intrusion(robot, points, CONTACT_DISTANCE)
         missing += _intrusion(block, points, BLOCK_SPACING)
     return missing
 

@@ -23,8 +23,8 @@ class GraspSettings:
     gate: float = 0.56  # units from block to gate; tuned
     nearest_gate: float = 0.42  # units: the gate comes this near where there is a wall; tuned
     gate_step: float = 0.04  # units between the distances tried; tuned
-    robot_limit: float = ROBOT_LIMIT - 0.01  # units: largest coordinate of stand and gate; tuned
     cone: float = 0.5  # rad off its side within which a block is approached directly; tuned
+    sweep: float = 0.45  # units: turning on the spot hits a nearer block badly; tuned
     finger_offset: float = 0.18  # units from a block's centre to the fingers around it; measured
     finger_room: float = BLOCK_SIZE + 0.03  # units from a finger to other blocks; geometry
     finger_limit: float = 0.98  # units: largest coordinate of a finger; geometry
@@ -59,6 +59,6 @@ def gate_point(block: Point, side: float) -> Point:
     """Where the last straight approach begins: nearer where a wall leaves no room."""
     for distance in GATE_DISTANCES:
         gate = point_behind(block, side, distance)
-        if is_within(gate, GRASP.robot_limit):
+        if is_within(gate, ROBOT_LIMIT):
             break
     return gate

@@ -17,9 +17,14 @@ from magical.experts.array_geometry import (
     project_on_segments,
     wrap_angles,
 )
-from magical.experts.distances import CONTACT_DISTANCE, DRIVING_CLEARANCE, HELD_DISTANCE
+from magical.experts.distances import (
+    CONTACT_DISTANCE,
+    DRIVING_CLEARANCE,
+    HELD_DISTANCE,
+    ROBOT_LIMIT,
+)
 from magical.experts.grasp import GATE_DISTANCES, GRASP
-from magical.experts.motions import DRIVE_STEP, TURN_STEP
+from magical.experts.motions import BACK_STEP, DRIVE_STEP, TURN_STEP
 from magical.experts.planning import GRASP_SIDES
 from magical.experts.state_view import StateView, bearing, wrap_angle
 from magical.scene.geometry import Point
@@ -35,11 +40,9 @@ class GraspCostSettings:
     block: float = 150.0  # control steps per unit of missing room to a block; tuned
     path: float = 15.0  # control steps per unit of missing room on the way to the gate; tuned
     detour: float = 0.5  # units of driving around the block itself, at most; tuned
-    retreat: float = 0.53  # units: a robot nearer than this backs off before it turns
     misaimed: float = 0.4  # rad off the block at which it has to turn; tuned
     start_steps: float = 2.0  # control steps that any drive takes in addition; tuned
     turn: float = 1.3  # of TURN_STEP's time that turning with a block takes; tuned
-    pull: float = 14.0  # control steps per unit that a block is pulled; tuned
     pull_steps: float = 2.0  # control steps that pulling takes in addition; tuned
     switch: float = 6.0  # control steps that another side must be better by; tuned
 
@@ -69,8 +72,8 @@ def obstruction(blocks: Floats, sides: Floats, others: Floats) -> Obstruction:
     centres = blocks[:, None]
     gate = _gate_distances(centres, ahead)  # (B, S, 1)
     fingers = GRASP.finger_offset * np.stack((right, -right))[:, None] + centres  # (2, B, S, 2)
-    walls = COST.stand_wall * _outside(centres - HELD_DISTANCE * ahead, GRASP.robot_limit)
-    walls += COST.gate_wall * _outside(centres - gate * ahead, GRASP.robot_limit)
+    walls = COST.stand_wall * _outside(centres - HELD_DISTANCE * ahead, ROBOT_LIMIT)
+    walls += COST.gate_wall * _outside(centres - gate * ahead, ROBOT_LIMIT)
     walls += COST.finger_wall * (_outside(fingers, GRASP.finger_limit) > 0.0).sum(axis=0)
     offsets = others - centres  # (B, M, 2)
     # How far behind the block the straight approach passes nearest to each other block.
@@ -156,7 +159,7 @@ def _approach_steps(view: StateView, block: Point, sides: Floats, gates: Floats)
 def _direct_approach_steps(view: StateView, block: Point, straight: float) -> float:
     distance = view.distance_to(block)
     turn = abs(wrap_angle(straight - view.angle))
-    retreat = max(0.0, COST.retreat - distance) if turn > COST.misaimed else 0.0
+    retreat = max(0.0, GRASP.sweep - distance) if turn > COST.misaimed else 0.0
     driven = distance - HELD_DISTANCE + 2 * retreat
     return COST.start_steps + driven / DRIVE_STEP + turn / TURN_STEP
 
@@ -169,7 +172,7 @@ def _carry_steps(stands: Floats, block: Point, sides: Floats, goal: Point) -> Fl
     pull_turn = np.abs(wrap_angles(bearing(goal, block) - sides)) / TURN_STEP
     steps: Floats = np.minimum(
         distance / DRIVE_STEP + COST.turn * push_turn,
-        COST.pull * distance + COST.turn * pull_turn + COST.pull_steps,
+        distance / BACK_STEP + COST.turn * pull_turn + COST.pull_steps,
     )
     return steps
 
@@ -184,7 +187,7 @@ def _gate_distances(centres: Floats, ahead: Floats) -> Floats:
     """Units (B, S, 1) from blocks (B, 1, 2) to their gates, the same as `gate_point` for each."""
     distances = np.array(GATE_DISTANCES)
     gates = centres - distances[:, None, None, None] * ahead  # (gates, B, S, 2)
-    fits = _outside(gates, GRASP.robot_limit) <= 0.0
+    fits = _outside(gates, ROBOT_LIMIT) <= 0.0
     fits[-1] = True
     first: Floats = distances[fits.argmax(axis=0)][..., None]
     return first

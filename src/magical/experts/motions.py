@@ -22,6 +22,7 @@ from magical.scene.constants import (
 
 TURN_STEP = TURN_MAX_BIAS / CONTROL_RATE  # rad: one control step of turning
 DRIVE_STEP = DRIVE_SPEED_FORWARD / CONTROL_RATE  # units: one control step of driving
+BACK_STEP = -DRIVE_SPEED_BACK / CONTROL_RATE  # units: one control step of backing
 OPEN_ACTIONS = 9  # actions with open fingers; those with closed fingers follow in their order
 
 
@@ -103,8 +104,7 @@ def _action_sequences() -> list[list[int]]:
 
 def _roll_out(actions: Ints, speed: float, spin: float) -> tuple[Floats, Floats]:
     """Centres (N, K, 2) and angles (N, K) on the paths of action sequences (N, T)."""
-    speeds = np.array([0.0, DRIVE_STEP, DRIVE_STEP * DRIVE_SPEED_BACK / DRIVE_SPEED_FORWARD])
-    aims = speeds[actions % 3]
+    aims = np.array([0.0, DRIVE_STEP, -BACK_STEP])[actions % 3]
     turn_aims = np.array([0.0, TURN_STEP, -TURN_STEP])[actions // 3 % 3]
     spins, angle = np.full(len(actions), spin), np.zeros(len(actions))
     centre, velocity = np.zeros((len(actions), 2)), np.zeros((len(actions), 2))

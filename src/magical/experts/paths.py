@@ -13,6 +13,7 @@ import numpy as np
 
 from magical.experts.array_geometry import Floats
 from magical.experts.distances import ROBOT_LIMIT
+from magical.experts.motions import DRIVE_STEP, TURN_STEP
 from magical.experts.state_view import bearing, wrap_angle
 from magical.scene.geometry import Point
 
@@ -23,7 +24,7 @@ class PathSettings:
 
     spacing: float = 0.1  # units between grid points: one control step of driving; tuned
     obstacle_cost: float = 15.0  # extra cost, per unit travelled, at an obstacle's centre; swept
-    turn_cost: float = 0.3  # units per radian of the first turn: the same time at full speed
+    turn_cost: float = DRIVE_STEP / TURN_STEP  # units per radian of the first turn: the same time
     near_start: float = 0.01  # units: an obstacle counts if the path gets nearer by this; tuned
     near_goal: float = 0.95  # share of an obstacle's distance to the goal that is kept; tuned
     slack: float = 0.02  # units less clearance when waypoints are skipped; tuned

@@ -21,17 +21,22 @@ from magical.tasks import get_task
 
 @dataclass(frozen=True, slots=True)
 class Rollout:
-    """One episode: what it started with, what was done, where everything was."""
+    """One episode: its initial scene and dynamics, the actions, and all poses."""
 
     scene: Scene
     dynamics: Dynamics
     actions: NDArray[np.int64]  # (T,)
     poses: NDArray[np.float64]  # (T + 1, bodies, 3), rows as in `Poses`
-    score: float  # of the last poses, appendix's rule
+    score: float  # of the last poses, by the appendix
 
 
 def check_solvable(task: str, scene: Scene) -> None:
-    """Raise `NoSolutionError` where no sequence of actions could solve the task in this scene."""
+    """Check that some sequence of actions solves the task in this scene.
+
+    Raises:
+        NoExpertError: the task has no expert.
+        NoSolutionError: there is none; says what the scene lacks.
+    """
     if reason := get_goals(task).unsolvable_fn(scene):
         raise NoSolutionError(f"{task}: {reason}")
 
@@ -43,12 +48,17 @@ def rollout(
     *,
     skill: float = 1.0,
     random_steps: int = 0,
-    style_seed: int | None = None,
+    strategy_seed: int | None = None,
 ) -> Rollout:
-    """Let the expert act in the episode that `reset(seed=seed)` of the environment begins.
+    """Roll out the expert in the episode that the environment's `reset(seed=seed)` starts.
 
-    A random policy acts in the first `random_steps` control steps; then the expert takes over.
-    The strategy is drawn from `style_seed` (default: from `seed`).
+    Args:
+        task: The task's name.
+        variant: The variant's name, such as TestLayout.
+        seed: Of the scene, the dynamics and the random steps; None: a random one.
+        skill: From 0 to 1, as in `expert_for`.
+        random_steps: Control steps in which a random policy acts before the expert takes over.
+        strategy_seed: Of the expert's strategy; None: `seed`.
 
     Raises:
         UnknownNameError: the task or variant does not exist.
@@ -59,7 +69,7 @@ def rollout(
     rng = np_random(seed)[0]
     scene, dynamics = spec.sample(variant, rng)
     check_solvable(task, scene)
-    expert = expert_for(task, seed=seed if style_seed is None else style_seed, skill=skill)
+    expert = expert_for(task, seed=seed if strategy_seed is None else strategy_seed, skill=skill)
     world = World(scene, dynamics)
     memory: Memory | None = None
     actions: list[int] = []

@@ -9,7 +9,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from magical.experts.distances import CONTACT_DISTANCE, DRIVING_CLEARANCE, HELD_DISTANCE
+from magical.experts.distances import (
+    CONTACT_DISTANCE,
+    DRIVING_CLEARANCE,
+    HELD_DISTANCE,
+    WORKING_DISTANCE,
+)
 from magical.experts.grasp import GRASP, gate_point, is_between_fingers, point_behind
 from magical.experts.motions import TURN_STEP
 from magical.experts.paths import is_clear, next_waypoint
@@ -39,7 +44,6 @@ class ApproachSettings:
     arrived: float = 0.16  # units from the gate that are near enough; tuned
     direct: float = GRASP.gate + 0.12  # units: nearer blocks are approached without a path; tuned
     clearance: float = DRIVING_CLEARANCE - 0.04  # units to others on the straight approach; tuned
-    crowded: float = 0.45  # units: a nearer neighbour makes the approach narrow; tuned
     crowded_cone: float = 0.25  # rad off its side within which it then starts; tuned
     finger_end: float = 0.46  # units ahead up to which a block beside a finger is hit; geometry
 
@@ -48,10 +52,9 @@ class ApproachSettings:
 class SweepSettings:
     """Where turning and closing fingers touch blocks."""
 
-    radius: float = 0.45  # units from the robot's centre
     start: float = 0.1  # units ahead of the robot's centre where it begins; tuned
     margin: float = 0.5  # rad before and after the turn that count as part of it; finger's width
-    arc_radius: float = 1.3  # of `radius`: blocks nearer forbid an arc; tuned
+    arc_radius: float = 1.3  # of `GRASP.sweep`: nearer blocks forbid an arc; tuned
     closing_length: float = 0.5  # units ahead that closing fingers reach; finger, block, margin
     closing_half_width: float = 0.25  # units to the side that they reach; finger and block
 
@@ -62,7 +65,7 @@ class BackingSettings:
 
     rear: float = 0.1  # units behind the robot's centre where room is looked for; tuned
     limit: float = 0.82  # units: largest coordinate of that point; tuned
-    block_distance: float = CONTACT_DISTANCE - 0.01  # units from that point to blocks; tuned
+    block_distance: float = CONTACT_DISTANCE  # units from that point to blocks; geometry
     off_axis: float = 0.06  # units: a block this far off the axis is turned away from; tuned
 
 
@@ -95,10 +98,10 @@ def travel(
     held = _block_between_fingers(view, obstacles)
     if held is not None:
         return _leave(view, held)
-    sweeps = _sweeps(view, error, obstacles, SWEEP.radius)
+    sweeps = _sweeps(view, error, obstacles, GRASP.sweep)
     if abs(error) > HEADING.aimed and sweeps and can_back(view, obstacles):
         return _open(Longitudinal.BACK, Turn.STRAIGHT)
-    is_arc_free = not _sweeps(view, error, obstacles, SWEEP.arc_radius * SWEEP.radius)
+    is_arc_free = not _sweeps(view, error, obstacles, SWEEP.arc_radius * GRASP.sweep)
     return _drive(view, point, error, is_arc_free)
 
 
@@ -116,7 +119,7 @@ def approach(
 def _is_direct(view: StateView, block: Point, side: float, others: Sequence[Point]) -> bool:
     """Whether the robot can drive straight at the block without passing its gate."""
     straight = bearing(view.position, block)
-    crowded = any(math.dist(block, other) < APPROACH.crowded for other in others)
+    crowded = any(math.dist(block, other) < WORKING_DISTANCE for other in others)
     if abs(wrap_angle(straight - side)) > (APPROACH.crowded_cone if crowded else GRASP.cone):
         return False
     if view.distance_to(block) < APPROACH.direct:
@@ -136,10 +139,10 @@ def _close_in(view: StateView, block: Point, others: Sequence[Point], push_aside
     x, y = view.to_robot_frame(block)
     is_beside_finger = abs(x) > GRASP.half_width and 0.0 < y < APPROACH.finger_end
     if (is_misaimed or is_beside_finger) and can_back(view, others):
-        if away < SWEEP.radius:
+        if away < GRASP.sweep:
             retreat = Longitudinal.BACK if y > 0.0 else Longitudinal.FORWARD
             return _open(retreat, turn_towards(error, HEADING.far_error))
-        if not push_aside and _sweeps(view, error, others, SWEEP.radius):
+        if not push_aside and _sweeps(view, error, others, GRASP.sweep):
             return _open(Longitudinal.BACK, Turn.STRAIGHT)
     return _drive(view, block, error)
 

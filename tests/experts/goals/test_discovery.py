@@ -78,14 +78,14 @@ def test_goals_are_found_by_the_tasks_file(add_file: Callable[..., None]) -> Non
     assert isinstance(get_goals("NinthTask"), Goals)
 
 
-def test_a_task_without_goals_is_told_which_file_to_add(add_file: Callable[..., None]) -> None:
+def test_error_names_the_file_to_add_for_a_packaged_task(add_file: Callable[..., None]) -> None:
     add_file(magical.tasks, "ninth.py", TASK_FILE)
     message = r"'NinthTask' has no scripted expert; .*add magical/experts/goals/ninth.py, or call"
     with pytest.raises(NoExpertError, match=message):
         get_goals("NinthTask")
 
 
-def test_a_task_from_outside_without_goals_is_told_what_to_call() -> None:
+def test_error_names_the_call_for_a_task_from_outside() -> None:
     message = r"expected one of: .*MoveToCorner.*; call magical.experts.register_goals"
     with pytest.raises(NoExpertError, match=message):
         expert_for("StackTower", seed=0)

@@ -58,13 +58,16 @@ class GraspAccess:
 
     obstruction: Obstruction
     present: Floats  # (n,) control steps that grasping each block costs with all others there
+    rank: Ints  # (n,) each block's place in the order of that cost
 
     @staticmethod
     def of(layout: ClusterLayout) -> "GraspAccess":
         """The grasps of a layout's blocks as they are."""
         obstruction = mutual_obstruction(layout.positions)
-        total = obstruction.walls + obstruction.blocks.sum(axis=-1)
-        return GraspAccess(obstruction, total.min(axis=1))
+        present = (obstruction.walls + obstruction.blocks.sum(axis=-1)).min(axis=1)
+        # Two blocks that hinder each other cost the same but for rounding, which must not decide.
+        rank = present.round(6).argsort(kind="stable").argsort()
+        return GraspAccess(obstruction, present, rank)
 
     def cost(self, others: Bools) -> Floats:
         """Control steps (..., n) with only the blocks `others` (..., n, n) around each block."""

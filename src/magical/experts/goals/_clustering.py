@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from magical.experts.array_geometry import Bools, Floats, lengths, project_on_segments
-from magical.experts.distances import BLOCK_SPACING, DRIVING_CLEARANCE
+from magical.experts.distances import BLOCK_SPACING, DRIVING_CLEARANCE, WORKING_DISTANCE
 from magical.experts.goals._cluster_layout import ClusterLayout, GraspAccess
+from magical.experts.goals._move_costs import MOVE, place_costs
 from magical.experts.planning import Goals, Move, Plan, Strategy
 from magical.experts.state_view import StateView
 from magical.scene import Block
@@ -33,16 +34,15 @@ class ClusterSettings:
     grid: tuple[float, ...] = (-0.7, -0.35, 0.0, 0.35, 0.7)  # units: coordinates of free anchors
     anchor_limit: float = 0.78  # units: largest coordinate of an anchor; tuned
     choices: int = 150  # of anchors for all clusters, sampled and priced at once; for time
+    ring_places: int = 12  # around an anchor that is taken, beside it; for time
+    tolerance: float = 0.09  # units of a move; tuned
     separation: float = 0.5  # units between blocks of different groups; swept
-    vacated: float = 0.45  # units from a block at which another no longer hinders it; tuned
 
 
 @dataclass(frozen=True, slots=True)
 class PlanCosts:
-    """What a plan is charged for, in control steps."""
+    """What a plan is charged for besides `MoveCosts`, in control steps."""
 
-    move: float = 40.0  # per move, besides the way; swept
-    distance: float = 11.0  # per unit of way; tuned
     misplaced: float = 120.0  # per block that would not count; tuned
     useless: float = 1000.0  # for a plan after which no more blocks count than before; tuned
     crowding: float = 250.0  # per unit of missing separation; swept
@@ -55,27 +55,12 @@ class PlanCosts:
     switch: float = 25.0  # that a new anchor must be better by; tuned
 
 
-@dataclass(frozen=True, slots=True)
-class PlaceSettings:
-    """Where a block of a cluster is set down: at the anchor, or on a ring around it."""
-
-    tolerance: float = 0.09  # units; tuned
-    directions: int = 12  # places on the ring
-    distance: float = 10.0  # control steps per unit from the block: a control step drives 0.1
-    ring: float = 2.6  # control steps that a place on the ring costs: its radius's way
-    wall_limit: float = 0.85  # units: largest coordinate of a place that costs nothing; tuned
-    wall: float = 20.0  # control steps beyond it; tuned
-    block: float = 150.0  # control steps per unit of missing room to another block; tuned
-    slack: float = 0.01  # units less than the ring's radius that are room enough
-
-
 CLUSTER = ClusterSettings()
 COST = PlanCosts()
-PLACE = PlaceSettings()
 
 _GRID = np.array([(x, y) for x in CLUSTER.grid for y in CLUSTER.grid])  # (anchors, 2)
-_ANGLES = np.arange(PLACE.directions) * (2 * math.pi / PLACE.directions)
-_RING = BLOCK_SPACING * np.stack((np.cos(_ANGLES), np.sin(_ANGLES)), axis=-1)  # (directions, 2)
+_ANGLES = 2 * math.pi * np.arange(CLUSTER.ring_places) / CLUSTER.ring_places
+_RING = BLOCK_SPACING * np.stack((np.cos(_ANGLES), np.sin(_ANGLES)), axis=-1)  # (ring places, 2)
 
 
 def cluster_goals(attribute: Callable[[Block], str]) -> Goals:
@@ -111,16 +96,13 @@ def plan_clusters(layout: ClusterLayout, strategy: Strategy, last: Plan) -> Plan
 
 def _move(layout: ClusterLayout, anchors: Floats, block: int, wait: float) -> Move:
     """Bring a block to its anchor, or beside the blocks of its group that are there already."""
-    position, anchor = layout.positions[block], anchors[layout.group[block]]
-    places = np.concatenate((anchor[None], anchor + _RING))  # (1 + directions, 2)
-    others = np.delete(layout.positions, block, axis=0)
-    room = lengths(places[:, None] - others)  # (1 + directions, n - 1)
-    missing = np.maximum(0.0, BLOCK_SPACING - PLACE.slack - room).sum(axis=1)
-    cost = PLACE.distance * lengths(places - position) + PLACE.block * missing
-    cost += PLACE.wall * (np.abs(places).max(axis=1) > PLACE.wall_limit)
-    cost[1:] += PLACE.ring
+    anchor, others = anchors[layout.group[block]], np.delete(layout.positions, block, axis=0)
+    places = np.concatenate((anchor[None], anchor + _RING))  # (1 + ring places, 2)
+    x, y = layout.positions[block]
+    cost = place_costs(places, (x, y), others)
+    cost[1:] += MOVE.distance * BLOCK_SPACING
     x, y = places[cost.argmin()].tolist()
-    return Move((x, y), PLACE.tolerance, block, wait)
+    return Move((x, y), CLUSTER.tolerance, block, wait)
 
 
 def _best(pricing: "_Pricing", strategy: Strategy, last: Plan) -> tuple[Floats, Bools]:
@@ -216,7 +198,7 @@ class _Pricing:
         """About how many control steps (C,) plans take, and what blocks out of place cost."""
         before, after = self.layout.positions, self._positions_after(anchors, moved)
         near = lengths(after[..., :, None, :] - before)  # (C, n, n) from new to old positions
-        time = COST.move + COST.distance * away + self._access_cost(moved, near)
+        time = MOVE.move + MOVE.distance * away + self._access_cost(moved, near)
         crowding = np.minimum(self._crowding(after, near), COST.max_crowding)
         misplaced = self._misplaced(after)
         cost: Floats = (moved * (time + crowding)).sum(axis=-1) + COST.misplaced * misplaced
@@ -238,9 +220,9 @@ class _Pricing:
 
     def _access_cost(self, moved: Bools, near: Floats) -> Floats:
         """What it costs (C, n) to grasp the blocks that move, the most accessible first."""
-        earlier = self.access.present[:, None] > self.access.present
+        earlier = self.access.rank[:, None] > self.access.rank
         apart = lengths(self.layout.positions[:, None] - self.layout.positions)
-        least = np.maximum(apart + 0.1, CLUSTER.vacated)
+        least = np.maximum(apart + 0.1, WORKING_DISTANCE)
         gone = moved[..., None, :] & earlier & (near.swapaxes(-1, -2) > least)
         return np.minimum(COST.access * self.access.cost(~gone), COST.max_access)
 

@@ -1,13 +1,15 @@
 """Moves into and out of goal regions."""
 
-import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from magical.experts.distances import ROBOT_LIMIT
-from magical.experts.paths import segment_distance
+import numpy as np
+
+from magical.experts.array_geometry import Floats, lengths, project_on_segments
+from magical.experts.distances import BLOCK_SPACING
+from magical.experts.goals._move_costs import place_costs
 from magical.experts.planning import Move, Strategy
-from magical.experts.state_view import StateView, is_within
+from magical.experts.state_view import StateView
 from magical.scene import Colour, Region, Scene
 from magical.scene.geometry import Point
 
@@ -21,32 +23,19 @@ class RegionSettings:
     outside: float = 0.02  # units outside the edge from which a block need not move; tuned
     margin: float = 0.12  # units inside or outside the edge that are aimed at: a block's radius
     tolerance: float = 0.08  # units; tuned
-    grid: float = 0.12  # units between places outside that are tried; for time
-    grid_limit: float = 0.84  # units: largest coordinate of these; tuned
-    shares: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75, 1.0)  # of a region's sides that are tried
-
-
-@dataclass(frozen=True, slots=True)
-class PlaceSettings:
-    """What a place for a block is charged for, in control steps."""
-
-    distance: float = 10.0  # per unit from the block: a control step drives 0.1
-    room: float = 0.27  # units between the centres of blocks side by side; tuned
-    block: float = 150.0  # per unit of missing room to another block; tuned
-    way: float = 40.0  # per unit of missing room to another block on the way; tuned
-    wall: float = 4.0  # at a wall, where fingers do not open freely; tuned
-    preference_inside: float = 6.0  # per unit from the preferred place; tuned
+    places_inside: int = 5  # per side of a region's grid of places; for time
+    places_outside: int = 15  # per side of the workspace's grid of places; for time
+    outer_limit: float = 0.84  # units: largest coordinate of these; tuned
+    way: float = 40.0  # control steps per unit of missing room to blocks on the way out; tuned
+    preference_inside: float = 6.0  # control steps per unit from the preferred place; tuned
     preference_outside: float = 5.0  # the same for blocks that must leave; tuned
 
 
 REGION = RegionSettings()
-PLACE = PlaceSettings()
 
-_TICKS = tuple(
-    -REGION.grid_limit + REGION.grid * i
-    for i in range(round(2 * REGION.grid_limit / REGION.grid) + 1)
-)
-_WORKSPACE = Region(Colour.BLUE, _TICKS[0], _TICKS[-1], *2 * (_TICKS[-1] - _TICKS[0],))
+_SHARES = np.linspace(0.0, 1.0, REGION.places_inside)
+_TICKS = np.linspace(-REGION.outer_limit, REGION.outer_limit, REGION.places_outside)
+_OUTER = Region(Colour.BLUE, _TICKS[0], _TICKS[-1], *2 * [_TICKS[-1] - _TICKS[0]])
 
 
 def moves_in(
@@ -115,36 +104,41 @@ def _move_out(view: StateView, strategy: Strategy, block: int) -> Move:
 def _place_inside(view: StateView, strategy: Strategy, region: Region, block: int) -> Point:
     """A place in a region that is near, preferred, and clear of the blocks already there."""
     inner = inset(region, REGION.margin)
-    start, others = view.blocks[block], view.other_blocks(block)
+    start, others = view.blocks[block], _points(view.other_blocks(block))
+    grid = _grid(inner.x + _SHARES * inner.width, inner.y - _SHARES * inner.height)
+    places = np.concatenate(([_nearest(inner, start)], grid))  # (P, 2)
     preferred = preferred_point(strategy, inner, block)
-    places = [_nearest(inner, start)]
-    places += [
-        (inner.x + u * inner.width, inner.y - v * inner.height)
-        for u in REGION.shares
-        for v in REGION.shares
-    ]
-
-    def cost(place: Point) -> float:
-        preference = PLACE.preference_inside * math.dist(place, preferred)
-        return _place_cost(place, start, others) + preference
-
-    return min(places, key=cost)
+    cost = place_costs(places, start, others)
+    cost += REGION.preference_inside * lengths(places - preferred)
+    return _cheapest(places, cost)
 
 
 def _place_outside(view: StateView, strategy: Strategy, block: int) -> Point:
     """A place outside all regions that is near, preferred, and clear of other blocks."""
     areas = [inset(region, -REGION.margin) for region in view.scene.regions]
-    start, others = view.blocks[block], view.other_blocks(block)
-    preferred = preferred_point(strategy, _WORKSPACE, block)
-    places = [
-        (x, y) for x in _TICKS for y in _TICKS if not any(area.contains(x, y) for area in areas)
-    ]
+    start, others = view.blocks[block], _points(view.other_blocks(block))
+    grid = _grid(_TICKS, _TICKS).tolist()
+    free = [place for place in grid if not any(area.contains(*place) for area in areas)]
+    places = np.array(free or [start])  # (P, 2)
+    preferred = preferred_point(strategy, _OUTER, block)
+    _, gaps = project_on_segments(np.array(start), places[:, None], others)  # (P, M)
+    cost = place_costs(places, start, others)
+    cost += REGION.way * np.maximum(0.0, BLOCK_SPACING - gaps).sum(axis=1)
+    cost += REGION.preference_outside * lengths(places - preferred)
+    return _cheapest(places, cost)
 
-    def cost(place: Point) -> float:
-        preference = PLACE.preference_outside * math.dist(place, preferred)
-        return _place_cost(place, start, others) + _way_cost(place, start, others) + preference
 
-    return min(places or [start], key=cost)
+def _grid(xs: Floats, ys: Floats) -> Floats:
+    return np.stack(np.meshgrid(xs, ys), axis=-1).reshape(-1, 2)
+
+
+def _points(blocks: Sequence[Point]) -> Floats:
+    return np.array(blocks).reshape(-1, 2)
+
+
+def _cheapest(places: Floats, cost: Floats) -> Point:
+    x, y = places[cost.argmin()].tolist()
+    return x, y
 
 
 def _nearest(region: Region, point: Point) -> Point:
@@ -152,17 +146,3 @@ def _nearest(region: Region, point: Point) -> Point:
     x = min(max(point[0], region.x), region.x + region.width)
     y = min(max(point[1], region.y - region.height), region.y)
     return x, y
-
-
-def _place_cost(place: Point, start: Point, others: Sequence[Point]) -> float:
-    """Control steps to bring a block there, and what walls and blocks there add to them."""
-    cost = PLACE.distance * math.dist(place, start)
-    cost += 0.0 if is_within(place, ROBOT_LIMIT) else PLACE.wall
-    for other in others:
-        cost += PLACE.block * max(0.0, PLACE.room - math.dist(place, other))
-    return cost
-
-
-def _way_cost(place: Point, start: Point, others: Sequence[Point]) -> float:
-    gaps = (segment_distance(start, place, other) for other in others)
-    return sum(PLACE.way * max(0.0, PLACE.room - gap) for gap in gaps)

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from heapq import nsmallest
 from itertools import combinations, pairwise, permutations
 
-from magical.experts.distances import ROBOT_LIMIT, WORKING_DISTANCE
+from magical.experts.distances import BLOCK_SPACING, ROBOT_LIMIT, WORKING_DISTANCE
+from magical.experts.goals._move_costs import MOVE
 from magical.experts.planning import Goals, Move, Plan, Strategy
 from magical.experts.state_view import StateView
 from magical.scene.geometry import Point
@@ -36,7 +37,6 @@ class LineSettings:
     resting: LineLimits = LineLimits(INLIER_DISTANCE - 0.002, NEIGHBOUR_DISTANCE - 0.002)  # tuned
     moved_slack: LineLimits = LineLimits(0.05, 0.03)  # less, next to a block yet to come; tuned
     spacing: float = 0.32  # units between neighbours that is aimed at; tuned
-    least_spacing: float = 0.26  # units between neighbours that leave room for fingers; tuned
     directions: int = 16  # of lines through one block; for time
     improved: int = 24  # proposals that are improved; for time
     tolerance: float = 0.08  # units; tuned
@@ -46,10 +46,8 @@ class LineSettings:
 
 @dataclass(frozen=True, slots=True)
 class LineCosts:
-    """What a line is charged for, in control steps."""
+    """What a line is charged for besides `MoveCosts`, in control steps."""
 
-    move: float = 20.0  # per block moved, besides the way; tuned
-    distance: float = 12.0  # per unit of way; tuned
     wall: float = 400.0  # per unit that a place is outside `ROBOT_LIMIT`; tuned
     room: float = 40.0  # per unit of missing room to other blocks; tuned
     preference: float = 30.0  # between the most and the least preferred direction; tuned
@@ -136,7 +134,7 @@ def _with_stayers(places: Places, blocks: Sequence[Point]) -> Places:
 
 def _has_room(places: Places, i: int) -> bool:
     return all(
-        j == i or math.dist(places[i], place) > LINE.least_spacing for j, place in enumerate(places)
+        j == i or math.dist(places[i], place) > BLOCK_SPACING for j, place in enumerate(places)
     )
 
 
@@ -147,7 +145,7 @@ def _proposals(blocks: Sequence[Point]) -> Iterator[Places]:
     for i, j in combinations(range(len(blocks)), 2):
         for gaps in range(1, len(blocks)):
             spacing = math.dist(blocks[i], blocks[j]) / gaps
-            if LINE.least_spacing < spacing < LINE.moving.spacing - 0.02:
+            if BLOCK_SPACING < spacing < LINE.moving.spacing - 0.02:
                 yield from _through_two(blocks, i, j, gaps)
 
 
@@ -192,7 +190,7 @@ def _cost(places: Places, blocks: Sequence[Point], strategy: Strategy) -> float:
     for i, (place, block) in enumerate(zip(places, blocks, strict=True)):
         cost += COST.wall * max(0.0, abs(place[0]) - ROBOT_LIMIT, abs(place[1]) - ROBOT_LIMIT)
         if place != block:
-            cost += COST.move + COST.distance * math.dist(place, block)
+            cost += MOVE.move + MOVE.distance * math.dist(place, block)
             cost += COST.room * _missing_room(i, places, blocks)
     return cost
 
@@ -204,7 +202,7 @@ def _missing_room(i: int, places: Places, blocks: Sequence[Point]) -> float:
         if j != i:
             missing += max(0.0, WORKING_DISTANCE - math.dist(blocks[i], other))
             missing += max(0.0, WORKING_DISTANCE - math.dist(places[i], places[j]))
-            missing += max(0.0, LINE.least_spacing - math.dist(places[i], other))
+            missing += max(0.0, BLOCK_SPACING - math.dist(places[i], other))
     return missing
 
 
