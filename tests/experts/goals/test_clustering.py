@@ -49,3 +49,21 @@ def test_enclosed_blocks_are_hard_to_grasp_until_the_others_are_gone() -> None:
     assert enclosed[4] == 0.0
     assert free.max() < 8.0 + 1e-9  # one finger between block and wall at most
     assert np.array_equal(access.present, enclosed)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_blocks_are_ranked_by_access_and_ties_by_order(sign: int) -> None:
+    """The first two are mirrored: their costs differ by rounding only, whichever comes first."""
+    places = (
+        (-0.85, 0.13),
+        (-0.85, -0.13),
+        (-0.6, 0.14),
+        (-0.6, -0.14),
+        (-0.85, 0.4),
+        (-0.85, -0.4),
+    )
+    scene = blocks_at(*((x, sign * y) for x, y in places))
+    access = GraspAccess.of(ClusterLayout.from_view(view_of(scene), colour_of))
+    assert access.present[0] == pytest.approx(access.present[1])
+    assert access.present[0] > 10.0
+    assert access.rank.tolist() == [4, 5, 0, 1, 2, 3]
