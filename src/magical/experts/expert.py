@@ -40,7 +40,7 @@ class RetrySettings:
     """How a block that could not be grasped is approached again."""
 
     steps: int = 20  # control steps in which it is knocked loose; tuned
-    offset: float = 0.13  # units beside its centre that are aimed at; about a block's radius
+    offset: float = 0.13  # units beside its centre that are aimed at; tuned
     rotation: float = 2.4  # rad between one attempt and the next: the golden angle
     side_shift: int = 5  # attempts that shift the preferences of sides, then again from the first
 

@@ -26,8 +26,8 @@ class GraspSettings:
     cone: float = 0.5  # rad off its side within which a block is approached directly; tuned
     sweep: float = 0.45  # units: turning on the spot hits a nearer block badly; tuned
     finger_offset: float = 0.18  # units from a block's centre to the fingers around it; measured
-    finger_room: float = BLOCK_SIZE + 0.03  # units from a finger to other blocks; geometry
-    finger_limit: float = 0.98  # units: largest coordinate of a finger; geometry
+    finger_room: float = BLOCK_SIZE + 0.03  # units from a finger to other blocks; margin tuned
+    finger_limit: float = 0.98  # units: largest coordinate of a finger; tuned
 
 
 GRASP = GraspSettings()

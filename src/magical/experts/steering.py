@@ -31,7 +31,7 @@ class HeadingSettings:
     braking: float = 27.0  # rad / s^2 at which an empty robot stops turning; measured: 26 to 28
     far: float = 0.5  # units: further away, heading errors may grow to a whole step; tuned
     far_error: float = 0.8 * TURN_STEP  # rad: corrected above, far away; tuned
-    near_error: float = 0.55 * TURN_STEP  # rad: corrected above, close; half a step and a margin
+    near_error: float = 0.55 * TURN_STEP  # rad: corrected above, close; tuned
     aimed: float = 0.35  # rad: heading error up to which the robot drives on; tuned
     arc: float = 1.1  # rad: the same where there is room for an arc; tuned
     arc_distance: float = 0.6  # units: such room; twice the arc's radius, measured: 0.32
@@ -45,7 +45,7 @@ class ApproachSettings:
     direct: float = GRASP.gate + 0.12  # units: nearer blocks are approached without a path; tuned
     clearance: float = DRIVING_CLEARANCE - 0.04  # units to others on the straight approach; tuned
     crowded_cone: float = 0.25  # rad off its side within which it then starts; tuned
-    finger_end: float = 0.46  # units ahead up to which a block beside a finger is hit; geometry
+    finger_end: float = 0.46  # units ahead up to which a block beside a finger is hit; tuned
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,10 +53,10 @@ class SweepSettings:
     """Where turning and closing fingers touch blocks."""
 
     start: float = 0.1  # units ahead of the robot's centre where it begins; tuned
-    margin: float = 0.5  # rad before and after the turn that count as part of it; finger's width
+    margin: float = 0.5  # rad on both sides of a turn that the fingers sweep too; tuned
     arc_radius: float = 1.3  # of `GRASP.sweep`: nearer blocks forbid an arc; tuned
-    closing_length: float = 0.5  # units ahead that closing fingers reach; finger, block, margin
-    closing_half_width: float = 0.25  # units to the side that they reach; finger and block
+    closing_length: float = 0.5  # units ahead up to which closing fingers touch a block; tuned
+    closing_half_width: float = 0.25  # units to the side up to which they do; tuned
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from magical.experts.goals._move_costs import place_costs
 from magical.experts.planning import Move, Strategy
 from magical.experts.state_view import StateView
 from magical.scene import Colour, Region, Scene
+from magical.scene.constants import BLOCK_SIZE
 from magical.scene.geometry import Point
 
 
@@ -21,7 +22,7 @@ class RegionSettings:
     inside: float = 0.02  # units inside the edge from which a block need not move; tuned
     done: float = 0.04  # units inside the edge where a move ends; tuned
     outside: float = 0.02  # units outside the edge from which a block need not move; tuned
-    margin: float = 0.12  # units inside or outside the edge that are aimed at: a block's radius
+    margin: float = BLOCK_SIZE  # units inside or outside the edge that are aimed at; tuned
     tolerance: float = 0.08  # units; tuned
     places_inside: int = 5  # per side of a region's grid of places; for time
     places_outside: int = 15  # per side of the workspace's grid of places; for time
