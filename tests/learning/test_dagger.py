@@ -225,7 +225,7 @@ def test_every_setting_matters(name: str, demos: Path, tmp_path: Path, whole: Pa
 
 
 def test_a_task_without_an_expert_is_named(demos: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(goals._GOALS, "MoveToRegion")
+    monkeypatch.delitem(goals._packaged_goals(), "MoveToRegion")
     with pytest.raises(NoExpertError, match="'MoveToRegion' has no scripted expert"):
         tiny(demos)
 

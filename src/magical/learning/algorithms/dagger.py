@@ -23,7 +23,7 @@ from magical.envs import EnvId
 from magical.errors import InvalidConfigError, RunFolderError
 from magical.evaluation import environments
 from magical.evaluation.variants import full_variant, short_variant
-from magical.experts import goals_of
+from magical.experts import get_goals
 from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.bc import BCConfig, BCTrainer, make_policy
 from magical.learning.config import option
@@ -68,7 +68,7 @@ class DAggerConfig(BCConfig):
         if not self.variants:
             raise InvalidConfigError("variants: expected at least one, found none")
         for task in self.tasks:
-            goals_of(task)  # raises for a task without an expert
+            get_goals(task)  # raises for a task without an expert
             env_ids = environments([task], self.variants)
             if self.episodes < len(env_ids):
                 raise InvalidConfigError(
