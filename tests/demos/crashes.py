@@ -14,5 +14,5 @@ def convert(file: Path, max_bytes: int) -> tuple[Entry, bytes]:
     if file.name.startswith("exit"):
         os._exit(3)
     if file.name.startswith("memory"):
-        raise MemoryError
+        raise MemoryError("no room")
     return importing._convert(file, max_bytes)

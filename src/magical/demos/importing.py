@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,7 +12,7 @@ from magical.demos.dataset import Dataset
 from magical.demos.manifest import Entry
 from magical.demos.published import MAX_UNPACKED, read_published
 from magical.demos.writer import DatasetWriter
-from magical.errors import DatasetError, MagicalError
+from magical.errors import DatasetError, MagicalError, WorkerError
 from magical.processes import available_cores, map_in_processes
 
 SUFFIX = ".pkl.gz"
@@ -66,19 +67,19 @@ def import_published(
     imported, duplicates, failed = [], [], []
     workers = min(workers or available_cores(), len(wanted))
     convert = partial(_convert, max_bytes=max_bytes)
-    results = map_in_processes(convert, wanted, workers, on_error="return")
-    for file, result in zip(wanted, results, strict=True):
-        tell(1)
-        if isinstance(result, Exception):
-            failed.append((str(file), _reason(file, result)))
-            continue
-        earlier = first.setdefault(result[0].fingerprint, file.name)
-        if earlier != file.name:
-            duplicates.append((file.name, earlier))
-            if skip_duplicates:
+    with closing(map_in_processes(convert, wanted, workers, on_error="return")) as results:
+        for file, result in zip(wanted, results, strict=True):
+            tell(1)
+            if isinstance(result, Exception):
+                failed.append((str(file), _reason(file, result)))
                 continue
-        writer.append_encoded(*result)
-        imported.append(file.name)
+            earlier = first.setdefault(result[0].fingerprint, file.name)
+            if earlier != file.name:
+                duplicates.append((file.name, earlier))
+                if skip_duplicates:
+                    continue
+            writer.append_encoded(*result)
+            imported.append(file.name)
     return ImportReport(tuple(imported), tuple(already), tuple(duplicates), tuple(failed))
 
 
@@ -98,6 +99,7 @@ def _convert(file: Path, max_bytes: int) -> tuple[Entry, bytes]:
 
 
 def _reason(file: Path, error: Exception) -> str:
-    """Why a file failed, with its name."""
-    why = str(error) if isinstance(error, MagicalError) else f"{type(error).__name__}: {error}"
-    return why if str(file) in why else f"{file}: {why}"
+    """Why a file failed, with its name; little of a text that may be the file's."""
+    if isinstance(error, MagicalError) and not isinstance(error, WorkerError):
+        return str(error) if str(file) in str(error) else f"{file}: {error}"
+    return f"{file}: {type(error).__name__}: {str(error)[:200]!r}"

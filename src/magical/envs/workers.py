@@ -184,7 +184,7 @@ def _end(workers: list[_Worker], owner: int) -> None:
     if os.getpid() != owner:  # a fork of the process they belong to
         return
     for worker in workers:
-        worker.child.hang_up()
+        worker.child.close_pipes()
     deadline = time.monotonic() + _PATIENCE
     for worker in workers:
         with suppress(subprocess.TimeoutExpired):

@@ -1,4 +1,4 @@
-"""Waiting for processes to end, without sleeping."""
+"""Waiting for conditions and for the end of processes, without sleeping."""
 
 import os
 import time
