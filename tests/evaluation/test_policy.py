@@ -137,3 +137,26 @@ def test_missing_modules(name: str) -> None:
 def test_a_name_of_no_known_form_lists_the_forms(name: str) -> None:
     with pytest.raises(UnknownNameError, match=r"random, noop, expert, a run folder, module:name"):
         load_policy(name)
+
+
+def test_a_module_found_elsewhere_does_not_open_the_working_folder(
+    module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    hostile = tmp_path / "hostile"
+    hostile.mkdir()
+    monkeypatch.chdir(hostile)
+    monkeypatch.syspath_prepend(tmp_path)
+    before = list(sys.path)
+    load_policy(f"{module}:still")
+    assert sys.path == before
+
+
+def test_a_module_in_the_working_folder_takes_no_librarys_place(
+    module: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "this.py").write_text("raise AssertionError")
+    monkeypatch.delitem(sys.modules, "this", raising=False)
+    load_policy(f"{module}:still")
+    assert sys.path[-1] == str(tmp_path)
+    with pytest.raises(PolicyError, match="no 'still' in the module"):
+        load_policy("this:still")

@@ -13,7 +13,7 @@ from uuid import uuid4
 
 import pytest
 
-from tests.ends import alive, gone, soon
+from tests.waiting import alive, gone, soon
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals and /proc")
 PROGRAM = """
@@ -192,5 +192,5 @@ if not (child := os.fork()):
     sys.exit()
 print(os.waitpid(child, 0)[1], *itertools.islice(results, 9))
 """
-    output, errors = run("-c", text).process.communicate(timeout=60)
+    output, errors = run("-W", "ignore", "-c", text).process.communicate(timeout=60)
     assert (output, errors) == ("0\n0 1 2 3 4 5 6 7 8 9\n", "")

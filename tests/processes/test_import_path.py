@@ -15,7 +15,8 @@ HOSTILE = (
     *("json", "pickle", "struct", "signal", "threading", "subprocess", "multiprocessing"),
     *("numpy", "gymnasium", "magical", "sitecustomize", "usercustomize"),
 )
-# Arms the working folder once this process has imported what it needs, then starts children.
+# Imports what this process needs, then fills the working folder with such files, then starts
+# children.
 PROGRAM = f"""
 from pathlib import Path
 import beside
@@ -125,11 +126,11 @@ def test_entries_are_absolute_texts(folder: Path, interpreter: Interpreter) -> N
 def test_modules_from_elsewhere_are_found_there(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (folder / "lonely.py").touch()
+    (folder / "single.py").touch()
     (folder / "packed").mkdir()
     (folder / "packed" / "__init__.py").touch()
     (folder / "spaced").mkdir()
-    names = ["lonely", "packed", "spaced"]
+    names = ["single", "packed", "spaced"]
     with monkeypatch.context() as patch:
         patch.syspath_prepend(folder)
         for name in names:
@@ -138,3 +139,22 @@ def test_modules_from_elsewhere_are_found_there(
         found = folders_of_modules([entry for entry in sys.path if entry != str(folder)])
     assert {name: found.get(name) for name in names} == dict.fromkeys(names, str(folder))
     assert "os" not in found
+
+
+def test_evaluating_a_policy_in_a_folder_executes_nothing_else_there(folder: Path) -> None:
+    for name in (*HOSTILE, "this"):
+        (folder / f"{name}.py").write_text("open('executed', 'a').write(__name__ + ' ')")
+    (folder / "policy.py").write_text(
+        "def act(observations, env_ids, rng):\n    return [0]\nact.observation = 'state'\n"
+    )
+    command = "import sys; from magical.cli import main; sys.exit(main(sys.argv[1:]))"
+    arguments = ["evaluate", "policy:act", "--task", "MakeLine", "--variants", "Demo"]
+    arguments += ["--rollouts", "1", "--horizon", "1", "--workers", "1"]
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", command, *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert not (folder / "executed").exists()

@@ -14,8 +14,8 @@ import pytest
 
 from magical.errors import WorkerDiedError, WorkerError
 from magical.processes import WorkerTraceback, available_cores, map_in_processes
-from tests.ends import gone, soon
 from tests.processes import work
+from tests.waiting import gone, soon
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals and /proc")
 
@@ -110,12 +110,12 @@ def test_the_traceback_of_the_child_is_the_cause() -> None:
 
 
 def test_exceptions_that_cannot_be_sent_as_they_are() -> None:
-    kinds = ["foreign", "mute", "group", "huge"]
+    kinds = ["foreign", "unprintable", "group", "huge"]
     errors = list(map_in_processes(work.raise_error, kinds, 2, on_error="return"))
-    foreign, mute, group, huge = errors
+    foreign, unprintable, group, huge = errors
     assert [type(error) for error in errors] == [*[WorkerError] * 3, ValueError]
-    assert str(foreign).startswith("Odd: 1, ")
-    assert str(mute).startswith("Mute: ")
+    assert str(foreign).startswith("Foreign: 1, ")
+    assert str(unprintable).startswith("Unprintable: ")
     assert str(group).startswith("ExceptionGroup: several, ")
     assert len(str(huge)) < 5_000
 

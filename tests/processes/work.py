@@ -8,14 +8,14 @@ from pathlib import Path
 from typing import Any
 
 
-class Odd(Exception):
+class Foreign(Exception):
     """An exception that can be neither pickled nor printed."""
 
     def __init__(self, first: int, second: int) -> None:
         super().__init__(first, lambda: second)
 
 
-class Mute(Exception):
+class Unprintable(Exception):
     """An exception whose methods fail."""
 
     def __str__(self) -> str:
@@ -40,8 +40,8 @@ def raise_error(kind: str) -> None:
     raise {
         "value": ValueError("not this one", 3),
         "file": FileNotFoundError(2, "No such file", "name.txt"),
-        "foreign": Odd(1, 2),
-        "mute": Mute("text"),
+        "foreign": Foreign(1, 2),
+        "unprintable": Unprintable("text"),
         "group": ExceptionGroup("several", [ValueError("a"), TypeError("b")]),
         "huge": ValueError("x" * 50_000_000, 10**5_000),
         "many": ValueError(*range(1000)),

@@ -31,8 +31,8 @@ def load_policy(name: str) -> Policy:
 
     The name in the module may be a policy (an object with `act` and `reset`), a class or function
     that returns one when called without arguments, or a plain function
-    `(observations, env_ids, rng) -> actions` for a policy without memory. Modules are also searched
-    in the working directory.
+    `(observations, env_ids, rng) -> actions` for a policy without memory. The working directory
+    is searched last for the module, and only if it is found nowhere else.
 
     Raises:
         UnknownNameError: neither a built-in policy nor of the form `module:name`.
@@ -86,9 +86,10 @@ def _needs_arguments(thing: Callable[..., Any]) -> bool:
 def _import(name: str) -> ModuleType:
     if name.endswith(".py"):
         return _import_file(Path(name))
-    if str(Path.cwd()) not in sys.path:
-        sys.path.insert(0, str(Path.cwd()))
+    package = name.partition(".")[0]
     try:
+        if package not in sys.modules and importlib.util.find_spec(package) is None:
+            sys.path.append(str(Path.cwd()))  # last: nothing in it takes a library's place
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
         raise PolicyError(

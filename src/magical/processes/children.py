@@ -57,7 +57,7 @@ class Child:
         self.replies: IO[bytes] = self.process.stdout
         self._lifeline = os.fdopen(write_end, "wb")
 
-    def hang_up(self) -> None:
+    def close_pipes(self) -> None:
         """Close the pipes of requests and replies, at which `main` should return."""
         for pipe in (self.requests, self.replies):
             with suppress(OSError):  # what could not be written any more
@@ -71,7 +71,7 @@ class Child:
     def close(self) -> None:
         """Kill the process if it runs, and close all pipes."""
         self.kill()
-        self.hang_up()
+        self.close_pipes()
         self._lifeline.close()
 
     def describe_end(self) -> str:

@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Collection
+from importlib.machinery import ModuleSpec
 from pathlib import Path
 
 
@@ -33,10 +34,11 @@ def folders_of_modules(path: Collection[str]) -> dict[str, str]:
     folders = {}
     for name, module in list(sys.modules.items()):
         spec = getattr(module, "__spec__", None)
-        if spec is None or spec.name != name or "." in name:
+        if not isinstance(spec, ModuleSpec) or spec.name != name or "." in name:
             continue
-        files = [*(spec.submodule_search_locations or [spec.origin] * spec.has_location)]
-        if files and (folder := str(Path(_absolute(files[0])).parent)) not in path:
+        file = spec.origin if spec.has_location else None
+        place = next(iter(spec.submodule_search_locations or ()), file)
+        if place and (folder := str(Path(_absolute(place)).parent)) not in path:
             folders[name] = folder
     return folders
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.ends import alive, gone, soon
+from tests.waiting import alive, gone, soon
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals and /proc")
 USE = """

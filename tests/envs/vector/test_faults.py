@@ -24,7 +24,7 @@ from magical.errors import (
 )
 from magical.processes import WorkerTraceback
 from magical.tasks import Task, register_task, unregister_task
-from tests.ends import alive, gone, soon
+from tests.waiting import alive, gone, soon
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals and /proc")
 IDS = ("magical/MakeLine-Demo-v0", "magical/MakeLine-TestColour-v0")

@@ -1,6 +1,7 @@
 """Importing the published human demonstrations into a dataset."""
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,7 +12,7 @@ from magical.demos.store.dataset import Dataset
 from magical.demos.store.manifest import ManifestEntry
 from magical.demos.store.regular_files import open_regular, sha256_sum
 from magical.demos.store.writer import DatasetWriter
-from magical.errors import DatasetError, MagicalError
+from magical.errors import DatasetError, MagicalError, WorkerError
 from magical.messages import printable
 from magical.processes import available_cores, map_in_processes
 
@@ -78,19 +79,19 @@ def import_published(
     imported, duplicates, failed = [], [], []
     workers = min(workers or available_cores(), len(wanted))
     convert = partial(_convert, max_bytes=max_bytes, sums=sums)
-    results = map_in_processes(convert, wanted, workers, on_error="return")
-    for file, result in zip(wanted, results, strict=True):
-        advance(1)
-        if isinstance(result, Exception):
-            failed.append((str(file), _reason(file, result)))
-            continue
-        earlier = first.setdefault(result[0].fingerprint, file.name)
-        if earlier != file.name:
-            duplicates.append((file.name, earlier))
-            if skip_duplicates:
+    with closing(map_in_processes(convert, wanted, workers, on_error="return")) as results:
+        for file, result in zip(wanted, results, strict=True):
+            advance(1)
+            if isinstance(result, Exception):
+                failed.append((str(file), _reason(file, result)))
                 continue
-        writer.append_encoded(*result)
-        imported.append(file.name)
+            earlier = first.setdefault(result[0].fingerprint, file.name)
+            if earlier != file.name:
+                duplicates.append((file.name, earlier))
+                if skip_duplicates:
+                    continue
+            writer.append_encoded(*result)
+            imported.append(file.name)
     return ImportReport(tuple(imported), tuple(already), tuple(duplicates), tuple(failed))
 
 
@@ -116,8 +117,8 @@ def _convert(
 
 
 def _reason(file: Path, error: Exception) -> str:
-    """Why a file failed, with its name."""
+    """Why a file failed, with its name; little of a text that may be the file's."""
     name = printable(str(file), MAX_PATH)
-    known = isinstance(error, MagicalError)
+    known = isinstance(error, MagicalError) and not isinstance(error, WorkerError)
     reason = str(error) if known else printable(f"{type(error).__name__}: {error}")
     return reason if name in reason else f"{name}: {reason}"

@@ -1,4 +1,4 @@
-"""Waiting for processes to end, without sleeping."""
+"""Waiting for conditions and for the end of processes, without sleeping."""
 
 import os
 import time
@@ -15,7 +15,7 @@ def alive(process_id: int) -> bool:
     return state != "Z"
 
 
-def soon(condition: Callable[[], bool], seconds: float = 5.0) -> bool:
+def soon(condition: Callable[[], bool], seconds: float = 60.0) -> bool:
     """Whether a condition comes true in time."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
