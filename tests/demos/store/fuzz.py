@@ -64,7 +64,8 @@ def change_json(text: bytes, rng: np.random.Generator) -> bytes:
     if rng.random() < 0.05:
         return b'{"env_id":' + b"[" * int(rng.choice([40, 900, 100_000]))
     data = json.loads(text)
-    parent, place = data, str(rng.choice(sorted(data)))
+    parent: Any = data
+    place: Any = str(rng.choice(sorted(data)))
     while isinstance(parent[place], dict | list) and parent[place] and rng.random() < 0.7:
         parent = parent[place]
         keys = sorted(parent) if isinstance(parent, dict) else range(len(parent))
