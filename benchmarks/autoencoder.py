@@ -18,10 +18,10 @@ from magical.learning import train
 from magical.learning.algorithms.al import ALConfig, make_autoencoder
 from magical.learning.augment import to_unit
 from magical.learning.autoencoder import save_reconstructions
-from magical.learning.checkpoints import load_module, load_tree
-from magical.learning.expert_data import ExpertData, choose_demonstrations
-from magical.learning.policy import is_run
-from magical.learning.runs import CHECKPOINT
+from magical.learning.checkpoints import load_checkpoint, load_module
+from magical.learning.expert_data import ExpertData, sample_demonstrations
+from magical.runs import is_run
+from magical.runs.folder import CHECKPOINT
 
 NUMBER = 25  # of demonstrations, learned from and held out
 HELD_OUT = 10_000  # first seed of the held-out ones
@@ -53,8 +53,8 @@ def main() -> None:
     folder = args.out / f"al-{args.task}-{args.batches}"
     train(config, folder, stop_after=config.pretraining_batches, resume=is_run(folder))
     autoencoder = make_autoencoder(config).eval()
-    load_module(autoencoder, load_tree(folder / CHECKPOINT)["autoencoder"], str(folder))
-    chosen = choose_demonstrations(str(demos), config.tasks, NUMBER, config.seed)
+    load_module(autoencoder, load_checkpoint(folder / CHECKPOINT)["autoencoder"], str(folder))
+    chosen = sample_demonstrations(str(demos), config.tasks, NUMBER, config.seed)
     seen = ExpertData(chosen.trajectories, config.tasks, config.observation_spec)
     held_out = ExpertData(
         [(args.task, demonstrate(demo, HELD_OUT + i)) for i in range(NUMBER)],

@@ -11,7 +11,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from magical.envs import all_env_ids
-from magical.experts import Rollout, evaluate_expert, expert_for, rollout
+from magical.evaluation import evaluate
+from magical.evaluation.expert import ExpertPolicy
+from magical.experts import Rollout, expert_for, rollout
 from magical.scene import NUM_ACTIONS, Poses, Scene, State
 from magical.tasks import TASKS, get_task
 
@@ -63,23 +65,27 @@ def lasting(task: str, done: Rollout) -> int | None:
     return next((i + 1 for i in range(len(scores) - 1, -1, -1) if scores[i] < 1.0), 0)
 
 
+def demo_means(policy: ExpertPolicy, rollouts: int) -> dict[str, float]:
+    """Mean score in the Demo variant of each task."""
+    rows = evaluate(policy, DEMOS, rollouts=rollouts)
+    return {e: float(np.mean([row.score for row in rows if row.env_id == e])) for e in DEMOS}
+
+
 def takeover() -> Iterator[str]:
     """A random policy for the first third of the horizon, then the expert."""
-    means = {e: float(np.mean(s)) for e, s in evaluate_expert(DEMOS, 100, takeover=True).items()}
+    means = demo_means(ExpertPolicy(random_share=1 / 3), rollouts=100)
     for env_id, mean in means.items():
         yield f"{env_id:32} {mean:.3f}"
     rest = [mean for env_id, mean in means.items() if "Cluster" not in env_id]
-    yield f"all eight {np.mean(list(means.values())):.3f}, without Cluster {np.mean(rest):.3f}"
+    yield f"all tasks {np.mean(list(means.values())):.3f}, without Cluster {np.mean(rest):.3f}"
 
 
 def skill() -> Iterator[str]:
     """Mean scores over the Demo environments at four skill levels."""
-    table = {s: evaluate_expert(DEMOS, 25, skill=s) for s in SKILLS}
+    table = {s: demo_means(ExpertPolicy(skill=s), rollouts=25) for s in SKILLS}
     for env_id in DEMOS:
-        yield f"{env_id:32} " + " ".join(f"{np.mean(table[s][env_id]):.3f}" for s in SKILLS)
-    yield f"{'mean':32} " + " ".join(
-        f"{np.mean([np.mean(v) for v in table[s].values()]):.3f}" for s in SKILLS
-    )
+        yield f"{env_id:32} " + " ".join(f"{table[s][env_id]:.3f}" for s in SKILLS)
+    yield f"{'mean':32} " + " ".join(f"{np.mean(list(table[s].values())):.3f}" for s in SKILLS)
 
 
 def diversity() -> Iterator[str]:

@@ -20,10 +20,11 @@ from torch import Tensor, nn
 from torch.optim import SGD
 
 from magical.learning.algorithms.bc import Batch, BCConfig, bc_loss, make_optimizer, make_policy
-from magical.learning.augment import augment, parse_augmentations
-from magical.learning.devices import Compute, choose_device, choose_precision
-from magical.learning.networks import WIDTHS
-from magical.learning.prefetch import prepared
+from magical.learning.augment import augment
+from magical.learning.augmentations import parse_augmentations
+from magical.learning.devices import Compute, choose_compute, choose_device
+from magical.learning.networks import find_network
+from magical.learning.prefetch import prefetch
 from magical.scene import NUM_ACTIONS
 
 FRAMES = 1000  # about ten demonstrations
@@ -72,16 +73,17 @@ def our_step(setup: Setup, compute: Compute) -> Callable[[Batch], None]:
 
 
 def plain_step(setup: Setup) -> Callable[[Batch], None]:
-    """The same layers as anybody would write them first."""
+    """The same layers in plain PyTorch."""
     layers: list[nn.Module] = []
-    width, channels = WIDTHS[setup.config.network], 12
-    for out, kernel, stride in width.convolutions:
+    architecture = find_network(setup.config.network)
+    channels = 12
+    for out, kernel, stride in architecture.CONVOLUTIONS:  # type: ignore[attr-defined]
         convolution = nn.Conv2d(channels, out, kernel, stride, kernel // 2, bias=False)
         layers += [convolution, nn.ReLU(), nn.BatchNorm2d(out)]
         channels = out
     layers.append(nn.Flatten())
     inputs = nn.Sequential(*layers)(torch.zeros(2, 12, 96, 96)).shape[1]
-    for size in width.linear:
+    for size in architecture.HIDDEN:
         layers += [nn.Linear(inputs, size), nn.ReLU()]
         inputs = size
     network = nn.Sequential(*layers, nn.Linear(inputs, NUM_ACTIONS)).to(setup.device)
@@ -118,7 +120,7 @@ def measure(network: str, rounds: int, batch_size: int) -> None:
     def loss() -> Tensor:
         return bc_loss(probe(fixed.images, fixed.tasks), fixed.actions)
 
-    compute = choose_precision(device, "auto", loss)
+    compute = choose_compute(device, "auto", loss)
     plain, ours = plain_step(setup), our_step(setup, compute)
     for step, batch in ((plain, plain_batch), (ours, fixed)):
         step(batch)  # warm-up
@@ -126,7 +128,7 @@ def measure(network: str, rounds: int, batch_size: int) -> None:
     for _ in range(rounds):
         times["plain"].append(seconds(plain, repeat(plain_batch, steps), device))
         times["ours"].append(seconds(ours, repeat(fixed, steps), device))
-        with prepared(setup.batch, range(steps), device) as batches:
+        with prefetch(setup.batch, range(steps), device) as batches:
             times["whole"].append(seconds(ours, batches, device))
     median = {name: float(np.median(values)) for name, values in times.items()}
     speeds = "  ".join(f"{name} {batch_size / t:7.1f}" for name, t in median.items())

@@ -18,13 +18,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from magical.evaluation import FunctionPolicy, RandomPolicy, evaluate
+from magical.evaluation.intervals import rollout_mean, weighted_sum
 from magical.evaluation.policy import Policy
-from magical.evaluation.statistics import bootstrap_difference
 from magical.learning import find_algorithm, train
 from magical.learning.algorithms.ppo import PPOConfig
 from magical.learning.config import Config
-from magical.learning.policy import is_run
-from magical.learning.runs import read_metrics
+from magical.runs import is_run, read_metrics
 
 TASK, DEMO = "MoveToRegion", "magical/MoveToRegion-Demo-v0"
 PPO_STEPS = 80_000
@@ -74,7 +73,7 @@ def imitate(args: argparse.Namespace) -> None:
         config = imitation_config(args.what, args.demos, seed=seed, num_demos=25, **fields)
         policy, curve = trained(config, args.out / f"{args.what}-{seed}")
         scores = demo_scores(policy, args.workers)
-        gain = bootstrap_difference(scores[:, None], random[:, None], np.random.default_rng(seed))
+        gain = weighted_sum([rollout_mean(scores), rollout_mean(random)], [1.0, -1.0])
         print(
             f"{args.what}, seed {seed}: Demo {scores.mean():.2f}, above random by "
             f"{gain.value:.2f} [{gain.low:.2f}, {gain.high:.2f}]",

@@ -1,4 +1,4 @@
-"""Step many worlds for a long time, and watch what must not grow or go wrong.
+"""Soak test: step many environments for long, and watch memory and invariants.
 
 python benchmarks/soak.py [--steps 1000000] [--workers K] [--observation LoRes4E]
 
@@ -56,7 +56,7 @@ def private_megabytes(process_id: int) -> float:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--steps", type=int, default=1_000_000, help="of single worlds")
+    parser.add_argument("--steps", type=int, default=1_000_000, help="of single environments")
     parser.add_argument("--workers", type=int, default=None)
     parser.add_argument("--observation", default="LoRes4E")
     args = parser.parse_args()
@@ -76,7 +76,7 @@ def main() -> int:
 
 
 def soak(steps: int, workers: int | None, observation: str) -> tuple[Usage, Usage]:
-    """Step all tasks' fullest variants; returns the usage once settled, and at the end."""
+    """Step every task's TestAll variant; returns the usage once settled, and at the end."""
     ids = [str(env_id) for env_id in magical.all_env_ids() if "TestAll" in env_id]
     envs = MagicalVectorEnv(
         [ids[i % len(ids)] for i in range(NUM_ENVS)], workers=workers, observation=observation
@@ -104,7 +104,7 @@ def check(envs: MagicalVectorEnv, rewards: np.ndarray, scores: np.ndarray) -> No
     bodies, counts = envs.bodies
     used = np.arange(bodies.shape[1]) < counts[:, None]
     if not np.isfinite(bodies[used]).all() or not np.isfinite(rewards).all():
-        raise SystemExit("found a number that is not finite")
+        raise SystemExit("expected finite numbers, found others")
     if scores.min() < 0 or scores.max() > 1:
         raise SystemExit(f"found scores outside [0, 1]: {scores}")
     if np.abs(bodies[:, 0, :2]).max() > 1:

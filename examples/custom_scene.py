@@ -1,4 +1,4 @@
-"""Start an episode from a scene of your own, and let an expert play it.
+"""Start an episode from a scene of your own, with an expert as the policy.
 
 Scenes are plain data: write them in Python, or as JSON that `Scene.from_dict` reads.
 """
@@ -22,7 +22,7 @@ SLIPPERY = Dynamics(block_pivot_max_force=1.0, block_gear_max_force=0.07)
 
 
 def main() -> float:
-    """Play one episode; returns its score."""
+    """Run one episode; returns its score."""
     env = MagicalEnv("MatchRegions", "Demo", observation="state")  # or gymnasium.make(...)
     env.reset(seed=0, options={"scene": SCENE, "dynamics": SLIPPERY})
     expert, memory, truncated = expert_for("MatchRegions", seed=0), None, False

@@ -1,7 +1,7 @@
 """A task of your own, registered from outside the package.
 
-`Separate`: two blocks start side by side; push them at least one unit apart. Registering gives it
-environment ids (with every preset), a place in `magical.TASKS`, evaluation, and its variants, all
+`Separate`: two blocks start side by side; push them at least one unit apart. Registering it
+gives environment ids with every preset, an entry in `magical.TASKS`, evaluation and variants, all
 from one `Task`. Import this module, and `magical/Separate-TestJitter-LoRes4E-v0` is there.
 """
 
@@ -15,7 +15,7 @@ import magical
 from magical.evaluation import environments, evaluate, load_policy, summarise
 from magical.scene import Block, Colour, Pose, Poses, Scene, Shape
 from magical.tasks import Axis, Task
-from magical.tasks.attributes import repaint
+from magical.tasks.attributes import sample_attributes
 from magical.tasks.scoring import positions
 
 APART = 1.0  # units
@@ -30,12 +30,12 @@ DEMO = Scene(
 
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
-    """Each block's colour and shape."""
-    return replace(scene, blocks=repaint(scene.blocks, axes, rng))
+    """Sample each block's colour and shape."""
+    return replace(scene, blocks=sample_attributes(scene.blocks, axes, rng))
 
 
 def score(scene: Scene, poses: Poses) -> float:
-    """The distance between the two blocks, 1 from `APART` on, 0 where it was at the start."""
+    """The distance between the two blocks: 1 from `APART` on, 0 for that of the start, linear."""
     start = math.dist(scene.blocks[0].pose[:2], scene.blocks[1].pose[:2])
     now = math.dist(*positions(scene, poses))
     return min(max((now - start) / (APART - start), 0.0), 1.0)
@@ -56,7 +56,7 @@ magical.register_task(TASK)
 
 
 def main(rollouts: int = 20) -> None:
-    """Look at one environment, then evaluate the random policy on all variants."""
+    """Make one environment, then evaluate the random policy on all variants."""
     env = gymnasium.make("magical/Separate-TestColour-LoRes4E-v0")
     observation, _ = env.reset(seed=0)
     print(f"{TASK.name}: observations {observation.shape}, variants {', '.join(TASK.variants)}")

@@ -75,3 +75,10 @@ def test_step_profile_adds_up(root: Path) -> None:
     shares = [float(line.split()[-1].rstrip("%")) for line in lines]
     assert shares[-1] == 100
     assert sum(shares[:-1]) == pytest.approx(100, abs=1)
+
+
+def test_intervals_are_compared_in_a_table(root: Path) -> None:
+    arguments = ("--simulations", "2", "--resamples", "20", "--runs", "3")
+    header, *lines = script(root, "intervals.py", *arguments).splitlines()
+    assert header.split()[-5:] == ["ours", "separate", "percentile", "BCa", "studentised"]
+    assert sum(line.count("%") == 5 for line in lines) == 15  # three designs, five statistics

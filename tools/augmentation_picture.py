@@ -12,7 +12,8 @@ import torch
 from PIL import Image, ImageDraw
 
 import magical  # noqa: F401  (registers the environments)
-from magical.learning.augment import NAMES, SETS, Augmentations, augment
+from magical.learning.augment import augment
+from magical.learning.augmentations import NAMES, SETS, Augmentations
 
 OUT = Path(__file__).resolve().parents[1] / "docs" / "images" / "augmentations.png"
 DRAWS = 4  # examples of each

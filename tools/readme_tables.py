@@ -23,7 +23,7 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 
 
 def tasks() -> str:
-    """One row a task: what to do, the horizon, which variants there are."""
+    """How many there are; then a row for each task: goal, horizon, variants."""
     short = [name.removeprefix("Test") for name in VARIANTS]
     rows = (
         (
@@ -34,7 +34,9 @@ def tasks() -> str:
         )
         for task in TASKS.values()
     )
-    return table(("Task", "What to do", "Horizon", *short), rows)
+    environments = sum(len(task.variants) for task in TASKS.values())
+    count = f"{len(TASKS)} tasks, {environments} environments:\n\n"
+    return count + table(("Task", "What to do", "Horizon", *short), rows)
 
 
 def presets() -> str:

@@ -89,6 +89,26 @@ class WorkerError(MagicalError, RuntimeError):
     """A worker's exception of a class that cannot be rebuilt; its traceback is the cause."""
 
 
+class WorkerTimeoutError(MagicalError, TimeoutError):
+    """A worker process did not finish in time; the vector environment is closed."""
+
+
+class AlreadyPendingCallError(MagicalError, RuntimeError):
+    """A vector environment was called while another call of it was in progress."""
+
+
+class ForkedEnvironmentError(MagicalError, RuntimeError):
+    """A vector environment was used in a fork of the process that made it."""
+
+
+class NotPicklableError(MagicalError, TypeError):
+    """An environment cannot be pickled or copied; the message says what to do instead."""
+
+
+class InvalidScoreError(MagicalError, ValueError):
+    """A task's score that is not a number from 0 to 1."""
+
+
 class MissingDependencyError(MagicalError, ImportError):
     """An optional library that is not installed; the message says which extra brings it."""
 

@@ -1,4 +1,4 @@
-"""Every registered environment keeps the promises."""
+"""The interface of every registered environment."""
 
 import json
 import subprocess
@@ -13,6 +13,8 @@ from gymnasium.utils.env_checker import check_env
 
 import magical
 from magical.envs.env import MagicalEnv
+from magical.observe import PRESETS
+from magical.tasks import TASKS
 
 ENV_IDS = magical.all_env_ids()
 ALL_IDS = magical.all_env_ids(presets=True)
@@ -30,14 +32,14 @@ def _equal(first: Any, second: Any) -> bool:
     return first.dtype == second.dtype and np.array_equal(first, second)
 
 
-def test_count() -> None:
-    assert len(ENV_IDS) == 60
-    assert len(ALL_IDS) == 360
+def test_every_variant_is_registered_with_every_preset() -> None:
+    assert len(ENV_IDS) == sum(len(task.variants) for task in TASKS.values())
+    assert len(ALL_IDS) == len(ENV_IDS) * (1 + len(PRESETS))
     assert all(env_id in gym.registry for env_id in ALL_IDS)
 
 
 @pytest.mark.parametrize("env_id", ALL_IDS)
-def test_gymnasium_s_checker_has_nothing_to_say(env_id: str) -> None:
+def test_gymnasium_s_checker_reports_nothing(env_id: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(gym.make(env_id, render_mode="rgb_array").unwrapped, skip_render_check=False)
@@ -63,9 +65,9 @@ def test_state_continues_bit_equally_in_the_middle(env_id: str) -> None:
     env.reset(seed=7)
     actions = np.random.default_rng(1).choice([1, 4, 7, 10, 13, 16], size=30).tolist()
     for action in actions[:20]:
-        shown = env.step(action)[0]
+        observation = env.step(action)[0]
     state = json.loads(json.dumps(env.get_state()))
-    assert _equal(other.set_state(state), shown)
+    assert _equal(other.set_state(state), observation)
     for action in actions[20:]:
         assert _equal(env.step(action)[0], other.step(action)[0])
     assert np.array_equal(env.state().poses.bodies, other.state().poses.bodies)
@@ -88,12 +90,12 @@ def test_state_continues_in_another_process() -> None:
     env = _make(env_id)
     env.reset(seed=2)
     for action in (1, 1, 1, 10, 13, 16, 1, 1):
-        shown = env.step(action)[0]
+        observation = env.step(action)[0]
     result = subprocess.run(
         [sys.executable, "-c", _OTHER_PROCESS, env_id],
         input=json.dumps(env.get_state()), capture_output=True, text=True, check=True,
     )  # fmt: skip
-    digest = hashlib.sha256(shown.tobytes())
+    digest = hashlib.sha256(observation.tobytes())
     for action in (1, 13, 13, 4, 10):
         digest.update(env.step(action)[0].tobytes())
     assert result.stdout.strip() == digest.hexdigest()

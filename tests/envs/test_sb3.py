@@ -13,7 +13,7 @@ from magical.errors import InvalidActionError, MissingDependencyError
 sb3 = pytest.importorskip("stable_baselines3", reason="the extra sb3 is not installed")
 
 HORIZON = 4
-# The libraries' own warnings are none of ours.
+# Warnings of Stable-Baselines3 and PyTorch.
 pytestmark = pytest.mark.filterwarnings("ignore")
 
 
@@ -27,7 +27,7 @@ def adapter(observation: Any = "state", num_envs: int = 2, workers: int = 0, **o
     )
 
 
-def test_episode_ends_are_where_the_library_looks_for_them() -> None:
+def test_episode_ends_follow_the_conventions_of_stable_baselines3() -> None:
     envs = adapter()
     plain = MagicalVectorEnv(envs.envs.env_ids, 0, "state", HORIZON, "dense", "SameStep")
     envs.seed(3)
@@ -48,7 +48,7 @@ def test_episode_ends_are_where_the_library_looks_for_them() -> None:
     assert infos[0] is not infos[1]
 
 
-def test_seeds_and_options_count_for_one_reset() -> None:
+def test_seeds_and_options_apply_to_one_reset() -> None:
     envs = adapter()
     envs.seed(3)
     first = envs.reset()
@@ -59,7 +59,7 @@ def test_seeds_and_options_count_for_one_reset() -> None:
     forces = [state["dynamics"]["body_pivot_max_force"] for state in envs.env_method("get_state")]
     assert forces == [2.5, 2.5]
     envs.set_options([{}, {"dynamics": {}}])
-    with pytest.raises(ValueError, match="the same for all worlds"):
+    with pytest.raises(ValueError, match="the same for all environments"):
         envs.reset()
 
 
@@ -84,7 +84,7 @@ def test_another_autoreset_mode_is_refused() -> None:
 
 
 @pytest.mark.parametrize("observation", ["LoRes4E", "LoResCHW4E", "LoResStack"])
-def test_networks_see_channels_first(observation: str) -> None:
+def test_networks_get_channels_first(observation: str) -> None:
     envs = adapter(observation)
     policy = "MultiInputPolicy" if observation == "LoResStack" else "CnnPolicy"
     model = sb3.PPO(policy, envs, n_steps=HORIZON, batch_size=4, n_epochs=1, device="cpu", seed=0)

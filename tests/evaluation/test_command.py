@@ -6,7 +6,9 @@ from pathlib import Path
 import pytest
 
 from magical import cli
-from magical.evaluation import read_entry
+from magical.commands.evaluate import print_scores
+from magical.envs import EnvId
+from magical.evaluation import RolloutScore, read_entry
 
 POLICY = """
 import numpy as np
@@ -30,6 +32,32 @@ def test_json_of_one_task_is_by_variant(capsys: pytest.CaptureFixture[str]) -> N
     assert set(summary["Demo"]) == {"mean", "std", "scores", "published_code_mean"}
     assert len(summary["Demo"]["scores"]) == 3
     assert "95% interval" in out
+    assert "do not include the spread between training runs" in out
+
+
+def test_gaps_are_those_of_the_statistics(capsys: pytest.CaptureFixture[str]) -> None:
+    means = {
+        "MakeLine": {"Demo": 0.9, "TestJitter": 0.8, "TestAll": 0.5},
+        "FindDupe": {"Demo": 1.0, "TestAll": 0.8},
+    }
+    scores = [
+        RolloutScore(EnvId(task, variant), 0, 0, mean, 0.0)
+        for task, cells in means.items()
+        for variant, mean in cells.items()
+    ]
+    print_scores(scores)
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    gaps = {tuple(words[:2]): words[-2] for words in lines if words[0] in means}
+    assert gaps[("MakeLine", "Jitter")] == "0.100"
+    assert gaps[("MakeLine", "All")] == "0.400"
+    assert gaps[("FindDupe", "All")] == "0.200"
+    assert "generalisation gap (Demo less TestAll): 0.300 (" in " ".join(lines[-2])
+
+
+def test_without_both_variants_there_is_no_gap(capsys: pytest.CaptureFixture[str]) -> None:
+    argv = ["--task", "MoveToRegion", "--variants", "Demo", "--rollouts", "1"]
+    _, out, _ = evaluate(capsys, "noop", *argv)
+    assert "generalisation gap" not in out
 
 
 def test_json_of_several_tasks_is_by_task(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,11 +2,11 @@
 
 from typing import Any
 
-from magical.experts import Goals, Plan, goals_of, register_goals
+from magical.experts import Goals, Plan, get_goals, register_goals
 
 
 def plan(*arguments: Any) -> Plan:
-    return goals_of("MoveToRegion").plan(*arguments)
+    return get_goals("MoveToRegion").plan_fn(*arguments)
 
 
 register_goals("MoveThere", Goals(plan))

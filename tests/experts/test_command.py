@@ -5,7 +5,8 @@ import json
 import pytest
 
 from magical import cli
-from magical.experts import evaluate_expert
+from magical.evaluation import evaluate
+from magical.evaluation.expert import ExpertPolicy
 
 CORNER = "magical/MoveToCorner-Demo-v0"
 
@@ -20,8 +21,8 @@ def test_json_has_a_mean_a_deviation_and_all_scores(capsys: pytest.CaptureFixtur
 
 def test_scores_depend_on_the_seed_alone() -> None:
     ids = ["magical/MoveToRegion-TestLayout-v0", "magical/FixColour-TestLayout-v0"]
-    one = evaluate_expert(ids, 3, seed=5, skill=0.3, workers=1)
-    two = evaluate_expert(ids, 3, seed=5, skill=0.3, workers=2)
+    policy = ExpertPolicy(skill=0.3)
+    one, two = (evaluate(policy, ids, rollouts=3, seed=5, workers=workers) for workers in (1, 2))
     assert one == two
 
 

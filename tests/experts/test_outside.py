@@ -10,7 +10,9 @@ import pytest
 from magical.demos import Dataset
 from magical.demos.generate import generate
 from magical.errors import InvalidTaskError
-from magical.experts import evaluate_expert, modules_of
+from magical.evaluation import evaluate
+from magical.evaluation.expert import ExpertPolicy
+from magical.experts import modules_of
 from magical.tasks import get_task, register_task, unregister_task
 from tests.experts import outside_task
 
@@ -29,7 +31,9 @@ def outside() -> Iterator[None]:
 def test_workers_import_a_task_and_its_expert(tmp_path: Path) -> None:
     modules = ["tests.experts.outside_expert", "tests.experts.outside_task"]
     assert modules_of("MoveThere") == modules
-    here, there = (evaluate_expert([ENV], 3, workers=workers) for workers in (1, 2))
+    here, there = (
+        evaluate(ExpertPolicy(), [ENV], rollouts=3, workers=workers) for workers in (1, 2)
+    )
     assert here == there
     generate(ENV, 2, tmp_path, workers=2)
     assert [entry.task for entry in Dataset.open(tmp_path).entries] == ["MoveThere"] * 2
@@ -40,7 +44,7 @@ def test_what_workers_could_not_import_is_an_error_at_once(tmp_path: Path) -> No
     env_id = "magical/MakeOther-Demo-v0"
     try:
         with pytest.raises(InvalidTaskError, match="MakeOther"):
-            evaluate_expert([env_id], 2, workers=2)
+            evaluate(ExpertPolicy(), [env_id], rollouts=100, workers=2)
         with pytest.raises(InvalidTaskError, match="MakeOther"):
             generate(env_id, 2, tmp_path / "out", workers=2)
         assert not (tmp_path / "out").exists()

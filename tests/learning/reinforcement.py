@@ -1,4 +1,4 @@
-"""What the tests of reinforcement learners share: the smallest runs, comparisons."""
+"""Shared by the tests of PPO and what is built on it: minimal runs, comparisons."""
 
 from pathlib import Path
 from typing import Any, TypeVar
@@ -6,9 +6,9 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
-from magical.learning.checkpoints import load_tree
+from magical.learning.checkpoints import load_checkpoint
 from magical.learning.reinforcement import ReinforcementConfig
-from magical.learning.runs import CHECKPOINT
+from magical.runs.folder import CHECKPOINT
 
 AnyConfig = TypeVar("AnyConfig", bound=ReinforcementConfig)
 
@@ -32,12 +32,12 @@ def tiny(kind: type[AnyConfig], preset: str = "quick", **fields: Any) -> AnyConf
 
 
 def checkpoint(folder: Path) -> dict[str, Any]:
-    """The newest checkpoint's tree."""
-    return load_tree(folder / CHECKPOINT)
+    """The newest checkpoint."""
+    return load_checkpoint(folder / CHECKPOINT)
 
 
 def assert_same(first: Any, second: Any, name: str = "") -> None:
-    """Equal trees, tensors bit by bit."""
+    """Equal nested state dicts, tensors bit by bit."""
     assert type(first) is type(second), name
     if isinstance(first, Tensor):
         assert torch.equal(first, second), name

@@ -13,10 +13,14 @@ from magical.demos import Trajectory
 from magical.errors import InvalidConfigError
 from magical.evaluation import evaluate
 from magical.learning import train
-from magical.learning.algorithms.al import ALConfig, feature_weights, make_autoencoder
-from magical.learning.autoencoder import Autoencoder, autoencoder_loss
+from magical.learning.algorithms.al import (
+    ALConfig,
+    autoencoder_loss,
+    feature_weights,
+    make_autoencoder,
+)
+from magical.learning.autoencoder import Autoencoder
 from magical.learning.expert_data import ExpertData
-from magical.learning.networks import get_width
 from magical.observe import PRESETS
 from tests.learning.conftest import TASKS, picture_demo, write_demos
 from tests.learning.reinforcement import assert_same, checkpoint, tiny
@@ -65,7 +69,7 @@ def test_autoencoder_loss_by_hand() -> None:
 
 def test_layers_are_those_of_the_specification() -> None:
     network = make_autoencoder(ALConfig.preset("paper", tasks=("MoveToCorner",), demos=""))
-    assert network.encoder.features == 32
+    assert network.encoder.num_features == 32
     linear = [m for m in network.encoder.linear if isinstance(m, torch.nn.Linear)]
     assert [(m.in_features, m.out_features) for m in linear] == [(4608 + 18, 256), (256, 32)]
     convolutions = [m for m in network.image if isinstance(m, torch.nn.Conv2d)]
@@ -78,7 +82,7 @@ def test_autoencoder_learns_what_it_is_shown(trajectories: list[Trajectory]) -> 
     data = ExpertData([(TASKS[0], trajectories[0])], TASKS[:1], PRESETS["LoRes4E"])
     rows = np.arange(4)
     images, (actions, _) = data.images(rows) / 255.0, data.labels(rows)
-    network = Autoencoder(get_width("light"), (12, 96, 96))
+    network = Autoencoder("light", (12, 96, 96))
     optimizer = torch.optim.Adam(network.parameters(), 1e-3)
     losses = []
     for _ in range(15):
@@ -104,7 +108,7 @@ def test_resumed_runs_are_bit_equal(demos: Path, tmp_path: Path, stops: int) -> 
 
 
 def test_paper_preset_for_three_iterations(tmp_path: Path) -> None:
-    """The published networks and settings, on a few worlds: run, resumed, evaluated."""
+    """The published networks and settings, in a few environments: run, resumed, evaluated."""
     data = write_demos(tmp_path / "data", [picture_demo("MoveToCorner", 0)])
     config = small(data, "paper", num_demos=1, pretraining_batches=1, feature_samples=512)
     assert train(config, tmp_path / "run", stop_after=2).step == 2

@@ -9,15 +9,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from magical.errors import UnknownNameError
-from magical.learning.augment import (
-    NAMES,
-    NOISE_STD,
-    SETS,
-    Augmentations,
-    augment,
-    parse_augmentations,
-    warp,
-)
+from magical.learning.augment import NOISE_STD, augment, warp
+from magical.learning.augmentations import NAMES, SETS, Augmentations, parse_augmentations
 
 NONE = SETS["none"]
 
@@ -71,7 +64,7 @@ def test_each_changes_the_picture_and_stays_in_range(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["translation", "rotation", "colour"])
-def test_one_draw_a_stack_and_different_ones_in_a_batch(name: str) -> None:
+def test_parameters_are_sampled_once_per_stack(name: str) -> None:
     changed = augment(smooth_stacks(), only(name), rng())
     frames = changed.reshape(len(changed), 4, 3, *changed.shape[2:])
     assert torch.allclose(frames, frames[:, :1].expand_as(frames), atol=1e-6)
@@ -104,7 +97,7 @@ def test_same_generator_same_augmentation_another_one_another() -> None:
     assert not torch.equal(augment(images, every, rng()), augment(images, every, other))
 
 
-def test_ablations_share_the_draws_of_what_is_left() -> None:
+def test_ablations_share_random_numbers() -> None:
     images = smooth_stacks()
     both = augment(images, replace(only("translation"), colour=True), rng())
     separate = augment(augment(images, only("colour"), rng()), only("translation"), rng())
@@ -130,7 +123,7 @@ def test_rotation_agrees_with_scikit_image(degrees: float) -> None:
     np.testing.assert_allclose(turned[0].transpose(1, 2, 0), expected, atol=1e-9)
 
 
-def test_draws_stay_within_the_appendix_limits() -> None:
+def test_parameters_stay_within_the_appendix_limits() -> None:
     """A dot at a known place tells by how much a picture was moved."""
     images = torch.zeros(300, 3, 96, 96)
     images[:, :, 46:50, 46:50] = 1.0

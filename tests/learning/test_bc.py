@@ -3,7 +3,7 @@
 import errno
 import os
 import signal
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,16 +14,14 @@ from torch import Tensor
 
 from magical.demos import observations
 from magical.errors import DivergedError, RunFolderError
-from magical.learning import runs, train
+from magical.learning import run, train
 from magical.learning.algorithms.bc import (
     BCConfig,
     bc_loss,
-    make_optimizer,
-    make_policy,
-    set_step_size,
 )
-from magical.learning.checkpoints import load_tree
-from magical.learning.runs import CHECKPOINT, read_metrics
+from magical.learning.checkpoints import load_checkpoint
+from magical.runs import read_metrics
+from magical.runs.folder import CHECKPOINT
 from tests.learning.conftest import TASKS, picture_demo, write_demos
 
 
@@ -42,7 +40,7 @@ def tiny(demos: Path, **fields: Any) -> BCConfig:
 
 
 def weights(folder: Path) -> dict[str, Tensor]:
-    policy: dict[str, Tensor] = load_tree(folder / CHECKPOINT)["policy"]
+    policy: dict[str, Tensor] = load_checkpoint(folder / CHECKPOINT)["policy"]
     return policy
 
 
@@ -103,15 +101,16 @@ def test_loss_is_the_mean_negative_log_likelihood() -> None:
     assert torch.allclose(bc_loss(logits, torch.tensor([3, 0])), expected)
 
 
-def test_step_size_is_constant_or_falls_to_nothing(demos: Path) -> None:
+def test_the_learning_rate_is_constant_or_annealed_to_0(demos: Path) -> None:
     for anneal, expected in ((False, [1e-3, 1e-3, 1e-3]), (True, [1e-3, 5e-4, 0.0])):
         config = tiny(demos, batches=10, anneal=anneal)
-        optimizer = make_optimizer(config, make_policy(config))
-        found = []
-        for number in (0, 5, 10):
-            set_step_size(optimizer, config, number)
-            found.append(optimizer.param_groups[0]["lr"])
-        assert found == pytest.approx(expected)
+        assert [config.learning_rate_at(n) for n in (0, 5, 10)] == pytest.approx(expected)
+
+
+def test_the_optimiser_gets_the_learning_rate_of_the_batch(demos: Path, tmp_path: Path) -> None:
+    train(tiny(demos, batches=4, learning_rate=1e-3, anneal=True), tmp_path / "run")
+    (group,) = load_checkpoint(tmp_path / "run" / CHECKPOINT)["optimizer"]["param_groups"]
+    assert group["lr"] == pytest.approx(0.25e-3)
 
 
 def test_paper_preset_is_table_3() -> None:
@@ -165,15 +164,39 @@ def test_reports_and_checkpoints_come_as_often_as_asked(demos: Path, tmp_path: P
     assert set(line) == {"step", "loss", "accuracy", "samples_per_second"}
 
 
-class Raising:
-    """A progress display during which something happens."""
+def call_at(at: int, act: Callable[[], None]) -> Callable[[int, Mapping[str, float | str]], None]:
+    """A callback that calls `act` at one step."""
 
-    def __init__(self, at: int, act: Any) -> None:
-        self.at, self.act = at, act
+    def callback(step: int, metrics: Mapping[str, float | str]) -> None:
+        if step == at:
+            act()
 
-    def update(self, step: int, total: int, metrics: Mapping[str, float | str]) -> None:
-        if step == self.at:
-            self.act()
+    return callback
+
+
+def test_the_callback_gets_every_line_of_metrics(demos: Path, tmp_path: Path) -> None:
+    seen: list[dict[str, Any]] = []
+    train(
+        tiny(demos),
+        tmp_path / "run",
+        callback=lambda step, metrics: seen.append({"step": step, **metrics}),
+    )
+    rows = read_metrics(tmp_path / "run")
+    assert [row.keys() for row in seen] == [row.keys() for row in rows]
+    assert [row["loss"] for row in seen] == pytest.approx([row["loss"] for row in rows], abs=1e-6)
+
+
+def test_what_the_callback_raises_ends_a_run_that_can_be_resumed(
+    demos: Path, tmp_path: Path
+) -> None:
+    def prune() -> None:
+        raise LookupError("pruned")
+
+    with pytest.raises(LookupError, match="pruned"):
+        train(tiny(demos), tmp_path / "run", callback=call_at(4, prune))
+    assert train(tiny(demos), tmp_path / "run", resume=True).finished
+    train(tiny(demos), tmp_path / "whole")
+    assert_same_weights(tmp_path / "run", tmp_path / "whole")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -181,8 +204,8 @@ def test_signals_leave_a_checkpoint_to_go_on_from(
     number: signal.Signals, demos: Path, tmp_path: Path
 ) -> None:
     config = tiny(demos, checkpoint_every=100)
-    interrupt = Raising(2, lambda: os.kill(os.getpid(), number))
-    result = train(config, tmp_path / "run", progress=interrupt)
+    interrupt = call_at(2, lambda: os.kill(os.getpid(), number))
+    result = train(config, tmp_path / "run", callback=interrupt)
     assert result.interrupted
     assert 2 <= result.step < 6
     assert signal.getsignal(number) is not None
@@ -197,7 +220,7 @@ def test_a_second_interrupt_stops_at_once(demos: Path, tmp_path: Path) -> None:
         os.kill(os.getpid(), signal.SIGINT)
 
     with pytest.raises(KeyboardInterrupt):
-        train(tiny(demos), tmp_path / "run", progress=Raising(2, twice))
+        train(tiny(demos), tmp_path / "run", callback=call_at(2, twice))
 
 
 def test_divergence_stops_and_keeps_the_last_good_checkpoint(demos: Path, tmp_path: Path) -> None:
@@ -219,7 +242,7 @@ def test_a_full_disk_is_named_and_the_last_checkpoint_kept(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(runs, "save_tree", full)
+        patch.setattr(run, "save_checkpoint", full)
         with pytest.raises(RunFolderError, match=r"disk is full.*resume"):
             train(config, tmp_path / "run", resume=True)
     assert all(torch.equal(before[k], v) for k, v in weights(tmp_path / "run").items())

@@ -9,42 +9,42 @@ from torch.optim import SGD, Adam, Optimizer
 
 from magical.errors import CheckpointError
 from magical.learning.checkpoints import (
+    load_checkpoint,
     load_module,
     load_optimizer,
-    load_tree,
-    optimizer_tree,
-    save_tree,
+    optimizer_state,
+    save_checkpoint,
 )
 
 
-def test_trees_come_back_as_they_were(tmp_path: Path) -> None:
+def test_state_dicts_are_read_as_they_were_written(tmp_path: Path) -> None:
     image = torch.rand(2, 3, 4, 5).to(memory_format=torch.channels_last)
-    tree = {
+    state = {
         "a": {"weights": image, "count": torch.tensor(3)},
         "list": [1, 2.5, None, True, torch.arange(4)],
         "rng": {"state": 2**127 + 1},
         "text": "x",
     }
-    save_tree(tmp_path / "c", tree)
-    back = load_tree(tmp_path / "c")
+    save_checkpoint(tmp_path / "c", state)
+    back = load_checkpoint(tmp_path / "c")
     assert torch.equal(back["a"]["weights"], image)
     assert back["a"]["count"].shape == ()
     assert back["list"][:4] == [1, 2.5, None, True]
     assert torch.equal(back["list"][4], torch.arange(4))
-    assert (back["rng"], back["text"]) == (tree["rng"], "x")
+    assert (back["rng"], back["text"]) == (state["rng"], "x")
     assert [file.name for file in tmp_path.iterdir()] == ["c"]
 
 
 def test_missing_cut_and_foreign_files_are_named(tmp_path: Path) -> None:
     path = tmp_path / "c"
     with pytest.raises(CheckpointError, match="expected a file, found none"):
-        load_tree(path)
-    save_tree(path, {"a": torch.rand(50)})
+        load_checkpoint(path)
+    save_checkpoint(path, {"a": torch.rand(50)})
     whole = path.read_bytes()
     for damaged in (whole[:-10], whole[:20], b"", b"\x80\x04K\x01.", whole[8:]):
         path.write_bytes(damaged)
         with pytest.raises(CheckpointError, match=r"c is damaged"):
-            load_tree(path)
+            load_checkpoint(path)
 
 
 def test_weights_of_another_network_are_refused() -> None:
@@ -72,10 +72,10 @@ def test_optimisers_continue_bit_for_bit(kind: str, tmp_path: Path) -> None:
     for number in range(6):
         step(straight, optimizer, number)
         if number == 2:
-            tree = {"net": straight.state_dict(), "optimizer": optimizer_tree(optimizer)}
-            save_tree(tmp_path / "c", tree)
+            state = {"net": straight.state_dict(), "optimizer": optimizer_state(optimizer)}
+            save_checkpoint(tmp_path / "c", state)
     resumed, again = made()
-    saved = load_tree(tmp_path / "c")
+    saved = load_checkpoint(tmp_path / "c")
     load_module(resumed, saved["net"], "c")
     load_optimizer(again, saved["optimizer"])
     for number in range(3, 6):

@@ -1,6 +1,7 @@
 """`magical train` from the command line."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -77,10 +78,19 @@ def test_help_lists_algorithms_and_settings(capsys: pytest.CaptureFixture[str]) 
     shown = capsys.readouterr().out
     for flag in ("--task", "--demos", "--preset", "--learning-rate", "--no-anneal", "--resume"):
         assert flag in shown
+    for values in ("{light,paper,small}", "{auto,cpu,cuda}", "{sgd,adam}", "--batches N"):
+        assert values in " ".join(shown.split())
+    assert not re.search(r" (STR|INT|FLOAT)\b", shown)
 
 
-def test_without_pytorch_learning_says_how_to_get_it() -> None:
-    code = "import sys; sys.modules['torch'] = None; import magical.learning"
+def test_the_run_folder_gets_a_picture_of_the_learning_curves(demos: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib", reason="the report extra is not installed")
+    assert main(bc(demos, tmp_path / "run")) == 0
+    assert (tmp_path / "run" / "learning-curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_without_pytorch_training_names_the_command_that_installs_it() -> None:
+    code = "import sys; sys.modules['torch'] = None; from magical.learning import train"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert result.returncode == 1
     assert "MissingDependencyError: learning needs torch" in result.stderr

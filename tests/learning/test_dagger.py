@@ -23,8 +23,8 @@ from magical.experts import goals
 from magical.learning import load_policy, train
 from magical.learning.algorithms.bc import BCConfig, make_policy
 from magical.learning.algorithms.dagger import AGGREGATE, DAggerConfig
-from magical.learning.runs import read_metrics
 from magical.learning.supervision import LABELS
+from magical.runs import read_metrics
 from tests.learning.conftest import TASKS
 from tests.learning.reinforcement import assert_same, checkpoint
 
@@ -163,22 +163,22 @@ def test_the_paper_preset_runs_resumes_and_is_evaluated(demos: Path, tmp_path: P
 
 
 def test_beta_falls_geometrically(demos: Path) -> None:
-    shares = [tiny(demos, beta_decay=0.5).expert_share(number) for number in range(4)]
-    assert shares == [1.0, 0.5, 0.25, 0.125]
-    assert [tiny(demos, beta_decay=0.0).expert_share(n) for n in range(3)] == [1.0, 0.0, 0.0]
+    betas = [tiny(demos, beta_decay=0.5).beta(number) for number in range(4)]
+    assert betas == [1.0, 0.5, 0.25, 0.125]
+    assert [tiny(demos, beta_decay=0.0).beta(n) for n in range(3)] == [1.0, 0.0, 0.0]
 
 
-def test_the_step_size_falls_while_the_same_weights_learn(demos: Path) -> None:
+def test_the_learning_rate_is_annealed_over_all_rounds_or_in_each(demos: Path) -> None:
     steps = range(6)
     falling = tiny(demos, learning_rate=6.0, anneal=True)
-    assert [falling.step_size(n) for n in steps] == pytest.approx([6, 5, 4, 3, 2, 1])
+    assert [falling.learning_rate_at(n) for n in steps] == pytest.approx([6, 5, 4, 3, 2, 1])
     again = replace(falling, restart=True)
-    assert [again.step_size(n) for n in steps] == pytest.approx([6, 3] * 3)
-    assert {replace(falling, anneal=False).step_size(n) for n in steps} == {6.0}
+    assert [again.learning_rate_at(n) for n in steps] == pytest.approx([6, 3] * 3)
+    assert {replace(falling, anneal=False).learning_rate_at(n) for n in steps} == {6.0}
 
 
-def test_a_restart_begins_with_the_first_weights(demos: Path, tmp_path: Path) -> None:
-    """With a step size of nearly nothing, every round ends where it began."""
+def test_a_restart_begins_with_the_initialisation(demos: Path, tmp_path: Path) -> None:
+    """With a learning rate near 0, every round ends with the weights it started from."""
     config = tiny(demos, restart=True, learning_rate=1e-20, keep_noops=True)
     train(config, tmp_path / "run")
     first = dict(make_policy(config).named_parameters())
@@ -225,7 +225,7 @@ def test_every_setting_matters(name: str, demos: Path, tmp_path: Path, whole: Pa
 
 
 def test_a_task_without_an_expert_is_named(demos: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(goals._GOALS, "MoveToRegion")
+    monkeypatch.delitem(goals._packaged_goals(), "MoveToRegion")
     with pytest.raises(NoExpertError, match="'MoveToRegion' has no scripted expert"):
         tiny(demos)
 

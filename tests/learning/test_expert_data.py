@@ -7,7 +7,7 @@ import pytest
 
 from magical.demos import Dataset, Trajectory, observations
 from magical.errors import DemonstrationsError
-from magical.learning.expert_data import ExpertData, choose_demonstrations, digest
+from magical.learning.expert_data import ExpertData, digest, sample_demonstrations
 from magical.observe import PRESETS
 from tests.learning.conftest import STEPS, TASKS, picture_demo
 
@@ -83,7 +83,7 @@ def test_even_split_gives_the_first_tasks_the_rest() -> None:
 
 def test_the_seed_alone_chooses_and_every_task_as_if_alone(demos: Path) -> None:
     def files(tasks: tuple[str, ...], seed: int, count: int = 2) -> list[str]:
-        return [r["file"] for r in choose_demonstrations(str(demos), tasks, count, seed).record]
+        return [r["file"] for r in sample_demonstrations(str(demos), tasks, count, seed).record]
 
     together = files(TASKS, 3)
     assert together == files(TASKS[:1], 3) + files(TASKS[1:], 3)
@@ -94,7 +94,7 @@ def test_the_seed_alone_chooses_and_every_task_as_if_alone(demos: Path) -> None:
 
 
 def test_the_record_names_files_and_sums(demos: Path) -> None:
-    record = choose_demonstrations(str(demos), TASKS, 4, 0).record
+    record = sample_demonstrations(str(demos), TASKS, 4, 0).record
     entries = {entry.file: entry.sha256 for entry in Dataset.open(demos).entries}
     assert {r["file"]: r["sha256"] for r in record} == entries
     assert digest(record) != digest(record[:-1])
@@ -105,6 +105,6 @@ def test_too_few_and_other_tasks_are_named(demos: Path) -> None:
         DemonstrationsError,
         match=r"at least 5 demonstrations of MoveToCorner \(Demo\), found 4.*MoveToRegion-Demo",
     ):
-        choose_demonstrations(str(demos), TASKS, 5, 0)
+        sample_demonstrations(str(demos), TASKS, 5, 0)
     with pytest.raises(DemonstrationsError, match=r"of FindDupe .*found 0"):
-        choose_demonstrations(str(demos), ("FindDupe",), 1, 0)
+        sample_demonstrations(str(demos), ("FindDupe",), 1, 0)

@@ -15,18 +15,24 @@ from magical.demos import Trajectory
 from magical.errors import InvalidConfigError
 from magical.evaluation import evaluate
 from magical.learning import train
-from magical.learning.algorithms.gail import GAILConfig, discriminator_loss, make_discriminator
+from magical.learning.algorithms.gail import (
+    DiscriminatorBatch,
+    DiscriminatorTrainer,
+    GAILConfig,
+    gail_loss,
+    gail_reward,
+    make_discriminator,
+)
 from magical.learning.algorithms.wgail_gp import (
     WGAILGPConfig,
     critic_loss,
+    critic_reward,
     gradient_penalty,
     interpolate,
 )
 from magical.learning.devices import Compute
-from magical.learning.discriminator import Pairs, Rival
 from magical.learning.expert_data import ExpertData
-from magical.learning.replay import Replay
-from magical.learning.reward_normalisation import RewardNormaliser
+from magical.learning.replay_buffer import ReplayBuffer
 from magical.observe import PRESETS
 from tests.learning.conftest import TASKS, picture_demo, write_demos
 from tests.learning.reinforcement import assert_same, checkpoint, tiny
@@ -46,8 +52,10 @@ class Linear(nn.Module):
         return logits
 
 
-def pairs(images: Tensor, actions: list[int]) -> Pairs:
-    return Pairs(images, torch.tensor(actions), torch.zeros(len(actions), dtype=torch.int64))
+def batch_of(images: Tensor, actions: list[int]) -> DiscriminatorBatch:
+    return DiscriminatorBatch(
+        images, torch.tensor(actions), torch.zeros(len(actions), dtype=torch.int64)
+    )
 
 
 def given(logits: list[float]) -> Any:
@@ -56,9 +64,9 @@ def given(logits: list[float]) -> Any:
 
 
 def test_discriminator_loss_by_hand() -> None:
-    batch = pairs(torch.zeros(4, 3, 1, 1), [0] * 4)
+    batch = batch_of(torch.zeros(4, 3, 1, 1), [0] * 4)
     answers = given([math.log(3.0), -1e-3, math.log(3.0), -20.0])  # expert, expert, novice, novice
-    loss, report = discriminator_loss(answers, batch, np.random.default_rng(0))
+    loss, report = gail_loss(answers, batch, np.random.default_rng(0))
     second = math.log(1 + math.exp(1e-3))  # -log sigmoid(-0.001)
     assert loss.item() == pytest.approx((math.log(4 / 3) + second + math.log(4)) / 4, abs=1e-6)
     assert report["discriminator_accuracy"].item() == 0.5
@@ -97,7 +105,7 @@ def test_gradient_penalty_against_finite_differences() -> None:
 def test_images_between_have_the_nearer_ones_action() -> None:
     half = 200
     images = torch.cat([torch.ones(half, 3, 1, 1), torch.zeros(half, 3, 1, 1)])
-    batch = pairs(images, [7] * half + [3] * half)
+    batch = batch_of(images, [7] * half + [3] * half)
     between, actions, tasks = interpolate(batch, np.random.default_rng(0))
     shares = between[:, 0, 0, 0]  # expert's images are ones
     assert torch.equal(actions == 7, shares > 0.5)
@@ -109,9 +117,9 @@ def test_images_between_have_the_nearer_ones_action() -> None:
 def test_critic_loss_by_hand() -> None:
     network: Any = Linear()
     images = torch.stack([torch.full((6, 1, 1), value) for value in (1.0, 2.0, 0.0, 0.5)])
-    batch = pairs(images, [0, 0, 0, 0])
+    batch = batch_of(images, [0, 0, 0, 0])
     total = 3.0  # of the weights: logits are 3, 6, 0, 1.5
-    loss, report = critic_loss(network, batch, np.random.default_rng(0), weight=10.0)
+    loss, report = critic_loss(network, batch, np.random.default_rng(0), penalty_weight=10.0)
     norm = torch.linspace(-1.0, 2.0, 6).norm().item()
     distance = (1.5 - 0.25) * total
     assert report["wasserstein_distance"].item() == pytest.approx(distance)
@@ -121,26 +129,26 @@ def test_critic_loss_by_hand() -> None:
     assert network.training
 
 
-def rival(
-    trajectories: list[Trajectory], to_reward: Callable[[Tensor], Tensor] = lambda logits: logits
-) -> Rival:
-    config = tiny(GAILConfig, tasks=TASKS, demos="")
+def trainer(
+    trajectories: list[Trajectory], reward: Callable[[Tensor], Tensor] = critic_reward
+) -> tuple[DiscriminatorTrainer, ReplayBuffer]:
+    config = tiny(
+        GAILConfig,
+        tasks=TASKS,
+        demos="",
+        discriminator_learning_rate=1e-3,
+        discriminator_batch_size=12,
+        discriminator_steps=1,
+        augment="none",
+    )
     expert = ExpertData(
         [(task, t) for task in TASKS for t in trajectories if task in t.env_id],
         TASKS,
         PRESETS["LoRes4E"],
     )
-    return Rival(
-        make_discriminator(config),
-        expert,
-        Replay(2, np.array([0, 1])),
-        RewardNormaliser(2, 0.1),
-        loss=discriminator_loss,
-        to_reward=to_reward,
-        learning_rate=1e-3,
-        augmentations="none",
-        compute=Compute("cpu", "float32"),
-    )
+    replay_buffer, compute = ReplayBuffer(2, np.array([0, 1])), Compute("cpu", "float32")
+    subject = DiscriminatorTrainer(config, expert, replay_buffer, compute, gail_loss, reward)
+    return subject, replay_buffer
 
 
 def novice(steps: int = 4) -> Any:
@@ -155,13 +163,13 @@ def novice(steps: int = 4) -> Any:
 
 
 def test_rewards_are_the_evaluated_discriminators(trajectories: list[Trajectory]) -> None:
-    subject, samples = rival(trajectories, nn.functional.logsigmoid), novice()
+    (subject, _), rollout = trainer(trajectories, gail_reward), novice()
     before = {name: tensor.clone() for name, tensor in subject.network.state_dict().items()}
-    rewards, statistics = subject.rewards(samples)
+    rewards, statistics = subject.rewards(rollout)
     network = subject.network.eval()
-    images = samples.observations.flatten(0, 1).permute(0, 3, 1, 2) / 255.0
+    images = rollout.observations.flatten(0, 1).permute(0, 3, 1, 2) / 255.0
     with torch.no_grad():
-        logits = network(images, samples.actions.flatten(), torch.tensor([0, 1] * 4))
+        logits = network(images, rollout.actions.flatten(), torch.tensor([0, 1] * 4))
     raw = logits.sigmoid().log().view(4, 2)
     assert statistics["raw_reward"] == pytest.approx(raw.mean().item(), abs=1e-5)
     scaled = (raw - raw.mean(dim=0)) / raw.std(dim=0, correction=0).clamp(min=1e-3) * 0.1
@@ -170,23 +178,24 @@ def test_rewards_are_the_evaluated_discriminators(trajectories: list[Trajectory]
 
 
 def test_batches_are_half_expert_half_novice(trajectories: list[Trajectory]) -> None:
-    subject, samples = rival(trajectories), novice()
-    subject.remember(samples)
-    batch = subject.draw(6, np.random.default_rng(0))
+    (subject, replay_buffer), rollout = trainer(trajectories), novice()
+    replay_buffer.add(rollout.observations, rollout.actions)
+    batch = subject.sample_batch(np.random.default_rng(0))
     assert batch.images.shape == (12, 12, 96, 96)
     assert batch.tasks.tolist() == [0, 0, 0, 1, 1, 1] * 2
-    seen = samples.observations.flatten(0, 1).permute(0, 3, 1, 2) / 255.0
+    seen = rollout.observations.flatten(0, 1).permute(0, 3, 1, 2) / 255.0
     ours = [bool((seen - image).abs().amax(dim=(1, 2, 3)).min() < 1e-6) for image in batch.images]
     assert ours == [False] * 6 + [True] * 6
 
 
-def test_discriminator_learns(trajectories: list[Trajectory]) -> None:
-    subject = rival(trajectories)
-    subject.remember(novice())
+def test_the_discriminator_is_trained(trajectories: list[Trajectory]) -> None:
+    (subject, replay_buffer), rollout = trainer(trajectories), novice()
+    replay_buffer.add(rollout.observations, rollout.actions)
     rng = np.random.default_rng(0)
-    first = subject.learn(1, 12, rng)["discriminator_loss"]
-    assert subject.learn(20, 12, rng)["discriminator_accuracy"] > 0.8  # type: ignore[operator]
-    assert subject.learn(1, 12, rng)["discriminator_loss"] < first  # type: ignore[operator]
+    metrics = [subject.train(rng) for _ in range(22)]
+    accuracies = [float(row["discriminator_accuracy"]) for row in metrics[1:21]]
+    assert np.mean(accuracies) > 0.8
+    assert float(metrics[21]["discriminator_loss"]) < float(metrics[0]["discriminator_loss"])
 
 
 @pytest.mark.parametrize(
@@ -215,7 +224,7 @@ def test_resumed_runs_are_bit_equal(
 def test_paper_preset_for_three_iterations(
     tmp_path: Path, kind: type[GAILConfig], tasks: tuple[str, ...]
 ) -> None:
-    """The published networks and settings, on a few worlds: run, resumed, evaluated."""
+    """The published networks and settings, in a few environments: run, resumed, evaluated."""
     data = write_demos(tmp_path / "data", [picture_demo(task, 0) for task in tasks])
     config = tiny(
         kind,
@@ -233,10 +242,10 @@ def test_paper_preset_for_three_iterations(
     scores = evaluate(trained.policy(), ids, rollouts=1, workers=0, horizon=2)
     assert [score.env_id for score in scores] == ids
     if len(tasks) > 1:
-        statistics = checkpoint(tmp_path / "run")["rival"]["reward_statistics"]
+        statistics = checkpoint(tmp_path / "run")["discriminator"]["reward_statistics"]
         assert (
             statistics["count"].tolist() == [6.0] * 3
-        )  # one world of each, two steps, three times
+        )  # one environment of each, two steps, three times
 
 
 def test_paper_settings_are_table_4s() -> None:

@@ -1,20 +1,18 @@
-"""Layer sizes of Fig. 11, batch norm, action input, task heads."""
+"""Architectures (layer sizes of Fig. 11, batch norm), trunks and task-specific last layers."""
 
 import pytest
 import torch
 from torch import nn
 
 from magical.errors import UnknownNameError
-from magical.learning.networks import (
-    WIDTHS,
+from magical.learning.models import (
     ActorCritic,
     Discriminator,
     PolicyNetwork,
-    StateTrunk,
     TaskLinear,
     Trunk,
-    get_width,
 )
+from magical.learning.networks import find_network, network_names
 
 IMAGE = (12, 96, 96)
 
@@ -23,38 +21,66 @@ def images(batch: int = 3) -> torch.Tensor:
     return torch.rand(batch, *IMAGE, generator=torch.Generator().manual_seed(0))
 
 
+def _convolutions(trunk: Trunk) -> list[nn.Module]:
+    assert trunk.convolutions is not None
+    return list(trunk.convolutions.children())
+
+
+@pytest.mark.parametrize("batch_norm", [False, True])
+@pytest.mark.parametrize("network", network_names())
+def test_every_architecture_makes_trunks_of_images_and_of_vectors(
+    network: str, batch_norm: bool
+) -> None:
+    hidden = find_network(network).HIDDEN
+    actions = torch.tensor([0, 1, 2])
+    for shape in (IMAGE, (27,)):
+        trunk = Trunk(network, shape, batch_norm=batch_norm, action_input=True, num_features=7)
+        features = trunk(torch.rand(3, *shape), actions)
+        assert features.shape == (3, trunk.num_features) == (3, 7)
+        assert Trunk(network, shape).num_features == hidden[-1]
+
+
+@pytest.mark.parametrize("network", network_names())
+def test_measuring_the_convolutions_leaves_batch_norm_untouched(network: str) -> None:
+    norms = [
+        m for m in Trunk(network, IMAGE, batch_norm=True).modules() if isinstance(m, nn.BatchNorm2d)
+    ]
+    assert norms
+    assert all(norm.training and norm.num_batches_tracked == 0 for norm in norms)
+
+
 def test_paper_trunk_has_the_sizes_of_figure_11() -> None:
-    trunk = Trunk(WIDTHS["paper"], IMAGE)
+    trunk = Trunk("paper", IMAGE)
     shapes = []
     x = images(1)
-    for layer in trunk.convolutions:
+    for layer in _convolutions(trunk):
         x = layer(x)
         if isinstance(layer, nn.Conv2d):
             shapes.append(tuple(x.shape[1:]))
     assert shapes == [(64, 96, 96), (128, 48, 48), (128, 24, 24), (128, 12, 12), (128, 6, 6)]
-    assert x.shape == (1, 4608)
+    assert x.flatten(1).shape == (1, 4608)
     sizes = [(m.in_features, m.out_features) for m in trunk.linear if isinstance(m, nn.Linear)]
     assert sizes == [(4608, 256), (256, 256)]
-    kernels = [m.kernel_size for m in trunk.convolutions if isinstance(m, nn.Conv2d)]
+    kernels = [m.kernel_size for m in _convolutions(trunk) if isinstance(m, nn.Conv2d)]
     assert kernels == [(5, 5), *[(3, 3)] * 4]
 
 
-@pytest.mark.parametrize("width", WIDTHS)
-def test_batch_norm_follows_relu_and_replaces_the_bias(width: str) -> None:
-    layers = list(Trunk(WIDTHS[width], IMAGE, batch_norm=True).convolutions)[:-1]
+@pytest.mark.parametrize("network", ["light", "paper", "small"])
+def test_batch_norm_follows_relu_and_replaces_the_bias(network: str) -> None:
+    layers = list(find_network(network).make_convolutions(12, batch_norm=True).children())
     kinds = [type(layer) for layer in layers]
     assert kinds == [nn.Conv2d, nn.ReLU, nn.BatchNorm2d] * (len(kinds) // 3)
     assert all(m.bias is None for m in layers if isinstance(m, nn.Conv2d))
-    plain = list(Trunk(WIDTHS[width], IMAGE).convolutions)
+    plain = list(find_network(network).make_convolutions(12, batch_norm=False).children())
     assert all(m.bias is not None for m in plain if isinstance(m, nn.Conv2d))
     assert not any(isinstance(m, nn.BatchNorm2d) for m in plain)
 
 
 def test_small_network_costs_forty_million_multiply_adds() -> None:
-    trunk = Trunk(WIDTHS["small"], IMAGE)
+    trunk = Trunk("small", IMAGE)
     cost = 0
     x = images(1)
-    for layer in trunk.convolutions:
+    for layer in _convolutions(trunk):
         x = layer(x)
         if isinstance(layer, nn.Conv2d):
             cost += x[0].numel() * layer.weight[0].numel()
@@ -62,7 +88,7 @@ def test_small_network_costs_forty_million_multiply_adds() -> None:
 
 
 def test_convolutions_are_kept_channels_last() -> None:
-    first = next(m for m in Trunk(WIDTHS["small"], IMAGE).modules() if isinstance(m, nn.Conv2d))
+    first = next(m for m in Trunk("small", IMAGE).modules() if isinstance(m, nn.Conv2d))
     assert first.weight.is_contiguous(memory_format=torch.channels_last)
 
 
@@ -81,28 +107,29 @@ def test_each_task_has_a_last_layer_of_its_own() -> None:
 
 
 def test_policies_values_and_discriminators() -> None:
-    trunk = Trunk(WIDTHS["small"], IMAGE)
+    trunk = Trunk("small", IMAGE)
     tasks = torch.tensor([0, 1, 0])
     assert PolicyNetwork(trunk, 2)(images(), tasks).shape == (3, 18)
     critic = ActorCritic(trunk, 2)
-    logits, values = critic.both(images(), tasks)
+    logits, values = critic.logits_and_values(images(), tasks)
     assert (logits.shape, values.shape) == ((3, 18), (3,))
     assert torch.equal(critic(images(), tasks), logits)
-    vectors = ActorCritic(StateTrunk(27), 1)
-    assert vectors.both(torch.rand(3, 27), tasks)[1].shape == (3,)
+    vectors = ActorCritic(Trunk("paper", (27,)), 1)
+    assert vectors.logits_and_values(torch.rand(3, 27), tasks)[1].shape == (3,)
 
 
 def test_discriminator_sees_the_action_after_the_convolutions() -> None:
-    judge = Discriminator(WIDTHS["paper"], IMAGE, num_tasks=1).eval()
-    assert judge.trunk.linear[0].in_features == 4608 + 18
+    trunk = Trunk("paper", IMAGE, batch_norm=True, action_input=True)
+    discriminator = Discriminator(trunk, num_tasks=1).eval()
+    assert trunk.linear[0].in_features == 4608 + 18
     none = torch.zeros(3, dtype=torch.int64)
-    a = judge(images(), torch.tensor([0, 1, 2]), none)
-    b = judge(images(), torch.tensor([0, 1, 3]), none)
+    a = discriminator(images(), torch.tensor([0, 1, 2]), none)
+    b = discriminator(images(), torch.tensor([0, 1, 3]), none)
     assert a.shape == (3,)
     assert torch.equal(a[:2], b[:2])
     assert a[2] != b[2]
 
 
-def test_unknown_width() -> None:
+def test_unknown_network() -> None:
     with pytest.raises(UnknownNameError, match=r"'huge'.*paper, small"):
-        get_width("huge")
+        find_network("huge")

@@ -1,4 +1,4 @@
-"""Trained networks as policies, and runs loaded again."""
+"""TrainResult networks as policies, and runs loaded again."""
 
 import shutil
 from pathlib import Path
@@ -14,8 +14,8 @@ from magical.evaluation import Policy, evaluate
 from magical.learning import NetworkPolicy, is_run, load_policy, train
 from magical.learning.algorithms.bc import BCConfig
 from magical.learning.devices import Compute
-from magical.learning.runs import CHECKPOINT
 from magical.observe import PRESETS
+from magical.runs.folder import CHECKPOINT
 from tests.learning.conftest import TASKS
 
 CPU = Compute("cpu", "float32")

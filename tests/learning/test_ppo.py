@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,11 +14,12 @@ from magical.errors import DivergedError, InvalidConfigError, UnknownNameError
 from magical.evaluation import evaluate
 from magical.learning import load_policy, train
 from magical.learning.algorithms import ppo
-from magical.learning.algorithms.ppo import PPOConfig, make_policy, ppo_loss
-from magical.learning.batches import Batch
-from magical.learning.curves import PICTURE
-from magical.learning.rollout import Sampler, as_inputs
-from magical.learning.runs import METRICS, read_metrics
+from magical.learning.algorithms.ppo import PPOConfig, Samples, collect_rollout, ppo_loss
+from magical.learning.augment import to_unit
+from magical.learning.models import make_actor_critic
+from magical.learning.rollouts import RolloutEnvs
+from magical.runs import read_metrics
+from magical.runs.folder import METRICS
 from tests.learning.reinforcement import assert_same, checkpoint, tiny
 
 
@@ -27,9 +27,9 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(0)
 
 
-def batch(actions: list[int], log_probs: list[float], advantages: list[float]) -> Batch:
+def minibatch(actions: list[int], log_probs: list[float], advantages: list[float]) -> Samples:
     count = len(actions)
-    return Batch(
+    return Samples(
         torch.zeros(count, 1),
         torch.tensor(actions),
         torch.tensor(log_probs),
@@ -47,12 +47,12 @@ def test_loss_by_hand() -> None:
     half = math.log(0.5)
     values = torch.tensor([0.0, 3.0])  # squared errors 1 and 4
     entropy = -(0.8 * math.log(0.8) + 0.2 * math.log(0.2))
-    gains = batch([0, 1], [half, half], [2.0, 5.0])
+    gains = minibatch([0, 1], [half, half], [2.0, 5.0])
     loss, parts = ppo_loss(logits, values, gains, clip=0.1, entropy_bonus=0.01)
     policy = -(1.1 * 2.0 + 0.4 * 5.0) / 2  # the minimum: clipped above, not below
     assert loss.item() == pytest.approx(policy + 0.5 * 2.5 - 0.01 * entropy, abs=1e-6)
     assert parts.tolist() == pytest.approx([policy, 1.25, entropy, 1.0], abs=1e-6)
-    losses = batch([0, 1], [half, half], [-2.0, -5.0])
+    losses = minibatch([0, 1], [half, half], [-2.0, -5.0])
     _, parts = ppo_loss(logits, values, losses, clip=0.1, entropy_bonus=0.0)
     assert parts[0].item() == pytest.approx((1.6 * 2.0 + 0.9 * 5.0) / 2, abs=1e-6)
 
@@ -69,35 +69,35 @@ def scripted(value: float = 0.0, action: int = 1) -> Any:
 
 
 @pytest.mark.parametrize("bootstrap", [False, True])
-def test_sampler_against_the_environment(bootstrap: bool) -> None:
+def test_rollouts_against_the_environment(bootstrap: bool) -> None:
     horizon = 40
     config = tiny(PPOConfig, observation="state", time_steps=horizon + 2, bootstrap=bootstrap)
-    with Sampler(config, "cpu", "dense") as sampler:
-        sampler.begin()
-        samples = sampler.collect(scripted(value=0.25), rng())
-        states = [sampler.envs.get_state(row) for row in range(3)]
-    assert samples.actions.eq(1).all()
-    assert samples.log_probs.eq(0).all()
-    assert samples.ended.any(dim=1).nonzero().tolist() == [[horizon - 1]]
-    assert len(samples.scores) == 3
+    with RolloutEnvs(config, "cpu", "dense") as envs:
+        envs.reset()
+        rollout = collect_rollout(envs, scripted(value=0.25), config, rng())
+        states = [envs.envs.get_state(row) for row in range(3)]
+    assert rollout.actions.eq(1).all()
+    assert rollout.log_probs.eq(0).all()
+    assert rollout.dones.any(dim=1).nonzero().tolist() == [[horizon - 1]]
+    assert len(rollout.scores) == 3
     at_end = 0.25 if bootstrap else 0.0
-    assert samples.next_values[horizon - 1].tolist() == [at_end] * 3
-    assert samples.next_values[:-3].eq(0.25).all()
+    assert rollout.next_values[horizon - 1].tolist() == [at_end] * 3
+    assert rollout.next_values[:-3].eq(0.25).all()
     assert [len(state["actions"]) for state in states] == [2, 2, 2]
     env = MagicalVectorEnv(["magical/MoveToRegion-Demo-v0"], 0, "state", reward="dense")
     shown, _ = env.reset(seed=0)
     for t in range(horizon):  # Demo has one scene: all episodes are alike
-        np.testing.assert_array_equal(samples.observations[t].numpy(), np.repeat(shown, 3, 0))
+        np.testing.assert_array_equal(rollout.observations[t].numpy(), np.repeat(shown, 3, 0))
         shown, rewards, *_ = env.step(np.array([1]))
-        np.testing.assert_allclose(samples.rewards[t].numpy(), rewards.repeat(3), rtol=1e-6)
+        np.testing.assert_allclose(rollout.rewards[t].numpy(), rewards.repeat(3), rtol=1e-6)
     env.close()
 
 
-def test_worlds_begin_at_different_moments() -> None:
+def test_environments_start_at_different_times() -> None:
     config = tiny(PPOConfig, observation="state", num_envs=8, decorrelate=True)
-    with Sampler(config, "cpu") as sampler:
-        sampler.begin()
-        steps = [len(sampler.envs.get_state(row)["actions"]) for row in range(8)]
+    with RolloutEnvs(config, "cpu") as envs:
+        envs.reset()
+        steps = [len(envs.envs.get_state(row)["actions"]) for row in range(8)]
     assert max(steps) < 40
     assert len(set(steps)) > 4
 
@@ -140,12 +140,10 @@ def test_learns_from_states(tmp_path: Path) -> None:
     assert len(scores) == 4
 
 
-def test_run_folder_and_evaluation(tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib", reason="the picture needs the extra report")
+def test_evaluations_are_logged(tmp_path: Path) -> None:
     config = tiny(PPOConfig, observation="state", evaluate_every=1, evaluation_rollouts=2)
     trained = train(config, tmp_path / "run")
     assert {"evaluation_score", "entropy", "sample_seconds"} < trained.metrics.keys()
-    assert (tmp_path / "run" / PICTURE).read_bytes()[:4] == b"\x89PNG"
     assert load_policy(tmp_path / "run").observation == "state"
 
 
@@ -155,14 +153,14 @@ def test_paper_settings_are_table_4s() -> None:
     assert (config.minibatch_size, config.learning_rate, config.clip) == (64, 6e-5, 0.01)
     assert (config.discount, config.gae_lambda, config.entropy_bonus) == (0.8, 0.8, 1e-5)
     assert (config.max_grad_norm, config.total_steps, config.updates) == (1.0, 10**6, 3906)
-    assert config.first_weights == "torch"
+    assert config.init == "torch"
     assert (config.bootstrap, config.normalise_advantages, config.anneal) == (False, False, True)
-    network = make_policy(config)
+    network = make_actor_critic(config)
     assert not any(isinstance(m, torch.nn.BatchNorm2d) for m in network.modules())
     assert [type(m).__name__ for m in network.trunk.modules()].count("Conv2d") == 5
 
 
-def test_step_size_and_clip_range_fall_to_zero(
+def test_learning_rate_and_clip_range_are_annealed_to_0(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: list[float] = []
@@ -175,35 +173,39 @@ def test_step_size_and_clip_range_fall_to_zero(
     config = tiny(PPOConfig, observation="state", clip=0.3, learning_rate=0.9, minibatch_size=6)
     train(config, tmp_path / "run")
     assert seen == pytest.approx([0.3, 0.2, 0.1])
-    (group,) = checkpoint(tmp_path / "run")["learner"]["optimizer"]["param_groups"]
+    (group,) = checkpoint(tmp_path / "run")["ppo"]["optimizer"]["param_groups"]
     assert group["lr"] == pytest.approx(0.3)
 
 
-def test_collapse_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[Any] = []
-    progress = SimpleNamespace(update=lambda step, total, metrics: told.append(metrics))
-    monkeypatch.setattr("magical.learning.collapse.PATIENCE", 5)
+def test_a_collapse_is_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    logged: list[Any] = []
+
+    def callback(step: int, metrics: Any) -> None:
+        logged.append(metrics)
+
+    monkeypatch.setattr("magical.learning.monitoring.COLLAPSE_UPDATES", 5)
     monkeypatch.setattr(
-        "magical.learning.rollout.choose",
-        lambda logits, draws: (torch.full((3,), 5), torch.zeros(3)),
+        ppo,
+        "sample_actions",
+        lambda logits, uniforms: (torch.full((3,), 5), torch.zeros(3)),
     )
     config = tiny(PPOConfig, observation="state", total_steps=6 * 6)
-    train(config, tmp_path / "run", stop_after=4, progress=progress)
-    assert "warning" not in told[-1]
-    train(config, tmp_path / "run", resume=True, progress=progress)  # what was seen is kept
-    assert told[-2]["warning"] == "one action for 5 updates"
+    train(config, tmp_path / "run", stop_after=4, callback=callback)
+    assert "warning" not in logged[-1]
+    train(config, tmp_path / "run", resume=True, callback=callback)  # counts are kept
+    assert logged[-2]["warning"] == "one action for 5 updates"
     assert read_metrics(tmp_path / "run")[-1]["warning"] == "one action for 6 updates"
 
 
-def test_divergence_is_said_and_keeps_the_checkpoint(tmp_path: Path) -> None:
+def test_divergence_is_an_error_and_keeps_the_checkpoint(tmp_path: Path) -> None:
     config = tiny(PPOConfig, observation="state", checkpoint_every=1)
     train(config, tmp_path / "run", stop_after=1)
     before = checkpoint(tmp_path / "run")
-    network = make_policy(config)
+    network = make_actor_critic(config)
     broken = {name: torch.full_like(w, 1e38) for name, w in network.state_dict().items()}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(torch.nn.Module, "load_state_dict", lambda self, tree: None)
-        patch.setattr(ppo, "make_policy", lambda config: _loaded(network, broken))
+        patch.setattr(ppo, "make_actor_critic", lambda config: _loaded(network, broken))
         with pytest.raises(DivergedError, match="not finite"):
             train(config, tmp_path / "run", resume=True)
     assert_same(before, checkpoint(tmp_path / "run"))
@@ -245,18 +247,19 @@ def test_no_dense_reward(tmp_path: Path) -> None:
         train(tiny(PPOConfig, tasks=("MakeLine",)), tmp_path / "run")
 
 
-def test_centred_first_weights_tell_frames_apart() -> None:
-    with Sampler(tiny(PPOConfig, num_envs=8, decorrelate=True), "cpu") as sampler:
-        sampler.begin()
-        frames = sampler.collect(scripted(), rng()).observations[0]
+def test_the_centred_init_tells_frames_apart() -> None:
+    config = tiny(PPOConfig, num_envs=8, decorrelate=True)
+    with RolloutEnvs(config, "cpu") as envs:
+        envs.reset()
+        frames = collect_rollout(envs, scripted(), config, rng()).observations[0]
     spreads = {}
-    for first_weights in ("torch", "centred"):
-        network = make_policy(tiny(PPOConfig, first_weights=first_weights))
+    for init in ("torch", "centred"):
+        network = make_actor_critic(tiny(PPOConfig, init=init))
         with torch.no_grad():
-            images = as_inputs(frames)
-            spreads[first_weights] = network.trunk(images).std(dim=0).mean().item()
-            logits, _ = network.both(images, torch.zeros(8, dtype=torch.int64))
+            images = to_unit(frames)
+            spreads[init] = network.trunk(images).std(dim=0).mean().item()
+            logits, _ = network.logits_and_values(images, torch.zeros(8, dtype=torch.int64))
         assert logits.abs().max() < 0.3
     assert spreads["centred"] > 10 * spreads["torch"]
-    with pytest.raises(UnknownNameError, match="first_weights"):
-        tiny(PPOConfig, first_weights="zero")
+    with pytest.raises(UnknownNameError, match="init"):
+        tiny(PPOConfig, init="zero")

@@ -6,7 +6,7 @@ from itertools import count
 import pytest
 import torch
 
-from magical.learning.prefetch import prepared
+from magical.learning.prefetch import prefetch
 
 
 def alive() -> int:
@@ -15,7 +15,7 @@ def alive() -> int:
 
 @pytest.mark.parametrize("device", ["cpu", "cuda"])
 def test_batches_come_in_order(device: str) -> None:
-    with prepared(lambda n: n * n, range(20), device) as batches:
+    with prefetch(lambda n: n * n, range(20), device) as batches:
         assert list(batches) == [n * n for n in range(20)]
 
 
@@ -25,7 +25,7 @@ def test_errors_reach_the_learner_and_the_thread_ends() -> None:
             raise ValueError("no batch 3")
         return number
 
-    with prepared(make, range(9), "cpu") as batches:
+    with prefetch(make, range(9), "cpu") as batches:
         assert [next(batches) for _ in range(3)] == [0, 1, 2]
         with pytest.raises(ValueError, match="no batch 3"):
             next(batches)
@@ -33,14 +33,14 @@ def test_errors_reach_the_learner_and_the_thread_ends() -> None:
 
 
 def test_leaving_early_ends_the_thread() -> None:
-    with prepared(lambda n: n, count(), "cpu") as batches:
+    with prefetch(lambda n: n, count(), "cpu") as batches:
         assert next(batches) == 0
     assert alive() == 0
 
 
 def test_the_thread_computes_alone_and_the_learner_keeps_its_cores() -> None:
     torch.set_num_threads(2)
-    with prepared(lambda _: torch.get_num_threads(), range(2), "cpu") as batches:
+    with prefetch(lambda _: torch.get_num_threads(), range(2), "cpu") as batches:
         assert list(batches) == [1, 1]
         assert torch.get_num_threads() == 2
     assert torch.get_num_threads() == 2

@@ -12,7 +12,7 @@ from magical.demos import Trajectory, observations
 from magical.envs import EnvId
 from magical.errors import DemonstrationsError
 from magical.experts import expert_for
-from magical.learning.supervision import LABELS, Supervision, relabelled
+from magical.learning.supervision import LABELS, LabelledEpisodes, relabel
 from magical.physics import Simulation
 from magical.scene import Poses, State
 
@@ -42,9 +42,9 @@ class Stubborn:
 
 def collect(share: float, seed: int = 0, workers: int = 0) -> tuple[list[Trajectory], Stubborn]:
     policy = Stubborn()
-    with Supervision(ENV_IDS, "LoRes4E", workers) as worlds:
+    with LabelledEpisodes(ENV_IDS, "LoRes4E", workers) as episodes:
         rng = np.random.default_rng(seed)
-        return worlds.collect(policy, share, rng, round=3), policy
+        return episodes.collect(policy, share, rng, round=3), policy
 
 
 def labels_of(trajectory: Trajectory) -> NDArray[np.int64]:
@@ -53,18 +53,18 @@ def labels_of(trajectory: Trajectory) -> NDArray[np.int64]:
 
 def expert_on(trajectory: Trajectory) -> tuple[list[int], NDArray[np.float64]]:
     """The expert's labels along an episode that is simulated again, and the episode's poses."""
-    world = Simulation(trajectory.scene, trajectory.dynamics)
+    simulation = Simulation(trajectory.scene, trajectory.dynamics)
     expert, memory = expert_for(trajectory.task.name, seed=trajectory.seed), None
-    labels, poses = [], [world.read()[:, :3].copy()]
+    labels, poses = [], [simulation.read()[:, :3].copy()]
     for step, action in enumerate(trajectory.actions.tolist()):
-        table = world.read().copy()
+        table = simulation.read().copy()
         state = State(
             trajectory.scene, Poses(table[:, :3]), table[:, 3:], step, trajectory.task.horizon
         )
         label, memory = expert.act(state, memory)
         labels.append(label)
-        world.step(action)
-        poses.append(world.read()[:, :3].copy())
+        simulation.step(action)
+        poses.append(simulation.read()[:, :3].copy())
     return labels, np.stack(poses)
 
 
@@ -84,10 +84,8 @@ def test_what_is_learned_from_is_what_the_learner_saw() -> None:
     for row, trajectory in enumerate(trajectories):
         steps = len(trajectory)
         saw = np.stack(policy.shown)[:steps, row]
-        assert np.array_equal(
-            np.asarray(observations(relabelled(trajectory), "LoRes4E"))[:steps], saw
-        )
-        assert np.array_equal(relabelled(trajectory).actions, labels_of(trajectory))
+        assert np.array_equal(np.asarray(observations(relabel(trajectory), "LoRes4E"))[:steps], saw)
+        assert np.array_equal(relabel(trajectory).actions, labels_of(trajectory))
 
 
 def test_the_share_says_whose_actions_are_taken() -> None:
@@ -125,4 +123,4 @@ def test_labels_that_do_not_fit_are_named(labels: Any) -> None:
     trajectory = collect(1.0)[0][0]
     damaged = replace(trajectory, metadata={LABELS: labels} if labels is not None else {})
     with pytest.raises(DemonstrationsError, match="expected 40 actions in the metadata"):
-        relabelled(damaged)
+        relabel(damaged)

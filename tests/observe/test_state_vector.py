@@ -1,4 +1,4 @@
-"""The state vector says what its layout documents."""
+"""The state vector has the documented layout."""
 
 import math
 
@@ -23,9 +23,9 @@ def _named(vector: np.ndarray) -> dict[str, float]:
 
 
 def test_layout() -> None:
-    world = Simulation(SCENE)
+    simulation = Simulation(SCENE)
     observer = SPEC.observer()
-    observer.start(SCENE, world.read())
+    observer.start(SCENE, simulation.read())
     entries = _named(observer.out)
     expected = {
         "robot.x": 0.1, "robot.y": 0.2, "robot.cos": math.cos(0.3), "robot.sin": math.sin(0.3),
@@ -40,17 +40,17 @@ def test_layout() -> None:
 
 
 def test_velocities_and_finger_motion() -> None:
-    world = Simulation(SCENE)
+    simulation = Simulation(SCENE)
     observer = SPEC.observer()
-    observer.start(SCENE, world.read())
-    world.step(13)  # forward-left-closed
-    table = world.read()
-    observer.update(table)
+    observer.start(SCENE, simulation.read())
+    simulation.step(13)  # forward-left-closed
+    bodies = simulation.read()
+    observer.update(bodies)
     entries = _named(observer.out)
-    assert entries["robot.velocity_x"] == pytest.approx(table[0, 3], abs=1e-6)
-    assert entries["robot.angular_velocity"] == pytest.approx(table[0, 5], abs=1e-6)
-    assert entries["robot.left_angle"] == pytest.approx(table[1, 2] - table[0, 2], abs=1e-6)
-    assert entries["robot.right_velocity"] == pytest.approx(table[2, 5] - table[0, 5], abs=1e-6)
+    assert entries["robot.velocity_x"] == pytest.approx(bodies[0, 3], abs=1e-6)
+    assert entries["robot.angular_velocity"] == pytest.approx(bodies[0, 5], abs=1e-6)
+    assert entries["robot.left_angle"] == pytest.approx(bodies[1, 2] - bodies[0, 2], abs=1e-6)
+    assert entries["robot.right_velocity"] == pytest.approx(bodies[2, 5] - bodies[0, 5], abs=1e-6)
     assert entries["robot.left_angle"] < math.pi / 8
 
 
@@ -60,7 +60,7 @@ def test_too_many_blocks() -> None:
         SPEC.observer().start(crowded, Simulation(crowded).read())
 
 
-def test_writes_where_it_is_told() -> None:
+def test_writes_into_the_given_array() -> None:
     out = np.full(SPEC.size, 7, np.float32)
     SPEC.observer(out).start(SCENE, Simulation(SCENE).read())
     assert out[0] == np.float32(0.1)

@@ -1,4 +1,4 @@
-"""The world: faithful construction, control law, reading of bodies."""
+"""The simulation: construction, control law, reading of bodies."""
 
 import math
 
@@ -23,11 +23,11 @@ SCENE = Scene(
 
 
 @pytest.mark.parametrize("robot_first", [False, True])
-def test_poses_start_as_the_scene_says(robot_first: bool) -> None:
+def test_initial_poses_are_the_scenes(robot_first: bool) -> None:
     scene = Scene(SCENE.robot, SCENE.blocks, robot_first=robot_first)
-    world = Simulation(scene)
-    assert np.array_equal(world.poses().bodies, Poses.at_rest(scene).bodies)
-    assert not world.velocities().any()
+    simulation = Simulation(scene)
+    assert np.array_equal(simulation.poses().bodies, Poses.at_rest(scene).bodies)
+    assert not simulation.velocities().any()
 
 
 def test_finger_moments_are_the_published_ones() -> None:
@@ -36,14 +36,14 @@ def test_finger_moments_are_the_published_ones() -> None:
     assert right.moment == pytest.approx(0.004983, abs=5e-7)
 
 
-def test_same_actions_same_bits() -> None:
+def test_the_same_actions_give_bit_equal_poses() -> None:
     actions = np.random.default_rng(0).integers(18, size=200)
     tables: list[np.ndarray] = []
     for _ in range(2):
-        world = Simulation(SCENE, Dynamics.sample(np.random.default_rng(1)))
+        simulation = Simulation(SCENE, Dynamics.sample(np.random.default_rng(1)))
         for action in actions:
-            world.step(int(action))
-        tables.append(world.read())
+            simulation.step(int(action))
+        tables.append(simulation.read())
     assert np.array_equal(tables[0], tables[1])
 
 
@@ -58,7 +58,7 @@ def _steer_plainly(robot: Robot, speed: float, lead: float, target: float) -> No
         motor.rate = 0.0 if abs(rate) < 1e-4 else rate
 
 
-def test_fast_control_law_equals_the_plain_one() -> None:
+def test_the_fast_control_law_equals_the_plain_one() -> None:
     fast, plain = Simulation(SCENE), Simulation(SCENE)
     plain._robot.steer = lambda *command: _steer_plainly(plain._robot, *command)
     for action in np.random.default_rng(2).integers(18, size=120):
@@ -97,21 +97,21 @@ def test_every_dynamics_parameter_matters(field: str) -> None:
     actions = [Action(Longitudinal.FORWARD, Turn.LEFT, Gripper.CLOSED).id] * 8
     tables: list[np.ndarray] = []
     for dynamics in (Dynamics(), Dynamics(**{field: 0.5 * getattr(Dynamics(), field)})):
-        world = Simulation(scene, dynamics)
+        simulation = Simulation(scene, dynamics)
         for action in actions:
-            world.step(action)
-        tables.append(world.read())
+            simulation.step(action)
+        tables.append(simulation.read())
     assert not np.allclose(tables[0], tables[1], atol=1e-6)
 
 
-def test_walls_hold() -> None:
-    world = Simulation(Scene(Pose(0, 0.5, 0)))
+def test_the_robot_cannot_leave_through_a_wall() -> None:
+    simulation = Simulation(Scene(Pose(0, 0.5, 0)))
     for _ in range(40):
-        world.step(Action(Longitudinal.FORWARD).id)
-    assert world.poses().robot.y < 0.85
+        simulation.step(Action(Longitudinal.FORWARD).id)
+    assert simulation.poses().robot.y < 0.85
 
 
-def test_many_worlds_leave_no_memory_behind() -> None:
+def test_simulations_free_their_memory() -> None:
     resource = pytest.importorskip(
         "resource", reason="peak memory is read through the resource module"
     )

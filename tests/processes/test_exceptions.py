@@ -54,7 +54,7 @@ def test_a_class_is_known_by_its_module_too() -> None:
     [
         ("foreign", "Odd: 1, <function"),
         ("mute", "Mute: text"),
-        ("group", "ExceptionGroup: several, [ValueError('a'), TypeError('b')]"),
+        ("group", "ExceptionGroup: several, [<ValueError>, <TypeError>]"),
         ("unicode", "UnicodeDecodeError: utf-8, b'\\xff', 0, 1, invalid start byte"),
     ],
 )
@@ -68,8 +68,8 @@ def test_texts_are_of_bounded_length() -> None:
     huge = sent(raised(work.raise_error, "huge"))
     assert type(huge) is ValueError
     assert huge.args[0].startswith("xxx")
-    assert "(49996000 characters left out)" in huge.args[0]
-    assert huge.args[1] == "(int that cannot be printed)"
+    assert "(49998000 characters left out)" in huge.args[0]
+    assert huge.args[1] == "<integer of 16610 bits>"
     assert len(str(huge.__cause__)) < 25_000
     assert len(sent(raised(work.raise_error, "many")).args) == 10
 

@@ -31,9 +31,11 @@ def test_every_published_environment_is_recorded(recorded: Recorded) -> None:
 
 def test_recorded_scenes_keep_the_rules(recorded: Recorded) -> None:
     for env, rows in recorded.items():
-        task, variant, _ = parse_env_id(env)
+        env_id = parse_env_id(env)
         for row in rows:
-            check_placement(get_task(task), variant, Scene.from_dict(row), RECORDED_ROUNDING)
+            check_placement(
+                get_task(env_id.task), env_id.variant, Scene.from_dict(row), RECORDED_ROUNDING
+            )
 
 
 @pytest.mark.parametrize("name", ["FindDupe", "FixColour"])

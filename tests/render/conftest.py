@@ -1,4 +1,4 @@
-"""Scenes to draw, and the slow reference drawing."""
+"""Scenes to render, and the slow reference renderer."""
 
 import importlib.util
 from collections.abc import Callable
@@ -15,21 +15,21 @@ Case = tuple[Scene, Poses]
 
 
 @pytest.fixture(scope="session")
-def reference_draw() -> Callable[..., NDArray[np.uint8]]:
-    """`draw(scene, poses, view, size, samples)` of the slow reference drawing."""
-    path = Path(__file__).with_name("reference_drawing.py")
-    spec = importlib.util.spec_from_file_location("reference_drawing", path)
+def reference_render() -> Callable[..., NDArray[np.uint8]]:
+    """`render(scene, poses, view, size, samples)` of the slow reference renderer."""
+    path = Path(__file__).with_name("reference_renderer.py")
+    spec = importlib.util.spec_from_file_location("reference_renderer", path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    draw: Callable[..., NDArray[np.uint8]] = module.draw
-    return draw
+    render: Callable[..., NDArray[np.uint8]] = module.render
+    return render
 
 
 @pytest.fixture(scope="session")
 def random_case() -> Callable[[Any], Case]:
-    """A scene and poses drawn from a seed: overlapping, partly outside, any order."""
+    """A scene and poses sampled from a seed: overlapping, partly outside, any order."""
 
     def make(seed: int) -> Case:
         rng = np.random.default_rng(seed)

@@ -1,4 +1,4 @@
-"""What drawing promises whoever uses it."""
+"""The renderer's interface: layouts, purity, threads, errors."""
 
 import hashlib
 import subprocess
@@ -24,9 +24,9 @@ LAYOUTS: dict[str, Callable[[], Image]] = {
     "newest of a stack": lambda: np.zeros((96, 96, 12), np.uint8)[:, :, -3:],
     "channels first": lambda: np.zeros((12, 96, 96), np.uint8).transpose(1, 2, 0)[:, :, -3:],
     "part of a batch": lambda: np.zeros((5, 96, 96, 3), np.uint8)[2],
-    "every other pixel": lambda: np.zeros((192, 192, 3), np.uint8)[::2, ::2],
+    "strided": lambda: np.zeros((192, 192, 3), np.uint8)[::2, ::2],
     "upside down": lambda: np.zeros((96, 96, 3), np.uint8)[::-1, ::-1],
-    "column by column": lambda: np.zeros((96, 96, 3), np.uint8, order="F"),
+    "Fortran order": lambda: np.zeros((96, 96, 3), np.uint8, order="F"),
 }
 
 
@@ -38,7 +38,7 @@ def test_any_layout(layout: str, view: View, case: Case) -> None:
     np.testing.assert_array_equal(out, render_frame(*case, view))
 
 
-def test_draws_only_into_its_window(case: Case) -> None:
+def test_renders_only_into_its_window(case: Case) -> None:
     stack = np.full((96, 96, 12), 77, np.uint8)
     Renderer(case[0], View.EGO).render(case[1].bodies, stack[:, :, 3:6])
     assert (stack[:, :, :3] == 77).all()
@@ -63,34 +63,34 @@ def test_default_samples(case: Case) -> None:
 
 def test_a_pure_function_of_the_poses(random_case: Callable[[int], Case]) -> None:
     cases = [random_case(seed) for seed in range(6)]
-    forms = [(view, size) for view in View for size in (96, 48)]
-    renderers = [(Renderer(s, v, n), p, n) for s, p in cases for v, n in forms]
-    first = [_drawn(*entry) for entry in renderers]
-    again = [_drawn(*entry) for entry in reversed(renderers)][::-1]
+    sizes = [(view, size) for view in View for size in (96, 48)]
+    renderers = [(Renderer(s, v, n), p, n) for s, p in cases for v, n in sizes]
+    first = [_rendered(*entry) for entry in renderers]
+    again = [_rendered(*entry) for entry in reversed(renderers)][::-1]
     for one, other in zip(first, again, strict=True):
         np.testing.assert_array_equal(one, other)
 
 
-def test_threads_do_not_disturb_each_other(random_case: Callable[[int], Case]) -> None:
+def test_threads_do_not_interfere(random_case: Callable[[int], Case]) -> None:
     cases = [random_case(seed) for seed in range(4)]
     renderers = [(Renderer(s, view), p) for s, p in cases for view in View]
-    expected = [_drawn(r, p, 96) for r, p in renderers]
+    expected = [_rendered(r, p, 96) for r, p in renderers]
 
-    def draw_often(renderer: Renderer, poses: Poses) -> list[Image]:
-        return [_drawn(renderer, poses, 96) for _ in range(300)]
+    def render_often(renderer: Renderer, poses: Poses) -> list[Image]:
+        return [_rendered(renderer, poses, 96) for _ in range(300)]
 
     interval = sys.getswitchinterval()
     sys.setswitchinterval(1e-6)
     try:
         with ThreadPoolExecutor(len(renderers)) as pool:
-            frames = list(pool.map(draw_often, *zip(*renderers, strict=True)))
+            frames = list(pool.map(render_often, *zip(*renderers, strict=True)))
     finally:
         sys.setswitchinterval(interval)
-    for drawn, one in zip(frames, expected, strict=True):
-        assert all((frame == one).all() for frame in drawn)
+    for rendered, one in zip(frames, expected, strict=True):
+        assert all((frame == one).all() for frame in rendered)
 
 
-def _drawn(renderer: Renderer, poses: Poses, size: int) -> Image:
+def _rendered(renderer: Renderer, poses: Poses, size: int) -> Image:
     out = np.empty((size, size, 3), np.uint8)
     renderer.render(poses.bodies, out)
     return out
@@ -162,7 +162,7 @@ def test_bodies_may_have_velocities_and_be_read_only(case: Case) -> None:
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -1e9])
 @pytest.mark.parametrize("place", [(0, 0), (2, 1), (6, 2)])
-def test_poses_that_cannot_be(value: float, place: tuple[int, int], case: Case) -> None:
+def test_poses_out_of_range(value: float, place: tuple[int, int], case: Case) -> None:
     bodies = case[1].bodies.copy()
     bodies[place] = value
     for view in View:
@@ -170,7 +170,7 @@ def test_poses_that_cannot_be(value: float, place: tuple[int, int], case: Case) 
             Renderer(case[0], view).render(bodies, np.empty((96, 96, 3), np.uint8))
 
 
-def test_arrays_that_do_not_fit(case: Case) -> None:
+def test_arrays_of_other_shapes_and_types(case: Case) -> None:
     scene, poses = case
     renderer, out = Renderer(scene, "allo"), np.empty((96, 96, 3), np.uint8)
     for bodies in (poses.bodies[:-1], poses.bodies[:, :2]):
@@ -189,7 +189,7 @@ def test_arrays_that_do_not_fit(case: Case) -> None:
 
 
 @pytest.mark.parametrize(("size", "samples"), [(0, 1), (-4, None), (96, 3), (96, 0), (9.5, 1)])
-def test_forms_that_cannot_be_drawn(size: Any, samples: int | None, case: Case) -> None:
+def test_invalid_sizes_and_samples(size: Any, samples: int | None, case: Case) -> None:
     with pytest.raises(RenderError, match="samples"):
         Renderer(case[0], "ego", size, samples)
 

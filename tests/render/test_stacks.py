@@ -1,4 +1,4 @@
-"""Moving frame stacks on."""
+"""Shifting frame stacks."""
 
 from collections.abc import Callable
 
@@ -41,7 +41,7 @@ def test_shift(make: Callable[[int, int], Image], channels: int) -> None:
 
 @pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
 @pytest.mark.parametrize("view", list(View))
-def test_draw_stacked(make: Callable[[int, int], Image], view: View, case: Case) -> None:
+def test_render_stacked(make: Callable[[int, int], Image], view: View, case: Case) -> None:
     scene, poses = case
     renderer, newest = Renderer(scene, view, 32), render_frame(scene, poses, view, 32)
     stack, other = make(32, 12), make(32, 12)
@@ -57,14 +57,14 @@ def test_draw_stacked(make: Callable[[int, int], Image], view: View, case: Case)
     np.testing.assert_array_equal(stack, expected)
 
 
-def test_a_window_leaves_its_surroundings_alone(case: Case) -> None:
+def test_only_the_window_is_written(case: Case) -> None:
     whole = np.full((96, 96, 12), 77, np.uint8)
     Renderer(case[0], View.EGO).render_stacked(case[1].bodies, whole[:, :, 3:9])
     assert (whole[:, :, :3] == 77).all()
     assert (whole[:, :, 9:] == 77).all()
 
 
-def test_one_frame_is_no_stack(case: Case) -> None:
+def test_a_stack_of_one_frame(case: Case) -> None:
     out = np.zeros((96, 96, 3), np.uint8)
     Renderer(case[0], View.ALLO).render_stacked(case[1].bodies, out)
     np.testing.assert_array_equal(out, render_frame(*case, View.ALLO))

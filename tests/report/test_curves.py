@@ -1,14 +1,14 @@
 """Learning curves."""
 
 import json
-import re
+import subprocess
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pytest
 
-from magical.errors import ScoresError
-from magical.report.curves import learning_curves, read_metrics
+from magical.report.curves import learning_curves, save_learning_curves
 
 pytest.importorskip("matplotlib", reason="the report extra is not installed")
 
@@ -39,17 +39,20 @@ def test_what_is_not_finite_is_left_out(tmp_path: Path) -> None:
     assert learning_curves({"run": run_folder(tmp_path / "a", lines)}).startswith("<svg")
 
 
-@pytest.mark.parametrize("line", ["{half", "[]", '{"loss": 1}'])
-def test_a_damaged_line_is_named(tmp_path: Path, line: str) -> None:
-    folder = run_folder(tmp_path / "a", [{"step": 1, "loss": 0.5}])
-    with (folder / "metrics.jsonl").open("a") as file:
-        file.write(f"{line}\n")
-    with pytest.raises(ScoresError, match=f"line 2: .* found {re.escape(line)}"):
-        read_metrics(folder / "metrics.jsonl")
+def test_a_picture_of_every_metric_in_the_run_folder(tmp_path: Path) -> None:
+    assert save_learning_curves(run_folder(tmp_path / "new", [])) is None
+    lines = [{"step": step, "loss": 1.0 / step, "entropy": None} for step in (1, 2, 3)]
+    lines[1]["entropy"] = 0.5
+    picture = save_learning_curves(run_folder(tmp_path / "run", lines))
+    assert picture == tmp_path / "run" / "learning-curves.png"
+    assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_last_line_that_was_cut_is_left_out(tmp_path: Path) -> None:
-    folder = run_folder(tmp_path / "a", [{"step": 1, "loss": 0.5}])
-    with (folder / "metrics.jsonl").open("a") as file:
-        file.write('{"step": 2, "lo')
-    assert read_metrics(folder / "metrics.jsonl") == [{"step": 1, "loss": 0.5}]
+def test_reports_need_neither_pytorch_nor_learning() -> None:
+    code = (
+        "import pkgutil, sys, importlib, magical.report; "
+        "[importlib.import_module(f'magical.report.{m.name}') "
+        "for m in pkgutil.iter_modules(magical.report.__path__)]; "
+        "sys.exit(bool({'torch', 'safetensors', 'magical.learning'} & set(sys.modules)))"
+    )
+    assert subprocess.run([sys.executable, "-c", code]).returncode == 0

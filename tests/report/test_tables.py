@@ -6,7 +6,7 @@ import pytest
 from magical.envs import parse_env_id
 from magical.evaluation import Entry, RolloutScore
 from magical.report import entry_tasks, task_table, text_rows
-from magical.report.tables import Cell
+from magical.report.tables import ONE_RUN, Cell
 
 
 def entry(method: str, scores: dict[str, list[float]], **fields: str) -> Entry:
@@ -19,15 +19,16 @@ def entry(method: str, scores: dict[str, list[float]], **fields: str) -> Entry:
     return Entry(method=method, scores=rows, **fields)  # type: ignore[arg-type]
 
 
-def test_one_run_has_a_bootstrap_interval() -> None:
+def test_one_run_has_an_interval_over_rollouts() -> None:
     table = task_table("MakeLine", [entry("mine", {"MakeLine-Demo": [0.0, 1.0] * 50})])
     (row,) = table.rows
     low, high = map(float, row.cells["Demo"].detail.strip("[]").split(","))
     assert row.cells["Demo"].mean == 0.5
     assert 0.38 <= low <= 0.42
     assert 0.58 <= high <= 0.62
+    assert row.note == "mean, 95% interval over rollouts"
     assert table.variants[:2] == ("Demo", "Jitter")
-    assert table.note == "Scored by the appendix's rule."
+    assert table.note == "Scored by the appendix's rule." + ONE_RUN
 
 
 def test_runs_of_a_method_share_a_row() -> None:
@@ -35,9 +36,11 @@ def test_runs_of_a_method_share_a_row() -> None:
         entry("mine", {"MakeLine-Demo": [0.0, 1.0]}),
         entry("mine", {"MakeLine-Demo": [1.0, 1.0]}),
     ]
-    (row,) = task_table("MakeLine", runs).rows
+    table = task_table("MakeLine", runs)
+    (row,) = table.rows
     assert row.cells["Demo"] == Cell(0.75, "± 0.25")
     assert row.note == "mean ± std over 2 runs"
+    assert table.note == "Scored by the appendix's rule."
 
 
 def test_with_published_rows_all_are_scored_by_the_published_rule() -> None:
@@ -60,7 +63,8 @@ def test_a_different_horizon_is_said() -> None:
 
 def test_where_the_rules_agree_the_note_says_so() -> None:
     table = task_table("MoveToRegion", [entry("mine", {"MoveToRegion-Demo": [1.0]})], ["BC (ST)"])
-    assert table.note == "The published code's rule and horizon are the appendix's on this task."
+    rule = "The published code's rule and horizon are the appendix's on this task."
+    assert table.note == rule + ONE_RUN
 
 
 def test_methods_without_the_task_have_no_row() -> None:
@@ -71,7 +75,7 @@ def test_methods_without_the_task_have_no_row() -> None:
 
 def test_text_rows_have_a_dash_where_nothing_was_evaluated() -> None:
     table = task_table("MoveToRegion", [entry("mine", {"MoveToRegion-TestAll": [1.0, 1.0]})])
-    assert text_rows(table) == [("mine", "–", "–", "–", "–", "–", "1.00 [1.00, 1.00]")]
+    assert text_rows(table) == [("mine", "–", "–", "–", "–", "–", "1.00 [0.34, 1.00]")]
 
 
 @pytest.mark.parametrize(("mean", "ink"), [(0.0, "#222"), (0.5, "#222"), (1.0, "#fff")])

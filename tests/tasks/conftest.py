@@ -13,18 +13,18 @@ Move = Callable[..., Poses]
 
 @pytest.fixture(scope="session")
 def moved() -> Move:
-    """`moved(scene, {number: (x, y)}, robot=(x, y))`: the scene's poses, some at other places."""
+    """`moved(scene, {index: (x, y)}, robot=(x, y))`: the scene's poses, some at other positions."""
 
     def move(
         scene: Scene, blocks: Mapping[int, Point] | None = None, robot: Point | None = None
     ) -> Poses:
-        places = blocks or {}
+        positions = blocks or {}
         return Poses.at_rest(
             replace(
                 scene,
                 robot=Pose(*(robot or scene.robot[:2]), scene.robot.angle),
                 blocks=tuple(
-                    replace(block, pose=Pose(*places.get(i, block.pose[:2]), block.pose.angle))
+                    replace(block, pose=Pose(*positions.get(i, block.pose[:2]), block.pose.angle))
                     for i, block in enumerate(scene.blocks)
                 ),
             )

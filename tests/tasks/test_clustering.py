@@ -1,4 +1,4 @@
-"""ClusterColour and ClusterShape: both rules, by hand-made distances."""
+"""ClusterColour and ClusterShape: both scores, at constructed distances."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -51,7 +51,7 @@ def line_of_four(own: float, other: float) -> tuple[Scene, Poses]:
     task = CLUSTER_COLOUR
     blocks = [replace(task.demo.blocks[0], colour=COLOURS[i // 4]) for i in range(16)]
     scene = replace(task.demo, blocks=tuple(blocks))
-    # Own centroid at the origin: block 0 at (own, 0), its three fellows at (-own/3, 0).
+    # Own centroid at the origin: block 0 at (own, 0), the three others at (-own/3, 0).
     places = [(own, 0.0), *[(-own / 3, 0.0)] * 3, *[(own + other, 0.0)] * 4]
     places += [(0.0, 9.0)] * 4 + [(0.0, -9.0)] * 4
     moved_blocks = [
@@ -88,14 +88,14 @@ def test_published_margin_is_twice_the_squared_distance(
     assert score == pytest.approx((counted / 16 - 0.75) / 0.25)
 
 
-def with_strays(fraction: float) -> tuple[Scene, Poses]:
-    """Thirty blocks of each colour, of which part has strayed evenly to the other corners."""
-    task, strays = CLUSTER_COLOUR, round((1 - fraction) * 30)
+def partly_clustered(fraction: float) -> tuple[Scene, Poses]:
+    """Thirty blocks of each colour, a part of them spread evenly over the other corners."""
+    task, misplaced = CLUSTER_COLOUR, round((1 - fraction) * 30)
     blocks, places = [], []
     for value, colour in enumerate(COLOURS):
         for i in range(30):
             blocks.append(replace(task.demo.blocks[0], colour=colour))
-            places.append(CORNERS[(value + (1 + i % 3 if i < strays else 0)) % 4])
+            places.append(CORNERS[(value + (1 + i % 3 if i < misplaced else 0)) % 4])
     scene = replace(task.demo, blocks=tuple(blocks))
     final = [replace(b, pose=Pose(*xy, 0.0)) for b, xy in zip(blocks, places, strict=True)]
     return scene, Poses.at_rest(replace(scene, blocks=tuple(final)))
@@ -108,20 +108,20 @@ def with_strays(fraction: float) -> tuple[Scene, Poses]:
 def test_score_rises_with_the_fraction_of_clustered_blocks(
     fraction: float, expected: float, published: float
 ) -> None:
-    scene, final = with_strays(fraction)
+    scene, final = partly_clustered(fraction)
     assert CLUSTER_COLOUR.score(scene, final) == pytest.approx(expected)
     assert CLUSTER_COLOUR.published_code_score(scene, final) == pytest.approx(published)
 
 
 @BOTH
-def test_a_heap_scores_nothing(task: Task, moved: Callable[..., Poses]) -> None:
-    heap = moved(task.demo, dict.fromkeys(range(8), (0.0, 0.0)))
-    assert task.score(task.demo, heap) == 0.0
-    assert task.published_code_score(task.demo, heap) == 0.0
+def test_blocks_in_one_place_score_zero(task: Task, moved: Callable[..., Poses]) -> None:
+    final = moved(task.demo, dict.fromkeys(range(8), (0.0, 0.0)))
+    assert task.score(task.demo, final) == 0.0
+    assert task.published_code_score(task.demo, final) == 0.0
 
 
 @pytest.mark.parametrize("apart", [1, 2])
-def test_half_or_fewer_score_nothing(apart: int, moved: Callable[..., Poses]) -> None:
+def test_half_or_fewer_clustered_score_zero(apart: int, moved: Callable[..., Poses]) -> None:
     """Two blocks of each colour; `apart` colours have corners of their own, the rest one place."""
     demo = CLUSTER_COLOUR.demo
     blocks = tuple(replace(b, colour=COLOURS[i // 2]) for i, b in enumerate(demo.blocks))

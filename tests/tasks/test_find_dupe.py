@@ -1,4 +1,4 @@
-"""FindDupe: query, duplicate, distractors, both rules; how the query's copies are drawn."""
+"""FindDupe: query, duplicate, distractors, both scores; sampled duplicates."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -46,7 +46,7 @@ def test_query_duplicate_and_distractors(
         ((0, QUERY), 1.0, 1.0),
     ],
 )
-def test_in_the_published_code_any_two_alike_will_do(
+def test_in_the_published_code_any_two_alike_suffice(
     inside: tuple[int, ...], expected: float, published: float, moved: Callable[..., Poses]
 ) -> None:
     final = moved(TWO, {i: IN if i in inside else OUT for i in range(7)})

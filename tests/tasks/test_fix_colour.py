@@ -1,4 +1,4 @@
-"""FixColour: each clause of the score, and how the mismatch is drawn."""
+"""FixColour: each clause of the score, and the sampled mismatch."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -45,16 +45,16 @@ def test_exactly_one_block_is_mismatched(variant: str) -> None:
         assert len(mismatches(TASK.sample(variant, rng)[0])) == 1
 
 
-def test_the_mismatch_is_any_block_and_any_other_colour_alike() -> None:
+def test_the_mismatch_is_uniform_over_blocks_and_other_colours() -> None:
     rng = np.random.default_rng(0)
-    drawn: Counter[tuple[int, Colour, Colour]] = Counter()
+    counts: Counter[tuple[int, Colour, Colour]] = Counter()
     for _ in range(3600):
         scene, _ = TASK.sample("TestColour", rng)
         (odd,) = mismatches(scene)
-        drawn[odd, scene.regions[odd].colour, scene.blocks[odd].colour] += 1
-    assert len(drawn) == 3 * 4 * 3  # 100 of each expected
-    assert 60 < min(drawn.values())
-    assert max(drawn.values()) < 150
+        counts[odd, scene.regions[odd].colour, scene.blocks[odd].colour] += 1
+    assert len(counts) == 3 * 4 * 3  # 100 of each expected
+    assert 60 < min(counts.values())
+    assert max(counts.values()) < 150
 
 
 def test_count_plus_has_two_or_three_pairs() -> None:

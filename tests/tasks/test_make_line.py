@@ -1,4 +1,4 @@
-"""MakeLine: inliers, neighbours, subsets, and both rules for three blocks."""
+"""MakeLine: inliers, neighbours, subsets, and both scores of three blocks."""
 
 import math
 from collections.abc import Callable

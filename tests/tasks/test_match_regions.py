@@ -1,4 +1,4 @@
-"""MatchRegions: target bonus, distractor penalty, and how colours and counts are drawn."""
+"""MatchRegions: target bonus, distractor penalty, sampled colours and counts."""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -48,7 +48,7 @@ def test_distance_is_to_the_top_left_corner_in_a_straight_line(
         assert TASK.score(DEMO, moved(DEMO, {0: corner})) == 0.0
 
 
-def test_demo_scene_scores_nothing(moved: Callable[..., Poses]) -> None:
+def test_the_demo_scene_scores_zero(moved: Callable[..., Poses]) -> None:
     assert TASK.score(DEMO, moved(DEMO)) == 0.0
 
 

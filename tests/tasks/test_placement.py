@@ -1,4 +1,4 @@
-"""Placing by bounded rejection: the rules, giving up, and that giving up changes nothing."""
+"""Placement by bounded rejection sampling: the rules, and failure that changes nothing."""
 
 from dataclasses import replace
 
@@ -8,7 +8,7 @@ import pytest
 from magical.errors import InvalidSceneError, PlacementError
 from magical.scene import Block, Colour, Pose, Region, Scene, Shape
 from magical.tasks import TASKS, Axis, Placement, Task, check_placement, placement
-from magical.tasks.placement import scatter
+from magical.tasks.placement import sample_placement
 
 SCENES = 1000  # of each environment
 ENVIRONMENTS = [(task, variant) for task in TASKS.values() for variant in task.variants]
@@ -28,25 +28,25 @@ def test_sampled_scenes_keep_the_rules(task: Task, variant: str) -> None:
 
 
 @pytest.fixture
-def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Give up soon."""
+def few_attempts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few proposals, few restarts."""
     monkeypatch.setattr(placement, "MAX_PROPOSALS", 50)
     monkeypatch.setattr(placement, "MAX_RESTARTS", 3)
 
 
-@pytest.mark.usefixtures("hurried")
-def test_no_room_is_a_named_error_after_a_bounded_number_of_tries() -> None:
+@pytest.mark.usefixtures("few_attempts")
+def test_no_room_is_a_named_error_after_a_bounded_number_of_attempts() -> None:
     rng = np.random.default_rng(0)
     before = repr(CROWDED)
     with pytest.raises(PlacementError) as error:
-        scatter(CROWDED, Axis.LAYOUT, rng, Placement())
+        sample_placement(CROWDED, Axis.LAYOUT, rng, Placement())
     assert "found no room for block" in str(error.value)
-    assert "(red circle) in 50 proposals, in the last of 3 scenes tried" in str(error.value)
+    assert "(red circle) in 50 proposals, in the last of 3 attempts" in str(error.value)
     assert "use fewer blocks" in str(error.value)
     assert repr(CROWDED) == before
 
 
-@pytest.mark.usefixtures("hurried")
+@pytest.mark.usefixtures("few_attempts")
 @pytest.mark.parametrize(
     ("region", "what"), [((0.9, 0.9), "region 1"), ((1.99, 1.99), "the robot")]
 )
@@ -56,11 +56,13 @@ def test_no_room_for_regions_or_robot(region: tuple[float, float], what: str) ->
     regions = tuple(Region(Colour.RED, -1 + 0.001, 1 - 0.001, height, width) for _ in range(count))
     scene = Scene(Pose(0.0, 0.0, 0.0), regions=regions)
     with pytest.raises(PlacementError, match=f"no room for {what}"):
-        scatter(scene, Axis.JITTER, np.random.default_rng(0), Placement(region_size=(0.0, 2.0)))
+        sample_placement(
+            scene, Axis.JITTER, np.random.default_rng(0), Placement(region_size=(0.0, 2.0))
+        )
 
 
-def test_a_stuck_scene_is_begun_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nineteen blocks seldom all find room in a few proposals, yet some scene has it."""
+def test_a_scene_without_room_is_restarted(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twelve blocks seldom all find room in eight proposals each, but some attempt succeeds."""
     monkeypatch.setattr(placement, "MAX_PROPOSALS", 8)
     monkeypatch.setattr(placement, "MAX_RESTARTS", 10_000)
     attempts = 0
@@ -73,14 +75,14 @@ def test_a_stuck_scene_is_begun_anew(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(placement, "_attempt", counted)
     scene = replace(CROWDED, blocks=CROWDED.blocks[:12])
-    placed = scatter(scene, Axis.LAYOUT, np.random.default_rng(0), Placement())
+    placed = sample_placement(scene, Axis.LAYOUT, np.random.default_rng(0), Placement())
     assert len(placed.blocks) == 12
     assert attempts > 1
 
 
-def test_without_jitter_or_layout_nothing_is_drawn() -> None:
+def test_without_jitter_or_layout_nothing_is_sampled() -> None:
     rng = np.random.default_rng(0)
-    assert scatter(CROWDED, Axis.COLOUR, rng, Placement()) is CROWDED
+    assert sample_placement(CROWDED, Axis.COLOUR, rng, Placement()) is CROWDED
     assert rng.random() == np.random.default_rng(0).random()
 
 
@@ -94,14 +96,14 @@ BREAKS = {
 
 
 @pytest.mark.parametrize(("variant", "change"), BREAKS.values(), ids=BREAKS)
-def test_the_check_notices(variant: str, change: dict[str, Pose]) -> None:
+def test_the_check_rejects(variant: str, change: dict[str, Pose]) -> None:
     task = TASKS["MakeLine"]
     check_placement(task, variant, task.demo)
     with pytest.raises(InvalidSceneError):
         check_placement(task, variant, replace(task.demo, **change))  # type: ignore[arg-type]
 
 
-def test_the_check_notices_wrong_regions_and_enclosed_blocks() -> None:
+def test_the_check_rejects_wrong_regions_and_enclosed_blocks() -> None:
     task = TASKS["FixColour"]
     scene, _ = task.sample("TestLayout", np.random.default_rng(0))
     region, block = scene.regions[0], scene.blocks[0]

@@ -1,4 +1,4 @@
-"""Scenes that cannot be, and what is said about them."""
+"""Invalid scenes and their messages."""
 
 from dataclasses import replace
 
@@ -49,7 +49,7 @@ def test_a_block_under_the_robot_or_a_finger() -> None:
 
 
 @pytest.mark.parametrize(("x", "valid"), [(0.899, True), (0.901, False)])
-def test_bodies_may_reach_a_little_into_walls(x: float, valid: bool) -> None:
+def test_bodies_may_reach_into_walls_by_the_slack(x: float, valid: bool) -> None:
     scene = replace(EMPTY, blocks=circles((x, 0.0)))
     if valid:
         validate_scene(scene)
@@ -74,6 +74,6 @@ def test_region_outside() -> None:
     validate_scene(replace(EMPTY, regions=(replace(region, width=0.5),)))
 
 
-def test_bodies_may_stand_in_regions() -> None:
+def test_bodies_may_be_in_regions() -> None:
     region = Region(Colour.BLUE, x=-0.5, y=0.5, height=1.0, width=1.0)
     validate_scene(replace(EMPTY, regions=(region, region), blocks=circles((0.4, -0.4))))

@@ -5,8 +5,7 @@ POLICY is a run folder, `random`, `noop`, `expert`, or a policy of your own as `
 """
 
 import argparse
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -39,7 +38,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--variants", nargs="+", metavar="VARIANT", help="such as Demo Jitter (default: all)"
     )
     parser.add_argument(
-        "--rollouts", type=positive_int, default=100, help="on each variant (default: 100)"
+        "--rollouts",
+        type=positive_int,
+        default=100,
+        metavar="N",
+        help="on each variant (default: 100)",
     )
     parser.add_argument(
         "--observation", metavar="PRESET", help="default: the policy's own, or LoRes4E"
@@ -51,9 +54,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="control steps; `published`: the published code's, to compare with its tables",
     )
     parser.add_argument(
-        "--seed", type=non_negative_int, default=0, help="which set of fixed seeds (default: 0)"
+        "--seed",
+        type=non_negative_int,
+        default=0,
+        metavar="N",
+        help="which set of fixed seeds (default: 0)",
     )
-    parser.add_argument("--workers", type=non_negative_int, help="processes (default: the cores)")
+    parser.add_argument(
+        "--workers", type=non_negative_int, metavar="N", help="processes (default: the cores)"
+    )
     parser.add_argument(
         "--out", type=Path, metavar="DIR", help="write scores.csv, entry.json there"
     )
@@ -68,6 +77,7 @@ def _horizon(text: str) -> int | str:
 def run(args: argparse.Namespace) -> int:
     """Evaluate, print, write."""
     from magical.evaluation import environments, evaluate, summarise
+    from magical.progress import progress_bar
 
     policy = find_policy(args.policy)
     env_ids = environments(args.task or getattr(policy, "tasks", None), args.variants)
@@ -99,7 +109,7 @@ def find_policy(name: str) -> "Policy":
     from magical.evaluation import load_policy
 
     if Path(name).is_dir():
-        from magical.learning import load_policy as load_run  # brings in torch
+        from magical.learning import load_policy as load_run  # imports PyTorch
 
         policy: Policy = load_run(Path(name))
         return policy
@@ -126,44 +136,54 @@ def make_entry(
     )
 
 
-@contextmanager
-def progress_bar(what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """A progress bar on standard error; yields the function that advances it."""
-    from rich.console import Console
-    from rich.progress import MofNCompleteColumn, Progress, TimeRemainingColumn
-
-    columns = (*Progress.get_default_columns()[:2], MofNCompleteColumn(), TimeRemainingColumn())
-    console = Console(stderr=True)
-    quiet = not console.is_terminal
-    with Progress(*columns, console=console, transient=True, disable=quiet) as progress:
-        task = progress.add_task(what, total=total)
-        yield lambda count: progress.advance(task, count)
-
-
 def print_scores(scores: "Sequence[RolloutScore]") -> None:
-    """Print a table: a row for each environment, with a bootstrap interval for its mean."""
+    """Print a row for each environment, then the generalisation gap over all tasks."""
     from magical.evaluation import by_variant
-    from magical.evaluation.statistics import bootstrap_interval
+    from magical.evaluation.intervals import rollout_mean
 
     header = ("task", "variant", "mean", "95% interval", "std", "gap", "published code's rule")
     rows = []
     for task, cells in by_variant(scores).items():
-        means = {name: np.mean([row.score for row in cell]) for name, cell in cells.items()}
         for variant, cell in cells.items():
-            column = np.array([row.score for row in cell])
-            # Bounds of an interval should not change from call to call.
-            interval = bootstrap_interval(column[:, None], np.random.default_rng(0))
-            gap = f"{means['Demo'] - means[variant]:.3f}" if "Demo" in means else ""
+            rollouts = np.array([row.score for row in cell])
+            value, low, high = rollout_mean(rollouts)
             published = np.mean([row.published_code_score for row in cell])
             rows.append(
                 (
                     task,
                     variant,
-                    f"{interval.value:.3f}",
-                    f"{interval.low:.3f} to {interval.high:.3f}",
-                    f"{column.std():.3f}",
-                    gap,
+                    f"{value:.3f}",
+                    f"{low:.3f} to {high:.3f}",
+                    f"{rollouts.std():.3f}",
+                    _gap(cells, variant),
                     f"{published:.3f}",
                 )
             )
     print_table(header, rows)
+    print(_note(scores))
+
+
+def _gap(cells: "Mapping[str, Sequence[RolloutScore]]", variant: str) -> str:
+    """One task's generalisation gap along one axis; empty where there is none."""
+    from magical.evaluation.statistics import generalisation_gap, run_means
+
+    if variant == "Demo" or "Demo" not in cells:
+        return ""
+    pair = [cells["Demo"], cells[variant]]
+    env_ids = [cell[0].env_id for cell in pair]
+    means = run_means([[row for cell in pair for row in cell]], env_ids)
+    return f"{generalisation_gap(means, env_ids, variant).value:.3f}"
+
+
+def _note(scores: "Sequence[RolloutScore]") -> str:
+    """What the intervals are over, and the generalisation gap if Demo and TestAll are there."""
+    from magical.evaluation.statistics import gap_weights, over_rollouts
+
+    note = "Intervals are over rollouts and do not include the spread between training runs."
+    env_ids = list(dict.fromkeys(row.env_id for row in scores))
+    try:
+        weights = gap_weights(env_ids)
+    except ValueError:
+        return note
+    value, low, high = over_rollouts([scores], env_ids, weights)
+    return f"generalisation gap (Demo less TestAll): {value:.3f} ({low:.3f} to {high:.3f})\n{note}"

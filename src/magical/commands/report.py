@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
         print(table.note)
         print()
     lines, note = aggregates(entries)
-    if len(lines) > 1:
+    if lines:
         print_table(aggregate_header(lines), aggregate_rows(lines))
         print(note)
     if args.out:

@@ -4,10 +4,8 @@ A run is kept in a folder: configuration, versions, demonstrations, metrics, new
 """
 
 import argparse
-import importlib.util
-import pkgutil
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +19,9 @@ INTERRUPTED = 130  # exit status after Ctrl-C
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Offer every algorithm, without importing any: that would bring in torch."""
+    """Add a sub-command per algorithm, importing none of them: that would import PyTorch."""
+    from magical.learning import algorithm_names
+
     algorithms = parser.add_subparsers(
         title="algorithms",
         metavar="ALGORITHM",
@@ -29,14 +29,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
         required=True,
         parser_class=_AlgorithmParser,
     )
-    for name in _algorithm_names():
+    for name in algorithm_names():
         algorithms.add_parser(name, help=f"magical train {name} --help", algorithm=name)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Train, or continue."""
+    """Train, or resume."""
     from magical.errors import InvalidConfigError
     from magical.learning import train
+    from magical.report.curves import save_learning_curves
+
+    def draw_at_evaluations(step: int, metrics: Mapping[str, float | str]) -> None:
+        if "evaluation_score" in metrics:
+            save_learning_curves(args.out)
 
     try:
         config = _config(args)
@@ -49,8 +54,10 @@ def run(args: argparse.Namespace) -> int:
         resume=args.resume,
         stop_after=args.stop_after,
         progress=True,
+        callback=draw_at_evaluations,
         tensorboard=args.tensorboard,
     )
+    save_learning_curves(args.out)
     if args.json:
         print_json(result.summary())
     if result.finished:
@@ -62,28 +69,19 @@ def run(args: argparse.Namespace) -> int:
 
 
 class _AlgorithmParser(argparse.ArgumentParser):
-    """Learns its options from the algorithm's configuration, the first time it is used."""
+    """Adds the options of the algorithm's configuration when it is first used."""
 
     def __init__(self, *args: Any, algorithm: str, **kwargs: Any) -> None:
-        kwargs["argument_default"] = argparse.SUPPRESS  # what is not given is left to the preset
+        kwargs["argument_default"] = argparse.SUPPRESS  # the preset's value is used
         super().__init__(*args, **kwargs)
         self._algorithm: str | None = algorithm
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """As always, with all options in place."""
+        """As in `ArgumentParser`."""
         if self._algorithm is not None:
             _add_options(self, self._algorithm)
             self._algorithm = None
         return super().parse_known_args(args, namespace)
-
-
-def _algorithm_names() -> list[str]:
-    """What `magical.learning.algorithm_names` says, without importing it."""
-    spec = importlib.util.find_spec("magical")
-    assert spec is not None
-    assert spec.submodule_search_locations is not None
-    folders = [f"{path}/learning/algorithms" for path in spec.submodule_search_locations]
-    return sorted(entry.name.replace("_", "-") for entry in pkgutil.iter_modules(folders))
 
 
 def _add_options(parser: argparse.ArgumentParser, algorithm: str) -> None:
@@ -102,7 +100,10 @@ def _add_options(parser: argparse.ArgumentParser, algorithm: str) -> None:
         help="continue the run in the folder; its configuration need not be given again",
     )
     parser.add_argument(
-        "--preset", choices=tuple(kind.presets), default=None, help="settings (default: paper)"
+        "--preset",
+        choices=tuple(kind.presets),
+        default=None,
+        help="values of all options that are not given (default: paper)",
     )
     for option in options(kind):
         _add_option(parser, option)
@@ -114,15 +115,15 @@ def _add_options(parser: argparse.ArgumentParser, algorithm: str) -> None:
         help="leave a checkpoint and stop after N more batches or updates",
     )
     parser.add_argument(
-        "--tensorboard", action="store_true", default=False, help="write metrics for it too"
+        "--tensorboard", action="store_true", default=False, help="log to TensorBoard too"
     )
     add_json(parser)
     parser.set_defaults(json=False)
 
 
 def _add_option(parser: argparse.ArgumentParser, option: "Option") -> None:
-    """A field's option; what is not given is left to the preset."""
-    text = option.help if option.required else f"{option.help} (paper: {option.default})"
+    """Add the option of a configuration field."""
+    text = option.help if option.required else f"{option.help} (paper: {_shown(option.default)})"
     flags = ["--task", "--tasks"] if option.name == "tasks" else [option.flag]
     if option.kind is bool:
         parser.add_argument(*flags, action=argparse.BooleanOptionalAction, help=text)
@@ -132,16 +133,20 @@ def _add_option(parser: argparse.ArgumentParser, option: "Option") -> None:
         dest=option.name,
         type=option.kind,
         nargs="+" if option.several else None,
-        metavar=option.kind.__name__.upper(),
+        choices=option.choices or None,
+        metavar=option.metavar,
         help=text,
     )
 
 
+def _shown(value: object) -> object:
+    return " ".join(map(str, value)) if isinstance(value, tuple) else value
+
+
 def _config(args: argparse.Namespace) -> "Config":
-    """The configuration: the preset's, or the resumed run's, with what was given replaced."""
-    from magical.learning import find_algorithm, is_run
+    """The preset's or the resumed run's configuration, with the given options replaced."""
+    from magical.learning import find_algorithm, is_run, read_config
     from magical.learning.config import options
-    from magical.learning.policy import read_config
 
     kind = find_algorithm(args.algorithm).config
     fields = options(kind)

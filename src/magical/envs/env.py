@@ -2,7 +2,7 @@
 
 import operator
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, NoReturn
 
 import gymnasium as gym
 import numpy as np
@@ -11,7 +11,14 @@ from gymnasium import spaces
 from magical.envs.episode import Episode, Scores
 from magical.envs.ids import EnvId
 from magical.envs.keys import KEYS_TO_ACTION
-from magical.errors import InvalidActionError, InvalidStateError, ResetNeededError, UnknownNameError
+from magical.envs.saved_state import parse_state
+from magical.errors import (
+    InvalidActionError,
+    NotPicklableError,
+    ResetNeededError,
+    UnknownNameError,
+)
+from magical.messages import quoted
 from magical.observe import Observation, make_spec
 from magical.observe.arrays import copy_arrays
 from magical.scene.actions import ACTION_NAMES, NUM_ACTIONS
@@ -75,7 +82,7 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         self.observation_spec = make_spec(observation, self.task)
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise UnknownNameError(
-                f"render mode {render_mode!r} is unknown; expected rgb_array or None"
+                f"render mode {quoted(render_mode)} is unknown; expected rgb_array or None"
             )
         self.render_mode = render_mode
         self.observation_space = self.observation_spec.space
@@ -99,12 +106,12 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         """Start an episode from a scene sampled for the variant.
 
         Args:
-            seed: of the random generator; `None` continues with the present one.
+            seed: of the random generator; `None` keeps the current generator.
             options: `scene` and `dynamics` (dataclasses, or plain dicts as `to_dict()` makes them)
                 to start from instead.
 
         Raises:
-            InvalidSceneError, PlacementError: the episode cannot start so.
+            InvalidSceneError, PlacementError: no episode can start from these.
         """
         super().reset(seed=seed)
         self._running = False
@@ -118,6 +125,7 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         Raises:
             InvalidActionError: not an integer from 0 to 17.
             ResetNeededError: before the first reset, or after the episode's end.
+            InvalidScoreError: the task's score at the episode's end is no number from 0 to 1.
         """
         if not self._running:
             raise ResetNeededError(
@@ -125,8 +133,8 @@ class MagicalEnv(gym.Env[Any, np.int64]):
                 "call reset() first"
             )
         truncated = self._episode.step(checked_action(action))
-        reward, scores = self._episode.outcome(truncated)
         self._running = not truncated
+        reward, scores = self._episode.outcome(truncated)
         return copy_arrays(self._episode.observer.out), reward, False, truncated, score_info(scores)
 
     def render(self) -> Any:
@@ -146,32 +154,40 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         return self._episode.state()
 
     def scores(self) -> Scores:
-        """The present state's scores, at any step."""
+        """The current state's scores, at any step; raises `InvalidScoreError`."""
         self._require_episode("scores")
         return self._episode.scores()
 
     def get_state(self) -> dict[str, Any]:
-        """Plain data (JSON will do) from which `set_state` continues bit-equally.
+        """Plain data, fit for JSON, from which `set_state` continues bit-equally.
 
         It holds the scene, the dynamics, the actions so far and the random generator's state.
         """
         self._require_episode("get_state")
-        return {**self._episode.save(), "rng": self.np_random.bit_generator.state}
+        return self._episode.save(self.np_random)
 
     def set_state(self, state: Mapping[str, Any]) -> Any:
-        """Continue from `get_state()`'s data, of this or another process; returns the observation.
+        """Continue from a saved state by simulating its actions again.
 
-        The actions so far are simulated again. Raises `InvalidStateError` for data of another task
-        or damaged data.
+        Args:
+            state: what `get_state` returned, in this or another process.
+
+        Returns:
+            The observation.
+
+        Raises:
+            InvalidStateError: data of another task, or damaged; the next call must be `reset` or
+                `set_state`.
         """
         self._running = False
-        self._episode.restore(state)
-        try:
-            self.np_random.bit_generator.state = state["rng"]
-        except (KeyError, TypeError, ValueError) as error:
-            raise InvalidStateError(f"saved state has no usable 'rng': {error!r}") from error
-        self._running = len(self._episode.actions) < self._episode.horizon
+        saved = parse_state(state, self.task)
+        self._episode.restore(saved)
+        self.np_random.bit_generator.state = saved.rng
+        self._running = len(saved.actions) < saved.horizon
         return copy_arrays(self._episode.observer.out)
+
+    def __reduce__(self) -> NoReturn:
+        raise not_picklable("MagicalEnv", "MagicalEnv(...)")
 
     def get_keys_to_action(self) -> dict[tuple[str, ...], int]:
         """Keys for `gymnasium.utils.play`: w, s drive, a, d turn, space closes the fingers."""
@@ -190,9 +206,17 @@ def checked_action(action: Any) -> int:
         number = -1
     if isinstance(action, (bool, np.bool_)) or not 0 <= number < NUM_ACTIONS:
         raise InvalidActionError(
-            f"action: expected an integer from 0 to {NUM_ACTIONS - 1}, found {action!r}"
+            f"action: expected an integer from 0 to {NUM_ACTIONS - 1}, found {quoted(action)}"
         )
     return number
+
+
+def not_picklable(name: str, constructor: str) -> NotPicklableError:
+    """The error of pickling or copying an environment."""
+    return NotPicklableError(
+        f"{name} cannot be pickled or copied: its simulation is not plain data; make another one "
+        f"with {constructor}, and carry the episode over with get_state and set_state"
+    )
 
 
 def score_info(scores: Scores) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""One episode in progress: what the single and the vector environment have in common."""
+"""One episode in progress, for the single and the vector environment."""
 
 import operator
 from collections.abc import Mapping, Sequence
@@ -8,10 +8,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.errors import InvalidStateError, MagicalError, UnknownNameError
+from magical.envs.plain_data import as_dynamics, as_scene
+from magical.envs.saved_state import MAX_HORIZON, SavedState
+from magical.errors import (
+    InvalidSceneError,
+    InvalidScoreError,
+    InvalidStateError,
+    UnknownNameError,
+)
+from magical.messages import quoted
 from magical.observe import ObservationSpec
 from magical.physics import Simulation
-from magical.scene.actions import NUM_ACTIONS
 from magical.scene.poses import Poses
 from magical.scene.scene import Dynamics, Scene
 from magical.scene.state import State
@@ -57,7 +64,7 @@ class Episode:
         self.bodies: NDArray[np.float64]  # (5 + blocks, 6): poses and velocities
 
     def start(self, rng: np.random.Generator, options: Mapping[str, Any] | None = None) -> None:
-        """Begin an episode from a sampled scene, or from the one that `options` give.
+        """Start an episode from a sampled scene, or from the one in `options`.
 
         Raises `InvalidSceneError` for an impossible scene, `ValueError` for unknown options.
         """
@@ -67,11 +74,11 @@ class Episode:
         if unknown:
             raise ValueError(f"reset options: expected {RESET_OPTIONS}, found {sorted(unknown)}")
         if chosen.get("scene") is not None:
-            scene = _as_scene(chosen["scene"])
+            scene = as_scene(chosen["scene"])
             self.task.validate(scene)
         if chosen.get("dynamics") is not None:
-            dynamics = _as_dynamics(chosen["dynamics"])
-        self._begin(scene, dynamics)
+            dynamics = as_dynamics(chosen["dynamics"])
+        self._start_from(scene, dynamics)
 
     def step(self, action: int) -> bool:
         """Advance by one control step and observe it; returns whether the horizon is reached."""
@@ -96,15 +103,15 @@ class Episode:
 
     @property
     def poses(self) -> Poses:
-        """The present pose of every body."""
+        """The current pose of every body."""
         return Poses(self.bodies[:, :3])
 
     def scores(self) -> Scores:
-        """The present state's scores."""
-        scene, poses = self.simulation.scene, self.poses
+        """The current state's scores; raises `InvalidScoreError`."""
+        task, scene, poses = self.task, self.simulation.scene, self.poses
         return Scores(
-            float(self.task.score(scene, poses)),
-            float(self.task.published_code_score(scene, poses)),
+            _checked_score(task, "score", task.score(scene, poses)),
+            _checked_score(task, "published code's score", task.published_code_score(scene, poses)),
         )
 
     def state(self) -> State:
@@ -113,39 +120,33 @@ class Episode:
             self.simulation.scene, self.poses, self.bodies[:, 3:], len(self.actions), self.horizon
         )
 
-    def save(self) -> dict[str, Any]:
+    def save(self, rng: np.random.Generator) -> dict[str, Any]:
         """Plain data from which `restore` continues bit-equally: the start and all actions.
 
         Poses and velocities alone would not be enough: the solver keeps impulses between steps.
         """
-        return {
-            "task": self.task.name,
-            "variant": self.variant,
-            "horizon": self.horizon,
-            "scene": self.simulation.scene.to_dict(exact=True),
-            "dynamics": self.simulation.dynamics.to_dict(),
-            "actions": list(self.actions),
-        }
+        return SavedState(
+            self.task.name,
+            self.variant,
+            self.horizon,
+            self.simulation.scene,
+            self.simulation.dynamics,
+            tuple(self.actions),
+            dict(rng.bit_generator.state),
+        ).to_dict()
 
-    def restore(self, saved: Mapping[str, Any]) -> None:
-        """Continue from what `save` returned, by simulating its actions again.
+    def restore(self, state: SavedState) -> None:
+        """Continue from a saved state, by simulating its actions again.
 
-        Raises `InvalidStateError` if it is damaged or of another task.
+        Raises `InvalidStateError` if this episode's observation cannot show its scene.
         """
-        if saved.get("task") != self.task.name:
-            raise InvalidStateError(
-                f"saved state: expected one of {self.task.name}, found {saved.get('task')!r}"
-            )
+        self.horizon = state.horizon
         try:
-            scene, dynamics = _as_scene(saved["scene"]), _as_dynamics(saved["dynamics"])
-            actions = _actions(saved["actions"])
-            horizon = int(saved["horizon"])
-        except (KeyError, TypeError, ValueError, MagicalError) as error:
-            raise InvalidStateError(f"saved state is damaged: {error!r}") from error
-        self.horizon = horizon
-        self._begin(scene, dynamics, actions)
+            self._start_from(state.scene, state.dynamics, state.actions)
+        except InvalidSceneError as error:
+            raise InvalidStateError(f"saved state, 'scene': {error}") from error
 
-    def _begin(self, scene: Scene, dynamics: Dynamics, actions: Sequence[int] = ()) -> None:
+    def _start_from(self, scene: Scene, dynamics: Dynamics, actions: Sequence[int] = ()) -> None:
         self.simulation = Simulation(scene, dynamics)
         unobserved = max(0, len(actions) - self._frames + 1)
         for action in actions[:unobserved]:
@@ -165,10 +166,12 @@ class Episode:
 
 def check_options(task: Task, horizon: int | None, reward: str) -> None:
     """Raise `ValueError` or `UnknownNameError` for an impossible horizon or reward."""
-    if horizon is not None and operator.index(horizon) < 1:
-        raise ValueError(f"horizon: expected a positive integer or None, found {horizon!r}")
+    if horizon is not None and not 1 <= operator.index(horizon) <= MAX_HORIZON:
+        raise ValueError(
+            f"horizon: expected an integer from 1 to {MAX_HORIZON} or None, found {quoted(horizon)}"
+        )
     if reward not in REWARDS:
-        raise UnknownNameError(f"reward {reward!r} is unknown; expected one of {REWARDS}")
+        raise UnknownNameError(f"reward {quoted(reward)} is unknown; expected one of {REWARDS}")
     if reward == "dense" and task.progress_fn is None:
         having = [name for name, other in TASKS.items() if other.progress_fn is not None]
         raise UnknownNameError(
@@ -176,16 +179,12 @@ def check_options(task: Task, horizon: int | None, reward: str) -> None:
         )
 
 
-def _as_scene(scene: Scene | Mapping[str, Any]) -> Scene:
-    return scene if isinstance(scene, Scene) else Scene.from_dict(scene)
-
-
-def _as_dynamics(dynamics: Dynamics | Mapping[str, Any]) -> Dynamics:
-    return dynamics if isinstance(dynamics, Dynamics) else Dynamics.from_dict(dynamics)
-
-
-def _actions(values: Sequence[Any]) -> list[int]:
-    actions = [int(value) for value in values]
-    if any(not 0 <= action < NUM_ACTIONS for action in actions):
-        raise ValueError(f"actions: expected integers from 0 to {NUM_ACTIONS - 1}")
-    return actions
+def _checked_score(task: Task, name: str, value: Any) -> float:
+    """The score as a float; raises `InvalidScoreError`."""
+    number = isinstance(value, float | int | np.number | np.bool_)
+    if not number or not 0.0 <= value <= 1.0:
+        raise InvalidScoreError(
+            f"task {task.name}: expected a {name} from 0 to 1, found {quoted(value)}; "
+            "correct the task's score function"
+        )
+    return float(value)

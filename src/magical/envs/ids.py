@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from typing import Self
 
 from magical.errors import UnknownNameError
+from magical.messages import quoted
 from magical.observe.presets import PRESETS
 from magical.tasks import TASKS, Task, get_task
 
@@ -12,7 +13,7 @@ VERSION = "v0"
 
 
 class EnvId(str):
-    """An environment id: a string that knows its parts.
+    """An environment id: a string with its parts as attributes.
 
     It is made once, by `parse_env_id`, where a string enters the package, and passed on as it is;
     as a string it prints, compares and serialises like the id itself.
@@ -30,7 +31,7 @@ class EnvId(str):
     preset: str | None
 
     def __new__(cls, task: str, variant: str, preset: str | None = None) -> Self:
-        """Put an id together; the names are not checked."""
+        """Join the parts; the names are not checked."""
         parts = (task, variant, *([preset] if preset else []), VERSION)
         self = super().__new__(cls, f"{NAMESPACE}/{'-'.join(parts)}")
         self.task, self.variant, self.preset = task, variant, preset
@@ -51,22 +52,23 @@ class EnvId(str):
 
 
 def split_env_id(env_id: str) -> EnvId:
-    """Take an id apart without looking its names up (the leading `magical/` may be missing).
+    """Split an id without checking its names (the leading `magical/` may be missing).
 
-    Raises `UnknownNameError` for text of another form.
+    Raises `UnknownNameError` for text of another format.
     """
     if isinstance(env_id, EnvId):
         return env_id
     task, *rest = env_id.removeprefix(f"{NAMESPACE}/").split("-")
     if not 2 <= len(rest) <= 3 or rest[-1] != VERSION:
         raise UnknownNameError(
-            f"environment id {env_id!r}: expected {NAMESPACE}/<Task>-<Variant>[-<Preset>]-{VERSION}"
+            f"environment id {quoted(env_id)}: expected "
+            f"{NAMESPACE}/<Task>-<Variant>[-<Preset>]-{VERSION}"
         )
     return EnvId(task, rest[0], rest[1] if len(rest) == 3 else None)
 
 
 def parse_env_id(env_id: str) -> EnvId:
-    """Take an id apart and check its names (the leading `magical/` may be missing).
+    """Split an id and check its names (the leading `magical/` may be missing).
 
     An `EnvId` is returned as it is. Raises `UnknownNameError` that names the unknown part and what
     there is instead.
@@ -77,8 +79,8 @@ def parse_env_id(env_id: str) -> EnvId:
     get_task(parsed.task).axes_of(parsed.variant)  # raises for a variant that the task lacks
     if parsed.preset is not None and parsed.preset not in PRESETS:
         raise UnknownNameError(
-            f"environment id {env_id!r}: preset {parsed.preset!r} is unknown; expected one of: "
-            f"{', '.join(PRESETS)}"
+            f"environment id {quoted(env_id)}: preset {quoted(parsed.preset)} is unknown; "
+            f"expected one of: {', '.join(PRESETS)}"
         )
     return parsed
 

@@ -1,4 +1,4 @@
-"""Names for Gymnasium. Registering imports no environment."""
+"""Registration with Gymnasium; it imports no environment."""
 
 import gymnasium as gym
 
@@ -9,8 +9,8 @@ from magical.tasks import TASKS, Task
 def register_envs(task: Task) -> None:
     """Register a task's environments, each variant without and with every preset.
 
-    The environment truncates at its own horizon and checks the order of calls itself, so neither
-    of Gymnasium's wrappers for that is asked for.
+    The environment truncates at its horizon and checks the order of calls itself, so Gymnasium's
+    `TimeLimit` and `OrderEnforcing` wrappers are not used.
     """
     for env_id in task_env_ids(task):
         gym.register(

@@ -22,21 +22,21 @@ Indices = int | Iterable[int] | None
 
 
 class MagicalSB3VecEnv(VecEnv):
-    """A `MagicalVectorEnv` as Stable-Baselines3 wants it.
+    """A `MagicalVectorEnv` as Stable-Baselines3 expects it.
 
-    Observations, actions and autoreset follow its conventions: a step that ends an episode shows
-    the next episode's first observation, and `infos[i]` holds the last one as
+    Observations, actions and autoreset follow its conventions: a step that ends an episode
+    returns the next episode's first observation, and `infos[i]` holds the last one as
     `terminal_observation`, `TimeLimit.truncated` (always True: episodes end at the horizon only)
-    and the scores. Images keep their layout; Stable-Baselines3 turns channels to the front by
-    itself where its networks need it.
+    and the scores. Images keep their layout; Stable-Baselines3 transposes
+    channels-last images itself where its networks need it.
 
-    Attributes that `get_attr` knows are the vector environment's; `env_ids` gives each
-    sub-environment its own. `env_method` calls methods that take an index (`get_state`,
+    `get_attr` returns attributes of the vector environment, and for `env_ids` each
+    sub-environment's own. `env_method` calls methods that take an index (`get_state`,
     `set_state`).
 
     Args:
         envs: made with `autoreset_mode="SameStep"`, and with `reward="score"` or `"dense"` if
-            anything is to be learnt from rewards.
+            a policy is to be trained on rewards.
 
     Raises `ValueError` for another autoreset mode.
     """
@@ -52,10 +52,10 @@ class MagicalSB3VecEnv(VecEnv):
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
     def reset(self) -> Any:
-        """Begin an episode in every world, with the seeds and options given before."""
+        """Start an episode in every sub-environment, with the seeds and options set before."""
         first = self._options[0]
         if any(options != first for options in self._options):
-            raise ValueError("reset options: expected the same for all worlds; see set_state")
+            raise ValueError("reset options: expected the same for all environments; see set_state")
         seeded = any(seed is not None for seed in self._seeds)
         observations, infos = self.envs.reset(
             seed=self._seeds if seeded else None, options=first or None
@@ -88,28 +88,28 @@ class MagicalSB3VecEnv(VecEnv):
         self.envs.close()
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """An attribute of the vector environment, once for each world."""
+        """An attribute of the vector environment, once for each sub-environment."""
         value = getattr(self.envs, attr_name)
         each = value if attr_name == "env_ids" else [value] * self.num_envs
         return [each[row] for row in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Not possible: worlds live in other processes. Raises `AttributeError`."""
-        raise AttributeError(f"set_attr: {attr_name!r} of a world cannot be set from outside")
+        """Raises `AttributeError`: sub-environments can be in other processes."""
+        raise AttributeError(f"set_attr: {attr_name!r} of a sub-environment cannot be set")
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call a method that takes a world's index as its first argument."""
+        """Call a method that takes a sub-environment's index as its first argument."""
         method = getattr(self.envs, method_name)
         return [method(row, *method_args, **method_kwargs) for row in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: type, indices: Indices = None) -> list[bool]:
-        """No world is wrapped in anything."""
+        """Always False: sub-environments have no wrappers."""
         return [False for _ in self._get_indices(indices)]
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """Every world's picture, with `render_mode="rgb_array"`."""
+        """Every sub-environment's frame, with `render_mode="rgb_array"`."""
         return self.envs.render() or [None] * self.num_envs
 
 

@@ -1,4 +1,4 @@
-"""Seeds of episodes: what evaluation resets environments with, and what everything else does.
+"""Seeds of episodes: those of evaluation, and those of demonstrations and training.
 
 Seeds from `FIRST_EVALUATION_SEED` upwards are evaluation's (docs/protocol.md).
 """

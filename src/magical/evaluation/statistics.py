@@ -1,21 +1,35 @@
-"""Statistics of scores: the paper's, and those of Agarwal et al. (2021), on numpy and scipy.
+"""Statistics of scores with intervals: the paper's, and those of Agarwal et al. (2021).
 
-Scores come as arrays with one row for each repetition (a run, or a rollout) and one column for
-each stratum (an environment or a task). Sources: appendix C; "Deep reinforcement learning at the
-edge of the statistical precipice", NeurIPS 2021.
+Most functions take `scores` (runs, environments): a row for each training run, a column for each
+environment, each entry the run's mean score there, NaN where the run was not evaluated. A
+multi-task run has a full row, a single-task run only its task's environments. `run_means` makes
+such an array.
+
+The unit of all intervals over runs is the run: its scores in several environments are those of one
+policy and vary together. Runs that were evaluated on the same environments form a stratum; strata
+are independent of each other. docs/protocol.md gives the formulas, their sources, and how often
+each interval covers; `benchmarks/intervals.py` measures it.
 """
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from magical.evaluation.variants import short_variant
-
-Floats = NDArray[np.float64]
-Statistic = Callable[[Floats], Floats]  # (..., n, strata) -> (...)
+from magical.envs import EnvId, parse_env_id
+from magical.evaluation.intervals import (
+    CONFIDENCE,
+    Floats,
+    Interval,
+    check_range,
+    rollout_mean,
+    t_interval,
+    weighted_sum,
+    wilson_interval,
+)
+from magical.evaluation.scores import RolloutScore
+from magical.evaluation.variants import full_variant
 
 
 class Spread(NamedTuple):
@@ -25,140 +39,241 @@ class Spread(NamedTuple):
     std: float
 
 
-class Interval(NamedTuple):
-    """An estimate with its confidence interval."""
+def by_environment(
+    rollouts: Iterable[RolloutScore], rule: str = "score"
+) -> dict[EnvId, list[float]]:
+    """The scores of a run's rollouts by environment; `rule` as for `run_means`."""
+    scores: dict[EnvId, list[float]] = {}
+    for rollout in rollouts:
+        scores.setdefault(rollout.env_id, []).append(getattr(rollout, rule))
+    return scores
 
-    value: float
-    low: float
-    high: float
+
+def run_means(
+    runs: Sequence[Iterable[RolloutScore]], env_ids: Sequence[EnvId], rule: str = "score"
+) -> Floats:
+    """Each run's mean score in each environment (runs, environments); NaN where it has none.
+
+    Args:
+        runs: every run's rollouts, such as `Entry.scores`.
+        env_ids: the columns' environments.
+        rule: `score` or `published_code_score`.
+    """
+    scores = [by_environment(run, rule) for run in runs]
+    return np.array(
+        [[np.mean(run[i]) if i in run else np.nan for i in env_ids] for run in scores], np.float64
+    )
+
+
+def over_rollouts(
+    runs: Sequence[Iterable[RolloutScore]], env_ids: Sequence[EnvId], weights: ArrayLike
+) -> Interval:
+    """The weighted sum of the environments' means, with an interval over the runs' rollouts.
+
+    It does not include the spread between training runs: for a method with one run only.
+
+    Args:
+        runs: every run's rollouts, such as `Entry.scores`; each environment has some.
+        env_ids: the environments.
+        weights: (environments,), such as 1 / environments, or `gap_weights`.
+    """
+    scores = [by_environment(run) for run in runs]
+    cells, factors = [], []
+    for env_id, weight in zip(env_ids, np.asarray(weights), strict=True):
+        rollouts = [run[env_id] for run in scores if env_id in run]
+        cells += [rollout_mean(column) for column in rollouts]
+        factors += [weight / len(rollouts)] * len(rollouts)
+    return weighted_sum(cells, factors)
 
 
 def over_runs(scores: ArrayLike, ddof: int = 0) -> Spread:
     """The paper's figure: mean and standard deviation over runs of the run means (appendix C).
 
-    `scores` (runs, rollouts). The appendix does not give the divisor of the standard deviation:
-    runs - `ddof`.
+    `scores` (runs, rollouts) of one environment. The appendix does not give the divisor of the
+    standard deviation: runs - `ddof`.
     """
-    means = _two_dimensions(scores).mean(axis=1)  # (runs,)
+    means = np.asarray(scores, np.float64).mean(axis=1)  # (runs,)
     return Spread(float(means.mean()), float(means.std(ddof=ddof)))
 
 
-def mean(scores: ArrayLike) -> Floats:
-    """The mean over repetitions and strata; `scores` (..., n, strata)."""
-    means: Floats = np.asarray(scores, np.float64).mean(axis=(-2, -1))
-    return means
+def mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
+    """The mean over environments of the mean over runs, with a t interval over runs.
 
+    Args:
+        scores: (runs, environments), see the module's docstring.
+        confidence: nominal coverage of the interval.
 
-def interquartile_mean(scores: ArrayLike) -> Floats:
-    """The mean of the middle half of all scores; `scores` (..., n, strata).
-
-    A quarter of the scores, rounded down, is left out at either end.
+    Raises:
+        ValueError: no such array, scores outside [0, 1], or a row or column without a score.
     """
-    flat = _flat(scores)
-    cut = flat.shape[-1] // 4
-    middle: Floats = np.sort(flat, axis=-1)[..., cut : flat.shape[-1] - cut].mean(axis=-1)
-    return middle
+    table = _table(scores)
+    return _weighted_means(table, np.full(table.shape[1], 1 / table.shape[1]), confidence)
 
 
-def optimality_gap(scores: ArrayLike, target: float = 1.0) -> Floats:
-    """By how much scores fall short of `target` on average; `scores` (..., n, strata)."""
-    gaps: Floats = np.maximum(target - _flat(scores), 0.0).mean(axis=-1)
-    return gaps
+def interquartile_mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
+    """The mean of the middle half of all scores, runs and environments pooled (rliable's IQM).
 
-
-def probability_of_improvement(first: ArrayLike, second: ArrayLike) -> Floats:
-    """How probably `first` beats `second` in a stratum drawn at random; ties count half.
-
-    `first` (..., n, strata), `second` (..., m, strata).
+    A quarter of the scores, rounded down, is left out at either end. The t interval over runs is
+    that of Tukey and McLaughlin (1963): a run's contribution is the sum of its winsorised scores.
+    Arguments and errors as for `mean`.
     """
-    a, b = np.asarray(first, np.float64), np.asarray(second, np.float64)
-    difference = a[..., :, None, :] - b[..., None, :, :]  # (..., n, m, strata)
-    won: Floats = ((np.sign(difference) + 1.0) / 2.0).mean(axis=(-3, -2, -1))
-    return won
+    table = _table(scores)
+    pooled = np.sort(table[~np.isnan(table)])
+    cut = len(pooled) // 4
+    middle = pooled[cut : len(pooled) - cut]
+    winsorised = np.clip(table, middle[0], middle[-1])
+    strata = _by_stratum(table, np.nansum(winsorised, axis=1) / len(middle))
+    return t_interval(float(middle.mean()), strata, confidence, (0.0, 1.0))
 
 
-def bootstrap_interval(
+def optimality_gap(
+    scores: ArrayLike, target: float = 1.0, confidence: float = CONFIDENCE
+) -> Interval:
+    """By how much scores fall short of `target` on average, with a t interval over runs.
+
+    No score exceeds 1, so with the default target this is 1 less the mean. Other arguments and
+    errors as for `mean`.
+    """
+    return mean(np.maximum(target - _table(scores), 0.0), confidence)
+
+
+def generalisation_gap(
     scores: ArrayLike,
-    rng: np.random.Generator,
-    statistic: Statistic = mean,
-    confidence: float = 0.95,
-    draws: int = 2000,
+    env_ids: Sequence[str],
+    variant: str = "TestAll",
+    confidence: float = CONFIDENCE,
 ) -> Interval:
-    """The percentile interval of a stratified bootstrap; `scores` (n, strata).
+    """Demo's mean score less TestAll's, by task, then the mean over tasks.
 
-    Each stratum's repetitions are drawn again with replacement, independently of the others'.
+    Args:
+        scores: (runs, environments), see the module's docstring.
+        env_ids: the columns' environments; tasks without both variants are left out.
+        variant: another test variant in TestAll's place gives the gap along that axis.
+        confidence: nominal coverage of the t interval over runs.
+
+    Raises:
+        ValueError: as for `mean`, or no task has both variants.
     """
-    table = _two_dimensions(scores)
-    samples = _all_draws([table], rng, lambda drawn: statistic(drawn[0]), draws)
-    return _interval(float(statistic(table)), samples, confidence)
-
-
-def bootstrap_difference(
-    first: ArrayLike,
-    second: ArrayLike,
-    rng: np.random.Generator,
-    compare: Callable[[Floats, Floats], Floats] = lambda a, b: mean(a) - mean(b),
-    confidence: float = 0.95,
-    draws: int = 2000,
-) -> Interval:
-    """As `bootstrap_interval` for a comparison of two; both (n, strata), drawn independently.
-
-    `compare` may be `probability_of_improvement`; by default it is the difference of the means.
-    """
-    tables = [_two_dimensions(first), _two_dimensions(second)]
-    samples = _all_draws(tables, rng, lambda drawn: compare(*drawn), draws)
-    return _interval(float(compare(*tables)), samples, confidence)
-
-
-def generalisation_gaps(means: Mapping[str, float]) -> dict[str, float]:
-    """For each test variant, Demo's mean score less the variant's; `means` by variant.
-
-    Raises `KeyError` where there is no Demo.
-    """
-    short = {short_variant(variant): value for variant, value in means.items()}
-    demo = short.pop("Demo")
-    return {variant: demo - value for variant, value in short.items()}
-
-
-def _flat(scores: ArrayLike) -> Floats:
-    array = np.asarray(scores, np.float64)
-    return array.reshape(*array.shape[:-2], -1)
-
-
-def _two_dimensions(scores: ArrayLike) -> Floats:
-    array = np.asarray(scores, np.float64)
-    if array.ndim != 2 or not array.size:
+    table, weights = _table(scores), gap_weights(env_ids, variant)
+    if table.shape[1] != len(weights):
         raise ValueError(
-            f"scores: expected a row for each repetition and a column for each stratum, found "
-            f"shape {array.shape}; a plain list of scores is one column: scores[:, None]"
+            f"expected a column for each environment, found {table.shape[1]} columns and "
+            f"{len(weights)} environments"
         )
-    return array
+    compared = table[:, weights != 0]
+    evaluated = ~np.isnan(compared).all(axis=1)
+    return _weighted_means(compared[evaluated], weights[weights != 0], confidence)
 
 
-CHUNK = 1 << 22  # scores, or pairs of scores, drawn at a time: bounds the memory
+def gap_weights(env_ids: Sequence[str], variant: str = "TestAll") -> Floats:
+    """Weights (environments,) of the environments' means whose sum is the generalisation gap.
+
+    Raises `ValueError` where no task has both variants.
+    """
+    parsed = [parse_env_id(env_id) for env_id in env_ids]
+    signs = {full_variant(variant): -1.0, "Demo": 1.0}
+    variants: dict[str, set[str]] = {}
+    for env_id in parsed:
+        variants.setdefault(env_id.task, set()).add(env_id.variant)
+    tasks = [task for task, found in variants.items() if signs.keys() <= found]
+    if not tasks or len(signs) == 1:
+        raise ValueError(
+            f"expected Demo and another variant of the same task, here {variant}, found "
+            f"{', '.join(env_ids)}"
+        )
+    weights = [signs.get(env_id.variant, 0.0) * (env_id.task in tasks) for env_id in parsed]
+    return np.array(weights) / len(tasks)
 
 
-def _all_draws(
-    tables: list[Floats],
-    rng: np.random.Generator,
-    statistic: Callable[[list[Floats]], Floats],
-    draws: int,
-) -> Floats:
-    per_draw = math.prod(map(len, tables)) * tables[0].shape[1]  # pairs, where two are compared
-    per_chunk = max(1, CHUNK // per_draw)
-    chunks = [
-        statistic([_draw(table, rng, min(per_chunk, draws - start)) for table in tables])
-        for start in range(0, draws, per_chunk)
+def difference(first: ArrayLike, second: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
+    """The mean of `first` less that of `second`, with Welch's t interval over runs.
+
+    Both (runs, environments) with the same columns; the runs of the two are independent. Raises
+    `ValueError` as `mean` does, or where the columns differ in number.
+    """
+    tables = _two_tables(first, second)
+    size = tables[0].shape[1]
+    parts = [_contributions(table, np.full(size, 1 / size)) for table in tables]
+    strata = [
+        stratum
+        for table, part in zip(tables, parts, strict=True)
+        for stratum in _by_stratum(table, part)
     ]
-    return np.concatenate(chunks)
+    return t_interval(float(parts[0].sum() - parts[1].sum()), strata, confidence, (-1.0, 1.0))
 
 
-def _draw(table: Floats, rng: np.random.Generator, draws: int) -> Floats:
-    rows = rng.integers(len(table), size=(draws, *table.shape))
-    return table[rows, np.arange(table.shape[1])]  # (draws, n, strata)
+def probability_of_improvement(
+    first: ArrayLike, second: ArrayLike, confidence: float = CONFIDENCE
+) -> Interval:
+    """How probably a run of `first` beats one of `second`, averaged over environments.
+
+    Ties count half, as in rliable. The interval is Wilson's for as many independent comparisons as
+    there are runs of the method with fewer: the average over all pairs varies no more than that of
+    comparisons without a run in common (Hoeffding, 1963, section 5). Strata add up. Arguments and
+    errors as for `difference`.
+    """
+    a, b = _two_tables(first, second)
+    won = [_share_won(x[~np.isnan(x)], y[~np.isnan(y)]) for x, y in zip(a.T, b.T, strict=True)]
+    value = float(np.mean(won))
+    return wilson_interval(value, _comparisons(a, b), confidence)
 
 
-def _interval(value: float, samples: Floats, confidence: float) -> Interval:
-    tail = (1.0 - confidence) / 2.0
-    low, high = np.quantile(samples, [tail, 1.0 - tail])
-    return Interval(value, float(low), float(high))
+def _table(scores: ArrayLike) -> Floats:
+    table = np.asarray(scores, np.float64)
+    if table.ndim != 2 or not table.size:
+        raise ValueError(
+            f"scores: expected a row for each run and a column for each environment, found shape "
+            f"{table.shape}; scores of one environment are one column: scores[:, None]"
+        )
+    missing = np.isnan(table)
+    if missing.all(axis=0).any() or missing.all(axis=1).any():
+        raise ValueError("scores: expected a score in each row and each column, found only NaN")
+    check_range(table)
+    return table
+
+
+def _two_tables(first: ArrayLike, second: ArrayLike) -> tuple[Floats, Floats]:
+    a, b = _table(first), _table(second)
+    if a.shape[1] != b.shape[1]:
+        raise ValueError(
+            f"expected scores in the same environments, found {a.shape[1]} and {b.shape[1]} columns"
+        )
+    return a, b
+
+
+def _weighted_means(table: Floats, weights: Floats, confidence: float) -> Interval:
+    """The weighted sum of the environments' means over runs."""
+    contributions = _contributions(table, weights)
+    bounds = float(weights[weights < 0].sum()), float(weights[weights > 0].sum())
+    strata = _by_stratum(table, contributions)
+    return t_interval(float(contributions.sum()), strata, confidence, bounds)
+
+
+def _contributions(table: Floats, weights: Floats) -> Floats:
+    """What each run adds to the weighted sum of the environments' means; (runs,)."""
+    runs = (~np.isnan(table)).sum(axis=0)  # (environments,)
+    total: Floats = np.nansum(table * (weights / runs), axis=1)
+    return total
+
+
+def _by_stratum(table: Floats, contributions: Floats) -> list[Floats]:
+    """The contributions of each stratum's runs, that is of rows with NaN at the same places."""
+    strata: dict[bytes, list[float]] = {}
+    for missing, contribution in zip(np.isnan(table), contributions, strict=True):
+        strata.setdefault(missing.tobytes(), []).append(contribution)
+    return [np.array(stratum) for stratum in strata.values()]
+
+
+def _share_won(first: Floats, second: Floats) -> float:
+    signs = np.sign(first[:, None] - second)  # (n, m)
+    return float((signs.mean() + 1.0) / 2.0)
+
+
+def _comparisons(first: Floats, second: Floats) -> float:
+    """Independent comparisons of runs that the probability of improvement is worth at least."""
+    evaluated = ~np.isnan(np.concatenate([first, second]))  # (runs of both, environments)
+    strata, sizes = np.unique(evaluated, axis=1, return_counts=True)  # columns with the same runs
+    split = len(first)
+    fewest = np.minimum(strata[:split].sum(axis=0), strata[split:].sum(axis=0))  # (strata,)
+    independent = strata.sum(axis=1).max() == 1  # no run is in two strata
+    return float((fewest * sizes.sum() / sizes).min() if independent else fewest.min())

@@ -1,102 +1,150 @@
-"""Bringing a held block to its place: forwards, backwards or turning, whichever is soonest.
+"""Carrying a held block to its goal: forwards, backwards or turning, whichever is soonest.
 
-All short motions are scored by the control steps, about, until the block would be there after
-them; to the best are added what walls and blocks in the way cost, and the cheapest one's first
-action is taken.
+All short motions are scored by about how many control steps remain until the block is at its goal.
+The best few of each first action are also charged for walls and blocks on their paths, and the
+first action of the cheapest is taken.
 """
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from magical.experts.motions import ACTIONS_TRIED, HOLD, STEP, TAP, Floats, Table, table_for
+from magical.experts.array_geometry import Floats, Ints, excess, lengths, wrap_angles
+from magical.experts.distances import BLOCK_SPACING, CONTACT_DISTANCE, HELD_DISTANCE, ROBOT_LIMIT
+from magical.experts.motions import (
+    DRIVE_STEP,
+    OPEN_ACTIONS,
+    TURN_STEP,
+    MotionTable,
+    motion_table,
+)
 from magical.experts.paths import next_waypoint
-from magical.experts.sight import Sight
+from magical.experts.state_view import StateView
 from magical.scene.actions import Action, Gripper, Longitudinal, Turn
 from magical.scene.geometry import Point
 
-BODY_ROOM = 0.31  # units from the robot's centre to a block's
-BLOCK_ROOM = 0.26  # units between two blocks' centres
-REAR = 0.18  # units behind the robot that should be free in the end
-CORNERED = 5.0  # how much worse it is if a wall is there
-BODY_LIMIT, BLOCK_LIMIT = 0.8, 0.84  # largest coordinates of the robot's and the block's centre
-CLEARANCE = 0.31  # units from a carried block's centre to an obstacle's when planning ways
-_BLAME = 45.0  # control steps, per unit, that getting too close costs: two blocks are hard to push
-_MORE = 4.0  # control steps that any further correction takes
-_IDLE = 4.0  # control steps that standing still seems to cost
-_TOP = 5  # motions, for each first action, that are checked for obstacles
-_ROW_STARTS = np.arange(ACTIONS_TRIED)[:, None]
-_CLOSED = 9  # added to an action's id: the same with closed fingers
+
+@dataclass(frozen=True, slots=True)
+class CarrySettings:
+    """What the rest of a motion is charged for."""
+
+    waypoint_clearance: float = 0.31  # units from the block to obstacles on its path; tuned
+    waypoint_tolerance: float = 0.1  # units: how exactly waypoints are met; tuned
+    goal_tolerance: float = 0.7  # share of a move's tolerance that is aimed at; tuned
+    detour: float = 1.3  # of the straight line's time that the rest takes; tuned
+    pull_turn: float = 0.6  # rad that pulling costs in addition to facing away; tuned
+    turn_limit: float = 40.0  # control steps per unit: short ways need no facing; tuned
+    correction: float = 4.0  # control steps that any further correction takes; tuned
+    stop_cost: float = 4.0  # control steps added to standing still, which could last; tuned
+    candidates: int = 5  # motions of each first action that are checked for obstacles; for time
+
+
+@dataclass(frozen=True, slots=True)
+class CarryRoom:
+    """The room that a motion with a block should leave."""
+
+    block_limit: float = 0.84  # units: largest coordinate of the held block's centre; tuned
+    cost: float = 45.0  # control steps per unit of missing room; tuned
+    rear: float = 0.18  # units behind the robot that should be free at the end; tuned
+    rear_wall_cost: float = 5.0  # of `cost`: of a wall there, which prevents release; tuned
+    block_wall_cost: float = 2.0  # of `cost`: of a wall at the block; tuned
+
+
+@dataclass(frozen=True, slots=True)
+class GripSettings:
+    """How fingers close around a block."""
+
+    steps: int = 2  # control steps of closing before a block is carried; measured
+    closed_opening: float = 0.33  # rad: smaller openings hold a block already; measured
+    advance: float = 0.015  # units beyond HELD_DISTANCE at which the robot still drives up; tuned
+
+
+CARRY = CarrySettings()
+ROOM = CarryRoom()
+GRIP = GripSettings()
+
+_ROW_STARTS = np.arange(OPEN_ACTIONS)[:, None]
+_TO_CLOSED = Action(gripper=Gripper.CLOSED).id  # added to an action's id: with closed fingers
+
+
+def grip(view: StateView, block: Point) -> int:
+    """The action that closes the fingers around a block, moving up to it."""
+    is_ahead = view.to_robot_frame(block)[1] > HELD_DISTANCE + GRIP.advance
+    drive = Longitudinal.FORWARD if is_ahead else Longitudinal.STOP
+    return Action(drive, Turn.STRAIGHT, Gripper.CLOSED).id
+
+
+def is_gripped(view: StateView, held_steps: int) -> bool:
+    """Whether the fingers have closed on a block that has been between them for `held_steps`."""
+    return held_steps >= GRIP.steps or view.finger_opening <= GRIP.closed_opening
 
 
 def carry(
-    sight: Sight, block: Point, goal: Point, tolerance: float, others: Sequence[Point]
+    view: StateView, block: Point, goal: Point, tolerance: float, others: Sequence[Point]
 ) -> int:
-    """Move on with the block between closed fingers."""
-    point = next_waypoint(block, goal, others, CLEARANCE, sight.angle)
-    table = table_for(sight.speed, sight.spin)
-    near = tolerance if point == goal else 0.1
-    cost = table.time + _to_place(table, sight.local(block), sight.local(point), near)
-    return _CLOSED + _pick(sight, table, cost, others)
+    """The action that moves a block between closed fingers towards its goal."""
+    point = next_waypoint(block, goal, others, CARRY.waypoint_clearance, view.angle)
+    table = motion_table(view.speed, view.spin)
+    near = tolerance if point == goal else CARRY.waypoint_tolerance
+    remaining = _remaining_steps(
+        table, view.to_robot_frame(block), view.to_robot_frame(point), near
+    )
+    return _TO_CLOSED + _cheapest_action(view, table, table.time + remaining, others)
 
 
-def grip(sight: Sight, block: Point) -> int:
-    """Close the fingers around a block between them, moving up to it."""
-    forward = Longitudinal.FORWARD if sight.local(block)[1] > HOLD + 0.015 else Longitudinal.STOP
-    return Action(forward, Turn.STRAIGHT, Gripper.CLOSED).id
-
-
-def _to_place(table: Table, block: Point, goal: Point, tolerance: float) -> Floats:
-    """Control steps, about, from the end of each motion until the held block is at the goal."""
+def _remaining_steps(table: MotionTable, block: Point, goal: Point, tolerance: float) -> Floats:
+    """About how many control steps (N,) the held block needs to the goal after each motion."""
     end = table.robot[:, -1] + block[0] * table.right + block[1] * table.ahead
     offset = np.array(goal) - end  # (N, 2)
     distance = np.hypot(offset[:, 0], offset[:, 1])
-    angle = np.abs(_wrap(np.arctan2(-offset[:, 0], offset[:, 1]) - table.turned))
-    turn = np.minimum(angle, 0.6 + math.pi - angle) / TAP
-    missing = np.maximum(0.0, distance - 0.7 * tolerance)
-    to_go: Floats = 1.3 * missing / STEP + np.minimum(turn, 40.0 * missing) + _MORE * (missing > 0)
-    return to_go
+    angle = np.abs(wrap_angles(np.arctan2(-offset[:, 0], offset[:, 1]) - table.turned))
+    turn = np.minimum(angle, CARRY.pull_turn + math.pi - angle) / TURN_STEP
+    missing = np.maximum(0.0, distance - CARRY.goal_tolerance * tolerance)
+    steps: Floats = CARRY.detour * missing / DRIVE_STEP
+    steps += np.minimum(turn, CARRY.turn_limit * missing) + CARRY.correction * (missing > 0)
+    return steps
 
 
-def _pick(sight: Sight, table: Table, cost: Floats, others: Sequence[Point]) -> int:
-    """The first action of the cheapest motion, walls and blocks in the way considered."""
-    rows = cost.reshape(ACTIONS_TRIED, -1)  # one for each first action
-    rows[0] += _IDLE
-    best = np.argpartition(rows, _TOP, axis=1)[:, :_TOP]
-    top = (best + _ROW_STARTS * rows.shape[1]).ravel()
-    total = cost[top] + _BLAME * _obstruction(table, top, sight, others)
-    return int(table.first[top[total.argmin()]])
+def _cheapest_action(
+    view: StateView, table: MotionTable, cost: Floats, others: Sequence[Point]
+) -> int:
+    """The first action of the cheapest motion once walls and blocks on its path are charged."""
+    rows = cost.reshape(OPEN_ACTIONS, -1)  # one for each first action
+    rows[0] += CARRY.stop_cost
+    best = np.argpartition(rows, CARRY.candidates, axis=1)[:, : CARRY.candidates]
+    candidates = (best + _ROW_STARTS * rows.shape[1]).ravel()
+    total = cost[candidates] + ROOM.cost * _missing_room(view, table, candidates, others)
+    return int(table.first[candidates[total.argmin()]])
 
 
-def _obstruction(
-    table: Table, picks: NDArray[np.intp], sight: Sight, others: Sequence[Point]
+def _missing_room(
+    view: StateView, table: MotionTable, motions: Ints, others: Sequence[Point]
 ) -> Floats:
-    """By how many units each pick gets too close to walls and other blocks on its way."""
-    turn = np.array(((sight.cos, sight.sin), (-sight.sin, sight.cos)))
-    here = np.array((sight.x, sight.y))
-    robot, block = table.robot[picks] @ turn + here, table.block[picks] @ turn + here  # (P, K, 2)
-    # Room to back off once the block is let go, as if the way went on backwards.
-    behind = (table.robot[picks, -1:] - REAR * table.ahead[picks, None]) @ turn + here
-    robot = np.concatenate((robot, behind), axis=1)
-    cost: Floats = np.maximum(0.0, np.abs(robot) - BODY_LIMIT).max(axis=(1, 2))
-    cost += CORNERED * np.maximum(0.0, np.abs(behind) - BODY_LIMIT).max(axis=(1, 2))
-    cost += 2.0 * np.maximum(0.0, np.abs(block) - BLOCK_LIMIT).sum(axis=2).mean(axis=1)
+    """Units (P,) by which each motion gets too close to walls and other blocks on its path."""
+    rotation = np.array(((view.cos, view.sin), (-view.sin, view.cos)))
+    here = np.array(view.position)
+    robot = table.robot[motions] @ rotation + here  # (P, K, 2)
+    block = table.block[motions] @ rotation + here
+    # Room to back off once the block is released, as if the path went on backwards.
+    rear = table.robot[motions, -1:] - ROOM.rear * table.ahead[motions, None]  # (P, 1, 2)
+    rear = rear @ rotation + here
+    robot = np.concatenate((robot, rear), axis=1)
+    missing: Floats = excess(robot, ROBOT_LIMIT).max(axis=(1, 2))
+    missing += ROOM.rear_wall_cost * excess(rear, ROBOT_LIMIT).max(axis=(1, 2))
+    at_walls = excess(block, ROOM.block_limit).sum(axis=2).mean(axis=1)
+    missing += ROOM.block_wall_cost * at_walls
     if others:
         points = np.array(others)
-        cost += _intrusion(robot, points, BODY_ROOM) + _intrusion(block, points, BLOCK_ROOM)
-    return cost
+        missing += _intrusion(robot, points, CONTACT_DISTANCE)
+        missing += _intrusion(block, points, BLOCK_SPACING)
+    return missing
 
 
-def _intrusion(ways: Floats, points: Floats, room: float) -> Floats:
-    """How much closer than `room` each way (P, K, 2) gets to the points (M, 2), in all."""
-    offset = ways[:, :, None] - points
-    distance = np.sqrt((offset * offset).sum(axis=-1))  # (P, K, M)
-    least: Floats = np.maximum(0.0, room - distance.min(axis=1)).sum(axis=1)
-    return least
-
-
-def _wrap(angle: Floats) -> Floats:
-    wrapped: Floats = (angle + math.pi) % (2 * math.pi) - math.pi
-    return wrapped
+def _intrusion(paths: Floats, points: Floats, room: float) -> Floats:
+    """Units (P,) by which paths (P, K, 2) get closer than `room` to points (M, 2), in all."""
+    offset = paths[:, :, None] - points
+    distance = lengths(offset)  # (P, K, M)
+    missing: Floats = np.maximum(0.0, room - distance.min(axis=1)).sum(axis=1)
+    return missing

@@ -1,4 +1,4 @@
-"""The scripted expert: which move now, and the skill that makes it."""
+"""The scripted expert: which move is made now, and the skill that makes it."""
 
 import math
 from collections.abc import Sequence
@@ -6,234 +6,228 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from magical.experts import grasp, steering
-from magical.experts.carry import carry, grip
-from magical.experts.clumsiness import Clumsiness
-from magical.experts.goals import NO_PLAN, Goals, Move, Plan, Style, goals_of
-from magical.experts.paths import gap
-from magical.experts.sight import Sight
+from magical.experts import steering
+from magical.experts.action_noise import ActionNoise
+from magical.experts.carry import carry, grip, is_gripped
+from magical.experts.distances import DRIVING_CLEARANCE, WORKING_DISTANCE
+from magical.experts.goals import get_goals
+from magical.experts.grasp import is_between_fingers
+from magical.experts.grasp_costs import best_side
+from magical.experts.memory import STALL, Memory, note_motion, note_progress
+from magical.experts.paths import segment_distance
+from magical.experts.planning import Goals, Move, Strategy
+from magical.experts.state_view import StateView
 from magical.scene import NOOP, State
-from magical.scene.actions import Action, Gripper, Longitudinal, Turn
+from magical.scene.actions import Action, Gripper
 from magical.scene.geometry import Point
 
-PATIENCE = 7  # control steps without progress after which the expert tries something else
-RELUCTANCE = 40.0  # control steps that a block whose move was just given up seems further away
-ROOM = 0.4  # units around a place that should be free of blocks that are to go elsewhere
-TAKEN = 60.0  # control steps, per unit, that a move waits for them to go
-WAY = 0.34  # units beside a block's way that should be free
-BLOCKED = 300.0  # control steps, per unit, that a move waits for its way to become free
-ESCAPE = 4  # control steps that it then drives away
-REVIEW = 8  # control steps after which the side of approach is thought over
-CHECK = 3  # control steps between looks, on the way, whether the task is solved already
-CLOSING = 2  # control steps that closing the fingers takes
-GRIPPED = 0.33  # rad: fingers opened less than this have something, or are closing, already
-CAREFUL = 12  # control steps without progress after which others may be pushed aside
-SEARCH = 24  # control steps without progress after which a move is given up
-POKE = 20  # control steps in which a block that could not be grasped is knocked loose first
-ASIDE = 0.13  # units beside its centre that are aimed at
-HOLD = Action(gripper=Gripper.CLOSED).id  # what a finished expert does
-HAUL = 80  # control steps after which a move is given up
-
-
-FAR = 9.0  # units
-PROGRESS = 0.05  # units that count as getting nearer
+IDLE_ACTION = Action(gripper=Gripper.CLOSED).id  # of a finished expert; see `_idle_action`
 
 
 @dataclass(frozen=True, slots=True)
-class Memory:
-    """What an expert carries from one decision to the next; it can start from nothing."""
+class ChoiceSettings:
+    """How often decisions are reviewed, and what the next move is chosen by."""
 
-    plan: Plan = NO_PLAN
-    move: Move | None = None
-    side: float = 0.0  # bearing from which the block is to be grasped, rad
-    age: int = 0  # control steps spent on the move
-    failures: int = 0  # times it got stuck
-    escape: int = 0  # control steps of driving away that are left
-    rest: int = 0  # control steps until an idle expert looks again
-    mark: tuple[float, float, float] = (9.0, 9.0, 0.0)  # robot's pose when it last got somewhere
-    still: int = 0  # control steps since then
-    loose: int = 0  # control steps without getting nearer to having the block
-    nearest: float = FAR  # units: how near it got
-    held: int = 0  # control steps that the block has been between the fingers
-    pull: bool = False  # whether the escape keeps the block
-    avoid: tuple[int, ...] = ()  # blocks whose moves were given up last
+    review_steps: int = 8  # control steps between reviews of a side, or of an empty plan; tuned
+    solved_steps: int = 3  # control steps between checks whether the task is solved; for time
+    retry_cost: float = 40.0  # control steps for each time that a block's move was given up; tuned
+    occupied_cost: float = 60.0  # control steps per unit of missing room around the goal; swept
+    blocked_cost: float = 300.0  # control steps per unit of missing room beside the way; swept
+
+
+@dataclass(frozen=True, slots=True)
+class RetrySettings:
+    """How a block that could not be grasped is approached again."""
+
+    steps: int = 20  # control steps in which it is knocked loose; tuned
+    offset: float = 0.13  # units beside its centre that are aimed at; tuned
+    rotation: float = 2.4  # rad between one attempt and the next: the golden angle
+    side_shift: int = 5  # attempts that shift the preferences of sides, then again from the first
+
+
+CHOICE = ChoiceSettings()
+RETRY = RetrySettings()
 
 
 class Expert:
-    """A closed-loop demonstrator of one task."""
+    """A closed-loop demonstrator of one task.
 
-    def __init__(self, goals: Goals, style: Style, clumsiness: Clumsiness | None = None) -> None:
+    What it remembers of an episode is in `Memory`: it can start, or start again, in any state.
+    """
+
+    def __init__(self, goals: Goals, strategy: Strategy, noise: ActionNoise | None = None) -> None:
         self._goals = goals
-        self._style = style
-        self._clumsiness = clumsiness
+        self._strategy = strategy
+        self._noise = noise
 
     def act(self, state: State, memory: Memory | None = None) -> tuple[int, Memory]:
-        """The action for the present state, and the memory for the next call."""
-        action, memory = self._decide(Sight.of(state), memory or Memory())
-        if self._clumsiness is not None:
-            action = self._clumsiness.disturb(action)
+        """Decide on the next action.
+
+        Args:
+            state: The present state, any that the task can be in.
+            memory: What the last call returned; None at the start or on taking over.
+
+        Returns:
+            The action's id, and the memory for the next call.
+        """
+        action, memory = self._decide(StateView.from_state(state), memory or Memory())
+        if self._noise is not None:
+            action = self._noise.perturb_action(action)
         return action, memory
 
-    def _decide(self, sight: Sight, memory: Memory) -> tuple[int, Memory]:
-        memory = _watch(sight, memory)
-        if memory.escape:
-            return _escape(memory), replace(memory, escape=memory.escape - 1)
+    def _decide(self, view: StateView, memory: Memory) -> tuple[int, Memory]:
+        memory = note_motion(view, memory)
+        if memory.escape_steps:
+            action = steering.escape(memory.failures, memory.escape_with_block)
+            return action, replace(memory, escape_steps=memory.escape_steps - 1)
         move = memory.move
-        if move is None or _is_done(sight, move) or self._is_solved(sight, memory):
-            if memory.rest and move is None:
-                return self._rest(sight), replace(memory, rest=memory.rest - 1, still=0)
-            memory = self._choose(sight, memory)
+        if move is None or _is_done(view, move) or self._is_solved(view, memory):
+            if memory.idle_steps and move is None:
+                memory = replace(memory, idle_steps=memory.idle_steps - 1, stalled_steps=0)
+                return self._idle_action(view), memory
+            memory = self._choose_move(view, memory)
             move = memory.move
-            if move is None:
-                return self._rest(sight), memory
-        return self._pursue(sight, move, memory)
+        if move is None:
+            return self._idle_action(view), memory
+        return self._pursue(view, move, memory)
 
-    def _rest(self, sight: Sight) -> int:
-        """What to do when nothing is left to do.
+    def _idle_action(self, view: StateView) -> int:
+        """The action where nothing is left to do.
 
-        Closed fingers that squeeze a block creep on with it, so it is let go first. Then a
-        finished expert holds them closed: learners that leave no-op samples out, as the
-        appendix's behavioural cloning does, could not learn from no-ops that staying is right.
+        Closed fingers that squeeze a block creep on with it, so it is released first. Then a
+        finished expert keeps its fingers closed: learners that leave out no-op samples, as the
+        paper's behavioural cloning does, could not learn from no-ops to stay where they are.
         """
-        if self._goals.unsolvable(sight.scene):
+        if self._goals.unsolvable_fn(view.scene):
             return NOOP
-        away = steering.leave(sight, sight.blocks)
-        return HOLD if away is None else away
+        action = steering.back_off(view, view.blocks)
+        return IDLE_ACTION if action is None else action
 
-    def _is_solved(self, sight: Sight, memory: Memory) -> bool:
-        return memory.age % CHECK == 0 and self._goals.solved(sight)
+    def _is_solved(self, view: StateView, memory: Memory) -> bool:
+        return memory.move_steps % CHOICE.solved_steps == 0 and self._goals.solved_fn(view)
 
-    def _choose(self, sight: Sight, memory: Memory) -> Memory:
-        if self._goals.unsolvable(sight.scene):
-            return replace(memory, move=None, rest=REVIEW)
-        plan = self._goals.plan(sight, self._style, memory.plan)
-        memory = replace(memory, plan=plan, age=0, loose=0, nearest=FAR)
+    def _choose_move(self, view: StateView, memory: Memory) -> Memory:
+        """Plan again, and choose the move that takes the fewest control steps."""
+        if self._goals.unsolvable_fn(view.scene):
+            return replace(memory, move=None, idle_steps=CHOICE.review_steps)
+        plan = self._goals.plan_fn(view, self._strategy, memory.plan)
+        memory = replace(
+            memory, plan=plan, move_steps=0, steps_without_progress=0, nearest=math.inf
+        )
         if not plan.moves:
-            return replace(memory, move=None, rest=REVIEW)
-        move = min(plan.moves, key=lambda move: self._price(sight, move, memory))
-        if self._clumsiness is None:
+            return replace(memory, move=None, idle_steps=CHOICE.review_steps)
+        move = min(plan.moves, key=lambda move: self._cost(view, move, memory))
+        if self._noise is None:
             return replace(memory, move=move)
         return replace(
-            memory, move=self._clumsiness.mislead(move), escape=self._clumsiness.detour()
+            memory, move=self._noise.perturb_goal(move), escape_steps=self._noise.sample_detour()
         )
 
-    def _price(self, sight: Sight, move: Move, memory: Memory) -> float:
+    def _cost(self, view: StateView, move: Move, memory: Memory) -> float:
+        """About how many control steps a move takes, and how many it is better to wait with it."""
         if move.block is None:
             return 0.0
-        taste = self._style.order[(move.block + memory.failures) % len(self._style.order)]
-        again = RELUCTANCE * memory.avoid.count(move.block)
+        preferences = self._strategy.block_costs
+        cost = preferences[(move.block + memory.failures) % len(preferences)]
+        cost += CHOICE.retry_cost * memory.failed_blocks.count(move.block)
         waiting = [m.block for m in memory.plan.moves if m.block not in (None, move.block)]
-        again += TAKEN * _shortage(move.goal, [sight.blocks[i] for i in waiting if i is not None])
-        again += BLOCKED * _blockage(sight, sight.blocks[move.block], move.goal)
-        side = self._side(sight, move.block, move.goal, memory.failures)
-        return side[1] + taste + move.weight + again
+        places = [view.blocks[block] for block in waiting if block is not None]
+        cost += CHOICE.occupied_cost * _missing_room(move.goal, places)
+        cost += CHOICE.blocked_cost * _missing_width(view, view.blocks[move.block], move.goal)
+        _, steps = self._best_side(view, move.block, move.goal, memory.failures)
+        return cost + steps + move.extra_cost
 
-    def _side(
-        self, sight: Sight, block: int, goal: Point, failures: int, used: float | None = None
+    def _best_side(
+        self,
+        view: StateView,
+        block: int,
+        goal: Point,
+        failures: int,
+        current: float | None = None,
     ) -> tuple[float, float]:
-        taste = self._style.sides[failures % 5 :] + self._style.sides[: failures % 5]
-        others = without(sight.blocks, block)
-        return grasp.best_side(sight, sight.blocks[block], goal, others, taste, used)
+        shift = failures % RETRY.side_shift
+        preferences = self._strategy.side_costs[shift:] + self._strategy.side_costs[:shift]
+        others = view.other_blocks(block)
+        return best_side(view, view.blocks[block], goal, others, preferences, current)
 
-    def _pursue(self, sight: Sight, move: Move, memory: Memory) -> tuple[int, Memory]:
-        aged = replace(memory, age=memory.age + 1, loose=memory.loose + 1, held=0)
+    def _pursue(self, view: StateView, move: Move, memory: Memory) -> tuple[int, Memory]:
+        """The action of the skill that the move needs now."""
         if move.block is None:
-            aged = _progress(aged, sight.distance(move.goal))
-            return steering.travel(sight, move.goal, sight.blocks, aged.loose > CAREFUL), aged
-        block, others = sight.blocks[move.block], without(sight.blocks, move.block)
-        if grasp.in_jaw(sight, block, memory.held):
-            aged = replace(aged, loose=0, nearest=FAR, held=memory.held + 1)
-            if memory.held < CLOSING and sight.opening > GRIPPED:
-                return grip(sight, block), aged
-            return carry(sight, block, move.goal, move.tolerance, others), aged
-        if memory.age % REVIEW == 0:
-            used = memory.side if memory.age else None
-            side = self._side(sight, move.block, move.goal, memory.failures, used)[0]
-            aged = replace(aged, side=side, nearest=aged.nearest if side == used else FAR)
-        aged = _progress(aged, steering.remaining(sight, block, aged.side))
-        bold = aged.loose > CAREFUL
-        if move.block in memory.avoid and memory.age < POKE:
-            angle = 2.4 * memory.failures  # the golden angle: another side each time
-            block = block[0] + ASIDE * math.cos(angle), block[1] + ASIDE * math.sin(angle)
-        return steering.approach(sight, block, aged.side, others, bold), aged
+            memory = note_progress(_count_step(memory), view.distance_to(move.goal))
+            push_aside = memory.steps_without_progress > STALL.push_aside_steps
+            return steering.travel(view, move.goal, view.blocks, push_aside), memory
+        if is_between_fingers(view, view.blocks[move.block], is_held=memory.held_steps > 0):
+            return _carry(view, move, move.block, memory)
+        return self._approach(view, move, move.block, memory)
+
+    def _approach(
+        self, view: StateView, move: Move, block: int, memory: Memory
+    ) -> tuple[int, Memory]:
+        centre = view.blocks[block]
+        counted = _count_step(memory)
+        if memory.move_steps % CHOICE.review_steps == 0:
+            current = memory.side if memory.move_steps else None
+            side, _ = self._best_side(view, block, move.goal, memory.failures, current)
+            nearest = memory.nearest if side == current else math.inf
+            counted = replace(counted, side=side, nearest=nearest)
+        side = counted.side
+        counted = note_progress(counted, steering.remaining_distance(view, centre, side))
+        push_aside = counted.steps_without_progress > STALL.push_aside_steps
+        if block in memory.failed_blocks and memory.move_steps < RETRY.steps:
+            centre = _beside(centre, memory.failures)
+        others = view.other_blocks(block)
+        return steering.approach(view, centre, side, others, push_aside), counted
 
 
-def without(points: Sequence[Point], index: int) -> tuple[Point, ...]:
-    """All points but one."""
-    return (*points[:index], *points[index + 1 :])
+def _carry(view: StateView, move: Move, block: int, memory: Memory) -> tuple[int, Memory]:
+    centre = view.blocks[block]
+    counted = replace(
+        _count_step(memory),
+        steps_without_progress=0,
+        nearest=math.inf,
+        held_steps=memory.held_steps + 1,
+    )
+    if not is_gripped(view, memory.held_steps):
+        return grip(view, centre), counted
+    return carry(view, centre, move.goal, move.tolerance, view.other_blocks(block)), counted
 
 
-def _progress(memory: Memory, left: float) -> Memory:
-    """Note it where the robot has less far to go than ever during this move."""
-    if left < memory.nearest - PROGRESS:
-        return replace(memory, nearest=left, loose=0)
-    return memory
+def _count_step(memory: Memory) -> Memory:
+    """Count a control step of a move whose block, if any, is not between the fingers."""
+    return replace(
+        memory,
+        move_steps=memory.move_steps + 1,
+        steps_without_progress=memory.steps_without_progress + 1,
+        held_steps=0,
+    )
 
 
-def _blockage(sight: Sight, start: Point, goal: Point) -> float:
-    """By how many units the straight way is narrower than needed, for all blocks beside it."""
+def _beside(block: Point, attempt: int) -> Point:
+    """A point beside a block to drive at, which knocks it loose; another one each time."""
+    angle = RETRY.rotation * attempt
+    return block[0] + RETRY.offset * math.cos(angle), block[1] + RETRY.offset * math.sin(angle)
+
+
+def _missing_width(view: StateView, start: Point, goal: Point) -> float:
+    """Units by which blocks narrow the straight way of a block, in all."""
     total = 0.0
-    for other in sight.blocks:
-        near = gap(start, goal, other)
-        if near < min(WAY, math.dist(start, other)):
-            total += WAY - near
+    for other in view.blocks:
+        distance = segment_distance(start, goal, other)
+        if distance < min(DRIVING_CLEARANCE, math.dist(start, other)):
+            total += DRIVING_CLEARANCE - distance
     return total
 
 
-def _shortage(place: Point, blocks: Sequence[Point]) -> float:
-    return sum(max(0.0, ROOM - math.dist(place, block)) for block in blocks)
+def _missing_room(place: Point, blocks: Sequence[Point]) -> float:
+    """Units by which blocks are too near to a place for releasing one there, in all."""
+    return sum(max(0.0, WORKING_DISTANCE - math.dist(place, block)) for block in blocks)
 
 
-def _is_done(sight: Sight, move: Move) -> bool:
-    place = (sight.x, sight.y) if move.block is None else sight.resting[move.block]
+def _is_done(view: StateView, move: Move) -> bool:
+    place = view.position if move.block is None else view.resting_blocks[move.block]
     if move.area is not None and move.area.contains(*place):
         return True
     return math.dist(place, move.goal) < move.tolerance
-
-
-def _watch(sight: Sight, memory: Memory) -> Memory:
-    """Notice whether the robot gets anywhere, and start an escape where it does not."""
-    late = memory.loose > SEARCH or memory.age > HAUL
-    x, y, angle = memory.mark
-    if math.dist((x, y), (sight.x, sight.y)) > 0.06 or abs(angle - sight.angle) > 0.4:
-        memory = replace(memory, mark=(sight.x, sight.y, sight.angle), still=0)
-    elif memory.still < PATIENCE:
-        memory = replace(memory, still=memory.still + 1)
-    else:
-        late = True
-    return _give_up(memory) if late and not memory.escape else memory
-
-
-def _give_up(memory: Memory) -> Memory:
-    move = memory.move
-    given_up = () if move is None or move.block is None else (move.block,)
-    return replace(
-        memory,
-        still=0,
-        loose=0,
-        nearest=FAR,
-        age=0,
-        failures=memory.failures + 1,
-        escape=ESCAPE,
-        pull=memory.held > 0 and not memory.pull,
-        avoid=(*given_up, *memory.avoid)[:3],
-        move=None,
-        rest=0,
-    )
-
-
-def _escape(memory: Memory) -> int:
-    """Let go and drive away: backwards, then on other ways should that not have helped."""
-    ways = (
-        (Longitudinal.BACK, Turn.STRAIGHT),
-        (Longitudinal.BACK, Turn.LEFT),
-        (Longitudinal.BACK, Turn.RIGHT),
-        (Longitudinal.FORWARD, Turn.LEFT),
-        (Longitudinal.FORWARD, Turn.RIGHT),
-    )
-    if memory.pull:
-        return Action(Longitudinal.BACK, Turn.STRAIGHT, Gripper.CLOSED).id
-    return Action(*ways[(memory.failures - 1) % len(ways)]).id
 
 
 def expert_for(
@@ -243,15 +237,20 @@ def expert_for(
     rng: np.random.Generator | None = None,
     skill: float = 1.0,
 ) -> Expert:
-    """The expert of a task, with the strategy that `seed` (or `rng`) draws.
+    """The expert of a task, with a sampled strategy.
 
-    Below `skill` 1 it makes mistakes: noise, detours, sometimes wrong goals.
+    Args:
+        task: The task's name, such as MoveToCorner.
+        seed: Of the strategy and the action noise; None: a random one.
+        rng: What they are sampled from instead, where given.
+        skill: From 0 to 1. Below 1 the expert makes mistakes: random actions, detours, and
+            sometimes wrong goals.
 
     Raises:
         NoExpertError: the task has none.
         InvalidConfigError: the skill is not between 0 and 1.
     """
-    goals = goals_of(task)
+    goals = get_goals(task)
     rng = np.random.default_rng(seed) if rng is None else rng
-    style = Style.draw(rng, grasp.SIDES)
-    return Expert(goals, style, None if skill == 1.0 else Clumsiness(1.0 - skill, rng))
+    strategy = Strategy.sample(rng)
+    return Expert(goals, strategy, None if skill == 1.0 else ActionNoise(1.0 - skill, rng))

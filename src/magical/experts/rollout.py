@@ -1,38 +1,40 @@
-"""Whole episodes of the scripted experts, and their scores over many."""
+"""Whole episodes of the scripted experts."""
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
-from magical.envs.ids import parse_env_id
 from magical.envs.vector.workers import defining_modules
 from magical.errors import NoSolutionError
-from magical.experts.expert import Memory, expert_for
-from magical.experts.goals import goals_of
+from magical.experts.expert import expert_for
+from magical.experts.goals import get_goals
+from magical.experts.memory import Memory
 from magical.physics import Simulation
-from magical.processes import available_cores, map_in_processes
 from magical.scene import NUM_ACTIONS, Dynamics, Poses, Scene, State
-from magical.tasks import get_task, load_tasks
+from magical.tasks import get_task
 
 
 @dataclass(frozen=True, slots=True)
 class Rollout:
-    """One episode: what it started with, what was done, where everything was."""
+    """One episode: its initial scene and dynamics, the actions, and all poses."""
 
     scene: Scene
     dynamics: Dynamics
     actions: NDArray[np.int64]  # (T,)
     poses: NDArray[np.float64]  # (T + 1, bodies, 3), rows as in `Poses`
-    score: float  # of the last poses, appendix's rule
+    score: float  # of the last poses, by the appendix
 
 
 def check_solvable(task: str, scene: Scene) -> None:
-    """Raise `NoSolutionError` where no sequence of actions could solve the task in this scene."""
-    if reason := goals_of(task).unsolvable(scene):
+    """Check that some sequence of actions solves the task in this scene.
+
+    Raises:
+        NoExpertError: the task has no expert.
+        NoSolutionError: there is none; says what the scene lacks.
+    """
+    if reason := get_goals(task).unsolvable_fn(scene):
         raise NoSolutionError(f"{task}: {reason}")
 
 
@@ -43,12 +45,17 @@ def rollout(
     *,
     skill: float = 1.0,
     random_steps: int = 0,
-    style_seed: int | None = None,
+    strategy_seed: int | None = None,
 ) -> Rollout:
-    """Let the expert act in the episode that `reset(seed=seed)` of the environment begins.
+    """Roll out the expert in the episode that the environment's `reset(seed=seed)` starts.
 
-    A random policy acts in the first `random_steps` control steps; then the expert takes over.
-    The strategy is drawn from `style_seed` (default: from `seed`).
+    Args:
+        task: The task's name.
+        variant: The variant's name, such as TestLayout.
+        seed: Of the scene, the dynamics and the random steps; None: a random one.
+        skill: From 0 to 1, as in `expert_for`.
+        random_steps: Control steps in which a random policy acts before the expert takes over.
+        strategy_seed: Of the expert's strategy; None: `seed`.
 
     Raises:
         UnknownNameError: the task or variant does not exist.
@@ -59,7 +66,7 @@ def rollout(
     rng = np_random(seed)[0]
     scene, dynamics = spec.sample(variant, rng)
     check_solvable(task, scene)
-    expert = expert_for(task, seed=seed if style_seed is None else style_seed, skill=skill)
+    expert = expert_for(task, seed=seed if strategy_seed is None else strategy_seed, skill=skill)
     world = Simulation(scene, dynamics)
     memory: Memory | None = None
     actions: list[int] = []
@@ -79,58 +86,11 @@ def rollout(
     return Rollout(scene, dynamics, np.array(actions), poses, score)
 
 
-def evaluate_expert(
-    env_ids: Sequence[str],
-    rollouts: int,
-    *,
-    seed: int = 0,
-    skill: float = 1.0,
-    takeover: bool = False,
-    workers: int | None = None,
-    progress: Callable[[int], None] | None = None,
-) -> dict[str, list[float]]:
-    """Final scores of `rollouts` unfiltered episodes in each environment.
-
-    With `takeover`, a random policy acts in the first third of each episode. Episode i begins as
-    `reset(seed=s)` does, s drawn from `seed`, i and nothing else, so the result does not depend
-    on `workers` (processes; default: the available cores).
-
-    Raises:
-        InvalidTaskError: worker processes could not import a task.
-        WorkerDiedError: a worker process was killed.
-    """
-    ids = [str(parse_env_id(env_id)) for env_id in env_ids]
-    jobs = [(env_id, seed, i, skill, takeover) for env_id in ids for i in range(rollouts)]
-    workers = min(workers or available_cores(), len(jobs))
-    tasks = {parse_env_id(env_id).task for env_id in ids} if workers > 1 else ()
-    modules = sorted({module for task in tasks for module in modules_of(task)})
-    scores: list[float] = []
-    for score in map_in_processes(partial(_score, modules), jobs, workers):
-        scores.append(score)
-        if progress:
-            progress(1)
-    return {env_id: scores[i * rollouts : (i + 1) * rollouts] for i, env_id in enumerate(ids)}
-
-
-_Job = tuple[str, int, int, float, bool]
-
-
 def modules_of(task: str) -> list[str]:
-    """The modules by which a worker process learns of a task and of its expert.
+    """The modules from which a new process learns of a task and of its expert.
 
     Raises:
         InvalidTaskError: the task is from outside the package and in no importable module.
         NoExpertError: the task has no expert.
     """
-    return sorted({*defining_modules([get_task(task)]), goals_of(task).plan.__module__})
-
-
-def _score(modules: Sequence[str], job: _Job) -> float:
-    for module in modules:
-        load_tasks(module)
-    env_id, seed, number, skill, takeover = job
-    parsed = parse_env_id(env_id)
-    episode = int(np.random.SeedSequence([seed, number]).generate_state(1)[0])
-    steps = get_task(parsed.task).horizon // 3 if takeover else 0
-    done = rollout(parsed.task, parsed.variant, episode, skill=skill, random_steps=steps)
-    return done.score
+    return sorted({*defining_modules([get_task(task)]), get_goals(task).plan_fn.__module__})

@@ -1,29 +1,46 @@
-"""Learning: networks, augmentations, the algorithms and their runs. Needs PyTorch."""
+"""Learning: networks, augmentation, algorithms and their runs.
 
-import importlib.util
+Importing this package does not import PyTorch, so that commands can list algorithms and read
+configurations without it. What needs PyTorch is imported on first use; without it that raises
+`MissingDependencyError` with the command that installs it.
+"""
 
-from magical.errors import MissingDependencyError
+import importlib
+from typing import TYPE_CHECKING, Any
 
-for _name in ("torch", "safetensors"):
-    if importlib.util.find_spec(_name) is None:
-        raise MissingDependencyError(
-            f"learning needs {_name}, which is not installed; pip install "
-            '"magical-benchmark[learning]"'
-        )
+from magical.learning.algorithms import Algorithm, algorithm_names, find_algorithm, read_config
+from magical.learning.config import Config
+from magical.runs import is_run
 
-from magical.learning.algorithms import Algorithm, algorithm_names, find_algorithm  # noqa: E402
-from magical.learning.config import Config  # noqa: E402
-from magical.learning.policy import NetworkPolicy, is_run, load_policy  # noqa: E402
-from magical.learning.training import Trained, train  # noqa: E402
+if TYPE_CHECKING:
+    from magical.learning.policy import NetworkPolicy, load_policy
+    from magical.learning.training import TrainResult, train
 
 __all__ = [
     "Algorithm",
     "Config",
     "NetworkPolicy",
-    "Trained",
+    "TrainResult",
     "algorithm_names",
     "find_algorithm",
     "is_run",
     "load_policy",
+    "read_config",
     "train",
 ]
+
+_NEEDS_TORCH = {
+    "NetworkPolicy": "policy",
+    "load_policy": "policy",
+    "TrainResult": "training",
+    "train": "training",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _NEEDS_TORCH:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from magical.learning.algorithms import require_torch
+
+    require_torch()
+    return getattr(importlib.import_module(f"{__name__}.{_NEEDS_TORCH[name]}"), name)

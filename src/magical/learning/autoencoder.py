@@ -1,4 +1,4 @@
-"""Features of observations and actions, learned by reconstructing the expert's (appendix B).
+"""The autoencoder of apprenticeship learning: features of observations and actions (appendix B).
 
 The encoder is the discriminator's network with its last layer removed and the one before it made
 32 wide. The decoder is that of docs/specification.md, section 10.
@@ -10,10 +10,9 @@ import numpy as np
 import torch
 from PIL import Image
 from torch import Tensor, nn
-from torch.nn import functional
 
 from magical.files import write_atomically
-from magical.learning.networks import Trunk, Width
+from magical.learning.models import Trunk
 from magical.scene import NUM_ACTIONS
 
 FEATURES = 32
@@ -24,13 +23,14 @@ SIZE = START[1] * 2 ** len(DOUBLINGS)  # pixels
 
 
 class Autoencoder(nn.Module):
-    """Images (B, C, 96, 96) and actions (B,) to features (B, 32) and back."""
+    """Encodes images (B, C, 96, 96) and actions (B,) as features (B, 32), and decodes them."""
 
-    def __init__(self, width: Width, image_shape: tuple[int, ...]) -> None:
+    def __init__(self, network: str, image_shape: tuple[int, ...]) -> None:
         super().__init__()
         assert image_shape[1:] == (SIZE, SIZE)
-        narrow = Width(width.convolutions, (*width.linear[:-1], FEATURES))
-        self.encoder = Trunk(narrow, image_shape, batch_norm=True, action_input=True)
+        self.encoder = Trunk(
+            network, image_shape, batch_norm=True, action_input=True, num_features=FEATURES
+        )
         self.hidden = nn.Sequential(
             nn.Linear(FEATURES, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, HIDDEN), nn.ReLU()
         )
@@ -58,19 +58,8 @@ def _image_decoder(channels: int) -> nn.Sequential:
     return nn.Sequential(*layers)
 
 
-def autoencoder_loss(
-    images: Tensor, actions: Tensor, reconstructed: Tensor, logits: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Mean squared error of the images and cross-entropy of the actions; their sum is minimised."""
-    error = functional.mse_loss(reconstructed.float(), images)
-    return error, functional.cross_entropy(logits.float(), actions)
-
-
 def save_reconstructions(path: Path, images: Tensor, reconstructed: Tensor) -> None:
-    """Write a picture: the newest frame of each stack (B, C, H, W) in [0, 1], what became of it.
-
-    Originals are above.
-    """
+    """Write a PNG of the newest frame of each stack (B, C, H, W) in [0, 1], originals above."""
     rows = [torch.cat(list(stacks[:, -3:]), dim=2) for stacks in (images, reconstructed)]
     both = torch.cat(rows, dim=1).float().clamp(0.0, 1.0).mul(255.0).round()  # (3, 2H, B * W)
     pixels = both.to(torch.uint8).permute(1, 2, 0).cpu().numpy()

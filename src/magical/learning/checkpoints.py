@@ -1,7 +1,7 @@
-"""Checkpoints: one safetensors file for a tree of tensors and plain values, written atomically.
+"""Checkpoints: one safetensors file for a nested state dict, written atomically.
 
-Tensors are stored as such, everything else (optimiser settings, counters, random generators'
-states) as JSON in the same file's header: one rename makes both appear at once. Nothing is
+Tensors are stored as such; everything else (optimiser settings, counters, states of
+environments) as JSON in the header of the same file, so that one rename replaces both. Nothing is
 unpickled.
 """
 
@@ -19,35 +19,35 @@ from torch.optim import Optimizer
 from magical.errors import CheckpointError
 from magical.files import write_atomically
 
-Tree = dict[str, Any]  # dicts with string keys, lists, tensors, and what JSON can hold
+StateDict = dict[str, Any]  # dicts with string keys, lists, tensors, and what JSON can hold
 
 _TENSOR = "__tensor__"
-_HEADER = "tree"
+_HEADER = "tree"  # the key in the header
 
 
-def save_tree(path: Path, tree: Tree) -> None:
-    """Write a tree; an older file at `path` stays as it was until the new one is complete.
+def save_checkpoint(path: Path, state: StateDict) -> None:
+    """Write a state dict; an older file at `path` stays as it was until the new one is complete.
 
     Raises:
         OSError: the file cannot be written, or the disk is full.
     """
     tensors: dict[str, Tensor] = {}
-    plain = _take_tensors(tree, "", tensors)
+    plain = _take_tensors(state, "", tensors)
     data = save(tensors, metadata={_HEADER: json.dumps(plain)})
     with write_atomically(path) as file:
         file.write(data)
 
 
-def load_tree(path: Path, device: torch.device | str = "cpu") -> Tree:
-    """Read what `save_tree` wrote.
+def load_checkpoint(path: Path, device: torch.device | str = "cpu") -> StateDict:
+    """Read what `save_checkpoint` wrote.
 
     Raises:
-        CheckpointError: missing, damaged, or something else.
+        CheckpointError: the file is missing, damaged, or no checkpoint.
     """
     try:
         with safe_open(path, framework="pt", device=str(device)) as file:
             header = json.loads((file.metadata() or {})[_HEADER])
-            tree: Tree = _put_tensors(header, file)
+            state: StateDict = _put_tensors(header, file)
     except FileNotFoundError as error:
         raise CheckpointError(f"checkpoint {path}: expected a file, found none") from error
     except (SafetensorError, KeyError, ValueError, TypeError) as error:
@@ -55,7 +55,7 @@ def load_tree(path: Path, device: torch.device | str = "cpu") -> Tree:
             f"checkpoint {path} is damaged or of another program ({error!r}); restore it from a "
             "copy or train again"
         ) from error
-    return tree
+    return state
 
 
 def _take_tensors(node: Any, name: str, tensors: dict[str, Tensor]) -> Any:
@@ -79,20 +79,20 @@ def _put_tensors(node: Any, file: Any) -> Any:
     return node
 
 
-def load_module(module: nn.Module, tree: Mapping[str, Any], what: str) -> None:
-    """Put saved weights into a module.
+def load_module(module: nn.Module, state: Mapping[str, Any], what: str) -> None:
+    """`module.load_state_dict(state)`; `what` names the checkpoint in errors.
 
     Raises:
-        CheckpointError: they are of another network.
+        CheckpointError: the state is of another network.
     """
     try:
-        module.load_state_dict(tree)
+        module.load_state_dict(state)
     except RuntimeError as error:
         raise CheckpointError(f"{what}: the checkpoint is of another network; {error}") from error
 
 
-def optimizer_tree(optimizer: Optimizer) -> Tree:
-    """An optimiser's state and settings, with string keys."""
+def optimizer_state(optimizer: Optimizer) -> StateDict:
+    """`optimizer.state_dict()` with string keys."""
     saved = optimizer.state_dict()
     return {
         "state": {str(index): values for index, values in saved["state"].items()},
@@ -100,19 +100,19 @@ def optimizer_tree(optimizer: Optimizer) -> Tree:
     }
 
 
-def load_optimizer(optimizer: Optimizer, tree: Mapping[str, Any]) -> None:
-    """Continue with what `optimizer_tree` returned.
+def load_optimizer(optimizer: Optimizer, state: Mapping[str, Any]) -> None:
+    """Load what `optimizer_state` returned.
 
-    Moments get their parameter's memory layout back, so that arithmetic stays bit-equal.
+    Moments get the memory layout of their parameters, so that arithmetic stays bit-equal.
     """
     parameters = [p for group in optimizer.param_groups for p in group["params"]]
-    state = {}
-    for index, values in tree["state"].items():
+    moments = {}
+    for index, values in state["state"].items():
         parameter = parameters[int(index)]
-        state[int(index)] = {
+        moments[int(index)] = {
             name: torch.empty_like(parameter).copy_(value)
             if isinstance(value, Tensor) and value.shape == parameter.shape
             else value
             for name, value in values.items()
         }
-    optimizer.load_state_dict({"state": state, "param_groups": tree["param_groups"]})
+    optimizer.load_state_dict({"state": moments, "param_groups": state["param_groups"]})

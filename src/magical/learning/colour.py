@@ -1,8 +1,8 @@
 """CIE Lab colour jitter of image batches, fast.
 
 In CIE 1976 Lab both lightness and the (a, b) plane are linear in the three cube roots of the
-normalised XYZ values, so scaling L and turning (a, b) is one affine map of these roots: Lab itself
-is never written out. Powers are exp(c * log(x)), several times faster than `pow` on a CPU. Source:
+normalised XYZ values, so scaling L and rotating (a, b) is one affine map of these roots: Lab itself
+is never computed. Powers are exp(c * log(x)), several times faster than `pow` on a CPU. Source:
 appendix B, "Colour jitter"; sRGB as in IEC 61966-2-1, white D65 for the 2 degree observer.
 """
 
@@ -30,28 +30,26 @@ ROOTS_TO_LAB = np.array([[0.0, 116.0, 0.0], [500.0, -500.0, 0.0], [0.0, 200.0, -
 LAB_OFFSET = np.array([-16.0, 0.0, 0.0])
 LAB_TO_ROOTS = np.linalg.inv(ROOTS_TO_LAB)
 
-# Near black, powers give way to straight lines: below the knee, seen from the curve's argument.
+# Near black, below these arguments, the power functions are replaced by straight lines.
 ROOT_KNEE, ROOT_SLOPE = 0.008856, 7.787
 GAMMA, GAMMA_SCALE, GAMMA_OFFSET = 2.4, 1.055, 0.055
 GAMMA_KNEE, GAMMA_SLOPE = 0.0031308, 12.92
 
 
-def colour_jitter(
-    images: Tensor, scales: NDArray[np.float64], turns: NDArray[np.float64]
-) -> Tensor:
-    """Scale the lightness and turn the (a, b) plane of each stack of frames.
+def colour_jitter(images: Tensor, scales: NDArray[np.float64], hues: NDArray[np.float64]) -> Tensor:
+    """Scale the lightness and rotate the (a, b) plane of each stack of frames.
 
     Args:
         images: (B, 3 * frames, H, W) sRGB, uint8 or float in [0, 1].
         scales: (B,) factors for L.
-        turns: (B,) angles in radians, from a towards b.
+        hues: (B,) angles in radians, from a towards b.
 
-    Returns:
+    Rehues:
         Float images of the same shape, clamped to [0, 1]; all frames of a stack are changed alike.
     """
     batch, channels, height, width = images.shape
     linear = _decode_gamma(images).reshape(batch, channels // 3, 3, height * width)
-    matrices, offsets = (_like(array, linear) for array in root_maps(scales, turns))
+    matrices, offsets = (_like(array, linear) for array in root_maps(scales, hues))
     roots = _to_roots(_mix(TO_TRISTIMULUS, linear))  # (B, frames, 3, H * W)
     roots = torch.matmul(matrices[:, None], roots).add_(offsets[:, None, :, None])
     linear = _mix(FROM_TRISTIMULUS, _from_roots(roots))
@@ -59,11 +57,11 @@ def colour_jitter(
 
 
 def root_maps(
-    scales: NDArray[np.float64], turns: NDArray[np.float64]
+    scales: NDArray[np.float64], hues: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """What the jitter does to the cube roots: matrices (B, 3, 3) and offsets (B, 3)."""
+    """The affine maps of the cube roots that the jitter amounts to: (B, 3, 3) and (B, 3)."""
     zero = np.zeros_like(scales)
-    cos, sin = np.cos(turns), np.sin(turns)
+    cos, sin = np.cos(hues), np.sin(hues)
     rows = [[scales, zero, zero], [zero, cos, -sin], [zero, sin, cos]]
     in_lab = np.moveaxis(np.array(rows), 2, 0)  # (B, 3, 3)
     matrices = LAB_TO_ROOTS @ in_lab @ ROOTS_TO_LAB
@@ -80,7 +78,7 @@ def _mix(matrix: NDArray[np.float64], pixels: Tensor) -> Tensor:
 
 
 def _decode_gamma(images: Tensor) -> Tensor:
-    """SRGB to linear; the 256 values that uint8 can have are looked up."""
+    """Map sRGB to linear; uint8 by a lookup table."""
     if images.dtype == torch.uint8:
         table = _decode_gamma(torch.arange(256, device=images.device) / 255.0)
         return table.index_select(0, images.flatten().int()).view(images.shape)

@@ -1,7 +1,8 @@
-"""What all algorithms' configurations share: options, presets, the way to and from plain data.
+"""What the configurations of all algorithms share: options, presets, conversion to plain data.
 
-An algorithm's configuration is one frozen dataclass: its fields are the command line's options, the
-Python signature, and the record in the run folder. Defaults are the published settings.
+The configuration of an algorithm is one frozen dataclass: its fields are the command line's
+options, the Python signature, and the record in the run folder. Defaults are the published
+settings. Nothing here needs PyTorch.
 """
 
 import dataclasses
@@ -11,16 +12,31 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
 
 from magical.errors import InvalidConfigError, UnknownNameError
-from magical.learning.augment import parse_augmentations
-from magical.learning.devices import DEVICES, PRECISIONS
-from magical.learning.networks import get_width
+from magical.learning.augmentations import parse_augmentations
+from magical.learning.networks import network_names
 from magical.observe import PRESETS, ObservationSpec, make_spec
 from magical.tasks import get_task
 
+DEVICES = ("auto", "cpu", "cuda")
+PRECISIONS = ("auto", "float32", "bfloat16")
+IMAGE_OBSERVATIONS = tuple(name for name, spec in PRESETS.items() if not spec.separate)
 
-def option(default: Any, text: str) -> Any:
-    """A configuration field with a default and a line of help."""
-    return dataclasses.field(default=default, metadata={"help": text})
+METAVARS = {int: "N", float: "X", str: "NAME", bool: None}
+
+
+def option(
+    default: Any, text: str, *, choices: tuple[str, ...] = (), metavar: str | None = None
+) -> Any:
+    """A configuration field.
+
+    Args:
+        default: the published setting.
+        text: a line of help for the command line.
+        choices: the allowed values, if there are only a few.
+        metavar: what stands for the value in the command line's help.
+    """
+    metadata = {"help": text, "choices": choices, "metavar": metavar}
+    return dataclasses.field(default=default, metadata=metadata)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,12 +46,16 @@ class Config:
     algorithm: ClassVar[str]
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {"paper": {}}
 
-    tasks: tuple[str, ...] = dataclasses.field(metadata={"help": "tasks to learn, one or several"})
-    observation: str = option("LoRes4E", "what the policy sees: a preset's name")
-    seed: int = option(0, "chooses the demonstrations, first weights, batches")
-    network: str = option("paper", "network: paper, small or light")
-    device: str = option("auto", "device: auto, cpu or cuda")
-    precision: str = option("auto", "precision: auto (the faster one), float32 or bfloat16")
+    tasks: tuple[str, ...] = option(
+        dataclasses.MISSING, "tasks to learn, one or several", metavar="TASK"
+    )
+    observation: str = option("LoRes4E", "observation preset", choices=IMAGE_OBSERVATIONS)
+    seed: int = option(0, "determines demonstrations, initialisation and minibatches")
+    network: str = option("paper", "network architecture", choices=network_names())
+    device: str = option("auto", "where to compute", choices=DEVICES)
+    precision: str = option(
+        "auto", "of the forward and backward pass; auto: the faster one", choices=PRECISIONS
+    )
     compile: bool = option(False, "compile the networks (torch.compile)")
 
     def __post_init__(self) -> None:
@@ -45,12 +65,17 @@ class Config:
         object.__setattr__(self, "tasks", names)
         if not names or len(set(names)) < len(names):
             raise InvalidConfigError(f"tasks: expected each task once, found {names}")
-        get_width(self.network)
-        self.require_one_of("device", DEVICES)
-        self.require_one_of("precision", PRECISIONS)
         if self.seed < 0:
             raise InvalidConfigError(f"seed: expected at least 0, found {self.seed}")
-        self.check_observation()
+        self._require_choices()
+
+    def _require_choices(self) -> None:
+        for field in dataclasses.fields(self):
+            choices, value = field.metadata["choices"], getattr(self, field.name)
+            if choices and value not in choices:
+                raise UnknownNameError(
+                    f"{field.name} {value!r} is unknown; expected one of: {', '.join(choices)}"
+                )
 
     @classmethod
     def preset(cls, name: str, **fields: Any) -> Self:
@@ -64,14 +89,6 @@ class Config:
             )
         return cls(**{**cls.presets[name], **fields})
 
-    def check_observation(self) -> None:
-        """Raise unless the observation is one array of images."""
-        known = [name for name, spec in PRESETS.items() if not spec.separate]
-        if self.observation not in known:
-            raise UnknownNameError(
-                f"observation {self.observation!r}: expected one of {', '.join(known)}"
-            )
-
     def require_positive(self, *names: str) -> None:
         """Raise `InvalidConfigError` unless the named numbers are above 0."""
         for name in names:
@@ -80,20 +97,38 @@ class Config:
                     f"{name}: expected a number above 0, found {getattr(self, name)}"
                 )
 
-    def require_one_of(self, name: str, known: tuple[str, ...]) -> None:
-        """Raise `UnknownNameError` unless the named field is one of the known words."""
-        value = getattr(self, name)
-        if value not in known:
-            raise UnknownNameError(f"{name} {value!r}: expected one of {', '.join(known)}")
+    def require_at_least_zero(self, *names: str) -> None:
+        """Raise `InvalidConfigError` unless the named numbers are at least 0 (or `None`)."""
+        for name in names:
+            if (getattr(self, name) or 0) < 0:
+                raise InvalidConfigError(
+                    f"{name}: expected at least 0, found {getattr(self, name)}"
+                )
+
+    def require_fraction(self, *names: str) -> None:
+        """Raise `InvalidConfigError` unless the named numbers are from 0 to 1."""
+        for name in names:
+            if not 0 <= getattr(self, name) <= 1:
+                raise InvalidConfigError(
+                    f"{name}: expected a number from 0 to 1, found {getattr(self, name)}"
+                )
 
     def require_augmentations(self, *names: str) -> None:
-        """Raise `UnknownNameError` unless the named fields say augmentations."""
+        """Raise `UnknownNameError` unless the named fields are sets of augmentations."""
         for name in names:
             parse_augmentations(getattr(self, name))
 
+    def require_one_task(self) -> None:
+        """Raise `InvalidConfigError` for several tasks."""
+        if len(self.tasks) > 1:
+            raise InvalidConfigError(
+                f"{self.algorithm}: expected one task (it is not defined for several), found "
+                f"{', '.join(self.tasks)}; use gail, or a run for each task"
+            )
+
     @property
     def total(self) -> int:
-        """How many batches or updates a whole run has."""
+        """The number of steps (batches or updates) of a whole run."""
         raise NotImplementedError
 
     @property
@@ -103,7 +138,7 @@ class Config:
 
     @property
     def input_shape(self) -> tuple[int, ...]:
-        """The shape of one observation as a network gets it."""
+        """The shape of one observation as a network input."""
         return self.observation_spec.network_shape
 
     def to_dict(self) -> dict[str, Any]:
@@ -135,8 +170,10 @@ class Config:
 class ImitationConfig(Config):
     """Settings of the algorithms that learn from demonstrations."""
 
-    demos: str = dataclasses.field(metadata={"help": "folder with a dataset of demonstrations"})
-    num_demos: int = option(10, "demonstrations of each task, chosen by the seed")
+    demos: str = option(
+        dataclasses.MISSING, "folder with a dataset of demonstrations", metavar="FOLDER"
+    )
+    num_demos: int = option(10, "demonstrations of each task, sampled by the seed")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -145,7 +182,7 @@ class ImitationConfig(Config):
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """A configuration field, as the command line needs it."""
+    """A configuration field as an option of the command line."""
 
     name: str
     kind: type
@@ -153,6 +190,8 @@ class Option:
     required: bool
     default: Any
     help: str
+    choices: tuple[str, ...]
+    metavar: str | None
 
     @property
     def flag(self) -> str:
@@ -161,7 +200,7 @@ class Option:
 
 
 def options(kind: type[Config]) -> list[Option]:
-    """The options of a configuration class: those one must give, then in the fields' order."""
+    """The options of a configuration class: required ones first, then in the fields' order."""
     hints = get_type_hints(kind)
     found = [_option(field, hints[field.name]) for field in dataclasses.fields(kind)]
     return sorted(found, key=lambda option: not option.required)
@@ -173,4 +212,6 @@ def _option(field: "dataclasses.Field[Any]", hint: Any) -> Option:
         hint = next(kind for kind in get_args(hint) if kind not in (Ellipsis, types.NoneType))
     required = field.default is dataclasses.MISSING
     default = None if required else field.default
-    return Option(field.name, hint, several, required, default, field.metadata["help"])
+    text, choices = field.metadata["help"], field.metadata["choices"]
+    metavar = None if choices else field.metadata["metavar"] or METAVARS[hint]
+    return Option(field.name, hint, several, required, default, text, choices, metavar)

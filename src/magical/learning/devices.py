@@ -1,4 +1,4 @@
-"""Where and in which precision to compute: chosen by measurement, recorded with the run."""
+"""Device, precision and threads: chosen by measurement, recorded with the run."""
 
 import time
 from collections.abc import Callable, Iterator
@@ -10,18 +10,16 @@ import torch
 from torch import Tensor
 
 from magical.errors import DeviceError
+from magical.learning.config import PRECISIONS
 
-DEVICES = ("auto", "cpu", "cuda")
-PRECISIONS = ("auto", "float32", "bfloat16")
-
-WARM_UP, TIMED = 1, 3  # steps of each precision in a measurement
+WARM_UP, TIMED = 1, 3  # steps per candidate
 
 
 @dataclass(frozen=True, slots=True)
 class Compute:
-    """A device, the precision that networks run in, and threads of one operation on a CPU.
+    """A device, the precision of forward and backward passes, and the number of CPU threads.
 
-    Weights are always float32; 0 threads: as many as PyTorch is set to.
+    Weights are always float32; 0 threads: PyTorch's own number.
     """
 
     device: str
@@ -29,7 +27,7 @@ class Compute:
     threads: int = 0
 
     def set_threads(self) -> None:
-        """Make PyTorch use as many threads; results are bit-equal for the same number only."""
+        """Set PyTorch's number of threads; results are bit-equal for the same number only."""
         if self.threads:
             torch.set_num_threads(self.threads)
 
@@ -55,24 +53,28 @@ def choose_device(device: str) -> str:
     return "cuda" if available and device != "cpu" else "cpu"
 
 
-def choose_precision(device: str, precision: str, step: Callable[[], Tensor]) -> Compute:
-    """The asked-for precision, or the faster one; on a CPU, one thread or as many as there are.
+def choose_compute(device: str, precision: str, step: Callable[[], Tensor]) -> Compute:
+    """Choose the fastest combination of precision and, on a CPU, one or all threads.
 
-    Many threads that wait for each other are slower than one where other programs want the cores
-    too. `step` runs the network forward on a batch of the run's size and returns a scalar to
-    differentiate; gradients are left as they come.
+    On a busy machine one thread can be faster than several that wait for each other.
+
+    Args:
+        device: `cpu` or `cuda`.
+        precision: `float32`, `bfloat16`, or `auto` to measure both.
+        step: runs the network forward on a batch of the run's size and returns a scalar loss; its
+            gradients are accumulated and not cleared.
     """
     names = PRECISIONS[1:] if precision == "auto" else (precision,)
     threads = sorted({torch.get_num_threads(), 1}) if device == "cpu" else [0]
     candidates = [Compute(device, name, count) for name in names for count in threads]
     if len(candidates) == 1:
         return candidates[0]
-    with kept_threads():
+    with restored_threads():
         return min(candidates, key=lambda compute: step_time(compute, step))
 
 
 def step_time(compute: Compute, step: Callable[[], Tensor]) -> float:
-    """Seconds that the fastest of a few forward and backward passes takes."""
+    """The time of a forward and backward pass in seconds, the shortest of `TIMED`."""
     times = []
     compute.set_threads()
     for _ in range(WARM_UP + TIMED):
@@ -87,8 +89,8 @@ def step_time(compute: Compute, step: Callable[[], Tensor]) -> float:
 
 
 @contextmanager
-def kept_threads() -> Iterator[None]:
-    """Afterwards PyTorch uses as many threads as before, whatever was set inside."""
+def restored_threads() -> Iterator[None]:
+    """A context after which PyTorch's number of threads is what it was before."""
     before = torch.get_num_threads()
     try:
         yield
@@ -98,7 +100,13 @@ def kept_threads() -> Iterator[None]:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Inside, a CPU computes on one core: for small layers handing out work takes longer."""
-    with kept_threads():
+    """A context with one CPU thread: for small layers, synchronisation costs more than it gains."""
+    with restored_threads():
         torch.set_num_threads(1)
         yield
+
+
+def zero_inputs(shape: tuple[int, ...], size: int, device: str) -> tuple[Tensor, Tensor]:
+    """A batch of network inputs (B, *shape) and tasks (B,), all 0, to measure a network with."""
+    tasks = torch.zeros(size, dtype=torch.int64, device=device)
+    return torch.zeros(size, *shape, device=device), tasks

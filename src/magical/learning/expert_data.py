@@ -1,13 +1,13 @@
-"""Demonstrations as learners need them: single frames on the device, stacks and batches of them.
+"""Demonstrations as training data: choosing them, and sampling frame stacks and actions.
 
-Every frame is kept once, uint8 and channels first; stacks are put together when they are sampled.
-Ten demonstrations of a hundred steps are 28 MB that way and 110 MB as stacks.
+Every frame is stored once, uint8 and channels first; stacks are assembled when they are sampled.
+Ten demonstrations of a hundred steps take 28 MB that way and 110 MB as stacks.
 """
 
 import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -17,29 +17,53 @@ from torch import Tensor
 from magical.demos import Dataset, Trajectory
 from magical.demos.reader import TrajectorySource
 from magical.errors import DemonstrationsError
+from magical.learning.config import ImitationConfig
 from magical.learning.streams import Purpose, stream
 from magical.observe import Component, ObservationSpec
 from magical.observe.arrays import stack_indices
 from magical.scene import NOOP
 
-Rows = NDArray[np.int64]  # (B,) numbers of samples
+if TYPE_CHECKING:
+    from magical.learning.run import Run
+
+Rows = NDArray[np.int64]  # (B,) indices of samples
+TaskTrajectories = tuple[tuple[str, Trajectory], ...]  # with the name of each one's task
 
 
 @dataclass(frozen=True, slots=True)
-class Chosen:
-    """The demonstrations of a run: trajectories by task, and how to recognise them again."""
+class Demonstrations:
+    """The demonstrations of a run, and what identifies them."""
 
-    trajectories: tuple[tuple[str, Trajectory], ...]
+    trajectories: TaskTrajectories
     record: tuple[dict[str, Any], ...]  # task, file and SHA-256 of each
 
 
-def choose_demonstrations(
-    path: str, tasks: Sequence[str], count: int, seed: int, variants: Sequence[str] = ("Demo",)
-) -> Chosen:
-    """Draw `count` demonstrations of each task, by the seed alone.
+def load_demonstrations(config: ImitationConfig, run: "Run") -> TaskTrajectories:
+    """Sample the demonstrations that the configuration asks for, and record them in `run.json`.
 
-    All methods with the same seed get the same ones, and so does each task of a multi-task run as
-    if it were learned alone (appendix B).
+    Raises:
+        RunFolderError: the run was started with other demonstrations.
+        DemonstrationsError, DatasetError: see `sample_demonstrations`.
+    """
+    found = sample_demonstrations(config.demos, config.tasks, config.num_demos, config.seed)
+    run.describe(demonstrations=list(found.record))
+    return found.trajectories
+
+
+def sample_demonstrations(
+    path: str, tasks: Sequence[str], count: int, seed: int, variants: Sequence[str] = ("Demo",)
+) -> Demonstrations:
+    """Sample demonstrations of each task; the sample depends on the seed alone.
+
+    All algorithms with the same seed get the same ones, and a task of a multi-task run gets the
+    same as in a run of its own (appendix B).
+
+    Args:
+        path: the dataset's folder.
+        tasks: the tasks' names.
+        count: the number of demonstrations of each task.
+        seed: the run's seed.
+        variants: the variants that demonstrations are sampled from.
 
     Raises:
         DemonstrationsError: fewer than asked for.
@@ -55,7 +79,7 @@ def choose_demonstrations(
         some = of_task.sample(count, stream(seed, Purpose.DEMONSTRATIONS))
         trajectories += [(task, trajectory) for trajectory in some]
         record += [{"task": task, "file": e.file, "sha256": e.sha256} for e in some.entries]
-    return Chosen(tuple(trajectories), tuple(record))
+    return Demonstrations(tuple(trajectories), tuple(record))
 
 
 def _too_few(dataset: Dataset, task: str, variants: Sequence[str], count: int, found: int) -> str:
@@ -68,13 +92,13 @@ def _too_few(dataset: Dataset, task: str, variants: Sequence[str], count: int, f
 
 
 def digest(record: Sequence[dict[str, Any]]) -> str:
-    """One SHA-256 for all demonstrations of a run."""
+    """One SHA-256 sum for all demonstrations of a run."""
     lines = "\n".join(f"{item['task']} {item['sha256']}" for item in record)
     return hashlib.sha256(lines.encode()).hexdigest()
 
 
 class ExpertData:
-    """State-action samples of demonstrations, S in all, on a device.
+    """The state-action samples of demonstrations, S in all, on a device.
 
     Attributes:
         actions: (S,) int64.
@@ -90,22 +114,34 @@ class ExpertData:
         device: str = "cpu",
         remove_noops: bool = False,
     ) -> None:
+        """Read the trajectories.
+
+        Args:
+            demonstrations: the name of the task and the trajectory of each.
+            task_names: all tasks, in the configuration's order.
+            spec: of the observations.
+            device: where samples are stored.
+            remove_noops: leave out samples whose action is the no-op.
+
+        Raises:
+            DemonstrationsError: no samples are left of a task.
+        """
         self.spec = spec
         self.task_names = tuple(task_names)
         frames: list[list[NDArray[Any]]] = [[] for _ in spec.components]
         samples: list[_Samples] = []
         first = 0  # number of the trajectory's first frame
         for task, trajectory in demonstrations:
-            source, moments = TrajectorySource(trajectory), np.arange(len(trajectory))
+            source, steps = TrajectorySource(trajectory), np.arange(len(trajectory))
             for kept, component in zip(frames, spec.components, strict=True):
-                kept.append(component.read(source, moments))
+                kept.append(component.read(source, steps))
             number = self.task_names.index(task)
             samples.append(_samples(trajectory, number, first, spec.components, remove_noops))
             first += len(trajectory)
         self._frames = [torch.from_numpy(np.concatenate(kept)).to(device) for kept in frames]
-        self._moments = [
+        self._stacks = [
             torch.from_numpy(np.concatenate(parts)).to(device)
-            for parts in zip(*(s.moments for s in samples), strict=True)
+            for parts in zip(*(s.stacks for s in samples), strict=True)
         ]
         self.actions = torch.from_numpy(np.concatenate([s.actions for s in samples])).to(device)
         tasks = np.concatenate([s.tasks for s in samples])
@@ -122,11 +158,11 @@ class ExpertData:
         return len(self.actions)
 
     def images(self, rows: Rows) -> Tensor:
-        """Frame stacks (B, C, H, W) uint8, in the observation's channel order."""
+        """Frame stacks (B, C, H, W) uint8 of samples, in the observation's channel order."""
         index = self._index(rows)
         stacks = [
-            frames.index_select(0, moments[index].flatten()).view(len(rows), -1, *frames.shape[2:])
-            for frames, moments in zip(self._frames, self._moments, strict=True)
+            frames.index_select(0, indices[index].flatten()).view(len(rows), -1, *frames.shape[2:])
+            for frames, indices in zip(self._frames, self._stacks, strict=True)
         ]
         return stacks[0] if len(stacks) == 1 else torch.cat(stacks, dim=1)
 
@@ -136,19 +172,22 @@ class ExpertData:
         return self.actions[index], self.tasks[index]
 
     def sample(self, size: int, rng: np.random.Generator) -> Rows:
-        """Rows with replacement: each task equally likely, then each of its samples."""
+        """Sample rows with replacement: first a task, then one of its samples, both uniformly."""
         numbers = rng.integers(len(self._rows), size=size)
         counts = np.array([len(rows) for rows in self._rows])
         within = rng.integers(counts[numbers])
         return np.array([self._rows[n][i] for n, i in zip(numbers, within, strict=True)], np.int64)
 
     def sample_evenly(self, size: int, rng: np.random.Generator) -> Rows:
-        """Rows with replacement, split evenly between the tasks; the first ones get the rest."""
+        """Sample rows with replacement, split evenly between the tasks.
+
+        A remainder goes to the first ones.
+        """
         share, rest = divmod(size, len(self._rows))
-        drawn = [
+        sampled = [
             rng.choice(rows, share + (number < rest)) for number, rows in enumerate(self._rows)
         ]
-        return np.concatenate(drawn).astype(np.int64)
+        return np.concatenate(sampled).astype(np.int64)
 
     def _index(self, rows: Rows) -> Tensor:
         return torch.from_numpy(rows).to(self.actions.device, non_blocking=True)
@@ -160,7 +199,7 @@ class _Samples:
 
     actions: NDArray[np.int64]  # (S,)
     tasks: NDArray[np.int64]  # (S,)
-    moments: list[NDArray[np.int64]]  # a view: (S, frames), numbers of frames, oldest first
+    stacks: list[NDArray[np.int64]]  # one per view: (S, frames), indices of frames, oldest first
 
 
 def _samples(
@@ -173,5 +212,5 @@ def _samples(
     steps = np.arange(len(trajectory))
     if remove_noops:
         steps = np.flatnonzero(trajectory.actions != NOOP)
-    moments = [first + stack_indices(steps, component.frames) for component in components]
-    return _Samples(trajectory.actions[steps], np.full(len(steps), task), moments)
+    stacks = [first + stack_indices(steps, component.frames) for component in components]
+    return _Samples(trajectory.actions[steps], np.full(len(steps), task), stacks)

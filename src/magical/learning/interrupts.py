@@ -1,4 +1,4 @@
-"""Ctrl-C and termination, seen between batches: no update is torn apart."""
+"""Ctrl-C and SIGTERM are handled between batches, so that no update is left half done."""
 
 import signal
 import threading
@@ -9,7 +9,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class Interrupts:
-    """Inside the context the first signal is only noted; a second Ctrl-C interrupts at once."""
+    """A context in which the first signal sets `seen`; a second one raises `KeyboardInterrupt`."""
 
     def __init__(self) -> None:
         self.seen = False

@@ -9,20 +9,23 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from magical.envs import parse_env_id
+from magical.envs import EnvId, parse_env_id
 from magical.errors import ObservationError, PolicyError, RunFolderError
+from magical.evaluation import evaluate
 from magical.evaluation.policy import Actions, Mask
-from magical.learning.algorithms import find_algorithm
+from magical.learning.algorithms import find_algorithm, read_config
 from magical.learning.augment import to_unit
-from magical.learning.checkpoints import load_module, load_tree
-from magical.learning.config import Config
+from magical.learning.checkpoints import load_checkpoint, load_module
 from magical.learning.devices import Compute, choose_device
-from magical.learning.runs import CHECKPOINT, CONFIG, RECORD, read_json
+from magical.learning.reinforcement import ReinforcementConfig
 from magical.observe import ObservationSpec
+from magical.runs.folder import CHECKPOINT, CONFIG, RECORD, is_run, read_json
+
+EVALUATION_SEED = 1  # of `demo_score`; not the seed of reported results
 
 
 class NetworkPolicy:
-    """Samples actions from a network's distribution (or takes the likeliest)."""
+    """Samples actions from a network's distribution, or takes the most probable ones."""
 
     def __init__(
         self,
@@ -33,6 +36,16 @@ class NetworkPolicy:
         compute: Compute,
         greedy: bool = False,
     ) -> None:
+        """Create a policy.
+
+        Args:
+            network: maps observations (B, ...) and tasks (B,) to logits (B, 18).
+            tasks: the tasks it was trained on, in the configuration's order.
+            observation: the observation's name, and
+            spec: its specification.
+            compute: device and precision.
+            greedy: take the most probable action instead of sampling.
+        """
         self.network = network.eval()
         self.tasks = tuple(tasks)
         self.observation = observation
@@ -41,22 +54,22 @@ class NetworkPolicy:
         self._compute = compute
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
-        """One action for each world.
+        """One action for each environment, (B,) int64.
 
         Raises:
-            PolicyError: observations of another shape, or a task that was not learned.
+            PolicyError: observations of another shape, or a task that it was not trained on.
         """
         probabilities = self.probabilities(observations, env_ids)
         if self.greedy:
-            likeliest: Actions = probabilities.argmax(axis=1)
-            return likeliest
-        below = probabilities.cumsum(axis=1)  # (B, 18)
-        draws = rng.random(len(env_ids)) * below[:, -1]
-        actions: Actions = (draws[:, None] >= below).sum(axis=1).clip(max=below.shape[1] - 1)
-        return actions
+            most_probable: Actions = probabilities.argmax(axis=1)
+            return most_probable
+        cumulative = probabilities.cumsum(axis=1)  # (B, 18)
+        uniforms = rng.random(len(env_ids)) * cumulative[:, -1]
+        actions: Actions = (uniforms[:, None] >= cumulative).sum(axis=1)
+        return actions.clip(max=cumulative.shape[1] - 1)
 
     def reset(self, mask: Mask) -> None:
-        """Nothing to forget: what was before is in the frame stack."""
+        """Does nothing: the only memory is the observation's frame stack."""
 
     def probabilities(self, observations: Any, env_ids: Sequence[str]) -> NDArray[np.float64]:
         """The distribution over actions, (B, 18) float64."""
@@ -84,7 +97,7 @@ def to_inputs(observations: Any, spec: ObservationSpec) -> Tensor:
     """Observations of an environment as a network's input, sharing their memory.
 
     Raises:
-        PolicyError: they are of another shape or type than the specification says.
+        PolicyError: they are of another shape or type than specified.
     """
     try:
         return torch.from_numpy(spec.network_input(observations))
@@ -92,13 +105,13 @@ def to_inputs(observations: Any, spec: ObservationSpec) -> Tensor:
         raise PolicyError(str(error)) from error
 
 
-def is_run(path: Path | str) -> bool:
-    """Whether a path is a run folder."""
-    return (Path(path) / CONFIG).is_file()
-
-
 def load_policy(run: Path | str, device: str = "auto", greedy: bool = False) -> NetworkPolicy:
-    """The policy of a run folder, as its newest checkpoint has it.
+    """Load the policy from the newest checkpoint of a run folder.
+
+    Args:
+        run: the run folder.
+        device: `auto`, `cpu` or `cuda`.
+        greedy: take the most probable action instead of sampling.
 
     Raises:
         RunFolderError: no run folder, or a damaged one.
@@ -109,23 +122,32 @@ def load_policy(run: Path | str, device: str = "auto", greedy: bool = False) -> 
         raise RunFolderError(f"{folder}: expected a run folder with {CONFIG}, found none")
     config = read_config(folder)
     network = find_algorithm(config.algorithm).make_policy(config)
-    where = choose_device(device)
-    tree = load_tree(folder / CHECKPOINT)
-    load_module(network, tree["policy"], str(folder / CHECKPOINT))
+    chosen = choose_device(device)
+    state = load_checkpoint(folder / CHECKPOINT)
+    load_module(network, state["policy"], str(folder / CHECKPOINT))
     recorded = read_json(folder / RECORD)["compute"]
-    same = where == recorded["device"]
-    compute = Compute(where, recorded["precision"] if same else "float32")
+    precision = recorded["precision"] if chosen == recorded["device"] else "float32"
     return NetworkPolicy(
-        network.to(where),
+        network.to(chosen),
         config.tasks,
         config.observation,
         config.observation_spec,
-        compute,
+        Compute(chosen, precision),
         greedy,
     )
 
 
-def read_config(folder: Path) -> Config:
-    """The configuration recorded in a run folder."""
-    data = read_json(folder / CONFIG)
-    return find_algorithm(str(data.get("algorithm"))).config.from_dict(data)
+def demo_score(network: nn.Module, config: ReinforcementConfig, compute: Compute) -> float:
+    """The mean score of a network over its tasks' Demo variants, during training."""
+    policy = NetworkPolicy(
+        network, config.tasks, config.observation, config.observation_spec, compute
+    )
+    scores = evaluate(
+        policy,
+        [EnvId(task, "Demo") for task in config.tasks],
+        rollouts=config.evaluation_rollouts,
+        seed=EVALUATION_SEED,
+        workers=config.workers,
+    )
+    network.train()
+    return float(np.mean([score.score for score in scores]))

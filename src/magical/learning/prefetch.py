@@ -1,4 +1,4 @@
-"""Batches prepared ahead in a thread, so that the learner never waits."""
+"""Batches prepared ahead of time in a thread."""
 
 import queue
 import threading
@@ -8,20 +8,20 @@ from typing import Generic, TypeVar
 
 import torch
 
-Batch = TypeVar("Batch")
+T = TypeVar("T")
 
-DEPTH = 2  # batches ready at most
-PATIENCE = 0.1  # s between looks at whether the learner has left
+DEPTH = 2  # batches in the queue
+PUT_TIMEOUT = 0.1  # s between checks whether the consumer has stopped
 
 
 @contextmanager
-def prepared(
-    make: Callable[[int], Batch], numbers: Iterable[int], device: str
-) -> Iterator[Iterator[Batch]]:
-    """The batches `make(number)`, in order; whatever `make` raises comes out of the iterator.
+def prefetch(
+    make: Callable[[int], T], numbers: Iterable[int], device: str
+) -> Iterator[Iterator[T]]:
+    """Yield an iterator over the batches `make(number)`, in order.
 
-    On a CPU a thread makes them ahead. On a GPU they are made in turn: its kernels are queued
-    anyway, and the queue keeps it busy.
+    On a CPU a thread makes them ahead of time. On a GPU they are made on demand: its kernels are
+    queued asynchronously anyway. The iterator raises what `make` raises.
     """
     if device != "cpu":
         yield map(make, numbers)
@@ -33,31 +33,31 @@ def prepared(
         worker.stop()
 
 
-class _Worker(Generic[Batch]):
-    """A thread with a short queue. It computes on one core: the other ones are the learner's."""
+class _Worker(Generic[T]):
+    """A thread with a short queue; it uses one core and leaves the others to the main thread."""
 
-    def __init__(self, make: Callable[[int], Batch], numbers: Iterable[int]) -> None:
+    def __init__(self, make: Callable[[int], T], numbers: Iterable[int]) -> None:
         self._make = make
         self._numbers = numbers
-        self._ready: queue.Queue[Batch | BaseException | None] = queue.Queue(DEPTH)
+        self._ready: queue.Queue[T | BaseException | None] = queue.Queue(DEPTH)
         self._single = threading.Event()
-        self._left = threading.Event()
-        learners = torch.get_num_threads()
+        self._stopped = threading.Event()
+        num_threads = torch.get_num_threads()
         self._thread = threading.Thread(target=self._run, name="batches", daemon=True)
         self._thread.start()
         self._single.wait()
-        # Setting the number of threads in one thread also changes what the next new ones get.
-        torch.set_num_threads(learners)
+        # The number set in one thread is also the default of threads started later.
+        torch.set_num_threads(num_threads)
 
-    def __iter__(self) -> Iterator[Batch]:
+    def __iter__(self) -> Iterator[T]:
         while (item := self._ready.get()) is not None:
             if isinstance(item, BaseException):
                 raise item
             yield item
 
     def stop(self) -> None:
-        """Let the thread end, and wait for it."""
-        self._left.set()
+        """Stop the thread and wait for its end."""
+        self._stopped.set()
         self._thread.join()
 
     def _run(self) -> None:
@@ -68,14 +68,14 @@ class _Worker(Generic[Batch]):
                 if not self._put(self._make(number)):
                     return
             self._put(None)
-        except Exception as error:  # it belongs to the learner
+        except Exception as error:  # raised in the main thread
             self._put(error)
 
-    def _put(self, item: Batch | BaseException | None) -> bool:
-        """Whether the learner is still there to take it."""
-        while not self._left.is_set():
+    def _put(self, item: T | BaseException | None) -> bool:
+        """Put an item into the queue; false if the consumer has stopped."""
+        while not self._stopped.is_set():
             try:
-                self._ready.put(item, timeout=PATIENCE)
+                self._ready.put(item, timeout=PUT_TIMEOUT)
             except queue.Full:
                 continue
             return True

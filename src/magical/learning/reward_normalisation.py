@@ -1,4 +1,4 @@
-"""Learned rewards kept at mean 0 and a fixed standard deviation (appendix B, Table 4)."""
+"""Learned rewards normalised to mean 0 and a fixed standard deviation (appendix B, Table 4)."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -6,18 +6,18 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from magical.learning.checkpoints import Tree
+from magical.learning.checkpoints import StateDict
 
 SMALLEST_DIVISOR = 1e-3  # docs/specification.md, section 10
 
 
 class RewardNormaliser:
-    """Running mean and variance over a run's whole history, for each task its own."""
+    """Normalises by running statistics over all rewards of a run, separately for each task."""
 
     def __init__(self, num_tasks: int, std: float, device: str = "cpu") -> None:
-        """`std` is what the rewards' standard deviation is brought to."""
+        """`std` is the standard deviation of the normalised rewards."""
         self.target = std
-        # Double precision: a million rewards are summed up.
+        # Double precision: sums over a million rewards.
         self.count = torch.zeros(num_tasks, dtype=torch.float64, device=device)
         self.mean = torch.zeros_like(self.count)
         self.squares = torch.zeros_like(self.count)  # summed deviations from the mean
@@ -28,14 +28,14 @@ class RewardNormaliser:
         return (self.squares / self.count.clamp(min=1)).sqrt()
 
     def __call__(self, rewards: Tensor, tasks: Tensor) -> Tensor:
-        """Take rewards (T, N) of worlds' tasks (N,) into account and return them normalised."""
+        """Update the statistics with rewards (T, N) of tasks (N,), and normalise the rewards."""
         self.update(rewards, tasks)
         divisor = self.std.clamp(min=SMALLEST_DIVISOR)
         normalised = (rewards - self.mean[tasks]) / divisor[tasks] * self.target
         return normalised.to(rewards.dtype)
 
     def update(self, rewards: Tensor, tasks: Tensor) -> None:
-        """Merge a batch's own mean and squared deviations into the running ones."""
+        """Merge the mean and squared deviations of rewards (T, N) into the running ones."""
         rewards = rewards.double()
         member = torch.nn.functional.one_hot(tasks, len(self.count)).double()  # (N, K)
         count = len(rewards) * member.sum(dim=0)
@@ -47,12 +47,12 @@ class RewardNormaliser:
         self.mean += change * count / total
         self.count += count
 
-    def tree(self) -> Tree:
-        """For a checkpoint."""
+    def state_dict(self) -> StateDict:
+        """The running statistics."""
         return {"count": self.count, "mean": self.mean, "squares": self.squares}
 
-    def load(self, tree: Mapping[str, Any]) -> None:
-        """Continue from what `tree` returned."""
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Restore what `state_dict` returned."""
         self.count, self.mean, self.squares = (
-            tree[name].to(self.count.device) for name in ("count", "mean", "squares")
+            state[name].to(self.count.device) for name in ("count", "mean", "squares")
         )

@@ -1,7 +1,7 @@
-"""Random streams of a run: every draw is a pure function of the seed, its purpose and its number.
+"""Random streams of a run: a generator is a pure function of the seed, its purpose and a number.
 
-No generator's state has to be saved, and batches can be prepared ahead or out of turn: batch 1,000
-is the same batch whether the run was resumed at 999 or not.
+No generator's state has to be saved, and batches can be prepared ahead or out of order: batch 1,000
+is the same whether or not the run was resumed at 999.
 """
 
 from collections.abc import Iterator
@@ -13,10 +13,10 @@ import torch
 
 
 class Purpose(IntEnum):
-    """What a stream is for. Numbers are part of what makes a run repeatable: never reuse one."""
+    """What a stream is for. Runs are reproducible only if no number ever changes its meaning."""
 
     DEMONSTRATIONS = 0
-    WEIGHTS = 1
+    INIT = 1
     BATCHES = 2
     ENVIRONMENTS = 3
     ACTIONS = 4
@@ -26,13 +26,16 @@ class Purpose(IntEnum):
 
 
 def stream(seed: int, purpose: Purpose, number: int = 0) -> np.random.Generator:
-    """The generator of one purpose's draw number `number`."""
+    """The generator for `number` (a batch, an update, ...) of a purpose."""
     return np.random.default_rng((seed, purpose, number))
 
 
 @contextmanager
-def seeded_weights(seed: int, number: int = 0) -> Iterator[None]:
-    """Inside, PyTorch's own first weights follow from the seed; outside, nothing has changed."""
+def seeded_init(seed: int, number: int = 0) -> Iterator[None]:
+    """A context in which PyTorch's initialisation of network `number` follows from the seed.
+
+    PyTorch's global generator is restored afterwards.
+    """
     with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(int(stream(seed, Purpose.WEIGHTS, number).integers(2**63)))
+        torch.manual_seed(int(stream(seed, Purpose.INIT, number).integers(2**63)))
         yield

@@ -1,4 +1,4 @@
-"""Episodes in which the learner acts and scripted experts say what they would have done."""
+"""Episodes in which a policy acts and scripted experts label every state with their action."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,14 +18,14 @@ from magical.evaluation.policy import Policy
 from magical.experts import Memory, expert_for
 from magical.scene import NUM_ACTIONS, Dynamics, Scene, State
 
-LABELS = "expert_actions"  # metadata: what the expert would have done at each step, (T,)
+LABELS = "expert_actions"  # metadata: the expert's action in each state, (T,)
 
 
-class Supervision:
-    """Worlds, one an episode, that end when all episodes have.
+class LabelledEpisodes:
+    """Environments, one per episode, that policies and experts act in.
 
-    Each episode is watched by an expert with a strategy of its own, drawn as for demonstrations.
-    It follows the episode from its start, with its memory, whoever acts.
+    Each episode has its own expert, with a strategy sampled as for demonstrations. The expert
+    observes the episode from the start, whether or not its actions are taken.
     """
 
     def __init__(self, env_ids: Sequence[EnvId], observation: str, workers: int | None) -> None:
@@ -49,12 +49,15 @@ class Supervision:
         self.envs.close()
 
     def collect(
-        self, policy: Policy, expert_share: float, rng: np.random.Generator, **remarks: Any
+        self, policy: Policy, beta: float, rng: np.random.Generator, **remarks: Any
     ) -> list[Trajectory]:
-        """One episode of every world; the experts' labels are in its metadata.
+        """Collect one episode in every environment, with the experts' labels in its metadata.
 
-        At each step the expert's action is taken with probability `expert_share`, else the
-        policy's. `remarks` go into the metadata too. Scenes are never those of evaluation.
+        Args:
+            policy: acts, except where the expert does.
+            beta: the probability, at each step, that the expert's action is taken.
+            rng: also determines the scenes, which are never those of evaluation.
+            **remarks: added to the metadata.
 
         Raises:
             NoExpertError: a task has no expert.
@@ -63,27 +66,28 @@ class Supervision:
         seeds = sample_training_seeds(rng, count)
         observations, _ = envs.reset(seed=seeds)
         policy.reset(np.ones(count, np.bool_))
-        begun = [(state.scene, self._dynamics(row)) for row, state in enumerate(envs.states())]
-        watchers = [
-            _Watcher(env_id, seed) for env_id, seed in zip(envs.env_ids, seeds, strict=True)
+        starts = [(state.scene, self._dynamics(row)) for row, state in enumerate(envs.states())]
+        experts = [
+            _EpisodeExpert(env_id, seed) for env_id, seed in zip(envs.env_ids, seeds, strict=True)
         ]
         poses, taken, labels = [envs.bodies[0][:, :, :3].copy()], [], []
         active = np.ones(count, np.bool_)
         while active.any():
-            wanted = [
-                watcher.act(state) if acts else 0
-                for watcher, state, acts in zip(watchers, envs.states(), active, strict=True)
+            expert_actions = [
+                expert.act(state) if is_active else 0
+                for expert, state, is_active in zip(experts, envs.states(), active, strict=True)
             ]
-            own = np.asarray(policy.act(observations, envs.env_ids, rng))
-            actions = np.where(rng.random(count) < expert_share, wanted, own)  # (N,)
+            policy_actions = np.asarray(policy.act(observations, envs.env_ids, rng))
+            is_experts = rng.random(count) < beta
+            actions = np.where(is_experts, expert_actions, policy_actions)  # (N,)
             observations, _, _, truncated, _ = envs.step(actions, active)
             active &= ~truncated
             poses.append(envs.bodies[0][:, :, :3].copy())
             taken.append(actions)
-            labels.append(wanted)
-        remarks = {"expert_share": expert_share, **remarks, **provenance()}
+            labels.append(expert_actions)
+        remarks = {"expert_share": beta, **remarks, **provenance()}
         return self._trajectories(
-            begun, seeds, np.array(taken), np.array(labels), np.stack(poses), remarks
+            starts, seeds, np.array(taken), np.array(labels), np.stack(poses), remarks
         )
 
     def _dynamics(self, row: int) -> Dynamics:
@@ -91,7 +95,7 @@ class Supervision:
 
     def _trajectories(
         self,
-        begun: Sequence[tuple[Scene, Dynamics]],
+        starts: Sequence[tuple[Scene, Dynamics]],
         seeds: Sequence[int],
         actions: NDArray[np.int64],  # (T, N)
         labels: NDArray[np.int64],  # (T, N)
@@ -111,12 +115,12 @@ class Supervision:
                 demonstrator="dagger",
                 metadata={LABELS: labels[:steps, row].tolist(), **remarks},
             )
-            for row, ((scene, dynamics), steps) in enumerate(zip(begun, lengths, strict=True))
+            for row, ((scene, dynamics), steps) in enumerate(zip(starts, lengths, strict=True))
         ]
 
 
-class _Watcher:
-    """An expert and what it remembers of its episode."""
+class _EpisodeExpert:
+    """An expert and its memory of one episode."""
 
     def __init__(self, env_id: EnvId, seed: int) -> None:
         self._expert = expert_for(env_id.task, seed=seed)
@@ -127,11 +131,11 @@ class _Watcher:
         return action
 
 
-def relabelled(trajectory: Trajectory) -> Trajectory:
-    """The same moments with the expert's actions in place of those that were taken.
+def relabel(trajectory: Trajectory) -> Trajectory:
+    """Replace the actions that were taken by the expert's labels.
 
     Raises:
-        DemonstrationsError: it has no labels, or none that fit.
+        DemonstrationsError: there are no labels, or they do not fit the trajectory.
     """
     labels = np.asarray(trajectory.metadata.get(LABELS, []))
     good = labels.shape == trajectory.actions.shape and labels.dtype.kind == "i"

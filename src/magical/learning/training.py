@@ -1,39 +1,44 @@
 """Start or resume a run of any algorithm."""
 
 import errno
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from magical.errors import RunFolderError
 from magical.learning.algorithms import find_algorithm
 from magical.learning.config import Config
-from magical.learning.devices import kept_threads
+from magical.learning.devices import restored_threads
 from magical.learning.interrupts import Interrupts
 from magical.learning.policy import NetworkPolicy, load_policy
-from magical.learning.progress import Progress, ProgressBar, Silent
-from magical.learning.runs import Run, open_folder, read_metrics
+from magical.learning.run import Metrics, Run
+from magical.progress import ProgressBar
+from magical.runs.folder import open_folder
+from magical.runs.metrics import read_metrics
+
+Callback = Callable[[int, Metrics], object]  # step, metrics
 
 
 @dataclass(frozen=True, slots=True)
-class Trained:
-    """What a call of `train` has left behind."""
+class TrainResult:
+    """The state of a run when `train` returns."""
 
     folder: Path
-    step: int  # batches or updates done, in all
-    total: int  # of how many
-    interrupted: bool  # by Ctrl-C or a signal
-    metrics: Mapping[str, Any]  # the last report
+    step: int  # batches or updates done so far
+    total: int  # batches or updates of the whole run
+    interrupted: bool  # by Ctrl-C or SIGTERM
+    metrics: Mapping[str, Any]  # the newest
 
     @property
     def finished(self) -> bool:
-        """Whether nothing is left to do."""
+        """Whether the run is complete."""
         return self.step >= self.total
 
     def policy(self) -> NetworkPolicy:
-        """The trained policy, from the folder."""
+        """Load the trained policy from the folder."""
         return load_policy(self.folder)
 
     def summary(self) -> dict[str, Any]:
@@ -53,48 +58,62 @@ def train(
     *,
     resume: bool = False,
     stop_after: int | None = None,
-    progress: Progress | bool = False,
+    progress: bool = False,
+    callback: Callback | None = None,
     tensorboard: bool = False,
-) -> Trained:
-    """Learn a policy as `config` says, in the run folder `out`.
+) -> TrainResult:
+    """Train a policy, in the run folder `out`.
+
+    Ctrl-C and SIGTERM save a checkpoint and return; a second Ctrl-C interrupts at once.
 
     Args:
         config: an algorithm's configuration, such as `BCConfig.preset("quick", ...)`.
         out: a new or an empty folder; with `resume`, one that holds this run.
-        resume: continue from the newest checkpoint; on a CPU bit for bit as if never stopped.
-        stop_after: leave a checkpoint and return after so many more batches or updates.
-        progress: `True` for a bar on standard error, or something of one's own.
-        tensorboard: write the metrics for TensorBoard too (an extra).
-
-    Ctrl-C and SIGTERM leave a checkpoint and return; a second Ctrl-C stops at once.
+        resume: continue from the newest checkpoint; on a CPU the result is bit-equal to that of a
+            run without interruption.
+        stop_after: save a checkpoint and return after this many more batches or updates.
+        progress: show a progress bar on standard error.
+        callback: called as `callback(step, metrics)` after each line of `metrics.jsonl`, for
+            instance to report to a hyperparameter search. What it raises ends the training; the
+            run can be resumed from its newest checkpoint.
+        tensorboard: log the metrics for TensorBoard too (needs the extra).
 
     Raises:
-        RunFolderError: see `runs.open_folder`; or the disk is full.
+        RunFolderError: the folder holds another run or other files, or the disk is full.
         DemonstrationsError, DatasetError: too few demonstrations, or damaged ones.
-        DivergedError: the loss is not finite; the last good checkpoint stays.
+        DivergedError: the loss is not finite; the newest good checkpoint is kept.
     """
     folder = Path(out)
     algorithm = find_algorithm(config.algorithm)
-    bar = ProgressBar(config.algorithm) if progress is True else nullcontext(progress or None)
-    with _full_disk_named(folder), kept_threads(), Interrupts() as interrupts:
-        open_folder(folder, config, resume)
+    display = ProgressBar(config.algorithm, transient=False) if progress else nullcontext(None)
+    with _full_disk_as_error(folder), restored_threads(), Interrupts() as interrupts:
+        open_folder(folder, config.to_dict(), resume)
         with (
-            bar as shown,
+            display as bar,
             Run(
                 folder,
-                progress=shown or Silent(),
+                on_metrics=partial(_show, bar, callback),
                 interrupts=interrupts,
                 stop_after=stop_after,
                 tensorboard=tensorboard,
             ) as run,
         ):
             algorithm.train(config, run)
-    metrics = (read_metrics(folder) or [{"step": run.step}])[-1]
-    return Trained(folder, run.step, config.total, interrupts.seen, metrics)
+    newest = (read_metrics(folder) or [{"step": run.step}])[-1]
+    return TrainResult(folder, run.step, config.total, interrupts.seen, newest)
+
+
+def _show(
+    bar: ProgressBar | None, callback: Callback | None, step: int, total: int, metrics: Metrics
+) -> None:
+    if bar is not None:
+        bar.update(step, total, metrics)
+    if callback is not None:
+        callback(step, metrics)
 
 
 @contextmanager
-def _full_disk_named(folder: Path) -> Iterator[None]:
+def _full_disk_as_error(folder: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:

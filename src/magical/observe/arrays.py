@@ -28,7 +28,7 @@ def select(observations: Any, rows: Any) -> Any:
 
 
 def copy_arrays(observation: Any) -> Any:
-    """The observation in memory of its own."""
+    """A copy of the observation."""
     return map_arrays(lambda array: array.copy(), observation)
 
 
@@ -50,7 +50,7 @@ def empty(fields: ArrayFields, batch: tuple[int, ...] = ()) -> Any:
 
 
 def stack_indices(times: ArrayLike, frames: int) -> NDArray[np.intp]:
-    """Which moments a frame stack shows: (B, frames), oldest first, for stacks ending at `times`.
+    """The times of the frames in stacks that end at `times`: (B, frames), oldest first.
 
     Before the first step the first frame is repeated (docs/specification.md, section 7).
     """

@@ -127,7 +127,7 @@ class PixelSpec:
         return array if self.channels_first else array.transpose(0, 3, 1, 2)
 
     def stacks(self, observation: Any) -> list[Pixels]:
-        """A window (..., size, size, 3 * frames) on each view of an observation or a batch."""
+        """An array view (..., size, size, 3 * frames) of each camera's frames, for any batch."""
         windows, first = [], 0
         for view, frames in self.parts:
             array = observation[str(view)] if self.separate else observation
@@ -178,7 +178,7 @@ class ViewComponent:
 class PixelObserver:
     """Renders a running episode's frames into its observation, which is the frame stack itself.
 
-    `update` moves the frames one place towards the oldest and renders the newest.
+    `update` shifts the frames by one towards the oldest and renders the newest.
     """
 
     def __init__(self, spec: PixelSpec, out: Any = None) -> None:
@@ -188,7 +188,7 @@ class PixelObserver:
         self._renderers: list[Renderer] = []
 
     def start(self, scene: Scene, bodies: NDArray[np.float64]) -> None:
-        """Begin an episode: the first frame fills every place of the stack."""
+        """Start an episode: the first frame fills the whole stack."""
         from magical.render import Renderer  # imports numba: only when something is rendered
 
         spec = self.spec
@@ -200,14 +200,14 @@ class PixelObserver:
                 stack[:, :, first : first + CHANNELS] = newest
 
     def update(self, bodies: NDArray[np.float64]) -> None:
-        """Observe the next moment."""
+        """Observe the next step."""
         if self.spec.separate or len(self._stacks) == 1:
             for renderer, stack in zip(self._renderers, self._stacks, strict=True):
                 renderer.render_stacked(bodies, stack)
             return
         from magical.render import shift_stack
 
-        # Moving the whole array at once is fast; what crosses into another view is rendered over.
+        # One shift of the whole array is fast; frames that cross to another view are overwritten.
         whole = np.moveaxis(self.out, 0, -1) if self.spec.channels_first else self.out
         shift_stack(whole)
         for renderer, stack in zip(self._renderers, self._stacks, strict=True):
@@ -223,13 +223,13 @@ def copy_pixels(source: Pixels, out: Pixels) -> None:
 def _render_stacks(
     frames: FrameSource, indices: NDArray[np.intp], stacks: Sequence[Pixels] | Pixels
 ) -> None:
-    """Render each frame where it appears first, and copy it to its other places."""
+    """Render each frame where it appears first, and copy it to its other positions."""
     rendered: dict[int, Pixels] = {}
     for stack, times in zip(stacks, indices.tolist(), strict=True):
         for k, time in enumerate(times):
-            place = stack[..., CHANNELS * k : CHANNELS * (k + 1)]
+            out = stack[..., CHANNELS * k : CHANNELS * (k + 1)]
             if time in rendered:
-                copy_pixels(rendered[time], place)
+                copy_pixels(rendered[time], out)
             else:
-                frames.render(time, place)
-                rendered[time] = place
+                frames.render(time, out)
+                rendered[time] = out

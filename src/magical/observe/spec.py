@@ -1,8 +1,8 @@
-"""What an observation specification is: the one interface to every kind of observation.
+"""Observation specifications: the one interface to every kind of observation.
 
 An `ObservationSpec` owns its Gymnasium space, the arrays it is stored in, how it is made while an
-episode runs (`Observer`) and from a stored episode (`read`), and what a network gets of it. Code
-outside this room never asks which kind of observation it has.
+episode runs (`Observer`) and from a stored episode (`read`), and its network input. Code
+outside this package needs not know which kind of observation it has.
 """
 
 from collections.abc import Sequence
@@ -26,10 +26,10 @@ class Observer(Protocol):
     out: Any
 
     def start(self, scene: Scene, bodies: NDArray[np.float64]) -> None:
-        """Begin an episode."""
+        """Start an episode."""
 
     def update(self, bodies: NDArray[np.float64]) -> None:
-        """Observe the next moment."""
+        """Observe the next step."""
 
 
 class FrameSource(Protocol):
@@ -40,7 +40,7 @@ class FrameSource(Protocol):
 
 
 class EpisodeSource(Protocol):
-    """A stored episode of T steps, from which observations can be made again."""
+    """A stored episode of T steps, from which observations can be recomputed."""
 
     @property
     def scene(self) -> Scene:

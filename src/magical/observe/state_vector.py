@@ -68,7 +68,7 @@ class StateSpec:
 
     @property
     def frames(self) -> int:
-        """See `ObservationSpec`: velocities are part of the vector, so one moment is enough."""
+        """See `ObservationSpec`: 1, since velocities are part of the vector."""
         return 1
 
     @property
@@ -143,7 +143,7 @@ class StateComponent:
 
 
 class StateObserver:
-    """Writes a running episode's state vector into an array that is given, or one of its own."""
+    """Writes a running episode's state vector into a given array, or into one of its own."""
 
     def __init__(self, spec: StateSpec, out: NDArray[np.float32] | None = None) -> None:
         self.spec = spec
@@ -153,7 +153,7 @@ class StateObserver:
         self._regions = self.out[blocks_end:].reshape(-1, len(_REGION))
 
     def start(self, scene: Scene, bodies: NDArray[np.float64]) -> None:
-        """Begin an episode; raises `InvalidSceneError` for a scene with too many bodies."""
+        """Start an episode; raises `InvalidSceneError` for a scene with too many bodies."""
         self.spec.check(scene)
         self.out[:] = 0
         for slot, block in zip(self._blocks, scene.blocks, strict=False):
@@ -164,7 +164,7 @@ class StateObserver:
         self.update(bodies)
 
     def update(self, bodies: NDArray[np.float64]) -> None:
-        """Observe the next moment."""
+        """Observe the next step."""
         self._write(self.out[:7], bodies[ROBOT])
         relative = bodies[FINGERS] - bodies[ROBOT]
         self.out[7:9] = relative[:, 2]

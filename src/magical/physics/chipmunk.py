@@ -1,10 +1,11 @@
 """Chipmunk through pymunk's private bindings: the only file that uses them.
 
-Ten control-law updates and one reading of all bodies per control step would take a third of the
-step's time through pymunk's properties. The private names used here may change between releases,
+Through pymunk's properties, the ten control-law updates and the one read of all bodies in a control
+step would take a third of its time. The private names used here may change between releases,
 so importing this module checks that pymunk's version is in the range they were tested with.
 """
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -22,7 +23,7 @@ TESTED_VERSIONS = ((7, 3), (7, 4))  # from the first, below the second; pyprojec
 def check_version(version: str) -> None:
     """Raise `DependencyVersionError` for a version of pymunk outside `TESTED_VERSIONS`."""
     low, high = (".".join(map(str, bound)) for bound in TESTED_VERSIONS)
-    found = tuple(int(part) for part in version.split(".")[:2])
+    found = tuple(map(int, re.findall(r"\d+", version)[:2]))
     if not TESTED_VERSIONS[0] <= found < TESTED_VERSIONS[1]:
         raise DependencyVersionError(
             f"expected pymunk >= {low} and < {high}, which this package was tested with, found "

@@ -21,8 +21,8 @@ class Simulation:
     the order (docs/specification.md, section 6).
 
     Attributes:
-        advance: what advances the physics by a substep, given its duration in seconds; replaced by
-            a timed version where the time inside the physics engine is measured.
+        advance: advances the physics by one substep of a given duration in seconds; replaced by a
+            timed version where the time spent in the physics engine is measured.
     """
 
     def __init__(self, scene: Scene, dynamics: Dynamics | None = None) -> None:
@@ -45,7 +45,11 @@ class Simulation:
         self._reader = BodyReader(self._space, bodies)
 
     def step(self, action: int) -> None:
-        """Advance by one control step of 1/8 s under one of the 18 actions."""
+        """Advance by one control step of 1/8 s.
+
+        Args:
+            action: index into `scene.ACTIONS`, not checked here.
+        """
         speed, lead, target = COMMANDS[action]
         steer, advance = self._robot.steer, self.advance
         for _ in range(c.SUBSTEPS):
@@ -53,7 +57,7 @@ class Simulation:
             advance(c.SUBSTEP_TIME)
 
     def poses(self) -> Poses:
-        """The present pose of every body."""
+        """The current pose of every body."""
         return Poses(self.read()[:, :3].copy())
 
     def velocities(self) -> NDArray[np.float64]:
@@ -61,9 +65,10 @@ class Simulation:
         return self.read()[:, 3:].copy()
 
     def read(self) -> NDArray[np.float64]:
-        """Pose and velocity of every body in one pass: x, y, angle, their velocities.
+        """Pose and velocity of every body in one pass.
 
-        Returns (5 + number of blocks, 6) in the rows of `Poses`. Eyes have no position of their
-        own; theirs is the robot's.
+        Returns:
+            (5 + number of blocks, 6) in the rows of `Poses`: x, y, angle and their velocities, in
+            units, radians and seconds. Eyes have no position of their own; theirs is the robot's.
         """
         return self._reader.read()

@@ -2,16 +2,18 @@
 
 import builtins
 import traceback
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from itertools import islice
 from typing import Any
 
 from magical import errors
 from magical.errors import WorkerError
+from magical.messages import printable, quoted
 
-MAX_TEXT = 4_000  # characters kept of a message, an argument or a note
+MAX_TEXT = 2_000  # characters kept of a message, an argument or a note
 MAX_TRACEBACK = 20_000  # characters kept of a traceback
-MAX_COUNT = 10  # arguments kept, and notes
+MAX_COUNT = 10  # arguments kept, and notes, and exceptions that led to this one
 _MODULES = {"builtins": builtins, "magical.errors": errors}  # whose exceptions are rebuilt
 
 
@@ -23,20 +25,18 @@ class WorkerTraceback(Exception):
 
 
 def describe(error: Exception) -> dict[str, Any]:
-    """An exception as data for JSON or pickle, whatever it holds, for `rebuild`."""
-    kind = type(error)
-    data = {"module": _text(kind.__module__), "name": _text(kind.__qualname__)}
-    try:
-        notes = getattr(error, "__notes__", [])
-        return {
-            **data,
-            "arguments": [_plain(argument) for argument in _arguments(error)[:MAX_COUNT]],
-            "notes": [_text(note) for note in notes[:MAX_COUNT]] if type(notes) is list else [],
-            "traceback": _shorten("".join(traceback.format_exception(error)), MAX_TRACEBACK),
-        }
-    except Exception as other:  # of the exception's own methods, or too deep a nesting
-        why = f"(its description failed: {type(other).__name__})"
-        return {**data, "arguments": [why], "notes": [], "traceback": why}
+    """An exception as data for JSON, whatever it holds, for `rebuild`.
+
+    Its `__str__` and `__repr__` are not called: they could fail, or take for ever.
+    """
+    notes = getattr(error, "__notes__", None)
+    return {
+        "module": printable(type(error).__module__),
+        "name": printable(type(error).__qualname__),
+        "arguments": [_plain(argument) for argument in _arguments(error)[:MAX_COUNT]],
+        "notes": [_text(note) for note in notes[:MAX_COUNT]] if type(notes) is list else [],
+        "traceback": _shortened("".join(_traceback(error)), MAX_TRACEBACK),
+    }
 
 
 def rebuild(data: Mapping[str, Any]) -> Exception:
@@ -56,25 +56,39 @@ def rebuild(data: Mapping[str, Any]) -> Exception:
     return error
 
 
-def _arguments(error: Exception) -> tuple[Any, ...]:
+def _arguments(error: BaseException) -> tuple[Any, ...]:
     """What to call the class with; `args` of an `OSError` are without its file's name."""
-    return tuple(OSError.__reduce__(error)[1]) if isinstance(error, OSError) else error.args
+    kind = OSError if isinstance(error, OSError) else BaseException
+    return tuple(kind.__reduce__(error)[1])
+
+
+def _traceback(error: BaseException) -> Iterator[str]:
+    """The lines of a traceback, with those of the exceptions that led to it before it."""
+    for link in reversed(list(islice(_chain(error), MAX_COUNT))):
+        yield "Traceback (most recent call last):\n"
+        yield from traceback.format_tb(link.__traceback__)
+        arguments = ", ".join(map(_text, _arguments(link)[:MAX_COUNT]))
+        yield f"{type(link).__qualname__}: {arguments}\n\n"
+
+
+def _chain(error: BaseException | None) -> Iterator[BaseException]:
+    while error is not None:
+        yield error
+        error = error.__cause__ or (None if error.__suppress_context__ else error.__context__)
 
 
 def _plain(argument: Any) -> Any:
     plain = argument is None or type(argument) in (bool, float)
-    small = type(argument) is int and abs(argument) < 1 << 63
+    small = type(argument) is int and argument.bit_length() < 64
     return argument if plain or small else _text(argument)
 
 
-def _text(value: object) -> str:
-    try:
-        return _shorten(str(value), MAX_TEXT)
-    except Exception:
-        return f"({type(value).__name__} that cannot be printed)"
+def _text(value: Any) -> str:
+    """Strings keep their line breaks; anything else is bounded and printable."""
+    return _shortened(value, MAX_TEXT) if type(value) is str else quoted(value)
 
 
-def _shorten(text: str, limit: int) -> str:
+def _shortened(text: str, limit: int) -> str:
     """A text without its middle if it is long: a traceback's end says most."""
     if len(text) <= limit:
         return text

@@ -1,9 +1,10 @@
-"""Two layers that become a frame: the ground, painted back to front, and the bodies before it.
+"""Two layers that make a frame: the ground, painted back to front, and the bodies in front of it.
 
-The ground (workspace, regions, lines) needs every sample's colour, because lines are blended with
-what is under them; but only in pixels where there is more than one. The bodies are opaque and are
-drawn front to back: a pixel remembers which of its samples are still uncovered and the sum of the
-others' colours. Colours are added in 16-bit lanes (see `palette.lanes`).
+The ground (workspace, regions, lines) keeps every sample's colour, as lines are blended with what
+is under them, but only in pixels with more than one colour: these have a tile. The bodies are
+opaque and rendered front to back: a pixel holds a mask of the samples that are still uncovered and
+the sum of the others' colours, so that every sample is written once. Colours are added in 16-bit
+lanes (see `palette.lanes`), three channels in one addition.
 """
 
 from typing import NamedTuple
@@ -25,7 +26,7 @@ class Canvas(NamedTuple):
 
     A ground pixel is a colour (red in the lowest byte), or ~t for tile t. Every layer of the
     ground opens at most one tile in a pixel. `pixels` starts as the ground and becomes the frame;
-    where the ground is not to be kept, both are one array.
+    where the ground is not reused, both are one array.
     """
 
     ground: NDArray[np.int32]  # (P,)
@@ -40,20 +41,20 @@ class Canvas(NamedTuple):
 
 
 def blank(samples: int) -> int:
-    """A body pixel of which nothing is covered yet."""
+    """A body pixel without any covered sample."""
     full = (1 << samples * samples) - 1
     return full << UNCOVERED if samples < 4 else -1 << UNCOVERED  # 64 bits, signed
 
 
 @inlined
-def squeeze(colour: int) -> int:
-    """A colour of three lanes in three bytes."""
+def pack(colour: int) -> int:
+    """A colour of three 16-bit lanes as three bytes."""
     return colour & 0xFF | colour >> 8 & 0xFF00 | colour >> 16 & 0xFF0000
 
 
 @inlined
-def spread(colour: int) -> int:
-    """A colour of three bytes in three lanes."""
+def unpack(colour: int) -> int:
+    """A colour of three bytes as three 16-bit lanes."""
     return colour & 0xFF | (colour & 0xFF00) << 8 | (colour & 0xFF0000) << 16
 
 
@@ -69,7 +70,7 @@ def mean(total: int, count: int) -> int:
 
 @inlined
 def open_tile(canvas: Canvas, pixel: int) -> int:
-    """The ground pixel's tile; if it has none yet, one filled with its colour."""
+    """The index of the ground pixel's tile; a new one, filled with its colour, if it has none."""
     entry = int(canvas.ground[pixel])
     if entry < 0:
         return ~entry
@@ -77,7 +78,7 @@ def open_tile(canvas: Canvas, pixel: int) -> int:
     canvas.counts[0] = tile + 1
     canvas.owners[tile] = pixel
     canvas.ground[pixel] = ~tile
-    colour = spread(entry)
+    colour = unpack(entry)
     for i in range(canvas.samples * canvas.samples):
         canvas.tiles[tile, i] = colour
     return tile
@@ -85,9 +86,9 @@ def open_tile(canvas: Canvas, pixel: int) -> int:
 
 @inlined
 def paint(canvas: Canvas, spans: Ints, low: int, high: int, colour: int) -> None:
-    """Fill a scanned polygon on the ground, over what is there."""
+    """Fill a scan-converted polygon on the ground, over what is there."""
     samples, size = canvas.samples, canvas.size
-    flat = squeeze(colour)
+    flat = pack(colour)
     pad(spans, low, high, samples, size * samples)
     for y in range(low // samples, (high + samples - 1) // samples):
         row = y * size
@@ -111,7 +112,7 @@ def _paint_part(canvas: Canvas, pixel: int, bits: int, colour: int) -> None:
 
 @inlined
 def cover(canvas: Canvas, spans: Ints, low: int, high: int, colour: int) -> None:
-    """Fill a scanned polygon of a body, behind the bodies that are there."""
+    """Fill a scan-converted polygon of a body, behind the bodies that are there."""
     samples, size = canvas.samples, canvas.size
     full = ALL >> (16 - samples * samples)
     pad(spans, low, high, samples, size * samples)
@@ -130,7 +131,7 @@ def cover(canvas: Canvas, spans: Ints, low: int, high: int, colour: int) -> None
 
 @inlined
 def _cover_part(canvas: Canvas, pixel: int, bits: int, colour: int) -> None:
-    """Without a branch: whether a pixel is covered already is too irregular to be foreseen."""
+    """Without a branch, which the processor could not predict."""
     entry = int(canvas.bodies[pixel])
     new = bits & (entry >> UNCOVERED)
     canvas.bodies[pixel] = (entry ^ (new << UNCOVERED)) + count_bits(new) * colour
@@ -138,7 +139,7 @@ def _cover_part(canvas: Canvas, pixel: int, bits: int, colour: int) -> None:
 
 @inlined
 def finish_ground(canvas: Canvas) -> None:
-    """Average the ground's mixed pixels, unless bodies were laid over them, in `pixels`."""
+    """Average the tiles in `pixels`, except where bodies were composited over them."""
     samples = canvas.samples * canvas.samples
     for tile in range(canvas.counts[0]):
         pixel = canvas.owners[tile]
@@ -146,12 +147,12 @@ def finish_ground(canvas: Canvas) -> None:
             total = 0
             for i in range(samples):
                 total += int(canvas.tiles[tile, i])
-            canvas.pixels[pixel] = squeeze(mean(total, samples))
+            canvas.pixels[pixel] = pack(mean(total, samples))
 
 
 @inlined
 def finish_bodies(canvas: Canvas) -> None:
-    """Lay the bodies over the ground in `pixels` and wipe them for the next frame."""
+    """Composite the bodies over the ground in `pixels` and clear them for the next frame."""
     samples, size = canvas.samples * canvas.samples, canvas.size
     full = ALL >> (16 - samples)
     untouched = full << UNCOVERED
@@ -164,7 +165,7 @@ def finish_bodies(canvas: Canvas) -> None:
                 bits = (entry >> UNCOVERED) & full
                 if bits:
                     total += _ground_sum(canvas, pixel, bits)
-                canvas.pixels[pixel] = squeeze(mean(total, samples))
+                canvas.pixels[pixel] = pack(mean(total, samples))
         canvas.touched[0, y], canvas.touched[1, y] = size, 0
 
 
@@ -173,7 +174,7 @@ def _ground_sum(canvas: Canvas, pixel: int, bits: int) -> int:
     """The sum of the ground's colours over some samples of a pixel."""
     entry = int(canvas.ground[pixel])
     if entry >= 0:
-        return count_bits(bits) * spread(entry)
+        return count_bits(bits) * unpack(entry)
     total = 0
     for i in range(canvas.samples * canvas.samples):
         if bits >> i & 1:

@@ -1,4 +1,4 @@
-"""What there is to draw, as arrays: made once for a scene, placed anew by every frame.
+"""The display list: a scene's polygons as arrays, made once and transformed in every frame.
 
 Source of all sizes: docs/specification.md, sections 2, 3 and 6.
 """
@@ -42,7 +42,7 @@ EYE_RADIUS = 0.2 * c.ROBOT_RADIUS
 EYE_X, EYE_Y = 0.4 * c.ROBOT_RADIUS, 0.3 * c.ROBOT_RADIUS  # x times the side
 PUPIL_RADIUS = 0.12 * c.ROBOT_RADIUS
 PUPIL_AHEAD = 0.07 * c.ROBOT_RADIUS  # ahead of the eye's centre
-DISC_SIDES, EYE_SIDES, PUPIL_SIDES = 100, 20, 10  # discs are drawn as polygons
+DISC_SIDES, EYE_SIDES, PUPIL_SIDES = 100, 20, 10  # discs are rendered as polygons
 
 Vertices = NDArray[np.float64]  # (2, n): x and y
 
@@ -104,7 +104,7 @@ def display_list(scene: Scene) -> DisplayList:
 
 
 def disc(sides: int, radius: float) -> Polygon:
-    """A disc as it is drawn: a regular polygon whose first vertex is on the x axis."""
+    """A disc as it is rendered: a regular polygon whose first vertex is on the x axis."""
     turns = (2 * math.pi * i / sides for i in range(sides))
     return tuple((radius * math.cos(turn), radius * math.sin(turn)) for turn in turns)
 
@@ -180,5 +180,5 @@ def _bounds(region: Region) -> tuple[float, float, float, float]:
 
 
 def _corners(left: float, top: float, right: float, bottom: float) -> tuple[Point, ...]:
-    """Clockwise from the top left: the order in which edges are drawn and dashes counted."""
+    """Clockwise from the top left: the order in which edges are stroked and dashes counted."""
     return (left, top), (right, top), (right, bottom), (left, bottom)

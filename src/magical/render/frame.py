@@ -1,4 +1,4 @@
-"""A whole frame: cameras, ground, bodies, and the entry point that is compiled."""
+"""A whole frame: cameras, ground, bodies, and the compiled entry point."""
 
 import math
 from collections.abc import Callable
@@ -7,17 +7,17 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.render.canvas import Canvas, cover, finish_bodies, finish_ground, paint, squeeze
-from magical.render.jit import entry_point, inlined, source_stamp
-from magical.render.lines import dashes, outline, whole
+from magical.render.canvas import Canvas, cover, finish_bodies, finish_ground, pack, paint
+from magical.render.jit import entry_point, inlined
+from magical.render.lines import dashes, outline, round_up
 from magical.render.palette import OUTSIDE, lanes
 from magical.render.polygons import MOST_SIDES, SUBSAMPLES, Floats, Ints, place, scan
 from magical.scene.constants import RAW_FRAME_SIZE
 
 VIEW_WIDTH = 2.04  # units: both cameras show as much (docs/specification.md, section 6)
 ROBOT_HEIGHT = 0.15  # of the frame: where the egocentric camera has the robot, from below
-FAR = 1e6  # units: poses beyond are taken for a mistake
-EGO, GROUND, ALLO = 0, 1, 2  # what `draw` draws
+FAR = 1e6  # units: poses beyond are rejected
+EGO, GROUND, ALLO = 0, 1, 2  # modes of the compiled `render`
 _BACKGROUND = lanes(OUTSIDE)
 
 Pixels = NDArray[np.int32]
@@ -25,9 +25,9 @@ Pixels = NDArray[np.int32]
 
 @inlined
 def body_frames(bodies: Floats, ego: bool, extent: float, frames: Floats) -> None:
-    """Every body's frame on the grid: cos, sin (times the scale), x, y; the world's comes last."""
+    """Every body's frame on the grid, the workspace's last: cos, sin (times the scale), x, y."""
     scale = SUBSAMPLES * extent / VIEW_WIDTH
-    x, y, turn, height = 0.0, 0.0, 0.0, 0.5  # the camera's place, and where that is in the frame
+    x, y, turn, height = 0.0, 0.0, 0.0, 0.5  # the camera's pose, and its height in the frame
     if ego:
         x, y, turn, height = bodies[0, 0], bodies[0, 1], bodies[0, 2], ROBOT_HEIGHT
     centre_x, centre_y = SUBSAMPLES * extent / 2, SUBSAMPLES * extent * height
@@ -45,18 +45,18 @@ def body_frames(bodies: Floats, ego: bool, extent: float, frames: Floats) -> Non
 
 
 @inlined
-def draw_ground(
+def render_ground(
     canvas: Canvas,
     corners: Floats,
     colours: Ints,
-    world: Floats,
+    workspace: Floats,
     ego: bool,
     edges: Floats,
     spans: Ints,
 ) -> None:
     """Background, workspace and its edge, regions and their dashes."""
     extent = canvas.size * canvas.samples
-    background = squeeze(_BACKGROUND)
+    background = pack(_BACKGROUND)
     for pixel in range(canvas.size * canvas.size):
         canvas.ground[pixel] = background
     turned, placed, on_frame = np.empty((2, 4)), np.empty((2, 5)), np.empty((4, 2))
@@ -65,9 +65,9 @@ def draw_ground(
         for k in range(4):
             x, y = corners[i, k, 0], corners[i, k, 1]
             turned[0, 3 - k], turned[1, 3 - k] = x, y
-            on_frame[k, 0] = (world[0] * x - world[1] * y + world[2]) / SUBSAMPLES
-            on_frame[k, 1] = (world[1] * x + world[0] * y + world[3]) / SUBSAMPLES
-        place(turned, 0, 4, world, placed)
+            on_frame[k, 0] = (workspace[0] * x - workspace[1] * y + workspace[2]) / SUBSAMPLES
+            on_frame[k, 1] = (workspace[1] * x + workspace[0] * y + workspace[3]) / SUBSAMPLES
+        place(turned, 0, 4, workspace, placed)
         low, high = scan(placed, 4, extent, extent, edges, spans)
         paint(canvas, spans, low, high, colours[i, 0])
         if i == 0:
@@ -80,15 +80,15 @@ def draw_ground(
 def _counter_left_by_allocentric_frame(corners: Floats) -> int:
     """Where the dash counter stands after an outline that is all in view.
 
-    The published environments draw an allocentric frame before every egocentric one.
+    The published environments render an allocentric frame before every egocentric one.
     """
     pixel = VIEW_WIDTH / RAW_FRAME_SIZE
     width, height = corners[1, 0] - corners[0, 0], corners[0, 1] - corners[3, 1]
-    return 2 * (whole(width / pixel) + whole(height / pixel))
+    return 2 * (round_up(width / pixel) + round_up(height / pixel))
 
 
 @inlined
-def draw_bodies(
+def render_bodies(
     canvas: Canvas,
     vertices: Floats,
     items: Ints,
@@ -112,8 +112,8 @@ def draw_bodies(
 
 
 @inlined
-def drawable(bodies: Floats) -> bool:
-    """Whether all poses are finite and not absurdly far away."""
+def within_reach(bodies: Floats) -> bool:
+    """Whether all poses are finite and within `FAR`."""
     good = True
     for i in range(len(bodies)):
         for k in range(3):
@@ -124,10 +124,9 @@ def drawable(bodies: Floats) -> bool:
 @cache
 def compiled_render(samples: int) -> Callable[..., int]:
     """The entry point for samples x samples samples a pixel (1, 2 or 4 across)."""
-    stamp = source_stamp()
 
     @entry_point
-    def draw(
+    def render(
         bodies: Floats,
         vertices: Floats,
         items: Ints,
@@ -144,15 +143,14 @@ def compiled_render(samples: int) -> Callable[..., int]:
         size: int,
         mode: int,
     ) -> int:
-        """Draw into `pixels`, in one of three modes.
+        """Render into `pixels`, in one of three modes.
 
-        EGO draws everything; `ground` is the same array as `pixels`. GROUND draws the allocentric
-        ground and nothing else. ALLO draws bodies on a ground drawn earlier, its finished pixels
-        in `kept`. The other arrays are those of `display.DisplayList` and `canvas.Canvas`. Returns
-        the number of tiles, -1 if there are poses that cannot be drawn.
+        EGO renders everything; `ground` is the same array as `pixels`. GROUND renders the
+        allocentric ground only. ALLO renders bodies over a ground that was rendered before, its
+        finished pixels in `kept`. The other arrays are those of `display.DisplayList` and
+        `canvas.Canvas`. Returns the number of tiles, or -1 for poses that are out of range.
         """
-        _ = stamp  # makes it part of the key under which the compiled code is kept
-        if not drawable(bodies):
+        if not within_reach(bodies):
             return -1
         extent, count, counts = size * samples, len(bodies), np.zeros(1, np.int64)
         edges, spans = np.empty((3, MOST_SIDES + 1)), np.empty((2, extent + samples), np.int64)
@@ -160,15 +158,15 @@ def compiled_render(samples: int) -> Callable[..., int]:
         canvas = Canvas(ground, tiles, owners, counts, body_pixels, touched, pixels, size, samples)
         body_frames(bodies, mode == EGO, extent, frames)
         if mode != ALLO:
-            draw_ground(canvas, corners, colours, frames[count], mode == EGO, edges, spans)
+            render_ground(canvas, corners, colours, frames[count], mode == EGO, edges, spans)
         if mode != EGO:
             source = ground if mode == GROUND else kept
             for pixel in range(size * size):
                 pixels[pixel] = source[pixel]
         if mode != GROUND:
-            draw_bodies(canvas, vertices, items, offsets, frames, edges, spans)
+            render_bodies(canvas, vertices, items, offsets, frames, edges, spans)
             finish_bodies(canvas)
         finish_ground(canvas)
         return int(counts[0])
 
-    return draw
+    return render

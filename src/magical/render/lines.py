@@ -1,8 +1,8 @@
 """Smoothed lines on the ground: the workspace's edge and the regions' dashes.
 
-A sample's share of a line is what a box of one sample, turned along the line, has in common with
-its width, times how far the sample lies within its ends (fading over one sample). The line is
-blended into the sample in 8-bit steps. Coordinates are in samples, as in `polygons`.
+A line's coverage of a sample is the overlap of its width with a box of one sample turned along the
+line, times how far the sample lies within its ends (fading over one sample). The line is blended
+into the sample in 8-bit steps. Coordinates are in samples, as in `polygons`.
 """
 
 import math
@@ -20,22 +20,22 @@ from magical.scene.constants import RAW_FRAME_SIZE
 EDGE_WIDTH = 1.0
 DASH_WIDTH = 2.5
 DASH = 8  # on, and as many off
-# The allocentric frame's edges lie where shares are exactly halfway between two 8-bit steps. The
-# published frames round as though every line lay a trace further left and down.
-TRACE = 1e-7  # samples
-LEVEL = 1e-9  # a line that rises less than this on one unit of length is taken for level
+# The allocentric frame's edges lie where coverage is exactly halfway between two 8-bit steps. The
+# published frames round as if every line were shifted slightly to the left and down.
+LINE_SHIFT = 1e-7  # samples
+LEVEL = 1e-9  # a line that rises less than this per unit of length is treated as level
 
 
 class Strip(NamedTuple):
-    """The samples that have a share of a line."""
+    """The rectangle of samples that a line covers, at least in part."""
 
     along_x: float  # the line's direction
     along_y: float
     middle_x: float
     middle_y: float
-    side: float  # how far from the line, and from its middle along it, shares become 0
+    side: float  # distance from the line, and from its middle along it, where coverage becomes 0
     end: float
-    most: float  # share of a sample in the middle
+    most: float  # coverage of a sample in the middle
 
 
 @inlined
@@ -64,26 +64,26 @@ def stroke(canvas: Canvas, line: Floats, width: float, colour: int) -> None:
     length = math.sqrt(dx * dx + dy * dy)
     if length == 0.0:
         return
-    middle_x, middle_y = (line[0] + line[2]) / 2 - TRACE, (line[1] + line[3]) / 2 - TRACE
+    middle_x, middle_y = (line[0] + line[2]) / 2 - LINE_SHIFT, (line[1] + line[3]) / 2 - LINE_SHIFT
     side, end = width / 2 + 0.5, length / 2 + 0.5
     strip = Strip(dx / length, dy / length, middle_x, middle_y, side, end, min(width, 1.0))
     reach = abs(strip.along_x) * side + abs(strip.along_y) * end
     samples, size = canvas.samples, canvas.size
-    shares = np.empty(samples * samples, np.int32)
+    coverage = np.empty(samples * samples, np.int32)
     bottom = _pixel(middle_y - reach, samples, size)
     for row in range(bottom, _pixel(middle_y + reach, samples, size - 1) + 1):
         left, right = _columns(strip, row * samples, samples)
         for column in range(_pixel(left, samples, size), _pixel(right, samples, size - 1) + 1):
-            if _find_shares(strip, column * samples, row * samples, samples, shares):
+            if _coverages(strip, column * samples, row * samples, samples, coverage):
                 tile = open_tile(canvas, row * size + column)
                 for i in range(samples * samples):
                     under = int(canvas.tiles[tile, i])
-                    canvas.tiles[tile, i] = blend(under, colour, int(shares[i]))
+                    canvas.tiles[tile, i] = blend(under, colour, int(coverage[i]))
 
 
 @inlined
 def _columns(strip: Strip, bottom: float, samples: int) -> tuple[float, float]:
-    """The x between which samples of a row of pixels may have a share."""
+    """The x between which samples of a row of pixels may be covered."""
     reach = abs(strip.along_y) * strip.side + abs(strip.along_x) * strip.end
     if abs(strip.along_y) < LEVEL:
         return strip.middle_x - reach, strip.middle_x + reach
@@ -97,10 +97,10 @@ def _columns(strip: Strip, bottom: float, samples: int) -> tuple[float, float]:
 
 
 @inlined
-def _find_shares(
-    strip: Strip, left: float, bottom: float, samples: int, shares: NDArray[np.int32]
+def _coverages(
+    strip: Strip, left: float, bottom: float, samples: int, coverage: NDArray[np.int32]
 ) -> bool:
-    """The shares of a pixel's samples in 255ths; false if all are 0. Without branches."""
+    """The coverage of a pixel's samples in 255ths; false if all are 0. Without branches."""
     found = 0
     for i in range(samples * samples):
         x = left + (i % samples + 0.5) - strip.middle_x
@@ -108,8 +108,8 @@ def _find_shares(
         across = strip.side - abs(strip.along_x * y - strip.along_y * x)
         within = strip.end - abs(strip.along_x * x + strip.along_y * y)
         part = min(max(across, 0.0), strip.most) * min(max(within, 0.0), 1.0)
-        shares[i] = np.int32(np.rint(part * 255.0))
-        found |= shares[i]
+        coverage[i] = np.int32(np.rint(part * 255.0))
+        found |= coverage[i]
     return found != 0
 
 
@@ -122,11 +122,11 @@ def _pixel(x: float, samples: int, most: int) -> int:
 @inlined
 def blend(under: int, over: int, share: int) -> int:
     """Mix two colours lane by lane: 255ths of each, rounded, are added, as in 8-bit blending."""
-    return _share(over * share) + _share(under * (255 - share))
+    return _per_255(over * share) + _per_255(under * (255 - share))
 
 
 @inlined
-def _share(products: int) -> int:
+def _per_255(products: int) -> int:
     """Each lane (at most 255 * 255) divided by 255 and rounded."""
     raised = products + 0x008000800080
     return (raised + (raised >> 8 & 0x00FF00FF00FF)) >> 8 & 0x00FF00FF00FF
@@ -134,7 +134,7 @@ def _share(products: int) -> int:
 
 @inlined
 def _side(corners: Floats, i: int, extent: float, line: Floats) -> bool:
-    """The i-th side of a rectangle (4, 2), as far as it is in view; false if it is not."""
+    """The i-th side of a rectangle (4, 2), clipped to the frame; false if it is out of view."""
     for k in range(2):
         line[k], line[2 + k] = corners[i, k], corners[(i + 1) % 4, k]
     return clip(line, extent)
@@ -142,7 +142,7 @@ def _side(corners: Floats, i: int, extent: float, line: Floats) -> bool:
 
 @inlined
 def outline(canvas: Canvas, corners: Floats, colour: int) -> None:
-    """The workspace's edge: four lines, each as far as it is in view."""
+    """The workspace's edge: four lines, each clipped to the frame."""
     extent = canvas.size * canvas.samples
     line = np.empty(4)
     for i in range(4):
@@ -154,9 +154,9 @@ def outline(canvas: Canvas, corners: Floats, colour: int) -> None:
 def dashes(canvas: Canvas, corners: Floats, colour: int, counter: int) -> int:
     """A region's dashed outline; takes and returns the dash counter.
 
-    Every side counts the pixels of the 384 frame from where it comes into view and leaves the
-    counter a whole number further, so that dashes continue round corners. The counter starts
-    again at an outline's first side, but, as in the published frames, only if that is in view.
+    Every side counts the pixels of the 384 frame from where it comes into view and advances the
+    counter by a whole number, so that dashes continue round corners. The counter is
+    reset at an outline's first side, but, as in the published frames, only if that is in view.
     """
     extent = canvas.size * canvas.samples
     unit = extent / RAW_FRAME_SIZE
@@ -166,7 +166,7 @@ def dashes(canvas: Canvas, corners: Floats, colour: int, counter: int) -> int:
             counter = 0 if i == 0 else counter
             dx, dy = line[2] - line[0], line[3] - line[1]
             length = math.sqrt(dx * dx + dy * dy) / unit
-            count, start = whole(length), 0
+            count, start = round_up(length), 0
             while start < count:
                 stop = min(start + DASH - (counter + start) % DASH, count)
                 if (counter + start) // DASH % 2 == 0:
@@ -180,6 +180,6 @@ def dashes(canvas: Canvas, corners: Floats, colour: int, counter: int) -> int:
 
 
 @inlined
-def whole(length: float) -> int:
-    """A length rounded up, but not for the sake of a rounding error."""
+def round_up(length: float) -> int:
+    """A length rounded up, with a tolerance for rounding errors."""
     return math.ceil(length - 1e-9)

@@ -1,4 +1,4 @@
-"""Writing a frame's pixels into arrays of any layout, and moving frame stacks on."""
+"""Writing a frame's pixels into arrays of any layout, and shifting frame stacks."""
 
 import sys
 from collections.abc import Callable
@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.render.jit import entry_point, source_stamp
+from magical.render.jit import entry_point
 
 CHANNELS = 3
 
@@ -17,12 +17,10 @@ Stack = NDArray[np.uint8]
 @cache
 def compiled_store() -> Callable[..., None]:
     """The entry point that copies a canvas's pixels into an image."""
-    stamp = source_stamp()
 
     @entry_point
     def store(pixels: NDArray[np.int32], out: NDArray[np.uint8]) -> None:
         """Write pixels, lowest row first, into `out` (height, width, 3), highest row first."""
-        _ = stamp  # makes it part of the key under which the compiled code is kept
         height, width = out.shape[0], out.shape[1]
         for y in range(height):
             first = (height - 1 - y) * width
@@ -38,15 +36,13 @@ def compiled_store() -> Callable[..., None]:
 
 @cache
 def compiled_push() -> Callable[..., None]:
-    """The entry point that moves stacks of four frames on and adds the newest, in one pass."""
-    stamp = source_stamp()
+    """The entry point that shifts a stack of four frames and adds the newest, in one pass."""
 
     @entry_point
     def push_four(
         pixels: NDArray[np.int32], source: NDArray[np.uint32], target: NDArray[np.uint32]
     ) -> None:
         """Stacks as little-endian words, three a pixel: (height, 3 * width). May be one array."""
-        _ = stamp  # makes it part of the key under which the compiled code is kept
         height, width = target.shape[0], target.shape[1] // 3
         old = np.empty(3 * width, np.uint32)
         for y in range(height):
@@ -74,7 +70,7 @@ def push(pixels: NDArray[np.int32], source: Stack, target: Stack) -> None:
 
 
 def _words(stack: Stack) -> NDArray[np.uint32] | None:
-    """A contiguous stack of four frames as words; None if it cannot be seen so."""
+    """A contiguous stack of four frames as words; None if it has no such view."""
     if stack.shape[2] != 12 or not stack.flags.c_contiguous or sys.byteorder != "little":
         return None
     words = stack.reshape(len(stack), -1).view(np.uint32)
@@ -82,11 +78,11 @@ def _words(stack: Stack) -> NDArray[np.uint32] | None:
 
 
 def shift_stack(stack: Stack, channels: int = CHANNELS) -> None:
-    """Move the frames of a stack (height, width, C) one place towards the oldest, in place.
+    """Shift the frames of a stack (height, width, C) by one towards the oldest, in place.
 
     Channels [channels:] move to [:-channels]; the last `channels` keep what they held, to be
-    overwritten by the newest frame. Where the memory has no gaps (C-contiguous, or the transposed
-    view of a C-contiguous (C, height, width) array) this is one move of memory.
+    overwritten by the newest frame. For contiguous memory (C-contiguous, or the transposed
+    view of a C-contiguous (C, height, width) array) this is one memory move.
     """
     move_stack(stack, stack, channels)
 

@@ -1,4 +1,4 @@
-"""The 8-bit colours of everything drawn (docs/specification.md, section 6)."""
+"""The 8-bit colours of everything rendered (docs/specification.md, section 6)."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ RGB = tuple[int, int, int]
 class Shades(NamedTuple):
     """What one colour word stands for: a block's fill and outline, a goal region's fill.
 
-    A region's dashes are drawn in `fill`.
+    A region's dashes are in `fill`.
     """
 
     fill: RGB

@@ -1,4 +1,4 @@
-"""Convex polygons as spans of samples, exactly.
+"""Exact scan conversion of convex polygons to spans of samples.
 
 Coordinates are in samples, x right and y up from the frame's lower left corner. Vertices are
 rounded to 1/256 sample, as graphics hardware does; from there on all arithmetic is exact. A sample
@@ -22,9 +22,9 @@ Ints = NDArray[np.int64]
 
 @inlined
 def place(vertices: Floats, first: int, count: int, frame: Floats, placed: Floats) -> None:
-    """Put a polygon's vertices onto the grid: `placed` (2, more than count), the last one closing.
+    """Transform a polygon's vertices to the grid: `placed` (2, more than count), first repeated.
 
-    `frame` holds cos and sin (times the scale) of the body's turn and its place, all in grid lines.
+    `frame` holds cos and sin (times the scale) of the body's angle and its position, in grid lines.
     """
     cos, sin, x0, y0 = frame[0], frame[1], frame[2], frame[3]
     for i in range(count):
@@ -83,7 +83,7 @@ def _prepare(placed: Floats, count: int, height: float, edges: Floats) -> None:
 
 @inlined
 def pad(spans: Ints, low: int, high: int, samples: int, width: int) -> None:
-    """Give the rows that complete the first and the last row of pixels empty spans."""
+    """Set empty spans in the rows that complete the first and the last row of pixels."""
     for row in range(low // samples * samples, low):
         spans[LEFT, row], spans[RIGHT, row] = width, 0
     for row in range(high, (high + samples - 1) // samples * samples):

@@ -1,4 +1,4 @@
-"""Frames of scenes: what the rest of the package renders with."""
+"""The renderer: frames of scenes, for the rest of the package."""
 
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -30,7 +30,7 @@ class Renderer:
     """Renders one scene in one view; a frame is a pure function of the poses.
 
     Args:
-        scene: what is rendered; its poses are not used.
+        scene: which bodies and regions there are; its poses are not used, except the regions'.
         view: `View.EGO` or `View.ALLO`, or their names.
         size: height and width of the frame in pixels.
         samples: 1, 2 or 4; samples x samples are averaged in each pixel, halves rounded to even.
@@ -38,8 +38,8 @@ class Renderer:
             pipeline, 1 at 384 its raw frame.
 
     Raises:
-        UnknownNameError: there is no such view.
-        RenderError: an impossible size or number of samples.
+        UnknownNameError: no such view.
+        RenderError: an invalid size or number of samples.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class Renderer:
         if self.view == View.EGO:
             memory, mode = _shared_memory(size, self.samples, layers, self._pixels), EGO
         else:
-            memory, mode = self._kept_ground(layers), ALLO
+            memory, mode = self._cached_ground(layers), ALLO
         self._arguments = (*self._display, *memory, size, mode)
 
     def render(self, bodies: NDArray[np.float64], out: Image) -> None:
@@ -77,7 +77,7 @@ class Renderer:
             out: (size, size, 3) uint8.
 
         Raises:
-            RenderError: bodies or `out` do not fit, or a pose is not finite.
+            RenderError: shapes or types do not match, or a pose is not finite.
         """
         self._check(out, CHANNELS)
         self._render_pixels(bodies)
@@ -94,7 +94,7 @@ class Renderer:
             out: where the result goes; by default `stack` itself. Must not overlap it partly.
 
         Raises:
-            RenderError: bodies, `stack` or `out` do not fit, or a pose is not finite.
+            RenderError: shapes or types do not match, or a pose is not finite.
         """
         out = stack if out is None else out
         self._check(out, stack.shape[-1])
@@ -122,8 +122,8 @@ class Renderer:
         if self._compiled(mine, *self._arguments) < 0:
             raise RenderError(f"expected finite poses within {FAR:g} units, found {mine.tolist()}")
 
-    def _kept_ground(self, layers: int) -> "_Memory":
-        """Render the ground once, since the allocentric camera does not move, and keep it."""
+    def _cached_ground(self, layers: int) -> "_Memory":
+        """Render the ground once and keep it: the allocentric camera does not move."""
         shared = _shared_memory(self.size, self.samples, layers, self._pixels)
         own = shared._replace(ground=np.empty_like(self._pixels), tiles=np.empty_like(shared.tiles))
         self._bodies[:] = 0.0
@@ -153,7 +153,7 @@ def render_views(
 
 
 def warm_up(samples: int = max(SAMPLES)) -> None:
-    """Compile the renderer, or load it from the disk, so that the first frame is fast."""
+    """Compile the renderer, or load it from disk, so that the first frame is fast."""
     scene = Scene(Pose(0.0, 0.0, 0.0))
     render_frame(scene, Poses.at_rest(scene), View.EGO, 8, samples)
 
@@ -171,7 +171,7 @@ class _Memory(NamedTuple):
 
 
 def _shared_memory(size: int, samples: int, layers: int, pixels: NDArray[np.int32]) -> _Memory:
-    """A renderer's own pixels, which are its ground, too, and working memory that all share.
+    """A renderer's own pixels, which are also its ground, and working memory shared by all.
 
     Sharing is safe, also among threads: compiled code keeps the interpreter's lock, and one call
     leaves nothing in shared memory that another needs.

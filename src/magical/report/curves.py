@@ -1,36 +1,22 @@
-"""Learning curves from the metrics that training writes, as one picture."""
+"""Learning curves from the metrics of runs."""
 
+import importlib.util
 import io
-import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from magical.errors import ScoresError
+from magical.files import write_atomically
+from magical.runs.folder import CURVES
+from magical.runs.metrics import read_metrics
 
-METRICS_FILE = "metrics.jsonl"
-PANELS = ("loss", "accuracy", "score")  # drawn where the metrics have them
-SMOOTHING = 50  # reports over which a curve is averaged, at most a tenth of all
+PANELS = ("loss", "accuracy", "score")  # of `learning_curves`, where the metrics have them
+SMOOTHING = 50  # rows of metrics that a curve is averaged over, at most a tenth of all
+NOT_PLOTTED = ("step", "environment_steps", "warning")
+COLUMNS = 4  # of `save_learning_curves`
 
 Rows = Sequence[Mapping[str, Any]]
-
-
-def read_metrics(path: Path) -> list[dict[str, Any]]:
-    """The lines of a metrics file; a last one that was cut by a crash is left out.
-
-    Raises `ScoresError` naming a line that is no report.
-    """
-    rows = []
-    for number, line in enumerate(path.read_text("utf-8").split("\n")[:-1], 1):
-        try:
-            row = json.loads(line)
-            row["step"]
-        except (ValueError, TypeError, KeyError) as error:
-            raise ScoresError(
-                f"{path}, line {number}: expected a JSON object with a step, found {line:.60}"
-            ) from error
-        rows.append(row)
-    return rows
 
 
 def learning_curves(runs: Mapping[str, Path]) -> str:
@@ -38,16 +24,12 @@ def learning_curves(runs: Mapping[str, Path]) -> str:
 
     `runs` are folders by name. Empty where none has metrics.
     """
-    found = {
-        name: read_metrics(folder / METRICS_FILE)
-        for name, folder in runs.items()
-        if (folder / METRICS_FILE).is_file()
-    }
+    found = {name: rows for name, folder in runs.items() if (rows := read_metrics(folder))}
     panels = [key for key in PANELS if any(key in row for rows in found.values() for row in rows)]
-    return _draw(found, panels) if panels else ""
+    return _svg(found, panels) if panels else ""
 
 
-def _draw(runs: Mapping[str, Rows], panels: Sequence[str]) -> str:
+def _svg(runs: Mapping[str, Rows], panels: Sequence[str]) -> str:
     # From the report extra. Figure alone: no window system, no global state.
     from matplotlib.figure import Figure
 
@@ -70,8 +52,43 @@ def _draw(runs: Mapping[str, Rows], panels: Sequence[str]) -> str:
 
 
 def _smooth(points: Sequence[tuple[float, float]]) -> tuple[list[float], list[float]]:
-    """Averages over a few neighbours each: single batches are noisy."""
+    """Averages over neighbouring points: the metrics of single batches are noisy."""
     width = max(1, min(SMOOTHING, len(points) // 10))
     groups = [points[i : i + width] for i in range(0, len(points) - width + 1, width)]
     xs = [sum(x for x, _ in group) / width for group in groups]
     return xs, [sum(y for _, y in group) / width for group in groups]
+
+
+def save_learning_curves(run: Path) -> Path | None:
+    """Plot every number of a run's metrics over the steps, as a PNG in the run folder.
+
+    Returns:
+        The picture's path; `None`, without a picture, if there are no metrics yet or matplotlib
+        (extra `report`) is not installed.
+    """
+    rows = read_metrics(run)
+    if not rows or importlib.util.find_spec("matplotlib") is None:
+        return None
+    names = list(dict.fromkeys(name for row in rows for name in row if name not in NOT_PLOTTED))
+    picture = run / CURVES
+    with write_atomically(picture) as file:
+        _figure(rows, names).savefig(file, format="png", dpi=80)
+    return picture
+
+
+def _figure(rows: Rows, names: Sequence[str]) -> Any:
+    # Figure alone: no window system, no global state.
+    from matplotlib.figure import Figure
+
+    lines = math.ceil(len(names) / COLUMNS)
+    figure = Figure(figsize=(3.6 * COLUMNS, 2.4 * lines), layout="constrained")
+    panels = figure.subplots(lines, COLUMNS, squeeze=False).flatten()
+    for axes, name in zip(panels, names, strict=False):
+        points = [(row["step"], row[name]) for row in rows if row.get(name) is not None]
+        axes.plot(*zip(*points, strict=True), linewidth=1.0)
+        axes.set_title(name.replace("_", " "), fontsize=10)
+        axes.grid(alpha=0.3)
+        axes.spines[["top", "right"]].set_visible(False)
+    for axes in panels[len(names) :]:
+        axes.set_axis_off()
+    return figure

@@ -34,7 +34,7 @@ def evaluated_page(
         subtitle=f"{len(entries)} evaluated runs",
         tables=tables,
         rollouts=max(row.rollout for entry in entries for row in entry.scores) + 1,
-        aggregate=[aggregate_header(lines), *aggregate_rows(lines)] if len(lines) > 1 else (),
+        aggregate=[aggregate_header(lines), *aggregate_rows(lines)] if lines else (),
         aggregate_note=note,
         curves=learning_curves(dict(zip(map(str, folders), folders, strict=True))),
         facts=facts,

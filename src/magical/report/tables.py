@@ -6,13 +6,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from magical.evaluation import Entry, by_variant, published_score, published_tasks
+from magical.evaluation.intervals import rollout_mean
 from magical.evaluation.published import RUNS
-from magical.evaluation.statistics import bootstrap_interval, over_runs
+from magical.evaluation.statistics import over_runs
 from magical.evaluation.variants import SHORT_VARIANTS, short_variant
 from magical.tasks import Task, get_task
 
 LIGHTEST, DARKEST = (255, 255, 255), (33, 102, 172)  # RGB of a score of 0 and of 1
 INK_CHANGES = 0.55  # scores above are written in white
+ONE_RUN = (
+    " In brackets: 95% intervals over the rollouts of one run, which do not include the spread "
+    "between training runs."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +51,7 @@ class Table:
     task: str
     variants: tuple[str, ...]  # short names
     rows: tuple[Row, ...]
-    note: str  # by which rule and horizon
+    note: str  # by which rule and horizon, and what intervals are over
 
 
 def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = ()) -> Table:
@@ -65,7 +70,9 @@ def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = (
     rows += [_published_row(task, method) for method in methods]
     variants = tuple(map(short_variant, found.variants))
     kept = tuple(row for row in rows if row.cells)
-    return Table(task, variants, kept, _rule_note(found, bool(methods)))
+    one_run = any(len(runs[row.label]) == 1 for row in kept if row.label in runs)
+    note = _rule_note(found, bool(methods)) + (ONE_RUN if one_run else "")
+    return Table(task, variants, kept, note)
 
 
 def entry_tasks(entries: Iterable[Entry]) -> tuple[str, ...]:
@@ -94,7 +101,9 @@ def _method_row(task: Task, method: str, runs: Sequence[Entry], rule: str) -> Ro
         for variant in SHORT_VARIANTS
         if all(variant in table for table in tables)
     }
-    note = f"mean ± std over {len(runs)} runs" if len(runs) > 1 else "mean, 95% interval"
+    note = (
+        f"mean ± std over {len(runs)} runs" if len(runs) > 1 else "mean, 95% interval over rollouts"
+    )
     return Row(method, cells, f"{note}{_horizon_note(task, runs)}")
 
 
@@ -103,9 +112,7 @@ def _cell(runs: Sequence[Sequence[float]]) -> Cell:
     if len(runs) > 1:
         mean, std = over_runs([[float(np.mean(run))] for run in runs])
         return Cell(mean, f"± {std:.2f}")
-    column = np.array(runs[0])[:, None]  # (rollouts, 1)
-    # Bounds should not change from call to call.
-    value, low, high = bootstrap_interval(column, np.random.default_rng(0))
+    value, low, high = rollout_mean(runs[0])
     return Cell(value, f"[{low:.2f}, {high:.2f}]")
 
 

@@ -1,4 +1,4 @@
-"""What a world is, as plain frozen data. Nothing here moves, draws or scores."""
+"""Scenes as plain frozen data. Nothing here is simulated, rendered or scored."""
 
 from magical.scene.actions import ACTION_NAMES, ACTIONS, NOOP, NUM_ACTIONS, Action
 from magical.scene.poses import Poses

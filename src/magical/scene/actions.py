@@ -31,7 +31,7 @@ class Gripper(IntEnum):
 
 
 class Action(NamedTuple):
-    """One action taken apart."""
+    """One discrete action by its three components."""
 
     longitudinal: Longitudinal = Longitudinal.STOP
     turn: Turn = Turn.STRAIGHT

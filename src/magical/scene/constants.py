@@ -47,7 +47,7 @@ FINGER_ROOT_X = 0.45 * ROBOT_RADIUS  # units, times the side
 FINGER_ROOT_Y = 0.1 * ROBOT_RADIUS  # units
 FINGER_GAIN = 10.0  # 1 / s: motor rate for each radian of error
 FINGER_MAX_RATE = 1.0  # rad / s
-FINGER_DEAD_RATE = 1e-4  # rad / s: rates below count as 0
+FINGER_DEAD_RATE = 1e-4  # rad / s: dead band, rates below are set to 0
 
 # Section 3: blocks.
 BLOCK_SIZE = 0.12  # units: radius of the disc of the same area

@@ -25,13 +25,13 @@ class Piece(NamedTuple):
 
 
 def rotate(point: Point, angle: float) -> Point:
-    """The point turned about the origin, counter-clockwise."""
+    """The point rotated about the origin, counter-clockwise."""
     cos, sin = math.cos(angle), math.sin(angle)
     return cos * point[0] - sin * point[1], sin * point[0] + cos * point[1]
 
 
 def to_workspace(point: Point, pose: Pose) -> Point:
-    """A point of a body's own frame in the world."""
+    """A point given in a body's frame, in workspace coordinates."""
     x, y = rotate(point, pose.angle)
     return pose.x + x, pose.y + y
 
@@ -53,7 +53,7 @@ def star_polygon(outer: float, inner: float) -> Polygon:
 
 
 def shift(polygon: Iterable[Point], dx: float, dy: float) -> Polygon:
-    """The polygon moved by (dx, dy)."""
+    """The polygon translated by (dx, dy)."""
     return tuple((x + dx, y + dy) for x, y in polygon)
 
 
@@ -107,22 +107,22 @@ def robot_pieces() -> tuple[Piece, ...]:
 
 
 def place(pieces: Iterable[Piece], pose: Pose) -> tuple[Piece, ...]:
-    """Pieces of a body's own frame in the world."""
+    """Pieces given in a body's frame, in workspace coordinates."""
     return tuple(Piece(tuple(to_workspace(v, pose) for v in p.vertices), p.radius) for p in pieces)
 
 
 def placed_block(block: Block) -> tuple[Piece, ...]:
-    """A block's pieces in the world."""
+    """A block's pieces in workspace coordinates."""
     return place(block_pieces(block.shape), block.pose)
 
 
 def placed_robot(pose: Pose) -> tuple[Piece, ...]:
-    """The robot's pieces in the world, fingers open."""
+    """The robot's pieces, fingers open, in workspace coordinates."""
     return place(robot_pieces(), pose)
 
 
 def placed_region(region: Region) -> tuple[Piece, ...]:
-    """A goal region's rectangle."""
+    """A goal region's rectangle in workspace coordinates."""
     return (Piece(shift(rectangle(region.width, region.height), *region.centre)),)
 
 
@@ -143,7 +143,7 @@ def depth(a: Piece, b: Piece) -> float:
 
 
 def penetrates(a: Piece, b: Piece, slack: float = 0.0) -> bool:
-    """Whether `depth(a, b) > slack`, found out at the first direction that separates the two."""
+    """Whether `depth(a, b) > slack`; stops at the first direction that separates the two."""
     return all(along > slack for along in _depths(a, b))
 
 

@@ -1,4 +1,4 @@
-"""Where every body of a world is at one moment."""
+"""The poses of all bodies at one time step."""
 
 from dataclasses import dataclass
 
@@ -19,8 +19,8 @@ FIRST_BLOCK = 5  # row of the scene's first block
 class Poses:
     """The pose (x, y, angle) of every body, in the rows named above.
 
-    A finger's position is its root, its angle that of the finger's own frame in the world (open,
-    the left finger is at the robot's angle + pi/8). An eye's angle turns its pupil.
+    A finger's position is its root, its angle that of its own frame in the workspace (open, the
+    left finger is at the robot's angle + pi/8). An eye's angle turns its pupil.
     """
 
     bodies: NDArray[np.float64]  # (5 + number of blocks, 3)
@@ -37,12 +37,12 @@ class Poses:
 
     @property
     def finger_angles(self) -> NDArray[np.float64]:
-        """The fingers' angles in the world, left and right, (2,)."""
+        """The fingers' angles in the workspace, left and right, (2,) radians."""
         return self.bodies[FINGERS, 2]
 
     @staticmethod
     def at_rest(scene: Scene) -> "Poses":
-        """The poses a scene starts from: fingers fully open, eyes straight ahead."""
+        """A scene's initial poses: fingers fully open, eyes straight ahead."""
         x, y, angle = scene.robot
         roots = [to_workspace((side * FINGER_ROOT_X, FINGER_ROOT_Y), scene.robot) for side in SIDES]
         rows = [

@@ -1,4 +1,4 @@
-"""What a world is, as plain frozen data: poses, blocks, goal regions, scenes, dynamics."""
+"""Poses, blocks, goal regions, scenes and dynamics, as plain frozen data."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -33,7 +33,12 @@ def _pose(what: str, values: Sequence[float]) -> Pose:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """A movable block; raises `UnknownNameError` or `InvalidSceneError` for bad values."""
+    """A movable block.
+
+    Raises:
+        UnknownNameError: no such shape or colour.
+        InvalidSceneError: the pose is not three finite numbers.
+    """
 
     shape: Shape
     colour: Colour
@@ -50,10 +55,14 @@ class Region:
     """A goal region: an axis-aligned rectangle with left `x` and top `y`.
 
     Source: docs/specification.md, section 4.
+
+    Raises:
+        UnknownNameError: no such colour.
+        InvalidSceneError: coordinates that are not finite, or a size that is not positive.
     """
 
     colour: Colour
-    x: float
+    x: float  # workspace units, as are the others
     y: float
     height: float
     width: float
@@ -84,7 +93,7 @@ class Region:
 
 @dataclass(frozen=True, slots=True)
 class Dynamics:
-    """The five parameters that the Dynamics variant draws (docs/specification.md, section 5)."""
+    """The five parameters sampled by the Dynamics variant (docs/specification.md, section 5)."""
 
     body_pivot_max_force: float = 3.0
     body_gear_max_force: float = 1.0
@@ -100,12 +109,16 @@ class Dynamics:
 
     @staticmethod
     def sample(rng: np.random.Generator) -> "Dynamics":
-        """One uniform draw within `DYNAMICS_RANGES`."""
+        """A uniform sample from `DYNAMICS_RANGES`."""
         return Dynamics(*(float(rng.uniform(low, high)) for low, high in DYNAMICS_RANGES))
 
     @staticmethod
     def from_dict(data: Mapping[str, Any] | Sequence[float]) -> "Dynamics":
-        """From `to_dict()`'s form, or from the five numbers in order."""
+        """The inverse of `to_dict`; also takes the five numbers in order.
+
+        Raises:
+            InvalidSceneError: unknown names, too many numbers, or forces that are not positive.
+        """
         names = [field.name for field in fields(Dynamics)]
         if not isinstance(data, Mapping):
             data = dict(zip(names, data, strict=len(data) != len(names)))
@@ -118,15 +131,19 @@ class Dynamics:
         return asdict(self)
 
 
+# (low, high) of each field of `Dynamics`, in order (docs/specification.md, section 5).
 DYNAMICS_RANGES = ((2.2, 3.5), (0.7, 1.5), (2.5, 4.5), (1.0, 1.8), (0.07, 0.15))
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """A world at rest before it moves: robot with open fingers, blocks, goal regions.
+    """An initial scene at rest: robot with open fingers, blocks, goal regions.
 
-    Bodies are made and drawn in order: regions, blocks, robot; with `robot_first` the robot comes
-    before (under) the blocks, as in MoveToCorner (docs/specification.md, section 6).
+    Bodies are created and rendered in the order regions, blocks, robot; with `robot_first` the
+    robot comes before (under) the blocks, as in MoveToCorner (docs/specification.md, section 6).
+
+    Raises:
+        InvalidSceneError: the robot's pose is not three finite numbers.
     """
 
     robot: Pose

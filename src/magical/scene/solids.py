@@ -1,7 +1,7 @@
-"""Bodies at poses, for overlap tests made quick: circles first, exact pieces only when needed.
+"""Fast overlap tests between bodies: circles first, exact pieces only where needed.
 
 Placement by rejection (docs/specification.md, section 8) runs hundreds of overlap tests a scene.
-The results equal `geometry.overlap` of the exact pieces, which is the slow reference in the tests.
+Results equal `geometry.overlap` of the exact pieces, the slow reference in the tests.
 """
 
 import math
@@ -85,7 +85,7 @@ class Solid:
 
     @cached_property
     def parts(self) -> list[tuple[g.Piece, g.Point, float]]:
-        """Each piece in the world with the centre and radius of the circle around it."""
+        """Each piece in workspace coordinates, with the centre and radius of a circle around it."""
         pieces, circles, _, _ = self.silhouette
         centres = [g.to_workspace(centre, self.pose) for centre, _ in circles]
         radii = [radius for _, radius in circles]

@@ -1,4 +1,4 @@
-"""The true state of a world: what scripted experts and privileged learners may see."""
+"""The true state of an environment, which scripted experts and privileged learners observe."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from magical.scene.scene import Scene
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """A scene, where its bodies are now and how fast they move, and how much time is left."""
+    """A scene, the current poses and velocities of its bodies, and the time left."""
 
     scene: Scene
     poses: Poses

@@ -1,4 +1,4 @@
-"""The eight tasks: Demo scenes, variants and scores. One file a task; see `Task`."""
+"""The tasks: Demo scenes, variants and scores. One file for each task; see `Task`."""
 
 from magical.tasks.axes import VARIANTS, Axis
 from magical.tasks.checking import check_placement

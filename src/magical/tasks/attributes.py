@@ -1,4 +1,4 @@
-"""Drawing what blocks are: their number, colours and shapes (docs/specification.md, section 8)."""
+"""Sampling the number, colours and shapes of blocks (docs/specification.md, section 8)."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,31 +13,33 @@ Item = TypeVar("Item")
 
 
 def sample_item(items: Sequence[Item], rng: np.random.Generator) -> Item:
-    """One of the items, uniformly."""
+    """One of the items, uniform."""
     return items[int(rng.integers(len(items)))]
 
 
 def sample_count(least: int, most: int, rng: np.random.Generator) -> int:
-    """A whole number from `least` to `most`, uniformly."""
+    """A uniform integer from `least` to `most`, both included."""
     return int(rng.integers(least, most + 1))
 
 
 def sample_covering(items: Sequence[Item], count: int, rng: np.random.Generator) -> list[Item]:
-    """`count` items in random order: each item once, the rest uniform."""
-    drawn = [*items, *(sample_item(items, rng) for _ in range(count - len(items)))]
-    return [drawn[i] for i in rng.permutation(count)]
+    """`count` items in random order: each item at least once, the rest uniform."""
+    sampled = [*items, *(sample_item(items, rng) for _ in range(count - len(items)))]
+    return [sampled[i] for i in rng.permutation(count)]
 
 
-def take(blocks: Sequence[Block], count: int) -> tuple[Block, ...]:
-    """`count` blocks, repeated where there are too few.
+def cycle_blocks(blocks: Sequence[Block], count: int) -> tuple[Block, ...]:
+    """The first `count` blocks, starting over where there are too few.
 
-    Only for a COUNT variant, which then draws every pose, colour and shape anew.
+    Only for variants with COUNT, which sample every pose, colour and shape afterwards.
     """
     return tuple(blocks[i % len(blocks)] for i in range(count))
 
 
-def repaint(blocks: Sequence[Block], axes: Axis, rng: np.random.Generator) -> tuple[Block, ...]:
-    """The blocks, each with its own uniform colour (COLOUR) and shape (SHAPE)."""
+def sample_attributes(
+    blocks: Sequence[Block], axes: Axis, rng: np.random.Generator
+) -> tuple[Block, ...]:
+    """The blocks with independent, uniform colours (COLOUR) and shapes (SHAPE)."""
     return tuple(
         replace(
             block,

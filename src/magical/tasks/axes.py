@@ -1,4 +1,4 @@
-"""What a test variant changes: a set of axes, never a flag per class (appendix, Table 2)."""
+"""What a test variant changes, as a set of axes (appendix, Table 2)."""
 
 from collections.abc import Mapping
 from enum import Flag, auto

@@ -1,6 +1,6 @@
-"""Whether a scene obeys the placement rules of a variant (docs/specification.md, section 8).
+"""Checks of a scene against a variant's placement rules (docs/specification.md, section 8).
 
-The counterpart of `placement`, written against the rules and not against the sampler.
+The counterpart of `placement`, written from the rules and not from the sampler.
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,9 +19,17 @@ _Pair = tuple[tuple[str, Solid], tuple[str, Solid]]
 
 
 def check_placement(task: Task, variant: str, scene: Scene, slack: float = v.ROUNDING) -> None:
-    """Raise `InvalidSceneError` where the scene breaks a placement rule of the task's variant.
+    """Check that a scene is one that the task's variant may start from.
 
-    `slack`, in units and radians, allows for rounded coordinates, as in recordings.
+    Args:
+        task: the task.
+        variant: one of its variants.
+        scene: the scene to check.
+        slack: tolerance in units and radians, for rounded coordinates as in recordings.
+
+    Raises:
+        InvalidSceneError: the scene breaks a placement rule.
+        UnknownNameError: the task lacks the variant.
     """
     task.validate(scene)
     axes = task.axes_of(variant)

@@ -1,9 +1,18 @@
 """ClusterShape: push the blocks into clusters of the same shape (appendix A.2.7).
 
-Horizon 320 control steps (the published code and the human demonstrations: 240). The score rises
-linearly from 0 to 1 as the fraction of correctly clustered blocks rises from 0.5 to 1; a block is
-correctly clustered when its squared distance to the centroid of its own shape is less than a third
-of that to the nearest centroid of another; see `clustering`.
+The score rises linearly from 0 to 1 as the fraction of correctly clustered blocks rises from 0.5
+to 1. A block is correctly clustered when its squared distance to the centroid of its own shape is
+less than a third of that to the nearest centroid of another shape; see `clustering`, also for the
+published code's rule.
+
+Horizon: 320 control steps (the published code and the human demonstrations: 240).
+
+Variants: all.
+
+- Jitter, Layout: poses of robot and blocks.
+- Colour, Shape: each of the four values at least once, the rest uniform, in random order.
+- CountPlus: 7 to 10 blocks, with Layout, Colour and Shape.
+- Dynamics: forces only. All: CountPlus and Dynamics.
 """
 
 from magical.scene import SHAPES, Block, Colour, Pose, Poses, Scene, Shape
@@ -27,7 +36,7 @@ DEMO = Scene(
 
 
 def shape_of(block: Block) -> str:
-    """The attribute that clusters are made by."""
+    """The attribute that defines the clusters."""
     return block.shape
 
 
@@ -41,9 +50,9 @@ def published_score(scene: Scene, poses: Poses) -> float:
     return clustering.published_score(scene, poses, shape_of)
 
 
-def find_problem(scene: Scene) -> str:
-    """Why the scene does not fit the task, or an empty text."""
-    return clustering.find_problem(scene, shape_of, SHAPES)
+def validate(scene: Scene) -> str:
+    """The reason why the scene does not fit the task, or an empty string."""
+    return clustering.validate(scene, shape_of, SHAPES)
 
 
 TASK = Task(
@@ -59,5 +68,5 @@ TASK = Task(
     published_score_fn=published_score,
     max_blocks=clustering.BLOCKS[1],
     max_regions=0,
-    validate_fn=find_problem,
+    validate_fn=validate,
 )

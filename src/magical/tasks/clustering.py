@@ -1,10 +1,10 @@
-"""What ClusterColour and ClusterShape share: drawing blocks, and both scores (appendix A.2.7).
+"""What ClusterColour and ClusterShape share: sampled attributes and both scores (appendix A.2.7).
 
 A block of attribute value a is correctly clustered when its squared distance to the centroid of
 the blocks of value a is less than a third of that to the nearest other value's centroid. With f
 the fraction of such blocks, the score is 0 up to f = 0.5 and rises linearly to 1 at f = 1.
 
-The published code asks for sqrt(own) < sqrt(nearest other) - 2 own, own and nearest other being
+The published code requires sqrt(own) < sqrt(nearest other) - 2 own, own and nearest other being
 squared distances, and scores from f = 0.75 (docs/specification.md, section 9).
 """
 
@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.scene import COLOURS, SHAPES, Block, Poses, Scene
-from magical.tasks.attributes import sample_count, sample_covering, take
+from magical.tasks.attributes import cycle_blocks, sample_count, sample_covering
 from magical.tasks.axes import Axis
 from magical.tasks.scoring import positions
 
 HORIZON = 320  # control steps
 PUBLISHED_HORIZON = 240  # control steps
 BLOCKS = (7, 10)  # least and most in CountPlus
-NO_SCORE_FRACTION = 0.5  # of blocks correctly clustered; a score begins above
+NO_SCORE_FRACTION = 0.5  # of blocks correctly clustered; the score is 0 up to here
 PUBLISHED_NO_SCORE_FRACTION = 0.75
 
 Attribute = Callable[[Block], str]
@@ -32,7 +32,7 @@ Distances = NDArray[np.float64]  # (number of blocks,) squared units
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """The number of blocks; their colours and shapes with each of the four values present."""
     count = sample_count(*BLOCKS, rng) if Axis.COUNT in axes else len(scene.blocks)
-    blocks = take(scene.blocks, count)
+    blocks = cycle_blocks(scene.blocks, count)
     if Axis.COLOUR in axes:
         colours = sample_covering(COLOURS, count, rng)
         blocks = tuple(replace(b, colour=c) for b, c in zip(blocks, colours, strict=True))
@@ -62,19 +62,24 @@ def _above(fraction: float, least: float) -> float:
 def centroid_distances(
     scene: Scene, poses: Poses, attribute: Attribute
 ) -> tuple[Distances, Distances]:
-    """Each block's squared distance to its own value's centroid and to the nearest other one."""
+    """Squared distances to centroids.
+
+    Returns:
+        Two arrays (blocks,) in squared units: each block's squared distance to the centroid of its
+        own value, and to the nearest centroid of another value.
+    """
     values = [attribute(block) for block in scene.blocks]
     present = sorted(set(values))
-    at = np.array(positions(scene, poses))  # (blocks, 2)
+    centres = np.array(positions(scene, poses))  # (blocks, 2)
     member = np.array([[value == a for a in present] for value in values])  # (blocks, values)
-    centroids = (member.T @ at) / member.sum(axis=0)[:, None]  # (values, 2)
-    squared = np.square(at[:, None] - centroids).sum(axis=2)  # (blocks, values)
+    centroids = (member.T @ centres) / member.sum(axis=0)[:, None]  # (values, 2)
+    squared = np.square(centres[:, None] - centroids).sum(axis=2)  # (blocks, values)
     own = np.where(member, squared, np.inf).min(axis=1)
     other = np.where(member, np.inf, squared).min(axis=1)
     return own, other
 
 
-def find_problem(scene: Scene, attribute: Attribute, expected: Sequence[str]) -> str:
-    """Why the scene does not fit the task, or an empty text."""
+def validate(scene: Scene, attribute: Attribute, expected: Sequence[str]) -> str:
+    """The reason why the scene does not fit the task, or an empty string."""
     missing = [value for value in expected if value not in map(attribute, scene.blocks)]
     return f"expected at least one {' and one '.join(missing)} block, found none" if missing else ""

@@ -1,12 +1,23 @@
-"""FindDupe: push a duplicate of the region's query block into the region (appendix A.2.5).
+"""FindDupe: push a duplicate of the query block into the goal region (appendix A.2.5).
 
-Horizon 100 control steps. With q the query block, T the other blocks of its shape and colour, D
-the distractors and R the blocks that end inside the goal region, the score is
+The query block starts inside the region. Blocks are in the order outside blocks, duplicate, query.
+With q the query block, T the other blocks of its shape and colour, D the distractors and R the
+blocks that end inside the region, the score is
 
     [q in R]  x  [T & R not empty]  x  (1 - |D & R| / |R|).
 
 In the published code any two blocks like the query suffice, and q need not stay
-(docs/specification.md, section 9). Blocks are in the order outside blocks, duplicate, query.
+(docs/specification.md, section 9).
+
+Horizon: 100 control steps.
+
+Variants: all.
+
+- Jitter, Layout: poses of robot and blocks, the region's position and size; the query block stays
+  within the region.
+- Colour, Shape: the query's and every outside block's, uniform; the duplicate has the query's.
+- CountPlus: 1 to 5 outside blocks besides the duplicate, with Layout, Colour and Shape.
+- Dynamics: forces only. All: CountPlus and Dynamics.
 """
 
 from collections.abc import Mapping
@@ -15,7 +26,7 @@ from dataclasses import replace
 import numpy as np
 
 from magical.scene import Block, Colour, Pose, Poses, Region, Scene, Shape
-from magical.tasks.attributes import repaint, sample_count, take
+from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count
 from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.placement import Placement
 from magical.tasks.scoring import blocks_inside
@@ -47,19 +58,19 @@ def query_in_region(count: int) -> Mapping[int, int]:
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """The query's colour and shape, the others' number, colours and shapes."""
     *others, duplicate, query = scene.blocks
-    (query,) = repaint([query], axes, rng)
+    (query,) = sample_attributes([query], axes, rng)
     if Axis.COUNT in axes:
-        others = list(take(others, sample_count(*OTHERS, rng)))
+        others = list(cycle_blocks(others, sample_count(*OTHERS, rng)))
     duplicate = replace(query, pose=duplicate.pose)
     return replace(
         scene,
-        blocks=(*repaint(others, axes, rng), duplicate, query),
+        blocks=(*sample_attributes(others, axes, rng), duplicate, query),
         regions=(replace(scene.regions[0], colour=query.colour),),
     )
 
 
 def score(scene: Scene, poses: Poses) -> float:
-    """Query satisfied, less the distractor penalty, 0 to 1 (appendix A.2.5)."""
+    """Query satisfied times one less the distractor penalty, 0 to 1 (appendix A.2.5)."""
     query = len(scene.blocks) - 1
     alike, inside = _alike(scene), blocks_inside(scene.regions[0], scene, poses)
     satisfied = query in inside and len(alike & inside) > 1
@@ -79,8 +90,8 @@ def _alike(scene: Scene) -> set[int]:
     return {i for i, block in enumerate(scene.blocks) if (block.shape, block.colour) == wanted}
 
 
-def find_problem(scene: Scene) -> str:
-    """Why the scene does not fit the task, or an empty text."""
+def validate(scene: Scene) -> str:
+    """The reason why the scene does not fit the task, or an empty string."""
     if len(scene.regions) != 1 or not scene.blocks:
         return "expected 1 goal region and the query as the last block, found fewer; add them"
     found = len(_alike(scene)) > 1
@@ -102,5 +113,5 @@ TASK = Task(
     published_score_fn=published_score,
     max_blocks=OTHERS[1] + 2,
     max_regions=1,
-    validate_fn=find_problem,
+    validate_fn=validate,
 )

@@ -1,8 +1,20 @@
-"""FixColour: push the one block of another colour than its region out of it (appendix A.2.6).
+"""FixColour: push the mismatched block out of its goal region (appendix A.2.6).
 
-Horizon 60 control steps. Each goal region starts with one block inside, block i in region i. The
-score is 1 if the mismatched block ends outside its region while every other region contains
-exactly the block that it started with, otherwise 0.
+Each goal region starts with one block inside, block i in region i. Exactly one block, the
+mismatched one, has another colour than its region. The score is 1 if the mismatched block ends
+outside its region while every other region contains exactly the block that it started with,
+otherwise 0.
+
+Horizon: 60 control steps.
+
+Variants: all.
+
+- Jitter, Layout: poses of the robot and of the blocks within their regions, the regions' positions
+  and sizes.
+- Colour: the regions' colours, uniform; one block, uniform, has one of the three other colours.
+- Shape: every block's, uniform.
+- CountPlus: 2 or 3 pairs of block and region, with Layout, Colour and Shape.
+- Dynamics: forces only. All: CountPlus and Dynamics.
 """
 
 from collections.abc import Mapping
@@ -11,7 +23,7 @@ from dataclasses import replace
 import numpy as np
 
 from magical.scene import COLOURS, Block, Colour, Pose, Poses, Region, Scene, Shape
-from magical.tasks.attributes import repaint, sample_count, sample_item, take
+from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count, sample_item
 from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.placement import Placement
 from magical.tasks.scoring import blocks_inside
@@ -44,7 +56,7 @@ def own_region(count: int) -> Mapping[int, int]:
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """The number of pairs, the blocks' shapes, the regions' colours and the mismatch."""
     count = sample_count(*PAIRS, rng) if Axis.COUNT in axes else len(scene.blocks)
-    blocks = list(repaint(take(scene.blocks, count), axes & Axis.SHAPE, rng))
+    blocks = list(sample_attributes(cycle_blocks(scene.blocks, count), axes & Axis.SHAPE, rng))
     regions = scene.regions[:count]
     if Axis.COLOUR in axes:
         regions = tuple(replace(region, colour=sample_item(COLOURS, rng)) for region in regions)
@@ -66,13 +78,13 @@ def score(scene: Scene, poses: Poses) -> float:
 
 
 def mismatches(scene: Scene) -> set[int]:
-    """Numbers of the blocks whose colour is not their region's."""
+    """Indices of the blocks whose colour is not their region's."""
     pairs = zip(scene.blocks, scene.regions, strict=True)
     return {i for i, (block, region) in enumerate(pairs) if block.colour != region.colour}
 
 
-def find_problem(scene: Scene) -> str:
-    """Why the scene does not fit the task, or an empty text."""
+def validate(scene: Scene) -> str:
+    """The reason why the scene does not fit the task, or an empty string."""
     if len(scene.blocks) != len(scene.regions):
         return (
             "expected a region for every block (block i in region i), found "
@@ -98,5 +110,5 @@ TASK = Task(
     score_fn=score,
     max_blocks=PAIRS[1],
     max_regions=PAIRS[1],
-    validate_fn=find_problem,
+    validate_fn=validate,
 )

@@ -1,10 +1,19 @@
-"""MakeLine: arrange all blocks in a line, wherever and in whatever direction (appendix A.2.4).
+"""MakeLine: arrange all blocks in a line of any position and direction (appendix A.2.4).
 
-Horizon 180 control steps. For a pair of blocks, the inliers are the blocks at most 0.18 units
-from the geometric line through the pair. Sorted along that line, they fall into subsets wherever
-neighbours are more than 0.42 units apart. With n blocks and m the size of the largest subset over
-all pairs, the score is 1 if m = n, 0.5 if m = n - 1, otherwise 0. Colours and shapes do not
-count. The published code gives nothing for two blocks in line (docs/specification.md, section 9).
+For a pair of blocks, the inliers are the blocks at most d_i = 0.18 units from the geometric line
+through the pair. Sorted along that line, they form subsets wherever neighbours are more than d_c =
+0.42 units apart. With n blocks and m the size of the largest subset over all pairs, the score is 1
+if m = n, 0.5 if m = n - 1, otherwise 0. Colours and shapes are ignored. In the published code, two
+blocks in line score 0 (docs/specification.md, section 9).
+
+Horizon: 180 control steps.
+
+Variants: all.
+
+- Jitter, Layout: poses of robot and blocks.
+- Colour, Shape: every block's, uniform.
+- CountPlus: 3 or 4 blocks, with Layout, Colour and Shape.
+- Dynamics: forces only. All: CountPlus and Dynamics.
 """
 
 import math
@@ -15,7 +24,7 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from magical.scene import Block, Colour, Pose, Poses, Scene, Shape
-from magical.tasks.attributes import repaint, sample_count, take
+from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count
 from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.scoring import Point, positions
 from magical.tasks.task import Task
@@ -40,8 +49,8 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """The number of blocks, each block's colour and shape."""
     blocks = scene.blocks
     if Axis.COUNT in axes:
-        blocks = take(blocks, sample_count(*BLOCKS, rng))
-    return replace(scene, blocks=repaint(blocks, axes, rng))
+        blocks = cycle_blocks(blocks, sample_count(*BLOCKS, rng))
+    return replace(scene, blocks=sample_attributes(blocks, axes, rng))
 
 
 def score(scene: Scene, poses: Poses) -> float:
@@ -79,8 +88,8 @@ def line_through(a: Point, b: Point, blocks: Sequence[Point]) -> int:
     return longest
 
 
-def find_problem(scene: Scene) -> str:
-    """Why the scene does not fit the task, or an empty text."""
+def validate(scene: Scene) -> str:
+    """The reason why the scene does not fit the task, or an empty string."""
     return "" if len(scene.blocks) > 1 else "expected at least 2 blocks, found fewer; add blocks"
 
 
@@ -96,5 +105,5 @@ TASK = Task(
     published_score_fn=published_score,
     max_blocks=BLOCKS[1],
     max_regions=0,
-    validate_fn=find_problem,
+    validate_fn=validate,
 )

@@ -1,11 +1,20 @@
-"""MatchRegions: gather all blocks of the goal region's colour, and no others (appendix A.2.3).
+"""MatchRegions: move all and only blocks of the goal region's colour into it (appendix A.2.3).
 
-Horizon 120 control steps. With T the target blocks (of the region's colour), D the distractors
-(of other colours) and R the blocks that end inside the region, the score is
+With T the target blocks (of the region's colour), D the distractors (of other colours) and R the
+blocks that end inside the region, the score is
 
     |T & R| / |T|  x  (1 - |D & R| / |R|)      (0 where R is empty).
 
-CountPlus varies the number of blocks only, one region staying one goal.
+Horizon: 120 control steps.
+
+Variants: all.
+
+- Jitter, Layout: poses of robot and blocks, the region's position and size.
+- Colour: the target colour, uniform; the distractors have the three others in order.
+- Shape: every block's, uniform.
+- CountPlus: 1 or 2 targets, 0 to 2 distractors of each other colour, always one region, with
+  Layout, Colour and Shape.
+- Dynamics: forces only. All: CountPlus and Dynamics.
 """
 
 import math
@@ -14,7 +23,7 @@ from dataclasses import replace
 import numpy as np
 
 from magical.scene import COLOURS, Block, Colour, Pose, Poses, Region, Scene, Shape
-from magical.tasks.attributes import repaint, sample_count, sample_item, take
+from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count, sample_item
 from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.scoring import blocks_inside
 from magical.tasks.task import Task
@@ -48,11 +57,11 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
         colours = [colour for colour, count in groups for _ in range(count)]
     blocks = tuple(
         replace(block, colour=colour)
-        for block, colour in zip(take(blocks, len(colours)), colours, strict=True)
+        for block, colour in zip(cycle_blocks(blocks, len(colours)), colours, strict=True)
     )
     return replace(
         scene,
-        blocks=repaint(blocks, axes & Axis.SHAPE, rng),
+        blocks=sample_attributes(blocks, axes & Axis.SHAPE, rng),
         regions=(replace(region, colour=target),),
     )
 
@@ -71,8 +80,8 @@ def score(scene: Scene, poses: Poses) -> float:
     return len(targets & inside) / len(targets) * (1 - len(inside - targets) / len(inside))
 
 
-def find_problem(scene: Scene) -> str:
-    """Why the scene does not fit the task, or an empty text."""
+def validate(scene: Scene) -> str:
+    """The reason why the scene does not fit the task, or an empty string."""
     if len(scene.regions) != 1:
         return "expected 1 goal region, found none"
     colour = scene.regions[0].colour
@@ -91,5 +100,5 @@ TASK = Task(
     score_fn=score,
     max_blocks=TARGETS[1] + DISTRACTORS[1] * (len(COLOURS) - 1),
     max_regions=1,
-    validate_fn=find_problem,
+    validate_fn=validate,
 )

@@ -1,9 +1,15 @@
-"""MoveToCorner: push the one block from the bottom right to the top left corner (appendix A.2.1).
+"""MoveToCorner: push the block from the bottom right to the top left corner (appendix A.2.1).
 
-Horizon 80 control steps. The score is 1 while the block's centre ends within sqrt(2)/2 units of
-the top left corner of the workspace, 0 beyond sqrt(2) units, and linear in the distance between.
-Variants jitter the poses or draw the block's colour or shape. A layout drawn freely would leave
-open which corner is meant, and so would a second block.
+The score is 1 if the block's centre ends within sqrt(2)/2 units of the top left corner of the
+workspace, 0 beyond sqrt(2) units, and linear in the distance between.
+
+Horizon: 80 control steps.
+
+Variants: all but Layout and CountPlus, which would leave open which corner or which block is meant.
+
+- Jitter: poses of robot and block.
+- Colour, Shape: the block's, uniform.
+- Dynamics: forces only. All: Jitter, Colour, Shape and Dynamics.
 """
 
 import math
@@ -13,7 +19,7 @@ import numpy as np
 
 from magical.scene import Block, Colour, Pose, Poses, Scene, Shape
 from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS, WORKSPACE_HALF
-from magical.tasks.attributes import repaint
+from magical.tasks.attributes import sample_attributes
 from magical.tasks.axes import Axis
 from magical.tasks.scoring import positions
 from magical.tasks.task import Task
@@ -31,7 +37,7 @@ DEMO = Scene(
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """The block's colour and shape."""
-    return replace(scene, blocks=repaint(scene.blocks, axes, rng))
+    return replace(scene, blocks=sample_attributes(scene.blocks, axes, rng))
 
 
 def score(scene: Scene, poses: Poses) -> float:
@@ -50,8 +56,8 @@ def progress(scene: Scene, poses: Poses) -> float:
     return -math.dist(block, GOAL) - max(apart, 0.0) / 2
 
 
-def find_problem(scene: Scene) -> str:
-    """Why the scene does not fit the task, or an empty text."""
+def validate(scene: Scene) -> str:
+    """The reason why the scene does not fit the task, or an empty string."""
     return "" if len(scene.blocks) == 1 else f"expected 1 block, found {len(scene.blocks)}"
 
 
@@ -67,5 +73,5 @@ TASK = Task(
     max_blocks=1,
     max_regions=0,
     progress_fn=progress,
-    validate_fn=find_problem,
+    validate_fn=validate,
 )

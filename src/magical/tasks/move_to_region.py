@@ -1,7 +1,14 @@
 """MoveToRegion: drive the robot into the goal region (appendix A.2.2).
 
-Horizon 40 control steps. The score is 1 if the centre of the robot's body ends inside the goal
-region, otherwise 0. There are no blocks, so variants have no shapes or counts to draw.
+The score is 1 if the centre of the robot's body ends inside the goal region, otherwise 0.
+
+Horizon: 40 control steps.
+
+Variants: all but Shape and CountPlus, as there are no blocks.
+
+- Jitter, Layout: the robot's pose, the region's position and size.
+- Colour: the region's, uniform.
+- Dynamics: forces only. All: Layout, Colour and Dynamics.
 """
 
 import math
@@ -37,8 +44,8 @@ def progress(scene: Scene, poses: Poses) -> float:
     return -math.dist(poses.robot[:2], scene.regions[0].centre)
 
 
-def find_problem(scene: Scene) -> str:
-    """Why the scene does not fit the task, or an empty text."""
+def validate(scene: Scene) -> str:
+    """The reason why the scene does not fit the task, or an empty string."""
     return "" if len(scene.regions) == 1 else "expected 1 goal region, found none"
 
 
@@ -54,5 +61,5 @@ TASK = Task(
     max_blocks=0,
     max_regions=1,
     progress_fn=progress,
-    validate_fn=find_problem,
+    validate_fn=validate,
 )

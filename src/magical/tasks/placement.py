@@ -1,10 +1,11 @@
-"""Placing regions, robot and blocks by bounded rejection sampling.
+"""Placement of regions, robot and blocks by bounded rejection sampling.
 
 Source: docs/specification.md, section 8.
 
-One body at a time, uniform proposals, in the order regions, robot, blocks; what would overlap a
-body, region or wall already placed is proposed again. If a body finds no room, the whole scene is
-sampled again, a bounded number of times. Scenes are plain data, so giving up leaves nothing behind.
+One body at a time, uniform proposals, in the order regions, robot, blocks; proposals
+that overlap a body, region or wall already placed are rejected. If all proposals for a body are
+rejected, the scene is restarted, a bounded number of times. Scenes are plain data: a failed attempt
+changes nothing.
 """
 
 import math
@@ -45,7 +46,7 @@ class Placement:
 
 
 class _Box(NamedTuple):
-    """Uniform proposals of poses: a centre, and half the range of each coordinate."""
+    """A box of poses to propose from: its centre, and half its extent in position and angle."""
 
     centre: Pose
     position: float
@@ -60,7 +61,7 @@ class _Box(NamedTuple):
         )
 
     def around(self, pose: Pose, limit: float) -> "_Box":
-        """Positions about another pose, at most `limit` away in each coordinate; angles as here."""
+        """A box of positions about another pose, at most `limit` away; angles as in this one."""
         centre = Pose(pose.x, pose.y, self.centre.angle)
         return _Box(centre, min(limit, self.position), self.angle)
 
@@ -71,23 +72,33 @@ def _box(pose: Pose, axes: Axis) -> _Box:
     return _Box(pose, POSITION_JITTER, ANGLE_JITTER)
 
 
-def scatter(scene: Scene, axes: Axis, rng: np.random.Generator, placement: Placement) -> Scene:
-    """Sample poses and region sizes along JITTER or LAYOUT; without these the scene is unchanged.
+def sample_placement(
+    scene: Scene, axes: Axis, rng: np.random.Generator, placement: Placement
+) -> Scene:
+    """Sample poses and region sizes.
 
-    Raises `PlacementError` after `MAX_RESTARTS` scenes in which a body found no room.
+    Args:
+        scene: where everything is in the Demo scene.
+        axes: with LAYOUT poses are anywhere, with JITTER near those of `scene`; with neither the
+            scene is returned as it is, and nothing is sampled.
+        rng: the generator.
+        placement: the task's own rules.
+
+    Raises:
+        PlacementError: a body found no room in each of `MAX_RESTARTS` attempts.
     """
     if not axes & (Axis.JITTER | Axis.LAYOUT):
         return scene
     sizes = [_resized(region, axes, rng, placement.region_size) for region in scene.regions]
     scene = replace(scene, regions=tuple(sizes))
-    stuck = ""
+    failure = ""
     for _ in range(MAX_RESTARTS):
         try:
             return _attempt(scene, axes, rng, placement)
         except PlacementError as error:
-            stuck = str(error)
+            failure = str(error)
     raise PlacementError(
-        f"{stuck}, in the last of {MAX_RESTARTS} scenes tried; use fewer blocks or smaller regions"
+        f"{failure}, in the last of {MAX_RESTARTS} attempts; use fewer blocks or smaller regions"
     )
 
 

@@ -1,4 +1,4 @@
-"""Every task by name: those of this package, and those that others register."""
+"""Every task by name: those of this package, and those registered from outside."""
 
 import importlib
 import pkgutil
@@ -10,28 +10,41 @@ from magical.errors import InvalidTaskError, UnknownNameError
 from magical.tasks.task import Task
 
 _tasks: dict[str, Task] = {}
-TASKS: Mapping[str, Task] = MappingProxyType(_tasks)  # in the appendix's order
+TASKS: Mapping[str, Task] = MappingProxyType(_tasks)  # in the order of the appendix
 
 
 def register_task(task: Task) -> Task:
-    """Add a task to `TASKS`; raises `InvalidTaskError` if another has its name."""
+    """Add a task to `TASKS` and return it.
+
+    Raises:
+        InvalidTaskError: another task has its name.
+    """
     if _tasks.get(task.name, task) is not task:
         raise InvalidTaskError(
-            f"expected a new task name, found {task.name!r}, which is registered; choose another"
+            f"expected a new task name, found {task.name!r}, which is registered already; "
+            "choose another"
         )
     _tasks[task.name] = task
     return task
 
 
 def unregister_task(name: str) -> Task:
-    """Take a task out of `TASKS` and return it; raises `UnknownNameError`."""
+    """Remove a task from `TASKS` and return it.
+
+    Raises:
+        UnknownNameError: no such task.
+    """
     task = get_task(name)
     del _tasks[name]
     return task
 
 
 def get_task(name: str) -> Task:
-    """The task of that exact name; raises `UnknownNameError` that lists the names."""
+    """The task of that exact name.
+
+    Raises:
+        UnknownNameError: no such task; the message lists the names.
+    """
     if name in _tasks:
         return _tasks[name]
     close = get_close_matches(str(name), _tasks, n=1)

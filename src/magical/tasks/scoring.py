@@ -1,4 +1,4 @@
-"""What the scoring rules share: where blocks are, and which are inside a goal region."""
+"""Positions of blocks, and blocks inside a goal region, for the scoring rules."""
 
 from magical.errors import InvalidSceneError
 from magical.scene import Poses, Region, Scene
@@ -7,7 +7,11 @@ Point = tuple[float, float]
 
 
 def positions(scene: Scene, poses: Poses) -> list[Point]:
-    """The blocks' centres in the scene's order; raises `InvalidSceneError` if counts differ."""
+    """The blocks' centres in the scene's order, in units.
+
+    Raises:
+        InvalidSceneError: the poses are those of another number of blocks.
+    """
     if len(poses.blocks) != len(scene.blocks):
         raise InvalidSceneError(
             f"score: expected poses of the scene's {len(scene.blocks)} blocks, "
@@ -17,5 +21,5 @@ def positions(scene: Scene, poses: Poses) -> list[Point]:
 
 
 def blocks_inside(region: Region, scene: Scene, poses: Poses) -> set[int]:
-    """Numbers of the blocks whose centres lie in the region."""
+    """Indices of the blocks whose centres lie in the region."""
     return {i for i, xy in enumerate(positions(scene, poses)) if region.contains(*xy)}

@@ -1,4 +1,4 @@
-"""What a task is: a Demo scene, how variants change it, and how final states are scored."""
+"""A task: its Demo scene, how variants change it, and how final states are scored."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -9,7 +9,7 @@ import numpy as np
 from magical.errors import InvalidSceneError, InvalidTaskError, UnknownNameError
 from magical.scene import Dynamics, Poses, Scene
 from magical.tasks.axes import ALL, VARIANTS, Axis
-from magical.tasks.placement import Placement, scatter
+from magical.tasks.placement import Placement, sample_placement
 from magical.tasks.validation import validate_scene
 
 RandomiseFn = Callable[[Scene, Axis, np.random.Generator], Scene]
@@ -25,8 +25,9 @@ def _accept(scene: Scene) -> str:
 class Task:
     """One task of the benchmark.
 
-    Raises `InvalidTaskError` for fields that do not fit together, `InvalidSceneError` for a Demo
-    scene that does not fit the task.
+    Raises:
+        InvalidTaskError: fields that contradict each other.
+        InvalidSceneError: a Demo scene that does not fit the task.
     """
 
     name: str  # as in environment ids, for instance MoveToCorner
@@ -43,7 +44,7 @@ class Task:
     max_blocks: int  # over all variants
     max_regions: int  # over all variants
     progress_fn: ScoreFn | None = None  # the dense reward is its increase; None: no dense reward
-    validate_fn: ValidateFn = _accept  # why a scene does not fit the task, or ""
+    validate_fn: ValidateFn = _accept  # the reason why a scene does not fit, or ""
 
     def __post_init__(self) -> None:
         if not self.name.isalnum():
@@ -72,10 +73,13 @@ class Task:
         return tuple(name for name, axes in VARIANTS.items() if name == ALL or axes in self.axes)
 
     def axes_of(self, variant: str) -> Axis:
-        """The axes along which a variant differs from Demo; raises `UnknownNameError`.
+        """The axes along which a variant differs from Demo.
 
         TestAll changes everything that the task supports, and jitters poses only where they
-        cannot be laid out freely (docs/specification.md, section 8).
+        cannot be sampled freely (docs/specification.md, section 8).
+
+        Raises:
+            UnknownNameError: the task lacks the variant; the message says which it has.
         """
         if variant not in self.variants:
             raise UnknownNameError(self._unknown_variant(variant))
@@ -94,23 +98,38 @@ class Task:
         """Sample an episode's initial scene and dynamics.
 
         Raises:
-            UnknownNameError: the task lacks the variant; says which it has.
+            UnknownNameError: the task lacks the variant; the message says which it has.
             PlacementError: no room was found for a body.
         """
         axes = self.axes_of(variant)
-        scene = scatter(self.randomise_fn(self.demo, axes, rng), axes, rng, self.placement)
+        scene = sample_placement(self.randomise_fn(self.demo, axes, rng), axes, rng, self.placement)
         return scene, Dynamics.sample(rng) if Axis.DYNAMICS in axes else Dynamics()
 
     def score(self, scene: Scene, poses: Poses) -> float:
-        """The appendix's score, 0 to 1, of final poses in an episode that began with `scene`."""
+        """The appendix's score of final poses.
+
+        Args:
+            scene: the episode's initial scene.
+            poses: the poses at its end.
+
+        Returns:
+            0 to 1.
+        """
         return self.score_fn(scene, poses)
 
     def published_code_score(self, scene: Scene, poses: Poses) -> float:
-        """The published code's score of the same (docs/specification.md, section 9)."""
+        """The published code's score, 0 to 1; arguments as for `score`.
+
+        Source: docs/specification.md, section 9.
+        """
         return (self.published_score_fn or self.score_fn)(scene, poses)
 
     def validate(self, scene: Scene) -> None:
-        """Raise `InvalidSceneError` where an episode of this task cannot start from the scene."""
+        """Check that an episode of this task can start from the scene.
+
+        Raises:
+            InvalidSceneError: it cannot; the message says why and what to change.
+        """
         validate_scene(scene)
         found = len(scene.blocks), len(scene.regions)
         if found[0] > self.max_blocks or found[1] > self.max_regions:

@@ -1,4 +1,4 @@
-"""Whether a world can start from a scene: nothing overlaps, everything is in the workspace."""
+"""Checks that a scene can be simulated: no overlaps, everything within the workspace."""
 
 from collections.abc import Iterable
 from itertools import combinations
@@ -11,14 +11,14 @@ from magical.scene.solids import Solid
 # Units by which bodies may overlap: the solver itself leaves as much between bodies in contact,
 # and the published Demo scene of ClusterColour has two blocks that overlap by 0.0095.
 OVERLAP_SLACK = COLLISION_SLOP
-# Units by which bodies may reach into a wall: ClusterShape's TestShape keeps the Demo poses, and a
-# square in the place of its fifth block reaches 0.018 into the right wall. Physics pushes it out.
+# Units by which bodies may reach into a wall: ClusterShape's TestShape keeps the Demo poses, where
+# a square as the fifth block reaches 0.018 into the right wall. The simulation pushes it out.
 WALL_SLACK = 2 * COLLISION_SLOP
 ROUNDING = 1e-9  # units
 
 
 def named_bodies(scene: Scene) -> dict[str, Solid]:
-    """Robot and blocks under the names that messages use."""
+    """Robot and blocks by the names used in messages."""
     blocks = {
         f"block {i} ({b.colour} {b.shape})": Solid.of_block(b) for i, b in enumerate(scene.blocks)
     }
@@ -26,15 +26,18 @@ def named_bodies(scene: Scene) -> dict[str, Solid]:
 
 
 def named_regions(scene: Scene) -> dict[str, Solid]:
-    """Goal regions under the names that messages use."""
+    """Goal regions by the names used in messages."""
     return {f"region {i} ({r.colour})": Solid.of_region(r) for i, r in enumerate(scene.regions)}
 
 
 def validate_scene(scene: Scene) -> None:
-    """Raise `InvalidSceneError` if bodies or walls overlap or a region leaves the workspace.
+    """Check that no bodies overlap and that everything is within the workspace.
 
-    Bodies may overlap by `OVERLAP_SLACK` and reach into walls by `WALL_SLACK`. Blocks and robot
-    may stand in regions, which have no physical effect.
+    Bodies may overlap by `OVERLAP_SLACK` and reach into walls by `WALL_SLACK`. Blocks and robot may
+    be in regions, which have no physical effect.
+
+    Raises:
+        InvalidSceneError: names the bodies and the depth of the overlap, in units.
     """
     bodies = named_bodies(scene)
     check_inside(bodies, WALL_SLACK)

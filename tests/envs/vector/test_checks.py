@@ -1,4 +1,4 @@
-"""Vector environments: options, and what they refuse."""
+"""Vector environments: options, and invalid arguments."""
 
 from collections.abc import Callable
 from typing import Any
@@ -46,7 +46,7 @@ def test_make_vec_passes_options() -> None:
     assert "final_obs" in envs.step([0, 0])[4]
 
 
-def test_presets_in_ids_decide_unless_told_otherwise() -> None:
+def test_presets_in_ids_apply_unless_an_observation_is_given() -> None:
     envs = MagicalVectorEnv(["magical/MakeLine-Demo-LoResCHW4E-v0"] * 2, workers=0)
     assert envs.single_observation_space.shape == (12, 96, 96)
     assert envs.env_ids == ("magical/MakeLine-Demo-v0",) * 2
@@ -108,7 +108,9 @@ def test_calls_at_the_wrong_time_are_refused() -> None:
     for call in calls:
         with pytest.raises(ResetNeededError):
             call()
-    with pytest.raises(ResetNeededError, match="step: expected a running episode in every world"):
+    with pytest.raises(
+        ResetNeededError, match="step: expected a running episode in every environment"
+    ):
         envs.step([0, 0, 0])
     envs.reset(options={"reset_mask": np.array([True, False, True])})
     with pytest.raises(ResetNeededError, match="in 1 of 3"):

@@ -1,4 +1,4 @@
-"""Vector environments: which observations are the caller's to keep, and which are not."""
+"""Vector environments: which observations the caller owns."""
 
 from typing import Any
 
@@ -19,13 +19,13 @@ def vector(
 
 @pytest.mark.parametrize("observation", ["state", "LoRes4A", "LoResStack"])
 @pytest.mark.parametrize("workers", [0, 2])
-def test_copies_are_the_callers_to_keep(observation: str, workers: int) -> None:
+def test_copies_do_not_change_after_they_are_returned(observation: str, workers: int) -> None:
     envs = vector(IDS[:2], workers, observation, horizon=4)
     viewing = vector(IDS[:2], 0, observation, horizon=4, copy=False)
     kept, expected = [envs.reset(seed=0)[0]], [copy_arrays(viewing.reset(seed=0)[0])]
-    rests = np.array([True, False])
+    inactive_second = np.array([True, False])
     for step, actions in enumerate(np.random.default_rng(0).integers(0, 18, (8, 2))):
-        active = rests if step == 2 else None
+        active = inactive_second if step == 2 else None
         kept.append(envs.step(actions, active)[0])
         expected.append(copy_arrays(viewing.step(actions, active)[0]))
     np.testing.assert_equal(kept, expected)
@@ -33,7 +33,7 @@ def test_copies_are_the_callers_to_keep(observation: str, workers: int) -> None:
     np.testing.assert_equal(kept, expected)
 
 
-def test_places_for_copies_are_used_again_once_nobody_holds_them() -> None:
+def test_arrays_for_copies_are_reused_once_the_caller_has_released_them() -> None:
     envs = vector(IDS, 0, "LoRes4A")
     envs.reset(seed=0)
     held = [envs.step([1, 1, 1])[0][1, 5:7] for _ in range(3)]
@@ -50,7 +50,7 @@ def test_places_for_copies_are_used_again_once_nobody_holds_them() -> None:
     np.testing.assert_equal(held, before)
 
 
-def test_views_are_the_blocks() -> None:
+def test_without_copies_observations_are_the_buffers() -> None:
     envs = vector(copy=False)
     first, _ = envs.reset(seed=0)
     kept = first.copy()

@@ -1,4 +1,4 @@
-"""Vector environments: the same worlds as single ones, Gymnasium's promises, states."""
+"""Vector environments: equal to single ones, Gymnasium's interface, saved states."""
 
 from dataclasses import replace
 from functools import partial
@@ -61,7 +61,7 @@ def same(found: Any, expected: Any) -> None:
 
 @pytest.mark.parametrize("num_envs", [1, 2, 16])
 @pytest.mark.parametrize("workers", [0, 1, 2])
-def test_worlds_are_bit_equal_to_single_environments(num_envs: int, workers: int) -> None:
+def test_sub_environments_are_bit_equal_to_single_environments(num_envs: int, workers: int) -> None:
     env_ids = [MIXED[i % len(MIXED)] for i in range(num_envs)]
     steps = actions_for(num_envs, 2 * HORIZON + 3)
     envs = vector(env_ids, workers, horizon=HORIZON)
@@ -125,7 +125,7 @@ def test_autoreset_as_gymnasiums_own(mode: AutoresetMode, workers: int) -> None:
     own.close()
 
 
-def test_worlds_that_end_at_different_times_begin_anew_each_by_itself() -> None:
+def test_sub_environments_with_different_horizons_are_reset_separately() -> None:
     env_ids = ["magical/MoveToRegion-Demo-v0", "magical/FixColour-Demo-v0"]
     envs = vector(env_ids, observation={"size": 8, "samples": 1})
     envs.reset(seed=0)
@@ -137,7 +137,7 @@ def test_worlds_that_end_at_different_times_begin_anew_each_by_itself() -> None:
     assert ends == [[39, 80, 121], [59, 120]]
 
 
-def test_disabled_autoreset_resets_what_the_mask_names() -> None:
+def test_disabled_autoreset_resets_where_the_mask_is_true() -> None:
     envs = vector(MIXED, 2, horizon=3, autoreset_mode="Disabled")
     envs.reset(seed=[10, 11, 12])
     before = [envs.step([1, 1, 1])[3] for _ in range(3)]
@@ -159,7 +159,7 @@ def test_disabled_autoreset_resets_what_the_mask_names() -> None:
     envs.close()
 
 
-def test_resting_worlds_do_not_move() -> None:
+def test_inactive_sub_environments_do_not_change() -> None:
     envs = vector()
     before, _ = envs.reset(seed=0)
     after = envs.step([1, 1, 1], active=np.array([False, True, False]))[0]
@@ -192,7 +192,7 @@ def test_states_are_those_of_single_environments(workers: int) -> None:
 
 
 @pytest.mark.parametrize("workers", [0, 2])
-def test_a_saved_state_continues_in_another_place(workers: int) -> None:
+def test_a_saved_state_continues_in_another_environment(workers: int) -> None:
     envs = vector(["magical/MakeLine-TestAll-v0"] * 3, workers, horizon=12)
     other = single("magical/MakeLine-TestAll-v0", horizon=12)
     envs.reset(seed=0)
@@ -200,8 +200,8 @@ def test_a_saved_state_continues_in_another_place(workers: int) -> None:
     for action in (1, 10, 4, 7):
         other.step(action)
     observation = envs.set_state(2, other.get_state())
-    shown = single("magical/MakeLine-TestAll-v0").set_state(other.get_state())
-    np.testing.assert_array_equal(observation, shown)
+    expected_observation = single("magical/MakeLine-TestAll-v0").set_state(other.get_state())
+    np.testing.assert_array_equal(observation, expected_observation)
     assert envs.get_state(2) == other.get_state()
     for action in (3, 1, 1):
         expected = other.step(action)[0]
@@ -222,8 +222,8 @@ def test_reset_takes_scenes_and_dynamics(workers: int) -> None:
     dynamics = Dynamics(body_pivot_max_force=2.5)
     envs = vector(["magical/MoveToCorner-Demo-v0"], workers)
     given = single("magical/MoveToCorner-Demo-v0").reset(seed=0)[0]
-    drawn, _ = envs.reset(seed=0)
-    np.testing.assert_array_equal(drawn[0], given)
+    sampled, _ = envs.reset(seed=0)
+    np.testing.assert_array_equal(sampled[0], given)
     demo = envs.states()[0].scene
     moved = replace(demo, robot=Pose(0.5, 0.5, 0.0))
     envs.reset(options={"scene": moved, "dynamics": dynamics})
@@ -256,7 +256,7 @@ def test_rewards() -> None:
     assert rewards[0] != rewards[1]
 
 
-def test_render_shows_every_world() -> None:
+def test_render_returns_a_frame_of_every_sub_environment() -> None:
     envs = vector(MIXED, render_mode="rgb_array")
     envs.reset(seed=0)
     frames = envs.render()

@@ -1,4 +1,4 @@
-"""What goes wrong with worker processes, and what is left behind: nothing."""
+"""Faults of worker processes: named errors, and no process, memory or descriptor remains."""
 
 import gc
 import os
@@ -33,18 +33,18 @@ import os
 from dataclasses import replace
 from magical import get_task, register_task
 
-class Odd(Exception):
+class CustomError(Exception):
     pass
 
-def rule(scene, poses):
+def score_fn(scene, poses):
     if os.environ.get("HOW") == "exit":
         os._exit(7)
-    if os.environ.get("HOW") == "odd":
-        raise Odd("strange", 5)
+    if os.environ.get("HOW") == "custom":
+        raise CustomError("strange", 5)
     print("a task that prints")
     raise ValueError("no score today")
 
-TASK = replace(get_task("MakeLine"), name="Breaking", score_fn=rule)
+TASK = replace(get_task("MakeLine"), name="Breaking", score_fn=score_fn)
 """
 
 
@@ -125,7 +125,7 @@ def test_a_worker_that_exits_is_named(breaking: Task, monkeypatch: pytest.Monkey
         envs.step([0])
 
 
-def test_an_exception_keeps_its_class_its_place_and_its_traceback(breaking: Task) -> None:
+def test_an_exception_keeps_its_class_its_environment_and_its_traceback(breaking: Task) -> None:
     envs = make((*IDS, "magical/Breaking-Demo-v0"), 2, horizon=1)
     workers = process_ids(envs)
     with pytest.raises(ValueError, match="no score today") as caught:
@@ -134,7 +134,7 @@ def test_an_exception_keeps_its_class_its_place_and_its_traceback(breaking: Task
     assert caught.value.__notes__ == ["in environment 2 (magical/Breaking-Demo-v0)"]
     assert isinstance(caught.value.__cause__, WorkerTraceback)
     assert "breaking_task.py" in str(caught.value.__cause__)
-    assert "in rule" in str(caught.value.__cause__)
+    assert "in score_fn" in str(caught.value.__cause__)
     with pytest.raises(ResetNeededError, match="in 3 of 3"):
         envs.step([0, 0, 0])
     envs.reset()
@@ -143,15 +143,17 @@ def test_an_exception_keeps_its_class_its_place_and_its_traceback(breaking: Task
     envs.close()
 
 
-def test_an_exception_of_a_foreign_class(breaking: Task, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("HOW", "odd")
+def test_an_exception_of_a_class_from_outside(
+    breaking: Task, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOW", "custom")
     envs = make(("magical/Breaking-Demo-v0",), 1, horizon=1)
-    with pytest.raises(WorkerError, match="Odd: strange, 5"):
+    with pytest.raises(WorkerError, match="CustomError: strange, 5"):
         envs.step([0])
     envs.close()
 
 
-def test_a_task_that_workers_could_not_find(breaking: Task) -> None:
+def test_a_task_that_workers_cannot_import(breaking: Task) -> None:
     del sys.modules["breaking_task"].TASK
     env_ids = ["magical/Breaking-Demo-v0"]
     with pytest.raises(InvalidTaskError, match=r"plugins=\[...\], or use workers=0"):
@@ -166,7 +168,7 @@ def test_a_task_that_workers_could_not_find(breaking: Task) -> None:
 
 
 def test_an_interrupted_exchange_closes(monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(descriptor: int) -> None:
+    def interrupted(descriptor: int, deadline: float | None) -> None:
         raise KeyboardInterrupt
 
     envs = make()
@@ -200,7 +202,7 @@ def test_garbage_collection_ends_everything() -> None:
     assert np.isfinite(observations).all()
 
 
-def test_arrays_of_the_block_outlive_it() -> None:
+def test_arrays_of_the_buffers_outlive_the_environment() -> None:
     envs = MagicalVectorEnv(IDS, workers=2, observation="state", copy=False)
     observations, _ = envs.reset(seed=0)
     before = observations.copy()
@@ -210,7 +212,7 @@ def test_arrays_of_the_block_outlive_it() -> None:
     np.testing.assert_array_equal(observations, before)
 
 
-def test_waiting_workers_use_no_time() -> None:
+def test_idle_workers_use_no_processor_time() -> None:
     envs = make()
     before = [processor_ticks(i) for i in process_ids(envs)]
     end = time.monotonic() + 0.3
@@ -219,7 +221,7 @@ def test_waiting_workers_use_no_time() -> None:
     envs.close()
 
 
-def test_no_more_workers_than_worlds() -> None:
+def test_no_more_workers_than_sub_environments() -> None:
     envs = make(IDS, workers=5)
     assert envs.workers == 2
     assert isinstance(envs._sub_envs, RemoteSubEnvs)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from magical.commands._common import log, positive_int
-from magical.untrusted import printable
+from magical.messages import printable
 
 if TYPE_CHECKING:
     from magical.demos import Problem

@@ -16,7 +16,7 @@ from magical.commands.demos._shared import (
     add_workers,
 )
 from magical.errors import DownloadError
-from magical.untrusted import printable
+from magical.messages import printable
 
 if TYPE_CHECKING:
     from magical.demos.human.importing import ImportReport

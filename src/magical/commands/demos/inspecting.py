@@ -12,7 +12,7 @@ from magical.commands.demos._shared import (
     names,
     number,
 )
-from magical.untrusted import printable
+from magical.messages import printable
 
 
 def add_commands(subparsers: Subparsers) -> None:

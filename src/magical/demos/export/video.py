@@ -11,9 +11,9 @@ from magical.demos.reader import Frames
 from magical.demos.store.trajectory import VIEWS, Trajectory
 from magical.errors import UnknownNameError
 from magical.files import write_atomically
+from magical.messages import printable
 from magical.scene import Poses
 from magical.scene.constants import CONTROL_RATE, FRAME_SIZE, RAW_FRAME_SIZE
-from magical.untrusted import printable
 
 SIZE = RAW_FRAME_SIZE  # pixels across of each view
 BANNER = 32  # pixels high, above the frames

@@ -22,7 +22,7 @@ from typing import IO, Any
 
 from magical.demos.store.regular_files import open_regular, sha256_sum
 from magical.errors import DownloadError
-from magical.untrusted import printable, quoted
+from magical.messages import printable, quoted
 
 # The repository at the commit whose sums are in data/human-demos.sha256.
 COMMIT = "42eb21c4bd6c0e2262ccc2fc00ef2a36b10b6a5a"
@@ -315,7 +315,10 @@ class _NoRedirects(urllib.request.HTTPRedirectHandler):
     ) -> None:
         """Decline, so that the response is raised as an `HTTPError`."""
 
-    http_error_301 = http_error_303 = http_error_307 = http_error_308 = http_error_302
+    http_error_301 = http_error_302  # type: ignore[assignment]
+    http_error_303 = http_error_302  # type: ignore[assignment]
+    http_error_307 = http_error_302  # type: ignore[assignment]
+    http_error_308 = http_error_302  # type: ignore[assignment]
 
 
 _OPENER = urllib.request.build_opener(_Handler, _SecureHandler, _NoRedirects)

@@ -12,8 +12,8 @@ from magical.demos.store.manifest import ManifestEntry
 from magical.demos.store.regular_files import open_regular, sha256_sum
 from magical.demos.store.writer import DatasetWriter
 from magical.errors import DatasetError, MagicalError
+from magical.messages import printable
 from magical.processes import available_cores, map_in_processes
-from magical.untrusted import printable
 
 SUFFIX = ".pkl.gz"
 Progress = Callable[[int], None]  # called with the number of files finished since the last call

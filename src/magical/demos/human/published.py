@@ -16,9 +16,9 @@ from magical.demos.store.regular_files import open_regular, sha256_sum
 from magical.demos.store.trajectory import MAX_NAME, Trajectory
 from magical.envs.ids import parse_env_id
 from magical.errors import MagicalError, TrajectoryError, UnsafeFileError
+from magical.messages import printable, quoted
 from magical.scene import View
 from magical.scene.constants import FRAME_SIZE, RAW_FRAME_SIZE
-from magical.untrusted import printable, quoted
 
 MAX_UNPACKED = 512 << 20  # bytes; the largest published file unpacks to 213 MB
 MAX_PATH = 1000  # characters of a path in a message

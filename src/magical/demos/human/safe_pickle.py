@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.errors import UnsafeFileError
-from magical.untrusted import printable, quoted
+from magical.messages import printable, quoted
 
 # Bounds far above what the largest published file needs: 17,500 opcodes, items of 442,368 bytes,
 # and next to no bytes that do not become part of an array at once.

@@ -21,9 +21,10 @@ from numpy.typing import NDArray
 
 from magical.demos.store.trajectory import MAX_NAME, VIEWS, Trajectory
 from magical.errors import DatasetError, MagicalError, TrajectoryError
+from magical.messages import printable, quoted
 from magical.scene import Dynamics, Scene
 from magical.scene.constants import FRAME_SIZE
-from magical.untrusted import check_plain, printable, quoted
+from magical.untrusted import check_plain
 
 FORMAT = {"format": "magical-trajectory", "version": 1}
 MAX_UNPACKED = 512 << 20  # bytes of all members together

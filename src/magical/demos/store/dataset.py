@@ -17,8 +17,8 @@ from magical.demos.store.regular_files import open_regular
 from magical.demos.store.trajectory import Trajectory
 from magical.envs.ids import parse_env_id
 from magical.errors import DatasetError, UnknownNameError
+from magical.messages import printable
 from magical.tasks import VARIANTS, get_task
-from magical.untrusted import printable
 
 MAX_MESSAGE = 1000  # characters of a problem: paths, and what was found
 

@@ -20,7 +20,8 @@ from magical.demos.store.regular_files import open_regular
 from magical.demos.store.trajectory import MAX_NAME, Trajectory
 from magical.envs.ids import EnvId, split_env_id
 from magical.errors import DatasetError, MagicalError
-from magical.untrusted import check_plain, quoted
+from magical.messages import quoted
+from magical.untrusted import check_plain
 
 NAME = "manifest.jsonl"
 FOLDER = "trajectories"

@@ -18,7 +18,7 @@ from magical.demos.store.lock import locked
 from magical.demos.store.manifest import ManifestEntry
 from magical.errors import DatasetError
 from magical.files import write_atomically
-from magical.untrusted import printable
+from magical.messages import printable
 
 
 def check(path: Path | str) -> list[Problem]:

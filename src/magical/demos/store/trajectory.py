@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from magical.envs.ids import EnvId, parse_env_id
 from magical.errors import TrajectoryError
+from magical.messages import quoted
 from magical.scene import NUM_ACTIONS, Dynamics, Poses, Scene, View
 from magical.scene.constants import FRAME_SIZE
 from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import Task
-from magical.untrusted import check_plain, quoted
+from magical.untrusted import check_plain
 
 VIEWS = tuple(str(view) for view in View)
 MAX_NAME = 1000  # characters of an environment id or a demonstrator's name

@@ -1,4 +1,4 @@
-"""The arrays that sub-environments write to and their caller reads from, in one piece of memory."""
+"""The arrays that sub-environments write to and the caller reads from, in one buffer."""
 
 import contextlib
 import mmap
@@ -52,13 +52,13 @@ class BufferLayout:
                 fields[f"{name}/{part}"] = ((n, *shape), dtype)
         return fields
 
-    def places(self) -> dict[str, tuple[Shape, DTypeLike, int]]:
+    def offsets(self) -> dict[str, tuple[Shape, DTypeLike, int]]:
         """Shape, type and offset in bytes of each array by name."""
-        places, offset = {}, 0
+        offsets, offset = {}, 0
         for name, (shape, dtype) in self.fields().items():
-            places[name] = (shape, dtype, offset)
+            offsets[name] = (shape, dtype, offset)
             offset += _bytes(shape, dtype)
-        return places
+        return offsets
 
     @property
     def size(self) -> int:
@@ -83,12 +83,12 @@ class VectorBuffers:
     copies: list[Any]  # each the same
 
     def __init__(self, layout: BufferLayout, memory: Any = None) -> None:
-        """Lay the arrays over `memory`, or over memory of their own."""
+        """Place the arrays in `memory`, or allocate them."""
         self.layout = layout
         self.memory = np.zeros(layout.size, np.uint8) if memory is None else memory
         arrays = {
             name: np.ndarray(shape, dtype, self.memory, offset)
-            for name, (shape, dtype, offset) in layout.places().items()
+            for name, (shape, dtype, offset) in layout.offsets().items()
         }
         self.observations = _take(arrays, "observations")
         self.final_observations = _take(arrays, "final_observations") if layout.keep_final else None
@@ -98,9 +98,9 @@ class VectorBuffers:
 
 
 class SharedMemory:
-    """Unnamed memory that worker processes can open as well.
+    """Unnamed shared memory, which worker processes can map.
 
-    Without a name nothing is left behind, however the processes end. `handle` is passed to the
+    Without a name nothing remains, however the processes end. `handle` is passed to the
     workers: a file descriptor to inherit, or a tag on Windows.
     """
 
@@ -119,7 +119,7 @@ class SharedMemory:
         return (self.handle,) if isinstance(self.handle, int) else ()
 
     def release_handle(self) -> None:
-        """Close the handle, which only starting workers need; the mapping stays."""
+        """Close the handle, which workers need only to start; the mapping stays."""
         if isinstance(self.handle, int) and self.handle >= 0:
             os.close(self.handle)
             self.handle = -1
@@ -148,7 +148,7 @@ def _bytes(shape: Shape, dtype: DTypeLike) -> int:
 
 
 def _take(arrays: dict[str, NDArray[Any]], name: str) -> Any:
-    """Remove an observation's arrays from the others and put them together."""
+    """Remove an observation's arrays from `arrays` and return the observation."""
     parts = {
         key.split("/")[1]: arrays.pop(key) for key in list(arrays) if key.startswith(f"{name}/")
     }

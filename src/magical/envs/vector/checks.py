@@ -1,6 +1,8 @@
 """Checks of the arguments of a vector environment."""
 
 import operator
+import os
+import threading
 from collections.abc import Sequence
 from typing import Any
 
@@ -8,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.errors import InvalidActionError, ResetNeededError
+from magical.messages import quoted
 from magical.scene.actions import NUM_ACTIONS
 
 
@@ -26,19 +29,20 @@ def checked_actions(actions: Any, num_envs: int) -> NDArray[Any]:
     )
     if not good:
         raise InvalidActionError(
-            f"actions: expected {num_envs} integers from 0 to {NUM_ACTIONS - 1}, found {actions!r}"
+            f"actions: expected {num_envs} integers from 0 to {NUM_ACTIONS - 1}, "
+            f"found {quoted(actions)}"
         )
     return array
 
 
 def checked_mask(name: str, mask: Any, num_envs: int) -> NDArray[np.bool_]:
-    """A choice of sub-environments as bool (N,), all of them for None; raises `ValueError`."""
+    """A mask of sub-environments as bool (N,), all True for None; raises `ValueError`."""
     if mask is None:
         return np.ones(num_envs, np.bool_)
     array = np.asarray(mask)
     if array.shape != (num_envs,) or array.dtype != np.bool_ or not array.any():
         raise ValueError(
-            f"{name}: expected bool ({num_envs},) with at least one True, found {mask!r}"
+            f"{name}: expected bool ({num_envs},) with at least one True, found {quoted(mask)}"
         )
     return array
 
@@ -57,9 +61,23 @@ def checked_seeds(seed: int | Sequence[int | None] | None, num_envs: int) -> lis
         seeds = _consecutive(seed, num_envs)
     if len(seeds) != num_envs or any(s is not None and s < 0 for s in seeds):
         raise ValueError(
-            f"seed: expected a non-negative integer, {num_envs} of them, or None, found {seed!r}"
+            f"seed: expected a non-negative integer, {num_envs} of them, or None, "
+            f"found {quoted(seed)}"
         )
     return seeds
+
+
+def check_timeout(timeout: float | None, workers: int) -> None:
+    """Raise `ValueError` unless it is None, or a number of seconds where there are workers."""
+    if timeout is None:
+        return
+    number = isinstance(timeout, int | float) and not isinstance(timeout, bool)
+    if not number or not 0 < timeout <= threading.TIMEOUT_MAX:
+        raise ValueError(f"timeout: expected positive seconds or None, found {quoted(timeout)}")
+    if not workers or os.name == "nt":
+        raise ValueError(
+            f"timeout: expected None without workers and on Windows, found {quoted(timeout)}"
+        )
 
 
 def require_episodes(what: str, running: NDArray[np.bool_], env_ids: Sequence[str]) -> None:

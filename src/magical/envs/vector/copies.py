@@ -1,4 +1,4 @@
-"""Observations that are the caller's to keep, without copying them after the step."""
+"""Observations that the caller owns, without a copy after the step."""
 
 import ctypes
 import weakref
@@ -14,8 +14,8 @@ class Copies:
     """Arrays in the buffers that are handed out as observations.
 
     The sub-environments copy their observations into one of them while they are still in their
-    core's cache, on all cores in parallel. An array is used again once the caller holds neither it
-    nor any view of it; while all are held, observations are copied the ordinary way.
+    core's cache, on all cores in parallel. An array is reused once the caller holds neither it
+    nor any view of it; while all are held, observations are copied after the step.
     """
 
     def __init__(self, buffers: VectorBuffers) -> None:
@@ -24,10 +24,10 @@ class Copies:
         self._raw: Any = buffers.memory
         self._holders: list[weakref.ref[Any] | None] = [None] * buffers.layout.copies
         self._parts: list[dict[str, Any]] = [{} for _ in self._holders]
-        for name, place in buffers.layout.places().items():
+        for name, field in buffers.layout.offsets().items():
             if name.startswith("copy") and "/" in name:
                 index, part = name.removeprefix("copy").split("/")
-                self._parts[int(index)][part] = place
+                self._parts[int(index)][part] = field
 
     def choose(self) -> int:
         """The index of an array that the caller does not hold, or -1."""

@@ -1,7 +1,9 @@
 """Gymnasium's vector environment, over worker processes."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any, NoReturn
 
 import numpy as np
 from gymnasium import spaces
@@ -9,10 +11,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from magical.envs.env import MagicalEnv, Reward
+from magical.envs.env import MagicalEnv, Reward, not_picklable
 from magical.envs.ids import EnvId, parse_env_id
+from magical.envs.saved_state import parse_state
 from magical.envs.vector.buffers import SharedMemory, VectorBuffers
 from magical.envs.vector.checks import (
+    check_timeout,
     checked_actions,
     checked_mask,
     checked_seeds,
@@ -20,13 +24,17 @@ from magical.envs.vector.checks import (
 )
 from magical.envs.vector.copies import Copies
 from magical.envs.vector.infos import Infos, same_step_infos, score_infos
+from magical.envs.vector.pending import PendingCall
 from magical.envs.vector.sub_envs import SubEnvs, VectorSpec, common_observation
 from magical.envs.vector.workers import RemoteSubEnvs, defining_modules
 from magical.errors import (
     ClosedEnvironmentError,
+    ForkedEnvironmentError,
     UnknownNameError,
     WorkerDiedError,
+    WorkerTimeoutError,
 )
+from magical.messages import quoted
 from magical.observe import Observation
 from magical.observe.arrays import copy_arrays, select
 from magical.processes import available_cores
@@ -37,6 +45,7 @@ from magical.scene.scene import Scene
 from magical.scene.state import State
 
 Bools = NDArray[np.bool_]
+_CLOSING = (WorkerDiedError, WorkerTimeoutError)  # errors after which the environment is closed
 
 
 class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
@@ -52,19 +61,23 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         workers: processes that the sub-environments are divided among, at most one for each; 0
             steps them in this process; None starts one for each core. Workers are fresh
             interpreters and never import the main script. If one ends unexpectedly, the next call
-            raises `WorkerDiedError` and the environment is closed.
+            raises `WorkerDiedError` and the environment is closed. With workers, only the process
+            that made the environment may use it, and with any number only one thread at a time.
         observation: see `observe.make_spec`; takes precedence over the ids' preset.
         horizon, reward: as for `MagicalEnv`.
         autoreset_mode: what happens after an episode's last step. NEXT_STEP: the next step
-            ignores the action and begins another episode. SAME_STEP: that step already returns the
+            ignores the action and starts another episode. SAME_STEP: that step already returns the
             next episode's first observation; the last observation and scores are in
             `infos["final_obs"]` and `infos["final_info"]`. DISABLED: nothing, until
             `reset(seed=..., options={"reset_mask": ended})`.
-        copy: whether returned observations are the caller's to keep; otherwise they are the
+        copy: whether the caller owns returned observations; otherwise they are the
             buffers' own arrays, which the next step or reset overwrites.
         render_mode: "rgb_array" or None.
         plugins: modules that workers import to register tasks from outside the package; modules
             that hold such a task are found without this.
+        timeout: seconds in which the workers must finish a step, a reset or a call of `get_state`
+            or `set_state`; otherwise `WorkerTimeoutError` is raised and the environment is closed.
+            By default there is no limit. Not available on Windows or without workers.
 
     Raises:
         UnknownNameError: an unknown id, observation, reward or render mode.
@@ -83,13 +96,16 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         copy: bool = True,
         render_mode: str | None = None,
         plugins: Sequence[str] = (),
+        timeout: float | None = None,
     ) -> None:
         if isinstance(env_ids, str) or not env_ids:
-            raise ValueError(f"env_ids: expected a list of environment ids, found {env_ids!r}")
+            raise ValueError(
+                f"env_ids: expected a list of environment ids, found {quoted(env_ids)}"
+            )
         if workers is not None and workers < 0:
             raise ValueError(f"workers: expected at least 0, or None, found {workers}")
         if render_mode not in (None, *MagicalEnv.metadata["render_modes"]):
-            raise UnknownNameError(f"render mode {render_mode!r}: expected rgb_array or None")
+            raise UnknownNameError(f"render mode {quoted(render_mode)}: expected rgb_array or None")
         parsed = [parse_env_id(env_id) for env_id in env_ids]
         self.env_ids = tuple(env_id.without_preset for env_id in parsed)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
@@ -102,13 +118,16 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self._set_spaces(layout.spec.space)
         self._running = np.zeros(self.num_envs, np.bool_)
         self._scenes: list[Any] = [None] * self.num_envs
+        self._pending = PendingCall()
+        self._process_id = os.getpid()
         self._sub_envs: SubEnvs | RemoteSubEnvs
         self.workers = min(available_cores() if workers is None else workers, self.num_envs)
+        check_timeout(timeout, self.workers)
         if self.workers:
             plugins = [*plugins, *defining_modules([] if plugins else spec.tasks())]
             memory = SharedMemory(layout.size)
             self._buffers = VectorBuffers(layout, memory.memory)
-            self._sub_envs = RemoteSubEnvs(spec, self.workers, memory, plugins)
+            self._sub_envs = RemoteSubEnvs(spec, self.workers, memory, plugins, timeout)
         else:
             self._buffers = VectorBuffers(layout)
             self._sub_envs = SubEnvs(spec, range(self.num_envs), self._buffers)
@@ -127,7 +146,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Any, Infos]:
-        """Begin an episode in every sub-environment, or where `options["reset_mask"]` is True.
+        """Start an episode in every sub-environment, or where `options["reset_mask"]` is True.
 
         Args:
             seed: sub-environment i gets `seed + i`, or `seed[i]` of a list; None continues each
@@ -138,17 +157,18 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             All observations, and `infos` masked to the sub-environments that were reset.
 
         Raises:
-            InvalidSceneError, PlacementError: an episode cannot begin so.
+            InvalidSceneError, PlacementError: no episode can start from these.
+            WorkerDiedError, WorkerTimeoutError: the environment is closed.
         """
-        self._require_open("reset")
-        chosen = dict(options or {})
-        mask = checked_mask("reset_mask", chosen.pop("reset_mask", None), self.num_envs)
-        seeds = checked_seeds(seed, self.num_envs)
-        super().reset(seed=seed if isinstance(seed, int) else None)
-        rows = np.flatnonzero(mask).tolist()
-        wanted = [(row, seeds[row]) for row in rows]
-        self._begin(self._exchange(lambda: self._sub_envs.reset(wanted, chosen), rows))
-        return self._observations(-1), score_infos(np.zeros((2, self.num_envs)), mask)
+        with self._call("reset"):
+            chosen = dict(options or {})
+            mask = checked_mask("reset_mask", chosen.pop("reset_mask", None), self.num_envs)
+            seeds = checked_seeds(seed, self.num_envs)
+            super().reset(seed=seed if isinstance(seed, int) else None)
+            rows = np.flatnonzero(mask).tolist()
+            wanted = [(row, seeds[row]) for row in rows]
+            self._start(self._exchange(lambda: self._sub_envs.reset(wanted, chosen), rows))
+            return self._observations(-1), score_infos(np.zeros((2, self.num_envs)), mask)
 
     def step(
         self, actions: Any, active: Bools | None = None
@@ -163,25 +183,21 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         Raises:
             InvalidActionError: actions of a wrong shape, type or size; nothing has happened.
             ResetNeededError: a sub-environment has no running episode; nothing has happened.
+            WorkerDiedError, WorkerTimeoutError: the environment is closed.
         """
-        self._require_open("step")
-        acting = checked_mask("active", active, self.num_envs)
-        require_episodes("step", self._running | ~acting, self.env_ids)
-        self._buffers.actions[:] = np.where(acting, checked_actions(actions, self.num_envs), -1)
-        copy = self._buffers.copy_to[0] = self._copies.choose()
-        self._begin(self._exchange(self._sub_envs.step, range(self.num_envs)))
-        truncations = self._buffers.truncations.copy()
-        if self.autoreset_mode is AutoresetMode.DISABLED:
-            self._running[truncations] = False
-        infos = self._infos(acting, truncations)
-        terminations = np.zeros(self.num_envs, np.bool_)
-        return (
-            self._observations(copy),
-            self._buffers.rewards.copy(),
-            terminations,
-            truncations,
-            infos,
-        )
+        with self._call("step"):
+            acting = checked_mask("active", active, self.num_envs)
+            require_episodes("step", self._running | ~acting, self.env_ids)
+            self._buffers.actions[:] = np.where(acting, checked_actions(actions, self.num_envs), -1)
+            copy = self._buffers.copy_to[0] = self._copies.choose()
+            self._start(self._exchange(self._sub_envs.step, range(self.num_envs)))
+            truncations = self._buffers.truncations.copy()
+            if self.autoreset_mode is AutoresetMode.DISABLED:
+                self._running[truncations] = False
+            infos = self._infos(acting, truncations)
+            terminations = np.zeros(self.num_envs, np.bool_)
+            rewards = self._buffers.rewards.copy()
+            return self._observations(copy), rewards, terminations, truncations, infos
 
     def states(self) -> list[State]:
         """The true state of every sub-environment, for experts and privileged policies."""
@@ -216,20 +232,34 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
 
     def get_state(self, index: int) -> dict[str, Any]:
         """What `MagicalEnv.get_state` returns, of sub-environment `index`."""
-        self._require_episodes("get_state", index)
-        row = range(self.num_envs)[index]
-        state: dict[str, Any] = self._exchange(lambda: self._sub_envs.get_state(row))
-        return state
+        with self._call("get_state"):
+            self._require_episodes("get_state", index)
+            row = range(self.num_envs)[index]
+            state: dict[str, Any] = self._exchange(lambda: self._sub_envs.get_state(row))
+            return state
 
     def set_state(self, index: int, state: Mapping[str, Any]) -> Any:
-        """Continue sub-environment `index` from a state, as `MagicalEnv.set_state` does.
+        """Continue sub-environment `index` from a saved state, as `MagicalEnv.set_state` does.
 
-        Returns its observation. Raises `InvalidStateError`.
+        Args:
+            index: which sub-environment.
+            state: what `get_state` returned, in this or another process.
+
+        Returns:
+            The sub-environment's observation.
+
+        Raises:
+            InvalidStateError: data of another task, or damaged; the sub-environment needs a reset.
         """
-        self._require_open("set_state")
-        row = range(self.num_envs)[index]
-        self._begin(self._exchange(lambda: self._sub_envs.set_state(row, state), [row]))
-        return copy_arrays(select(self._buffers.observations, index))
+        with self._call("set_state"):
+            row = range(self.num_envs)[index]
+            self._start(self._exchange(lambda: self._set_state(row, state), [row]))
+            return copy_arrays(select(self._buffers.observations, index))
+
+    def _set_state(self, row: int, state: Mapping[str, Any]) -> Any:
+        # Workers get plain data only; what cannot be sent to them is not a state.
+        saved = parse_state(state, self.env_ids[row].task_spec)
+        return self._sub_envs.set_state(row, saved.to_dict())
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Both views of every sub-environment side by side: N arrays (384, 768, 3)."""
@@ -242,13 +272,23 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             render_views(state.scene, state.poses, size=RAW_FRAME_SIZE) for state in states
         )
 
+    def __reduce__(self) -> NoReturn:
+        raise not_picklable("MagicalVectorEnv", "MagicalVectorEnv(env_ids, ...)")
+
     def close_extras(self, **kwargs: Any) -> None:
-        """End the workers; `close` calls this."""
+        """End the workers, which are killed if they take more than two seconds."""
         if hasattr(self, "_sub_envs"):
             self._sub_envs.close()
             del self._sub_envs, self._buffers, self._copies
 
-    def _begin(self, started: Sequence[tuple[int, Any]]) -> None:
+    @contextmanager
+    def _call(self, name: str) -> Iterator[None]:
+        """Refuse a call that cannot be made now; other calls are refused until it has ended."""
+        self._require_open(name)
+        with self._pending(name):
+            yield
+
+    def _start(self, started: Sequence[tuple[int, Any]]) -> None:
         for row, scene in started:
             self._scenes[row] = scene
             # Only a state that was set can be at its episode's end.
@@ -276,7 +316,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         except BaseException as error:
             for row in rows:
                 self._running[row], self._scenes[row] = False, None
-            if isinstance(error, WorkerDiedError) or not isinstance(error, Exception):
+            if not isinstance(error, Exception) or isinstance(error, _CLOSING):
                 self.close()  # an interrupted exchange cannot be continued
             raise
 
@@ -284,6 +324,12 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         if self.closed:
             raise ClosedEnvironmentError(
                 f"{what}: expected an open environment, found a closed one; make a new one"
+            )
+        if self.workers and os.getpid() != self._process_id:
+            raise ForkedEnvironmentError(
+                f"{what}: expected to be called in process {self._process_id}, which made the "
+                f"environment and shares its workers' memory, found process {os.getpid()}, a fork; "
+                "make another vector environment there"
             )
 
     def _require_episodes(self, what: str, index: int | None = None) -> None:

@@ -1,6 +1,7 @@
 """Some of a vector environment's sub-environments, stepped one after the other in one process."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,17 +12,19 @@ from gymnasium.vector import AutoresetMode
 from magical.envs.env import Reward
 from magical.envs.episode import Episode, check_options
 from magical.envs.ids import EnvId, parse_env_id
+from magical.envs.saved_state import parse_state
 from magical.envs.vector.buffers import BufferLayout, VectorBuffers
-from magical.errors import InvalidSceneError, InvalidStateError, MismatchedSpacesError
+from magical.errors import InvalidSceneError, MismatchedSpacesError
 from magical.observe import Observation, ObservationSpec, make_spec
 from magical.observe.arrays import assign, select
 from magical.scene.poses import FIRST_BLOCK
 from magical.scene.scene import Scene
 from magical.tasks import Task
 
-# The present observations, those before, and those being made: what training loops hold on to.
+# The current observations, the previous ones, and those of the step in progress: training loops
+# keep the first two.
 COPIES = 3
-Started = list[tuple[int, Scene]]  # sub-environments that began an episode, and its scene
+Started = list[tuple[int, Scene]]  # sub-environments that started an episode, and its scene
 Seeds = Sequence[tuple[int, int | None]]  # sub-environments to reset, and their seeds
 
 
@@ -116,14 +119,14 @@ class SubEnvs:
                 if action >= 0 and self._advance(env, action):
                     started.append(env.reset())
             except Exception as error:
-                error.add_note(f"in {env.name}")
+                _add_note(error, f"in {env.name}")
                 raise
             if copy >= 0:
                 env.copy_observation(copy)
         return started
 
     def _advance(self, env: "_SubEnv", action: int) -> bool:
-        """Act unless the episode has ended; returns whether to begin another."""
+        """Act unless the episode has ended; returns whether to start another."""
         if env.ended:
             return True
         if not env.step(action) or not self._same_step:
@@ -132,21 +135,21 @@ class SubEnvs:
         return True
 
     def reset(self, seeds: Seeds, options: Mapping[str, Any] | None) -> Started:
-        """Begin episodes in the sub-environments named, each with its seed."""
+        """Start episodes in the given sub-environments, each with its seed."""
         started: Started = []
         for row, seed in seeds:
             env = self._envs[row]
             try:
                 started.append(env.reset(seed, options))
             except Exception as error:
-                error.add_note(f"in {env.name}")
+                _add_note(error, f"in {env.name}")
                 raise
         return started
 
     def get_state(self, row: int) -> dict[str, Any]:
         """What `MagicalEnv.get_state` returns."""
         env = self._envs[row]
-        return {**env.episode.save(), "rng": env.rng.bit_generator.state}
+        return env.episode.save(env.rng)
 
     def set_state(self, row: int, state: Mapping[str, Any]) -> Started:
         """Continue from `get_state`'s data; raises `InvalidStateError`."""
@@ -177,7 +180,7 @@ class _SubEnv:
             self._observation,
         )
         self.rng: np.random.Generator
-        self.ended = False  # the next step begins another episode
+        self.ended = False  # the next step starts another episode
         self._row = row
         self._buffers = buffers
         self._always_rewarded = spec.reward == "dense"
@@ -198,33 +201,29 @@ class _SubEnv:
     def reset(
         self, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[int, Scene]:
-        """Begin an episode as `MagicalEnv.reset` does."""
+        """Start an episode as `MagicalEnv.reset` does."""
         if seed is not None or not hasattr(self, "rng"):
             self.rng, _ = seeding.np_random(seed)
         self.ended = True  # should the start fail
         self.episode.start(self.rng, options)
-        return self._began()
+        return self._started()
 
     def restore(self, state: Mapping[str, Any]) -> tuple[int, Scene]:
         """Continue as `MagicalEnv.set_state` does."""
-        rng, _ = seeding.np_random()
-        try:
-            rng.bit_generator.state = state["rng"]
-        except (KeyError, TypeError, ValueError) as error:
-            raise InvalidStateError(f"saved state has no usable 'rng': {error!r}") from error
-        self.episode.restore(state)
-        self.rng = rng
-        return self._began()
+        saved = parse_state(state, self.episode.task)
+        self.episode.restore(saved)
+        self.rng = saved.generator()
+        return self._started()
 
     def keep_final_observation(self) -> None:
-        """Copy the observation to where the next episode's first one does not overwrite it."""
+        """Copy the last observation, which the next episode's first one would overwrite."""
         assign(select(self._buffers.final_observations, self._row), self._observation)
 
     def copy_observation(self, copy: int) -> None:
         """Copy the observation to the array that is handed out to the caller."""
         assign(self._copies[copy], self._observation)
 
-    def _began(self) -> tuple[int, Scene]:
+    def _started(self) -> tuple[int, Scene]:
         row, buffers, episode = self._row, self._buffers, self.episode
         scene, count = episode.simulation.scene, len(episode.bodies)
         if count > buffers.bodies.shape[1]:
@@ -252,3 +251,8 @@ def common_observation(env_ids: Sequence[EnvId], observation: Observation) -> Ob
         "environments in one batch: expected the same preset in all ids, found "
         f"{', '.join(sorted(map(str, presets)))}; or give observation=..."
     )
+
+
+def _add_note(error: Exception, note: str) -> None:
+    with suppress(TypeError):  # notes that the exception already has are no list
+        error.add_note(note)

@@ -1,33 +1,40 @@
-"""The algorithms, a file each; the file's name is the algorithm's (`_` reads `-`).
+"""The algorithms, a file each; the file's name is the algorithm's (`_` for `-`).
 
 Such a file has a configuration class, `train(config, run)`, `make_policy(config)` and at its end
 `ALGORITHM = Algorithm(...)`.
 """
 
 import importlib
+import importlib.util
 import pkgutil
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from magical.errors import UnknownNameError
+from magical.errors import MissingDependencyError, UnknownNameError
+from magical.learning.config import Config
+from magical.runs.folder import CONFIG, read_json
 
 if TYPE_CHECKING:
     from torch import nn
 
-    from magical.learning.config import Config
-    from magical.learning.runs import Run
+    from magical.learning.run import Run
 
 
 @dataclass(frozen=True, slots=True)
 class Algorithm:
-    """One way to learn a policy.
+    """What a file of this folder offers.
 
-    `train(config, run)` learns, logs and leaves checkpoints whose key `policy` holds the weights of
-    what `make_policy(config)` returns: a module `(observations, tasks) -> logits`.
+    Attributes:
+        config: the configuration class.
+        train: called as `train(config, run)`; trains, logs, and saves checkpoints whose entry
+            `policy` is the state dict of
+        make_policy: a function from the configuration to a module that maps observations (B, ...)
+            and tasks (B,) to logits (B, 18).
     """
 
-    config: "type[Config]"
+    config: type[Config]
     train: "Callable[[Any, Run], None]"
     make_policy: "Callable[[Any], nn.Module]"
 
@@ -38,17 +45,46 @@ class Algorithm:
 
 
 def algorithm_names() -> list[str]:
-    """Every algorithm, alphabetically; nothing is imported for it."""
+    """Every algorithm, alphabetically; imports none."""
     found = (entry.name for entry in pkgutil.iter_modules(__path__))
     return sorted(name.replace("_", "-") for name in found if not name.startswith("_"))
 
 
 def find_algorithm(name: str) -> Algorithm:
-    """An algorithm by name; raises `UnknownNameError`."""
+    """An algorithm by name.
+
+    Raises:
+        UnknownNameError: there is none of this name.
+        MissingDependencyError: PyTorch is not installed.
+    """
     if name not in algorithm_names():
         raise UnknownNameError(
             f"algorithm {name!r} is unknown; expected one of: {', '.join(algorithm_names())}"
         )
+    require_torch()
     module = importlib.import_module(f"{__name__}.{name.replace('-', '_')}")
     algorithm: Algorithm = module.ALGORITHM
     return algorithm
+
+
+def read_config(folder: Path) -> Config:
+    """The configuration recorded in a run folder."""
+    data = read_json(folder / CONFIG)
+    return find_algorithm(str(data.get("algorithm"))).config.from_dict(data)
+
+
+def require_torch() -> None:
+    """Raise `MissingDependencyError` unless the extra `learning` is installed."""
+    for name in ("torch", "safetensors"):
+        if not _is_installed(name):
+            raise MissingDependencyError(
+                f"learning needs {name}, which is not installed; pip install "
+                '"magical-benchmark[learning]"'
+            )
+
+
+def _is_installed(name: str) -> bool:
+    try:
+        return importlib.util.find_spec(name) is not None
+    except ValueError:  # sys.modules holds None in its place
+        return False

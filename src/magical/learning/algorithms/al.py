@@ -1,47 +1,46 @@
-"""Apprenticeship learning by matching feature expectations (appendix B).
+"""Apprenticeship learning by matching feature expectations (appendix B). Single-task only.
 
-First an autoencoder learns features from the expert's samples, and is then frozen. Then the
-weights w that tell the expert's mean features from the novice's best, in closed form, and PPO on
-the reward w^T phi take turns. Single-task only.
+First an autoencoder is trained on the expert's samples; its encoder phi is then frozen. Each update
+
+1. collects a rollout with the present policy (the novice) and adds its features to a replay buffer;
+2. computes the weights w that best separate the mean features of expert and novice, in closed form;
+3. updates the policy by PPO with the normalised reward w^T phi(s, a).
 """
 
-import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn import functional
 from torch.optim import Adam
 
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
-from magical.learning.algorithms.ppo import Learner, make_policy
-from magical.learning.augment import augment, parse_augmentations
-from magical.learning.autoencoder import (
-    SIZE,
-    Autoencoder,
-    autoencoder_loss,
-    save_reconstructions,
-)
-from magical.learning.checkpoints import load_module, load_optimizer, optimizer_tree
+from magical.learning.algorithms.ppo import PPOTrainer
+from magical.learning.augment import augment, to_unit
+from magical.learning.augmentations import parse_augmentations
+from magical.learning.autoencoder import SIZE, Autoencoder, save_reconstructions
+from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
 from magical.learning.config import ImitationConfig, option
-from magical.learning.expert_data import ExpertData, choose_demonstrations
-from magical.learning.networks import get_width
+from magical.learning.expert_data import ExpertData, Rows, load_demonstrations
+from magical.learning.models import make_actor_critic
 from magical.learning.reinforcement import QUICK, ReinforcementConfig
-from magical.learning.replay import Replay
+from magical.learning.replay_buffer import ReplayBuffer
 from magical.learning.reward_normalisation import RewardNormaliser
-from magical.learning.rollout import as_inputs
-from magical.learning.runs import Run
-from magical.learning.streams import Purpose, seeded_weights, stream
+from magical.learning.run import Run
+from magical.learning.streams import Purpose, seeded_init, stream
 
-WEIGHTS_NUMBER = 1  # the policy's first weights are number 0 of the seed
-NORM = 2.0  # of w (appendix B, equation 1)
+AUTOENCODER_INIT = 1  # number of the initialisation; the policy's is 0
+WEIGHT_NORM = 2.0  # of w (appendix B, equation 1)
 LOG_EVERY, CHECKPOINT_EVERY = 50, 500  # batches of pretraining
-SHOWN = 10  # frames in the picture of reconstructions
+NUM_RECONSTRUCTIONS = 10  # frames in the picture
 PICTURE = "reconstructions.png"
-CHUNK = 64  # images at a time where no gradients are needed
+CHUNK = 64  # samples per forward pass without gradients
+
+Encode = Callable[[Tensor, Tensor], Tensor]  # images (B, C, H, W), actions (B,) -> features (B, 32)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,15 +61,17 @@ class ALConfig(ReinforcementConfig, ImitationConfig):
         },
     }
 
-    pretraining_batches: int = option(8192, "batches that the autoencoder learns from")
-    pretraining_batch_size: int = option(24, "expert samples in such a batch")
-    pretraining_learning_rate: float = option(3e-4, "Adam's step size for the autoencoder")
+    pretraining_batches: int = option(8192, "batches that the autoencoder is trained on")
+    pretraining_batch_size: int = option(24, "expert samples per such batch")
+    pretraining_learning_rate: float = option(3e-4, "Adam's, for the autoencoder")
     augment: str = option(
-        "none", "of the autoencoder's images: all, none, no-trans-rot, or names joined by +"
+        "none",
+        "of the autoencoder's images: all, none, no-trans-rot, or names joined by +",
+        metavar="NAMES",
     )
-    feature_samples: int = option(512, "samples, each of expert and novice, that give w")
-    reward_std: float = option(0.1, "standard deviation that rewards are normalised to")
-    replay_batches: int = option(4, "sampler batches that novice samples are drawn from")
+    feature_samples: int = option(512, "samples, each of expert and novice, to compute w from")
+    reward_std: float = option(0.1, "standard deviation of the normalised rewards")
+    replay_batches: int = option(4, "rollouts in the replay buffer of novice samples")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -86,30 +87,29 @@ class ALConfig(ReinforcementConfig, ImitationConfig):
 
     @property
     def total(self) -> int:
-        """Batches of pretraining, then updates."""
+        """The batches of pretraining and the updates."""
         return self.pretraining_batches + self.updates
 
 
 def train(config: ALConfig, run: Run) -> None:
-    """Pretrain, then imitate demonstrations."""
-    chosen = choose_demonstrations(config.demos, config.tasks, config.num_demos, config.seed)
-    run.describe(demonstrations=list(chosen.record))
-    with Learner(config, run, before=config.pretraining_batches) as learner:
+    """Pretrain the autoencoder, then imitate demonstrations."""
+    demonstrations = load_demonstrations(config, run)
+    with PPOTrainer(config, run, previous_steps=config.pretraining_batches) as ppo:
         expert = ExpertData(
-            chosen.trajectories, config.tasks, config.observation_spec, device=learner.device
+            demonstrations, config.tasks, config.observation_spec, device=ppo.device
         )
-        autoencoder = make_autoencoder(config).to(learner.device)
-        if not pretrain(config, run, learner, expert, autoencoder):
+        autoencoder = make_autoencoder(config).to(ppo.device)
+        if not pretrain(config, run, ppo, expert, autoencoder):
             return
         autoencoder.eval().requires_grad_(False)
-        draw_reconstructions(run, learner, expert, autoencoder)
-        imitate(config, run, learner, expert, autoencoder)
+        draw_reconstructions(run, ppo, expert, autoencoder)
+        imitate(config, run, ppo, expert, autoencoder)
 
 
 def pretrain(
-    config: ALConfig, run: Run, learner: Learner, expert: ExpertData, autoencoder: Autoencoder
+    config: ALConfig, run: Run, ppo: PPOTrainer, expert: ExpertData, autoencoder: Autoencoder
 ) -> bool:
-    """Let the autoencoder learn the expert's samples; whether that was finished."""
+    """Train the autoencoder on the expert's samples; false if the run stops before the end."""
     optimizer = Adam(autoencoder.parameters(), config.pretraining_learning_rate, fused=True)
     if run.saved:
         load_module(autoencoder, run.saved["autoencoder"], str(run.folder))
@@ -121,7 +121,7 @@ def pretrain(
         rows = expert.sample_evenly(config.pretraining_batch_size, rng)
         images = augment(expert.images(rows), augmentations, rng)
         actions, _ = expert.labels(rows)
-        with learner.compute.autocast():
+        with ppo.compute.autocast():
             reconstructed, logits = autoencoder(images, actions)
         image_error, action_loss = autoencoder_loss(images, actions, reconstructed, logits)
         optimizer.zero_grad()
@@ -130,105 +130,121 @@ def pretrain(
 
         done = number + 1
         stops = run.stops(done)
-        ends = stops or done == config.pretraining_batches
-        if ends or done % LOG_EVERY == 0:
+        last = stops or done == config.pretraining_batches
+        if last or done % LOG_EVERY == 0:
             metrics = {"image_error": image_error.item(), "action_loss": action_loss.item()}
             run.log(done, config.total, **metrics)
             run.require_finite(done, metrics)
-        if ends or done % CHECKPOINT_EVERY == 0:
-            tree = {
-                "policy": learner.network.state_dict(),
+        if last or done % CHECKPOINT_EVERY == 0:
+            state = {
+                "policy": ppo.network.state_dict(),
                 "autoencoder": autoencoder.state_dict(),
-                "autoencoder_optimizer": optimizer_tree(optimizer),
+                "autoencoder_optimizer": optimizer_state(optimizer),
             }
-            run.checkpoint(done, tree)
+            run.checkpoint(done, state)
         if stops:
             return False
     return True
 
 
+def autoencoder_loss(
+    images: Tensor, actions: Tensor, reconstructed: Tensor, logits: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Mean squared image error and cross-entropy of the actions; their sum is to be minimised."""
+    error = functional.mse_loss(reconstructed.float(), images)
+    return error, functional.cross_entropy(logits.float(), actions)
+
+
 def imitate(
-    config: ALConfig, run: Run, learner: Learner, expert: ExpertData, autoencoder: Autoencoder
+    config: ALConfig, run: Run, ppo: PPOTrainer, expert: ExpertData, autoencoder: Autoencoder
 ) -> None:
-    """Weights and policy in turns."""
+    """Compute w and update the policy, in alternation."""
 
     def encode(images: Tensor, actions: Tensor) -> Tensor:
-        with torch.no_grad(), learner.compute.autocast():
+        with torch.no_grad(), ppo.compute.autocast():
             features: Tensor = autoencoder.encoder(images, actions)
         return features.float()
 
     expert_features = encode_expert(expert, encode)  # (S, 32)
-    replay = Replay(config.replay_batches, learner.sampler.task_of)
-    normaliser = RewardNormaliser(1, config.reward_std, learner.device)
+    replay_buffer = ReplayBuffer(config.replay_batches, ppo.envs.task_of)
+    normaliser = RewardNormaliser(1, config.reward_std, ppo.device)
     if run.saved and "apprentice" in run.saved:
-        replay.load(run.saved["apprentice"]["replay"], learner.device)
-        normaliser.load(run.saved["apprentice"]["reward_statistics"])
+        saved = run.saved["apprentice"]
+        replay_buffer.load_state_dict(saved["replay_buffer"], ppo.device)
+        normaliser.load_state_dict(saved["reward_statistics"])
 
-    def tree() -> dict[str, Any]:
-        apprentice = {"replay": replay.tree(), "reward_statistics": normaliser.tree()}
+    def state_dict() -> StateDict:
+        apprentice = {
+            "replay_buffer": replay_buffer.state_dict(),
+            "reward_statistics": normaliser.state_dict(),
+        }
         return {"autoencoder": autoencoder.state_dict(), "apprentice": apprentice}
 
-    for number in learner.numbers():
-        samples = learner.collect(number)
-        began = time.perf_counter()
-        shown = zip(samples.observations, samples.actions, strict=True)
-        features = torch.stack([encode(as_inputs(o), a) for o, a in shown])
-        replay.add(features, samples.actions)  # (T, N, 32)
-        rng = stream(config.seed, Purpose.DISCRIMINATOR, number)
-        rows = torch.from_numpy(expert.sample_evenly(config.feature_samples, rng))
-        novice, _, _ = replay.sample_evenly(config.feature_samples, rng)
-        weights, distance = feature_weights(expert_features[rows.to(learner.device)], novice)
-        raw = features @ weights
-        rewards = normaliser(raw, samples.tasks)
-        took = time.perf_counter() - began
-
-        metrics = learner.improve(number, samples, rewards)
+    for update in ppo.remaining_updates():
+        rollout = ppo.collect_rollout(update)
+        with ppo.monitor.timed("features"):
+            pairs = zip(rollout.observations, rollout.actions, strict=True)
+            features = torch.stack([encode(to_unit(o), a) for o, a in pairs])  # (T, N, 32)
+            replay_buffer.add(features, rollout.actions)
+            rng = stream(config.seed, Purpose.DISCRIMINATOR, update)
+            rows = torch.from_numpy(expert.sample_evenly(config.feature_samples, rng))
+            novice_features, _, _ = replay_buffer.sample(config.feature_samples, rng)
+            w, distance = feature_weights(expert_features[rows.to(ppo.device)], novice_features)
+            raw = features @ w  # (T, N)
+            rewards = normaliser(raw, rollout.tasks)
+        metrics = ppo.improve_policy(update, rollout, rewards)
         metrics |= {
             "raw_reward": raw.mean().item(),
             "raw_reward_std": raw.std(correction=0).item(),
             "feature_distance": distance.item(),
         }
-        if learner.finish(number, metrics, tree, features=took):
+        if ppo.finish_update(update, metrics, state_dict):
             break
 
 
 def feature_weights(expert: Tensor, novice: Tensor) -> tuple[Tensor, Tensor]:
-    """The w of norm 2 with the largest w^T (mean expert - mean novice), and that maximum.
+    """Maximise w^T (mean expert - mean novice) over |w|_2 <= 2, for features (B, 32) of each.
 
-    The features are (B, 32) each. By Cauchy-Schwarz w points along the difference of means; where
-    there is none, w is 0.
+    By Cauchy-Schwarz w is parallel to the difference of the means; it is 0 if there is none.
+
+    Returns:
+        w (32,) and the maximum, a scalar.
     """
     difference = expert.mean(dim=0) - novice.mean(dim=0)
     length = difference.norm()
-    weights = NORM * difference / length.clamp(min=torch.finfo(length.dtype).tiny)
-    return weights, NORM * length
+    w = WEIGHT_NORM * difference / length.clamp(min=torch.finfo(length.dtype).tiny)
+    return w, WEIGHT_NORM * length
 
 
-def encode_expert(expert: ExpertData, encode: Any) -> Tensor:
-    """Features (S, 32) of all of the expert's samples."""
+def encode_expert(expert: ExpertData, encode: Encode) -> Tensor:
+    """The features (S, 32) of all expert samples."""
     parts = []
     for first in range(0, len(expert), CHUNK):
         rows = np.arange(first, min(first + CHUNK, len(expert)))
-        images = augment(expert.images(rows), parse_augmentations("none"), np.random.default_rng(0))
-        parts.append(encode(images, expert.labels(rows)[0]))
+        parts.append(encode(unaugmented(expert, rows), expert.labels(rows)[0]))
     return torch.cat(parts)
 
 
+def unaugmented(expert: ExpertData, rows: Rows) -> Tensor:
+    """Images (B, C, H, W) in [0, 1] of expert samples, in the memory layout of augmented ones."""
+    return augment(expert.images(rows), parse_augmentations("none"), np.random.default_rng(0))
+
+
 def draw_reconstructions(
-    run: Run, learner: Learner, expert: ExpertData, autoencoder: Autoencoder
+    run: Run, ppo: PPOTrainer, expert: ExpertData, autoencoder: Autoencoder
 ) -> None:
-    """The picture of what the autoencoder makes of some expert frames."""
-    rows = np.linspace(0, len(expert) - 1, SHOWN).astype(np.int64)
-    images = augment(expert.images(rows), parse_augmentations("none"), np.random.default_rng(0))
-    with torch.no_grad(), learner.compute.autocast():
+    """Save a picture of reconstructed expert frames in the run folder."""
+    rows = np.linspace(0, len(expert) - 1, NUM_RECONSTRUCTIONS).astype(np.int64)
+    images = unaugmented(expert, rows)
+    with torch.no_grad(), ppo.compute.autocast():
         reconstructed, _ = autoencoder(images, expert.labels(rows)[0])
     save_reconstructions(run.folder / PICTURE, images, reconstructed)
 
 
 def make_autoencoder(config: ALConfig) -> Autoencoder:
-    """The network, with first weights from the seed."""
-    with seeded_weights(config.seed, WEIGHTS_NUMBER):
-        return Autoencoder(get_width(config.network), config.input_shape)
+    """The autoencoder, initialised from the seed."""
+    with seeded_init(config.seed, AUTOENCODER_INIT):
+        return Autoencoder(config.network, config.input_shape)
 
 
-ALGORITHM = Algorithm(ALConfig, train, make_policy)
+ALGORITHM = Algorithm(ALConfig, train, make_actor_critic)

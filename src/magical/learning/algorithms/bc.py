@@ -1,8 +1,8 @@
-"""Behavioural cloning: the demonstrator's action as a label (appendix B, Table 3)."""
+"""Behavioural cloning: maximum likelihood of the demonstrator's actions (appendix B, Table 3)."""
 
 import copy
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -12,15 +12,18 @@ from torch.nn import functional
 from torch.optim import SGD, Adam, Optimizer
 
 from magical.learning.algorithms import Algorithm
-from magical.learning.augment import augment, parse_augmentations
-from magical.learning.checkpoints import load_module, load_optimizer, optimizer_tree
+from magical.learning.augment import augment
+from magical.learning.augmentations import parse_augmentations
+from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
 from magical.learning.config import ImitationConfig, option
-from magical.learning.devices import Compute, choose_device
-from magical.learning.expert_data import ExpertData, choose_demonstrations
-from magical.learning.networks import PolicyNetwork, Trunk, get_width
-from magical.learning.prefetch import prepared
-from magical.learning.runs import Run
-from magical.learning.streams import Purpose, seeded_weights, stream
+from magical.learning.devices import choose_device, zero_inputs
+from magical.learning.expert_data import ExpertData, load_demonstrations
+from magical.learning.models import PolicyNetwork, Trunk
+from magical.learning.prefetch import prefetch
+from magical.learning.run import Run
+from magical.learning.streams import Purpose, seeded_init, stream
+
+ADAM_BETA_2 = 0.999
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,19 +44,20 @@ class BCConfig(ImitationConfig):
         },
     }
 
-    batches: int = option(20_000, "batches to learn from in all")
-    batch_size: int = option(32, "samples in a batch")
-    optimizer: str = option("sgd", "optimiser: sgd or adam")
-    learning_rate: float = option(1e-3, "step size at the start")
-    momentum: float = option(0.1, "momentum; for adam, of the mean gradient (beta 1)")
-    anneal: bool = option(False, "let the step size fall linearly to 0")
-    augment: str = option("all", "all, none, no-trans-rot, or names joined by +")
-    log_every: int = option(50, "batches between reports")
+    batches: int = option(20_000, "batches in all")
+    batch_size: int = option(32, "samples per batch")
+    optimizer: str = option("sgd", "optimiser", choices=("sgd", "adam"))
+    learning_rate: float = option(1e-3, "initial learning rate")
+    momentum: float = option(0.1, "momentum; Adam's beta 1")
+    anneal: bool = option(False, "anneal the learning rate linearly to 0")
+    augment: str = option(
+        "all", "augmentation: all, none, no-trans-rot, or names joined by +", metavar="NAMES"
+    )
+    log_every: int = option(50, "batches between lines of metrics")
     checkpoint_every: int = option(500, "batches between checkpoints")
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.require_one_of("optimizer", ("sgd", "adam"))
         self.require_positive("batches", "batch_size", "learning_rate")
         self.require_positive("log_every", "checkpoint_every")
         self.require_augmentations("augment")
@@ -63,48 +67,27 @@ class BCConfig(ImitationConfig):
         """All batches."""
         return self.batches
 
+    def learning_rate_at(self, batch: int) -> float:
+        """The learning rate of a batch: constant, or annealed linearly to 0."""
+        left = 1.0 - batch / self.batches if self.anneal else 1.0
+        return self.learning_rate * left
+
 
 def train(config: BCConfig, run: Run) -> None:
-    """Learn from demonstrations, batch by batch."""
-    device = choose_device(config.device)
-    data = load_demonstrations(config, run, device)
-    augmentations = parse_augmentations(config.augment)
-
-    def collect(number: int) -> Batch:
-        rng = stream(config.seed, Purpose.BATCHES, number)
-        rows = data.sample(config.batch_size, rng)
-        return Batch(augment(data.images(rows), augmentations, rng), *data.labels(rows))
-
-    network = make_policy(config).to(device)
-    optimizer = make_optimizer(config, network)
-    compute = choose_compute(config, run, device, network, collect(run.step))
-    if run.saved:
-        load_module(network, run.saved["policy"], str(run.folder))
-        load_optimizer(optimizer, run.saved["optimizer"])
-    forward = torch.compile(network) if config.compile else network
-
-    window = Window(device)
-    numbers = range(run.step, config.batches)
-    with prepared(collect, numbers, device) as batches:
-        for number, batch in zip(numbers, batches, strict=False):
-            set_step_size(optimizer, config, number)
-            loss, logits = bc_step(forward, optimizer, compute, batch)
-            window.add(loss, logits, batch.actions)
-            done = number + 1
-            ends = done == config.batches or run.stops(done)
-            if ends or done % config.log_every == 0:
-                metrics = window.report()
-                run.require_finite(done, metrics)
-                run.log(done, config.batches, **metrics)
-            if ends or done % config.checkpoint_every == 0:
-                tree = {"policy": network.state_dict(), "optimizer": optimizer_tree(optimizer)}
-                run.checkpoint(done, tree)
-            if ends:
-                break
+    """Clone the demonstrations."""
+    trainer = BCTrainer(config, run)
+    data = ExpertData(
+        load_demonstrations(config, run),
+        config.tasks,
+        config.observation_spec,
+        device=trainer.device,
+        remove_noops=True,
+    )
+    trainer.fit(data, config.batches)
 
 
 class Batch(NamedTuple):
-    """What one update learns from."""
+    """Samples of demonstrations."""
 
     images: Tensor  # (B, C, H, W) float32 in [0, 1]
     actions: Tensor  # (B,) int64
@@ -116,87 +99,126 @@ def bc_loss(logits: Tensor, actions: Tensor) -> Tensor:
     return functional.cross_entropy(logits.float(), actions)
 
 
-def bc_step(
-    forward: Callable[[Tensor, Tensor], Tensor],
-    optimizer: Optimizer,
-    compute: Compute,
-    batch: Batch,
-) -> tuple[Tensor, Tensor]:
-    """One step of the optimiser on a batch; returns the loss and the logits (B, 18)."""
-    with compute.autocast():
-        logits = forward(batch.images, batch.tasks)
-    loss = bc_loss(logits, batch.actions)
-    optimizer.zero_grad()
-    torch.autograd.backward(loss)
-    optimizer.step()
-    return loss, logits
+class BCTrainer:
+    """A policy network and its optimiser."""
+
+    def __init__(self, config: BCConfig, run: Run) -> None:
+        """Create a new trainer, or resume from the run's checkpoint."""
+        self.config, self.run = config, run
+        self.device = choose_device(config.device)
+        self.augmentations = parse_augmentations(config.augment)
+        self.reset()
+        self.compute = run.compute(self.device, config.precision, self._loss_of_zeros)
+        if run.saved:
+            load_module(self.network, run.saved["policy"], str(run.folder))
+            load_optimizer(self.optimizer, run.saved["optimizer"])
+
+    def reset(self) -> None:
+        """Initialise network and optimiser."""
+        self.network = make_policy(self.config).to(self.device)
+        self.optimizer = make_optimizer(self.config, self.network)
+        self._forward = torch.compile(self.network) if self.config.compile else self.network
+
+    def fit(
+        self,
+        data: ExpertData,
+        until: int,
+        extra_metrics: Mapping[str, float] | None = None,
+        extra_state: StateDict | None = None,
+    ) -> bool:
+        """Train on `data` from the run's step until step `until`; true if the run stops before.
+
+        The extras are logged with the metrics and saved with the checkpoints.
+        """
+        config, run = self.config, self.run
+        self.network.train()
+        averages = Averages(self.device)
+        numbers = range(run.step, until)
+        with prefetch(lambda n: self.sample_batch(data, n), numbers, self.device) as batches:
+            for number, batch in zip(numbers, batches, strict=False):
+                loss, logits = self.step(batch, config.learning_rate_at(number))
+                averages.add(loss, logits, batch.actions)
+                done = number + 1
+                stops = run.stops(done)
+                last = stops or done == until
+                if last or done % config.log_every == 0:
+                    metrics = averages.reset()
+                    run.require_finite(done, metrics)
+                    run.log(done, config.total, **(extra_metrics or {}), **metrics)
+                if last or done % config.checkpoint_every == 0:
+                    run.checkpoint(done, {**self.state_dict(), **(extra_state or {})})
+                if stops:
+                    return True
+        return False
+
+    def sample_batch(self, data: ExpertData, number: int) -> Batch:
+        """Batch `number`: a function of the data, the seed and the number alone."""
+        rng = stream(self.config.seed, Purpose.BATCHES, number)
+        rows = data.sample(self.config.batch_size, rng)
+        return Batch(augment(data.images(rows), self.augmentations, rng), *data.labels(rows))
+
+    def step(self, batch: Batch, learning_rate: float) -> tuple[Tensor, Tensor]:
+        """Take one step of the optimiser; returns the loss and the logits (B, 18)."""
+        for group in self.optimizer.param_groups:
+            group["lr"] = learning_rate
+        with self.compute.autocast():
+            logits = self._forward(batch.images, batch.tasks)
+        loss = bc_loss(logits, batch.actions)
+        self.optimizer.zero_grad()
+        torch.autograd.backward(loss)
+        self.optimizer.step()
+        return loss, logits
+
+    def state_dict(self) -> StateDict:
+        """The state of network and optimiser."""
+        return {
+            "policy": self.network.state_dict(),
+            "optimizer": optimizer_state(self.optimizer),
+        }
+
+    def _loss_of_zeros(self) -> Tensor:
+        """The loss of a batch, on a copy of the network, to measure precisions with."""
+        images, tasks = zero_inputs(self.config.input_shape, self.config.batch_size, self.device)
+        return bc_loss(copy.deepcopy(self.network)(images, tasks), tasks)
 
 
 def make_policy(config: BCConfig) -> PolicyNetwork:
-    """The network, with first weights from the seed; policies of BC have batch norm."""
-    with seeded_weights(config.seed):
-        trunk = Trunk(get_width(config.network), config.input_shape, batch_norm=True)
+    """The policy network, with batch norm (appendix B), initialised from the seed."""
+    with seeded_init(config.seed):
+        trunk = Trunk(config.network, config.input_shape, batch_norm=True)
         return PolicyNetwork(trunk, len(config.tasks))
 
 
 def make_optimizer(config: BCConfig, network: nn.Module) -> Optimizer:
-    """The optimiser; its momentum is Adam's beta 1."""
+    """The configured optimiser."""
     rate, momentum = config.learning_rate, config.momentum
     if config.optimizer == "sgd":
         return SGD(network.parameters(), rate, momentum, fused=True)
-    return Adam(network.parameters(), rate, (momentum, 0.999), fused=True)
+    return Adam(network.parameters(), rate, (momentum, ADAM_BETA_2), fused=True)
 
 
-def set_step_size(optimizer: Optimizer, config: BCConfig, number: int) -> None:
-    """The step size of batch `number`: constant, or falling linearly to 0."""
-    left = 1.0 - number / config.batches if config.anneal else 1.0
-    for group in optimizer.param_groups:
-        group["lr"] = config.learning_rate * left
-
-
-def load_demonstrations(config: BCConfig, run: Run, device: str) -> ExpertData:
-    """The run's demonstrations without their no-ops, noted in its record."""
-    chosen = choose_demonstrations(config.demos, config.tasks, config.num_demos, config.seed)
-    run.describe(demonstrations=list(chosen.record))
-    return ExpertData(
-        chosen.trajectories, config.tasks, config.observation_spec, device=device, remove_noops=True
-    )
-
-
-def choose_compute(
-    config: BCConfig, run: Run, device: str, network: nn.Module, batch: Batch
-) -> Compute:
-    """Device and precision: the faster one for this network and batch, tried on a copy."""
-    probe = copy.deepcopy(network)
-    return run.compute(
-        device, config.precision, lambda: bc_loss(probe(batch.images, batch.tasks), batch.actions)
-    )
-
-
-class Window:
-    """Loss, accuracy and speed since the last report; summed on the device, read once a report."""
+class Averages:
+    """Loss, accuracy and throughput since the last reset, summed on the device."""
 
     def __init__(self, device: str) -> None:
         self._sums = torch.zeros(2, device=device)
-        self._start()
+        self._samples = 0
+        self._start = time.perf_counter()
 
     def add(self, loss: Tensor, logits: Tensor, actions: Tensor) -> None:
-        """Count a batch."""
-        hits = (logits.detach().argmax(dim=1) == actions).sum()
-        self._sums += torch.stack([loss.detach() * len(actions), hits])
+        """Add a batch."""
+        correct = (logits.detach().argmax(dim=1) == actions).sum()
+        self._sums += torch.stack([loss.detach() * len(actions), correct])
         self._samples += len(actions)
 
-    def report(self) -> dict[str, float]:
-        """The means since the last report, which begins anew."""
+    def reset(self) -> dict[str, float]:
+        """Return the averages as metrics, and start again from 0."""
         loss, accuracy = (self._sums / self._samples).tolist()
-        speed = self._samples / (time.perf_counter() - self._began)
-        self._start()
-        return {"loss": loss, "accuracy": accuracy, "samples_per_second": speed}
-
-    def _start(self) -> None:
+        speed = self._samples / (time.perf_counter() - self._start)
         self._sums.zero_()
         self._samples = 0
-        self._began = time.perf_counter()
+        self._start = time.perf_counter()
+        return {"loss": loss, "accuracy": accuracy, "samples_per_second": speed}
 
 
 ALGORITHM = Algorithm(BCConfig, train, make_policy)

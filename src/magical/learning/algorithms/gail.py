@@ -1,35 +1,47 @@
-"""Generative adversarial imitation learning.
+"""Generative adversarial imitation learning (Ho and Ermon, 2016).
 
-Source: appendix B, Table 4; docs/specification.md, section 10.
+Source: appendix B, Table 4; docs/specification.md, section 10. Single- and multi-task.
 
-The discriminator learns to tell the expert's observations and actions from the novice's; PPO
-learns to be taken for the expert. Single- and multi-task.
+A discriminator D is trained to tell the expert's observations and actions from the novice's; PPO
+maximises the reward log D(s, a). One iteration:
+
+1. collect a rollout with the present policy (the novice);
+2. compute its rewards with the present discriminator, normalised by running statistics;
+3. update the policy by PPO with these rewards;
+4. add the rollout to the replay buffer;
+5. take some optimiser steps on the discriminator's loss, on batches of which one half is sampled
+   from the demonstrations and the other from the replay buffer.
 """
 
-import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
+from torch.optim import Adam
 
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
-from magical.learning.algorithms.ppo import Learner, make_policy
+from magical.learning.algorithms.ppo import PPOTrainer
+from magical.learning.augment import augment, to_unit
+from magical.learning.augmentations import parse_augmentations
+from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
 from magical.learning.config import ImitationConfig, option
-from magical.learning.discriminator import Loss, Pairs, Rival, ToReward
-from magical.learning.expert_data import ExpertData, choose_demonstrations
-from magical.learning.networks import Discriminator, get_width
+from magical.learning.devices import Compute
+from magical.learning.expert_data import ExpertData, load_demonstrations
+from magical.learning.models import Discriminator, Trunk, make_actor_critic
+from magical.learning.monitoring import Metrics
 from magical.learning.reinforcement import QUICK, ReinforcementConfig
-from magical.learning.replay import Replay
+from magical.learning.replay_buffer import ReplayBuffer
 from magical.learning.reward_normalisation import RewardNormaliser
-from magical.learning.runs import Run
-from magical.learning.streams import Purpose, seeded_weights, stream
+from magical.learning.rollouts import Rollout
+from magical.learning.run import Run
+from magical.learning.streams import Purpose, seeded_init, stream
 
-WEIGHTS_NUMBER = 1  # the policy's first weights are number 0 of the seed
+DISCRIMINATOR_INIT = 1  # number of the initialisation; the policy's is 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,14 +58,16 @@ class GAILConfig(ReinforcementConfig, ImitationConfig):
         },
     }
 
-    discriminator_steps: int = option(12, "the discriminator's steps in an update")
-    discriminator_batch_size: int = option(24, "samples in such a step, half of them expert's")
-    discriminator_learning_rate: float = option(2.5e-5, "Adam's step size for the discriminator")
+    discriminator_steps: int = option(12, "the discriminator's optimiser steps per update")
+    discriminator_batch_size: int = option(24, "samples per such step, half of them the expert's")
+    discriminator_learning_rate: float = option(2.5e-5, "Adam's, for the discriminator")
     augment: str = option(
-        "all", "of the discriminator's images: all, none, no-trans-rot, or names joined by +"
+        "all",
+        "of the discriminator's images: all, none, no-trans-rot, or names joined by +",
+        metavar="NAMES",
     )
-    reward_std: float = option(0.1, "standard deviation that rewards are normalised to")
-    replay_batches: int = option(4, "sampler batches that novice samples are drawn from")
+    reward_std: float = option(0.1, "standard deviation of the normalised rewards")
+    replay_batches: int = option(4, "rollouts in the replay buffer of novice samples")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -70,69 +84,165 @@ class GAILConfig(ReinforcementConfig, ImitationConfig):
 
 def train(config: GAILConfig, run: Run) -> None:
     """Imitate demonstrations."""
-    train_against(config, run, discriminator_loss, functional.logsigmoid)
+    train_adversarially(config, run, gail_loss, gail_reward)
 
 
-def train_against(config: GAILConfig, run: Run, loss: Loss, to_reward: ToReward) -> None:
-    """Let a policy and a discriminator with this loss and reward learn in turns.
+class DiscriminatorBatch(NamedTuple):
+    """B samples of the expert, followed by B of the novice."""
 
-    In each update the policy is improved with the discriminator as it is, which then learns.
-    """
-    chosen = choose_demonstrations(config.demos, config.tasks, config.num_demos, config.seed)
-    run.describe(demonstrations=list(chosen.record))
-    with Learner(config, run) as learner:
-        expert = ExpertData(
-            chosen.trajectories, config.tasks, config.observation_spec, device=learner.device
-        )
-        rival = Rival(
-            make_discriminator(config).to(learner.device),
-            expert,
-            Replay(config.replay_batches, learner.sampler.task_of),
-            RewardNormaliser(len(config.tasks), config.reward_std, learner.device),
-            loss=loss,
-            to_reward=to_reward,
-            learning_rate=config.discriminator_learning_rate,
-            augmentations=config.augment,
-            compute=learner.compute,
-        )
-        if run.saved:
-            rival.load(run.saved["rival"], str(run.folder))
+    images: Tensor  # (2B, C, H, W) float32 in [0, 1]
+    actions: Tensor  # (2B,) int64
+    tasks: Tensor  # (2B,) int64
 
-        for number in learner.numbers():
-            samples = learner.collect(number)
-            rewards, statistics = rival.rewards(samples)
-            metrics = learner.improve(number, samples, rewards)
-
-            began = time.perf_counter()
-            rival.remember(samples)
-            rng = stream(config.seed, Purpose.DISCRIMINATOR, number)
-            metrics |= statistics
-            metrics |= rival.learn(config.discriminator_steps, config.discriminator_batch_size, rng)
-            took = time.perf_counter() - began
-            tree = lambda: {"rival": rival.tree()}  # noqa: E731
-            if learner.finish(number, metrics, tree, discriminator=took):
-                break
+    @property
+    def half(self) -> int:
+        """B."""
+        return len(self.images) // 2
 
 
-def discriminator_loss(
-    network: Discriminator, pairs: Pairs, rng: np.random.Generator
+# Discriminator, batch, random numbers -> the loss to be minimised, and what is logged beside it.
+Loss = Callable[
+    [Discriminator, DiscriminatorBatch, np.random.Generator], tuple[Tensor, dict[str, Tensor]]
+]
+Reward = Callable[[Tensor], Tensor]  # logits -> rewards of the same shape
+
+
+def gail_loss(
+    discriminator: Discriminator, batch: DiscriminatorBatch, rng: np.random.Generator
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """Mean binary cross-entropy with the expert's rows labelled 1: to be minimised.
-
-    Also reports the accuracy.
-    """
-    logits = network(pairs.images, pairs.actions, pairs.tasks).float()  # (2B,)
+    """Mean binary cross-entropy of the logits, expert labelled 1, novice 0: to be minimised."""
+    logits = discriminator(batch.images, batch.actions, batch.tasks).float()  # (2B,)
     labels = torch.zeros_like(logits)
-    labels[: pairs.half] = 1.0
+    labels[: batch.half] = 1.0
     loss = functional.binary_cross_entropy_with_logits(logits, labels)
     accuracy = ((logits > 0) == (labels > 0)).float().mean()
     return loss, {"discriminator_accuracy": accuracy}
 
 
+def gail_reward(logits: Tensor) -> Tensor:
+    """The log-sigmoid of the logits, log D: at most 0, and high for expert-like samples."""
+    return functional.logsigmoid(logits)
+
+
+def train_adversarially(config: GAILConfig, run: Run, loss: Loss, reward: Reward) -> None:
+    """Train policy and discriminator in alternation."""
+    demonstrations = load_demonstrations(config, run)
+    with PPOTrainer(config, run) as ppo:
+        expert = ExpertData(
+            demonstrations, config.tasks, config.observation_spec, device=ppo.device
+        )
+        replay_buffer = ReplayBuffer(config.replay_batches, ppo.envs.task_of)
+        discriminator = DiscriminatorTrainer(
+            config, expert, replay_buffer, ppo.compute, loss, reward
+        )
+        if run.saved:
+            discriminator.load_state_dict(run.saved["discriminator"], str(run.folder))
+        for update in ppo.remaining_updates():
+            rollout = ppo.collect_rollout(update)
+            rewards, metrics = discriminator.rewards(rollout)
+            metrics |= ppo.improve_policy(update, rollout, rewards)
+            with ppo.monitor.timed("discriminator"):
+                replay_buffer.add(rollout.observations, rollout.actions)
+                metrics |= discriminator.train(stream(config.seed, Purpose.DISCRIMINATOR, update))
+            state = lambda: {"discriminator": discriminator.state_dict()}  # noqa: E731
+            if ppo.finish_update(update, metrics, state):
+                break
+
+
+class DiscriminatorTrainer:
+    """A discriminator, its optimiser, and the two sources of its batches."""
+
+    def __init__(
+        self,
+        config: GAILConfig,
+        expert: ExpertData,
+        replay_buffer: ReplayBuffer,
+        compute: Compute,
+        loss: Loss,
+        reward: Reward,
+    ) -> None:
+        self.config = config
+        self.network = make_discriminator(config).to(compute.device)
+        self.optimizer = Adam(
+            self.network.parameters(), config.discriminator_learning_rate, fused=True
+        )
+        self._expert = expert
+        self._replay_buffer = replay_buffer
+        self._normaliser = RewardNormaliser(len(config.tasks), config.reward_std, compute.device)
+        self._augmentations = parse_augmentations(config.augment)
+        self._compute = compute
+        self._loss = loss
+        self._reward = reward
+
+    def rewards(self, rollout: Rollout) -> tuple[Tensor, Metrics]:
+        """Normalised rewards (T, N) of a rollout, and mean and spread of the raw ones.
+
+        Batch norm is in evaluation mode.
+        """
+        self.network.eval()
+        with torch.no_grad(), self._compute.autocast():
+            logits = [
+                self.network(to_unit(observations), actions, rollout.tasks)
+                for observations, actions in zip(rollout.observations, rollout.actions, strict=True)
+            ]
+        self.network.train()
+        raw = self._reward(torch.stack(logits).float())  # (T, N)
+        metrics: Metrics = {
+            "raw_reward": raw.mean().item(),
+            "raw_reward_std": raw.std(correction=0).item(),
+        }
+        return self._normaliser(raw, rollout.tasks), metrics
+
+    def train(self, rng: np.random.Generator) -> Metrics:
+        """Take `discriminator_steps` optimiser steps; returns the means of what is logged."""
+        steps = self.config.discriminator_steps
+        sums: dict[str, Tensor] = {}
+        for _ in range(steps):
+            batch = self.sample_batch(rng)
+            with self._compute.autocast():
+                loss, logged = self._loss(self.network, batch, rng)
+            self.optimizer.zero_grad()
+            torch.autograd.backward(loss)
+            self.optimizer.step()
+            for name, value in {"discriminator_loss": loss, **logged}.items():
+                sums[name] = sums.get(name, torch.zeros_like(loss)) + value.detach()
+        return {name: (total / steps).item() for name, total in sums.items()}
+
+    def sample_batch(self, rng: np.random.Generator) -> DiscriminatorBatch:
+        """A batch, each half split evenly between the tasks, augmented."""
+        half = self.config.discriminator_batch_size // 2
+        rows = self._expert.sample_evenly(half, rng)
+        expert_actions, expert_tasks = self._expert.labels(rows)
+        novice_images, novice_actions, novice_tasks = self._replay_buffer.sample(half, rng)
+        images = torch.cat([self._expert.images(rows), novice_images])
+        return DiscriminatorBatch(
+            augment(images, self._augmentations, rng),
+            torch.cat([expert_actions, novice_actions]),
+            torch.cat([expert_tasks, novice_tasks]),
+        )
+
+    def state_dict(self) -> StateDict:
+        """Everything that the next update depends on."""
+        return {
+            "network": self.network.state_dict(),
+            "optimizer": optimizer_state(self.optimizer),
+            "replay_buffer": self._replay_buffer.state_dict(),
+            "reward_statistics": self._normaliser.state_dict(),
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any], what: str) -> None:
+        """Restore what `state_dict` returned; `what` names the checkpoint in errors."""
+        load_module(self.network, state["network"], what)
+        load_optimizer(self.optimizer, state["optimizer"])
+        self._replay_buffer.load_state_dict(state["replay_buffer"], self._compute.device)
+        self._normaliser.load_state_dict(state["reward_statistics"])
+
+
 def make_discriminator(config: GAILConfig) -> Discriminator:
-    """The network with batch norm and action input, with first weights from the seed."""
-    with seeded_weights(config.seed, WEIGHTS_NUMBER):
-        return Discriminator(get_width(config.network), config.input_shape, len(config.tasks))
+    """The discriminator, with batch norm and action input, initialised from the seed."""
+    with seeded_init(config.seed, DISCRIMINATOR_INIT):
+        trunk = Trunk(config.network, config.input_shape, batch_norm=True, action_input=True)
+        return Discriminator(trunk, len(config.tasks))
 
 
-ALGORITHM = Algorithm(GAILConfig, train, make_policy)
+ALGORITHM = Algorithm(GAILConfig, train, make_actor_critic)

@@ -1,42 +1,42 @@
-"""Proximal policy optimisation on the vector environment (appendix B, Table 4).
+"""Proximal policy optimisation (Schulman et al., 2017) with the settings of appendix B, Table 4.
 
-Collect samples, value them, improve the policy, report; again. `train` learns from the
-environment's own reward. The imitation learners use the same `Learner` with a reward of theirs.
+One update:
+
+1. collect a rollout: T steps of N environments with actions from the present policy;
+2. estimate the advantages A by generalised advantage estimation (GAE);
+3. for some epochs over shuffled minibatches, minimise the clipped surrogate loss by Adam.
+
+`train` uses the environment's reward; other algorithms pass learned ones to `improve_policy`.
 """
 
-import time
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.optim import Adam
 
-from magical.envs import EnvId
-from magical.evaluation import evaluate
+from magical.envs.env import Reward
 from magical.learning.algorithms import Algorithm
-from magical.learning.batches import Batch, as_batch, explained_variance, mean_by_task, spread
-from magical.learning.checkpoints import Tree, load_module, load_optimizer, optimizer_tree
-from magical.learning.collapse import Watch
-from magical.learning.config import option
-from magical.learning.curves import draw_curves
-from magical.learning.devices import choose_device, one_thread
-from magical.learning.networks import ActorCritic, StateTrunk, Trunk, centre, get_width
-from magical.learning.policy import NetworkPolicy
+from magical.learning.augment import to_unit
+from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
+from magical.learning.config import IMAGE_OBSERVATIONS, option
+from magical.learning.devices import choose_device, one_thread, zero_inputs
+from magical.learning.models import make_actor_critic, sample_actions
+from magical.learning.monitoring import Metrics, Monitor, explained_variance
+from magical.learning.policy import demo_score
 from magical.learning.reinforcement import QUICK, ReinforcementConfig
-from magical.learning.rollout import Sampler, Samples, as_inputs
-from magical.learning.runs import METRICS, Run
-from magical.learning.streams import Purpose, seeded_weights, stream
+from magical.learning.rollouts import Rollout, RolloutBuffer, RolloutEnvs, shuffle_evenly
+from magical.learning.run import Run
+from magical.learning.streams import Purpose, stream
 from magical.observe import NAMED
 
-RECENT = 100  # episodes over which the reported score is averaged
-EVALUATION_SEED = 1  # not the seeds that results are reported for
-
-Metrics = dict[str, float | str]
+ADVANTAGE_EPSILON = 1e-8
+Forward = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]  # as `PPOTrainer.forward`
+LOSS_PARTS = ("policy_loss", "value_loss", "entropy", "clip_fraction")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,237 +46,255 @@ class PPOConfig(ReinforcementConfig):
     algorithm: ClassVar[str] = "ppo"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {},
-        # The environment's rewards come later than a discriminator's: look further ahead.
+        # The environment's rewards are sparser than a discriminator's: a longer time scale.
         "quick": {**QUICK, "minibatch_size": 128, "discount": 0.95, "gae_lambda": 0.95},
     }
 
-    reward: str = option("dense", "the environment's reward: dense or score")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.require_one_of("reward", ("dense", "score"))
-
-    def check_observation(self) -> None:
-        """Raise unless the observation is one array of images, or `state`."""
-        if self.observation not in NAMED:
-            super().check_observation()
+    observation: str = option(
+        "LoRes4E", "observation preset", choices=(*IMAGE_OBSERVATIONS, *NAMED)
+    )
+    reward: str = option("dense", "the environment's reward", choices=("dense", "score"))
 
 
 def train(config: PPOConfig, run: Run) -> None:
-    """Learn from the environment's reward."""
-    with Learner(config, run, reward=config.reward) as learner:
-        for number in learner.numbers():
-            samples = learner.collect(number)
-            metrics = learner.improve(number, samples, samples.rewards)
-            if learner.finish(number, metrics):
+    """Maximise the environment's reward."""
+    with PPOTrainer(config, run, config.reward) as ppo:  # type: ignore[arg-type]
+        for update in ppo.remaining_updates():
+            rollout = ppo.collect_rollout(update)
+            metrics = ppo.improve_policy(update, rollout, rollout.rewards)
+            if ppo.finish_update(update, metrics):
                 break
 
 
-class Learner:
-    """A policy, its optimiser, its worlds, and the run they belong to.
-
-    With `before`, the run had so many steps of another kind before the first update.
-    """
+class PPOTrainer:
+    """An actor-critic, its optimiser and its environments."""
 
     def __init__(
-        self, config: ReinforcementConfig, run: Run, reward: Any = "none", before: int = 0
+        self,
+        config: ReinforcementConfig,
+        run: Run,
+        reward: Reward = "none",
+        *,
+        previous_steps: int = 0,
     ) -> None:
-        self.config = config
-        self.run = run
-        self.before = before
+        """Create a new trainer, or resume from the run's checkpoint.
+
+        `previous_steps` is what the run takes before the first update, such as pretraining.
+        """
+        self.config, self.run, self.previous_steps = config, run, previous_steps
         self.device = choose_device(config.device)
-        self.network = make_policy(config).to(self.device)
+        self.network = make_actor_critic(config).to(self.device)
         self.optimizer = Adam(self.network.parameters(), config.learning_rate, fused=True)
-        states = len(config.input_shape) == 1
+        vectors = len(config.input_shape) == 1
         # Positions need more digits than pixels.
-        precision = "float32" if states and config.precision == "auto" else config.precision
-        self.compute = run.compute(self.device, precision, self._probe)
-        both = self.network.both
-        self._both = torch.compile(both) if config.compile else both
-        self._stack = ExitStack()
-        if states:
-            self._stack.enter_context(one_thread())
-        self.sampler = self._stack.enter_context(Sampler(config, self.device, reward))
-        self._recent: deque[tuple[int, float]] = deque(maxlen=RECENT)
-        self._watch = Watch()
-        self._one_action = False
-        self._seconds = {"sample": 0.0, "policy": 0.0}
+        precision = "float32" if vectors and config.precision == "auto" else config.precision
+        zeros = zero_inputs(config.input_shape, config.minibatch_size, self.device)
+        self.compute = run.compute(
+            self.device, precision, lambda: self.network.logits_and_values(*zeros)[0].sum()
+        )
+        forward = self.network.logits_and_values
+        self._forward = torch.compile(forward) if config.compile else forward
+        self.monitor = Monitor()
+        with ExitStack() as stack:
+            if vectors:
+                stack.enter_context(one_thread())
+            self.envs = stack.enter_context(RolloutEnvs(config, self.device, reward))
+            self._start_or_resume()
+            self._stack = stack.pop_all()
 
     def __enter__(self) -> Self:
-        try:
-            self._begin()
-        except BaseException:
-            self._stack.close()
-            raise
         return self
 
     def __exit__(self, *error: object) -> None:
         self._stack.close()
 
-    def _begin(self) -> None:
-        saved = self.run.saved or {}
-        if "learner" not in saved:
-            self.sampler.begin()
-            return
-        load_module(self.network, saved["policy"], str(self.run.folder))
-        tree = saved["learner"]
-        load_optimizer(self.optimizer, tree["optimizer"])
-        self.sampler.load(tree["sampler"])
-        self._recent.extend((int(task), score) for task, score in tree["recent"])
-        self._watch = Watch(tree["watch"])
+    def remaining_updates(self) -> Iterator[int]:
+        """The numbers of the updates that are not done yet."""
+        yield from range(max(self.run.step - self.previous_steps, 0), self.config.updates)
 
-    def numbers(self) -> Iterator[int]:
-        """The numbers of the updates that are still to be done."""
-        yield from range(max(self.run.step - self.before, 0), self.config.updates)
-
-    def act(self, observations: Tensor, tasks: Tensor) -> tuple[Tensor, Tensor]:
-        """Logits (B, 18) and values (B,) of observations as the environment gives them."""
-        return self._forward(as_inputs(observations), tasks)
-
-    def _forward(self, inputs: Tensor, tasks: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, observations: Tensor, tasks: Tensor) -> tuple[Tensor, Tensor]:
+        """Logits (B, 18) and values (B,), float32, of network inputs (B, ...)."""
         with self.compute.autocast():
-            logits, values = self._both(inputs, tasks)
+            logits, values = self._forward(observations, tasks)
         return logits.float(), values.float()
 
-    def collect(self, number: int) -> Samples:
-        """Experience of the present policy."""
-        began = time.perf_counter()
-        samples = self.sampler.collect(self.act, stream(self.config.seed, Purpose.ACTIONS, number))
-        self._recent.extend(samples.scores)
-        self._one_action = bool((samples.actions == samples.actions[0, 0]).all())
-        self._seconds["sample"] = time.perf_counter() - began
-        return samples
+    def collect_rollout(self, update: int) -> Rollout:
+        """Step all environments T times with actions sampled from the present policy."""
+        rng = stream(self.config.seed, Purpose.ACTIONS, update)
+        with self.monitor.timed("sample"):
+            rollout = collect_rollout(self.envs, self.forward, self.config, rng)
+        self.monitor.add_rollout(rollout)
+        return rollout
 
-    def improve(self, number: int, samples: Samples, rewards: Tensor) -> Metrics:
-        """Improve the policy by update `number`, with rewards (T, N) for the samples."""
-        began = time.perf_counter()
-        config = self.config
-        batch = as_batch(samples, rewards, config)
-        if self.compute.precision == "bfloat16":  # as the network's first layer would have it
-            batch = batch._replace(inputs=batch.inputs.bfloat16())
-        left = 1.0 - number / config.updates if config.anneal else 1.0
-        for group in self.optimizer.param_groups:
-            group["lr"] = config.learning_rate * left
-        rng = stream(config.seed, Purpose.MINIBATCHES, number)
-        tasks = np.tile(self.sampler.task_of, config.time_steps)
-        sums = torch.zeros(4, device=self.device)
-        for _ in range(config.epochs):
-            order = torch.from_numpy(spread(tasks, rng)).to(self.device)
-            for rows in torch.split(order, config.minibatch_size):
-                sums += self._step(batch.rows(rows), config.clip * left) * len(rows)
-        sums /= config.epochs * len(tasks)
-        names = ("policy_loss", "value_loss", "entropy", "clip_fraction")
-        metrics: Metrics = dict(zip(names, sums.tolist(), strict=True))
-        self._seconds["policy"] = time.perf_counter() - began
+    def improve_policy(self, update: int, rollout: Rollout, rewards: Tensor) -> Metrics:
+        """Take `epochs` passes of minibatch steps on a rollout with rewards (T, N)."""
+        with self.monitor.timed("policy"):
+            config = self.config
+            samples = make_samples(rollout, rewards, config)
+            if self.compute.precision == "bfloat16":  # autocast would convert it in every epoch
+                samples = samples._replace(observations=samples.observations.bfloat16())
+            left = 1.0 - update / config.updates if config.anneal else 1.0
+            for group in self.optimizer.param_groups:
+                group["lr"] = config.learning_rate * left
+            rng = stream(config.seed, Purpose.MINIBATCHES, update)
+            tasks = np.tile(self.envs.task_of, config.time_steps)  # (T * N,)
+            sums = torch.zeros(len(LOSS_PARTS), device=self.device)
+            for _ in range(config.epochs):
+                order = torch.from_numpy(shuffle_evenly(tasks, rng)).to(self.device)
+                for rows in torch.split(order, config.minibatch_size):
+                    minibatch = samples.select(rows)
+                    logits, values = self.forward(minibatch.observations, minibatch.tasks)
+                    clip, bonus = config.clip * left, config.entropy_bonus
+                    loss, parts = ppo_loss(logits, values, minibatch, clip, bonus)
+                    self.optimizer.zero_grad()
+                    torch.autograd.backward(loss)
+                    nn.utils.clip_grad_norm_(self.network.parameters(), config.max_grad_norm)
+                    self.optimizer.step()
+                    sums += parts * len(rows)
+            means = (sums / (config.epochs * len(tasks))).tolist()
         return {
             "reward": rewards.mean().item(),
             "reward_std": rewards.std(correction=0).item(),
-            **metrics,
-            "explained_variance": explained_variance(samples.values.flatten(), batch.returns),
+            **dict(zip(LOSS_PARTS, means, strict=True)),
+            "explained_variance": explained_variance(rollout.values.flatten(), samples.returns),
         }
 
-    def _step(self, batch: Batch, clip: float) -> Tensor:
-        """One step of the optimiser; returns the four parts of `ppo_loss`."""
-        logits, values = self._forward(batch.inputs, batch.tasks)
-        loss, parts = ppo_loss(logits, values, batch, clip, self.config.entropy_bonus)
-        self.optimizer.zero_grad()
-        torch.autograd.backward(loss)
-        nn.utils.clip_grad_norm_(self.network.parameters(), self.config.max_grad_norm)
-        self.optimizer.step()
-        return parts
-
-    def finish(
-        self, number: int, metrics: Metrics, more: Callable[[], Tree] = dict, **seconds: float
+    def finish_update(
+        self, update: int, metrics: Metrics, extra_state: Callable[[], StateDict] = dict
     ) -> bool:
-        """Report update `number`, leave checkpoints (`more` adds to them); whether to stop."""
-        config, done = self.config, number + 1
-        step = self.before + done
-        ends = done == config.updates or self.run.stops(step)
-        for name, value in {**self._seconds, **seconds}.items():
-            metrics[f"{name}_seconds"] = value
-        metrics |= self._scores(done)
-        warning = self._watch.warnings(metrics, self._one_action)
-        said: Metrics = {"warning": warning} if warning else {}
-        steps = done * config.steps_per_update
-        self.run.log(step, config.total, **said, environment_steps=steps, **metrics)
-        self.run.require_finite(step, metrics)
-        if ends or done % config.checkpoint_every == 0:
-            self.run.checkpoint(step, {**self._tree(), **more()})
-        if ends or "evaluation_score" in metrics:
-            draw_curves(self.run.folder / METRICS)
-        return ends
-
-    def _scores(self, done: int) -> Metrics:
-        """The mean score of recent episodes and, now and then, of an evaluation."""
-        config = self.config
-        metrics: Metrics = {}
-        if self._recent:
-            metrics["score"] = mean_by_task(self._recent)
+        """Log, evaluate and save checkpoints (with the extra state); true if the run stops."""
+        config, done = self.config, update + 1
+        step = self.previous_steps + done
+        stops = done == config.updates or self.run.stops(step)
+        metrics |= self.monitor.metrics()
         every = config.evaluate_every
         if every and (done % every == 0 or done == config.updates):
-            metrics["evaluation_score"] = self._evaluate()
-        return metrics
+            metrics["evaluation_score"] = demo_score(self.network, config, self.compute)
+        steps: Metrics = {"environment_steps": done * config.steps_per_update}
+        self.run.log(step, config.total, **self.monitor.warning(metrics), **steps, **metrics)
+        self.run.require_finite(step, metrics)
+        if stops or done % config.checkpoint_every == 0:
+            self.run.checkpoint(step, {**self.state_dict(), **extra_state()})
+        return stops
 
-    def _evaluate(self) -> float:
-        config = self.config
-        shown = config.observation, config.observation_spec
-        scores = evaluate(
-            NetworkPolicy(self.network, config.tasks, *shown, self.compute),
-            [EnvId(task, "Demo") for task in config.tasks],
-            rollouts=config.evaluation_rollouts,
-            seed=EVALUATION_SEED,
-            workers=config.workers,
-        )
-        self.network.train()
-        return float(np.mean([score.score for score in scores]))
-
-    def _tree(self) -> Tree:
-        learner = {
-            "optimizer": optimizer_tree(self.optimizer),
-            "sampler": self.sampler.tree(),
-            "recent": list(self._recent),
-            "watch": self._watch.seen,
+    def state_dict(self) -> StateDict:
+        """Everything that the next update depends on."""
+        ppo = {
+            "optimizer": optimizer_state(self.optimizer),
+            "envs": self.envs.state_dict(),
+            "monitor": self.monitor.state_dict(),
         }
-        return {"policy": self.network.state_dict(), "learner": learner}
+        return {"policy": self.network.state_dict(), "ppo": ppo}
 
-    def _probe(self) -> Tensor:
-        """A forward pass of a minibatch, to measure precisions with."""
-        shape, size = self.config.input_shape, self.config.minibatch_size
-        tasks = torch.zeros(size, dtype=torch.int64, device=self.device)
-        logits, values = self.network.both(torch.zeros(size, *shape, device=self.device), tasks)
-        return logits.sum() + values.sum()
+    def _start_or_resume(self) -> None:
+        saved = self.run.saved or {}
+        if "ppo" not in saved:
+            self.envs.reset()
+            return
+        load_module(self.network, saved["policy"], str(self.run.folder))
+        load_optimizer(self.optimizer, saved["ppo"]["optimizer"])
+        self.envs.load_state_dict(saved["ppo"]["envs"])
+        self.monitor.load_state_dict(saved["ppo"]["monitor"])
+
+
+def collect_rollout(
+    envs: RolloutEnvs, forward: Forward, config: ReinforcementConfig, rng: np.random.Generator
+) -> Rollout:
+    """Step the environments T times with actions sampled from the logits of `forward`."""
+    buffer = RolloutBuffer(config.time_steps, envs)
+    uniforms = torch.from_numpy(rng.random(buffer.shape, np.float32)).to(envs.device)  # (T, N)
+    with torch.no_grad():
+        for t in range(config.time_steps):
+            observations = buffer.add_observations(t, envs.observations())
+            logits, values = forward(to_unit(observations), envs.tasks)
+            actions, log_probs = sample_actions(logits, uniforms[t])
+            step = envs.step(actions)
+            buffer.add(t, actions, log_probs, values, step)
+            if config.bootstrap and step.final_observations is not None:
+                rows = torch.from_numpy(np.flatnonzero(step.dones)).to(envs.device)
+                final = to_unit(step.final_observations.to(envs.device))
+                buffer.final_values[t, rows] = forward(final, envs.tasks[rows])[1]
+        _, next_values = forward(to_unit(envs.observations().to(envs.device)), envs.tasks)
+    return buffer.rollout(next_values)
+
+
+class Samples(NamedTuple):
+    """The samples of a rollout, B = T * N, or a minibatch of them."""
+
+    observations: Tensor  # (B, ...) network inputs
+    actions: Tensor  # (B,) int64
+    log_probs: Tensor  # (B,), of the actions under the policy that collected them
+    advantages: Tensor  # (B,)
+    returns: Tensor  # (B,), the value targets
+    tasks: Tensor  # (B,) int64
+
+    def select(self, rows: Tensor) -> "Samples":
+        """A minibatch."""
+        return Samples(*(part[rows] for part in self))
+
+
+def make_samples(rollout: Rollout, rewards: Tensor, config: ReinforcementConfig) -> Samples:
+    """Flatten a rollout, time-major, with the advantages and value targets of rewards (T, N)."""
+    advantages = compute_gae(rollout, rewards, config.discount, config.gae_lambda)
+    returns = advantages + rollout.values
+    if config.normalise_advantages:
+        advantages = (advantages - advantages.mean()) / (advantages.std() + ADVANTAGE_EPSILON)
+    return Samples(
+        to_unit(rollout.observations.flatten(0, 1)),
+        rollout.actions.flatten(),
+        rollout.log_probs.flatten(),
+        advantages.flatten(),
+        returns.flatten(),
+        rollout.tasks.repeat(len(rewards)),
+    )
+
+
+def compute_gae(rollout: Rollout, rewards: Tensor, discount: float, gae_lambda: float) -> Tensor:
+    """Generalised advantage estimates (T, N) for rewards (T, N).
+
+    A_t = delta_t + discount * gae_lambda * (1 - done_t) * A_{t+1}, where
+    delta_t = r_t + discount * V(s_{t+1}) - V(s_t). At the end of an episode V(s_{t+1}) is 0 or the
+    value of the final observation: `Rollout.next_values` already contains the choice.
+    """
+    deltas = rewards + discount * rollout.next_values - rollout.values
+    weights = discount * gae_lambda * ~rollout.dones
+    advantages = torch.empty_like(deltas)
+    following = torch.zeros_like(deltas[0])
+    for t in reversed(range(len(deltas))):
+        following = deltas[t] + weights[t] * following
+        advantages[t] = following
+    return advantages
 
 
 def ppo_loss(
-    logits: Tensor, values: Tensor, batch: Batch, clip: float, entropy_bonus: float
+    logits: Tensor, values: Tensor, minibatch: Samples, clip: float, entropy_bonus: float
 ) -> tuple[Tensor, Tensor]:
-    """The loss to be minimised, and (4,): policy loss, value loss, entropy, clipped fraction.
+    """The loss to be minimised, and its parts (4,) as in `LOSS_PARTS`.
 
-    Loss = policy loss + value loss - bonus * entropy, where the policy loss is minus the mean of
-    min(ratio * A, clip(ratio, 1 - clip, 1 + clip) * A), the value loss half the mean squared
-    error. `logits` (B, 18) and `values` (B,) are of the present network.
+    With ratio = pi(a | s) / pi_old(a | s),
+
+        policy loss = -mean(min(ratio * A, clip(ratio, 1 - clip, 1 + clip) * A))
+        value loss = 0.5 * mean((V(s) - return)^2)
+        loss = policy loss + value loss - entropy_bonus * entropy
+
+    Args:
+        logits: (B, 18) of the present policy pi.
+        values: (B,) of the present value function V.
+        minibatch: the samples.
+        clip: the clip range.
+        entropy_bonus: the weight of the entropy.
     """
-    log_probs = logits.log_softmax(dim=1)
-    chosen = log_probs.gather(1, batch.actions[:, None]).squeeze(1)
-    ratio = (chosen - batch.log_probs).exp()
+    log_policy = logits.log_softmax(dim=1)  # (B, 18)
+    log_probs = log_policy.gather(1, minibatch.actions[:, None]).squeeze(1)
+    ratio = (log_probs - minibatch.log_probs).exp()
     clipped = ratio.clamp(1.0 - clip, 1.0 + clip)
-    policy_loss = -torch.minimum(ratio * batch.advantages, clipped * batch.advantages).mean()
-    value_loss = 0.5 * (values - batch.returns).square().mean()
-    entropy = -(log_probs.exp() * log_probs).sum(dim=1).mean()
+    advantages = minibatch.advantages
+    policy_loss = -torch.minimum(ratio * advantages, clipped * advantages).mean()
+    value_loss = 0.5 * (values - minibatch.returns).square().mean()
+    entropy = -(log_policy.exp() * log_policy).sum(dim=1).mean()
     loss = policy_loss + value_loss - entropy_bonus * entropy
-    outside = ((ratio - 1.0).abs() > clip).float().mean()
-    return loss, torch.stack([policy_loss, value_loss, entropy, outside]).detach()
+    clip_fraction = ((ratio - 1.0).abs() > clip).float().mean()
+    return loss, torch.stack([policy_loss, value_loss, entropy, clip_fraction]).detach()
 
 
-def make_policy(config: ReinforcementConfig) -> ActorCritic:
-    """The network, with first weights from the seed; no batch norm (appendix B)."""
-    width, shape = get_width(config.network), config.input_shape
-    with seeded_weights(config.seed):
-        trunk = StateTrunk(*shape, width.linear) if len(shape) == 1 else Trunk(width, shape)
-        network = ActorCritic(trunk, len(config.tasks))
-        if config.first_weights == "centred" and isinstance(trunk, Trunk):
-            centre(network)
-        return network
-
-
-ALGORITHM = Algorithm(PPOConfig, train, make_policy)
+ALGORITHM = Algorithm(PPOConfig, train, make_actor_critic)

@@ -1,9 +1,10 @@
 """Wasserstein GAIL with a gradient penalty.
 
-Source: appendix B, Table 4, and C; docs/specification.md, section 10.
+Source: appendix B, Table 4, and C; docs/specification.md, section 10. Single-task only.
 
-The discriminator is a critic without a last sigmoid: its logit is the reward, and a penalty keeps
-it nearly 1-Lipschitz in the image. Everything else is as in GAIL. Single-task only.
+As GAIL, but the discriminator is a critic f without a sigmoid: it maximises the difference of its
+mean logits on expert and novice samples, an estimate of the Wasserstein distance. A penalty on the
+gradient keeps it nearly 1-Lipschitz in the image. The reward is the logit itself.
 """
 
 from collections.abc import Callable, Mapping
@@ -16,12 +17,14 @@ import torch
 from torch import Tensor
 
 from magical.learning.algorithms import Algorithm
-from magical.learning.algorithms.gail import GAILConfig, train_against
-from magical.learning.algorithms.ppo import make_policy
+from magical.learning.algorithms.gail import (
+    DiscriminatorBatch,
+    GAILConfig,
+    train_adversarially,
+)
 from magical.learning.config import option
-from magical.learning.discriminator import Pairs
-from magical.learning.networks import Discriminator
-from magical.learning.runs import Run
+from magical.learning.models import Discriminator, make_actor_critic
+from magical.learning.run import Run
 
 Critic = Callable[[Tensor, Tensor, Tensor], Tensor]  # images, actions, tasks -> logits (B,)
 
@@ -43,49 +46,61 @@ class WGAILGPConfig(GAILConfig):
 
 def train(config: WGAILGPConfig, run: Run) -> None:
     """Imitate demonstrations."""
-    loss = partial(critic_loss, weight=config.penalty_weight)
-    train_against(config, run, loss, lambda logits: logits)
+    loss = partial(critic_loss, penalty_weight=config.penalty_weight)
+    train_adversarially(config, run, loss, critic_reward)
+
+
+def critic_reward(logits: Tensor) -> Tensor:
+    """The logits themselves: high for expert-like samples, unbounded."""
+    return logits
 
 
 def critic_loss(
-    network: Discriminator, pairs: Pairs, rng: np.random.Generator, weight: float
+    critic: Discriminator,
+    batch: DiscriminatorBatch,
+    rng: np.random.Generator,
+    penalty_weight: float,
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """Novice's mean logit minus the expert's, plus the weighted penalty: to be minimised.
+    """Mean f(novice) - mean f(expert) + penalty_weight * penalty: to be minimised.
 
-    Reports the distance (the first part with its sign turned), the penalty, and the accuracy
-    where the halves' midpoint is the threshold.
+    Logs the estimated distance, mean f(expert) - mean f(novice), the penalty, and the accuracy of
+    a threshold midway between the two means.
     """
-    logits = network(pairs.images, pairs.actions, pairs.tasks).float()
-    expert, novice = logits[: pairs.half], logits[pairs.half :]
+    logits = critic(batch.images, batch.actions, batch.tasks).float()  # (2B,)
+    expert, novice = logits[: batch.half], logits[batch.half :]
     distance = expert.mean() - novice.mean()
-    # Batch norm in evaluation mode: what is kept Lipschitz is the function that gives rewards,
-    # one row's gradient does not depend on the others, and statistics stay those of real images.
-    network.eval()
-    penalty = gradient_penalty(network, *interpolate(pairs, rng))
-    network.train()
-    middle = (expert.mean() + novice.mean()) / 2
-    right = torch.cat([expert > middle, novice < middle]).float().mean()
-    return weight * penalty - distance, {
+    # Batch norm in evaluation mode: the function that gives the rewards is what has to be
+    # Lipschitz, a row's gradient must not depend on other rows, and the statistics must remain
+    # those of real images.
+    critic.eval()
+    penalty = gradient_penalty(critic, *interpolate(batch, rng))
+    critic.train()
+    threshold = (expert.mean() + novice.mean()) / 2
+    accuracy = torch.cat([expert > threshold, novice < threshold]).float().mean()
+    return penalty_weight * penalty - distance, {
         "wasserstein_distance": distance,
         "gradient_penalty": penalty,
-        "discriminator_accuracy": right,
+        "discriminator_accuracy": accuracy,
     }
 
 
-def interpolate(pairs: Pairs, rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor]:
-    """Images (B, C, H, W) between expert's and novice's, with actions and tasks (B,).
+def interpolate(
+    batch: DiscriminatorBatch, rng: np.random.Generator
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Sample points uniformly between pairs of an expert and a novice image.
 
-    The place between the two is uniform; the action is the nearer one's.
+    Returns:
+        Images (B, C, H, W), actions (B,) of the nearer image, tasks (B,).
     """
-    half, device = pairs.half, pairs.images.device
-    share = torch.from_numpy(rng.random(half, np.float32)).to(device)  # the expert's
-    images = torch.lerp(pairs.images[half:], pairs.images[:half], share[:, None, None, None])
-    actions = torch.where(share > 0.5, pairs.actions[:half], pairs.actions[half:])
-    return images, actions, pairs.tasks[:half]
+    half, device = batch.half, batch.images.device
+    weight = torch.from_numpy(rng.random(half, np.float32)).to(device)  # of the expert's image
+    images = torch.lerp(batch.images[half:], batch.images[:half], weight[:, None, None, None])
+    actions = torch.where(weight > 0.5, batch.actions[:half], batch.actions[half:])
+    return images, actions, batch.tasks[:half]
 
 
 def gradient_penalty(critic: Critic, images: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
-    """Mean of (|gradient of the logit by the image| - 1)^2, L2 norm; can be differentiated."""
+    """Mean of (|df / d image|_2 - 1)^2; differentiable with respect to the critic's weights."""
     images = images.detach().requires_grad_()
     logits = critic(images, actions, tasks)
     (gradients,) = torch.autograd.grad(logits.sum(), images, create_graph=True)
@@ -93,4 +108,4 @@ def gradient_penalty(critic: Critic, images: Tensor, actions: Tensor, tasks: Ten
     return (norms - 1.0).square().mean()
 
 
-ALGORITHM = Algorithm(WGAILGPConfig, train, make_policy)
+ALGORITHM = Algorithm(WGAILGPConfig, train, make_actor_critic)

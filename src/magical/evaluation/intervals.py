@@ -1,0 +1,116 @@
+"""Confidence intervals: Student's t over strata, Wilson's score interval, square-and-add.
+
+docs/protocol.md gives the formulas' sources, and how often each interval covers.
+"""
+
+import math
+from collections.abc import Sequence
+from statistics import NormalDist
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+
+CONFIDENCE = 0.95
+
+
+class Interval(NamedTuple):
+    """An estimate with its confidence interval.
+
+    `low` and `high` are NaN where there is no interval: one run does not show the spread of runs.
+    """
+
+    value: float
+    low: float
+    high: float
+
+
+def t_interval(
+    value: float, strata: Sequence[Floats], confidence: float, bounds: tuple[float, float]
+) -> Interval:
+    """Student's t interval of a sum of contributions from independent strata.
+
+    Args:
+        value: the estimate.
+        strata: what each run of a stratum contributes, (runs,); all together sum to the estimate,
+            or differ from it by a constant.
+        confidence: nominal coverage.
+        bounds: the least and the greatest value that is possible.
+
+    Returns:
+        The interval with Welch's degrees of freedom; without bounds where a stratum has one run.
+    """
+    from scipy.special import stdtrit  # slow to import
+
+    freedom = np.array([len(stratum) - 1.0 for stratum in strata])
+    if not freedom.all():
+        return Interval(value, math.nan, math.nan)
+    variances = np.array([len(stratum) * stratum.var(ddof=1) for stratum in strata])
+    total = variances.sum()
+    welch = total**2 / (variances**2 / freedom).sum() if total > 0.0 else 1.0
+    half = float(stdtrit(welch, (1.0 + confidence) / 2.0)) * math.sqrt(total)
+    return Interval(value, max(value - half, bounds[0]), min(value + half, bounds[1]))
+
+
+def wilson_interval(
+    value: float, count: float, confidence: float = CONFIDENCE, excess: float = 0.0
+) -> Interval:
+    """Wilson's score interval: all p with count (value - p)^2 <= z^2 (p (1 - p) - excess).
+
+    Args:
+        value: the mean of values from 0 to 1.
+        count: how many independent values it is the mean of.
+        confidence: nominal coverage.
+        excess: by how much the variance of the values is below p (1 - p), that of zeros and ones.
+    """
+    ratio = NormalDist().inv_cdf((1.0 + confidence) / 2.0) ** 2 / count
+    centre = value + ratio / 2.0
+    root = math.sqrt(max(centre**2 - (1.0 + ratio) * (value**2 + ratio * excess), 0.0))
+    low, high = (centre - root) / (1.0 + ratio), (centre + root) / (1.0 + ratio)
+    # The value is always inside; rounding must not put it outside.
+    return Interval(value, max(min(low, value), 0.0), min(max(high, value), 1.0))
+
+
+def rollout_mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
+    """The mean of one policy's rollouts in one environment, with a Wilson interval.
+
+    It does not include the spread between training runs. For scores of 0 and 1 it is Wilson's
+    interval (1927). In general scores in [0, 1] with mean p have the variance p (1 - p) less the
+    mean of x (1 - x), which is estimated from the rollouts.
+
+    Args:
+        scores: (rollouts,), each from 0 to 1.
+        confidence: nominal coverage of the interval.
+
+    Raises:
+        ValueError: no such array, or scores outside [0, 1].
+    """
+    rollouts = np.asarray(scores, np.float64)
+    if rollouts.ndim != 1 or not rollouts.size:
+        raise ValueError(f"scores: expected shape (rollouts,), found {rollouts.shape}")
+    check_range(rollouts)
+    value = float(rollouts.mean())
+    excess = float((rollouts * (1.0 - rollouts)).mean())
+    return wilson_interval(value, len(rollouts), confidence, excess)
+
+
+def weighted_sum(intervals: Sequence[Interval], weights: ArrayLike) -> Interval:
+    """A weighted sum of independent estimates by square-and-add (Newcombe, 1998).
+
+    With weights 1 and -1 their difference, with 1 / n each the mean of n of them. An estimate's
+    distance to its lower bound counts where its weight is positive, to the upper where negative.
+    """
+    values, lows, highs = np.array(intervals).T
+    factors = np.asarray(weights, np.float64)
+    below = factors * np.where(factors > 0, values - lows, values - highs)
+    above = factors * np.where(factors > 0, highs - values, lows - values)
+    value = float(factors @ values)
+    return Interval(value, value - math.hypot(*below), value + math.hypot(*above))
+
+
+def check_range(scores: Floats) -> None:
+    """Raise `ValueError` where scores are outside [0, 1]; NaN is let through."""
+    if (outside := scores[(scores < 0.0) | (scores > 1.0)]).size:
+        raise ValueError(f"scores: expected values from 0 to 1, found {outside[0]:g}")

@@ -1,0 +1,1 @@
+"""Experiments: demonstrations, training and evaluation put together."""

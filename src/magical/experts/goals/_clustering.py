@@ -1,0 +1,242 @@
+"""Goals of ClusterColour and ClusterShape: where clusters grow, and which blocks move there.
+
+Clusters may be loose (appendix A.2.7), so many blocks can stay where they are. A plan is one anchor
+for each cluster and the blocks that move to theirs. Many choices of anchors are priced at once;
+the cheapest is refined by leaving out moves that are not needed and adding those that make room
+around enclosed blocks.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from magical.experts.array_geometry import Bools, Floats, lengths, project_on_segments
+from magical.experts.distances import BLOCK_SPACING, DRIVING_CLEARANCE, WORKING_DISTANCE
+from magical.experts.goals._cluster_layout import ClusterLayout, GraspAccess
+from magical.experts.goals._move_costs import MOVE, place_costs
+from magical.experts.planning import Goals, Move, Plan, Strategy
+from magical.experts.state_view import StateView
+from magical.scene import Block
+
+
+@dataclass(frozen=True, slots=True)
+class ClusterSettings:
+    """When blocks count as clustered, and which anchors are considered."""
+
+    planned_ratio: float = 0.22  # of squared centroid distances that a plan aims at; tuned
+    ratio_range: float = 0.1  # above it, over which a block counts less and less; tuned
+    solved_ratio: float = 0.30  # good enough to stop; below 1 / 3 scores
+    lasting_ratio: float = 0.32  # good enough not to start again; below 1 / 3 scores
+    stay: tuple[float, ...] = (0.18, 0.3, 0.5, 0.75)  # units from the anchor to blocks that stay
+    rest: float = 0.2  # units from the anchor at which a moved block comes to rest, about; tuned
+    grid: tuple[float, ...] = (-0.7, -0.35, 0.0, 0.35, 0.7)  # units: coordinates of free anchors
+    anchor_limit: float = 0.78  # units: largest coordinate of an anchor; tuned
+    choices: int = 150  # of anchors for all clusters, sampled and priced at once; for time
+    ring_places: int = 12  # around an anchor that is taken, beside it; for time
+    tolerance: float = 0.09  # units of a move; tuned
+    separation: float = 0.5  # units between blocks of different groups; swept
+
+
+@dataclass(frozen=True, slots=True)
+class PlanCosts:
+    """What a plan is charged for besides `MoveCosts`, in control steps."""
+
+    misplaced: float = 120.0  # per block that would not count; tuned
+    useless: float = 1000.0  # for a plan after which no more blocks count than before; tuned
+    crowding: float = 250.0  # per unit of missing separation; swept
+    leaving: float = 0.3  # share of it for a block that is to leave the place; swept
+    blocked: float = 250.0  # per unit of missing room beside a block's way; swept
+    max_crowding: float = 200.0  # of crowding and blocked ways per block, at most; tuned
+    access: float = 8.0  # times the grasp's cost: enclosed blocks are hardly ever grasped; tuned
+    max_access: float = 160.0  # of access per block, at most; tuned
+    preference: float = 6.0  # between the most and the least preferred place; tuned
+    switch: float = 25.0  # that a new anchor must be better by; tuned
+
+
+CLUSTER = ClusterSettings()
+COST = PlanCosts()
+
+_GRID = np.array([(x, y) for x in CLUSTER.grid for y in CLUSTER.grid])  # (anchors, 2)
+_ANGLES = 2 * math.pi * np.arange(CLUSTER.ring_places) / CLUSTER.ring_places
+_RING = BLOCK_SPACING * np.stack((np.cos(_ANGLES), np.sin(_ANGLES)), axis=-1)  # (ring places, 2)
+
+
+def cluster_goals(attribute: Callable[[Block], str]) -> Goals:
+    """The goals of a task that clusters blocks by an attribute."""
+
+    def plan(view: StateView, strategy: Strategy, last: Plan) -> Plan:
+        return plan_clusters(ClusterLayout.from_view(view, attribute), strategy, last)
+
+    def is_solved(view: StateView) -> bool:
+        layout = ClusterLayout.from_view(view, attribute)
+        return is_clustered(layout, CLUSTER.solved_ratio)
+
+    return Goals(plan, is_solved)
+
+
+def is_clustered(layout: ClusterLayout, limit: float) -> bool:
+    """Whether every block's ratio of centroid distances is below a limit."""
+    ratios = layout.distance_ratios(layout.positions)
+    return layout.groups < 2 or bool(ratios.max() < limit)
+
+
+def plan_clusters(layout: ClusterLayout, strategy: Strategy, last: Plan) -> Plan:
+    """The moves that bring every block to its cluster, and the clusters' anchors."""
+    limit = CLUSTER.solved_ratio if last.moves else CLUSTER.lasting_ratio
+    if is_clustered(layout, limit):
+        return Plan()
+    pricing = _Pricing(layout, GraspAccess.of(layout))
+    anchors, moved = _best(pricing, strategy, last)
+    waits = np.minimum(COST.access * pricing.access.present, COST.max_access).tolist()
+    moves = [_move(layout, anchors, i, waits[i]) for i in np.flatnonzero(moved).tolist()]
+    return Plan(tuple(moves), tuple((x, y) for x, y in anchors.tolist()))
+
+
+def _move(layout: ClusterLayout, anchors: Floats, block: int, wait: float) -> Move:
+    """Bring a block to its anchor, or beside the blocks of its group that are there already."""
+    anchor, others = anchors[layout.group[block]], np.delete(layout.positions, block, axis=0)
+    places = np.concatenate((anchor[None], anchor + _RING))  # (1 + ring places, 2)
+    x, y = layout.positions[block]
+    cost = place_costs(places, (x, y), others)
+    cost[1:] += MOVE.distance * BLOCK_SPACING
+    x, y = places[cost.argmin()].tolist()
+    return Move((x, y), CLUSTER.tolerance, block, wait)
+
+
+def _best(pricing: "_Pricing", strategy: Strategy, last: Plan) -> tuple[Floats, Bools]:
+    """Anchors (groups, 2), and which blocks move there (n,).
+
+    Choices of all anchors are sampled first; then each cluster's anchor is improved in turn.
+    """
+    options, preferences = _anchor_options(pricing.layout, strategy, last)
+    rng = np.random.default_rng(int(strategy.placements[-1] * 2**31))
+    picks = np.stack([rng.integers(len(own), size=CLUSTER.choices) for own in options], axis=1)
+    best, moved = picks[0], np.zeros(len(pricing.layout.positions), dtype=np.bool_)
+    for group in (None, *range(len(options)), *range(len(options))):
+        if group is not None:  # all anchors of one cluster, the others' kept
+            picks = np.repeat(best[None], len(options[group]), axis=0)
+            picks[:, group] = np.arange(len(options[group]))
+        anchors = np.stack([own[i] for own, i in zip(options, picks.T, strict=True)], axis=1)
+        cost, moves = pricing.cheapest_moves(anchors)
+        for own, i in zip(preferences, picks.T, strict=True):
+            cost += own[i]
+        least = int(cost.argmin())
+        best, moved = picks[least], moves[least]
+    chosen = np.array([own[i] for own, i in zip(options, best, strict=True)])
+    return chosen, pricing.refine(chosen, moved)
+
+
+def _anchor_options(
+    layout: ClusterLayout, strategy: Strategy, last: Plan
+) -> tuple[list[Floats], list[Floats]]:
+    """Each group's possible anchors (M, 2), and the control steps (M,) of preferring others.
+
+    They are the group's blocks, their centroid, the last plan's anchor, and free grid points.
+    """
+    distances = lengths(_GRID[:, None] - layout.positions)  # (grid points, n)
+    free = _GRID[distances.min(axis=1) > CLUSTER.separation]
+    options, preferences = [], []
+    for group in range(layout.groups):
+        own = layout.positions[layout.group == group]
+        kept = [last.places[group]] if len(last.places) == layout.groups else []
+        anchors = np.concatenate((own, [own.mean(axis=0)], np.reshape(kept, (-1, 2)), free))
+        anchors = anchors.clip(-CLUSTER.anchor_limit, CLUSTER.anchor_limit)
+        cost = COST.preference * _preferences(strategy, group, anchors)
+        if kept:
+            cost[len(own) + 1] -= COST.switch
+        options.append(anchors)
+        preferences.append(cost)
+    return options, preferences
+
+
+def _preferences(strategy: Strategy, group: int, anchors: Floats) -> Floats:
+    """How little (M,), from 0 to 1, the strategy prefers anchors (M, 2) for a group.
+
+    It has a number for each group and each ninth of the workspace.
+    """
+    column, row = np.floor((anchors + 1.0) * 1.5).astype(np.intp).clip(0, 2).T
+    table = np.array(strategy.placements[:36]).reshape(4, 3, 3)[group % 4]
+    preferences: Floats = table[column, row]
+    return preferences
+
+
+@dataclass(frozen=True, slots=True)
+class _Pricing:
+    """Prices plans for one layout: C choices of anchors (C, groups, 2) and moves (C, n)."""
+
+    layout: ClusterLayout
+    access: GraspAccess
+
+    def cheapest_moves(self, anchors: Floats) -> tuple[Floats, Bools]:
+        """The cost (C,) of each choice of anchors, and the moves (C, n) that give it."""
+        away = self._distances_to_anchors(anchors)
+        moved = away > np.array(CLUSTER.stay)[:, None, None]  # (stays, C, n)
+        cost = np.stack([self._cost(anchors, moves, away) for moves in moved])
+        least, rows = cost.argmin(axis=0), np.arange(len(anchors))
+        return cost[least, rows], moved[least, rows]
+
+    def refine(self, anchors: Floats, moved: Bools) -> Bools:
+        """Leave out or add single moves (n,) for as long as that makes the plan cheaper."""
+        away = self._distances_to_anchors(anchors)
+        cost = float(self._cost(anchors, moved, away))
+        toggle = np.eye(len(moved), dtype=np.bool_)
+        while True:
+            others = moved ^ toggle  # (n, n)
+            costs = self._cost(anchors, others, away)
+            least = int(costs.argmin())
+            if costs[least] >= cost - 1e-9:
+                return moved
+            moved, cost = others[least], float(costs[least])
+
+    def _distances_to_anchors(self, anchors: Floats) -> Floats:
+        """Each block's distance (C, n) to its group's anchor."""
+        return lengths(self.layout.positions - anchors[..., self.layout.group, :])
+
+    def _cost(self, anchors: Floats, moved: Bools, away: Floats) -> Floats:
+        """About how many control steps (C,) plans take, and what blocks out of place cost."""
+        before, after = self.layout.positions, self._positions_after(anchors, moved)
+        near = lengths(after[..., :, None, :] - before)  # (C, n, n) from new to old positions
+        time = MOVE.move + MOVE.distance * away + self._access_cost(moved, near)
+        crowding = np.minimum(self._crowding(after, near), COST.max_crowding)
+        misplaced = self._misplaced(after)
+        cost: Floats = (moved * (time + crowding)).sum(axis=-1) + COST.misplaced * misplaced
+        return cost + COST.useless * (misplaced >= self._misplaced(before))
+
+    def _positions_after(self, anchors: Floats, moved: Bools) -> Floats:
+        """About where the blocks (C, n, 2) are once the moves are made."""
+        target = anchors[..., self.layout.group, :]
+        offset = self.layout.positions - target
+        offset *= CLUSTER.rest / np.maximum(lengths(offset), CLUSTER.rest)[..., None]
+        return np.where(moved[..., None], target + offset, self.layout.positions)
+
+    def _misplaced(self, positions: Floats) -> Floats:
+        """How many blocks (...) do not count at positions (..., n, 2), the doubtful in part."""
+        ratios = self.layout.distance_ratios(positions)
+        doubt = (ratios - CLUSTER.planned_ratio) / CLUSTER.ratio_range
+        misplaced: Floats = doubt.clip(0.0, 1.0).sum(axis=-1)
+        return misplaced
+
+    def _access_cost(self, moved: Bools, near: Floats) -> Floats:
+        """What it costs (C, n) to grasp the blocks that move, the most accessible first."""
+        earlier = self.access.rank[:, None] > self.access.rank
+        apart = lengths(self.layout.positions[:, None] - self.layout.positions)
+        least = np.maximum(apart + 0.1, WORKING_DISTANCE)
+        gone = moved[..., None, :] & earlier & (near.swapaxes(-1, -2) > least)
+        return np.minimum(COST.access * self.access.cost(~gone), COST.max_access)
+
+    def _crowding(self, after: Floats, near: Floats) -> Floats:
+        """What other groups' blocks at each block's new place, and any on its way, cost (C, n)."""
+        apart = lengths(after[..., :, None, :] - after[..., None, :, :])
+        missing = np.maximum(0.0, CLUSTER.separation - apart)
+        # Blocks that are to leave may not have left yet.
+        missing += COST.leaving * np.maximum(0.0, CLUSTER.separation - near)
+        before = self.layout.positions
+        share, gap = project_on_segments(before[:, None], after[..., :, None, :], before)
+        # A block is not in the way of itself, nor of one that drives off from beside it.
+        narrow = np.where(share > 0.0, np.maximum(0.0, DRIVING_CLEARANCE - gap), 0.0)
+        crowding: Floats = (
+            COST.crowding * missing * self.layout.different + COST.blocked * narrow
+        ).sum(axis=-1)
+        return crowding

@@ -1,0 +1,84 @@
+"""What an expert remembers between decisions, and how it notices that it is stuck."""
+
+import math
+from dataclasses import dataclass, replace
+
+from magical.experts.planning import NO_PLAN, Move, Plan
+from magical.experts.state_view import StateView
+
+
+@dataclass(frozen=True, slots=True)
+class StallSettings:
+    """When a move is given up."""
+
+    stalled_steps: int = 7  # control steps without motion of the robot; tuned
+    motion: float = 0.06  # units that count as motion; tuned
+    rotation: float = 0.4  # rad that do; tuned
+    no_progress_steps: int = 24  # control steps without progress; tuned
+    push_aside_steps: int = 12  # control steps of these after which blocks are pushed aside; tuned
+    progress: float = 0.05  # units less to drive that count as progress; tuned
+    move_steps: int = 80  # control steps of a move in all; tuned
+    escape_steps: int = 4  # control steps of driving away from a move that was given up; tuned
+    failures: int = 3  # moves given up last that are remembered; tuned
+
+
+STALL = StallSettings()
+
+
+@dataclass(frozen=True, slots=True)
+class Memory:
+    """An expert's memory; every field's default is that of an expert that has just taken over."""
+
+    plan: Plan = NO_PLAN
+    move: Move | None = None
+    side: float = 0.0  # rad: bearing at which the block is to be grasped
+    move_steps: int = 0  # control steps spent on the move
+    held_steps: int = 0  # control steps for which the block has been between the fingers
+    nearest: float = math.inf  # units: least distance left to drive during this move
+    steps_without_progress: int = 0  # control steps since it fell
+    stall_pose: tuple[float, float, float] = (math.inf, math.inf, 0.0)  # robot's, when last moving
+    stalled_steps: int = 0  # control steps since then
+    failures: int = 0  # moves given up
+    failed_blocks: tuple[int, ...] = ()  # of the moves given up last
+    escape_steps: int = 0  # control steps of driving away that are left
+    escape_with_block: bool = False  # whether the fingers stay closed meanwhile
+    idle_steps: int = 0  # control steps until an idle expert plans again
+
+
+def note_progress(memory: Memory, distance: float) -> Memory:
+    """Record the distance left to drive where it is less than ever during this move."""
+    if distance < memory.nearest - STALL.progress:
+        return replace(memory, nearest=distance, steps_without_progress=0)
+    return memory
+
+
+def note_motion(view: StateView, memory: Memory) -> Memory:
+    """Record whether the robot moves; where it is stuck, give the move up and begin an escape."""
+    is_stuck = (
+        memory.steps_without_progress > STALL.no_progress_steps
+        or memory.move_steps > STALL.move_steps
+    )
+    x, y, angle = memory.stall_pose
+    if view.distance_to((x, y)) > STALL.motion or abs(angle - view.angle) > STALL.rotation:
+        memory = replace(memory, stall_pose=(view.x, view.y, view.angle), stalled_steps=0)
+    elif memory.stalled_steps < STALL.stalled_steps:
+        memory = replace(memory, stalled_steps=memory.stalled_steps + 1)
+    else:
+        is_stuck = True
+    return _give_up(memory) if is_stuck and not memory.escape_steps else memory
+
+
+def _give_up(memory: Memory) -> Memory:
+    """Give up the move; the next escape pulls on a block that is held, but not twice in a row."""
+    move = memory.move
+    failed = () if move is None or move.block is None else (move.block,)
+    return Memory(
+        plan=memory.plan,
+        side=memory.side,
+        held_steps=memory.held_steps,
+        stall_pose=memory.stall_pose,
+        failures=memory.failures + 1,
+        failed_blocks=(*failed, *memory.failed_blocks)[: STALL.failures],
+        escape_steps=STALL.escape_steps,
+        escape_with_block=memory.held_steps > 0 and not memory.escape_with_block,
+    )

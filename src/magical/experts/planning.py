@@ -1,0 +1,89 @@
+"""What experts plan with: moves and plans, a demonstrator's strategy, a task's goals."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from magical.experts.state_view import StateView
+from magical.scene import Region, Scene
+from magical.scene.geometry import Point
+
+GRASP_SIDES = 16  # evenly spaced bearings from which a grasp is considered
+
+
+@dataclass(frozen=True, slots=True)
+class Move:
+    """Bring a block (or the robot itself, where `block` is None) within `tolerance` of a goal."""
+
+    goal: Point
+    tolerance: float  # units
+    block: int | None = None
+    extra_cost: float = 0.0  # control steps that are added when moves are compared
+    area: Region | None = None  # the move is also done once its block is in here
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """The moves still to make, in any order, and what keeps the next plan consistent with it."""
+
+    moves: tuple[Move, ...] = ()
+    places: tuple[Point, ...] = ()  # the task's own: a line's places, the clusters' anchors
+
+
+NO_PLAN = Plan()
+
+
+@dataclass(frozen=True, slots=True)
+class StrategySettings:
+    """How much demonstrators differ."""
+
+    max_side_cost: float = 4.0  # control steps; tuned by hand on expert scores
+    max_block_cost: float = 12.0  # control steps; tuned by hand on expert scores
+    blocks: int = 16  # with a preference of their own; more share them. Above every task's count
+    placements: int = 64  # numbers; more than any task's goals read
+
+
+STRATEGY = StrategySettings()
+
+
+@dataclass(frozen=True, slots=True)
+class Strategy:
+    """What makes one demonstrator differ from the next: preferences, sampled once per episode."""
+
+    side_costs: tuple[float, ...]  # control steps, of grasping from each side
+    block_costs: tuple[float, ...]  # control steps, of moving each block first
+    placements: tuple[float, ...]  # in [0, 1): which places and directions the goals prefer
+
+    @staticmethod
+    def sample(rng: np.random.Generator) -> "Strategy":
+        """Sample one demonstrator's preferences."""
+        return Strategy(
+            tuple((STRATEGY.max_side_cost * rng.random(GRASP_SIDES)).tolist()),
+            tuple((STRATEGY.max_block_cost * rng.random(STRATEGY.blocks)).tolist()),
+            tuple(rng.random(STRATEGY.placements).tolist()),
+        )
+
+
+def _never_solved(view: StateView) -> bool:
+    return False
+
+
+def _always_solvable(scene: Scene) -> str:
+    return ""
+
+
+@dataclass(frozen=True, slots=True)
+class Goals:
+    """What an expert must know of a task: a function from a state to the moves still to make.
+
+    Attributes:
+        plan_fn: The moves still to make, from the state, the strategy and the last plan.
+        solved_fn: Whether the task is solved; called often, so it should be cheap. Where it is
+            true the expert releases the block that it holds. Default: never.
+        unsolvable_fn: Why no actions can solve the task in a scene, or an empty text.
+    """
+
+    plan_fn: Callable[[StateView, Strategy, Plan], Plan]
+    solved_fn: Callable[[StateView], bool] = _never_solved
+    unsolvable_fn: Callable[[Scene], str] = _always_solvable

@@ -1,0 +1,211 @@
+"""Policies, actor-critics and discriminators: a trunk and task-specific last layers.
+
+Source: appendix B, Fig. 11; docs/specification.md, section 10.
+
+A trunk maps observations to features; a last layer per task maps features to logits, values or
+scores. Images are float (B, C, H, W) in [0, 1], state vectors float (B, size); `tasks` is int64
+(B,), the position of each row's task in the configuration.
+"""
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from magical.learning.networks import find_network
+from magical.learning.reinforcement import ReinforcementConfig
+from magical.learning.streams import seeded_init
+from magical.scene import NUM_ACTIONS
+
+MEAN_BRIGHTNESS = 0.92  # of the tasks' frames, in [0, 1]
+POLICY_GAIN = 0.01  # factor of the policy's last layer under `centred`: nearly uniform actions
+
+
+class Trunk(nn.Module):
+    """Observations to features: everything but the last layer.
+
+    Images pass the architecture's convolutions, are flattened, and pass its linear layers. State
+    vectors pass the linear layers alone. With `action_input` the one-hot action is joined to the
+    flattened output of the convolutions.
+
+    Attributes:
+        num_features: the size of the output.
+    """
+
+    def __init__(
+        self,
+        network: str,
+        input_shape: tuple[int, ...],
+        *,
+        batch_norm: bool = False,
+        action_input: bool = False,
+        num_features: int | None = None,
+    ) -> None:
+        """Build the trunk of an architecture, with PyTorch's initialisation.
+
+        Args:
+            network: the architecture's name.
+            input_shape: (C, H, W) of images or (size,) of state vectors.
+            batch_norm: use batch norm in the convolutions.
+            action_input: whether `forward` takes actions too.
+            num_features: replaces the last linear layer's size.
+
+        Raises:
+            UnknownNameError: no such architecture.
+        """
+        super().__init__()
+        architecture = find_network(network)
+        hidden = architecture.HIDDEN
+        if num_features is not None:
+            hidden = (*hidden[:-1], num_features)
+        self.convolutions = None
+        size = input_shape[0]
+        if len(input_shape) == 3:
+            self.convolutions = architecture.make_convolutions(input_shape[0], batch_norm)
+            size = _flat_size(self.convolutions, input_shape)
+        self.action_input = action_input
+        self.linear = _linear_layers(size + NUM_ACTIONS * action_input, hidden)
+        self.num_features = hidden[-1]
+        # Convolutions are fastest with this memory layout.
+        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+    def forward(self, observations: Tensor, actions: Tensor | None = None) -> Tensor:
+        """Features (B, num_features) of observations (B, ...), and of actions (B,) int64."""
+        flat = observations
+        if self.convolutions is not None:
+            flat = self.convolutions(observations).flatten(1)  # (B, C * H * W)
+        if self.action_input:
+            assert actions is not None
+            one_hot = functional.one_hot(actions, NUM_ACTIONS)  # (B, 18)
+            flat = torch.cat([flat, one_hot.to(flat.dtype)], dim=1)
+        features: Tensor = self.linear(flat)
+        return features
+
+
+def _flat_size(convolutions: nn.Module, input_shape: tuple[int, ...]) -> int:
+    convolutions.eval()  # leaves the statistics of batch norm alone
+    with torch.no_grad():
+        size = convolutions(torch.zeros(1, *input_shape)).numel()
+    convolutions.train()
+    return int(size)
+
+
+def _linear_layers(inputs: int, sizes: tuple[int, ...]) -> nn.Sequential:
+    layers: list[nn.Module] = []
+    for size in sizes:
+        layers += [nn.Linear(inputs, size), nn.ReLU()]
+        inputs = size
+    return nn.Sequential(*layers)
+
+
+class TaskLinear(nn.Module):
+    """A linear layer with separate weights for each task.
+
+    The outputs of all tasks are computed and each row's are selected: with at most eight tasks
+    that is cheaper than sorting rows, and shapes stay static.
+    """
+
+    def __init__(self, inputs: int, outputs: int, num_tasks: int) -> None:
+        super().__init__()
+        self.num_tasks = num_tasks
+        self.linear = nn.Linear(inputs, outputs * num_tasks)
+
+    def forward(self, features: Tensor, tasks: Tensor) -> Tensor:
+        """Outputs (B, outputs) of features (B, inputs) for each row's task (B,)."""
+        every: Tensor = self.linear(features)
+        if self.num_tasks == 1:
+            return every
+        every = every.view(len(features), self.num_tasks, -1)
+        index = tasks.view(-1, 1, 1).expand(-1, 1, every.shape[2])
+        return every.gather(1, index).squeeze(1)
+
+
+class PolicyNetwork(nn.Module):
+    """Logits of the 18 actions."""
+
+    def __init__(self, trunk: Trunk, num_tasks: int) -> None:
+        super().__init__()
+        self.trunk = trunk
+        self.policy = TaskLinear(trunk.num_features, NUM_ACTIONS, num_tasks)
+
+    def forward(self, observations: Tensor, tasks: Tensor) -> Tensor:
+        """Logits (B, 18)."""
+        logits: Tensor = self.policy(self.trunk(observations), tasks)
+        return logits
+
+
+class ActorCritic(PolicyNetwork):
+    """Logits and values; policy and value function share the trunk."""
+
+    def __init__(self, trunk: Trunk, num_tasks: int) -> None:
+        super().__init__(trunk, num_tasks)
+        self.value = TaskLinear(trunk.num_features, 1, num_tasks)
+
+    def logits_and_values(self, observations: Tensor, tasks: Tensor) -> tuple[Tensor, Tensor]:
+        """Logits (B, 18) and values (B,) from one pass through the trunk."""
+        features = self.trunk(observations)
+        return self.policy(features, tasks), self.value(features, tasks).squeeze(1)
+
+
+class Discriminator(nn.Module):
+    """One logit for an observation and an action; high means expert-like."""
+
+    def __init__(self, trunk: Trunk, num_tasks: int) -> None:
+        """`trunk` has an action input."""
+        super().__init__()
+        assert trunk.action_input
+        self.trunk = trunk
+        self.last = TaskLinear(trunk.num_features, 1, num_tasks)
+
+    def forward(self, images: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+        """Logits (B,)."""
+        logits: Tensor = self.last(self.trunk(images, actions), tasks)
+        return logits.squeeze(1)
+
+
+def make_actor_critic(config: ReinforcementConfig) -> ActorCritic:
+    """The policy of PPO and the algorithms built on it, initialised from the seed.
+
+    It has no batch norm (appendix B).
+    """
+    with seeded_init(config.seed):
+        trunk = Trunk(config.network, config.input_shape)
+        network = ActorCritic(trunk, len(config.tasks))
+        if config.init == "centred" and trunk.convolutions is not None:
+            centre(network)
+        return network
+
+
+def centre(network: ActorCritic) -> None:
+    """Initialise an actor-critic of images without batch norm so that it can tell frames apart.
+
+    With PyTorch's initialisation the difference between two frames, which are nearly white,
+    shrinks to a thousandth in the features. He initialisation keeps it, the first convolution's
+    biases cancel a uniform frame of mean brightness, and the initial policy is nearly uniform.
+    """
+    layers = [m for m in network.modules() if isinstance(m, nn.Conv2d | nn.Linear)]
+    for layer in layers:
+        nn.init.kaiming_normal_(layer.weight, nonlinearity="relu")
+        assert layer.bias is not None
+        nn.init.zeros_(layer.bias)
+    with torch.no_grad():
+        first = layers[0]
+        assert first.bias is not None
+        first.bias.copy_(-MEAN_BRIGHTNESS * first.weight.flatten(1).sum(dim=1))
+        network.policy.linear.weight.mul_(POLICY_GAIN)
+
+
+def sample_actions(logits: Tensor, uniforms: Tensor) -> tuple[Tensor, Tensor]:
+    """Sample actions by inverting the cumulative distribution.
+
+    Args:
+        logits: (B, 18).
+        uniforms: (B,) random numbers, uniform in [0, 1).
+
+    Returns:
+        Actions (B,) int64 and their log-probabilities (B,) float32.
+    """
+    log_probs = logits.float().log_softmax(dim=1)
+    cumulative = log_probs.exp().cumsum(dim=1)  # (B, 18)
+    actions = (uniforms[:, None] * cumulative[:, -1:] >= cumulative).sum(dim=1)
+    actions = actions.clamp_(max=logits.shape[1] - 1)
+    return actions, log_probs.gather(1, actions[:, None]).squeeze(1)

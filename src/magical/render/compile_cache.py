@@ -1,0 +1,149 @@
+"""Compiled code on disk: verified before it is loaded, and never needed.
+
+numba's own cache reads whatever it finds: a truncated file ends in `EOFError`, a flipped bit in
+the machine code in a segmentation fault, and a full disk in an `OSError` after compilation has
+succeeded. `CompileCache` takes its place behind the same five methods. It keeps one file for each
+compiled function: a SHA-256 digest, then what numba needs to load the function again. The content
+is unpickled only if the digest matches, and whatever else is wrong has one outcome: the function is
+compiled again.
+
+The files are in a folder of the user's own, which no other user can read or write; that protects
+against code from other users. The digest protects against damage. Neither protects against programs
+that run as the same user, which could change the package itself.
+
+numba has no public interface for a custom cache, so this is the only file that uses
+`numba.core`; where a release of numba differs, functions are compiled in every process.
+"""
+
+import contextlib
+import hashlib
+import os
+import pickle
+import stat
+import sys
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba.core import config
+from numba.core.compiler import CompileResult
+from numba.core.serialize import dumps
+
+from magical.files import write_atomically
+
+DIGEST_BYTES = hashlib.sha256().digest_size
+MOST_FILES = 64  # in the folder: those of older sources and other machines are removed
+SOURCES = ("render", "scene")  # the rooms that compiled code is made of
+
+
+class CompileCache:
+    """What a numba dispatcher loads compiled code from and saves it to.
+
+    Args:
+        function: the function that is compiled; its name and the values it closes over are part of
+            the key, with the signature, the processor, the versions of Python and numba, and the
+            sources of the rooms it is made of.
+        folder: where the files are. Default: `cache_folder()`.
+    """
+
+    def __init__(self, function: Callable[..., Any], folder: Path | None = None) -> None:
+        self._name = function.__name__
+        closed_over = [cell.cell_contents for cell in function.__closure__ or ()]
+        self._key = (function.__module__, function.__qualname__, closed_over)
+        self._folder = folder
+
+    @property
+    def cache_path(self) -> str:
+        """The folder, as numba's statistics show it."""
+        return str(self._folder or cache_folder())
+
+    def load_overload(self, signature: Any, target_context: Any) -> Any:
+        """The compiled function for a signature, or None: numba then compiles it."""
+        target_context.refresh()
+        try:
+            content = self._path(signature, target_context.codegen()).read_bytes()
+            digest, payload = content[:DIGEST_BYTES], content[DIGEST_BYTES:]
+            if hashlib.sha256(payload).digest() != digest:
+                return None
+            # What `save_overload` wrote, bit for bit, in a folder of the user's own.
+            return CompileResult._rebuild(target_context, *pickle.loads(payload))  # noqa: S301
+        except Exception:  # whatever it is, compiling again is the remedy
+            return None
+
+    def save_overload(self, signature: Any, result: Any) -> None:
+        """Keep a compiled function; without an effect where it cannot be kept."""
+        with contextlib.suppress(OSError, RuntimeError, AttributeError, pickle.PicklingError):
+            Path(self.cache_path).mkdir(mode=0o700, parents=True, exist_ok=True)
+            path = self._path(signature, result.codegen)
+            payload = dumps(result._reduce())
+            with write_atomically(path) as file:
+                file.write(hashlib.sha256(payload).digest())
+                file.write(payload)
+            _remove_oldest(path.parent)
+
+    def enable(self) -> None:
+        """Nothing: the cache is always in use."""
+
+    def disable(self) -> None:
+        """Nothing: the cache is always in use."""
+
+    def flush(self) -> None:
+        """Nothing: a key names its sources, so that no file is ever out of date."""
+
+    def _path(self, signature: Any, codegen: Any) -> Path:
+        """The file of a signature; raises `OSError` unless the folder is there and private."""
+        folder = Path(self.cache_path)
+        check_private(folder)
+        versions = (sys.implementation.cache_tag, numba.__version__, source_digest())
+        key = (self._key, str(signature), codegen.magic_tuple(), versions)
+        digest = hashlib.sha256(repr(key).encode()).hexdigest()
+        return folder / f"{self._name}-{digest[:32]}.bin"
+
+
+def cache_folder() -> Path:
+    """The folder that compiled code is kept in; raises `RuntimeError` for a user without a home.
+
+    That of numba's setting `NUMBA_CACHE_DIR` where there is one, otherwise the platform's folder
+    for caches: `XDG_CACHE_HOME` or `~/.cache`, on Windows `LOCALAPPDATA`.
+    """
+    platform = "LOCALAPPDATA" if sys.platform == "win32" else "XDG_CACHE_HOME"
+    base = config.CACHE_DIR or os.environ.get(platform) or Path("~", ".cache").expanduser()
+    return Path(base, "magical-benchmark", "compiled")
+
+
+def check_private(folder: Path) -> None:
+    """Raise `OSError` unless a path is a folder, no link, that is private to the user (mode 0700).
+
+    Windows has no such modes; there, the user's profile is private by itself.
+    """
+    status = folder.lstat()
+    if not stat.S_ISDIR(status.st_mode):
+        raise NotADirectoryError(f"expected a folder, found something else: {folder}")
+    if sys.platform == "win32":
+        return
+    if status.st_uid != os.geteuid() or status.st_mode & 0o077:
+        raise PermissionError(f"expected a folder of the user's own with mode 0700: {folder}")
+
+
+@cache
+def source_digest() -> str:
+    """A digest of every source file that compiled code is made of."""
+    package = Path(__file__).parents[1]
+    return digest_of(*(package / room for room in SOURCES))
+
+
+def digest_of(*folders: Path) -> str:
+    """A digest of the Python files in some folders, by name and content."""
+    digest = hashlib.sha256()
+    for path in (path for folder in folders for path in sorted(folder.glob("*.py"))):
+        digest.update(f"{path.name} {path.stat().st_size}\n".encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def _remove_oldest(folder: Path) -> None:
+    files = sorted(folder.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
+    for path in files[MOST_FILES:]:
+        path.unlink(missing_ok=True)

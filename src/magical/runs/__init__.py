@@ -1,0 +1,11 @@
+"""Run folders and their metrics as plain files.
+
+This room is below `learning` because training writes run folders and `report` reads them: a reader
+of a run needs neither PyTorch nor the code that made it. The one file that needs PyTorch, the
+checkpoint, belongs to `magical.learning.checkpoints`; here it has only a name.
+"""
+
+from magical.runs.folder import is_run, open_folder, read_json
+from magical.runs.metrics import MetricsWriter, read_metrics
+
+__all__ = ["MetricsWriter", "is_run", "open_folder", "read_json", "read_metrics"]

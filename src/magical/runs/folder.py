@@ -1,0 +1,113 @@
+"""The files of a run folder: which there are, creating the folder, checking it before resuming.
+
+- `config.json`: the configuration
+- `run.json`: versions, demonstrations with SHA-256 sums, device and precision
+- `metrics.jsonl`: one JSON object a line
+- `checkpoint.safetensors`: the newest checkpoint
+- `learning-curves.png`: the metrics as a picture
+- `tensorboard/`: the metrics again, on request
+"""
+
+import json
+import platform
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from magical import __version__
+from magical.errors import RunFolderError
+from magical.files import write_atomically
+
+CONFIG = "config.json"
+RECORD = "run.json"
+METRICS = "metrics.jsonl"
+CHECKPOINT = "checkpoint.safetensors"
+CURVES = "learning-curves.png"
+TENSORBOARD = "tensorboard"
+
+VERSIONED = ("torch", "numpy", "pymunk", "numba", "safetensors")  # what results may depend on
+
+
+def is_run(path: Path | str) -> bool:
+    """Whether a path is a run folder."""
+    return (Path(path) / CONFIG).is_file()
+
+
+def open_folder(path: Path, config: Mapping[str, Any], resume: bool) -> None:
+    """Create a run folder, or check that an existing one belongs to the same run.
+
+    Args:
+        path: a new or an empty folder; with `resume`, one that holds a run.
+        config: the configuration as plain data.
+        resume: whether an existing run is to be continued.
+
+    Raises:
+        RunFolderError: the folder holds another configuration, or the same one and `resume` is
+            false; it holds other files; there is nothing to resume.
+    """
+    if is_run(path):
+        _check_existing(path, config, resume)
+        return
+    if resume:
+        raise RunFolderError(f"{path}: expected a run to resume, found none")
+    if path.exists() and (not path.is_dir() or any(path.iterdir())):
+        raise RunFolderError(f"{path}: expected a new or an empty folder, found other things in it")
+    write_json(path / CONFIG, config)
+    write_json(path / RECORD, {"versions": versions(), "began": f"{datetime.now(UTC):%FT%TZ}"})
+
+
+def _check_existing(path: Path, config: Mapping[str, Any], resume: bool) -> None:
+    different = differences(config, read_json(path / CONFIG))
+    if different:
+        raise RunFolderError(
+            f"{path} holds a run with another configuration: {different}; choose another "
+            "folder, or the same configuration to resume it"
+        )
+    if not resume:
+        raise RunFolderError(
+            f"{path} holds this run already; add --resume (resume=True) to continue it, or "
+            "choose another folder"
+        )
+
+
+def differences(wanted: Mapping[str, Any], found: Mapping[str, Any]) -> str:
+    """The settings that differ, and how.
+
+    The dataset's path may change between sessions of a run: its contents are compared instead.
+    """
+    names = [name for name in {**wanted, **found} if name != "demos"]
+    return ", ".join(
+        f"{name} {found.get(name)!r} there, {wanted.get(name)!r} asked for"
+        for name in names
+        if wanted.get(name) != found.get(name)
+    )
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python, this package and the libraries that results may depend on."""
+    found = {"magical": __version__, "python": platform.python_version()}
+    for name in VERSIONED:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:  # an extra that is not installed
+            continue
+    return found
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON object; raises `RunFolderError` if it is missing or damaged."""
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise RunFolderError(f"{path}: expected a file of a run, found {error}") from error
+    if not isinstance(data, dict):
+        raise RunFolderError(f"{path}: expected a JSON object, found {type(data).__name__}")
+    return data
+
+
+def write_json(path: Path, data: Mapping[str, Any]) -> None:
+    """Write a JSON object, indented, atomically."""
+    with write_atomically(path) as file:
+        file.write((json.dumps(data, indent=2) + "\n").encode())

@@ -1,0 +1,265 @@
+"""Saved states from outside: either they are continued from, or `InvalidStateError` says why not.
+
+More mutants than by default: `FUZZ_MUTANTS=20000 pytest tests/envs/test_saved_state.py`.
+"""
+
+import copy
+import json
+import math
+import os
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+
+from magical.envs.env import MagicalEnv
+from magical.envs.vector import MagicalVectorEnv
+from magical.errors import InvalidStateError, ResetNeededError
+
+MUTANTS = int(os.environ.get("FUZZ_MUTANTS", "2000"))
+TASK, VARIANT = "MatchRegions", "TestAll"
+LONGEST_MESSAGE = 1_000
+State = dict[str, Any]
+
+
+def make_env() -> MagicalEnv:
+    return MagicalEnv(TASK, VARIANT, observation="state")
+
+
+def saved_state() -> State:
+    env = make_env()
+    env.reset(seed=4)
+    for action in (1, 4, 13):
+        env.step(action)
+    state: State = json.loads(json.dumps(env.get_state()))
+    return state
+
+
+SAVED = saved_state()
+
+
+def doubled(times: int) -> Any:
+    value: Any = 0
+    for _ in range(times):
+        value = (value, value)
+    return value
+
+
+def nested(depth: int) -> Any:
+    value: Any = 0
+    for _ in range(depth):
+        value = (value,)
+    return value
+
+
+def with_entry(path: tuple[Any, ...], value: Any) -> State:
+    state = copy.deepcopy(SAVED)
+    parent: Any = state
+    for key in path[:-1]:
+        parent = parent[key]
+    parent[path[-1]] = value
+    return state
+
+
+def without(*names: str) -> State:
+    return {name: value for name, value in SAVED.items() if name not in names}
+
+
+DAMAGED: dict[str, tuple[str, Callable[[], Any]]] = {
+    "negative horizon": ("horizon", partial(with_entry, ("horizon",), -5)),
+    "horizon 0": ("horizon", partial(with_entry, ("horizon",), 0)),
+    "horizon is a fraction": ("horizon", partial(with_entry, ("horizon",), 3.5)),
+    "horizon is a string": ("horizon", partial(with_entry, ("horizon",), "120")),
+    "horizon is a bool": ("horizon", partial(with_entry, ("horizon",), True)),
+    "horizon of 200 digits": ("horizon", partial(with_entry, ("horizon",), 10**200)),
+    "horizon below the actions": ("actions", partial(with_entry, ("horizon",), 2)),
+    "another task": ("task", partial(with_entry, ("task",), "MakeLine")),
+    "task is a list": ("task", partial(with_entry, ("task",), [1])),
+    "another task's variant": ("variant", partial(with_entry, ("variant",), "TestMars")),
+    "variant is None": ("variant", partial(with_entry, ("variant",), None)),
+    "robot far outside": ("scene", partial(with_entry, ("scene", "robot"), [1e6, 0, 0])),
+    "robot is infinite": ("scene", partial(with_entry, ("scene", "robot"), [math.inf, 0, 0])),
+    "robot of 400 digits": ("scene", partial(with_entry, ("scene", "robot"), [10**400, 0, 0])),
+    "no blocks": ("scene", partial(with_entry, ("scene", "blocks"), [])),
+    "blocks is a number": ("scene", partial(with_entry, ("scene", "blocks"), 5)),
+    "doubled tuples": ("scene", lambda: with_entry(("scene", "blocks"), doubled(100))),
+    "nested tuples": ("scene", lambda: with_entry(("scene", "blocks"), nested(190_000))),
+    "many blocks": (
+        "scene",
+        lambda: with_entry(("scene", "blocks"), SAVED["scene"]["blocks"] * 10_000),
+    ),
+    "control characters": (
+        "scene",
+        partial(with_entry, ("scene", "blocks", 0, 0), "\x1b[31mstar"),
+    ),
+    "negative force": ("dynamics", partial(with_entry, ("dynamics",), {"body_gear_max_force": -1})),
+    "unknown force": ("dynamics", partial(with_entry, ("dynamics",), {"gravity": 1.0})),
+    "dynamics is None": ("dynamics", partial(with_entry, ("dynamics",), None)),
+    "actions is a string": ("actions", partial(with_entry, ("actions",), "111")),
+    "action 18": ("actions", partial(with_entry, ("actions",), [18])),
+    "action is a fraction": ("actions", partial(with_entry, ("actions",), [1.5])),
+    "a million actions": ("actions", lambda: with_entry(("actions",), [0] * 1_000_000)),
+    "another generator": ("rng", partial(with_entry, ("rng", "bit_generator"), "MT19937")),
+    "negative word of the generator": (
+        "rng",
+        partial(with_entry, ("rng", "state", "state"), -1),
+    ),
+    "word of the generator too long": (
+        "rng",
+        partial(with_entry, ("rng", "state", "inc"), 1 << 200),
+    ),
+    "no generator": ("rng", partial(without, "rng")),
+    "no scene": ("scene", partial(without, "scene")),
+    "None": ("saved state", lambda: None),
+    "a list": ("saved state", lambda: [1, 2]),
+}
+
+
+def refusal(set_state: Callable[[Any], Any], state: Any) -> str:
+    with pytest.raises(InvalidStateError) as caught:
+        set_state(state)
+    message = str(caught.value)
+    assert len(message) <= LONGEST_MESSAGE
+    assert message.isprintable()
+    return message
+
+
+@pytest.mark.parametrize(("field", "make"), DAMAGED.values(), ids=DAMAGED)
+def test_damaged_states_are_refused_and_the_field_is_named(
+    field: str, make: Callable[[], Any]
+) -> None:
+    env = make_env()
+    assert field in refusal(env.set_state, make())
+    with pytest.raises(ResetNeededError):
+        env.step(0)
+    env.set_state(SAVED)
+    env.step(0)
+    env.reset()
+
+
+def test_workers_refuse_damaged_states_as_well() -> None:
+    envs = MagicalVectorEnv([f"{TASK}-{VARIANT}-v0"], workers=1, observation="state")
+    for field, make in DAMAGED.values():
+        assert field in refusal(partial(envs.set_state, 0), make())
+    envs.set_state(0, SAVED)
+    envs.step([0])
+    envs.close()
+
+
+NESTED, DOUBLED = nested(100_000), doubled(60)
+VALUES: tuple[Callable[[], Any], ...] = (
+    lambda: None,
+    lambda: True,
+    lambda: -1,
+    lambda: 0,
+    lambda: 0.5,
+    lambda: 1e6,
+    lambda: -0.0,
+    lambda: 5e-324,
+    lambda: 1e308,
+    lambda: math.nan,
+    lambda: math.inf,
+    lambda: 10**400,
+    lambda: "",
+    lambda: "red",
+    lambda: "\x1b[2J\x00",
+    lambda: "x" * 100_000,
+    lambda: b"star",
+    list,
+    dict,
+    lambda: [[]],
+    lambda: {"x": {}},
+    lambda: NESTED,
+    lambda: DOUBLED,
+    lambda: np.zeros(3),
+    lambda: {1, 2},
+    object,
+)
+
+
+def paths(value: Any, here: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
+    """The path to every entry of nested dicts and lists."""
+    entries = value.items() if isinstance(value, dict) else enumerate(value)
+    below = [(key, (*here, key)) for key, _ in entries]
+    return [
+        path
+        for key, entry in below
+        for path in (
+            entry,
+            *(paths(value[key], entry) if isinstance(value[key], dict | list) else ()),
+        )
+    ]
+
+
+PATHS = paths(SAVED)
+
+
+def mutate(state: State, rng: np.random.Generator) -> None:
+    """Change one entry: remove, replace, repeat, exchange or perturb it."""
+    path = PATHS[rng.integers(len(PATHS))]
+    parent: Any = state
+    try:
+        for key in path[:-1]:
+            parent = parent[key]
+        old = parent[path[-1]]
+    except (KeyError, IndexError, TypeError):
+        return  # an earlier change has removed it
+    if not isinstance(parent, dict | list):
+        return
+    kind = rng.integers(5)
+    if kind == 0:
+        del parent[path[-1]]
+    elif kind == 1:
+        parent[path[-1]] = VALUES[rng.integers(len(VALUES))]()
+    elif kind == 2 and isinstance(old, list):
+        parent[path[-1]] = old * int(rng.choice([0, 2, 1000]))
+    elif kind == 3:
+        parent[path[-1]] = copy.deepcopy(SAVED[str(rng.choice(list(SAVED)))])
+    elif isinstance(old, float):
+        parent[path[-1]] = old + float(rng.normal())
+    elif isinstance(old, int):
+        parent[path[-1]] = old + int(rng.integers(-2, 3))
+
+
+def test_mutants_are_refused_or_continued_from() -> None:
+    rng = np.random.default_rng(0)
+    env, other = make_env(), make_env()
+    before = json.dumps(SAVED)
+    accepted = refused = 0
+    for _ in range(MUTANTS):
+        state = copy.deepcopy(SAVED)
+        for _ in range(rng.integers(1, 3)):
+            mutate(state, rng)
+        message = refused_because(env, state)
+        if message is None:
+            check_continuation(env, other)
+            accepted += 1
+        else:
+            assert len(message) <= LONGEST_MESSAGE
+            assert message.isprintable()
+            refused += 1
+    print(f"{MUTANTS} mutants: {accepted} accepted, {refused} refused")
+    assert json.dumps(SAVED) == before  # what all mutants are made of
+    assert min(accepted, refused) > MUTANTS // 10
+
+
+def refused_because(env: MagicalEnv, state: State) -> str | None:
+    try:
+        env.set_state(state)
+    except InvalidStateError as error:
+        return str(error)
+    return None
+
+
+def check_continuation(env: MagicalEnv, other: MagicalEnv) -> None:
+    """Another environment continues bit-equally from an accepted state, and all is finite."""
+    again = other.set_state(json.loads(json.dumps(env.get_state())))
+    assert other.get_state() == env.get_state()
+    np.testing.assert_array_equal(env.state().poses.bodies, other.state().poses.bodies)
+    if len(env.get_state()["actions"]) < env.horizon:
+        again = other.step(1)[0]
+        np.testing.assert_array_equal(env.step(1)[0], again)
+    assert np.isfinite(again).all()
+    assert np.abs(env.state().poses.robot[:2]).max() < 1.1

@@ -1,0 +1,239 @@
+"""Compiled code on disk: used when it is intact and the user's own, and never needed."""
+
+import errno
+import hashlib
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from numba.core import compiler, config, serialize
+
+import magical
+from magical.render import compile_cache, jit
+from magical.render.compile_cache import MOST_FILES, CompileCache, cache_folder, digest_of
+
+POSIX = pytest.mark.skipif(sys.platform == "win32", reason="owners and modes are POSIX's")
+FLIPS = 400  # of one bit each, at random places of the file
+STORE = (
+    "import numpy as np\n"
+    "from magical.render.output import compiled_store\n"
+    "store, image = compiled_store(), np.empty((2, 2, 3), np.uint8)\n"
+    "store(np.arange(4, dtype=np.int32), image)\n"
+    "assert image[:, :, 0].tolist() == [[2, 3], [0, 1]]\n"
+    "print(sum(store.stats.cache_hits.values()), sum(store.stats.cache_misses.values()))\n"
+)
+
+
+def double(x: int) -> int:
+    return 2 * x
+
+
+def dispatcher(folder: Path) -> Any:
+    """`double`, not yet compiled, with its cache in a folder."""
+    function: Any = numba.njit(double)
+    function._cache = CompileCache(double, folder)
+    return function
+
+
+def hits(folder: Path) -> int:
+    """How often a call, whose result is checked, found its compiled code in the folder."""
+    function = dispatcher(folder)
+    assert function(21) == 42
+    return int(sum(function.stats.cache_hits.values()))
+
+
+def loads(folder: Path) -> bool:
+    """Whether the cache finds `double` for an integer, without compiling it if not."""
+    function = dispatcher(folder)
+    return function._cache.load_overload((numba.int64,), function.targetctx) is not None
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A cache with `double` in it."""
+    path = tmp_path / "user" / "compiled"
+    assert hits(path) == 0
+    return path
+
+
+def only_file(folder: Path) -> Path:
+    (path,) = folder.iterdir()
+    return path
+
+
+def test_what_was_compiled_is_loaded(folder: Path) -> None:
+    assert loads(folder)
+    assert hits(folder) == 1
+    assert only_file(folder).name.startswith("double-")
+
+
+@POSIX
+def test_the_folder_is_made_for_the_user_alone(folder: Path) -> None:
+    assert folder.stat().st_mode & 0o777 == 0o700
+
+
+def test_a_flipped_bit_is_noticed(folder: Path) -> None:
+    path, rng = only_file(folder), np.random.default_rng(0)
+    intact = path.read_bytes()
+    for bit in rng.integers(8 * len(intact), size=FLIPS).tolist():
+        damaged = bytearray(intact)
+        damaged[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(damaged)
+        assert not loads(folder), f"bit {bit}"
+
+
+@pytest.mark.parametrize("part", [0.0, 0.001, 0.5, 0.999])
+def test_a_truncated_file_is_rebuilt(part: float, folder: Path) -> None:
+    path = only_file(folder)
+    intact = path.read_bytes()
+    path.write_bytes(intact[: int(part * len(intact))])
+    assert hits(folder) == 0
+    assert hits(folder) == 1
+
+
+def test_an_intact_file_of_something_else_is_rebuilt(folder: Path) -> None:
+    """As when another release of numba wrote it under the same key."""
+    payload = serialize.dumps(("no", "compiled", "function"))
+    only_file(folder).write_bytes(hashlib.sha256(payload).digest() + payload)
+    assert hits(folder) == 0
+    assert hits(folder) == 1
+
+
+@POSIX
+@pytest.mark.parametrize("mode", [0o755, 0o770, 0o707])
+def test_a_folder_that_others_can_open_is_not_used(mode: int, folder: Path) -> None:
+    folder.chmod(mode)
+    path = only_file(folder)
+    before = path.stat().st_mtime_ns
+    assert hits(folder) == 0
+    assert only_file(folder).stat().st_mtime_ns == before
+
+
+@POSIX
+def test_a_folder_of_another_user_is_not_used(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = os.geteuid() + 1
+    monkeypatch.setattr(os, "geteuid", lambda: other)
+    assert hits(folder) == 0
+
+
+@POSIX
+def test_a_link_to_a_folder_is_not_used(folder: Path, tmp_path: Path) -> None:
+    link = tmp_path / "link"
+    link.symlink_to(folder)
+    assert hits(link) == 0
+
+
+def test_without_a_place_to_keep_it(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    assert hits(tmp_path / "file" / "compiled") == 0
+    assert hits(tmp_path / "file") == 0
+
+
+def test_a_folder_in_the_files_place(folder: Path) -> None:
+    path = only_file(folder)
+    path.unlink()
+    path.mkdir()
+    assert hits(folder) == 0
+
+
+def test_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    @contextmanager
+    def full(_: Path) -> Iterator[Any]:
+        raise OSError(errno.ENOSPC, "No space left on device")
+        yield
+
+    monkeypatch.setattr(compile_cache, "write_atomically", full)
+    assert hits(tmp_path / "compiled") == 0
+    assert not list((tmp_path / "compiled").iterdir())
+
+
+def test_a_user_without_a_home(monkeypatch: pytest.MonkeyPatch) -> None:
+    def homeless() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(compile_cache, "cache_folder", homeless)
+    function: Any = jit.entry_point(double)
+    assert function(4) == 8
+
+
+def test_a_numba_whose_results_cannot_be_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(compiler.CompileResult, "_reduce")
+    assert hits(tmp_path / "compiled") == 0
+
+
+def test_the_key_has_what_a_function_closes_over(tmp_path: Path) -> None:
+    def scaled(factor: int) -> Any:
+        def multiply(x: int) -> int:
+            return factor * x
+
+        function: Any = numba.njit(multiply)
+        function._cache = CompileCache(multiply, tmp_path / "compiled")
+        return function
+
+    assert [scaled(factor)(5) for factor in (2, 3, 2)] == [10, 15, 10]
+    assert len(list((tmp_path / "compiled").iterdir())) == 2
+
+
+def test_other_sources_are_another_key(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compile_cache, "source_digest", lambda: "changed")
+    assert hits(folder) == 0
+
+
+def test_digest_changes_with_any_file(tmp_path: Path) -> None:
+    first = digest_of(tmp_path)
+    (tmp_path / "a.py").write_text("x = 1\n")
+    second = digest_of(tmp_path)
+    (tmp_path / "a.py").write_text("x = 2\n")
+    third = digest_of(tmp_path)
+    (tmp_path / "a.py").rename(tmp_path / "b.py")
+    assert len({first, second, third, digest_of(tmp_path)}) == 4
+    rooms = Path(magical.__file__).parent
+    assert digest_of(rooms / "render", rooms / "scene") == compile_cache.source_digest()
+
+
+def test_the_oldest_files_are_removed(folder: Path) -> None:
+    for i in range(MOST_FILES + 5):
+        (folder / f"old-{i}.bin").write_bytes(b"")
+        os.utime(folder / f"old-{i}.bin", (i, i))
+    only_double = next(folder.glob("double-*"))
+    only_double.write_bytes(b"")
+    assert hits(folder) == 0
+    names = {path.name for path in folder.iterdir()}
+    assert len(names) == MOST_FILES
+    assert only_double.name in names
+    assert "old-0.bin" not in names
+
+
+def test_numbas_own_setting_moves_the_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    assert cache_folder() == tmp_path / "magical-benchmark" / "compiled"
+    monkeypatch.setattr(config, "CACHE_DIR", "")
+    monkeypatch.setenv("LOCALAPPDATA" if sys.platform == "win32" else "XDG_CACHE_HOME", "/caches")
+    assert cache_folder() == Path("/caches", "magical-benchmark", "compiled")
+
+
+def test_two_processes_compile_at_once_and_a_third_loads(tmp_path: Path) -> None:
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+
+    def start() -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            [sys.executable, "-c", STORE], env=environment, stdout=subprocess.PIPE, text=True
+        )
+
+    together = [start(), start()]
+    assert {process.communicate()[0] for process in together} <= {"0 1\n", "1 0\n"}
+    assert start().communicate()[0] == "1 0\n"
+    assert not list(tmp_path.rglob("*.part"))

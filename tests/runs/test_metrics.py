@@ -1,0 +1,54 @@
+"""The writer and the reader of metrics."""
+
+import math
+import re
+from pathlib import Path
+
+import pytest
+
+from magical.errors import RunFolderError
+from magical.runs import MetricsWriter, read_metrics
+from magical.runs.folder import METRICS
+
+
+def write(folder: Path, step: int, *rows: tuple[int, float]) -> None:
+    writer = MetricsWriter(folder, step)
+    for number, loss in rows:
+        writer.write(number, {"loss": loss})
+    writer.close()
+
+
+def append(folder: Path, text: str) -> None:
+    with (folder / METRICS).open("a") as file:
+        file.write(text)
+
+
+def test_what_is_written_is_read(tmp_path: Path) -> None:
+    assert read_metrics(tmp_path) == []
+    writer = MetricsWriter(tmp_path, 0)
+    writer.write(1, {"loss": 0.12345678, "episodes": 3, "warning": "one action"})
+    assert read_metrics(tmp_path) == [  # at once, before the file is closed
+        {"step": 1, "loss": 0.123457, "episodes": 3, "warning": "one action"}
+    ]
+    writer.close()
+
+
+def test_numbers_that_are_not_finite_are_null(tmp_path: Path) -> None:
+    write(tmp_path, 0, (1, math.nan), (2, math.inf))
+    assert [row["loss"] for row in read_metrics(tmp_path)] == [None, None]
+
+
+def test_metrics_after_the_checkpoint_are_dropped(tmp_path: Path) -> None:
+    write(tmp_path, 0, (1, 0.5), (2, 0.25), (3, 0.125))
+    append(tmp_path, '{"step": 4, "lo')
+    assert [row["step"] for row in read_metrics(tmp_path)] == [1, 2, 3]
+    write(tmp_path, 2, (3, 0.75))
+    assert [row["loss"] for row in read_metrics(tmp_path)] == [0.5, 0.25, 0.75]
+
+
+@pytest.mark.parametrize("line", ["{half", "[]", '{"loss": 1}'])
+def test_a_damaged_line_is_named(tmp_path: Path, line: str) -> None:
+    write(tmp_path, 0, (1, 0.5))
+    append(tmp_path, f"{line}\n")
+    with pytest.raises(RunFolderError, match=f"line 2: .* found {re.escape(line)}"):
+        read_metrics(tmp_path)

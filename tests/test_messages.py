@@ -1,0 +1,92 @@
+"""Values in error messages are short and printable, whatever they are."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from magical.messages import MAX_LENGTH, printable, quoted
+from magical.scene import Colour
+
+
+class Hostile(list[int]):
+    """A value none of whose methods may be called."""
+
+    def __repr__(self) -> str:
+        raise RuntimeError("repr was called")
+
+    __str__ = __len__ = __iter__ = __repr__  # type: ignore[assignment]
+
+
+class Renamed(type):
+    @property
+    def __name__(cls) -> str:  # type: ignore[override]
+        raise RuntimeError("__name__ was called")
+
+
+def doubled(times: int) -> Any:
+    """Nested pairs: small in memory, 2 ** times items when written out."""
+    value: Any = ()
+    for _ in range(times):
+        value = (value, value)
+    return value
+
+
+def containing_itself() -> Any:
+    value: list[Any] = []
+    value.append(value)
+    return value
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        ("a", "'a'"),
+        (3, "3"),
+        (-0.5, "-0.5"),
+        (True, "True"),
+        (None, "None"),
+        (b"ab", "b'ab'"),
+        (Colour.RED, "'red'"),
+        (np.int64(3), "3"),
+        (np.float64(0.5), "0.5"),
+        (np.bool_(False), "False"),
+        ([1, "b", (2, 3)], "[1, 'b', <tuple of 2>]"),
+        ({"a": [1], 2: None}, "{'a': <list of 1>, 2: None}"),
+        (list(range(100)), "[0, 1, 2, 3, 4, 5, 6, 7, ... (100 items)]"),
+        (np.zeros((3, 4)), "<array of shape (3, 4), f64>"),
+        (object(), "<object>"),
+    ],
+)
+def test_ordinary_values(value: Any, text: str) -> None:
+    assert quoted(value) == text
+
+
+UNTRUSTED: dict[str, Callable[[], Any]] = {
+    "control characters": lambda: "\x1b[31mred\x07\r\n\u202e",
+    "surrogate": lambda: "\ud800",
+    "long string": lambda: "x" * 10_000_000,
+    "long bytes": lambda: b"\x00" * 10_000_000,
+    "long integer": lambda: 10**100_000,
+    "doubled tuples": lambda: doubled(100),
+    "list in itself": containing_itself,
+    "hostile list": Hostile,
+    "hostile metaclass": lambda: Renamed("Anonymous", (), {})(),
+    "control characters in a type's name": lambda: type("\x1b[31m" * 100, (), {})(),
+    "long dict entries": lambda: {"k" * 1000: "v" * 1000},
+    "control characters in a list": lambda: ["\x1b" * 100] * 100,
+}
+
+
+@pytest.mark.parametrize("make", UNTRUSTED.values(), ids=UNTRUSTED)
+def test_untrusted_values_are_bounded_and_printable(make: Callable[[], Any]) -> None:
+    text = quoted(make())
+    assert 0 < len(text) <= MAX_LENGTH
+    assert text.isprintable()
+
+
+def test_text_without_quotes() -> None:
+    assert printable("a name") == "a name"
+    assert printable("a\x1b[31m name") == r"a\x1b[31m name"
+    assert len(printable("x" * 1000)) <= MAX_LENGTH
