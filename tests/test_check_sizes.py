@@ -18,7 +18,7 @@ def check_sizes(root: Path) -> ModuleType:
     return module
 
 
-@pytest.mark.parametrize(("lines", "status"), [(300, 0), (301, 1)])
+@pytest.mark.parametrize(("lines", "status"), [(400, 0), (401, 1)])
 def test_files(check_sizes: ModuleType, tmp_path: Path, lines: int, status: int) -> None:
     (tmp_path / "x.py").write_text("pass\n" * lines)
     assert check_sizes.main([str(tmp_path)]) == status

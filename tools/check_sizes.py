@@ -1,4 +1,4 @@
-"""Hold every Python file to 300 lines and every function to 50 lines.
+"""Hold every Python file to 400 lines and every function to 50 lines.
 
 python tools/check_sizes.py src tests
 """
@@ -8,7 +8,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-MAX_FILE_LINES = 300
+MAX_FILE_LINES = 400
 MAX_FUNCTION_LINES = 50
 
 

@@ -53,7 +53,7 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
         self._writer = DatasetWriter(dataset)
         self._demonstrator = demonstrator
         self._min_score = min_score
-        self._extra: dict[str, Any] = dict(metadata or {})
+        self._episode_metadata = dict(metadata or {})
         self._poses: list[NDArray[np.float64]] = []
         self._seed: int | None = None
         self.recorded = 0  # episodes stored so far
@@ -93,7 +93,7 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
                 published_code_score=scores.published_code,
                 seed=self._seed,
                 demonstrator=self._demonstrator,
-                metadata={**provenance(), **self._extra},
+                metadata={**provenance(), **self._episode_metadata},
             )
         )
         self.recorded += 1

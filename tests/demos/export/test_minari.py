@@ -58,7 +58,7 @@ def test_refused_minari_export_leaves_no_files(mixed: Path, tmp_path: Path) -> N
     part = Dataset.open(mixed).filter(task="MoveToCorner")
     export_minari(part, root=root)
     before = sorted(root.rglob("*"))
-    with pytest.raises(DatasetError, match="there is a dataset of that name"):
+    with pytest.raises(DatasetError, match="a dataset of that name exists"):
         export_minari(part, root=root)
     with pytest.raises(DatasetError, match="expected one of LoResStack"):
         export_minari(part, preset="raw", root=root)

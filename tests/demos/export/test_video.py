@@ -39,7 +39,7 @@ def test_video_as_mp4(mixed: Path, tmp_path: Path, decoded: Any) -> None:
     video = decoded(av, out)
     assert len(video) == 7 + 6 + 5 + 3 * LAST_FRAME_REPEATS  # one of each environment
     assert video[0][1].shape == (416, 768, 3)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["video.mp4", "mixed"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mixed", "video.mp4"]
 
 
 def test_video_has_both_views_and_the_score(make_frames_trajectory: MakeTrajectory) -> None:

@@ -305,7 +305,14 @@ class _SecureHandler(urllib.request.HTTPSHandler):
 class _NoRedirects(urllib.request.HTTPRedirectHandler):
     """Leaves redirects to `_open`: the standard handler reads their bodies without a bound."""
 
-    def http_error_302(self, *_: Any) -> Any:
+    def http_error_302(
+        self,
+        req: urllib.request.Request,
+        fp: IO[bytes],
+        code: int,
+        msg: str,
+        headers: http.client.HTTPMessage,
+    ) -> None:
         """Decline, so that the response is raised as an `HTTPError`."""
 
     http_error_301 = http_error_302  # type: ignore[assignment]

@@ -54,15 +54,14 @@ def import_published(
 ) -> ImportReport:
     """Append published files to a dataset, in their order; a bad file does not stop the others.
 
-    Files of the same name and bytes that are already in the dataset are skipped.
+    Files that are already in the dataset are skipped.
 
     Args:
         files: the published files.
         out: the dataset, created if there is none.
         workers: number of processes; default: the usable cores.
         max_bytes: the most that one file may unpack to.
-        skip_duplicates: leave out files with the same actions and frames as an earlier one, which
-            are otherwise imported and reported.
+        skip_duplicates: leave out files with the actions and frames of an earlier one.
         sums: the SHA-256 sum of every file; a file with another one is not imported.
         progress: called with the number of files finished since the last call.
 
