@@ -33,7 +33,9 @@ def test_recorded_scenes_keep_the_rules(recorded: Recorded) -> None:
     for env, rows in recorded.items():
         env_id = parse_env_id(env)
         for row in rows:
-            check_placement(get_task(env_id.task), env_id.variant, Scene.from_dict(row), RECORDED_ROUNDING)
+            check_placement(
+                get_task(env_id.task), env_id.variant, Scene.from_dict(row), RECORDED_ROUNDING
+            )
 
 
 @pytest.mark.parametrize("name", ["FindDupe", "FixColour"])
