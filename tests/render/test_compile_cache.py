@@ -3,6 +3,7 @@
 import errno
 import hashlib
 import os
+import pickle
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -13,7 +14,7 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
-from numba.core import compiler, config, serialize
+from numba.core.compiler import CompileResult
 
 import magical
 from magical.render import compile_cache, jit
@@ -100,7 +101,7 @@ def test_a_truncated_file_is_rebuilt(part: float, folder: Path) -> None:
 
 def test_an_intact_file_of_something_else_is_rebuilt(folder: Path) -> None:
     """As when another release of numba wrote it under the same key."""
-    payload = serialize.dumps(("no", "compiled", "function"))
+    payload = pickle.dumps(("no", "compiled", "function"))
     only_file(folder).write_bytes(hashlib.sha256(payload).digest() + payload)
     assert hits(folder) == 0
     assert hits(folder) == 1
@@ -168,7 +169,7 @@ def test_a_user_without_a_home(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_numba_whose_results_cannot_be_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delattr(compiler.CompileResult, "_reduce")
+    monkeypatch.delattr(CompileResult, "_reduce")
     assert hits(tmp_path / "compiled") == 0
 
 
@@ -218,9 +219,9 @@ def test_the_oldest_files_are_removed(folder: Path) -> None:
 def test_numbas_own_setting_moves_the_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(config, "CACHE_DIR", str(tmp_path))
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
     assert cache_folder() == tmp_path / "magical-benchmark" / "compiled"
-    monkeypatch.setattr(config, "CACHE_DIR", "")
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
     monkeypatch.setenv("LOCALAPPDATA" if sys.platform == "win32" else "XDG_CACHE_HOME", "/caches")
     assert cache_folder() == Path("/caches", "magical-benchmark", "compiled")
 

@@ -27,9 +27,6 @@ from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core import config
-from numba.core.compiler import CompileResult
-from numba.core.serialize import dumps
 
 from magical.files import write_atomically
 
@@ -63,18 +60,25 @@ class CompileCache:
         """The compiled function for a signature, or None: numba then compiles it."""
         target_context.refresh()
         try:
+            from numba.core import compiler
+
+            rebuild: Callable[..., Any] = compiler.CompileResult._rebuild
             content = self._path(signature, target_context.codegen()).read_bytes()
             digest, payload = content[:DIGEST_BYTES], content[DIGEST_BYTES:]
             if hashlib.sha256(payload).digest() != digest:
                 return None
             # What `save_overload` wrote, bit for bit, in a folder of the user's own.
-            return CompileResult._rebuild(target_context, *pickle.loads(payload))  # noqa: S301
+            return rebuild(target_context, *pickle.loads(payload))  # noqa: S301
         except Exception:  # whatever it is, compiling again is the remedy
             return None
 
     def save_overload(self, signature: Any, result: Any) -> None:
         """Keep a compiled function; without an effect where it cannot be kept."""
-        with contextlib.suppress(OSError, RuntimeError, AttributeError, pickle.PicklingError):
+        failures = (OSError, RuntimeError, ImportError, AttributeError, pickle.PicklingError)
+        with contextlib.suppress(*failures):
+            from numba.core import serialize
+
+            dumps: Callable[[Any], bytes] = serialize.dumps
             Path(self.cache_path).mkdir(mode=0o700, parents=True, exist_ok=True)
             path = self._path(signature, result.codegen)
             payload = dumps(result._reduce())
@@ -109,7 +113,11 @@ def cache_folder() -> Path:
     for caches: `XDG_CACHE_HOME` or `~/.cache`, on Windows `LOCALAPPDATA`.
     """
     platform = "LOCALAPPDATA" if sys.platform == "win32" else "XDG_CACHE_HOME"
-    base = config.CACHE_DIR or os.environ.get(platform) or Path("~", ".cache").expanduser()
+    base = (
+        getattr(numba.config, "CACHE_DIR", "")
+        or os.environ.get(platform)
+        or Path("~", ".cache").expanduser()
+    )
     return Path(base, "magical-benchmark", "compiled")
 
 

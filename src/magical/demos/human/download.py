@@ -315,10 +315,10 @@ class _NoRedirects(urllib.request.HTTPRedirectHandler):
     ) -> None:
         """Decline, so that the response is raised as an `HTTPError`."""
 
-    http_error_301 = http_error_302  # type: ignore[assignment]
-    http_error_303 = http_error_302  # type: ignore[assignment]
-    http_error_307 = http_error_302  # type: ignore[assignment]
-    http_error_308 = http_error_302  # type: ignore[assignment]
+    http_error_301 = http_error_302
+    http_error_303 = http_error_302
+    http_error_307 = http_error_302
+    http_error_308 = http_error_302
 
 
 _OPENER = urllib.request.build_opener(_Handler, _SecureHandler, _NoRedirects)
