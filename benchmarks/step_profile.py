@@ -3,8 +3,8 @@
 python benchmarks/step_profile.py [--env ID] [--num-envs N]
 
 All sub-environments are stepped in this process. The parts are timed one after the other, each over
-all sub-environments, once a round; the lower decile is shown, which other processes disturb least.
-The copy is that of `copy=True`.
+all sub-environments, once a round. The lower decile is reported, as it depends least on other
+processes. The copy is that of `copy=True`.
 """
 
 import argparse

@@ -2,8 +2,8 @@
 
     pip install "magical-benchmark[sb3]"
 
-PPO learns MoveToRegion from state vectors and the dense reward, and is then evaluated on every
-variant like any other policy.
+PPO is trained on MoveToRegion with state vectors and the dense reward, then evaluated on every
+variant.
 """
 
 from collections.abc import Sequence
@@ -30,17 +30,17 @@ class SB3Policy:
         self.model = model
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Nothing to forget."""
+        """Do nothing: the policy keeps no state between steps."""
 
     def act(
         self, observations: NDArray[np.float32], env_ids: Sequence[str], rng: np.random.Generator
     ) -> NDArray[np.int64]:
-        """The likeliest action for each state vector."""
+        """The most probable action for each state vector."""
         return np.asarray(self.model.predict(observations, deterministic=True)[0])
 
 
 def train(steps: int, workers: int | None = None) -> SB3Policy:
-    """Learn on the Demo variant alone."""
+    """Train on the Demo variant only."""
     envs = MagicalVectorEnv(
         [DEMO] * NUM_ENVS,
         workers=workers,

@@ -14,7 +14,7 @@ __version__ = "0.1.0"
 
 
 def register_task(task: Task) -> None:
-    """Add a task from outside the package: its environments get their names at once."""
+    """Register a task from outside the package, and its environments with Gymnasium."""
     _register_task(task)
     register_envs(task)
 

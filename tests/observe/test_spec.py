@@ -1,11 +1,21 @@
 """Observation specifications and their spaces."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from gymnasium import spaces
 
 from magical.errors import UnknownNameError
-from magical.observe import PRESETS, RAW, PixelSpec, StateSpec, make_spec
+from magical.observe import (
+    PRESETS,
+    RAW,
+    ObservationSpec,
+    Observer,
+    PixelSpec,
+    StateSpec,
+    make_spec,
+)
 from magical.scene import View
 from magical.tasks import get_task
 
@@ -43,6 +53,27 @@ def test_accepted_specs() -> None:
     assert make_spec({"parts": [["allo", 2]], "size": 32}, TASK) == PixelSpec(
         ((View.ALLO, 2),), size=32
     )
+
+
+def test_a_specification_from_outside_is_accepted() -> None:
+    class Wrapped:
+        """A kind of observation that the package does not know."""
+
+        def __init__(self, spec: ObservationSpec) -> None:
+            self._spec = spec
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self._spec, name)
+
+        def observer(self, out: Any = None) -> Observer:
+            return self._spec.observer(out)
+
+    specs: list[Any] = [Wrapped(PRESETS["LoResStack"]), Wrapped(StateSpec(3, 1))]
+    for spec in specs:
+        assert make_spec(spec, TASK) is spec
+    kind: Any = Wrapped
+    with pytest.raises(UnknownNameError, match="expected"):
+        make_spec(kind, TASK)
 
 
 @pytest.mark.parametrize("bad", ["LoRes5E", 7, {"colour": 1}, {"parts": [["top", 1]]}])

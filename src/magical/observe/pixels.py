@@ -207,7 +207,7 @@ class PixelObserver:
             return
         from magical.render import shift_stack
 
-        # One shift of the whole array is fast; frames that cross to another view are overwritten.
+        # Shifting the whole array at once is fast; what crosses to another view is overwritten.
         whole = np.moveaxis(self.out, 0, -1) if self.spec.channels_first else self.out
         shift_stack(whole)
         for renderer, stack in zip(self._renderers, self._stacks, strict=True):

@@ -5,9 +5,10 @@ Source of the presets: docs/specification.md, section 7.
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypeGuard
 
 from magical.errors import UnknownNameError
+from magical.messages import quoted
 from magical.observe.pixels import STACK, PixelSpec
 from magical.observe.spec import ObservationSpec
 from magical.observe.state_vector import STATE, StateSpec
@@ -16,7 +17,7 @@ from magical.scene.vocabulary import View
 from magical.tasks import Task
 
 # What `observation=` accepts: a name, a specification, a mapping of PixelSpec's fields, or None.
-Observation = str | PixelSpec | StateSpec | Mapping[str, Any] | None
+Observation = str | ObservationSpec | Mapping[str, Any] | None
 
 _BOTH = (View.ALLO, View.EGO)
 
@@ -31,7 +32,8 @@ PRESETS: Mapping[str, PixelSpec] = {
 
 RAW = PixelSpec(tuple((view, 1) for view in _BOTH), size=RAW_FRAME_SIZE, separate=True)
 
-# Every other named observation; some depend on the task.
+# Every other named observation, a function of the task. A new kind of observation needs a name here
+# if it is to be used with worker processes: they get the name that its `to_dict` returns.
 NAMED: Mapping[str, Callable[[Task], ObservationSpec]] = {
     "raw": lambda task: RAW,
     STATE: lambda task: StateSpec(task.max_blocks, task.max_regions),
@@ -42,17 +44,17 @@ def make_spec(observation: Observation, task: Task) -> ObservationSpec:
     """The specification that `observation=` means for a task.
 
     Args:
-        observation: a preset's name, "raw" or `None` (both views at 384 x 384), "state", a
-            `PixelSpec` or a mapping of its fields.
+        observation: the name of a preset or of another observation in `NAMED`, `None` (both views
+            at 384 x 384), an `ObservationSpec`, or a mapping of `PixelSpec`'s fields.
         task: state vectors have slots for its largest variant.
 
     Raises:
         UnknownNameError: none of these.
     """
-    if isinstance(observation, PixelSpec | StateSpec):
-        return observation
     if observation is None:
         return RAW
+    if _is_spec(observation):
+        return observation
     names = {field.name for field in dataclasses.fields(PixelSpec)}
     if isinstance(observation, Mapping) and set(observation) <= names:
         return PixelSpec(**observation)
@@ -61,6 +63,12 @@ def make_spec(observation: Observation, task: Task) -> ObservationSpec:
     if isinstance(observation, str) and observation in NAMED:
         return NAMED[observation](task)
     raise UnknownNameError(
-        f"observation {observation!r} is unknown; expected one of "
-        f"{', '.join((*PRESETS, *NAMED))}, a PixelSpec, or a mapping with some of {sorted(names)}"
+        f"observation {quoted(observation)} is unknown; expected one of "
+        f"{', '.join((*PRESETS, *NAMED))}, an ObservationSpec, or a mapping with some of "
+        f"{sorted(names)}"
     )
+
+
+def _is_spec(observation: Any) -> TypeGuard[ObservationSpec]:
+    # isinstance of a protocol would read its properties, and `network_shape` may raise.
+    return callable(getattr(type(observation), "observer", None))
