@@ -5,6 +5,7 @@ import math
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -142,11 +143,12 @@ def test_options_follow_the_fields() -> None:
 def test_every_field_with_choices_accepts_these_alone() -> None:
     for option in options(BCConfig):
         for value in option.choices:
-            made = BCConfig(tasks=("MoveToCorner",), demos="d", **{option.name: value})
+            fields: dict[str, Any] = {option.name: value}
+            made = BCConfig(tasks=("MoveToCorner",), demos="d", **fields)
             assert getattr(made, option.name) == value
         if option.choices:
             with pytest.raises(UnknownNameError, match=f"{option.name} 'odd' is unknown"):
-                BCConfig(tasks=("MoveToCorner",), demos="d", **{option.name: "odd"})
+                BCConfig.preset("paper", tasks=("MoveToCorner",), demos="d", **{option.name: "odd"})
 
 
 def test_learning_is_imported_without_pytorch() -> None:
