@@ -155,7 +155,7 @@ def novice(steps: int = 4) -> Any:
     rng = np.random.default_rng(1)
     images = rng.integers(0, 256, (steps, 2, 96, 96, 12), dtype=np.uint8)
     return SimpleNamespace(
-        observations=torch.from_numpy(images),
+        observations=torch.from_numpy(images).permute(0, 1, 4, 2, 3),  # the network's layout
         actions=torch.from_numpy(rng.integers(0, 18, (steps, 2))),
         rewards=torch.zeros(steps, 2),
         tasks=torch.tensor([0, 1]),
@@ -167,7 +167,7 @@ def test_rewards_are_the_evaluated_discriminators(trajectories: list[Trajectory]
     before = {name: tensor.clone() for name, tensor in subject.network.state_dict().items()}
     rewards, statistics = subject.rewards(rollout)
     network = subject.network.eval()
-    images = rollout.observations.flatten(0, 1).permute(0, 3, 1, 2) / 255.0
+    images = rollout.observations.flatten(0, 1) / 255.0
     with torch.no_grad():
         logits = network(images, rollout.actions.flatten(), torch.tensor([0, 1] * 4))
     raw = logits.sigmoid().log().view(4, 2)
@@ -183,7 +183,7 @@ def test_batches_are_half_expert_half_novice(trajectories: list[Trajectory]) -> 
     batch = subject.sample_batch(np.random.default_rng(0))
     assert batch.images.shape == (12, 12, 96, 96)
     assert batch.tasks.tolist() == [0, 0, 0, 1, 1, 1] * 2
-    seen = rollout.observations.flatten(0, 1).permute(0, 3, 1, 2) / 255.0
+    seen = rollout.observations.flatten(0, 1) / 255.0
     ours = [bool((seen - image).abs().amax(dim=(1, 2, 3)).min() < 1e-6) for image in batch.images]
     assert ours == [False] * 6 + [True] * 6
 

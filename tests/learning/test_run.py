@@ -143,13 +143,12 @@ def test_options_follow_the_fields() -> None:
 def test_every_field_with_choices_accepts_these_alone() -> None:
     for option in options(BCConfig):
         for value in option.choices:
-            values: dict[str, Any] = {option.name: value}
-            made = BCConfig(tasks=("MoveToCorner",), demos="d", **values)
+            fields: dict[str, Any] = {option.name: value}
+            made = BCConfig(tasks=("MoveToCorner",), demos="d", **fields)
             assert getattr(made, option.name) == value
         if option.choices:
-            values = {option.name: "odd"}
             with pytest.raises(UnknownNameError, match=f"{option.name} 'odd' is unknown"):
-                BCConfig(tasks=("MoveToCorner",), demos="d", **values)
+                BCConfig.preset("paper", tasks=("MoveToCorner",), demos="d", **{option.name: "odd"})
 
 
 def test_learning_is_imported_without_pytorch() -> None:
