@@ -26,7 +26,6 @@ from magical.commands._common import (
 )
 from magical.envs import EnvId, parse_env_id
 from magical.observe import make_spec
-from magical.physics import Simulation
 from magical.scene.actions import NUM_ACTIONS
 
 HELP = "measure steps per second, or the speed of training"
@@ -196,6 +195,8 @@ class BarePhysics:
         return self._steps / self._clock.seconds
 
     def _reset(self) -> None:
+        from magical.physics import Simulation
+
         task = self._env_id.task_spec
         self._simulation = Simulation(*task.sample(self._env_id.variant, self._rng))
         self._simulation.advance = self._clock.around(self._simulation.advance)
