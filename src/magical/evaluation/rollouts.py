@@ -89,10 +89,14 @@ def evaluate(
     if rollouts < 1:
         raise ValueError(f"rollouts: expected at least 1, found {rollouts}")
     setting = _Setting(policy, observation, horizon, num_envs, seed)
-    if getattr(policy, "in_processes", False):
-        parts = _in_processes(setting, ids, rollouts, workers)
-    else:
-        parts = _in_this_process(setting, ids, rollouts, workers)
+    run = _in_processes if getattr(policy, "in_processes", False) else _in_this_process
+    return _collect(run(setting, ids, rollouts, workers), ids, progress)
+
+
+def _collect(
+    parts: Iterable[Sequence[RolloutScore]], ids: Sequence[EnvId], progress: Progress | None
+) -> list[RolloutScore]:
+    """All scores, by environment in the given order, then by rollout."""
     scores: dict[EnvId, list[RolloutScore]] = {env_id: [] for env_id in ids}
     for part in parts:
         for score in part:
