@@ -50,6 +50,27 @@ class GraspCostSettings:
 COST = GraspCostSettings()
 
 SIDES: Floats = wrap_angles(2 * math.pi * np.arange(float(GRASP_SIDES)) / GRASP_SIDES)  # rad
+_DISTANCES: Floats = np.array(GATE_DISTANCES)
+
+
+@dataclass(frozen=True, slots=True)
+class Grasps:
+    """Grasps of B blocks from S sides each."""
+
+    blocks: Floats  # (B, 1, 2) centres
+    ahead: Floats  # (S, 2) unit vectors from the robot towards the block
+    gate_distances: Floats  # (B, S, 1) units from block to gate
+    gates: Floats  # (B, S, 2)
+    stands: Floats  # (B, S, 2)
+
+    @staticmethod
+    def of(blocks: Floats, sides: Floats) -> "Grasps":
+        """The grasps of blocks (B, 2) at bearings (S,)."""
+        ahead = np.array((-np.sin(sides), np.cos(sides))).T
+        centres = blocks[:, None]
+        distances = _gate_distances(centres, ahead)
+        stands = centres - HELD_DISTANCE * ahead
+        return Grasps(centres, ahead, distances, centres - distances * ahead, stands)
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,34 +81,28 @@ class Obstruction:
     blocks: Floats  # (B, S, M) for each of M other blocks
 
 
-def obstruction(blocks: Floats, sides: Floats, others: Floats) -> Obstruction:
-    """What walls and other blocks cost a grasp.
-
-    Args:
-        blocks: Centres (B, 2) of the blocks to grasp.
-        sides: Bearings (S,) at which they are grasped.
-        others: Centres (M, 2) of the blocks that may be in the way.
-    """
-    ahead, right = _directions(sides)
-    centres = blocks[:, None]
-    gate = _gate_distances(centres, ahead)  # (B, S, 1)
-    fingers = GRASP.finger_offset * np.stack((right, -right))[:, None] + centres  # (2, B, S, 2)
-    walls = COST.stand_wall * _outside(centres - HELD_DISTANCE * ahead, ROBOT_LIMIT)
-    walls += COST.gate_wall * _outside(centres - gate * ahead, ROBOT_LIMIT)
-    walls += COST.finger_wall * (_outside(fingers, GRASP.finger_limit) > 0.0).sum(axis=0)
-    offsets = others - centres  # (B, M, 2)
+def obstruction(grasps: Grasps, others: Floats) -> Obstruction:
+    """What walls and other blocks, at `others` (M, 2), cost each grasp."""
+    ahead = grasps.ahead
+    to_finger = GRASP.finger_offset * ahead[:, ::-1] * (1.0, -1.0)  # (S, 2) to the right
+    fingers = grasps.blocks + to_finger, grasps.blocks - to_finger
+    walls = COST.stand_wall * _outside(grasps.stands, ROBOT_LIMIT)
+    walls += COST.gate_wall * _outside(grasps.gates, ROBOT_LIMIT)
     # How far behind the block the straight approach passes nearest to each other block.
-    passing = np.clip(-(ahead @ offsets.swapaxes(1, 2)), HELD_DISTANCE, gate)  # (B, S, M)
+    offsets = others - grasps.blocks  # (B, M, 2)
+    passing = -(ahead @ offsets.swapaxes(1, 2))  # (B, S, M)
+    passing = np.minimum(np.maximum(passing, HELD_DISTANCE), grasps.gate_distances)
     gaps = lengths(offsets[:, None] + passing[..., None] * ahead[:, None])
     missing = np.maximum(0.0, CONTACT_DISTANCE - gaps)
-    finger_gaps = lengths(fingers[..., None, :] - others)  # (2, B, S, M)
-    missing += np.maximum(0.0, GRASP.finger_room - finger_gaps).sum(axis=0)
+    for finger in fingers:  # (B, S, 2)
+        walls += COST.finger_wall * (_outside(finger, GRASP.finger_limit) > 0.0)
+        missing += np.maximum(0.0, GRASP.finger_room - lengths(finger[..., None, :] - others))
     return Obstruction(walls, COST.block * missing)
 
 
 def mutual_obstruction(blocks: Floats) -> Obstruction:
     """What is in the way of grasping each of `blocks` (B, 2) from `SIDES`, the others included."""
-    found = obstruction(blocks, SIDES, blocks)
+    found = obstruction(Grasps.of(blocks, SIDES), blocks)
     itself = np.arange(len(blocks))
     found.blocks[itself, :, itself] = 0.0
     return found
@@ -127,25 +142,28 @@ def grasp_costs(
     view: StateView, block: Point, goal: Point, others: Sequence[Point], sides: Floats
 ) -> Floats:
     """Control steps (S,) until a block, grasped from each of `sides` (S,), is at its goal."""
-    centre, points = np.array([block]), np.array(others).reshape(-1, 2)
-    ahead, _ = _directions(sides)
-    stands = centre - HELD_DISTANCE * ahead  # (S, 2)
-    gates = centre - _gate_distances(centre[:, None], ahead)[0] * ahead
-    hindrance = obstruction(centre, sides, points)
-    _, gaps = project_on_segments(np.array(view.position), gates[:, None], points)  # (S, M)
+    grasps, points = Grasps.of(np.array([block]), sides), np.array((*others, block))  # (M + 1, 2)
+    hindrance = obstruction(grasps, points[:-1])
+    gates = grasps.gates[0]  # (S, 2)
+    _, gaps = project_on_segments(np.array(view.position), gates[:, None], points)
+    narrow = np.maximum(0.0, DRIVING_CLEARANCE - gaps)  # (S, M + 1)
     costs: Floats = hindrance.walls[0] + hindrance.blocks[0].sum(axis=-1)
-    costs += COST.path * np.maximum(0.0, DRIVING_CLEARANCE - gaps).sum(axis=-1)
-    costs += _approach_steps(view, block, sides, gates)
-    costs += _carry_steps(stands, block, sides, goal)
+    costs += COST.path * narrow[:, :-1].sum(axis=-1)
+    costs += _approach_steps(view, block, sides, gates, narrow[:, -1])
+    costs += _carry_steps(grasps.stands[0], block, sides, goal)
     return costs
 
 
-def _approach_steps(view: StateView, block: Point, sides: Floats, gates: Floats) -> Floats:
-    """Control steps (S,) until the robot holds the block, straight or by way of each gate."""
+def _approach_steps(
+    view: StateView, block: Point, sides: Floats, gates: Floats, narrow: Floats
+) -> Floats:
+    """Control steps (S,) until the robot holds the block, straight or by way of each gate.
+
+    `narrow` (S,) is by how many units the block itself is in the way to each gate.
+    """
     straight = bearing(view.position, block)
-    _, gap = project_on_segments(np.array(view.position), gates, np.array(block))
-    detour = COST.detour * np.maximum(0.0, DRIVING_CLEARANCE - gap) / DRIVING_CLEARANCE
-    distance = lengths(gates - view.position) + detour + GRASP.gate - HELD_DISTANCE
+    distance = lengths(gates - view.position) + GRASP.gate - HELD_DISTANCE
+    distance += COST.detour * narrow / DRIVING_CLEARANCE
     heading = np.arctan2(view.x - gates[:, 0], gates[:, 1] - view.y)
     turn = np.abs(wrap_angles(heading - view.angle)) + np.abs(wrap_angles(sides - heading))
     steps: Floats = np.where(
@@ -177,19 +195,12 @@ def _carry_steps(stands: Floats, block: Point, sides: Floats, goal: Point) -> Fl
     return steps
 
 
-def _directions(sides: Floats) -> tuple[Floats, Floats]:
-    """Unit vectors (S, 2) ahead and to the right of a robot that faces each side."""
-    sin, cos = np.sin(sides), np.cos(sides)
-    return np.stack((-sin, cos), axis=-1), np.stack((cos, sin), axis=-1)
-
-
 def _gate_distances(centres: Floats, ahead: Floats) -> Floats:
     """Units (B, S, 1) from blocks (B, 1, 2) to their gates, the same as `gate_point` for each."""
-    distances = np.array(GATE_DISTANCES)
-    gates = centres - distances[:, None, None, None] * ahead  # (gates, B, S, 2)
+    gates = centres - _DISTANCES[:, None, None, None] * ahead  # (distances, B, S, 2)
     fits = _outside(gates, ROBOT_LIMIT) <= 0.0
     fits[-1] = True
-    first: Floats = distances[fits.argmax(axis=0)][..., None]
+    first: Floats = _DISTANCES[fits.argmax(axis=0)][..., None]
     return first
 
 
