@@ -13,7 +13,7 @@ import numpy as np
 from magical.envs import all_env_ids
 from magical.evaluation import evaluate
 from magical.evaluation.expert import ExpertPolicy
-from magical.experts import Rollout, expert_for, rollout
+from magical.experts import ExpertEpisode, expert_for, rollout
 from magical.scene import NUM_ACTIONS, Poses, Scene, State
 from magical.tasks import TASKS, get_task
 
@@ -56,7 +56,7 @@ def lengths() -> Iterator[str]:
         yield f"{task:14} median {middle:.0f}, 10% to 90%: {low:.0f} to {high:.0f}"
 
 
-def lasting(task: str, done: Rollout) -> int | None:
+def lasting(task: str, done: ExpertEpisode) -> int | None:
     """The step from which on the score is 1 until the end."""
     spec = get_task(task)
     scores = [spec.score(done.scene, Poses(poses)) for poses in done.poses]

@@ -46,16 +46,16 @@ from magical.experts.expert import Expert, expert_for
 from magical.experts.goals import get_goals, register_goals
 from magical.experts.memory import Memory
 from magical.experts.planning import Goals, Move, Plan, Strategy
-from magical.experts.rollout import Rollout, check_solvable, modules_of, rollout
+from magical.experts.rollout import ExpertEpisode, check_solvable, modules_of, rollout
 from magical.experts.state_view import StateView
 
 __all__ = [
     "Expert",
+    "ExpertEpisode",
     "Goals",
     "Memory",
     "Move",
     "Plan",
-    "Rollout",
     "StateView",
     "Strategy",
     "check_solvable",

@@ -17,7 +17,7 @@ from magical.tasks import get_task
 
 
 @dataclass(frozen=True, slots=True)
-class Rollout:
+class ExpertEpisode:
     """One episode: its initial scene and dynamics, the actions, and all poses."""
 
     scene: Scene
@@ -46,7 +46,7 @@ def rollout(
     skill: float = 1.0,
     random_steps: int = 0,
     strategy_seed: int | None = None,
-) -> Rollout:
+) -> ExpertEpisode:
     """Roll out the expert in the episode that the environment's `reset(seed=seed)` starts.
 
     Args:
@@ -83,7 +83,7 @@ def rollout(
         tables.append(simulation.read().copy())
     poses = np.stack(tables)[:, :, :3]
     score = spec.score(scene, Poses(poses[-1]))
-    return Rollout(scene, dynamics, np.array(actions), poses, score)
+    return ExpertEpisode(scene, dynamics, np.array(actions), poses, score)
 
 
 def modules_of(task: str) -> list[str]:

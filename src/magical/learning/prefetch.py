@@ -26,14 +26,14 @@ def prefetch(
     if device != "cpu":
         yield map(make, numbers)
         return
-    worker = _Worker(make, numbers)
+    loader = _Loader(make, numbers)
     try:
-        yield iter(worker)
+        yield iter(loader)
     finally:
-        worker.stop()
+        loader.stop()
 
 
-class _Worker(Generic[T]):
+class _Loader(Generic[T]):
     """A thread with a short queue; it uses one core and leaves the others to the main thread."""
 
     def __init__(self, make: Callable[[int], T], numbers: Iterable[int]) -> None:
