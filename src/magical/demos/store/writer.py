@@ -6,11 +6,10 @@ from pathlib import Path
 from magical.demos.store import manifest
 from magical.demos.store.codec import encode
 from magical.demos.store.dataset import stored_files
-from magical.demos.store.lock import locked
 from magical.demos.store.manifest import ManifestEntry
 from magical.demos.store.trajectory import Trajectory
 from magical.errors import DatasetError
-from magical.files import write_atomically
+from magical.files import locked, write_atomically
 
 
 class DatasetWriter:
