@@ -1,16 +1,18 @@
 """Files that several processes write and read.
 
-- `atomic`: writing a file under a temporary name, and removing what killed processes left.
+- `atomic`: writing and linking under a temporary name, removing what killed processes left.
 - `lock`: file locks.
 - `regular`: opening regular files only.
 """
 
-from magical.files.atomic import remove_partial_files, write_atomically
+from magical.files.atomic import is_partial, link_atomically, remove_partial_files, write_atomically
 from magical.files.lock import LockedError, lock_now, locked
 from magical.files.regular import open_regular, sha256_sum
 
 __all__ = [
     "LockedError",
+    "is_partial",
+    "link_atomically",
     "lock_now",
     "locked",
     "open_regular",

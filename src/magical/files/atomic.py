@@ -2,6 +2,7 @@
 
 import os
 import re
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
@@ -23,13 +24,37 @@ def write_atomically(path: Path | str) -> Iterator[IO[bytes]]:
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.part")
+    temporary = _temporary(target)
     try:
         with temporary.open("wb") as file:
             yield file
         temporary.replace(target)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def link_atomically(source: Path, target: Path) -> None:
+    """Keep a file under a second name too; an older file at `target` is replaced.
+
+    A hard link, or a copy on a file system without them. Neither may be changed in place later.
+
+    Raises:
+        OSError: the folder cannot be written to, or the disk is full.
+    """
+    temporary = _temporary(target)
+    temporary.unlink(missing_ok=True)
+    try:
+        try:
+            temporary.hardlink_to(source)
+        except OSError:
+            shutil.copyfile(source, temporary)
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _temporary(target: Path) -> Path:
+    return target.with_name(f".{target.name}.{os.getpid()}.part")
 
 
 def remove_partial_files(folder: Path, *names: str) -> None:
@@ -43,6 +68,15 @@ def remove_partial_files(folder: Path, *names: str) -> None:
     if folder.is_symlink() or not folder.is_dir():
         return
     for file in folder.iterdir():
-        found = _PARTIAL.fullmatch(file.name)
-        if found and file.is_file() and any(fnmatchcase(found["name"], name) for name in names):
+        if is_partial(file, *names):
             file.unlink(missing_ok=True)
+
+
+def is_partial(file: Path, *names: str) -> bool:
+    """Whether a file is a temporary one of a file with a name that matches one of the patterns."""
+    found = _PARTIAL.fullmatch(file.name)
+    return (
+        found is not None
+        and any(fnmatchcase(found["name"], name) for name in names)
+        and file.is_file()
+    )

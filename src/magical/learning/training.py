@@ -8,15 +8,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from magical.errors import RunFolderError
+from magical.errors import InvalidConfigError, RunFolderError
 from magical.learning.algorithms import find_algorithm
+from magical.learning.checkpoints import restore_previous_checkpoint
 from magical.learning.config import Config
 from magical.learning.devices import restored_threads
 from magical.learning.interrupts import Interrupts
 from magical.learning.policy import NetworkPolicy, load_policy
 from magical.learning.run import Metrics, Run
 from magical.progress import ProgressBar
-from magical.runs.folder import open_folder
+from magical.runs.folder import locked_folder, open_folder
 from magical.runs.metrics import read_metrics
 
 Callback = Callable[[int, Metrics], object]  # step, metrics
@@ -57,6 +58,7 @@ def train(
     out: Path | str,
     *,
     resume: bool = False,
+    previous_checkpoint: bool = False,
     stop_after: int | None = None,
     progress: bool = False,
     callback: Callback | None = None,
@@ -71,6 +73,8 @@ def train(
         out: a new or an empty folder; with `resume`, one that holds this run.
         resume: continue from the newest checkpoint; on a CPU the result is bit-equal to that of a
             run without interruption.
+        previous_checkpoint: with `resume`, drop the newest checkpoint, as when it is damaged, and
+            continue from the one before it.
         stop_after: save a checkpoint and return after this many more batches or updates.
         progress: show a progress bar on standard error.
         callback: called as `callback(step, metrics)` after each line of `metrics.jsonl`, for
@@ -79,15 +83,27 @@ def train(
         tensorboard: log the metrics for TensorBoard too (needs the extra).
 
     Raises:
-        RunFolderError: the folder holds another run or other files, or the disk is full.
+        RunFolderError: the folder holds another run or other files, another process trains the
+            run, or the disk is full.
+        CheckpointError: the checkpoint is damaged; says whether the previous one is intact.
+        InvalidConfigError: `previous_checkpoint` without `resume`.
         DemonstrationsError, DatasetError: too few demonstrations, or damaged ones.
         DivergedError: the loss is not finite; the newest good checkpoint is kept.
     """
+    if previous_checkpoint and not resume:
+        raise InvalidConfigError("previous_checkpoint needs resume: a new run has no checkpoints")
     folder = Path(out)
     algorithm = find_algorithm(config.algorithm)
     display = ProgressBar(config.algorithm, transient=False) if progress else nullcontext(None)
-    with _full_disk_as_error(folder), restored_threads(), Interrupts() as interrupts:
+    with (
+        _full_disk_as_error(folder),
+        locked_folder(folder, resume),
+        restored_threads(),
+        Interrupts() as interrupts,
+    ):
         open_folder(folder, config.to_dict(), resume)
+        if previous_checkpoint:
+            restore_previous_checkpoint(folder)
         with (
             display as bar,
             Run(
