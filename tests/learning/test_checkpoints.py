@@ -77,7 +77,7 @@ def test_a_checkpoint_is_a_safetensors_file(tmp_path: Path) -> None:
 def test_mutants_are_refused(tmp_path: Path) -> None:
     outcomes = fuzz_checkpoints(500, seed=1, folder=tmp_path)
     assert outcomes["refused"] > 450
-    assert outcomes["loaded"] == 0
+    assert set(outcomes) <= {"refused", "equal"}
 
 
 def step_of(folder: Path, name: str) -> int:
