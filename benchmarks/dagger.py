@@ -145,7 +145,7 @@ def main() -> None:
     add("--network", help="paper, small or light")
     add("--beta-decay", type=float)
     add("--keep-noops", action="store_true", default=None, help="DAgger keeps no-op labels")
-    add("--workers", type=int, default=0, help="processes for the worlds (default: none)")
+    add("--workers", type=int, default=0, help="processes for the environments (default: none)")
     arguments = parser.parse_args()
     if arguments.variants:
         arguments.variants = tuple(arguments.variants)

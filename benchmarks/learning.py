@@ -16,7 +16,7 @@ from itertools import repeat
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import nn
 from torch.optim import SGD
 
 from magical.learning.algorithms.bc import Batch, BCConfig, bc_loss, make_optimizer, make_policy
@@ -115,12 +115,7 @@ def measure(network: str, rounds: int, batch_size: int) -> None:
     setup = Setup(network, batch_size, device)
     fixed = setup.batch(0)
     plain_batch = fixed._replace(images=fixed.images.contiguous())
-    probe = make_policy(setup.config).to(device)
-
-    def loss() -> Tensor:
-        return bc_loss(probe(fixed.images, fixed.tasks), fixed.actions)
-
-    compute = choose_compute(device, "auto", loss)
+    compute = choose_compute(device, "auto", 0)
     plain, ours = plain_step(setup), our_step(setup, compute)
     for step, batch in ((plain, plain_batch), (ours, fixed)):
         step(batch)  # warm-up

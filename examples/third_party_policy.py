@@ -3,7 +3,7 @@
     magical evaluate examples/third_party_policy.py:SeekColour --task MoveToRegion
 
 A policy is any object with `act` and `reset` (docs/protocol.md). This one sees pixels only, keeps a
-memory for each world, and needs no learning; on MoveToRegion it is a hard baseline to beat.
+memory for each environment, and needs no learning; on MoveToRegion it is a hard baseline to beat.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ class SeekColour:
         self.side = np.empty(0, np.int64)  # where the region was last: Turn.LEFT or Turn.RIGHT
 
     def reset(self, mask: NDArray[np.bool_]) -> None:
-        """Forget where the region was; called before every episode, first of all for all worlds."""
+        """Forget where the region was, in the environments that begin an episode."""
         if len(self.side) != len(mask):
             self.side = np.full(len(mask), Turn.LEFT)
         self.side[mask] = Turn.LEFT

@@ -85,7 +85,7 @@ def test_out_holds_an_entry(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
         (["ranodm"], 2, "expected one of random"),
         (["noop", "--task", "MoveToRegoin"], 2, "did you mean 'MoveToRegion'"),
         (["noop", "--task", "MoveToCorner", "--variants", "Layout"], 2, "MoveToCorner has none"),
-        (["noop", "--variants", "Color"], 2, "'Color' is no variant"),
+        (["noop", "--variants", "Color"], 2, "'Color' is not a variant"),
         (["noop", "--task", "MoveToRegion", "--observation", "HiRes"], 2, "LoRes4E"),
         (["no_module:thing"], 1, "cannot be imported"),
         (["noop", "--rollouts", "0"], 2, "at least 1"),

@@ -117,7 +117,7 @@ def test_a_plain_function_is_a_policy(module: str, suffix: str) -> None:
     ("name", "message"),
     [
         ("number", "found int 7"),
-        ("Needy", "class that can be made without arguments"),
+        ("Needy", "class that can be instantiated without arguments"),
         ("make_nothing", "found None"),
         ("absent", "no 'absent' in the module, which has: .*Still"),
     ],

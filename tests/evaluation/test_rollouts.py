@@ -170,7 +170,7 @@ def test_progress_counts_every_rollout() -> None:
     assert sum(seen) == 10
 
 
-def test_experts_solve_what_nobody_else_does() -> None:
+def test_only_experts_solve_the_tasks() -> None:
     expert = evaluate(load_policy("expert"), [LAYOUT], rollouts=20, workers=0)
     noop = evaluate(load_policy("noop"), [LAYOUT], rollouts=20, workers=0)
     assert np.mean([row.score for row in expert]) >= 0.95

@@ -10,15 +10,15 @@ from magical.scene.geometry import Point
 CORNER = Pose(0.8, 0.8, 0.0)
 
 
-def state_of(world: Simulation, scene: Scene, step: int = 0, horizon: int = 100) -> State:
+def state_of(simulation: Simulation, scene: Scene, step: int = 0, horizon: int = 100) -> State:
     """The simulation's present state."""
-    table = world.read()
+    table = simulation.read()
     return State(scene, Poses(table[:, :3]), table[:, 3:], step, horizon)
 
 
-def view_of(scene: Scene, world: Simulation | None = None) -> StateView:
+def view_of(scene: Scene, simulation: Simulation | None = None) -> StateView:
     """What experts see of the present state, or of the scene at rest."""
-    return StateView.from_state(state_of(world or Simulation(scene), scene))
+    return StateView.from_state(state_of(simulation or Simulation(scene), scene))
 
 
 def blocks_at(*places: Point, robot: Pose = CORNER) -> Scene:

@@ -22,25 +22,25 @@ def test_motion_model_agrees_with_the_physics(shape: Shape) -> None:
     table = motion_table(0.0, 0.0)
     for action in (1, 2, 3, 4, 8):
         block = Block(shape, Colour.RED, Pose(0.0, HELD_DISTANCE, 0.0))
-        world = Simulation(Scene(Pose(0.0, 0.0, 0.0), (block,)))
+        simulation = Simulation(Scene(Pose(0.0, 0.0, 0.0), (block,)))
         for each in [CLOSED] * 3 + [action + CLOSED] * 5 + [CLOSED]:
-            world.step(each)
+            simulation.step(each)
         # Of the motions that begin so and last five steps, the last repeats the action throughout.
         row = np.flatnonzero((table.first == action) & (table.time == 5))[-1]
         predicted = table.block[row, -1]
-        assert math.dist(world.poses().blocks[0, :2], predicted) < 0.14, action
+        assert math.dist(simulation.poses().blocks[0, :2], predicted) < 0.14, action
 
 
 def test_held_block_is_carried_to_its_goal() -> None:
     scene = blocks_at((0.0, 0.335), (0.1, 0.75), robot=Pose(0.0, 0.0, 0.0))
-    world, goal = Simulation(scene), (-0.5, 0.1)
+    simulation, goal = Simulation(scene), (-0.5, 0.1)
     for _ in range(3):
-        world.step(CLOSED)
+        simulation.step(CLOSED)
     for _ in range(25):
-        view = view_of(scene, world)
+        view = view_of(scene, simulation)
         assert is_between_fingers(view, view.blocks[0], is_held=True)
         if math.dist(view.resting_blocks[0], goal) < 0.08:
             break
-        world.step(carry(view, view.blocks[0], goal, 0.08, view.blocks[1:]))
-    assert math.dist(world.poses().blocks[0, :2], goal) < 0.12
-    assert np.allclose(world.poses().blocks[1, :2], (0.1, 0.75))
+        simulation.step(carry(view, view.blocks[0], goal, 0.08, view.blocks[1:]))
+    assert math.dist(simulation.poses().blocks[0, :2], goal) < 0.12
+    assert np.allclose(simulation.poses().blocks[1, :2], (0.1, 0.75))

@@ -49,14 +49,14 @@ def test_finished_expert_releases_the_block_and_stays(away: float) -> None:
     places = ((0.0, 0.0), (0.0, 0.36), (0.0, -0.36))
     blocks = tuple(Block(Shape.STAR, Colour.RED, Pose(x, y, 0.3)) for x, y in places)
     scene = Scene(Pose(away, 0.0, math.pi / 2), blocks)
-    world, memory, expert = Simulation(scene), None, expert_for("MakeLine", seed=0)
+    simulation, memory, expert = Simulation(scene), None, expert_for("MakeLine", seed=0)
     for _ in range(3):
-        world.step(Action(gripper=Gripper.CLOSED).id)
-    before = world.read()[FIRST_BLOCK:, :2].copy()
+        simulation.step(Action(gripper=Gripper.CLOSED).id)
+    before = simulation.read()[FIRST_BLOCK:, :2].copy()
     for step in range(100):
-        action, memory = expert.act(state_of(world, scene, step), memory)
-        world.step(action)
-    assert np.abs(world.read()[FIRST_BLOCK:, :2] - before).max() < 0.03
+        action, memory = expert.act(state_of(simulation, scene, step), memory)
+        simulation.step(action)
+    assert np.abs(simulation.read()[FIRST_BLOCK:, :2] - before).max() < 0.03
     assert action == Action(gripper=Gripper.CLOSED).id
 
 
@@ -84,11 +84,11 @@ def test_takes_over_after_a_random_policy(task: str) -> None:
 def test_starts_without_memory_at_any_time() -> None:
     spec = get_task("MoveToCorner")
     scene, dynamics = spec.sample("Demo", np.random.default_rng(0))
-    world, expert = Simulation(scene, dynamics), expert_for("MoveToCorner", seed=0)
+    simulation, expert = Simulation(scene, dynamics), expert_for("MoveToCorner", seed=0)
     for step in range(spec.horizon):  # forgetting everything at every step
-        action, _ = expert.act(state_of(world, scene, step, spec.horizon))
-        world.step(action)
-    assert spec.score(scene, world.poses()) == 1.0
+        action, _ = expert.act(state_of(simulation, scene, step, spec.horizon))
+        simulation.step(action)
+    assert spec.score(scene, simulation.poses()) == 1.0
 
 
 @pytest.mark.parametrize("task", ["MoveToRegion", "MoveToCorner", "FixColour"])

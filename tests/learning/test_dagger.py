@@ -270,7 +270,7 @@ def test_settings_that_cannot_be_are_refused(
 
 
 def test_unknown_variants_are_refused(demos: Path) -> None:
-    with pytest.raises(UnknownNameError, match="'Fog' is no variant"):
+    with pytest.raises(UnknownNameError, match="'Fog' is not a variant"):
         tiny(demos, variants=("Fog",))
     with pytest.raises(UnknownNameError, match="MoveToRegion has none of the variants"):
         tiny(demos, variants=("Shape",))

@@ -13,7 +13,7 @@ import torch
 from magical.errors import DivergedError, InvalidConfigError, RunFolderError, UnknownNameError
 from magical.learning.algorithms.bc import BCConfig
 from magical.learning.config import options
-from magical.learning.devices import Compute
+from magical.learning.devices import restored_threads
 from magical.learning.run import Run
 from magical.runs import open_folder, read_metrics
 from magical.runs.folder import CONFIG, METRICS, RECORD
@@ -73,21 +73,18 @@ def test_facts_may_not_change(folder: Path) -> None:
             run.describe(demonstrations=["b"])
 
 
-def test_precision_is_measured_once_and_kept(folder: Path) -> None:
-    asked = []
-
-    def step() -> torch.Tensor:
-        asked.append(torch.is_autocast_enabled("cpu"))
-        return torch.ones(1, requires_grad=True).sum()
-
-    with opened(folder) as run:
-        chosen = run.compute("cpu", "auto", step)
-    assert set(asked) == {True, False}
-    asked.clear()
-    with opened(folder) as run:
-        assert run.compute("cpu", "auto", step) == chosen
-    assert not asked
-    assert Compute("cpu", "float32") != Compute("cpu", "bfloat16")
+def test_precision_and_threads_are_chosen_once_and_kept(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with restored_threads():
+        with opened(folder) as run:
+            chosen = run.compute("cpu", "auto", 0)
+        assert chosen.threads == torch.get_num_threads()
+        monkeypatch.setattr("magical.learning.devices.has_bfloat16", lambda _: None)
+        torch.set_num_threads(chosen.threads + 1)
+        with opened(folder) as run:
+            assert run.compute("cpu", "auto", 0) == chosen
+        assert torch.get_num_threads() == chosen.threads
 
 
 def test_stop_after_counts_from_the_checkpoint(folder: Path) -> None:

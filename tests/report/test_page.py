@@ -116,7 +116,8 @@ def test_parts_that_are_empty_are_left_out() -> None:
 
 @pytest.fixture
 def evaluated(tmp_path: Path) -> Path:
-    scores = [RolloutScore(EnvId("MakeLine", "Demo"), i, i, 1.0, 0.5) for i in range(3)]
+    demo = EnvId("MakeLine", "Demo")
+    scores = [RolloutScore(demo, i, evaluation_seed(i), 1.0, 0.5) for i in range(3)]
     Entry(method="mine", scores=scores, details={"demonstrations": 10}).write(tmp_path / "run")
     return tmp_path / "run"
 

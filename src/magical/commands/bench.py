@@ -1,9 +1,11 @@
-"""Measure control steps per second beside the bare physics.
+"""Measure control steps per second beside the bare physics, or the speed of training.
 
-Three copies take the same actions by turns: one observes pixels, one the state vector, and one is
-the bare simulation of a single environment, in which only the time inside the physics engine is
-counted. The last is the rate that a worker would reach if nothing else took time. Episodes are
-reset within the measured time.
+`env` and `vector`: three copies take the same actions by turns. One observes pixels, one the state
+vector, and one is the bare simulation of a single environment, in which only the time inside the
+physics engine is counted: the rate that a worker would reach if nothing else took time. Episodes
+are reset within the measured time.
+
+`training`: every precision and number of threads takes turns on the same batches of a network.
 """
 
 import argparse
@@ -14,6 +16,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from magical.commands._bench_training import run_training
 from magical.commands._common import (
     add_json,
     non_negative_int,
@@ -23,10 +26,9 @@ from magical.commands._common import (
 )
 from magical.envs import EnvId, parse_env_id
 from magical.observe import make_spec
-from magical.physics import Simulation
 from magical.scene.actions import NUM_ACTIONS
 
-HELP = "measure steps per second"
+HELP = "measure steps per second, or the speed of training"
 DEFAULT_ENV = "magical/ClusterColour-Demo-LoRes4E-v0"
 WARM_UP = 5  # steps before anything is measured: caches, compilation
 PROBE = 20  # steps of the first turns, from which the length of a turn follows
@@ -36,7 +38,11 @@ CALIBRATION_CALLS = 20_000
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
-    parser.add_argument("kind", choices=("env", "vector"), help="one environment, or many")
+    parser.add_argument(
+        "kind",
+        choices=("env", "vector", "training"),
+        help="one environment, many, or forward and backward passes of a network",
+    )
     parser.add_argument("--env", default=DEFAULT_ENV, metavar="ID", help=f"default: {DEFAULT_ENV}")
     parser.add_argument(
         "--num-envs", type=positive_int, default=32, metavar="N", help="vector: default 32"
@@ -48,11 +54,20 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--seconds", type=float, default=15.0, metavar="S", help="measuring time (default: 15)"
     )
     parser.add_argument("--seed", type=non_negative_int, default=0, help="default: 0")
+    parser.add_argument("--network", default="paper", help="training: default paper")
+    parser.add_argument(
+        "--batch-size", type=positive_int, default=32, metavar="N", help="training: default 32"
+    )
+    parser.add_argument(
+        "--device", choices=("auto", "cpu", "cuda"), default="auto", help="training: default auto"
+    )
     add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Measure and print."""
+    if args.kind == "training":
+        return run_training(args)
     env_id = parse_env_id(args.env)
     num_envs, workers = (args.num_envs, args.workers) if args.kind == "vector" else (1, 0)
     result = measure(env_id, args.kind, num_envs, workers, args.seconds, args.seed)
@@ -180,6 +195,8 @@ class BarePhysics:
         return self._steps / self._clock.seconds
 
     def _reset(self) -> None:
+        from magical.physics import Simulation
+
         task = self._env_id.task_spec
         self._simulation = Simulation(*task.sample(self._env_id.variant, self._rng))
         self._simulation.advance = self._clock.around(self._simulation.advance)

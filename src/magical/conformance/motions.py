@@ -132,11 +132,11 @@ def _scene(motion: Motion) -> Scene:
 
 
 def _simulate(scene: Scene, actions: Sequence[int]) -> Motion:
-    world = Simulation(scene)
-    history = [world.poses()]
+    simulation = Simulation(scene)
+    history = [simulation.poses()]
     for action in actions:
-        world.step(action)
-        history.append(world.poses())
+        simulation.step(action)
+        history.append(simulation.poses())
     return {
         "robot_pose": [list(poses.robot) for poses in history],
         "finger_angles": [poses.finger_angles.tolist() for poses in history],

@@ -130,7 +130,8 @@ def _compare_task(task: str, tests: Sequence[_Test]) -> Comparison:
 
 
 def _tests(env: str, recorded: Sequence[Row], sampled: Sequence[Row]) -> Iterator[_Test]:
-    task, variant, _ = parse_env_id(env)
+    env_id = parse_env_id(env)
+    task, variant = env_id.task, env_id.variant
     least = 1 if variant == DEMO else LEAST_RECORDED
     found = {
         **_p_values(_coordinates(recorded), _coordinates(sampled), _ks, least),

@@ -67,10 +67,10 @@ def rollout(
     scene, dynamics = spec.sample(variant, rng)
     check_solvable(task, scene)
     expert = expert_for(task, seed=seed if strategy_seed is None else strategy_seed, skill=skill)
-    world = Simulation(scene, dynamics)
+    simulation = Simulation(scene, dynamics)
     memory: Memory | None = None
     actions: list[int] = []
-    tables = [world.read().copy()]
+    tables = [simulation.read().copy()]
     for step in range(spec.horizon):
         if step < random_steps:
             action = int(rng.integers(NUM_ACTIONS))
@@ -78,9 +78,9 @@ def rollout(
             table = tables[-1]
             state = State(scene, Poses(table[:, :3]), table[:, 3:], step, spec.horizon)
             action, memory = expert.act(state, memory)
-        world.step(action)
+        simulation.step(action)
         actions.append(action)
-        tables.append(world.read().copy())
+        tables.append(simulation.read().copy())
     poses = np.stack(tables)[:, :, :3]
     score = spec.score(scene, Poses(poses[-1]))
     return Rollout(scene, dynamics, np.array(actions), poses, score)

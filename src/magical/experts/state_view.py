@@ -18,7 +18,7 @@ GLIDE_TIME = 0.09
 
 @dataclass(frozen=True, slots=True)
 class StateView:
-    """One moment: positions in workspace units, angles in radians, rates per second."""
+    """One state: positions in workspace units, angles in radians, rates per second."""
 
     scene: Scene
     x: float  # of the robot's centre

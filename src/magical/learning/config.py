@@ -54,8 +54,9 @@ class Config:
     network: str = option("paper", "network architecture", choices=network_names())
     device: str = option("auto", "where to compute", choices=DEVICES)
     precision: str = option(
-        "auto", "of the forward and backward pass; auto: the faster one", choices=PRECISIONS
+        "auto", "of the forward and backward pass; auto: by the processor", choices=PRECISIONS
     )
+    threads: int = option(0, "CPU threads; 0: PyTorch's own number")
     compile: bool = option(False, "compile the networks (torch.compile)")
 
     def __post_init__(self) -> None:
@@ -67,6 +68,7 @@ class Config:
             raise InvalidConfigError(f"tasks: expected each task once, found {names}")
         if self.seed < 0:
             raise InvalidConfigError(f"seed: expected at least 0, found {self.seed}")
+        self.require_at_least_zero("threads")
         self._require_choices()
 
     def _require_choices(self) -> None:

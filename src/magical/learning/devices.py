@@ -1,18 +1,13 @@
-"""Device, precision and threads: chosen by measurement, recorded with the run."""
+"""Device, precision and threads: chosen once, recorded with the run."""
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from magical.errors import DeviceError
-from magical.learning.config import PRECISIONS
-
-WARM_UP, TIMED = 1, 3  # steps per candidate
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,39 +48,32 @@ def choose_device(device: str) -> str:
     return "cuda" if available and device != "cpu" else "cpu"
 
 
-def choose_compute(device: str, precision: str, step: Callable[[], Tensor]) -> Compute:
-    """Choose the fastest combination of precision and, on a CPU, one or all threads.
+def choose_compute(device: str, precision: str, threads: int) -> Compute:
+    """What a run computes with, from its configuration and the processor's abilities.
 
-    On a busy machine one thread can be faster than several that wait for each other.
+    Nothing is measured, so that the same configuration gives the same weights on the same machine,
+    whatever else runs on it. `magical bench training` measures, and recommends options.
 
     Args:
         device: `cpu` or `cuda`.
-        precision: `float32`, `bfloat16`, or `auto` to measure both.
-        step: runs the network forward on a batch of the run's size and returns a scalar loss; its
-            gradients are accumulated and not cleared.
+        precision: `float32`, `bfloat16`, or `auto`: bfloat16 if the device has instructions for it.
+        threads: of the CPU; 0: PyTorch's own number, which is one per physical core unless the
+            environment (`OMP_NUM_THREADS`) or the program says otherwise.
     """
-    names = PRECISIONS[1:] if precision == "auto" else (precision,)
-    threads = sorted({torch.get_num_threads(), 1}) if device == "cpu" else [0]
-    candidates = [Compute(device, name, count) for name in names for count in threads]
-    if len(candidates) == 1:
-        return candidates[0]
-    with restored_threads():
-        return min(candidates, key=lambda compute: step_time(compute, step))
+    if precision == "auto":
+        precision = "bfloat16" if has_bfloat16(device) else "float32"
+    if device == "cpu":
+        threads = threads or torch.get_num_threads()
+    return Compute(device, precision, threads)
 
 
-def step_time(compute: Compute, step: Callable[[], Tensor]) -> float:
-    """The time of a forward and backward pass in seconds, the shortest of `TIMED`."""
-    times = []
-    compute.set_threads()
-    for _ in range(WARM_UP + TIMED):
-        start = time.perf_counter()
-        with compute.autocast():
-            loss = step()
-        torch.autograd.backward(loss.float())
-        if compute.device == "cuda":
-            torch.cuda.synchronize()
-        times.append(time.perf_counter() - start)
-    return min(times[WARM_UP:])
+def has_bfloat16(device: str) -> bool:
+    """Whether `cpu` or `cuda` multiplies matrices of bfloat16 with instructions made for it."""
+    if device == "cuda":
+        return bool(torch.cuda.is_bf16_supported(including_emulation=False))
+    # Not in every PyTorch that is supported.
+    abilities: Mapping[str, Any] = getattr(torch.cpu, "get_capabilities", dict)()
+    return bool(abilities.get("amx_bf16") or abilities.get("avx512_bf16"))
 
 
 @contextmanager
@@ -104,9 +92,3 @@ def one_thread() -> Iterator[None]:
     with restored_threads():
         torch.set_num_threads(1)
         yield
-
-
-def zero_inputs(shape: tuple[int, ...], size: int, device: str) -> tuple[Tensor, Tensor]:
-    """A batch of network inputs (B, *shape) and tasks (B,), all 0, to measure a network with."""
-    tasks = torch.zeros(size, dtype=torch.int64, device=device)
-    return torch.zeros(size, *shape, device=device), tasks

@@ -38,7 +38,7 @@ class ReinforcementConfig(Config):
 
     # Ratios are compared with a clip range of 0.01: bfloat16's resolution is nearly as coarse.
     precision: str = option(
-        "float32", "of the forward and backward pass; auto: the faster one", choices=PRECISIONS
+        "float32", "of the forward and backward pass; auto: by the processor", choices=PRECISIONS
     )
     compile: bool = option(False, "compile the policy network (torch.compile)")
     init: str = option("torch", "initialisation of an image policy", choices=INITS)

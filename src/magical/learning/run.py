@@ -79,7 +79,7 @@ class Run:
         if not set(facts) <= set(self.record):
             self._write_record(facts)
 
-    def compute(self, device: str, precision: str, step: Callable[[], torch.Tensor]) -> Compute:
+    def compute(self, device: str, precision: str, threads: int) -> Compute:
         """Device, precision and threads: as recorded, or chosen by `devices.choose_compute`.
 
         A run that is resumed on another kind of device chooses again.
@@ -88,7 +88,7 @@ class Run:
         if recorded and recorded["device"] == device:
             chosen = Compute(**recorded)
         else:
-            chosen = choose_compute(device, precision, step)
+            chosen = choose_compute(device, precision, threads)
             self._write_record({"compute": chosen.to_dict()})
         chosen.set_threads()
         return chosen

@@ -145,11 +145,11 @@ class PixelSpec:
 
     def read(self, source: EpisodeSource, times: ArrayLike, out: Any = None) -> Any:
         """See `ObservationSpec`. A frame that several stacks share is rendered once."""
-        moments = np.asarray(times, np.intp)
-        out = empty(self.fields, moments.shape) if out is None else out
+        steps = np.asarray(times, np.intp)
+        out = empty(self.fields, steps.shape) if out is None else out
         for (view, frames), window in zip(self.parts, self.stacks(out), strict=True):
             rendered = source.frames(view, self.size, self.samples)
-            _render_stacks(rendered, stack_indices(moments, frames), window)
+            _render_stacks(rendered, stack_indices(steps, frames), window)
         return out
 
     def to_dict(self) -> dict[str, Any]:

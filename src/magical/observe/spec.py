@@ -36,7 +36,7 @@ class FrameSource(Protocol):
     """The frames of a stored episode in one view."""
 
     def render(self, time: int, out: NDArray[np.uint8]) -> None:
-        """Write the frame of one moment into `out` (size, size, 3), of any layout."""
+        """Write the frame of one step into `out` (size, size, 3), of any layout."""
 
 
 class EpisodeSource(Protocol):
@@ -47,24 +47,24 @@ class EpisodeSource(Protocol):
         """The initial scene."""
 
     def __len__(self) -> int:
-        """T; moments are counted from 0 to T."""
+        """The number of actions T; step 0 is before the first."""
 
     def frames(self, view: View, size: int, samples: int | None) -> FrameSource:
         """Its frames in one view at one resolution."""
 
     def body_states(self) -> NDArray[np.float64]:
-        """Poses and velocities of every body at every moment, (T + 1, 5 + blocks, 6)."""
+        """Poses and velocities of every body at every step, (T + 1, 5 + blocks, 6)."""
 
 
 class Component(Protocol):
-    """A part of an observation as a network gets it: an array a moment, stacked `frames` deep."""
+    """A part of an observation as a network gets it: an array per step, stacked `frames` deep."""
 
     @property
     def frames(self) -> int:
-        """How many of the latest moments are stacked along the first axis."""
+        """How many of the latest steps are stacked along the first axis."""
 
     def read(self, source: EpisodeSource, times: NDArray[np.intp]) -> NDArray[Any]:
-        """The arrays of single moments `times` (B,): (B, channels, ...), not yet stacked."""
+        """The arrays of the steps `times` (B,): (B, channels, ...), not yet stacked."""
 
 
 class ObservationSpec(Protocol):
@@ -80,7 +80,7 @@ class ObservationSpec(Protocol):
 
     @property
     def frames(self) -> int:
-        """How many of the latest moments one observation depends on."""
+        """How many of the latest steps one observation depends on."""
 
     @property
     def num_images(self) -> int:
@@ -107,9 +107,9 @@ class ObservationSpec(Protocol):
         """An observer that writes into `out`, or into arrays of its own."""
 
     def read(self, source: EpisodeSource, times: ArrayLike, out: Any = None) -> Any:
-        """The observations of a stored episode at moments `times` (B,), each 0 to T.
+        """The observations of a stored episode at the steps `times` (B,), each 0 to T.
 
-        Moment 0 is what `reset` returned, moment t what step t returned. Returns arrays of shape
+        Step 0 is what `reset` returned, t what the t-th `step` returned. Returns arrays of shape
         (B, *shape) as `fields` has them, written into `out` if it is given.
         """
 

@@ -106,8 +106,8 @@ class StateSpec:
         observer = self.observer()
         observer.start(source.scene, bodies[0])
         vectors = np.empty((len(bodies), self.size), np.float32)
-        for vector, moment in zip(vectors, bodies, strict=True):
-            observer.update(moment)
+        for vector, step in zip(vectors, bodies, strict=True):
+            observer.update(step)
             vector[:] = observer.out
         chosen = vectors[np.asarray(times, np.intp)]
         if out is None:

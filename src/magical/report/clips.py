@@ -50,9 +50,9 @@ class Clip:
         return file.getvalue()
 
     def strip(self, count: int = 6) -> NDArray[np.uint8]:
-        """`count` moments from first to last side by side, (H, W * count, 3)."""
-        moments = np.linspace(0, len(self.frames) - 1, count).round().astype(int)
-        return np.concatenate(list(self.frames[moments]), axis=1)
+        """`count` frames from first to last side by side, (H, W * count, 3)."""
+        indices = np.linspace(0, len(self.frames) - 1, count).round().astype(int)
+        return np.concatenate(list(self.frames[indices]), axis=1)
 
 
 def record_clips(

@@ -99,10 +99,10 @@ def test_a_task_from_outside_gets_its_expert() -> None:
     register_goals("DriveThere", Goals(plan))
     try:
         scene = get_task("MoveToRegion").demo
-        world, expert, memory = Simulation(scene), expert_for("DriveThere", seed=0), None
+        simulation, expert, memory = Simulation(scene), expert_for("DriveThere", seed=0), None
         for _ in range(40):
-            action, memory = expert.act(state_of(world, scene), memory)
-            world.step(action)
-        assert np.hypot(*(world.poses().bodies[0, :2] - 0.5)) < 0.2
+            action, memory = expert.act(state_of(simulation, scene), memory)
+            simulation.step(action)
+        assert np.hypot(*(simulation.poses().bodies[0, :2] - 0.5)) < 0.2
     finally:
         del _registered["DriveThere"]

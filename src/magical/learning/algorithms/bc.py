@@ -1,6 +1,5 @@
 """Behavioural cloning: maximum likelihood of the demonstrator's actions (appendix B, Table 3)."""
 
-import copy
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from magical.learning.augment import augment
 from magical.learning.augmentations import parse_augmentations
 from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
 from magical.learning.config import ImitationConfig, option
-from magical.learning.devices import choose_device, zero_inputs
+from magical.learning.devices import choose_device
 from magical.learning.expert_data import ExpertData, load_demonstrations
 from magical.learning.models import PolicyNetwork, Trunk
 from magical.learning.prefetch import prefetch
@@ -108,7 +107,7 @@ class BCTrainer:
         self.device = choose_device(config.device)
         self.augmentations = parse_augmentations(config.augment)
         self.reset()
-        self.compute = run.compute(self.device, config.precision, self._loss_of_zeros)
+        self.compute = run.compute(self.device, config.precision, config.threads)
         if run.saved:
             load_module(self.network, run.saved["policy"], str(run.folder))
             load_optimizer(self.optimizer, run.saved["optimizer"])
@@ -175,11 +174,6 @@ class BCTrainer:
             "policy": self.network.state_dict(),
             "optimizer": optimizer_state(self.optimizer),
         }
-
-    def _loss_of_zeros(self) -> Tensor:
-        """The loss of a batch, on a copy of the network, to measure precisions with."""
-        images, tasks = zero_inputs(self.config.input_shape, self.config.batch_size, self.device)
-        return bc_loss(copy.deepcopy(self.network)(images, tasks), tasks)
 
 
 def make_policy(config: BCConfig) -> PolicyNetwork:

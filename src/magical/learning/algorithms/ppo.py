@@ -24,7 +24,7 @@ from magical.learning.algorithms import Algorithm
 from magical.learning.augment import to_unit
 from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
 from magical.learning.config import IMAGE_OBSERVATIONS, option
-from magical.learning.devices import choose_device, one_thread, zero_inputs
+from magical.learning.devices import choose_device, one_thread
 from magical.learning.models import make_actor_critic, sample_actions
 from magical.learning.monitoring import Metrics, Monitor, explained_variance
 from magical.learning.policy import demo_score
@@ -88,10 +88,7 @@ class PPOTrainer:
         vectors = len(config.input_shape) == 1
         # Positions need more digits than pixels.
         precision = "float32" if vectors and config.precision == "auto" else config.precision
-        zeros = zero_inputs(config.input_shape, config.minibatch_size, self.device)
-        self.compute = run.compute(
-            self.device, precision, lambda: self.network.logits_and_values(*zeros)[0].sum()
-        )
+        self.compute = run.compute(self.device, precision, config.threads)
         forward = self.network.logits_and_values
         self._forward = torch.compile(forward) if config.compile else forward
         self.monitor = Monitor()
