@@ -269,7 +269,7 @@ train(read_config(pathlib.Path(sys.argv[1])), sys.argv[2], callback=die)
 def test_a_killed_run_leaves_no_lock_and_its_partial_files_are_removed(
     demos: Path, tmp_path: Path
 ) -> None:
-    config, folder = tiny(demos), tmp_path / "run"
+    config, folder = tiny(demos, threads=1), tmp_path / "run"
     train(config, tmp_path / "whole")
     command = [sys.executable, "-c", KILLED, str(tmp_path / "whole"), str(folder)]
     assert subprocess.run(command).returncode == -signal.SIGKILL
