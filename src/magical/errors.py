@@ -134,7 +134,7 @@ class DemonstrationsError(MagicalError, ValueError):
 
 
 class DivergedError(MagicalError, ArithmeticError):
-    """A loss or weights that are not finite."""
+    """A loss, weights or logits that are not finite."""
 
 
 class DeviceError(MagicalError, RuntimeError):

@@ -3,6 +3,8 @@
 import errno
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -13,8 +15,8 @@ import torch
 from torch import Tensor
 
 from magical.demos import observations
-from magical.errors import DivergedError, RunFolderError
-from magical.learning import run, train
+from magical.errors import CheckpointError, DivergedError, InvalidConfigError, RunFolderError
+from magical.learning import load_policy, run, train
 from magical.learning.algorithms.bc import (
     BCConfig,
     bc_loss,
@@ -199,6 +201,85 @@ def test_what_the_callback_raises_ends_a_run_that_can_be_resumed(
     assert_same_weights(tmp_path / "run", tmp_path / "whole")
 
 
+def damage(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[-100] ^= 1
+    path.write_bytes(content)
+
+
+def test_a_damaged_checkpoint_is_refused_and_the_previous_one_gives_the_same_weights(
+    demos: Path, tmp_path: Path
+) -> None:
+    config, folder = tiny(demos, checkpoint_every=1), tmp_path / "run"
+    train(config, folder, stop_after=4)
+    damage(folder / CHECKPOINT)
+    with pytest.raises(CheckpointError, match=r"checkpoint\.safetensors is damaged.*of step 3"):
+        load_policy(folder)
+    with pytest.raises(CheckpointError, match=r"checkpoint\.safetensors is damaged.*of step 3"):
+        train(config, folder, resume=True)
+    result = train(config, folder, resume=True, previous_checkpoint=True, stop_after=1)
+    assert result.step == 4
+    assert train(config, folder, resume=True).finished
+    train(config, tmp_path / "whole")
+    assert_same_weights(folder, tmp_path / "whole")
+    assert [line["step"] for line in read_metrics(folder)] == [2, 4, 6]
+
+
+def test_the_previous_checkpoint_is_for_resuming(demos: Path, tmp_path: Path) -> None:
+    with pytest.raises(InvalidConfigError, match="previous_checkpoint needs resume"):
+        train(tiny(demos), tmp_path / "run", previous_checkpoint=True)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_run_is_trained_once_at_a_time_and_evaluated_meanwhile(
+    demos: Path, tmp_path: Path
+) -> None:
+    config, folder = tiny(demos), tmp_path / "run"
+    seen = []
+
+    def meanwhile() -> None:
+        for resume in (False, True):
+            with pytest.raises(RunFolderError, match=rf"process {os.getpid()} .*trains this run"):
+                train(config, folder, resume=resume)
+        seen.append(load_policy(folder).tasks)
+        seen.append(read_metrics(folder)[-1]["step"])
+
+    assert train(config, folder, callback=call_at(4, meanwhile)).finished
+    assert seen == [("MoveToCorner",), 4]
+    assert train(config, folder, resume=True).finished
+
+
+KILLED = """
+import os, pathlib, signal, sys
+from magical.learning import train
+from magical.learning.algorithms import read_config
+from magical.files import write_atomically
+
+def die(step, metrics):
+    if step == 4:
+        with write_atomically(pathlib.Path(sys.argv[2]) / "checkpoint.safetensors") as file:
+            file.write(b"half")
+            file.flush()
+            os.kill(os.getpid(), signal.SIGKILL)
+
+train(read_config(pathlib.Path(sys.argv[1])), sys.argv[2], callback=die)
+"""
+
+
+def test_a_killed_run_leaves_no_lock_and_its_partial_files_are_removed(
+    demos: Path, tmp_path: Path
+) -> None:
+    config, folder = tiny(demos, threads=1), tmp_path / "run"
+    train(config, tmp_path / "whole")
+    command = [sys.executable, "-c", KILLED, str(tmp_path / "whole"), str(folder)]
+    assert subprocess.run(command).returncode == -signal.SIGKILL
+    assert len(list(folder.glob(".checkpoint.safetensors.*.part"))) == 1
+    (folder / ".notes.txt.1.part").touch()  # of another program
+    assert train(config, folder, resume=True).finished
+    assert [path.name for path in folder.glob(".*.part")] == [".notes.txt.1.part"]
+    assert_same_weights(folder, tmp_path / "whole")
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_leave_a_checkpoint_to_go_on_from(
     number: signal.Signals, demos: Path, tmp_path: Path
@@ -242,7 +323,7 @@ def test_a_full_disk_is_named_and_the_last_checkpoint_kept(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr(run, "save_checkpoint", full)
+        patch.setattr(run, "replace_checkpoint", full)
         with pytest.raises(RunFolderError, match=r"disk is full.*resume"):
             train(config, tmp_path / "run", resume=True)
     assert all(torch.equal(before[k], v) for k, v in weights(tmp_path / "run").items())

@@ -1,9 +1,12 @@
 """Trees of tensors on disk."""
 
+import errno
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 import torch
+from safetensors import safe_open
 from torch import nn
 from torch.optim import SGD, Adam, Optimizer
 
@@ -11,10 +14,15 @@ from magical.errors import CheckpointError
 from magical.learning.checkpoints import (
     load_checkpoint,
     load_module,
+    load_newest_checkpoint,
     load_optimizer,
     optimizer_state,
+    replace_checkpoint,
+    restore_previous_checkpoint,
     save_checkpoint,
 )
+from magical.runs.folder import CHECKPOINT, PREVIOUS
+from tests.learning.fuzz_checkpoints import fuzz_checkpoints
 
 
 def test_state_dicts_are_read_as_they_were_written(tmp_path: Path) -> None:
@@ -45,6 +53,109 @@ def test_missing_cut_and_foreign_files_are_named(tmp_path: Path) -> None:
         path.write_bytes(damaged)
         with pytest.raises(CheckpointError, match=r"c is damaged"):
             load_checkpoint(path)
+
+
+def test_a_changed_bit_anywhere_is_refused_before_anything_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "c"
+    save_checkpoint(path, {"a": torch.rand(50), "step": 3})
+    whole = path.read_bytes()
+    for place in (0, 7, 9, 30, 60, 100, 200, len(whole) // 2, len(whole) - 1):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        with pytest.raises(CheckpointError, match=r"c is damaged or .*SHA-256"):
+            load_checkpoint(path)
+
+
+def test_a_checkpoint_is_a_safetensors_file(tmp_path: Path) -> None:
+    weights = torch.rand(5)
+    save_checkpoint(tmp_path / "c", {"policy": {"weight": weights}, "step": 3})
+    with safe_open(tmp_path / "c", framework="pt") as file:
+        assert torch.equal(file.get_tensor("/policy/weight"), weights)
+    save_checkpoint(tmp_path / "c", {"step": 3})
+    assert load_checkpoint(tmp_path / "c") == {"step": 3}
+
+
+def test_mutants_are_refused(tmp_path: Path) -> None:
+    outcomes = fuzz_checkpoints(500, seed=1, folder=tmp_path)
+    assert outcomes["refused"] > 450
+    assert set(outcomes) <= {"refused", "equal"}
+
+
+def step_of(folder: Path, name: str) -> int:
+    step: int = load_checkpoint(folder / name)["step"]
+    return step
+
+
+def test_the_checkpoint_before_the_newest_is_kept(tmp_path: Path) -> None:
+    for step in (1, 2, 3):
+        replace_checkpoint(tmp_path, {"step": step})
+    assert (step_of(tmp_path, CHECKPOINT), step_of(tmp_path, PREVIOUS)) == (3, 2)
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.parametrize("number_of_renames", [0, 1, 2])
+def test_an_intact_checkpoint_is_there_wherever_a_replacement_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number_of_renames: int
+) -> None:
+    for step in (1, 2):
+        replace_checkpoint(tmp_path, {"step": step})
+    renames = 0
+    rename = Path.replace
+
+    def fail_later(self: Path, target: Path) -> Path:
+        nonlocal renames
+        renames += 1
+        if renames > number_of_renames:
+            raise InterruptedError
+        return rename(self, target)
+
+    with monkeypatch.context() as patch, suppress(InterruptedError):
+        patch.setattr(Path, "replace", fail_later)
+        replace_checkpoint(tmp_path, {"step": 3})
+    assert step_of(tmp_path, CHECKPOINT) == (3 if number_of_renames == 2 else 2)
+    assert step_of(tmp_path, PREVIOUS) == (1 if number_of_renames == 0 else 2)
+
+
+def test_without_hard_links_the_previous_checkpoint_is_a_copy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_links(*_: object) -> None:
+        raise OSError(errno.EPERM, "not supported")
+
+    monkeypatch.setattr(Path, "hardlink_to", no_links)
+    for step in (1, 2):
+        replace_checkpoint(tmp_path, {"step": step})
+    assert (step_of(tmp_path, CHECKPOINT), step_of(tmp_path, PREVIOUS)) == (2, 1)
+
+
+def test_a_damaged_checkpoint_names_the_intact_previous_one(tmp_path: Path) -> None:
+    for step in (4, 6):
+        replace_checkpoint(tmp_path, {"step": step})
+    (tmp_path / CHECKPOINT).write_bytes(b"x")
+    with pytest.raises(CheckpointError, match=r"previous.*of step 4.*--previous-checkpoint"):
+        load_newest_checkpoint(tmp_path)
+    (tmp_path / CHECKPOINT).unlink()
+    with pytest.raises(CheckpointError, match=r"found none.*of step 4"):
+        load_newest_checkpoint(tmp_path)
+    (tmp_path / PREVIOUS).write_bytes(b"x")
+    with pytest.raises(CheckpointError, match=r"no intact checkpoint"):
+        load_newest_checkpoint(tmp_path)
+
+
+def test_the_previous_checkpoint_replaces_a_damaged_one_only_if_it_is_intact(
+    tmp_path: Path,
+) -> None:
+    for step in (4, 6):
+        replace_checkpoint(tmp_path, {"step": step})
+    intact = (tmp_path / PREVIOUS).read_bytes()
+    (tmp_path / PREVIOUS).write_bytes(intact[:-1])
+    with pytest.raises(CheckpointError, match=r"previous-checkpoint.* is damaged"):
+        restore_previous_checkpoint(tmp_path)
+    assert step_of(tmp_path, CHECKPOINT) == 6
+    (tmp_path / PREVIOUS).write_bytes(intact)
+    restore_previous_checkpoint(tmp_path)
+    assert step_of(tmp_path, CHECKPOINT) == 4
+    with pytest.raises(CheckpointError, match="expected a file, found none"):
+        restore_previous_checkpoint(tmp_path)
 
 
 def test_weights_of_another_network_are_refused() -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from magical.cli import main
+from magical.runs.folder import CHECKPOINT, PREVIOUS
 
 TINY = ["--preset", "quick", "--batches", "4", "--batch-size", "4", "--num-demos", "2"]
 
@@ -29,6 +30,24 @@ def test_train_stop_resume(demos: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert main(["train", "bc", "--out", str(out), "--resume"]) == 0
     assert "finished; magical evaluate" in capsys.readouterr().err
     assert main(bc(demos, out, "--resume")) == 0
+
+
+def test_a_damaged_checkpoint_is_named_and_the_previous_one_resumed(
+    demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run"
+    assert main(bc(demos, out, "--checkpoint-every", "2")) == 0
+    (out / CHECKPOINT).write_bytes((out / CHECKPOINT).read_bytes()[:-1])
+    resume = ["train", "bc", "--out", str(out), "--resume"]
+    for command in (["evaluate", str(out)], resume):
+        assert main(command) == 1
+        error = capsys.readouterr().err
+        assert f"checkpoint {out / CHECKPOINT} is damaged" in error
+        assert f"{out / PREVIOUS} of step 2, is intact: resume from it with --resume" in error
+    assert main([*resume, "--previous-checkpoint"]) == 0
+    assert "finished" in capsys.readouterr().err
+    assert main(bc(demos, tmp_path / "new", "--previous-checkpoint")) == 1
+    assert "needs resume" in capsys.readouterr().err
 
 
 def test_errors_say_what_to_do_and_have_status_1(

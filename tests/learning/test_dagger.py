@@ -23,8 +23,10 @@ from magical.experts import goals
 from magical.learning import load_policy, train
 from magical.learning.algorithms.bc import BCConfig, make_policy
 from magical.learning.algorithms.dagger import AGGREGATE, DAggerConfig
+from magical.learning.run import Metrics
 from magical.learning.supervision import LABELS
 from magical.runs import read_metrics
+from magical.runs.folder import CHECKPOINT
 from tests.learning.conftest import TASKS
 from tests.learning.reinforcement import assert_same, checkpoint
 
@@ -130,6 +132,25 @@ def test_a_round_that_was_cut_short_while_stored_is_completed(
     assert train(config, tmp_path / "run", resume=True).finished
     train(config, tmp_path / "whole")
     assert_same_run(tmp_path / "run", tmp_path / "whole")
+
+
+def test_the_previous_checkpoint_may_be_of_an_earlier_round_than_the_episodes(
+    demos: Path, tmp_path: Path, whole: Path
+) -> None:
+    def fail(step: int, metrics: Metrics) -> None:
+        if step == 5:
+            raise LookupError
+
+    config, folder = tiny(demos, checkpoint_every=2), tmp_path / "run"
+    with pytest.raises(LookupError):
+        train(config, folder, callback=fail)
+    assert len(aggregate(folder)) == 2
+    (folder / CHECKPOINT).write_bytes(b"")
+    result = train(config, folder, resume=True, previous_checkpoint=True, stop_after=1)
+    assert result.step == 3
+    assert result.metrics["labels"] == 64
+    assert train(config, folder, resume=True).finished
+    assert_same_run(folder, whole)
 
 
 def test_another_aggregate_cannot_continue_a_run(demos: Path, tmp_path: Path, whole: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from magical.errors import CheckpointError, PolicyError, RunFolderError
+from magical.errors import CheckpointError, DivergedError, PolicyError, RunFolderError
 from magical.evaluation import Policy, evaluate
 from magical.learning import NetworkPolicy, is_run, load_policy, train
 from magical.learning.algorithms.bc import BCConfig
@@ -41,7 +41,7 @@ def fixed(logits: Any, preset: str = "LoRes4E", greedy: bool = False) -> Network
 
 
 def test_actions_are_sampled_from_the_distribution_of_the_right_task() -> None:
-    logits = torch.full((2, 18), -torch.inf)
+    logits = torch.full((2, 18), -1e4)
     logits[0, [2, 17]] = torch.tensor([0.25, 0.75]).log()
     logits[1, 5] = 0.0
     policy = fixed(logits)
@@ -77,6 +77,18 @@ def test_wrong_observations_and_tasks_are_named() -> None:
         policy.act(np.zeros((1, 96, 96, 12), np.float32), IDS[:1], rng)
     with pytest.raises(PolicyError, match="MoveToCorner, MoveToRegion; found magical/FindDupe"):
         policy.act(np.zeros((1, 96, 96, 12), np.uint8), ["magical/FindDupe-Demo-v0"], rng)
+
+
+@pytest.mark.parametrize("bad", [torch.nan, torch.inf, -torch.inf])
+@pytest.mark.parametrize("greedy", [False, True])
+def test_logits_that_are_not_finite_are_an_error(bad: float, greedy: bool) -> None:
+    logits = torch.zeros(2, 18)
+    logits[1, 4] = bad
+    policy = fixed(logits, greedy=greedy)
+    frames = np.zeros((3, 96, 96, 12), np.uint8)
+    assert len(policy.act(frames, [IDS[0]] * 3, np.random.default_rng(0))) == 3
+    with pytest.raises(DivergedError, match=r"expected finite logits, found -?(nan|inf);"):
+        policy.act(frames, [IDS[0], IDS[1], IDS[0]], np.random.default_rng(0))
 
 
 @pytest.fixture(scope="module")

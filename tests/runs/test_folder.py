@@ -1,6 +1,9 @@
 """Run folders as plain files."""
 
 import json
+import os
+import subprocess
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -8,7 +11,7 @@ from typing import Any
 import pytest
 
 from magical.errors import RunFolderError
-from magical.runs import is_run, open_folder, read_json
+from magical.runs import is_run, locked_folder, open_folder, read_json
 from magical.runs.folder import CONFIG, RECORD
 
 CONFIGURATION: Mapping[str, Any] = {"algorithm": "bc", "demos": "demos", "seed": 0}
@@ -45,6 +48,42 @@ def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
     (tmp_path / "mine" / "thesis.tex").write_text("...")
     with pytest.raises(RunFolderError, match="expected a new or an empty folder"):
         open_folder(tmp_path / "mine", CONFIGURATION, resume=False)
+
+
+def test_a_locked_folder_is_refused_to_another_but_can_be_read(folder: Path) -> None:
+    with locked_folder(folder, resume=True):
+        refused = pytest.raises(RunFolderError, match=rf"process {os.getpid()} already trains")
+        with refused, locked_folder(folder, resume=True):
+            pass
+        assert read_json(folder / CONFIG) == CONFIGURATION
+    with locked_folder(folder, resume=True):
+        assert is_run(folder)
+
+
+def test_a_folder_with_other_things_gets_no_lock_file(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").touch()
+    for resume in (False, True):
+        with pytest.raises(RunFolderError, match="expected"), locked_folder(tmp_path, resume):
+            pass
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+KILLED = """
+import os, pathlib, signal, sys
+from magical.files import write_atomically
+from magical.runs import locked_folder
+folder = pathlib.Path(sys.argv[1])
+with locked_folder(folder, resume=False), write_atomically(folder / "config.json"):
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_a_run_whose_creation_was_killed_can_be_created(tmp_path: Path) -> None:
+    subprocess.run([sys.executable, "-c", KILLED, str(tmp_path / "run")])
+    assert len(list((tmp_path / "run").iterdir())) == 2  # lock and partial configuration
+    with locked_folder(tmp_path / "run", resume=False):
+        open_folder(tmp_path / "run", CONFIGURATION, resume=False)
+    assert not list((tmp_path / "run").glob(".*.part"))
 
 
 @pytest.mark.parametrize(("text", "found"), [("{", "Expecting property"), ("[]", "list")])

@@ -52,6 +52,7 @@ def run(args: argparse.Namespace) -> int:
         config,
         args.out,
         resume=args.resume,
+        previous_checkpoint=args.previous_checkpoint,
         stop_after=args.stop_after,
         progress=True,
         callback=draw_at_evaluations,
@@ -98,6 +99,13 @@ def _add_options(parser: argparse.ArgumentParser, algorithm: str) -> None:
         action="store_true",
         default=False,
         help="continue the run in the folder; its configuration need not be given again",
+    )
+    parser.add_argument(
+        "--previous-checkpoint",
+        action="store_true",
+        default=False,
+        help="with --resume: drop the newest checkpoint, as when it is damaged, and continue from "
+        "the one before it",
     )
     parser.add_argument(
         "--preset",

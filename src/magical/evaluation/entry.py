@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,8 @@ class Entry:
     def write(self, folder: Path | str) -> None:
         """Write both files; details that `entry.json` already holds and `self` lacks are kept."""
         target = Path(folder) / ENTRY_FILE
-        data = {name: value for name, value in asdict(self).items() if name != "scores"}
+        names = [field.name for field in fields(self) if field.name != "scores"]
+        data: dict[str, Any] = {name: getattr(self, name) for name in names}
         if target.exists():
             data["details"] = _read_json(target).get("details", {}) | self.details
         write_scores(self.scores, Path(folder) / SCORES_FILE)

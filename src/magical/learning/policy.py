@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from magical.envs import EnvId, parse_env_id
-from magical.errors import ObservationError, PolicyError, RunFolderError
+from magical.errors import DivergedError, ObservationError, PolicyError, RunFolderError
 from magical.evaluation import evaluate
 from magical.evaluation.policy import Actions, Mask
 from magical.learning.algorithms import find_algorithm, read_config
 from magical.learning.augment import to_unit
-from magical.learning.checkpoints import load_checkpoint, load_module
+from magical.learning.checkpoints import load_module, load_newest_checkpoint
 from magical.learning.devices import Compute, choose_device
 from magical.learning.reinforcement import ReinforcementConfig
 from magical.observe import ObservationSpec
@@ -58,6 +58,7 @@ class NetworkPolicy:
 
         Raises:
             PolicyError: observations of another shape, or a task that it was not trained on.
+            DivergedError: the network's logits are not finite.
         """
         probabilities = self.probabilities(observations, env_ids)
         if self.greedy:
@@ -72,12 +73,14 @@ class NetworkPolicy:
         """Does nothing: the only memory is the observation's frame stack."""
 
     def probabilities(self, observations: Any, env_ids: Sequence[str]) -> NDArray[np.float64]:
-        """The distribution over actions, (B, 18) float64."""
+        """The distribution over actions, (B, 18) float64; raises what `act` raises."""
         inputs = to_inputs(observations, self._spec).to(self._compute.device)
         tasks = self._task_numbers(env_ids).to(self._compute.device)
         with torch.inference_mode(), self._compute.autocast():
             logits = self.network(to_unit(inputs), tasks)  # (B, 18)
-        probabilities: NDArray[np.float64] = logits.double().softmax(dim=1).cpu().numpy()
+        logits = logits.double().cpu()
+        _require_finite(logits)
+        probabilities: NDArray[np.float64] = logits.softmax(dim=1).numpy()
         return probabilities
 
     def _task_numbers(self, env_ids: Sequence[str]) -> Tensor:
@@ -91,6 +94,16 @@ class NetworkPolicy:
                 )
             numbers[env_id] = self.tasks.index(task)
         return torch.tensor([numbers[env_id] for env_id in env_ids])
+
+
+def _require_finite(logits: Tensor) -> None:
+    """Raise `DivergedError` unless all logits are finite."""
+    finite = torch.isfinite(logits)
+    if not finite.all():
+        raise DivergedError(
+            f"policy: expected finite logits, found {logits[~finite][0].item()}; the "
+            "weights are not finite, or too large for the precision"
+        )
 
 
 def to_inputs(observations: Any, spec: ObservationSpec) -> Tensor:
@@ -123,7 +136,7 @@ def load_policy(run: Path | str, device: str = "auto", greedy: bool = False) -> 
     config = read_config(folder)
     network = find_algorithm(config.algorithm).make_policy(config)
     chosen = choose_device(device)
-    state = load_checkpoint(folder / CHECKPOINT)
+    state = load_newest_checkpoint(folder)
     load_module(network, state["policy"], str(folder / CHECKPOINT))
     recorded = read_json(folder / RECORD)["compute"]
     precision = recorded["precision"] if chosen == recorded["device"] else "float32"

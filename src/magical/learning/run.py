@@ -11,10 +11,10 @@ from typing import Any, Self
 import torch
 
 from magical.errors import DivergedError, RunFolderError
-from magical.learning.checkpoints import StateDict, load_checkpoint, save_checkpoint
+from magical.learning.checkpoints import StateDict, load_newest_checkpoint, replace_checkpoint
 from magical.learning.devices import Compute, choose_compute
 from magical.learning.interrupts import Interrupts
-from magical.runs.folder import CHECKPOINT, RECORD, TENSORBOARD, read_json, write_json
+from magical.runs.folder import CHECKPOINT, PREVIOUS, RECORD, TENSORBOARD, read_json, write_json
 from magical.runs.metrics import MetricsWriter
 
 Metrics = Mapping[str, float | str]
@@ -39,13 +39,17 @@ class Run:
         stop_after: int | None = None,
         tensorboard: bool = False,
     ) -> None:
-        """See `magical.learning.train`; `on_metrics` is called after each line of metrics."""
+        """See `magical.learning.train`; `on_metrics` is called after each line of metrics.
+
+        Raises:
+            CheckpointError: the newest checkpoint is damaged.
+        """
         self.folder = folder
         self._on_metrics = on_metrics
         self._interrupts = interrupts or Interrupts()
         self.record = read_json(folder / RECORD) if (folder / RECORD).exists() else {}
-        path = folder / CHECKPOINT
-        self.saved: StateDict | None = load_checkpoint(path) if path.exists() else None
+        begun = any((folder / name).exists() for name in (CHECKPOINT, PREVIOUS))
+        self.saved: StateDict | None = load_newest_checkpoint(folder) if begun else None
         self.step = int(self.saved["step"]) if self.saved else 0
         self._last = math.inf if stop_after is None else self.step + stop_after
         self._metrics = MetricsWriter(folder, self.step)
@@ -103,12 +107,12 @@ class Run:
         self._on_metrics(step, total, metrics)
 
     def checkpoint(self, step: int, state: StateDict) -> None:
-        """Replace the checkpoint by the state after `step` steps.
+        """Save the state after `step` steps as the newest checkpoint; the one before is kept too.
 
-        Raises `DivergedError` if its tensors are not all finite; the older one is kept.
+        Raises `DivergedError` if its tensors are not all finite; the checkpoints stay as they were.
         """
         self.require_finite(step, state)
-        save_checkpoint(self.folder / CHECKPOINT, {**state, "step": step})
+        replace_checkpoint(self.folder, {**state, "step": step})
         self.step = step
 
     def require_finite(self, step: int, state: Any) -> None:

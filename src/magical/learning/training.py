@@ -8,15 +8,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from magical.errors import RunFolderError
+from magical.errors import InvalidConfigError, RunFolderError
 from magical.learning.algorithms import find_algorithm
+from magical.learning.checkpoints import restore_previous_checkpoint
 from magical.learning.config import Config
 from magical.learning.devices import restored_threads
 from magical.learning.interrupts import Interrupts
 from magical.learning.policy import NetworkPolicy, load_policy
 from magical.learning.run import Metrics, Run
 from magical.progress import ProgressBar
-from magical.runs.folder import open_folder
+from magical.runs.folder import locked_folder, open_folder
 from magical.runs.metrics import read_metrics
 
 Callback = Callable[[int, Metrics], object]  # step, metrics
@@ -57,6 +58,7 @@ def train(
     out: Path | str,
     *,
     resume: bool = False,
+    previous_checkpoint: bool = False,
     stop_after: int | None = None,
     progress: bool = False,
     callback: Callback | None = None,
@@ -71,6 +73,8 @@ def train(
         out: a new or an empty folder; with `resume`, one that holds this run.
         resume: continue from the newest checkpoint; on a CPU the result is bit-equal to that of a
             run without interruption.
+        previous_checkpoint: with `resume`, drop the newest checkpoint and continue from the one
+            before it.
         stop_after: save a checkpoint and return after this many more batches or updates.
         progress: show a progress bar on standard error.
         callback: called as `callback(step, metrics)` after each line of `metrics.jsonl`, for
@@ -79,28 +83,35 @@ def train(
         tensorboard: log the metrics for TensorBoard too (needs the extra).
 
     Raises:
-        RunFolderError: the folder holds another run or other files, or the disk is full.
+        RunFolderError: the folder holds another run or other files, another process trains this
+            run, or the disk is full.
+        CheckpointError: the checkpoint is damaged; says whether the previous one is intact.
         DemonstrationsError, DatasetError: too few demonstrations, or damaged ones.
         DivergedError: the loss is not finite; the newest good checkpoint is kept.
+        InvalidConfigError: `previous_checkpoint` without `resume`.
     """
-    folder = Path(out)
-    algorithm = find_algorithm(config.algorithm)
+    folder, algorithm = Path(out), find_algorithm(config.algorithm)
     display = ProgressBar(config.algorithm, transient=False) if progress else nullcontext(None)
-    with _full_disk_as_error(folder), restored_threads(), Interrupts() as interrupts:
-        open_folder(folder, config.to_dict(), resume)
-        with (
-            display as bar,
-            Run(
-                folder,
-                on_metrics=partial(_show, bar, callback),
-                interrupts=interrupts,
-                stop_after=stop_after,
-                tensorboard=tensorboard,
-            ) as run,
-        ):
+    with _opened(folder, config, resume, previous_checkpoint), Interrupts() as stop, display as bar:
+        show = partial(_show, bar, callback)
+        with Run(
+            folder, on_metrics=show, interrupts=stop, stop_after=stop_after, tensorboard=tensorboard
+        ) as run:
             algorithm.train(config, run)
     newest = (read_metrics(folder) or [{"step": run.step}])[-1]
-    return TrainResult(folder, run.step, config.total, interrupts.seen, newest)
+    return TrainResult(folder, run.step, config.total, stop.seen, newest)
+
+
+@contextmanager
+def _opened(folder: Path, config: Config, resume: bool, previous: bool) -> Iterator[None]:
+    """A run folder that is locked and ready to be trained in."""
+    if previous and not resume:
+        raise InvalidConfigError("previous_checkpoint needs resume: a new run has no checkpoints")
+    with _full_disk_as_error(folder), locked_folder(folder, resume), restored_threads():
+        open_folder(folder, config.to_dict(), resume)
+        if previous:
+            restore_previous_checkpoint(folder)
+        yield
 
 
 def _show(

@@ -4,13 +4,16 @@
 - `run.json`: versions, demonstrations with SHA-256 sums, device and precision
 - `metrics.jsonl`: one JSON object a line
 - `checkpoint.safetensors`: the newest checkpoint
+- `previous-checkpoint.safetensors`: the one before
 - `learning-curves.png`: the metrics as a picture
 - `tensorboard/`: the metrics again, on request
+- `.lock`: locked while the run is trained; holds the process id
 """
 
 import json
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -18,14 +21,23 @@ from typing import Any
 
 from magical import __version__
 from magical.errors import RunFolderError
-from magical.files import write_atomically
+from magical.files import (
+    LockedError,
+    is_partial,
+    lock_now,
+    remove_partial_files,
+    write_atomically,
+)
 
 CONFIG = "config.json"
 RECORD = "run.json"
 METRICS = "metrics.jsonl"
 CHECKPOINT = "checkpoint.safetensors"
+PREVIOUS = "previous-checkpoint.safetensors"
 CURVES = "learning-curves.png"
 TENSORBOARD = "tensorboard"
+LOCK = ".lock"
+WRITTEN = (CONFIG, RECORD, METRICS, CHECKPOINT, PREVIOUS, CURVES)  # by the holder of the lock
 
 VERSIONED = ("torch", "numpy", "pymunk", "numba", "safetensors")  # what results may depend on
 
@@ -33,6 +45,34 @@ VERSIONED = ("torch", "numpy", "pymunk", "numba", "safetensors")  # what results
 def is_run(path: Path | str) -> bool:
     """Whether a path is a run folder."""
     return (Path(path) / CONFIG).is_file()
+
+
+@contextmanager
+def locked_folder(path: Path, resume: bool) -> Iterator[None]:
+    """Hold the lock of a run folder for training, creating the folder if it is missing.
+
+    Reading a run needs no lock. Temporary files of a killed process are removed.
+
+    Args:
+        path: as in `open_folder`.
+        resume: as in `open_folder`.
+
+    Raises:
+        RunFolderError: another process or thread trains this run; there is nothing to resume; the
+            folder holds other files.
+    """
+    if not is_run(path):
+        _check_new(path, resume)
+        path.mkdir(parents=True, exist_ok=True)
+    try:
+        with lock_now(path / LOCK):
+            remove_partial_files(path, *WRITTEN)
+            yield
+    except LockedError as error:
+        raise RunFolderError(
+            f"{path}: process {error.process_id or '(unknown)'} already trains this run; wait for "
+            "its end, or stop it"
+        ) from error
 
 
 def open_folder(path: Path, config: Mapping[str, Any], resume: bool) -> None:
@@ -50,12 +90,21 @@ def open_folder(path: Path, config: Mapping[str, Any], resume: bool) -> None:
     if is_run(path):
         _check_existing(path, config, resume)
         return
-    if resume:
-        raise RunFolderError(f"{path}: expected a run to resume, found none")
-    if path.exists() and (not path.is_dir() or any(path.iterdir())):
-        raise RunFolderError(f"{path}: expected a new or an empty folder, found other things in it")
+    _check_new(path, resume)
     write_json(path / CONFIG, config)
     write_json(path / RECORD, {"versions": versions(), "began": f"{datetime.now(UTC):%FT%TZ}"})
+
+
+def _check_new(path: Path, resume: bool) -> None:
+    if resume:
+        raise RunFolderError(f"{path}: expected a run to resume, found none")
+    if path.exists() and not (path.is_dir() and all(map(_is_unfinished, path.iterdir()))):
+        raise RunFolderError(f"{path}: expected a new or an empty folder, found other things in it")
+
+
+def _is_unfinished(file: Path) -> bool:
+    """Whether a process that was killed while it created a run may have left a file."""
+    return file.name == LOCK or is_partial(file, CONFIG)
 
 
 def _check_existing(path: Path, config: Mapping[str, Any], resume: bool) -> None:

@@ -126,6 +126,28 @@ def test_three_processes_append_at_once(tmp_path: Path, small_dataset: Path) -> 
     assert check(path) == []
 
 
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from magical.demos import Dataset, DatasetWriter
+Path.replace = lambda self, target: os.kill(os.getpid(), signal.SIGKILL)
+DatasetWriter(sys.argv[2]).append(Dataset.open(sys.argv[1])[0])
+"""
+
+
+def test_what_killed_writers_left_is_removed_by_the_next(
+    tmp_path: Path, small_dataset: Path
+) -> None:
+    target, trajectory = tmp_path / "target", Dataset.open(small_dataset)[0]
+    command = [sys.executable, "-c", KILLED, str(small_dataset), str(target)]
+    for file in (".manifest.jsonl.*.part", "trajectories/.*.npz.*.part"):
+        assert subprocess.run(command).returncode < 0
+        assert len(list(target.glob(file))) == 1
+        DatasetWriter(target).append(trajectory)
+        assert not list(target.rglob("*.part"))
+    assert len(Dataset.open(target)) == 2
+
+
 def test_reading_many_needs_the_memory_of_one(
     tmp_path: Path, make_frames_trajectory: MakeTrajectory
 ) -> None:

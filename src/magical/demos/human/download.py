@@ -20,8 +20,8 @@ from email.message import Message
 from pathlib import Path
 from typing import IO, Any
 
-from magical.demos.store.regular_files import open_regular, sha256_sum
 from magical.errors import DownloadError
+from magical.files import open_regular, sha256_sum
 from magical.messages import printable, quoted
 
 # The repository at the commit whose sums are in data/human-demos.sha256.

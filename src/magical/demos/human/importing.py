@@ -10,9 +10,9 @@ from magical.demos.human.published import MAX_PATH, MAX_UNPACKED, read_published
 from magical.demos.store.codec import encode
 from magical.demos.store.dataset import Dataset
 from magical.demos.store.manifest import ManifestEntry
-from magical.demos.store.regular_files import open_regular, sha256_sum
 from magical.demos.store.writer import DatasetWriter
 from magical.errors import DatasetError, MagicalError, WorkerError
+from magical.files import open_regular, sha256_sum
 from magical.messages import printable
 from magical.processes import available_cores, map_in_processes
 

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.demos.human.safe_pickle import Array, Record, load
-from magical.demos.store.regular_files import open_regular, sha256_sum
 from magical.demos.store.trajectory import MAX_NAME, Trajectory
 from magical.envs.ids import parse_env_id
 from magical.errors import MagicalError, TrajectoryError, UnsafeFileError
+from magical.files import open_regular, sha256_sum
 from magical.messages import printable, quoted
 from magical.scene import View
 from magical.scene.constants import FRAME_SIZE, RAW_FRAME_SIZE

@@ -7,5 +7,4 @@
 - `repair`: checking a dataset, and rebuilding its manifest.
 - `summary`: counts and mean scores for each environment, duplicates.
 - `provenance`: when and with which versions an episode was recorded.
-- `lock`, `regular_files`: file locks, and opening regular files only.
 """

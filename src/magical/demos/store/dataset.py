@@ -11,12 +11,11 @@ import numpy as np
 
 from magical.demos.store import manifest
 from magical.demos.store.codec import MAX_FILE, decode
-from magical.demos.store.lock import locked
 from magical.demos.store.manifest import ManifestEntry
-from magical.demos.store.regular_files import open_regular
 from magical.demos.store.trajectory import Trajectory
 from magical.envs.ids import parse_env_id
 from magical.errors import DatasetError, UnknownNameError
+from magical.files import locked, open_regular
 from magical.messages import printable
 from magical.tasks import VARIANTS, get_task
 

@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 from magical.demos.store.codec import MAX_FILE, MAX_STEPS, fingerprint
-from magical.demos.store.regular_files import open_regular
 from magical.demos.store.trajectory import MAX_NAME, Trajectory
 from magical.envs.ids import EnvId, split_env_id
 from magical.errors import DatasetError, MagicalError
+from magical.files import open_regular
 from magical.messages import quoted
 from magical.untrusted import check_plain
 

@@ -14,10 +14,9 @@ from magical.demos.store.dataset import (
     read_manifest,
     stored_files,
 )
-from magical.demos.store.lock import locked
 from magical.demos.store.manifest import ManifestEntry
 from magical.errors import DatasetError
-from magical.files import write_atomically
+from magical.files import locked, write_atomically
 from magical.messages import printable
 
 

@@ -6,15 +6,16 @@ from pathlib import Path
 from magical.demos.store import manifest
 from magical.demos.store.codec import encode
 from magical.demos.store.dataset import stored_files
-from magical.demos.store.lock import locked
 from magical.demos.store.manifest import ManifestEntry
 from magical.demos.store.trajectory import Trajectory
 from magical.errors import DatasetError
-from magical.files import write_atomically
+from magical.files import locked, remove_partial_files, write_atomically
 
 
 class DatasetWriter:
     """Appends to a dataset, which is created if there is none; several processes may do so at once.
+
+    Temporary files of killed writers are removed.
 
     Raises:
         DatasetError: the folder holds something else or cannot be written.
@@ -63,7 +64,9 @@ class DatasetWriter:
 
     def _create(self) -> None:
         (self.path / manifest.FOLDER).mkdir(parents=True, exist_ok=True)
-        with locked(self.path / manifest.LOCK):
+        with locked(self.path / manifest.LOCK):  # which all writers of these files hold
+            remove_partial_files(self.path, manifest.NAME)
+            remove_partial_files(self.path / manifest.FOLDER, "*.npz")
             if not (self.path / manifest.NAME).exists():
                 if stored_files(self.path):
                     raise DatasetError(

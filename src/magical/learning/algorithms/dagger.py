@@ -130,7 +130,7 @@ def train_round(
     aggregated: "AggregatedDataset",
 ) -> bool:
     """Train on everything labelled so far; true if the run stops in this round."""
-    labelled = [*demonstrations, *aggregated.labelled()]
+    labelled = [*demonstrations, *aggregated.labelled(number)]
     data = ExpertData(
         labelled,
         config.tasks,
@@ -143,10 +143,10 @@ def train_round(
         "expert_share": config.beta(number),
         "labels": sum(len(trajectory) for _, trajectory in labelled),  # before removing no-ops
         "samples": len(data),
-        **aggregated.score(),
+        **aggregated.score(number),
     }
     until = (number + 1) * config.batches
-    return trainer.fit(data, until, metrics, {"aggregate": aggregated.checksums})
+    return trainer.fit(data, until, metrics, {"aggregate": aggregated.checksums(number)})
 
 
 def make_network_policy(config: DAggerConfig, trainer: BCTrainer) -> NetworkPolicy:
@@ -161,7 +161,7 @@ def make_network_policy(config: DAggerConfig, trainer: BCTrainer) -> NetworkPoli
 
 
 class AggregatedDataset:
-    """The labelled episodes of a run, a whole number of rounds of them, on disk."""
+    """The labelled episodes of a run on disk, in order of their rounds."""
 
     def __init__(self, config: DAggerConfig, run: Run) -> None:
         """Create or open the dataset.
@@ -175,19 +175,16 @@ class AggregatedDataset:
         self._writer = DatasetWriter(self.folder)
         self._dataset = Dataset.open(self.folder)
         expected = run.saved["aggregate"] if run.saved else []
-        # One more round may be there, whole or in part, if the run ended while it was collected.
-        at_most = self._per_round * min(run.step // config.batches, config.rounds - 1)
-        if self.checksums[: len(expected)] != expected or len(self._dataset) > at_most:
+        # One more round may be there, whole or in part, if the run ended while it was collected;
+        # and another one, if the run is resumed from the previous checkpoint.
+        at_most = self._per_round * min(run.step // config.batches + 1, config.rounds - 1)
+        found = [entry.sha256 for entry in self._dataset.entries]
+        if found[: len(expected)] != expected or len(found) > at_most:
             raise RunFolderError(
                 f"{self.folder}: expected the {len(expected)} episodes that the checkpoint was "
-                f"learned from, found {len(self._dataset)} or others; restore the folder from a "
+                f"learned from, found {len(found)} or others; restore the folder from a "
                 "copy, or begin another run"
             )
-
-    @property
-    def checksums(self) -> list[str]:
-        """The SHA-256 sums of all episodes."""
-        return [entry.sha256 for entry in self._dataset.entries]
 
     @property
     def rounds(self) -> int:
@@ -200,14 +197,22 @@ class AggregatedDataset:
             self._writer.append(episode)
         self._dataset = Dataset.open(self.folder)
 
-    def labelled(self) -> TaskTrajectories:
-        """All episodes, with the expert's labels in place of the actions that were taken."""
-        entries = self._dataset.entries
-        return tuple((e.task, relabel(t)) for e, t in zip(entries, self._dataset, strict=True))
+    def until(self, number: int) -> Dataset:
+        """The episodes of rounds 1 to `number`; later rounds may be stored already."""
+        return self._dataset[: number * self._per_round]
 
-    def score(self) -> dict[str, float]:
-        """The mean score of the newest round's episodes, if there are any."""
-        newest = self._dataset.entries[-self._per_round :]
+    def checksums(self, number: int) -> list[str]:
+        """The SHA-256 sums of the episodes until a round."""
+        return [entry.sha256 for entry in self.until(number).entries]
+
+    def labelled(self, number: int) -> TaskTrajectories:
+        """The episodes until a round, with the expert's labels in place of the actions taken."""
+        episodes = self.until(number)
+        return tuple((e.task, relabel(t)) for e, t in zip(episodes.entries, episodes, strict=True))
+
+    def score(self, number: int) -> dict[str, float]:
+        """The mean score of a round's episodes; nothing in round 0."""
+        newest = self.until(number).entries[-self._per_round :]
         return {"score": fmean(entry.final_score for entry in newest)} if newest else {}
 
 

@@ -1,0 +1,22 @@
+"""Files that several processes write and read.
+
+- `atomic`: writing and linking under a temporary name, removing what killed processes left.
+- `lock`: file locks.
+- `regular`: opening regular files only.
+"""
+
+from magical.files.atomic import is_partial, link_atomically, remove_partial_files, write_atomically
+from magical.files.lock import LockedError, lock_now, locked
+from magical.files.regular import open_regular, sha256_sum
+
+__all__ = [
+    "LockedError",
+    "is_partial",
+    "link_atomically",
+    "lock_now",
+    "locked",
+    "open_regular",
+    "remove_partial_files",
+    "sha256_sum",
+    "write_atomically",
+]

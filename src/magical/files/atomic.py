@@ -1,0 +1,82 @@
+"""Atomic writing of files."""
+
+import os
+import re
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import IO
+
+_PARTIAL = re.compile(r"\.(?P<name>.+)\.\d+\.part")  # the target's name and a process id
+
+
+@contextmanager
+def write_atomically(path: Path | str) -> Iterator[IO[bytes]]:
+    """Open a file under a temporary name beside `path`, renamed to it if the block succeeds.
+
+    Missing folders are made. If the block raises, nothing is left behind and an older file at
+    `path` stays as it was.
+
+    Raises:
+        OSError: the folder cannot be made or written to, or the disk is full.
+    """
+    target = Path(path)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    temporary = _temporary(target)
+    try:
+        with temporary.open("wb") as file:
+            yield file
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def link_atomically(source: Path, target: Path) -> None:
+    """Keep a file under a second name too; an older file at `target` is replaced.
+
+    A hard link, or a copy on a file system without them. Neither may be changed in place later.
+
+    Raises:
+        OSError: the folder cannot be written to, or the disk is full.
+    """
+    temporary = _temporary(target)
+    temporary.unlink(missing_ok=True)
+    try:
+        try:
+            temporary.hardlink_to(source)
+        except OSError:
+            shutil.copyfile(source, temporary)
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _temporary(target: Path) -> Path:
+    return target.with_name(f".{target.name}.{os.getpid()}.part")
+
+
+def remove_partial_files(folder: Path, *names: str) -> None:
+    """Remove the temporary files that killed processes left when they wrote files to a folder.
+
+    Args:
+        folder: not searched if it is missing or a symbolic link; nor are folders in it.
+        names: of the files that were written, as patterns of `fnmatch`. No other process may be
+            writing a file of such a name: the caller holds the lock for that.
+    """
+    if folder.is_symlink() or not folder.is_dir():
+        return
+    for file in folder.iterdir():
+        if is_partial(file, *names):
+            file.unlink(missing_ok=True)
+
+
+def is_partial(file: Path, *names: str) -> bool:
+    """Whether a file is a temporary one of a file with a name that matches one of the patterns."""
+    found = _PARTIAL.fullmatch(file.name)
+    return (
+        found is not None
+        and any(fnmatchcase(found["name"], name) for name in names)
+        and file.is_file()
+    )

@@ -1,0 +1,100 @@
+"""File locks between processes and threads; the end of a process, or a kill, releases its locks."""
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+from magical.files.regular import open_regular
+
+if sys.platform == "win32":
+    import msvcrt
+else:
+    import fcntl
+
+_DIGITS = 20  # of a process id that is read
+
+
+class LockedError(Exception):
+    """A lock is held elsewhere.
+
+    Attributes:
+        process_id: the holder's, if it is known.
+    """
+
+    def __init__(self, process_id: int | None) -> None:
+        super().__init__(process_id)
+        self.process_id = process_id
+
+
+@contextmanager
+def locked(path: Path, *, reading: bool = False) -> Iterator[None]:
+    """Hold a lock on the file `path`: exclusive, or with `reading` shared with other readers.
+
+    Waits until the lock is free. A reader takes no lock where there is no lock file, as in a
+    read-only copy.
+
+    Raises:
+        OSError: the lock file cannot be created, or is not a regular file.
+    """
+    if reading and not path.exists():
+        yield
+        return
+    with open_regular(path, "rb" if reading else "ab") as file:
+        _lock(file, reading=reading, wait=True)
+        try:
+            yield
+        finally:
+            _unlock(file)
+
+
+@contextmanager
+def lock_now(path: Path) -> Iterator[None]:
+    """Hold an exclusive lock on the file `path`, which gets the process id, or raise at once.
+
+    Raises:
+        LockedError: another process or thread holds it.
+        OSError: the lock file cannot be created, or is not a regular file.
+    """
+    with open_regular(path, "ab") as file:
+        try:
+            _lock(file, reading=False, wait=False)
+        except (BlockingIOError, PermissionError) as error:  # on Windows the latter
+            raise LockedError(_holder(path)) from error
+        try:
+            file.truncate(0)
+            file.write(str(os.getpid()).encode())
+            file.flush()
+            yield
+        finally:
+            _unlock(file)
+
+
+def _holder(path: Path) -> int | None:
+    """The process id in a lock file; `None` if it has not been written yet."""
+    with open_regular(path) as file:
+        text = file.read(_DIGITS)
+    return int(text) if text.isdigit() else None
+
+
+if sys.platform == "win32":
+    _LOCKED_BYTE = 1 << 30  # beyond the contents, which others could not read if it were in them
+
+    def _lock(file: IO[bytes], *, reading: bool, wait: bool) -> None:
+        file.seek(_LOCKED_BYTE)
+        msvcrt.locking(file.fileno(), msvcrt.LK_LOCK if wait else msvcrt.LK_NBLCK, 1)
+
+    def _unlock(file: IO[bytes]) -> None:
+        file.seek(_LOCKED_BYTE)
+        msvcrt.locking(file.fileno(), msvcrt.LK_UNLCK, 1)
+
+else:
+
+    def _lock(file: IO[bytes], *, reading: bool, wait: bool) -> None:
+        kind = fcntl.LOCK_SH if reading else fcntl.LOCK_EX
+        fcntl.flock(file, kind if wait else kind | fcntl.LOCK_NB)
+
+    def _unlock(file: IO[bytes]) -> None:
+        fcntl.flock(file, fcntl.LOCK_UN)

@@ -1,0 +1,49 @@
+"""Locks between processes and threads."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from magical.files import LockedError, lock_now, locked
+
+HOLD = """
+import sys, pathlib
+from magical.files import lock_now
+with lock_now(pathlib.Path(sys.argv[1])):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_a_held_lock_is_refused_at_once_and_names_the_process(tmp_path: Path) -> None:
+    with lock_now(tmp_path / "lock"):
+        with pytest.raises(LockedError) as refused, lock_now(tmp_path / "lock"):
+            pass
+        assert refused.value.process_id == os.getpid()
+    with lock_now(tmp_path / "lock"), locked(tmp_path / "another"):
+        pass
+
+
+def test_a_killed_process_holds_no_lock(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", HOLD, str(tmp_path / "lock")]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"held\n"
+        with pytest.raises(LockedError) as refused, lock_now(tmp_path / "lock"):
+            pass
+        assert refused.value.process_id == process.pid
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        with lock_now(tmp_path / "lock"):
+            assert (tmp_path / "lock").read_text() == str(os.getpid())
+
+
+def test_a_lock_whose_holder_is_unknown_is_refused_too(tmp_path: Path) -> None:
+    with locked(tmp_path / "lock"):  # writes no process id
+        with pytest.raises(LockedError) as refused, lock_now(tmp_path / "lock"):
+            pass
+        assert refused.value.process_id is None
