@@ -60,7 +60,7 @@ def compare_ppo(args: argparse.Namespace) -> None:
         curves["SB3's PPO"].append(curve)
         score = demo_scores(policy, args.workers, "state").mean()
         print(f"SB3's PPO, seed {seed}: Demo {score:.2f}", flush=True)
-    draw(args.figure, curves)
+    plot(args.figure, curves)
 
 
 def imitate(args: argparse.Namespace) -> None:
@@ -81,7 +81,7 @@ def imitate(args: argparse.Namespace) -> None:
         )
         curves.append(curve)
     if args.what != "bc":
-        draw(args.figure, {args.what: curves})
+        plot(args.figure, {args.what: curves})
 
 
 def time_iterations(args: argparse.Namespace) -> None:
@@ -190,7 +190,7 @@ def demo_scores(
     return np.array([score.score for score in scores])
 
 
-def draw(path: Path | None, curves: dict[str, list[Curve]]) -> None:
+def plot(path: Path | None, curves: dict[str, list[Curve]]) -> None:
     """Score of recent training episodes over environment steps, a line a seed."""
     if path is None:
         return

@@ -45,7 +45,7 @@ class SeekColour:
 
     def _choose(self, row: int, seen: NDArray[np.bool_]) -> int:
         if not seen.any():
-            return Action(turn=Turn(self.side[row])).id  # look round, the same way as last
+            return Action(turn=Turn(self.side[row])).id  # turn, the same way as last
         rows, columns = np.nonzero(seen)
         ahead = ROBOT_ROW - rows.mean() / len(seen)
         right = columns.mean() / len(seen) - ROBOT_COLUMN

@@ -16,7 +16,7 @@ from magical.learning.augment import augment
 from magical.learning.augmentations import NAMES, SETS, Augmentations
 
 OUT = Path(__file__).resolve().parents[1] / "docs" / "images" / "augmentations.png"
-DRAWS = 4  # examples of each
+SAMPLES = 4  # examples of each
 TILE, GAP, LABEL = 144, 8, 110  # pixels
 
 
@@ -27,12 +27,12 @@ def rows() -> dict[str, Augmentations]:
 
 
 def main() -> None:
-    """Draw the picture."""
+    """Make the picture."""
     env = gymnasium.make("magical/MatchRegions-Demo-LoRes4E-v0")
     stack, _ = env.reset(seed=0)
-    images = torch.from_numpy(np.tile(stack.transpose(2, 0, 1), (DRAWS, 1, 1, 1)))
+    images = torch.from_numpy(np.tile(stack.transpose(2, 0, 1), (SAMPLES, 1, 1, 1)))
     shown = rows()
-    size = (LABEL + DRAWS * (TILE + GAP), len(shown) * (TILE + GAP))
+    size = (LABEL + SAMPLES * (TILE + GAP), len(shown) * (TILE + GAP))
     picture = Image.new("RGB", size, "white")
     draw = ImageDraw.Draw(picture)
     for row, (name, which) in enumerate(shown.items()):

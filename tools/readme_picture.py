@@ -1,4 +1,4 @@
-"""Draw the README's picture: every task's Demo scene, and one of its TestAll scenes below.
+"""Make the README's picture: every task's Demo scene, and one of its TestAll scenes below.
 
 python tools/readme_picture.py
 """
@@ -26,7 +26,7 @@ def scene(task: str, variant: str) -> NDArray[np.uint8]:
 
 
 def main() -> None:
-    """Draw and write."""
+    """Make and write."""
     columns, rows = len(magical.TASKS), ("Demo", "TestAll")
     step = SIZE + GAP
     sheet = Image.new("RGB", (columns * step - GAP, CAPTION + len(rows) * step - GAP), "white")

@@ -27,7 +27,7 @@ ALL = "magical/MoveToRegion-TestAll-v0"
 
 
 class Watching:
-    """Remembers how it was called."""
+    """Keeps the arguments of every call."""
 
     def __init__(self, **attributes: Any) -> None:
         self.acts: list[tuple[Any, tuple[str, ...]]] = []

@@ -16,7 +16,7 @@ def test_seeds_depend_on_the_rollout_and_the_set_alone() -> None:
 
 @pytest.mark.parametrize("name", ROW_METHODS)
 @pytest.mark.parametrize("rest", [(), (18,)])
-def test_a_row_draws_the_same_in_any_batch(name: str, rest: tuple[int, ...]) -> None:
+def test_a_row_samples_the_same_in_any_batch(name: str, rest: tuple[int, ...]) -> None:
     parameters = (2**40,) if name == "integers" else ()
     large, small = RolloutRng("abab", [5, 6, 7, 8]), RolloutRng("ab", [7, 4])
     for _ in range(3):
@@ -33,7 +33,7 @@ def test_sizes_may_be_plain_numbers_and_positional() -> None:
 
 
 @pytest.mark.parametrize(
-    "draw",
+    "sample",
     [
         lambda rng: rng.random(),
         lambda rng: rng.random(3),
@@ -45,10 +45,10 @@ def test_sizes_may_be_plain_numbers_and_positional() -> None:
         lambda rng: rng.choice(18, size=2),
     ],
 )
-def test_other_draws_come_from_the_common_stream(draw: Any) -> None:
+def test_other_samples_come_from_the_common_stream(sample: Any) -> None:
     words = [*rollout_stream("a", 1), *rollout_stream("b", 2)]
     common = np.random.Generator(np.random.PCG64(words))
-    np.testing.assert_array_equal(draw(RolloutRng("ab", [1, 2])), draw(common))
+    np.testing.assert_array_equal(sample(RolloutRng("ab", [1, 2])), sample(common))
 
 
 def test_environments_do_not_share_a_rollouts_stream() -> None:

@@ -1,4 +1,4 @@
-"""Trees of tensors on disk."""
+"""State dicts on disk."""
 
 import errno
 from contextlib import suppress

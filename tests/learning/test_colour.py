@@ -34,29 +34,29 @@ def reference(
 
 
 @pytest.fixture
-def draws() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def factors() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return np.array([0.99, 1.0, 1.01, 1.005]), np.array([-0.15, 0.15, 0.07, 0.0])
 
 
 @pytest.mark.parametrize("brightness", [1.0, 0.2, 0.02])
 def test_floats_agree_with_scikit_image(
-    brightness: float, draws: tuple[NDArray[np.float64], NDArray[np.float64]]
+    brightness: float, factors: tuple[NDArray[np.float64], NDArray[np.float64]]
 ) -> None:
     images = np.random.default_rng(0).random((4, 6, 20, 24)) * brightness
-    ours = colour_jitter(torch.from_numpy(images).float(), *draws).numpy()
-    assert np.abs(ours - reference(images, *draws)).max() < TOLERANCE
+    ours = colour_jitter(torch.from_numpy(images).float(), *factors).numpy()
+    assert np.abs(ours - reference(images, *factors)).max() < TOLERANCE
 
 
 def test_every_grey_and_many_colours_of_uint8_agree_with_scikit_image(
-    draws: tuple[NDArray[np.float64], NDArray[np.float64]],
+    factors: tuple[NDArray[np.float64], NDArray[np.float64]],
 ) -> None:
     images = np.random.default_rng(1).integers(0, 256, (4, 6, 16, 16), dtype=np.uint8)
     images[:, :3] = np.arange(256, dtype=np.uint8).reshape(16, 16)
-    ours = colour_jitter(torch.from_numpy(images), *draws).numpy()
-    assert np.abs(ours - reference(images / 255.0, *draws)).max() < TOLERANCE
+    ours = colour_jitter(torch.from_numpy(images), *factors).numpy()
+    assert np.abs(ours - reference(images / 255.0, *factors)).max() < TOLERANCE
 
 
-def test_nothing_drawn_changes_nothing() -> None:
+def test_identity_factors_change_nothing() -> None:
     images = torch.rand(2, 12, 8, 8, generator=torch.Generator().manual_seed(0))
     same = colour_jitter(images, np.ones(2), np.zeros(2))
     assert torch.allclose(same, images, atol=1e-5)

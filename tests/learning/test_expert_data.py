@@ -70,8 +70,8 @@ def unequal_data() -> ExpertData:
 def test_tasks_have_equal_weight_whatever_their_lengths() -> None:
     data = unequal_data()
     rows = data.sample(6000, np.random.default_rng(0))
-    drawn = data.labels(rows)[1].double().mean()
-    assert abs(float(drawn) - 0.5) < 0.03
+    sampled = data.labels(rows)[1].double().mean()
+    assert abs(float(sampled) - 0.5) < 0.03
     assert set(rows.tolist()) == set(range(33))
 
 

@@ -204,7 +204,7 @@ def test_divergence_is_an_error_and_keeps_the_checkpoint(tmp_path: Path) -> None
     network = make_actor_critic(config)
     broken = {name: torch.full_like(w, 1e38) for name, w in network.state_dict().items()}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(torch.nn.Module, "load_state_dict", lambda self, tree: None)
+        patch.setattr(torch.nn.Module, "load_state_dict", lambda self, state: None)
         patch.setattr(ppo, "make_actor_critic", lambda config: _loaded(network, broken))
         with pytest.raises(DivergedError, match="not finite"):
             train(config, tmp_path / "run", resume=True)

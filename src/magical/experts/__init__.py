@@ -3,7 +3,7 @@
 Strategy. A task's goals turn the present state into a plan: the moves that are still to make, each
 of one block (or of the robot itself) to a goal. The expert picks the move that takes the fewest
 control steps, carries it out with a few skills, and plans again. It never looks ahead in the
-simulator, and everything it remembers is in a `Memory` that may be dropped at any step. A
+simulator, and its whole state is in a `Memory` that may be dropped at any step. A
 `Strategy`, sampled once per episode, adds small preference costs of sides, blocks and places, so
 that demonstrators differ.
 

@@ -52,7 +52,7 @@ RETRY = RetrySettings()
 class Expert:
     """A closed-loop demonstrator of one task.
 
-    What it remembers of an episode is in `Memory`: it can start, or start again, in any state.
+    Its state during an episode is in `Memory`: it can start, or start again, in any state.
     """
 
     def __init__(self, goals: Goals, strategy: Strategy, noise: ActionNoise | None = None) -> None:

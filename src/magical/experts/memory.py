@@ -1,4 +1,4 @@
-"""What an expert remembers between decisions, and how it notices that it is stuck."""
+"""An expert's state between decisions, and how it notices that it is stuck."""
 
 import math
 from dataclasses import dataclass, replace
@@ -19,7 +19,7 @@ class StallSettings:
     progress: float = 0.05  # units less to drive that count as progress; tuned
     move_steps: int = 80  # control steps of a move in all; tuned
     escape_steps: int = 4  # control steps of driving away from a move that was given up; tuned
-    failures: int = 3  # moves given up last that are remembered; tuned
+    failures: int = 3  # moves given up last that are kept; tuned
 
 
 STALL = StallSettings()

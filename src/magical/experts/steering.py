@@ -63,7 +63,7 @@ class SweepSettings:
 class BackingSettings:
     """Room behind the robot, and how it leaves a block."""
 
-    rear: float = 0.1  # units behind the robot's centre where room is looked for; tuned
+    rear: float = 0.1  # units behind the robot's centre where free space is sought; tuned
     limit: float = 0.82  # units: largest coordinate of that point; tuned
     block_distance: float = CONTACT_DISTANCE  # units from that point to blocks; geometry
     off_axis: float = 0.06  # units: a block this far off the axis is turned away from; tuned

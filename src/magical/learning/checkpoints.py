@@ -27,7 +27,7 @@ from magical.runs.folder import CHECKPOINT, PREVIOUS
 StateDict = dict[str, Any]  # dicts with string keys, lists, tensors, and what JSON can hold
 
 _TENSOR = "__tensor__"
-_HEADER = "tree"  # the key in the header
+_HEADER = "state"  # the key in the header
 
 # A file begins with the header's length and its JSON; the digest is the first entry in that.
 _LENGTH = 8  # bytes of the length, little-endian
