@@ -7,7 +7,7 @@ import pytest
 
 from magical.demos import Dataset, Trajectory, observations
 from magical.errors import DemonstrationsError
-from magical.learning.expert_data import ExpertData, digest, sample_demonstrations
+from magical.learning.expert_data import ExpertData, digest, sample_demonstrations, split_evenly
 from magical.observe import PRESETS
 from tests.learning.conftest import STEPS, TASKS, picture_demo
 
@@ -75,10 +75,19 @@ def test_tasks_have_equal_weight_whatever_their_lengths() -> None:
     assert set(rows.tolist()) == set(range(33))
 
 
-def test_even_split_gives_the_first_tasks_the_rest() -> None:
+def test_as_many_samples_of_each_task_as_asked_for() -> None:
     data = unequal_data()
-    tasks = data.labels(data.sample_evenly(25, np.random.default_rng(0)))[1]
+    tasks = data.labels(data.sample_counts([13, 12], np.random.default_rng(0)))[1]
     assert tasks.tolist() == [0] * 13 + [1] * 12
+
+
+def test_an_even_split_is_even_in_expectation() -> None:
+    rng = np.random.default_rng(0)
+    counts = np.array([split_evenly(12, 8, rng) for _ in range(4000)])
+    assert set(counts.ravel().tolist()) == {1, 2}
+    assert (counts.sum(axis=1) == 12).all()
+    assert np.abs(counts.mean(axis=0) - 1.5).max() < 0.03  # standard error 0.008
+    assert split_evenly(12, 4, rng) == [3, 3, 3, 3]
 
 
 def test_the_seed_alone_chooses_and_every_task_as_if_alone(demos: Path) -> None:

@@ -53,7 +53,7 @@ def filled(batches: int) -> ReplayBuffer:
 
 @pytest.mark.parametrize(("batches", "kept"), [(1, {0}), (2, {0, 1}), (3, {1, 2})])
 def test_novice_samples_come_from_the_last_batches(batches: int, kept: set[int]) -> None:
-    shown, actions, tasks = filled(batches).sample(400, np.random.default_rng(0))
+    shown, actions, tasks = filled(batches).sample([200, 200], np.random.default_rng(0))
     assert torch.equal(shown.squeeze(1).long(), actions)
     assert set((actions // 10).tolist()) == kept
     assert set((actions % 10).tolist()) == set(range(6))
@@ -67,7 +67,7 @@ def test_the_buffer_is_restored_from_its_state() -> None:
     more = torch.full((2, 3, 1), 99, dtype=torch.uint8)
     for each in (replay, other):
         each.add(more, more.squeeze(2).long())
-    first, second = (r.sample(50, np.random.default_rng(1)) for r in (replay, other))
+    first, second = (r.sample([30, 20], np.random.default_rng(1)) for r in (replay, other))
     assert all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
 
 

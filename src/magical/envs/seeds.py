@@ -18,8 +18,8 @@ def evaluation_seed(rollout: int, seed: int = 0) -> int:
 
 
 def episode_seed(seed: int, episode: int) -> int:
-    """The seed of episode number `episode` of a series of demonstrations."""
-    return int(np.random.SeedSequence([seed, episode]).generate_state(1)[0])
+    """The seed of episode number `episode` of a series of demonstrations, below evaluation's."""
+    return int(np.random.default_rng([seed, episode]).integers(FIRST_EVALUATION_SEED))
 
 
 def sample_training_seeds(rng: np.random.Generator, count: int) -> list[int]:

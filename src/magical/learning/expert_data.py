@@ -178,19 +178,25 @@ class ExpertData:
         within = rng.integers(counts[numbers])
         return np.array([self._rows[n][i] for n, i in zip(numbers, within, strict=True)], np.int64)
 
-    def sample_evenly(self, size: int, rng: np.random.Generator) -> Rows:
-        """Sample rows with replacement, split evenly between the tasks.
-
-        A remainder goes to the first ones.
-        """
-        share, rest = divmod(size, len(self._rows))
-        sampled = [
-            rng.choice(rows, share + (number < rest)) for number, rows in enumerate(self._rows)
-        ]
+    def sample_counts(self, counts: Sequence[int], rng: np.random.Generator) -> Rows:
+        """Sample `counts[k]` rows of task k with replacement, by task."""
+        sampled = [rng.choice(rows, n) for rows, n in zip(self._rows, counts, strict=True)]
         return np.concatenate(sampled).astype(np.int64)
 
     def _index(self, rows: Rows) -> Tensor:
         return torch.from_numpy(rows).to(self.actions.device, non_blocking=True)
+
+
+def split_evenly(size: int, num_tasks: int, rng: np.random.Generator) -> list[int]:
+    """How many of `size` samples each task gets: the same number, and one more for some.
+
+    Which tasks get the remainder is sampled, so that all have the same expected share.
+    """
+    share, rest = divmod(size, num_tasks)
+    counts = np.full(num_tasks, share)
+    if rest:
+        counts[rng.choice(num_tasks, rest, replace=False)] += 1
+    return [int(count) for count in counts]
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,7 @@
 """The buffer that discriminators sample the novice's half of a batch from."""
 
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -38,20 +38,19 @@ class ReplayBuffer:
         self._actions[self._count % self._capacity] = actions
         self._count += 1
 
-    def sample(self, size: int, rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor]:
-        """Sample B = `size` observations, actions and tasks, with replacement.
+    def sample(
+        self, counts: Sequence[int], rng: np.random.Generator
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Sample observations, actions and tasks, `counts[k]` of task k, with replacement.
 
-        They are split evenly between the tasks; a remainder goes to the first ones.
-
-        Returns:
+        Returns, with B the sum of the counts:
             Observations (B, ...), actions (B,) int64, tasks (B,) int64.
         """
         assert self._observations is not None
         assert self._actions is not None
-        share, rest = divmod(size, len(self._envs_of))
-        env = np.concatenate(
-            [rng.choice(envs, share + (n < rest)) for n, envs in enumerate(self._envs_of)]
-        )
+        pairs = zip(self._envs_of, counts, strict=True)
+        env = np.concatenate([rng.choice(envs, count) for envs, count in pairs])
+        size = len(env)
         rollout = rng.integers(min(self._count, self._capacity), size=size)
         time = rng.integers(self._actions.shape[1], size=size)
         device = self._actions.device

@@ -118,7 +118,7 @@ def pretrain(
     augmentations = parse_augmentations(config.augment)
     for number in range(run.step, config.pretraining_batches):
         rng = stream(config.seed, Purpose.PRETRAINING, number)
-        rows = expert.sample_evenly(config.pretraining_batch_size, rng)
+        rows = expert.sample_counts([config.pretraining_batch_size], rng)
         images = augment(expert.images(rows), augmentations, rng)
         actions, _ = expert.labels(rows)
         with ppo.compute.autocast():
@@ -187,8 +187,8 @@ def imitate(
             features = torch.stack([encode(to_unit(o), a) for o, a in pairs])  # (T, N, 32)
             replay_buffer.add(features, rollout.actions)
             rng = stream(config.seed, Purpose.DISCRIMINATOR, update)
-            rows = torch.from_numpy(expert.sample_evenly(config.feature_samples, rng))
-            novice_features, _, _ = replay_buffer.sample(config.feature_samples, rng)
+            rows = torch.from_numpy(expert.sample_counts([config.feature_samples], rng))
+            novice_features, _, _ = replay_buffer.sample([config.feature_samples], rng)
             w, distance = feature_weights(expert_features[rows.to(ppo.device)], novice_features)
             raw = features @ w  # (T, N)
             rewards = normaliser(raw, rollout.tasks)

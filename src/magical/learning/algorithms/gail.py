@@ -31,7 +31,7 @@ from magical.learning.augmentations import parse_augmentations
 from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
 from magical.learning.config import ImitationConfig, option
 from magical.learning.devices import Compute
-from magical.learning.expert_data import ExpertData, load_demonstrations
+from magical.learning.expert_data import ExpertData, load_demonstrations, split_evenly
 from magical.learning.models import Discriminator, Trunk, make_actor_critic
 from magical.learning.monitoring import Metrics
 from magical.learning.reinforcement import QUICK, ReinforcementConfig
@@ -209,11 +209,12 @@ class DiscriminatorTrainer:
         return {name: (total / steps).item() for name, total in sums.items()}
 
     def sample_batch(self, rng: np.random.Generator) -> DiscriminatorBatch:
-        """A batch, each half split evenly between the tasks, augmented."""
+        """A batch, augmented; both halves are split between the tasks in the same way."""
         half = self.config.discriminator_batch_size // 2
-        rows = self._expert.sample_evenly(half, rng)
+        counts = split_evenly(half, len(self.config.tasks), rng)
+        rows = self._expert.sample_counts(counts, rng)
         expert_actions, expert_tasks = self._expert.labels(rows)
-        novice_images, novice_actions, novice_tasks = self._replay_buffer.sample(half, rng)
+        novice_images, novice_actions, novice_tasks = self._replay_buffer.sample(counts, rng)
         images = torch.cat([self._expert.images(rows), novice_images])
         return DiscriminatorBatch(
             augment(images, self._augmentations, rng),
