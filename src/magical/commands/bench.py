@@ -43,7 +43,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
         choices=("env", "vector", "training"),
         help="one environment, many, or forward and backward passes of a network",
     )
-    parser.add_argument("--env", default=DEFAULT_ENV, metavar="ID", help=f"default: {DEFAULT_ENV}")
+    parser.add_argument(
+        "--env", default=DEFAULT_ENV, metavar="ID", help=f"env, vector: default {DEFAULT_ENV}"
+    )
     parser.add_argument(
         "--num-envs", type=positive_int, default=32, metavar="N", help="vector: default 32"
     )
@@ -51,9 +53,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--workers", type=non_negative_int, metavar="K", help="vector: default one for each core"
     )
     parser.add_argument(
-        "--seconds", type=float, default=15.0, metavar="S", help="measuring time (default: 15)"
+        "--seconds",
+        type=float,
+        default=15.0,
+        metavar="S",
+        help="env, vector: measuring time (default: 15)",
     )
-    parser.add_argument("--seed", type=non_negative_int, default=0, help="default: 0")
+    parser.add_argument("--seed", type=non_negative_int, default=0, help="env, vector: default 0")
     parser.add_argument("--network", default="paper", help="training: default paper")
     parser.add_argument(
         "--batch-size", type=positive_int, default=32, metavar="N", help="training: default 32"

@@ -51,7 +51,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--horizon",
         type=_horizon,
         metavar="STEPS",
-        help="control steps; `published`: the published code's, to compare with its tables",
+        help="control steps (default: the paper's); `published`: the published code's, to compare "
+        "with its tables",
     )
     parser.add_argument(
         "--seed",
@@ -64,7 +65,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--workers", type=non_negative_int, metavar="N", help="processes (default: the cores)"
     )
     parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="write scores.csv, entry.json there"
+        "--out", type=Path, metavar="DIR", help="write scores.csv and entry.json there"
     )
     parser.add_argument("--method", metavar="NAME", help="name in tables (default: the policy's)")
     add_json(parser)

@@ -29,7 +29,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", metavar="N", type=non_negative_int, default=0, help="default: 0")
     parser.add_argument(
-        "--rollouts", metavar="N", type=positive_int, default=100, help="on each variant"
+        "--rollouts",
+        metavar="N",
+        type=positive_int,
+        default=100,
+        help="on each variant (default: 100)",
     )
     parser.add_argument(
         "--batches", metavar="N", type=positive_int, help="of training (default: the preset's)"

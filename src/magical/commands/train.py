@@ -1,6 +1,6 @@
-"""Train a policy on demonstrations; one sub-command an algorithm.
+"""Train a policy; one sub-command per algorithm.
 
-A run is kept in a folder: configuration, versions, demonstrations, metrics, newest checkpoint.
+A run is kept in a folder: configuration, versions, demonstrations, metrics, two checkpoints.
 """
 
 import argparse
@@ -131,7 +131,8 @@ def _add_options(parser: argparse.ArgumentParser, algorithm: str) -> None:
 
 def _add_option(parser: argparse.ArgumentParser, option: "Option") -> None:
     """Add the option of a configuration field."""
-    text = option.help if option.required else f"{option.help} (paper: {_shown(option.default)})"
+    stated = not option.required and option.default is not None
+    text = f"{option.help} (paper: {_shown(option.default)})" if stated else option.help
     flags = ["--task", "--tasks"] if option.name == "tasks" else [option.flag]
     if option.kind is bool:
         parser.add_argument(*flags, action=argparse.BooleanOptionalAction, help=text)

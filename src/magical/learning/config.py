@@ -50,7 +50,7 @@ class Config:
         dataclasses.MISSING, "tasks to learn, one or several", metavar="TASK"
     )
     observation: str = option("LoRes4E", "observation preset", choices=IMAGE_OBSERVATIONS)
-    seed: int = option(0, "determines demonstrations, initialisation and minibatches")
+    seed: int = option(0, "determines demonstrations, initialisation, minibatches and episodes")
     network: str = option("paper", "network architecture", choices=network_names())
     device: str = option("auto", "where to compute", choices=DEVICES)
     precision: str = option(

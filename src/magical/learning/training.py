@@ -87,7 +87,7 @@ def train(
             run, or the disk is full.
         CheckpointError: the checkpoint is damaged; says whether the previous one is intact.
         DemonstrationsError, DatasetError: too few demonstrations, or damaged ones.
-        DivergedError: the loss is not finite; the newest good checkpoint is kept.
+        DivergedError: the loss or the weights are not finite; the newest good checkpoint is kept.
         InvalidConfigError: `previous_checkpoint` without `resume`.
     """
     folder, algorithm = Path(out), find_algorithm(config.algorithm)
