@@ -51,7 +51,7 @@ def test_gaps_are_those_of_the_statistics(capsys: pytest.CaptureFixture[str]) ->
     assert gaps[("MakeLine", "Jitter")] == "0.100"
     assert gaps[("MakeLine", "All")] == "0.400"
     assert gaps[("FindDupe", "All")] == "0.200"
-    assert "generalisation gap (Demo less TestAll): 0.300 (" in " ".join(lines[-2])
+    assert "generalisation gap (Demo minus TestAll): 0.300 (" in " ".join(lines[-2])
 
 
 def test_without_both_variants_there_is_no_gap(capsys: pytest.CaptureFixture[str]) -> None:

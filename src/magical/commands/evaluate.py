@@ -187,4 +187,4 @@ def _note(scores: "Sequence[RolloutScore]") -> str:
     except ValueError:
         return note
     value, low, high = over_rollouts([scores], env_ids, weights)
-    return f"generalisation gap (Demo less TestAll): {value:.3f} ({low:.3f} to {high:.3f})\n{note}"
+    return f"generalisation gap (Demo minus TestAll): {value:.3f} ({low:.3f} to {high:.3f})\n{note}"

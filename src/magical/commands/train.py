@@ -14,7 +14,7 @@ from magical.commands._common import add_json, log, positive_int, print_json
 if TYPE_CHECKING:
     from magical.learning.config import Config, Option
 
-HELP = "train a policy on demonstrations"
+HELP = "train a policy"
 INTERRUPTED = 130  # exit status after Ctrl-C
 
 

@@ -143,7 +143,7 @@ def generalisation_gap(
     variant: str = "TestAll",
     confidence: float = CONFIDENCE,
 ) -> Interval:
-    """Demo's mean score less TestAll's, by task, then the mean over tasks.
+    """Demo's mean score minus TestAll's, by task, then the mean over tasks.
 
     Args:
         scores: (runs, environments), see the module's docstring.
