@@ -97,7 +97,7 @@ class Published:
         self.env_name = text("MoveToCorner-Demo-v0")
         self.score = b"G" + np.array(0.75, ">f8").tobytes()
         self.acts = array(self.actions)
-        self.obs = [_observation(array(allo), array(ego)) for allo, ego in self.frames]
+        self.obs = [observation(array(allo), array(ego)) for allo, ego in self.frames]
         self.after = b""
 
     @property
@@ -112,7 +112,7 @@ class Published:
 
     def observation(self, ego: NDArray[Any], shape: Sequence[int] | None = None) -> bytes:
         """An observation with another egocentric frame."""
-        return _observation(array(self.frames[0, 0]), array(ego, shape))
+        return observation(array(self.frames[0, 0]), array(ego, shape))
 
     def write(self, path: Path) -> Path:
         """Write the gzipped file."""
@@ -141,7 +141,7 @@ def array(values: NDArray[Any], shape: Sequence[int] | None = None) -> bytes:
     return made + b"(K\x01" + sizes + dtype + b"\x89" + data + b"tb"
 
 
-def _observation(allo: bytes, ego: bytes) -> bytes:
+def observation(allo: bytes, ego: bytes) -> bytes:
     views = text("allo") + allo + text("ego") + ego
     return name("collections", "OrderedDict") + b")R(" + views + b"u"
 
