@@ -23,6 +23,7 @@ from magical.errors import (
     NotPicklableError,
     WorkerTimeoutError,
 )
+from tests.waiting import alive, gone
 
 posix = pytest.mark.skipif(os.name == "nt", reason="signals and forks")
 Misbehave = Callable[[str], str]
@@ -35,21 +36,6 @@ def make(env_ids: Any = IDS * 2, workers: int = 2, **options: Any) -> MagicalVec
     envs = MagicalVectorEnv(env_ids, workers=workers, observation="state", **options)
     envs.reset(seed=0)
     return envs
-
-
-def alive(process_id: int) -> bool:
-    try:
-        state = Path(f"/proc/{process_id}/stat").read_text().rsplit(")", 1)[1].split()[0]
-    except (FileNotFoundError, ProcessLookupError):
-        return False
-    return state != "Z"
-
-
-def gone(process_ids: list[int]) -> bool:
-    end = time.monotonic() + SECONDS
-    while any(map(alive, process_ids)) and time.monotonic() < end:
-        os.sched_yield()
-    return not any(map(alive, process_ids))
 
 
 FORK = """
