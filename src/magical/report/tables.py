@@ -63,7 +63,7 @@ def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = (
     found = get_task(task)
     runs: dict[str, list[Entry]] = {}
     for entry in entries:
-        runs.setdefault(entry.method, []).append(entry)
+        runs.setdefault(entry.row, []).append(entry)
     methods = tuple(published) if task in published_tasks() else ()
     rule = "published_code_score" if methods else "score"
     rows = [_method_row(found, method, group, rule) for method, group in runs.items()]
