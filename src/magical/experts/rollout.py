@@ -89,8 +89,7 @@ def rollout(
         NoExpertError: the task has no expert.
         NoSolutionError: the scene cannot be solved.
     """
-    spec = get_task(task)
-    rng = np_random(seed)[0]
+    spec, rng = get_task(task), np_random(seed)[0]
     scene, dynamics = spec.sample(variant, rng)
     check_solvable(task, scene)
     strategy_seed = seed if strategy_seed is None else strategy_seed
@@ -109,9 +108,10 @@ def rollout(
         simulation.step(action)
         chosen.append((action, expert_action))
         tables.append(simulation.read().copy())
+    actions, expert_actions = np.array(chosen).T
     poses = np.stack(tables)[:, :, :3]
     score = spec.score(scene, Poses(poses[-1]))
-    return ExpertEpisode(scene, dynamics, *np.array(chosen).T, poses, score)
+    return ExpertEpisode(scene, dynamics, actions, expert_actions, poses, score)
 
 
 def _state(scene: Scene, table: NDArray[np.float64], step: int, horizon: int) -> State:
