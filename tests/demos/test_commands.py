@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from magical.cli import main
-from magical.demos import Dataset
+from magical.demos import Dataset, DatasetWriter, Trajectory
 
 Run = Callable[..., tuple[int, dict[str, Any]]]
 
@@ -25,6 +25,17 @@ def test_info_counts_and_lists_problems(small_dataset: Path, run: Run) -> None:
     assert entry.file in result["problems"][0]["file"]
     status, result = run("info", small_dataset, "--repair")
     assert (status, result["count"], result["problems"]) == (0, 2, [])
+
+
+def test_info_counts_the_trajectories_with_labels(
+    tmp_path: Path, make_trajectory: Callable[..., Trajectory], run: Run
+) -> None:
+    writer = DatasetWriter(tmp_path)
+    for labels in (None, [1] * 12):
+        writer.append(make_trajectory(expert_actions=labels))
+    status, result = run("info", tmp_path)
+    assert (status, result["environments"][0]["with_expert_actions"]) == (0, 1)
+    assert result["environments"][0]["count"] == 2
 
 
 def test_replay_of_recordings_is_exact(small_dataset: Path, run: Run) -> None:
