@@ -1,0 +1,49 @@
+"""Shared by the commands: the policy that an evaluated run is of."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from magical.evaluation import Policy
+    from magical.report.results import Result
+
+RECORDED = "policy"  # in an entry's details: what was evaluated
+
+
+def recorded_name(policy: str, out: Path) -> str:
+    """What an entry written to `out` records as its policy: a run folder relative to `out`.
+
+    Other policies keep the name that `magical evaluate` was given.
+    """
+    import os
+
+    return os.path.relpath(policy, out) if Path(policy).is_dir() else policy
+
+
+def policy_of(result: "Result") -> "Policy":
+    """The policy of an evaluated run: that of its run folder, or a built-in one by name.
+
+    Code that an entry names is not run, since entries come from anywhere.
+
+    Raises:
+        PolicyError: the entry says no such policy.
+        RunFolderError, CheckpointError: the run cannot be loaded.
+    """
+    from magical.errors import PolicyError
+    from magical.evaluation import BUILT_IN, load_policy
+    from magical.runs import is_run
+
+    name = result.entry.details.get(RECORDED)
+    recorded = result.folder / name if isinstance(name, str) else None
+    folder = recorded if recorded is not None and is_run(recorded) else result.run
+    if folder is not None:
+        from magical.learning import load_policy as load_run  # imports PyTorch
+
+        policy: Policy = load_run(folder)
+        return policy
+    if name in BUILT_IN:
+        return load_policy(str(name))
+    raise PolicyError(
+        f"{result.folder}: expected a run folder or one of {', '.join(BUILT_IN)} as the policy "
+        f"that was evaluated, found {name!r}"
+    )
