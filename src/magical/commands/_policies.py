@@ -1,7 +1,8 @@
 """Shared by the commands: the policy that an evaluated run is of."""
 
+import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from magical.evaluation import Policy
@@ -10,14 +11,27 @@ if TYPE_CHECKING:
 RECORDED = "policy"  # in an entry's details: what was evaluated
 
 
-def recorded_name(policy: str, out: Path) -> str:
-    """What an entry written to `out` records as its policy: a run folder relative to `out`.
+def evaluation_details(policy: str, out: Path) -> dict[str, Any]:
+    """What an entry written to `out` records about the policy and about this evaluation.
 
-    Other policies keep the name that `magical evaluate` was given.
+    Args:
+        policy: a run folder, which is recorded relative to `out`, or another policy's name.
+        out: the entry's folder.
     """
-    import os
+    from magical.evaluation import BUILT_IN
+    from magical.evaluation.sources import LEARNED_FROM
+    from magical.runs import versions
+    from magical.runs.machine import machine, source_commit
 
-    return os.path.relpath(policy, out) if Path(policy).is_dir() else policy
+    made = {"versions": versions(), "commit": source_commit(), "machine": machine()}
+    if Path(policy).is_dir():
+        from magical.learning import read_config
+        from magical.learning.description import training_details
+
+        details = training_details(read_config(Path(policy)))
+        return {RECORDED: os.path.relpath(policy, out), **details, **made}
+    nothing: dict[str, Any] = {LEARNED_FROM: []} if policy in BUILT_IN else {}
+    return {RECORDED: policy, **nothing, **made}
 
 
 def policy_of(result: "Result") -> "Policy":

@@ -78,8 +78,8 @@ def write_markdown(results: Results, published: Sequence[str], path: Path) -> No
 
 
 def write_latex(results: Results, published: Sequence[str], path: Path) -> None:
-    r"""All tables in LaTeX, to be `\input` into a document that uses the package booktabs."""
-    head = "% Needs \\usepackage{booktabs}.\n"
+    r"""All tables in LaTeX, to be `\input` into a document that uses booktabs and graphicx."""
+    head = "% Needs \\usepackage{booktabs,graphicx}.\n"
     write_text(path, head + "\n".join(map(latex, all_grids(results, published))))
 
 
@@ -108,15 +108,16 @@ def latex(grid: Grid) -> str:
     return "\n".join(
         [
             r"\begin{table}",
-            r"  \centering\footnotesize",
+            r"  \centering\footnotesize\setlength{\tabcolsep}{3pt}",
             rf"  \caption{{{caption}}}",
+            r"  \resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%",
             rf"  \begin{{tabular}}{{l{'c' * (len(grid.header) - 1)}}}",
             r"    \toprule",
             f"    {rows[0]}",
             r"    \midrule",
             *(f"    {row}" for row in rows[1:]),
             r"    \bottomrule",
-            r"  \end{tabular}",
+            r"  \end{tabular}}",
             r"\end{table}",
             "",
         ]

@@ -59,7 +59,9 @@ def svg(figure: Any, name: str, label: str) -> str:
         figure.savefig(file, format="svg", metadata=no_metadata)
     text = file.getvalue()
     text = text[text.index("<svg") :]
+    # Metadata, and a style sheet that would hold for the whole page: the page has one of its own.
     text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
+    text = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>\s*", "", text, flags=re.DOTALL)
     text = re.sub(r'\b(id=")|(url\(#)|(href="#)', lambda m: f"{m[0]}{name}-", text)
     text = re.sub(r' xmlns(:xlink)?="[^"]*"', "", text).replace("xlink:href", "href")
     text = re.sub(r' (width|height)="[\d.]+pt"', "", text, count=2)
