@@ -19,6 +19,7 @@ from magical.commands._common import (
     print_json,
     print_table,
 )
+from magical.commands._policies import evaluation_details
 
 if TYPE_CHECKING:
     from magical.evaluation import Entry, Policy, RolloutScore
@@ -153,6 +154,7 @@ def make_entry(
         nudge=args.nudge,
         seed=args.seed,
         version=__version__,
+        details=evaluation_details(args.policy, args.out),
     )
 
 

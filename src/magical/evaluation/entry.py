@@ -9,6 +9,7 @@ from typing import Any
 from magical.errors import ScoresError
 from magical.evaluation.scores import RolloutScore, check_protocol, read_scores, write_scores
 from magical.files import write_atomically
+from magical.untrusted import check_plain
 
 SCORES_FILE, ENTRY_FILE = "scores.csv", "entry.json"
 
@@ -112,4 +113,8 @@ def _read_json(path: Path) -> dict[str, Any]:
         raise ScoresError(f"{path}: expected JSON, found none: {error}") from error
     if not isinstance(data, dict):
         raise ScoresError(f"{path}: expected a JSON object, found {type(data).__name__}")
+    try:
+        check_plain(data)
+    except ValueError as error:
+        raise ScoresError(f"{path}: {error}") from error
     return data

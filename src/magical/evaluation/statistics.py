@@ -218,6 +218,31 @@ def probability_of_improvement(
     return wilson_interval(value, _comparisons(a, b), confidence)
 
 
+def performance_profile(
+    scores: ArrayLike, thresholds: ArrayLike, confidence: float = CONFIDENCE
+) -> list[Interval]:
+    """The share of runs that score above each threshold, averaged over environments.
+
+    The run-score distribution of Agarwal et al. (2021), section 4.1; the same as theirs where all
+    environments have as many runs. The intervals are t intervals over runs, one for each threshold
+    (not a band that holds for all at once).
+
+    Args:
+        scores: (runs, environments), see the module's docstring.
+        thresholds: (T,), in units of scores.
+        confidence: nominal coverage of each interval.
+
+    Raises:
+        ValueError: as for `mean`.
+    """
+    table = _table(scores)
+    missing = np.isnan(table)
+    return [
+        mean(np.where(missing, np.nan, table > threshold), confidence)
+        for threshold in np.asarray(thresholds, np.float64)
+    ]
+
+
 def _table(scores: ArrayLike) -> Floats:
     table = np.asarray(scores, np.float64)
     if table.ndim != 2 or not table.size:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
 
 from magical.errors import InvalidConfigError, UnknownNameError
+from magical.evaluation.sources import DEMONSTRATIONS
 from magical.learning.augmentations import parse_augmentations
 from magical.learning.networks import network_names
 from magical.observe import PRESETS, ObservationSpec, make_spec
@@ -70,6 +71,11 @@ class Config:
             raise InvalidConfigError(f"seed: expected at least 0, found {self.seed}")
         self.require_at_least_zero("threads")
         self._require_choices()
+
+    @property
+    def learned_from(self) -> tuple[str, ...]:
+        """What is learned from, in the words of `magical.evaluation.sources`."""
+        return ()
 
     def _require_choices(self) -> None:
         for field in dataclasses.fields(self):
@@ -180,6 +186,11 @@ class ImitationConfig(Config):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.require_positive("num_demos")
+
+    @property
+    def learned_from(self) -> tuple[str, ...]:
+        """See `Config`."""
+        return (*super().learned_from, DEMONSTRATIONS)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from magical.errors import InvalidConfigError
+from magical.evaluation.sources import INTERACTION
 from magical.learning.config import PRECISIONS, Config, option
 
 INITS = ("torch", "centred")
@@ -74,6 +75,11 @@ class ReinforcementConfig(Config):
                 f"num_envs: expected at least one for each of {len(self.tasks)} tasks, "
                 f"found {self.num_envs}"
             )
+
+    @property
+    def learned_from(self) -> tuple[str, ...]:
+        """See `Config`."""
+        return (*super().learned_from, INTERACTION)
 
     @property
     def steps_per_update(self) -> int:

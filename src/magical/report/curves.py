@@ -4,15 +4,27 @@ import importlib.util
 import io
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from magical.errors import RunFolderError
 from magical.files import write_atomically
+from magical.report.plots import (
+    legend,
+    legend_height,
+    line_style,
+    new_figure,
+    plotting,
+    svg,
+    tidy,
+)
 from magical.runs.folder import CURVES
 from magical.runs.metrics import read_metrics
 
 PANELS = ("loss", "accuracy", "score")  # of `learning_curves`, where the metrics have them
 SMOOTHING = 50  # rows of metrics that a curve is averaged over, at most a tenth of all
+MOST_POINTS = 200  # of a curve
 NOT_PLOTTED = ("step", "environment_steps", "warning")
 COLUMNS = 4  # of `save_learning_curves`
 
@@ -27,6 +39,71 @@ def learning_curves(runs: Mapping[str, Path]) -> str:
     found = {name: rows for name, folder in runs.items() if (rows := read_metrics(folder))}
     panels = [key for key in PANELS if any(key in row for rows in found.values() for row in rows)]
     return _svg(found, panels) if panels else ""
+
+
+@dataclass(frozen=True, slots=True)
+class TrainedRun:
+    """A training run whose curves are shown with those of other runs on the same task."""
+
+    method: str
+    task: str  # what it was trained on, in words
+    folder: Path
+
+
+def curves_by_task(
+    runs: Sequence[TrainedRun], methods: Sequence[str]
+) -> tuple[dict[str, list[str]], dict[Path, str]]:
+    """Learning curves, a figure for each task and quantity; a line for each run.
+
+    Args:
+        runs: those without metrics are left out.
+        methods: all names; the place in the list gives a method's colour.
+
+    Returns:
+        The figures as SVG by task, and what is wrong with damaged metrics by folder.
+    """
+    found, damaged = [], {}
+    for run in runs:
+        try:
+            found.append((run, read_metrics(run.folder)))
+        except (RunFolderError, OSError, UnicodeDecodeError) as error:
+            damaged[run.folder] = str(error)
+    figures: dict[str, list[str]] = {}
+    for number, task in enumerate(dict.fromkeys(run.task for run, rows in found if rows)):
+        of_task = [(run.method, rows) for run, rows in found if run.task == task]
+        for key in PANELS:
+            name = f"curve-{number}-{key}"
+            if picture := _panel(of_task, key, methods, f"{key} on {task}", name):
+                figures.setdefault(task, []).append(picture)
+    return figures, damaged
+
+
+def _panel(
+    runs: Sequence[tuple[str, Rows]], key: str, methods: Sequence[str], label: str, name: str
+) -> str:
+    """One quantity of all runs on a task as SVG; empty where none has it."""
+    curves = [(method, points) for method, rows in runs if (points := _points(rows, key))]
+    if not curves:
+        return ""
+    with plotting():
+        figure = new_figure(3.0 + legend_height(len({method for method, _ in curves})), width=4.8)
+        axes = figure.subplots()
+        lines: dict[str, Any] = {}
+        for method, points in curves:
+            style = line_style(methods.index(method))
+            (lines[method],) = axes.plot(*_smooth(points), linewidth=1.3, alpha=0.85, **style)
+        axes.set(title=key, xlabel="step")
+        if key in ("accuracy", "score"):
+            axes.set_ylim(-0.02, 1.02)
+        tidy(axes)
+        legend(figure, lines)
+        return svg(figure, name, f"Learning curves: {label}")
+
+
+def _points(rows: Rows, key: str) -> list[tuple[float, float]]:
+    """(step, value) where a quantity was measured."""
+    pairs = [(row["step"], row.get(key)) for row in rows]
+    return [(step, value) for step, value in pairs if isinstance(value, int | float)]
 
 
 def _svg(runs: Mapping[str, Rows], panels: Sequence[str]) -> str:
@@ -53,7 +130,7 @@ def _svg(runs: Mapping[str, Rows], panels: Sequence[str]) -> str:
 
 def _smooth(points: Sequence[tuple[float, float]]) -> tuple[list[float], list[float]]:
     """Averages over neighbouring points: the metrics of single batches are noisy."""
-    width = max(1, min(SMOOTHING, len(points) // 10))
+    width = max(1, min(SMOOTHING, len(points) // 10), len(points) // MOST_POINTS)
     groups = [points[i : i + width] for i in range(0, len(points) - width + 1, width)]
     xs = [sum(x for x, _ in group) / width for group in groups]
     return xs, [sum(y for _, y in group) / width for group in groups]

@@ -22,6 +22,7 @@ from magical.demos import Dataset, DatasetWriter, Trajectory
 from magical.envs import EnvId
 from magical.errors import InvalidConfigError, RunFolderError
 from magical.evaluation import environments
+from magical.evaluation.sources import EXPERT_LABELS, INTERACTION, TEST_VARIANTS
 from magical.evaluation.variants import full_variant, short_variant
 from magical.experts import get_goals
 from magical.learning.algorithms import Algorithm
@@ -56,6 +57,12 @@ class DAggerConfig(BCConfig):
     restart: bool = option(False, "train from the initialisation in each round")
     keep_noops: bool = option(False, "train on no-op labels too")
     workers: int | None = option(None, "environment processes (default: one per core)")
+
+    @property
+    def learned_from(self) -> tuple[str, ...]:
+        """See `Config`."""
+        tests = (TEST_VARIANTS,) if set(self.variants) - {"Demo"} else ()
+        return (*super().learned_from, INTERACTION, EXPERT_LABELS, *tests)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -20,6 +20,7 @@ from torch import Tensor, nn
 from torch.optim import Adam
 
 from magical.envs.env import Reward
+from magical.evaluation.sources import SCORE
 from magical.learning.algorithms import Algorithm
 from magical.learning.augment import to_unit
 from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
@@ -54,6 +55,11 @@ class PPOConfig(ReinforcementConfig):
         "LoRes4E", "observation preset", choices=(*IMAGE_OBSERVATIONS, *NAMED)
     )
     reward: str = option("dense", "the environment's reward", choices=("dense", "score"))
+
+    @property
+    def learned_from(self) -> tuple[str, ...]:
+        """See `Config`."""
+        return (*super().learned_from, SCORE)
 
 
 def train(config: PPOConfig, run: Run) -> None:
