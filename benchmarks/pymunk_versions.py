@@ -66,7 +66,7 @@ def first_steps() -> dict[str, list[list[float]]]:
     from magical.tasks import TASKS
 
     # As published: the fingers start at their roots (see magical/physics/pins.py).
-    robot.finger_position = lambda _, root, pose: to_workspace(root, pose)
+    setattr(robot, "finger_position", lambda _, root, pose: to_workspace(root, pose))  # noqa: B010
 
     def step(scene: Any, action: int) -> list[float]:
         simulation = Simulation(scene)
