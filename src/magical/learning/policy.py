@@ -160,6 +160,7 @@ def demo_score(network: nn.Module, config: ReinforcementConfig, compute: Compute
         [EnvId(task, "Demo") for task in config.tasks],
         rollouts=config.evaluation_rollouts,
         seed=EVALUATION_SEED,
+        horizon=config.env_horizon,
         workers=config.workers,
     )
     network.train()

@@ -128,7 +128,7 @@ def _published_row(task: str, method: str) -> Row:
 
 def _horizon_note(task: Task, runs: Sequence[Entry]) -> str:
     """Which horizon, where the published code's differs from the appendix's."""
-    if task.horizon == task.published_horizon:
+    if not task.has_two_horizons:
         return ""
     used = {"appendix": task.horizon, "published": task.published_horizon}
     steps = sorted({str(used.get(run.horizon, run.horizon)) for run in runs})
@@ -138,10 +138,10 @@ def _horizon_note(task: Task, runs: Sequence[Entry]) -> str:
 def _rule_note(task: Task, published: bool) -> str:
     if not published:
         return "Scored by the appendix's rule."
-    if task.published_score_fn is None and task.horizon == task.published_horizon:
+    if task.published_score_fn is None and not task.has_two_horizons:
         return "The published code's rule and horizon are the appendix's on this task."
     horizon = f", whose horizon is {task.published_horizon} control steps"
     return (
         "All rows are scored by the published code's rule, as the published ones are"
-        f"{horizon if task.horizon != task.published_horizon else ''}."
+        f"{horizon if task.has_two_horizons else ''}."
     )
