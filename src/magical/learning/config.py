@@ -84,7 +84,9 @@ class Config:
     device: str = option("auto", "where to compute", choices=DEVICES)
     # PPO compares ratios with a clip range of 0.01: bfloat16's resolution is nearly as coarse.
     precision: str = option(
-        "float32", "of the forward and backward pass; auto: by the processor", choices=PRECISIONS
+        "float32",
+        "of the forward and backward pass; auto: bfloat16 where the processor has it",
+        choices=PRECISIONS,
     )
     threads: int = option(0, "CPU threads; 0: PyTorch's own number")
     compile: bool = option(False, "compile the networks (torch.compile)")
