@@ -24,7 +24,7 @@ LAST_LAYER_INITS = ("default", "normal")
 IMAGE_OBSERVATIONS = tuple(name for name, spec in PRESETS.items() if not spec.separate)
 
 # What the published code does in all algorithms, where it differs from the appendix
-# (docs/specification.md, section 11; docs/published-code.md).
+# (docs/specification.md, section 11; docs/presets.md).
 PUBLISHED_CODE_IMAGES: Mapping[str, Any] = {
     "pixel_range": "symmetric",
     "last_layer_init": "normal",

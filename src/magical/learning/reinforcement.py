@@ -41,7 +41,7 @@ QUICK: Mapping[str, Any] = {
     "checkpoint_every": 25,
 }
 
-# docs/specification.md, section 11; docs/published-code.md.
+# docs/specification.md, section 11; docs/presets.md.
 PUBLISHED_CODE: Mapping[str, Any] = {
     **PUBLISHED_CODE_IMAGES,
     "action_input": "embedding",

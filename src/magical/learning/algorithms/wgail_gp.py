@@ -38,6 +38,7 @@ class WGAILGPConfig(GAILConfig):
         **GAILConfig.presets,
         "published-code": {
             **GAILConfig.presets["published-code"],
+            "penalty_weight": 200.0,  # 100 beside half the difference of the means
             "penalty_batch_norm": "training",
         },
     }
