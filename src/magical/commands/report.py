@@ -46,7 +46,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--clips",
         type=positive_int,
         metavar="N",
-        help="show the best, median and worst rollouts of N runs, recorded again with their policies "
+        help="show the best, median and worst rollouts of N runs, ed again by their policies "
         "(default: none)",
     )
 

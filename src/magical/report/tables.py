@@ -78,7 +78,9 @@ def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = (
     """A row for each method among the entries, then the published rows of the methods named.
 
     Entries with the same method are runs of it. With published rows, all scores are by the
-    published code's rule. Methods and published tables without the task are left out.
+    published code's rule; where an entry's horizon is another than the published code's, the
+    published rows are left out, and the note says so. Methods and published tables without the
+    task are left out.
     """
     found = get_task(task)
     runs: dict[str, list[Entry]] = {}
@@ -86,17 +88,20 @@ def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = (
         if task in by_variant(entry.scores):
             runs.setdefault(entry.row, []).append(entry)
     methods = tuple(published) if task in published_tasks() else ()
-    rule = "published_code_score" if methods else "score"
-    rows = [
-        _beside(_method_row(found, row, group, rule), found, group, methods)
-        for row, group in runs.items()
-    ]
-    rows += [_published_row(task, method) for method in methods]
+    other = _other_horizons(found, [entry for group in runs.values() for entry in group])
+    compared = bool(methods) and not other
+    rule = "published_code_score" if compared else "score"
+    rows = [_method_row(found, row, group, rule) for row, group in runs.items()]
+    if compared:
+        groups = runs.values()
+        rows = [_beside(row, found, g, methods) for row, g in zip(rows, groups, strict=True)]
+        rows += [_published_row(task, method) for method in methods]
     variants = tuple(map(short_variant, found.variants))
     kept = tuple(row for row in rows if row.cells)
     one_run = any(len(runs[row.label]) == 1 for row in kept if row.label in runs)
-    note = _rule_note(found, bool(methods)) + (ONE_RUN if one_run else "")
-    return Table(task, variants, kept, note, bool(methods))
+    note = _rule_note(found, compared)
+    note += _left_out_note(found, other) if methods and other else ""
+    return Table(task, variants, kept, note + (ONE_RUN if one_run else ""), compared)
 
 
 def entry_tasks(entries: Iterable[Entry]) -> tuple[str, ...]:
@@ -190,9 +195,24 @@ def _published_row(task: str, method: str) -> Row:
 
 def _horizon_note(task: Task, runs: Sequence[Entry]) -> str:
     """Which horizon, where the published code's differs from the appendix's."""
-    if task.horizon == task.published_horizon:
+    if not task.has_two_horizons:
         return ""
     return f"; horizon {' and '.join(sorted({steps(task, run) for run in runs}))}"
+
+
+def _other_horizons(task: Task, entries: Sequence[Entry]) -> list[str]:
+    """The horizons of the task's entries that are not the published code's, in control steps."""
+    found = {steps(task, entry) for entry in entries if task.name in by_variant(entry.scores)}
+    return sorted(found - {str(task.published_horizon)})
+
+
+def _left_out_note(task: Task, other: Sequence[str]) -> str:
+    """Why published rows are left out: which horizons are not theirs."""
+    asked = "published" if task.has_two_horizons else task.published_horizon
+    return (
+        f" The published rows are left out: their horizon is {task.published_horizon} control "
+        f"steps, not {' or '.join(other)}; evaluate with --horizon {asked} to compare."
+    )
 
 
 def _rule_note(task: Task, published: bool) -> str:
@@ -203,9 +223,9 @@ def _rule_note(task: Task, published: bool) -> str:
     horizon = f", whose horizon is {task.published_horizon} control steps"
     return (
         "All rows are scored by the published code's rule, as the published ones are"
-        f"{horizon if task.horizon != task.published_horizon else ''}."
+        f"{horizon if task.has_two_horizons else ''}."
     )
 
 
 def _rules_differ(task: Task) -> bool:
-    return task.published_score_fn is not None or task.horizon != task.published_horizon
+    return task.published_score_fn is not None or task.has_two_horizons
