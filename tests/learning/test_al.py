@@ -16,11 +16,17 @@ from magical.learning import train
 from magical.learning.algorithms.al import (
     ALConfig,
     autoencoder_loss,
+    compute_statistics,
     feature_weights,
     make_autoencoder,
+    pretraining_step,
+    sample_batch,
+    unaugmented,
 )
 from magical.learning.autoencoder import Autoencoder
+from magical.learning.devices import Compute
 from magical.learning.expert_data import ExpertData
+from magical.learning.replay_buffer import ReplayBuffer
 from magical.observe import PRESETS
 from tests.learning.conftest import TASKS, picture_demo, write_demos
 from tests.learning.reinforcement import assert_same, checkpoint, tiny
@@ -129,3 +135,90 @@ def test_paper_settings_are_appendix_bs() -> None:
 def test_not_defined_for_several_tasks() -> None:
     with pytest.raises(InvalidConfigError, match="al: expected one task"):
         small("", tasks=TASKS)
+
+
+CPU = Compute("cpu", "float32")
+
+
+@pytest.fixture(scope="module")
+def expert(trajectories: list[Trajectory]) -> ExpertData:
+    return ExpertData([(TASKS[0], trajectories[0])], TASKS[:1], PRESETS["LoRes4E"])
+
+
+def running_means(autoencoder: torch.nn.Module) -> list[torch.Tensor]:
+    layers = [m for m in autoencoder.modules() if isinstance(m, torch.nn.BatchNorm2d)]
+    return [layer.running_mean for layer in layers if layer.running_mean is not None]
+
+
+def test_published_code_settings() -> None:
+    config = ALConfig.preset("published-code", tasks=("MoveToCorner",), demos="")
+    assert (config.pretraining_batch_size, config.feature_samples) == (12, 264)
+    assert (config.action_input, config.pixel_range) == ("embedding", "symmetric")
+    network = make_autoencoder(config)
+    assert network.encoder.embedding is not None
+    kinds = [type(module) for module in network.image]
+    normalised = kinds.count(torch.nn.BatchNorm2d)
+    assert normalised == kinds.count(torch.nn.ReLU) == 7
+
+
+def test_published_code_preset_for_two_iterations(tmp_path: Path) -> None:
+    data = write_demos(tmp_path / "data", [picture_demo("MoveToCorner", 0)])
+    fields = {"network": "light", "feature_samples": 8, "total_steps": 12}
+    config = small(data, "published-code", num_demos=1, **fields)
+    assert train(config, tmp_path / "run").finished
+
+
+def test_annealing_lowers_the_autoencoders_learning_rate(expert: ExpertData) -> None:
+    rates = []
+    for anneal in (True, False):
+        config = small("", pretraining_anneal=anneal, pretraining_learning_rate=0.5)
+        autoencoder = make_autoencoder(config)
+        optimizer = torch.optim.Adam(autoencoder.parameters(), fused=True)
+        pretraining_step(config, CPU, expert, autoencoder, optimizer, number=1)  # of two
+        rates.append(optimizer.param_groups[0]["lr"])
+    assert rates == [0.25, 0.5]
+
+
+def test_statistics_are_those_of_unaugmented_expert_batches(expert: ExpertData) -> None:
+    config = small("", statistics_batches=0)
+    autoencoder = make_autoencoder(config)
+    compute_statistics(config, CPU, expert, autoencoder)
+    (before, *_), count = running_means(autoencoder), 30
+    assert before.abs().sum() == 0  # as initialised
+    config = small("", statistics_batches=count)
+    compute_statistics(config, CPU, expert, autoencoder)
+    first = autoencoder.encoder.convolutions
+    assert first is not None
+    images = unaugmented(expert, np.arange(len(expert)))
+    expected = first[:2](images).mean(dim=(0, 2, 3))  # type: ignore[index]
+    torch.testing.assert_close(running_means(autoencoder)[0], expected, rtol=0.1, atol=0.01)
+
+
+def test_images_for_w_are_augmented_if_configured(expert: ExpertData) -> None:
+    replay_buffer = ReplayBuffer(1, np.zeros(2, np.int64))
+    replay_buffer.add(expert.images(np.arange(4)).view(2, 2, 12, 96, 96), torch.zeros(2, 2).long())
+    plain, augmented = (
+        sample_batch(
+            small("", feature_samples=3, augment="noise", augment_features=on),
+            expert,
+            replay_buffer,
+            np.random.default_rng(0),
+        )[0]
+        for on in (False, True)
+    )
+    assert plain.shape == augmented.shape == (6, 12, 96, 96)
+    torch.testing.assert_close(plain * 255, (plain * 255).round())
+    assert 0.0 < (augmented - plain).abs().mean() < 0.02
+
+
+def test_batch_norm_moves_on_in_training_mode_alone(demos: Path, tmp_path: Path) -> None:
+    for mode, moves in (("evaluation", False), ("training", True)):
+        config = small(demos, feature_batch_norm=mode)
+        folder = tmp_path / mode
+        train(config, folder, stop_after=config.pretraining_batches)
+        pretrained = checkpoint(folder)["autoencoder"]
+        train(config, folder, resume=True)
+        trained = checkpoint(folder)["autoencoder"]
+        changed = {name for name in trained if not torch.equal(trained[name], pretrained[name])}
+        assert bool(changed) == moves
+        assert all("running" in name or "num_batches" in name for name in changed)
