@@ -9,6 +9,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from magical import evaluation
 from magical.errors import CheckpointError, DivergedError, PolicyError, RunFolderError
 from magical.evaluation import Policy, evaluate
 from magical.learning import NetworkPolicy, is_run, load_policy, train
@@ -110,6 +111,20 @@ def test_a_run_is_loaded_with_its_observation_and_tasks(run: Path) -> None:
     np.testing.assert_array_equal(once, policy.probabilities(frames, IDS))
     np.testing.assert_allclose(once.sum(axis=1), 1.0)
     assert not policy.network.training
+
+
+def test_one_function_loads_runs_as_well_as_named_policies(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loaded = evaluation.load_policy(run)
+    assert isinstance(loaded, NetworkPolicy)
+    monkeypatch.chdir(run.parent)
+    named = evaluation.load_policy(run.name)
+    assert isinstance(named, NetworkPolicy)
+    weights, same = loaded.network.state_dict(), named.network.state_dict()
+    assert all(torch.equal(weights[name], same[name]) for name in weights)
+    with pytest.raises(RunFolderError, match="expected a run folder"):
+        evaluation.load_policy(run.parent)
 
 
 def test_folders_that_hold_no_usable_run_are_named(run: Path, tmp_path: Path) -> None:
