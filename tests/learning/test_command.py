@@ -4,11 +4,13 @@ import json
 import re
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 from magical.cli import main
+from magical.learning import algorithm_names
 from magical.runs.folder import CHECKPOINT, PREVIOUS
 
 TINY = ["--preset", "quick", "--batches", "4", "--batch-size", "4", "--num-demos", "2"]
@@ -67,6 +69,28 @@ def test_errors_say_what_to_do_and_have_status_1(
         error = capsys.readouterr().err
         assert "error: " in error
         assert message in error
+
+
+@pytest.mark.parametrize("existed", [False, True])
+@pytest.mark.parametrize("algorithm", [name for name in algorithm_names() if name != "ppo"])
+def test_a_run_that_could_not_begin_leaves_no_folder(
+    algorithm: str, existed: bool, demos: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    if existed:
+        out.mkdir()
+    shared = ["train", algorithm, "--task", "MoveToCorner", "--out", str(out), "--preset", "quick"]
+    if find_spec("tensorboard"):
+        shared.append("--tensorboard")
+    assert main([*shared, "--demos", str(tmp_path / "none")]) == 1
+    assert main([*shared, "--demos", str(demos), "--num-demos", "9"]) == 1
+    assert out.exists() == existed
+    assert not existed or not list(out.iterdir())
+
+
+def test_the_corrected_command_trains(demos: Path, tmp_path: Path) -> None:
+    assert main(bc(demos, tmp_path / "run", "--num-demos", "9")) == 1
+    assert main(bc(demos, tmp_path / "run")) == 0
 
 
 @pytest.mark.parametrize(

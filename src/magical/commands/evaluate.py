@@ -95,10 +95,10 @@ def _nudge(text: str) -> float:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate, print, write."""
-    from magical.evaluation import environments, evaluate, summarise
+    from magical.evaluation import environments, evaluate, load_policy, summarise
     from magical.progress import progress_bar
 
-    policy = find_policy(args.policy)
+    policy = load_policy(args.policy)
     env_ids = environments(args.task or getattr(policy, "tasks", None), args.variants)
     with progress_bar("rollouts", len(env_ids) * args.rollouts) as advance:
         scores = evaluate(
@@ -119,21 +119,6 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(summarise(scores))
     return 0
-
-
-def find_policy(name: str) -> "Policy":
-    """The policy of a run folder, or of one of the names that `evaluation.load_policy` takes.
-
-    Raises `UnknownNameError` or `PolicyError`, or what loading a run raises.
-    """
-    from magical.evaluation import load_policy
-
-    if Path(name).is_dir():
-        from magical.learning import load_policy as load_run  # imports PyTorch
-
-        policy: Policy = load_run(Path(name))
-        return policy
-    return load_policy(name)
 
 
 def make_entry(

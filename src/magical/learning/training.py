@@ -66,7 +66,8 @@ def train(
 ) -> TrainResult:
     """Train a policy, in the run folder `out`.
 
-    Ctrl-C and SIGTERM save a checkpoint and return; a second Ctrl-C interrupts at once.
+    Ctrl-C and SIGTERM save a checkpoint and return; a second Ctrl-C interrupts at once. A new run
+    that fails before it has logged or saved anything is removed again.
 
     Args:
         config: an algorithm's configuration, such as `BCConfig.preset("quick", ...)`.
