@@ -89,3 +89,8 @@ class ReinforcementConfig(Config):
     def total(self) -> int:
         """All updates."""
         return self.updates
+
+    @property
+    def training_samples(self) -> int:
+        """Every step of an environment, once in each epoch."""
+        return self.updates * self.steps_per_update * self.epochs
