@@ -39,6 +39,7 @@ def generate(
     out: Path | str,
     *,
     seed: int = 0,
+    first: int = 0,
     skill: float = 1.0,
     perturb: float = 0.0,
     min_score: float = 0.0,
@@ -47,11 +48,12 @@ def generate(
 ) -> GenerateReport:
     """Append `number` demonstrations by the task's scripted expert to a dataset.
 
-    Attempt i has the scene of `reset(seed=episode_seed(seed, i))` and its own strategy. Attempts
-    that score less than `min_score` (appendix's rule) are dropped. In a share `perturb` of the
-    control steps, on average, a random action is executed instead of the expert's; the expert's are
-    still the ones to imitate (`Trajectory.labels`). The result depends on the arguments alone, not
-    on `workers` (processes; default: the available cores).
+    Attempt i has the scene of `reset(seed=episode_seed(seed, i))` and its own strategy; `first` is
+    the number of the first attempt, to continue a series. Attempts that score less than
+    `min_score` (appendix's rule) are dropped. In a share `perturb` of the control steps, on
+    average, a random action is executed instead of the expert's; the expert's are still the ones
+    to imitate (`Trajectory.labels`). The result depends on the arguments alone, not on `workers`
+    (processes; default: the available cores).
 
     Raises:
         DatasetError: too few attempts reach the score, or the dataset cannot be written; what was
@@ -70,7 +72,7 @@ def generate(
     attempt = partial(_attempt, modules, parsed, seed, skill, perturb)
     scores: list[float] = []
     dropped = 0
-    with closing(map_in_processes(attempt, count(), workers)) as results:
+    with closing(map_in_processes(attempt, count(first), workers)) as results:
         while len(scores) < number:
             if dropped > MAX_DROPPED * number:
                 raise DatasetError(_too_few(env_id, min_score, len(scores), dropped))

@@ -116,6 +116,12 @@ class ALConfig(LearnedRewardConfig):
         """The batches of pretraining and the updates."""
         return self.pretraining_batches + self.updates
 
+    @property
+    def training_samples(self) -> int:
+        """Those of the autoencoder, with a decoder as large as the encoder, and of the policy."""
+        pretraining = self.pretraining_batches * self.pretraining_batch_size
+        return 2 * pretraining + super().training_samples
+
 
 def train(config: ALConfig, run: Run) -> None:
     """Pretrain the autoencoder, then imitate demonstrations."""
