@@ -38,15 +38,28 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--variants", nargs="+", metavar="VARIANT", help="such as Demo Jitter (default: all)"
     )
+    _configure_episodes(parser)
+    parser.add_argument(
+        "--observation", metavar="PRESET", help="default: the policy's own, or LoRes4E"
+    )
+    parser.add_argument(
+        "--workers", type=non_negative_int, metavar="N", help="processes (default: the cores)"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="write scores.csv and entry.json there"
+    )
+    parser.add_argument("--method", metavar="NAME", help="name in tables (default: the policy's)")
+    add_json(parser)
+
+
+def _configure_episodes(parser: argparse.ArgumentParser) -> None:
+    """The arguments that say which episodes are rolled out."""
     parser.add_argument(
         "--rollouts",
         type=positive_int,
         default=100,
         metavar="N",
         help="on each variant (default: 100)",
-    )
-    parser.add_argument(
-        "--observation", metavar="PRESET", help="default: the policy's own, or LoRes4E"
     )
     parser.add_argument(
         "--horizon",
@@ -70,14 +83,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="which set of fixed seeds (default: 0)",
     )
-    parser.add_argument(
-        "--workers", type=non_negative_int, metavar="N", help="processes (default: the cores)"
-    )
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="write scores.csv and entry.json there"
-    )
-    parser.add_argument("--method", metavar="NAME", help="name in tables (default: the policy's)")
-    add_json(parser)
 
 
 def _horizon(text: str) -> int | str:

@@ -50,19 +50,17 @@ def generate(
 
     Attempt i has the scene of `reset(seed=episode_seed(seed, i))` and its own strategy; `first` is
     the number of the first attempt, to continue a series. Attempts that score less than
-    `min_score` (appendix's rule) are dropped. In a share `perturb` of the control steps, on
-    average, a random action is executed instead of the expert's; the expert's are still the ones
-    to imitate (`Trajectory.labels`). The result depends on the arguments alone, not on `workers`
-    (processes; default: the available cores).
+    `min_score` (appendix's rule) are dropped. In a share `perturb` of the control steps a random
+    action is executed; the expert's remain those to imitate (`Trajectory.labels`). The result does
+    not depend on `workers` (processes; default: the available cores).
 
     Raises:
-        DatasetError: too few attempts reach the score, or the dataset cannot be written; what was
-            kept before stays.
+        DatasetError: too few attempts reach the score, or the dataset cannot be written.
         InvalidConfigError: `skill` or `perturb` is not between 0 and 1.
         InvalidTaskError: worker processes could not import the task.
         NoExpertError: the task has no expert.
         NoSolutionError: a scene cannot be solved.
-        WorkerDiedError: a worker process was killed; what was kept before stays.
+        WorkerDiedError: a worker process was killed. What was kept before any error stays.
     """
     parsed = parse_env_id(env_id)
     check_perturb(perturb)

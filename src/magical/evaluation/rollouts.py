@@ -66,10 +66,9 @@ def evaluate(
 ) -> list[RolloutScore]:
     """Score a policy on environments, all variants of a task together.
 
-    Rollout i of every environment is reset with `evaluation_seed(i, seed)`, so every policy gets
-    the same scenes. Scores depend neither on `workers` nor, for policies that sample their random
-    numbers row by row (`RolloutRng`), on `num_envs` or on what else is evaluated; a network's
-    arithmetic may still differ in the last bit between batch sizes.
+    Rollout i of every environment is reset with `evaluation_seed(i, seed)`. Scores depend neither
+    on `workers` nor, for policies that sample row by row (`RolloutRng`), on `num_envs` or on what
+    else is evaluated, but for the last bit of a network's arithmetic.
 
     Args:
         policy: see `Policy`; `load_policy` makes one from a name.
@@ -79,9 +78,8 @@ def evaluate(
         observation: by default the policy's own, or `LoRes4E`; states for a privileged policy.
         horizon: control steps; `"published"` takes the published code's, for comparison with
             published tables; for at least one of the tasks it must be another.
-        nudge: shift the initial poses of each rollout by up to so many units and radians, sampled
-            from its seed. 1e-9 cannot be seen, and makes Demo's score the mean over what rounding
-            otherwise decides once for all rollouts (docs/determinism.md).
+        nudge: shift each rollout's initial poses by up to so many units and radians, sampled from
+            its seed; with 1e-9 Demo's score is no matter of rounding (docs/determinism.md).
         num_envs: the most environments to step together (at least one for each environment id).
         workers: processes; by default one for each core. They step the environments, and for a
             policy with `in_processes` they run the policy too.
@@ -92,16 +90,15 @@ def evaluate(
 
     Raises:
         PolicyError: the policy returned something else than actions.
-        UnknownNameError: an unknown environment, observation or horizon, or the published horizon
-            of tasks that have one horizon only.
+        UnknownNameError: an unknown environment, observation or horizon, or tasks with only one.
         ValueError: a nudge out of range, or less than one rollout.
     """
     ids = environments(getattr(policy, "tasks", None))
     if env_ids is not None:
         ids = [parse_env_id(env_id).without_preset for env_id in env_ids]
+    _check_horizon(horizon, ids)
     if rollouts < 1:
         raise ValueError(f"rollouts: expected at least 1, found {rollouts}")
-    _check_horizon(horizon, ids)
     setting = _Setting(policy, observation, horizon, checked_nudge(nudge), num_envs, seed)
     run = _in_processes if getattr(policy, "in_processes", False) else _in_this_process
     return _collect(run(setting, ids, rollouts, workers), ids, progress)

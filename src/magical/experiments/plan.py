@@ -12,10 +12,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from magical.errors import MagicalError, PlanError
-from magical.evaluation.rollouts import ROLLOUTS, Horizon, environments
+from magical.evaluation.rollouts import ROLLOUTS, environments
 from magical.experts import get_goals
 from magical.learning import Config, find_algorithm
 from magical.learning.config import ImitationConfig, options
+from magical.tasks import Horizon
 
 EXPERT = "expert"  # as `demos`: the scripted experts' demonstrations, generated for the plan
 APPENDIX = "appendix"  # the default horizon
