@@ -93,9 +93,8 @@ def evaluate(
         UnknownNameError: an unknown environment, observation or horizon, or tasks with only one.
         ValueError: a nudge out of range, or less than one rollout.
     """
-    ids = environments(getattr(policy, "tasks", None))
-    if env_ids is not None:
-        ids = [parse_env_id(env_id).without_preset for env_id in env_ids]
+    default = environments(getattr(policy, "tasks", None)) if env_ids is None else env_ids
+    ids = [parse_env_id(env_id).without_preset for env_id in default]
     _check_horizon(horizon, ids)
     if rollouts < 1:
         raise ValueError(f"rollouts: expected at least 1, found {rollouts}")
