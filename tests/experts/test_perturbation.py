@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from magical.errors import InvalidConfigError
-from magical.experts import Memory, expert_for, rollout
+from magical.experts import Memory, Move, expert_for, rollout
 from magical.experts.memory import note_other_action
 from magical.experts.perturbation import MAX_STEPS, Perturbation
 from magical.physics import Simulation
@@ -91,11 +91,12 @@ def test_an_expert_does_not_escape_from_what_others_do() -> None:
         simulation.step(NOOP)
 
 
-def test_a_block_stays_held_while_the_fingers_stay_closed() -> None:
-    memory = Memory(held_steps=5, stalled_steps=6, escape_steps=2)
+def test_the_move_stays_and_a_block_is_held_while_the_fingers_stay_closed() -> None:
+    move = Move((0.5, 0.5), 0.1, block=0)
+    memory = Memory(move=move, held_steps=5, stalled_steps=6, escape_steps=2)
     closed, opened = (
         note_other_action(memory, Action(gripper=gripper).id)
         for gripper in (Gripper.CLOSED, Gripper.OPEN)
     )
     assert (closed.held_steps, opened.held_steps) == (5, 0)
-    assert closed.stalled_steps == closed.escape_steps == 0
+    assert closed == Memory(move=move, held_steps=5)

@@ -49,11 +49,12 @@ class Memory:
 def note_other_action(memory: Memory, action: int) -> Memory:
     """Record that another action than the expert's was executed: it takes over from there.
 
-    It keeps its plan, and a block that closed fingers hold. Its move, side and counts of progress
-    are of motions that it chose itself, and would have it escape from what others did.
+    It keeps its plan and its move, and a block that closed fingers hold. Its counts of progress are
+    of motions that it chose itself, and would have it escape from what others did.
     """
     is_closed = ACTIONS[action].gripper is Gripper.CLOSED
-    return Memory(plan=memory.plan, held_steps=memory.held_steps if is_closed else 0)
+    held_steps = memory.held_steps if is_closed else 0
+    return Memory(plan=memory.plan, move=memory.move, held_steps=held_steps)
 
 
 def note_progress(memory: Memory, distance: float) -> Memory:
