@@ -6,7 +6,7 @@ script is for; in an environment of its own:
     python -m venv old && old/bin/pip install pymunk==5.6.0 numpy
     old/bin/python benchmarks/pymunk_versions.py first-steps --at-roots --out first-steps.json
     old/bin/python benchmarks/pymunk_versions.py runs --at-roots --out published.npz
-    old/bin/python benchmarks/pymunk_versions.py runs --at-roots --nudges 20 --out nudged.npz
+    old/bin/python benchmarks/pymunk_versions.py runs --at-roots --nudges 100 --out nudged.npz
     old/bin/python benchmarks/pymunk_versions.py replays human --at-roots
 
 The first is the file beside the tests of the physics. benchmarks/determinism.py compares the next
@@ -118,13 +118,13 @@ def walks(nudges: int) -> dict[str, NDArray[np.float64]]:
     results = {}
     for joint in ("pin", "pivot"):
         for company in ("alone", "block"):
-            rng = np.random.default_rng(1)
+            rng, nudge_rng = np.random.default_rng(1), np.random.default_rng(2)
             with_joint(joint)
             results[f"walk/{joint}/{company}"] = np.stack(
                 [
                     run(*random_walk(rng, index, company), nudge)
                     for index in range(WALKS)
-                    for nudge in nudges_of(rng, min(nudges, 1))
+                    for nudge in nudges_of(nudge_rng, min(nudges, 1))
                 ]
             )
     with_joint("pin")
@@ -227,7 +227,8 @@ def write_first_steps(arguments: argparse.Namespace) -> None:
 
 
 def write_runs(arguments: argparse.Namespace) -> None:
-    np.savez_compressed(arguments.out, **motions(arguments.nudges), **walks(arguments.nudges))
+    arrays: dict[str, Any] = {**motions(arguments.nudges), **walks(arguments.nudges)}
+    np.savez_compressed(arguments.out, **arrays)
 
 
 def print_replays(arguments: argparse.Namespace) -> None:
