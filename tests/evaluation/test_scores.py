@@ -74,7 +74,9 @@ def test_damaged_files_are_named(tmp_path: Path, text: str, message: str) -> Non
 
 
 def test_entries_are_read_back_and_keep_what_their_authors_added(tmp_path: Path) -> None:
-    entry = Entry(method="mine", scores=SCORES, observation="LoRes4E", details={"labels": 10})
+    entry = Entry(
+        method="mine", scores=SCORES, observation="LoRes4E", nudge=1e-9, details={"labels": 10}
+    )
     entry.write(tmp_path)
     assert read_entry(tmp_path) == entry
     Entry(method="mine", scores=SCORES[:1], details={"note": "again"}).write(tmp_path)

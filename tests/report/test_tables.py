@@ -1,5 +1,7 @@
 """Score tables."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -9,14 +11,14 @@ from magical.report import entry_tasks, task_table, text_rows
 from magical.report.tables import ONE_RUN, Cell
 
 
-def entry(method: str, scores: dict[str, list[float]], **fields: str) -> Entry:
+def entry(method: str, scores: dict[str, list[float]], **fields: Any) -> Entry:
     """Scores by environment name; the published code's rule gives half of each."""
     rows = [
         RolloutScore(parse_env_id(f"{name}-v0"), i, i, score, score / 2)
         for name, values in scores.items()
         for i, score in enumerate(values)
     ]
-    return Entry(method=method, scores=rows, **fields)  # type: ignore[arg-type]
+    return Entry(method=method, scores=rows, **fields)
 
 
 def test_one_run_has_an_interval_over_rollouts() -> None:
@@ -107,3 +109,11 @@ def test_colours_grow_darker_with_the_score(mean: float, ink: str) -> None:
     numbers = [sum(map(int, c[4:-1].split(","))) for c in (background, darker)]
     assert numbers[1] <= numbers[0]
     assert np.isfinite(numbers).all()
+
+
+def test_nudged_runs_have_a_row_of_their_own() -> None:
+    scores = {"MakeLine-Demo": [1.0]}
+    entries = [entry("mine", scores), entry("mine", scores), entry("mine", scores, nudge=1e-9)]
+    table = task_table("MakeLine", entries)
+    assert [row.label for row in table.rows] == ["mine", "mine, nudge 1e-09"]
+    assert table.rows[0].note == "mean ± std over 2 runs"

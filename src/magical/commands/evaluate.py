@@ -55,6 +55,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "with its tables",
     )
     parser.add_argument(
+        "--nudge",
+        type=_nudge,
+        default=0.0,
+        metavar="X",
+        help="shift initial poses by up to X units and radians, sampled from each rollout's seed; "
+        "1e-9 averages over what rounding decides (default: 0)",
+    )
+    parser.add_argument(
         "--seed",
         type=non_negative_int,
         default=0,
@@ -75,6 +83,15 @@ def _horizon(text: str) -> int | str:
     return text if text == "published" else positive_int(text)
 
 
+def _nudge(text: str) -> float:
+    from magical.envs.episode import checked_nudge
+
+    try:
+        return checked_nudge(float(text))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+
+
 def run(args: argparse.Namespace) -> int:
     """Evaluate, print, write."""
     from magical.evaluation import environments, evaluate, summarise
@@ -90,6 +107,7 @@ def run(args: argparse.Namespace) -> int:
             seed=args.seed,
             observation=args.observation,
             horizon=args.horizon,
+            nudge=args.nudge,
             workers=args.workers,
             progress=advance,
         )
@@ -132,6 +150,7 @@ def make_entry(
         observation=str(observation_for(policy, args.observation)),
         privileged=is_privileged(policy),
         horizon="appendix" if args.horizon is None else str(args.horizon),
+        nudge=args.nudge,
         seed=args.seed,
         version=__version__,
     )

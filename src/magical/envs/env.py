@@ -109,10 +109,12 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         Args:
             seed: of the random generator; `None` keeps the current generator.
             options: `scene` and `dynamics` (dataclasses, or plain dicts as `to_dict()` makes them)
-                to start from instead.
+                to start from instead; `nudge`, which shifts the initial poses by up to that much,
+                sampled by the generator (units and radians; docs/determinism.md).
 
         Raises:
             InvalidSceneError, PlacementError: no episode can start from these.
+            ValueError: unknown options, or a nudge out of range.
         """
         super().reset(seed=seed)
         self._running = False

@@ -17,17 +17,23 @@ SCORES_FILE, ENTRY_FILE = "scores.csv", "entry.json"
 class Entry:
     """One training run's evaluation: how it was made, and every rollout's score.
 
-    Entries with the same `method` are runs of it and share a row of the tables.
+    Entries with the same `row` are runs of one method and share a row of the tables.
     """
 
-    method: str  # the row's name
+    method: str
     scores: Sequence[RolloutScore] = field(repr=False)
     observation: str = ""  # the policy's observation; "state" for a privileged one
     privileged: bool = False
     horizon: str = "appendix"  # or "published", or a number of control steps
+    nudge: float = 0.0  # the largest shift of initial poses, in units and radians
     seed: int = 0  # which set of fixed seeds
     version: str = ""  # of this package
     details: dict[str, Any] = field(default_factory=dict)  # demonstrations, training, authors, ...
+
+    @property
+    def row(self) -> str:
+        """The row's label: the method, and the nudge if there was one."""
+        return f"{self.method}, nudge {self.nudge:g}" if self.nudge else self.method
 
     def write(self, folder: Path | str) -> None:
         """Write both files; details that `entry.json` already holds and `self` lacks are kept."""
@@ -76,6 +82,7 @@ _TYPES = {
     "observation": str,
     "privileged": bool,
     "horizon": str,
+    "nudge": float,
     "seed": int,
     "version": str,
     "details": dict,
@@ -87,7 +94,7 @@ def _check_fields(path: Path, data: dict[str, Any]) -> None:
     """Raise `ScoresError` for a field of another type, or text that cannot be printed."""
     for name, value in data.items():
         expected = _TYPES[name]
-        if type(value) is not expected or (isinstance(value, int) and value < 0):
+        if type(value) is not expected or (isinstance(value, int | float) and not value >= 0):
             raise ScoresError(
                 f"{path}: {name}: expected {expected.__name__}, found {type(value).__name__}"
             )

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.envs import EnvId, parse_env_id
+from magical.envs.episode import checked_nudge
 from magical.envs.seeds import evaluation_seed
 from magical.envs.vector import MagicalVectorEnv
 from magical.envs.vector.workers import defining_modules
@@ -58,6 +59,7 @@ def evaluate(
     seed: int = 0,
     observation: Observation = None,
     horizon: Horizon = None,
+    nudge: float = 0.0,
     num_envs: int = NUM_ENVS,
     workers: int | None = None,
     progress: Progress | None = None,
@@ -77,6 +79,9 @@ def evaluate(
         observation: by default the policy's own, or `LoRes4E`; states for a privileged policy.
         horizon: control steps; `"published"` takes the published code's, for comparison with
             published tables; for at least one of the tasks it must be another.
+        nudge: shift the initial poses of each rollout by up to so many units and radians, sampled
+            from its seed. 1e-9 cannot be seen, and makes Demo's score the mean over what rounding
+            otherwise decides once for all rollouts (docs/determinism.md).
         num_envs: the most environments to step together (at least one for each environment id).
         workers: processes; by default one for each core. They step the environments, and for a
             policy with `in_processes` they run the policy too.
@@ -89,6 +94,7 @@ def evaluate(
         PolicyError: the policy returned something else than actions.
         UnknownNameError: an unknown environment, observation or horizon, or the published horizon
             of tasks that have one horizon only.
+        ValueError: a nudge out of range, or less than one rollout.
     """
     ids = environments(getattr(policy, "tasks", None))
     if env_ids is not None:
@@ -96,7 +102,7 @@ def evaluate(
     if rollouts < 1:
         raise ValueError(f"rollouts: expected at least 1, found {rollouts}")
     _check_horizon(horizon, ids)
-    setting = _Setting(policy, observation, horizon, num_envs, seed)
+    setting = _Setting(policy, observation, horizon, checked_nudge(nudge), num_envs, seed)
     run = _in_processes if getattr(policy, "in_processes", False) else _in_this_process
     return _collect(run(setting, ids, rollouts, workers), ids, progress)
 
@@ -121,6 +127,7 @@ class _Setting:
     policy: Policy
     observation: Observation
     horizon: Horizon
+    nudge: float
     num_envs: int
     seed: int
 
@@ -184,6 +191,7 @@ class _Rollouts:
         self.copies = -(-rollouts // rounds)  # of each environment
         self.policy = setting.policy
         self.seed = setting.seed
+        self.options = {"nudge": setting.nudge} if setting.nudge else None
         self.privileged = is_privileged(self.policy)
         self.env_ids = tuple(env_id for env_id in env_ids for _ in range(self.copies))
         self.horizon = task.resolve_horizon(setting.horizon)
@@ -222,7 +230,7 @@ class _Rollouts:
     def _episodes(self, seeds: Sequence[int], active: Mask) -> tuple[NDArray[Any], NDArray[Any]]:
         """One episode in each active environment, and the final scores by both rules."""
         rng = RolloutRng(self.env_ids, seeds)
-        observations, infos = self.envs.reset(seed=list(seeds))
+        observations, infos = self.envs.reset(seed=list(seeds), options=self.options)
         self.policy.reset(np.ones(len(seeds), np.bool_))
         for _ in range(self.horizon):
             given = self.envs.states() if self.privileged else observations

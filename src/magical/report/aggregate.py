@@ -96,7 +96,7 @@ def aggregates(entries: Iterable[Entry]) -> tuple[list[Aggregate], str]:
     """
     groups: dict[str, list[Entry]] = {}
     for entry in entries:
-        groups.setdefault(entry.method, []).append(entry)
+        groups.setdefault(entry.row, []).append(entry)
     env_ids = _shared_environments(list(groups.values()))
     if not env_ids:
         return [], "The methods have no environment in common."

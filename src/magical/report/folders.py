@@ -15,7 +15,7 @@ def evaluated_page(
 ) -> Page:
     """Tables, learning curves where the folders hold training runs, and where it all is from."""
     facts = {
-        f"{entry.method} ({folder})": ", ".join(
+        f"{entry.row} ({folder})": ", ".join(
             f"{name} {value}"
             for name, value in (
                 ("observation", entry.observation),

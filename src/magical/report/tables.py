@@ -65,7 +65,7 @@ def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = (
     found = get_task(task)
     runs: dict[str, list[Entry]] = {}
     for entry in entries:
-        runs.setdefault(entry.method, []).append(entry)
+        runs.setdefault(entry.row, []).append(entry)
     methods = tuple(published) if task in published_tasks() else ()
     published_rows = [_published_row(task, method) for method in methods]
     other = _other_horizons(found, [entry for group in runs.values() for entry in group])

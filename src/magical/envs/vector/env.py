@@ -152,7 +152,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         Args:
             seed: sub-environment i gets `seed + i`, or `seed[i]` of a list; None continues each
                 one's own random generator.
-            options: `reset_mask`, bool (N,); `scene` and `dynamics` as for `MagicalEnv`.
+            options: `reset_mask`, bool (N,); `scene`, `dynamics` and `nudge` as for `MagicalEnv`.
 
         Returns:
             All observations, and `infos` masked to the sub-environments that were reset.
