@@ -225,6 +225,13 @@ def test_the_reward_s_floor() -> None:
     assert high.std(correction=0).item() == pytest.approx(0.001, rel=1e-3)
 
 
+def test_the_reward_s_floor_is_the_configured_one(demos: Path, tmp_path: Path) -> None:
+    result = train(small(GAILConfig, demos, reward_floor=0.1), tmp_path / "run")
+    raw, normalised = (float(result.metrics[name]) for name in ("raw_reward_std", "reward_std"))
+    assert normalised == pytest.approx(raw, abs=2e-6)  # times 0.1, divided by the floor
+    assert raw < 0.05
+
+
 def test_the_penalty_is_on_the_gradient_with_respect_to_the_network_s_pixels() -> None:
     weight = torch.linspace(-1.0, 2.0, 6)
 

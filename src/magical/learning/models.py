@@ -7,8 +7,6 @@ scores. Images are float (B, C, H, W) in [0, 1], which a trunk may map to [-1, 1
 float (B, size); `tasks` is int64 (B,), the position of each row's task in the configuration.
 """
 
-from itertools import pairwise
-
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -20,6 +18,8 @@ from magical.learning.streams import seeded_init
 from magical.scene import NUM_ACTIONS
 
 EMBEDDING = 32  # size of the learnt embedding of an action (docs/specification.md, section 11)
+# Inputs that an action adds to the first and to the last linear layer, by how it is joined.
+JOINED = {"none": (0, 0), "one-hot": (NUM_ACTIONS, 0), "embedding": (0, EMBEDDING)}
 MEAN_BRIGHTNESS = 0.92  # of the tasks' frames, in [0, 1]
 POLICY_GAIN = 0.01  # factor of the policy's last layer under `centred`: nearly uniform actions
 
@@ -73,12 +73,9 @@ class Trunk(nn.Module):
             size = _flat_size(self.convolutions, input_shape)
         self.action_input = action_input
         self._pixels = PIXEL_RANGES[pixel_range]
-        sizes = [size, *hidden]  # what each linear layer takes, then what the last one returns
-        if action_input == "one-hot":
-            sizes[0] += NUM_ACTIONS
-        self.linear = _linear_layers(sizes, EMBEDDING if action_input == "embedding" else 0)
-        joined = action_input == "embedding"
-        self.embedding = nn.Embedding(NUM_ACTIONS, EMBEDDING) if joined else None
+        joined = JOINED[action_input]
+        self.linear = _linear_layers([size, *hidden], joined)
+        self.embedding = nn.Embedding(NUM_ACTIONS, EMBEDDING) if joined[1] else None
         self.num_features = hidden[-1]
         # Convolutions are fastest with this memory layout.
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -116,13 +113,19 @@ def _flat_size(convolutions: nn.Module, input_shape: tuple[int, ...]) -> int:
     return int(size)
 
 
-def _linear_layers(sizes: list[int], joined: int) -> nn.Sequential:
-    """Linear layers, each followed by a ReLU; the last one takes `joined` features more."""
+def _linear_layers(sizes: list[int], joined: tuple[int, int]) -> nn.Sequential:
+    """Linear layers, each followed by a ReLU.
+
+    Args:
+        sizes: of the first input, then of each layer's output.
+        joined: how many inputs the first and the last layer have besides.
+    """
+    inputs = sizes[:-1]
+    inputs[0] += joined[0]
+    inputs[-1] += joined[1]
     layers: list[nn.Module] = []
-    pairs = list(pairwise(sizes))
-    for number, (inputs, outputs) in enumerate(pairs, start=1):
-        more = joined if number == len(pairs) else 0
-        layers += [nn.Linear(inputs + more, outputs), nn.ReLU()]
+    for before, after in zip(inputs, sizes[1:], strict=True):
+        layers += [nn.Linear(before, after), nn.ReLU()]
     return nn.Sequential(*layers)
 
 

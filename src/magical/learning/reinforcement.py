@@ -10,12 +10,7 @@ from typing import Any, Self
 
 from magical.errors import InvalidConfigError
 from magical.evaluation.sources import INTERACTION
-from magical.learning.config import (
-    PUBLISHED_CODE_IMAGES,
-    Config,
-    ImitationConfig,
-    option,
-)
+from magical.learning.config import PUBLISHED_CODE_IMAGES, Config, ImitationConfig, option
 from magical.tasks import Horizon, have_two_horizons, require_two_horizons
 
 INITS = ("torch", "centred")
@@ -97,13 +92,12 @@ class ReinforcementConfig(Config):
                 f"num_envs: expected at least one for each of {len(self.tasks)} tasks, "
                 f"found {self.num_envs}"
             )
-
         if self.horizon == "published":
             require_two_horizons(self.tasks)
 
     @classmethod
     def preset(cls, name: str, **fields: Any) -> Self:
-        """As `Config.preset`; a preset's horizon is used for tasks that have two alone."""
+        """As `Config.preset`; a preset's `published` horizon is for tasks that have one."""
         tasks = fields.get("tasks", ())
         one_horizon = not have_two_horizons((tasks,) if isinstance(tasks, str) else tasks)
         if cls.presets.get(name, {}).get("horizon") == "published" and one_horizon:
