@@ -132,6 +132,29 @@ def test_the_run_folder_gets_a_picture_of_the_learning_curves(demos: Path, tmp_p
     assert (tmp_path / "run" / "learning-curves.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "name", ["copied runs", "_hidden", "$1_$", "日本", "/".join(["long"] * 40)]
+)
+def test_runs_from_elsewhere_are_evaluated_and_reported_without_warnings(
+    name: str, demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("matplotlib", reason="the report extra is not installed")
+    assert main(bc(demos, tmp_path / "here" / "bc")) == 0
+    there = tmp_path / "there" / name
+    there.parent.mkdir(parents=True)
+    (tmp_path / "here").rename(there)
+    config = there / "bc" / "config.json"
+    config.write_text(config.read_text().replace(json.dumps(str(demos)), '"D:\\\\demos"'))
+    assert "D:" in config.read_text()
+    monkeypatch.chdir(there / "bc")
+    only = ["--variants", "Demo", "--rollouts", "1", "--workers", "0"]
+    assert main(["evaluate", ".", "--out", ".", *only]) == 0
+    assert json.loads((there / "bc" / "entry.json").read_text())["method"] == "bc"
+    assert main(["report", str(there / "bc"), "--out", "page.html"]) == 0
+    assert name[:20] in (there / "bc" / "page.html").read_text()
+
+
 def test_without_pytorch_training_names_the_command_that_installs_it() -> None:
     code = "import sys; sys.modules['torch'] = None; from magical.learning import train"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

@@ -136,7 +136,7 @@ def make_entry(
     from magical.evaluation.rollouts import observation_for
 
     return Entry(
-        method=args.method or Path(args.policy).name,
+        method=args.method or Path(args.policy).absolute().name,  # of "." too
         scores=scores,
         observation=str(observation_for(policy, args.observation)),
         privileged=is_privileged(policy),

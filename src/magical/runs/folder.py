@@ -64,13 +64,14 @@ def locked_folder(path: Path, resume: bool) -> Iterator[None]:
         RunFolderError: another process or thread trains this run; there is nothing to resume; the
             folder holds other files.
     """
-    is_new, existed = not is_run(path), path.exists()
-    if is_new:
+    existed = path.exists()
+    if not is_run(path):
         _check_new(path, resume)
         path.mkdir(parents=True, exist_ok=True)
     try:
         with lock_now(path / LOCK):
             remove_partial_files(path, *WRITTEN)
+            is_new = not is_run(path)
             try:
                 yield
             except Exception:
