@@ -46,8 +46,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--clips",
         type=positive_int,
         metavar="N",
-        help="show the best, median and worst rollouts of N runs, recorded again with their policies "
-        "(default: none)",
+        help="show the best, median and worst rollouts of N runs, recorded again with their "
+        "policies (default: none)",
     )
 
 
