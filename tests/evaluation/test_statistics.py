@@ -284,3 +284,12 @@ def test_agreement_with_rliable() -> None:
     assert stats.probability_of_improvement(table, other).value == pytest.approx(
         metrics.probability_of_improvement(table, other)
     )
+
+
+def test_performance_profiles_agree_with_rliable() -> None:
+    library = pytest.importorskip("rliable.library", reason="rliable is not installed")
+    table = np.round(np.random.default_rng(6).random((6, 4)), 1)
+    thresholds = np.linspace(0.0, 1.0, 11)
+    found = [interval.value for interval in stats.performance_profile(table, thresholds)]
+    expected = library.run_score_deviation(table, thresholds)
+    assert found == pytest.approx(list(expected))
