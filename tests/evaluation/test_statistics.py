@@ -291,5 +291,5 @@ def test_performance_profiles_agree_with_rliable() -> None:
     table = np.round(np.random.default_rng(6).random((6, 4)), 1)
     thresholds = np.linspace(0.0, 1.0, 11)
     found = [interval.value for interval in stats.performance_profile(table, thresholds)]
-    expected = library.run_score_deviation(table, thresholds)
-    assert found == pytest.approx(list(expected))
+    expected = [library.run_score_deviation(table, threshold) for threshold in thresholds]
+    assert found == pytest.approx(expected)

@@ -102,7 +102,7 @@ def _write(args: argparse.Namespace, results: "Results") -> None:
         results,
         published,
         out=args.out,
-        load_policy=policy_of,
+        load_policy=lambda result: policy_of(result.folder, result.entry, result.run),
         clips=args.clips or 0,
     )
     page.write(args.out)

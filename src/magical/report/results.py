@@ -86,13 +86,23 @@ class Results:
 
 
 def find_results(folders: Iterable[Path | str]) -> Results:
+    """As `search_results`, with at least one entry.
+
+    Raises:
+        ScoresError: there is no entry that can be read; says why the first one cannot.
+    """
+    results = search_results(folders)
+    if not results.found:
+        reasons = [item.reason for item in results.skipped]
+        raise ScoresError(reasons[0] if reasons else "expected folders, found none")
+    return results
+
+
+def search_results(folders: Iterable[Path | str]) -> Results:
     """Every entry in or below the folders, by folder as given, then by path.
 
     Symbolic links and folders whose names begin with a dot are not followed. What cannot be read is
     skipped, and listed.
-
-    Raises:
-        ScoresError: there is no entry that can be read; says why the first one cannot.
     """
     found: list[Result] = []
     skipped: list[Skipped] = []
@@ -107,8 +117,6 @@ def find_results(folders: Iterable[Path | str]) -> Results:
                 found.append(Result(place, read_entry(place), _run_of(place, root)))
             except (ScoresError, OSError) as error:
                 skipped.append(Skipped(place, str(error)))
-    if not found:
-        raise ScoresError(skipped[0].reason if skipped else "expected folders, found none")
     evaluated = {result.run for result in found} | {item.folder for item in skipped}
     runs = [place for place in places if is_run(place) and place not in evaluated]
     return Results(found, skipped, runs, _planned(places, evaluated))
