@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from magical.evaluation import Policy
-    from magical.report.results import Result
+    from magical.evaluation import Entry, Policy
 
 RECORDED = "policy"  # in an entry's details: what was evaluated
 
@@ -34,30 +33,35 @@ def evaluation_details(policy: str, out: Path) -> dict[str, Any]:
     return {RECORDED: policy, **nothing, **made}
 
 
-def policy_of(result: "Result") -> "Policy":
+def policy_of(folder: Path, entry: "Entry", run: Path | None = None) -> "Policy":
     """The policy of an evaluated run: that of its run folder, or a built-in one by name.
 
     Code that an entry names is not run, since entries come from anywhere.
 
+    Args:
+        folder: the entry's.
+        entry: the entry.
+        run: its run folder if it names none; by default its own folder.
+
     Raises:
-        PolicyError: the entry says no such policy.
+        PolicyError: the entry has no such policy.
         RunFolderError, CheckpointError: the run cannot be loaded.
     """
     from magical.errors import PolicyError
     from magical.evaluation import BUILT_IN, load_policy
     from magical.runs import is_run
 
-    name = result.entry.details.get(RECORDED)
-    recorded = result.folder / name if isinstance(name, str) else None
-    folder = recorded if recorded is not None and is_run(recorded) else result.run
-    if folder is not None:
-        from magical.learning import load_policy as load_run  # imports PyTorch
+    name = entry.details.get(RECORDED)
+    recorded = [folder / name] if isinstance(name, str) else []
+    for place in (*recorded, run or folder):
+        if is_run(place):
+            from magical.learning import load_policy as load_run  # imports PyTorch
 
-        policy: Policy = load_run(folder)
-        return policy
+            policy: Policy = load_run(place)
+            return policy
     if name in BUILT_IN:
         return load_policy(str(name))
     raise PolicyError(
-        f"{result.folder}: expected a run folder or one of {', '.join(BUILT_IN)} as the policy "
+        f"{folder}: expected a run folder or one of {', '.join(BUILT_IN)} as the policy "
         f"that was evaluated, found {name!r}"
     )

@@ -46,8 +46,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--clips",
         type=positive_int,
         metavar="N",
-        help="show the best, median and worst rollouts of N runs, ed again by their policies "
-        "(default: none)",
+        help="show the best, median and worst rollouts of N runs, recorded again with their "
+        "policies (default: none)",
     )
 
 
@@ -102,7 +102,7 @@ def _write(args: argparse.Namespace, results: "Results") -> None:
         results,
         published,
         out=args.out,
-        load_policy=policy_of,
+        load_policy=lambda result: policy_of(result.folder, result.entry, result.run),
         clips=args.clips or 0,
     )
     page.write(args.out)

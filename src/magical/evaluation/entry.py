@@ -1,16 +1,19 @@
 """An evaluated run on disk: `scores.csv` and `entry.json` (docs/protocol.md)."""
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from magical.errors import ScoresError
+from magical.evaluation.rollouts import Horizon
 from magical.evaluation.scores import RolloutScore, check_protocol, read_scores, write_scores
 from magical.files import write_atomically
 from magical.untrusted import check_plain
 
+APPENDIX, PUBLISHED = "appendix", "published"  # horizons
 SCORES_FILE, ENTRY_FILE = "scores.csv", "entry.json"
 
 
@@ -25,7 +28,7 @@ class Entry:
     scores: Sequence[RolloutScore] = field(repr=False)
     observation: str = ""  # the policy's observation; "state" for a privileged one
     privileged: bool = False
-    horizon: str = "appendix"  # or "published", or a number of control steps
+    horizon: str = APPENDIX  # or PUBLISHED, or a number of control steps
     nudge: float = 0.0  # the largest shift of initial poses, in units and radians
     seed: int = 0  # which set of fixed seeds
     version: str = ""  # of this package
@@ -35,6 +38,13 @@ class Entry:
     def row(self) -> str:
         """The row's label: the method, and the nudge if there was one."""
         return f"{self.method}, nudge {self.nudge:g}" if self.nudge else self.method
+
+    @property
+    def steps(self) -> Horizon:
+        """The horizon as `magical.evaluation.evaluate` takes it."""
+        if self.horizon == APPENDIX:
+            return None
+        return "published" if self.horizon == PUBLISHED else int(self.horizon)
 
     def write(self, folder: Path | str) -> None:
         """Write both files; details that `entry.json` already holds and `self` lacks are kept."""
@@ -70,6 +80,7 @@ def read_entry(folder: Path | str) -> Entry:
             f"found {sorted(data)}; put everything else into details"
         )
     _check_fields(source / ENTRY_FILE, data)
+    _check_horizon(source / ENTRY_FILE, data.get("horizon", APPENDIX))
     scores = read_scores(source / SCORES_FILE)
     try:
         check_protocol(scores, data.get("seed", 0))
@@ -104,6 +115,14 @@ def _check_fields(path: Path, data: dict[str, Any]) -> None:
                 f"{path}: {name}: expected at most {MAX_TEXT} printable characters, found "
                 f"{value!r:.{MAX_TEXT}}"
             )
+
+
+def _check_horizon(path: Path, horizon: str) -> None:
+    if horizon not in (APPENDIX, PUBLISHED) and not re.fullmatch("[1-9][0-9]{0,5}", horizon):
+        raise ScoresError(
+            f"{path}: horizon: expected {APPENDIX}, {PUBLISHED} or a number of control steps, "
+            f"found {horizon!r}"
+        )
 
 
 def _read_json(path: Path) -> dict[str, Any]:

@@ -103,6 +103,46 @@ def evaluate(
     return _collect(run(setting, ids, rollouts, workers), ids, progress)
 
 
+def evaluate_round(
+    policy: Policy,
+    env_ids: Sequence[EnvId],
+    number: int,
+    *,
+    rollouts: int,
+    seed: int = 0,
+    observation: Observation = None,
+    horizon: Horizon = None,
+    nudge: float = 0.0,
+    workers: int | None = None,
+) -> list[RolloutScore]:
+    """One round of an evaluation again: all rollouts that were run together with one of them.
+
+    A network's arithmetic may depend on the size of the batch in the last bit, which can tip a
+    sampled action. A round is a batch as `evaluate` makes it by default, so on the same machine its
+    scores are the same.
+
+    Args:
+        policy: see `Policy`.
+        env_ids: all environments of one task that the evaluation had, in its order.
+        number: of the rollout.
+        rollouts: of each environment in the evaluation.
+        seed: as for `evaluate`, and so are
+        observation: and
+        horizon: and
+        nudge: and
+        workers: processes.
+    """
+    setting = _Setting(policy, observation, horizon, checked_nudge(nudge), NUM_ENVS, seed)
+    if getattr(policy, "in_processes", False):
+        first = number - number % SHARE
+        numbers = range(first, min(first + SHARE, rollouts))
+        return [row for env_id in env_ids for row in _score_share(setting, [], (env_id, numbers))]
+    with _Rollouts(setting, env_ids[0].task_spec, env_ids, rollouts, workers) as batch:
+        first = number - number % batch.copies
+        numbers = range(first, min(first + batch.copies, rollouts))
+        return [row for part in batch.run(numbers) for row in part]
+
+
 def _collect(
     parts: Iterable[Sequence[RolloutScore]], ids: Sequence[EnvId], progress: Progress | None
 ) -> list[RolloutScore]:

@@ -23,11 +23,16 @@ def matching_methods(entries: Iterable[Entry]) -> tuple[str, ...]:
     return tuple(method for method in published_methods() if method in names)
 
 
-def counterpart(method: str, published: Sequence[str]) -> str | None:
-    """The published row to hold a method against: of its name, else the only one there is."""
-    if method in published:
-        return method
-    return published[0] if len(published) == 1 else None
+def counterparts(entries: Iterable[Entry], published: Sequence[str]) -> dict[str, str]:
+    """The published row to hold each method against, by the method's name: that of the same name.
+
+    Where no method has the name of a published row, and there is one such row, all have that one.
+    """
+    names = list(dict.fromkeys(entry.method for entry in entries))
+    same = {name: name for name in names if name in published}
+    if not same and len(published) == 1:
+        return dict.fromkeys(names, published[0])
+    return same
 
 
 def steps(task: Task, run: Entry) -> str:
@@ -36,12 +41,9 @@ def steps(task: Task, run: Entry) -> str:
     return str(known.get(run.horizon, run.horizon))
 
 
-def obstacle(task: Task, runs: Sequence[Entry]) -> str:
-    """Why runs cannot be held against published rows of a task; empty if they can."""
-    expected = str(task.published_horizon)
-    if any(steps(task, run) != expected for run in runs):
-        return f"published with horizon {expected}"
-    return ""
+def is_comparable(task: Task, run: Entry) -> bool:
+    """Whether a run was evaluated with the horizon of the published rows of a task."""
+    return steps(task, run) == str(task.published_horizon)
 
 
 def differences(task: Task, runs: Sequence[Entry], method: str) -> Mapping[str, Interval]:
@@ -50,7 +52,7 @@ def differences(task: Task, runs: Sequence[Entry], method: str) -> Mapping[str, 
     Demo of nudged runs cannot: the published Demo scores are of the exact scene
     (docs/determinism.md).
     """
-    if obstacle(task, runs):
+    if not all(is_comparable(task, run) for run in runs):
         return {}
     tables = [by_variant(run.scores).get(task.name, {}) for run in runs]
     nudged = any(run.nudge for run in runs)

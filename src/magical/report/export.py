@@ -15,7 +15,7 @@ from magical.evaluation.intervals import Interval, rollout_mean
 from magical.evaluation.statistics import mean, over_runs
 from magical.report.aggregate import aggregate_header, aggregate_rows, aggregates
 from magical.report.breakdown import Grid, gap_grid, improvement_table
-from magical.report.differences import RULE, counterpart, differences
+from magical.report.differences import RULE, counterparts, differences
 from magical.report.methods import compared_methods
 from magical.report.page import write_text
 from magical.report.results import Results
@@ -161,8 +161,9 @@ def _lines(
     for entry in entries:
         if task in by_variant(entry.scores):
             groups.setdefault(entry.row, []).append(entry)
+    rows = counterparts(entries, published if task in published_tasks() else ())
     for method, runs in groups.items():
-        theirs = counterpart(runs[0].method, published if task in published_tasks() else ())
+        theirs = rows.get(runs[0].method)
         for variant in dict.fromkeys(v for run in runs for v in by_variant(run.scores)[task]):
             yield (task, variant, method, *_figures(task, variant, runs, theirs))
 

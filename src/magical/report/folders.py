@@ -1,7 +1,7 @@
 """A page from folders of evaluated runs."""
 
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +13,11 @@ from magical.report.aggregate import aggregate_header, aggregate_rows, aggregate
 from magical.report.breakdown import THRESHOLDS, Grid, gap_grid, improvement_table, profiles
 from magical.report.curves import TrainedRun, curves_by_task
 from magical.report.methods import ComparedMethod, compared_methods
+from magical.report.missing import find_missing
 from magical.report.page import Figure, Page
 from magical.report.plots import interval_plot, profile_plot
 from magical.report.reels import LoadPolicy, record_reels
-from magical.report.results import Result, Results, find_missing
+from magical.report.results import Result, Results
 from magical.report.runs import describe_methods
 from magical.report.tables import report_tables
 
@@ -64,18 +65,23 @@ def evaluated_page(
         clip_notes=notes,
         missing=_missing(results),
         skipped=_skipped(skipped),
-        facts=_facts(),
+        facts=_facts(results.found),
         methods=describe_methods(results.found, out),
     )
 
 
 def _subtitle(results: Results, skipped: int) -> str:
     methods = len({entry.row for entry in results.entries})
-    parts = [f"{len(results.found)} evaluated runs of {methods} methods"]
+    runs = len(results.found)
+    parts = [
+        f"{runs} evaluated run{'s' if runs != 1 else ''} of {methods} "
+        f"method{'s' if methods != 1 else ''}"
+    ]
     if skipped:
-        parts.append(f"{skipped} skipped because their files are damaged")
-    if results.not_evaluated:
-        parts.append(f"{len(results.not_evaluated)} training runs that are not evaluated")
+        parts.append(f"{skipped} skipped, with files that are damaged or not the protocol's")
+    unscored = len(results.not_evaluated if results.planned is None else results.planned)
+    if unscored:
+        parts.append(f"{unscored} without scores")
     return "; ".join(parts)
 
 
@@ -111,14 +117,13 @@ def _trained_on(result: Result) -> str:
 
 
 def _missing(results: Results) -> Grid | None:
-    rows = [(gap.method, gap.task, gap.what) for gap in find_missing(results.found)]
-    rows += [
-        (str(folder), "–", "a training run without an entry") for folder in results.not_evaluated
-    ]
     note = (
         "Every method is expected to have each task that another has, with as many runs, with the "
         "same seeds, on all variants."
+        if results.planned is None
+        else "Runs of the plan without scores, and variants that runs were not evaluated on."
     )
+    rows = find_missing(results)
     return Grid("Scores", ("method", "task", "missing"), rows, note) if rows else None
 
 
@@ -127,8 +132,25 @@ def _skipped(rows: Sequence[tuple[str, str]]) -> Grid | None:
     return Grid("Skipped", ("folder", "reason"), rows, note) if rows else None
 
 
-def _facts() -> dict[str, str]:
+def _facts(results: Sequence[Result]) -> dict[str, str]:
+    """What the scores may depend on beside the settings, over all runs; and who made the page."""
+    places = [(result.record, result.entry.details) for result in results]
+    found: dict[str, list[object]] = {
+        "evaluated by magical": [result.entry.version for result in results],
+        "commit": [place.get("commit") for pair in places for place in pair],
+        "libraries": [_listed(place.get("versions")) for pair in places for place in pair],
+        "machine": [_listed(place.get("machine")) for pair in places for place in pair],
+    }
+    facts = {name: "; ".join(dict.fromkeys(str(v) for v in vs if v)) for name, vs in found.items()}
     return {
+        **{name: text or "not recorded" for name, text in facts.items()},
         "this page": f"made by magical {__version__}, Python {platform.python_version()}, NumPy "
         f"{np.__version__}, on {platform.machine()}, {available_cores()} cores",
     }
+
+
+def _listed(values: object) -> str:
+    """The contents of a mapping in one line; nothing for anything else."""
+    if not isinstance(values, Mapping):
+        return ""
+    return ", ".join(f"{name} {value}" for name, value in values.items())

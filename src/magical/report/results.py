@@ -1,4 +1,4 @@
-"""Evaluated runs in folders: find them, and say what is missing among them."""
+"""Evaluated runs in folders, at any depth."""
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
@@ -9,10 +9,13 @@ from typing import Any
 from magical.errors import RunFolderError, ScoresError
 from magical.evaluation import Entry, by_variant, read_entry
 from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
-from magical.evaluation.variants import short_variant
 from magical.runs import is_run, read_json
 from magical.runs.folder import CONFIG, RECORD
-from magical.tasks import get_task
+
+# Files of a plan's results folder (docs/experiments.md).
+PLAN = "plan.json"  # the planned runs
+FINAL = "result.json"  # a run's final record, in its folder
+RUNS = "runs"  # the folder of their folders
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,12 +34,16 @@ class Result:
     @property
     def config(self) -> dict[str, Any]:
         """The configuration of training; empty where there is none that can be read."""
-        return _read_json(self.run, CONFIG)
+        return {} if self.run is None else _read(self.run / CONFIG)
 
     @property
     def record(self) -> dict[str, Any]:
-        """The record of training (`run.json`): versions, device, demonstrations."""
-        return _read_json(self.run, RECORD)
+        """Versions, device, demonstrations and machine, as far as they were recorded."""
+        if self.run is None:
+            return {}
+        final = _read(self.run / FINAL)
+        names = ("versions", "commit", "machine", "finished", "seconds")
+        return {**_read(self.run / RECORD), **{key: final[key] for key in names if key in final}}
 
     @property
     def seed(self) -> int | None:
@@ -54,12 +61,23 @@ class Skipped:
 
 
 @dataclass(frozen=True, slots=True)
+class Planned:
+    """A run of a plan that has no scores."""
+
+    method: str
+    tasks: tuple[str, ...]
+    seed: int
+    state: str  # in words
+
+
+@dataclass(frozen=True, slots=True)
 class Results:
     """What was found below some folders."""
 
     found: Sequence[Result]
     skipped: Sequence[Skipped] = ()
     not_evaluated: Sequence[Path] = ()  # run folders without an entry
+    planned: Sequence[Planned] | None = None  # without scores; `None` where there is no plan
 
     @property
     def entries(self) -> list[Entry]:
@@ -68,89 +86,49 @@ class Results:
 
 
 def find_results(folders: Iterable[Path | str]) -> Results:
+    """As `search_results`, with at least one entry.
+
+    Raises:
+        ScoresError: there is no entry that can be read; says why the first one cannot.
+    """
+    results = search_results(folders)
+    if not results.found:
+        reasons = [item.reason for item in results.skipped]
+        raise ScoresError(reasons[0] if reasons else "expected folders, found none")
+    return results
+
+
+def search_results(folders: Iterable[Path | str]) -> Results:
     """Every entry in or below the folders, by folder as given, then by path.
 
     Symbolic links and folders whose names begin with a dot are not followed. What cannot be read is
     skipped, and listed.
-
-    Raises:
-        ScoresError: there is no entry that can be read; the reason is the first one's.
     """
-    found, skipped, runs = [], [], []
-    seen: set[Path] = set()
+    found: list[Result] = []
+    skipped: list[Skipped] = []
+    places: list[Path] = []
     for root in map(Path, folders):
-        places = [place for place in _places(root) if place.resolve() not in seen]
-        seen.update(place.resolve() for place in places)
-        runs += [place for place in places if is_run(place)]
-        holders = [place for place in places if _holds_entry(place)]
-        for place in holders if places and (holders or runs) else [root]:
+        known = {place.resolve() for place in places}
+        new = [place for place in _places(root) if place.resolve() not in known]
+        places += new
+        # A folder without any entry is read nevertheless: the error says what was expected.
+        for place in [place for place in new if _holds_entry(place)] or ([root] if new else []):
             try:
                 found.append(Result(place, read_entry(place), _run_of(place, root)))
             except (ScoresError, OSError) as error:
                 skipped.append(Skipped(place, str(error)))
-    if not found:
-        reason = skipped[0].reason if skipped else f"expected evaluated runs, found {len(runs)} "
-        raise ScoresError(reason if skipped else f"{reason}run folders without {SCORES_FILE}")
     evaluated = {result.run for result in found} | {item.folder for item in skipped}
-    return Results(found, skipped, [run for run in runs if run not in evaluated])
-
-
-@dataclass(frozen=True, slots=True)
-class Missing:
-    """Scores that other methods or runs have."""
-
-    method: str
-    task: str
-    what: str
-
-
-def find_missing(results: Sequence[Result]) -> list[Missing]:
-    """Which method x task x variant x run is missing among the results.
-
-    A method is expected to have every task that any method has, with as many runs, with the same
-    seeds of training where those are known, on every variant of the task.
-    """
-    methods = list(dict.fromkeys(result.entry.row for result in results))
-    tasks = list(dict.fromkeys(task for result in results for task in result.tasks))
-    gaps = []
-    for task in tasks:
-        runs = {
-            name: [r for r in results if r.entry.row == name and task in r.tasks]
-            for name in methods
-        }
-        most = max(map(len, runs.values()))
-        seeds = {run.seed for group in runs.values() for run in group} - {None}
-        for name, group in runs.items():
-            texts = [_missing_runs(group, most, sorted(seed for seed in seeds if seed is not None))]
-            texts += [_missing_variants(task, run) for run in group]
-            gaps += [Missing(name, task, text) for text in texts if text]
-    return gaps
-
-
-def _missing_runs(group: Sequence[Result], most: int, seeds: Sequence[int]) -> str:
-    if not group:
-        return "no run"
-    if len(group) == most:
-        return ""
-    present = {run.seed for run in group}
-    absent = [str(seed) for seed in seeds if seed not in present]
-    named = f": no seed {', '.join(absent)}" if absent and None not in present else ""
-    return f"{len(group)} of {most} runs{named}"
-
-
-def _missing_variants(task: str, run: Result) -> str:
-    present = by_variant(run.entry.scores)[task]
-    names = [short_variant(name) for name in get_task(task).variants]
-    absent = [name for name in names if name not in present]
-    which = run.folder.name if run.seed is None else f"seed {run.seed}"
-    return f"{which}: not evaluated on {', '.join(absent)}" if absent else ""
+    runs = [place for place in places if is_run(place) and place not in evaluated]
+    return Results(found, skipped, runs, _planned(places, evaluated))
 
 
 def _places(root: Path) -> Iterator[Path]:
-    """A folder and all folders below it, parents before children, by name."""
+    """A folder and all folders below it, parents before children, by name; itself if missing."""
+    yield root
     for path, names, _ in os.walk(root):
         names[:] = sorted(name for name in names if not name.startswith("."))
-        yield Path(path)
+        if Path(path) != root:
+            yield Path(path)
 
 
 def _holds_entry(place: Path) -> bool:
@@ -159,8 +137,7 @@ def _holds_entry(place: Path) -> bool:
 
 def _run_of(place: Path, root: Path) -> Path | None:
     """The run folder that an entry belongs to: its own, one above it, or the only one in it."""
-    parents = [place, *place.parents] if place != root else [place]
-    for folder in parents:
+    for folder in (place, *place.parents):
         if is_run(folder):
             return folder
         if folder == root:
@@ -169,8 +146,42 @@ def _run_of(place: Path, root: Path) -> Path | None:
     return inside[0] if len(inside) == 1 else None
 
 
-def _read_json(run: Path | None, name: str) -> dict[str, Any]:
+def _planned(places: Iterable[Path], evaluated: Iterable[Path | None]) -> list[Planned] | None:
+    """The runs without scores of all plans among the folders."""
+    plans = [place for place in places if (place / PLAN).is_file()]
+    if not plans:
+        return None
+    done = {folder.resolve() for folder in evaluated if folder is not None}
+    return [
+        Planned(str(run["method"]), tuple(map(str, run["tasks"])), int(run["seed"]), _state(folder))
+        for plan in plans
+        for run in _runs(_read(plan / PLAN))
+        if (folder := plan / RUNS / str(run["folder"])).resolve() not in done
+    ]
+
+
+def _runs(plan: dict[str, Any]) -> list[dict[str, Any]]:
+    """The runs that a plan lists, if it is one of ours."""
+    runs = plan.get("runs")
+    types = {"folder": str, "method": str, "tasks": list, "seed": int}
+    return [
+        run
+        for run in (runs if isinstance(runs, list) else [])
+        if isinstance(run, dict) and all(isinstance(run.get(key), t) for key, t in types.items())
+    ]
+
+
+def _state(folder: Path) -> str:
+    """Why a planned run has no scores."""
+    final = _read(folder / FINAL)
+    if final.get("state") == "failed":
+        return f"failed: {final.get('error', 'unknown error')}"
+    return "not finished" if is_run(folder) else "not run"
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """A JSON object; empty where it is missing or damaged."""
     try:
-        return {} if run is None else read_json(run / name)
+        return read_json(path)
     except RunFolderError:
         return {}

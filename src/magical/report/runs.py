@@ -109,8 +109,9 @@ def _flat(name: str, value: Any) -> Iterator[tuple[str, str]]:
 def _links(result: Result, page: Path) -> Iterator[tuple[str, str]]:
     """The files of an entry and of its training run, by name."""
     files = [result.folder / name for name in FILES]
-    if result.run is not None:
-        files += [result.run / name for name in RUN_FILES]
+    run = result.run
+    if run and (run.is_relative_to(result.folder) or result.folder.is_relative_to(run)):
+        files += [run / name for name in RUN_FILES]
     for file in files:
         if file.is_file():
             relative = os.path.relpath(file.absolute(), page.absolute().parent)

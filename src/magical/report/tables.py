@@ -11,7 +11,7 @@ from magical.evaluation.intervals import Interval, rollout_mean
 from magical.evaluation.published import RUNS
 from magical.evaluation.statistics import over_runs
 from magical.evaluation.variants import SHORT_VARIANTS, short_variant
-from magical.report.differences import counterpart, differences, obstacle, steps
+from magical.report.differences import counterparts, differences, steps
 from magical.tasks import Task, get_task
 
 LIGHTEST, DARKEST = (255, 255, 255), (33, 102, 172)  # RGB of a score of 0 and of 1
@@ -82,7 +82,7 @@ def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = (
     published rows are left out, and the note says so. Methods and published tables without the
     task are left out.
     """
-    found = get_task(task)
+    found, entries = get_task(task), list(entries)
     runs: dict[str, list[Entry]] = {}
     for entry in entries:
         if task in by_variant(entry.scores):
@@ -91,11 +91,12 @@ def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = (
     other = _other_horizons(found, [entry for group in runs.values() for entry in group])
     compared = bool(methods) and not other
     rule = "published_code_score" if compared else "score"
-    rows = [_method_row(found, row, group, rule) for row, group in runs.items()]
-    if compared:
-        groups = runs.values()
-        rows = [_beside(row, found, g, methods) for row, g in zip(rows, groups, strict=True)]
-        rows += [_published_row(task, method) for method in methods]
+    theirs = counterparts(entries, methods) if compared else {}
+    rows = [
+        _beside(_method_row(found, row, group, rule), found, group, theirs.get(group[0].method))
+        for row, group in runs.items()
+    ]
+    rows += [_published_row(task, method) for method in methods if compared]
     variants = tuple(map(short_variant, found.variants))
     kept = tuple(row for row in rows if row.cells)
     one_run = any(len(runs[row.label]) == 1 for row in kept if row.label in runs)
@@ -147,22 +148,18 @@ def _method_row(task: Task, method: str, runs: Sequence[Entry], rule: str) -> Ro
     return Row(method, cells, f"{note}{_horizon_note(task, runs)}")
 
 
-def _beside(row: Row, task: Task, runs: Sequence[Entry], published: Sequence[str]) -> Row:
+def _beside(row: Row, task: Task, runs: Sequence[Entry], method: str | None) -> Row:
     """A row of ours with its differences from the published row that it is held against."""
-    method = counterpart(runs[0].method, published)
     if method is None:
         return row
     found = differences(task, runs, method)
     cells = {
         variant: replace(cell, difference=found.get(variant)) for variant, cell in row.cells.items()
     }
-    reason = obstacle(task, runs)
-    if reason:
-        said = f"not compared with {method}: {reason}"
-    else:
-        exact = ", Demo left out: it is nudged" if any(run.nudge for run in runs) else ""
-        said = f"difference from {method}{exact}"
-    return replace(row, cells=cells, note=f"{row.note}; {said}")
+    if not found:
+        return row
+    exact = ", Demo left out: it is nudged" if any(run.nudge for run in runs) else ""
+    return replace(row, cells=cells, note=f"{row.note}; difference from {method}{exact}")
 
 
 def signed(interval: Interval) -> str:
