@@ -23,7 +23,11 @@ SIZE = START[1] * 2 ** len(DOUBLINGS)  # pixels
 
 
 class Autoencoder(nn.Module):
-    """Encodes images (B, C, 96, 96) and actions (B,) as features (B, 32), and decodes them."""
+    """Encodes images (B, C, 96, 96) and actions (B,) as features (B, 32), and decodes them.
+
+    Attributes:
+        mean_image: (C, 96, 96), the image that the decoder's output is added to; 0 at first.
+    """
 
     def __init__(
         self,
@@ -33,6 +37,7 @@ class Autoencoder(nn.Module):
         action_input: str = "one-hot",
         pixel_range: str = "unit",
         decoder_batch_norm: bool = False,
+        linear_features: bool = False,
     ) -> None:
         """Build an autoencoder, with PyTorch's initialisation.
 
@@ -43,6 +48,7 @@ class Autoencoder(nn.Module):
             pixel_range: the range of the encoder's pixels: "unit" or "symmetric", see `Trunk`. The
                 decoder's are in [0, 1] whatever it is.
             decoder_batch_norm: follow each ReLU of the decoder's convolutions by batch norm.
+            linear_features: leave out the ReLU after the encoder's last layer.
         """
         super().__init__()
         assert image_shape[1:] == (SIZE, SIZE)
@@ -54,12 +60,16 @@ class Autoencoder(nn.Module):
             num_features=FEATURES,
             pixel_range=pixel_range,
         )
+        if linear_features:
+            self.encoder.linear[-1] = nn.Identity()
         self.hidden = nn.Sequential(
             nn.Linear(FEATURES, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, HIDDEN), nn.ReLU()
         )
         self.action = nn.Linear(HIDDEN, NUM_ACTIONS)
         self.start = nn.Linear(HIDDEN, int(np.prod(START)))
         self.image = _image_decoder(image_shape[0], decoder_batch_norm)
+        self.mean_image: Tensor
+        self.register_buffer("mean_image", torch.zeros(image_shape))
         # Convolutions are fastest with this memory layout.
         self.image.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
@@ -67,8 +77,8 @@ class Autoencoder(nn.Module):
         """Reconstructed images (B, C, 96, 96) and logits of actions (B, 18)."""
         hidden = self.hidden(self.encoder(images, actions))
         start = self.start(hidden).view(-1, *START)
-        images = self.image(start.contiguous(memory_format=torch.channels_last))
-        return images, self.action(hidden)
+        difference = self.image(start.contiguous(memory_format=torch.channels_last))
+        return difference.float() + self.mean_image, self.action(hidden)
 
 
 def _image_decoder(channels: int, batch_norm: bool) -> nn.Sequential:

@@ -36,6 +36,8 @@ from magical.learning.streams import Purpose, seeded_init, stream
 
 AUTOENCODER_INIT = 1  # number of the initialisation; the policy's is 0
 WEIGHT_NORM = 2.0  # of w (appendix B, equation 1)
+SMALLEST_ERROR = 1e-6  # of the mean image; where all images are equal it is 0
+RIDGE = 1e-3  # of the features' mean variance, added to each one's in `discriminant_weights`
 LOG_EVERY, CHECKPOINT_EVERY = 50, 500  # batches of pretraining
 NUM_RECONSTRUCTIONS = 10  # frames in the picture
 PICTURE = "reconstructions.png"
@@ -53,10 +55,15 @@ class ALConfig(LearnedRewardConfig):
             **QUICK,
             "total_steps": 45_000,
             "discount": 0.95,
-            "entropy_bonus": 3e-3,
-            "pretraining_batches": 1500,
+            "gae_lambda": 0.9,
+            "entropy_bonus": 0.01,
+            "pretraining_batches": 400,
             "pretraining_learning_rate": 1e-3,
-            "augment": "noise+translation+rotation",
+            "pretraining_anneal": True,
+            "relative_image_error": True,
+            "linear_features": True,
+            "statistics_batches": 60,
+            "weight_metric": "covariance",
         },
         "published-code": {
             **PUBLISHED_CODE,
@@ -80,6 +87,15 @@ class ALConfig(LearnedRewardConfig):
     pretraining_anneal: bool = option(
         False, "anneal the autoencoder's learning rate linearly to 0", added=True
     )
+    relative_image_error: bool = option(
+        False,
+        "decode the difference from the expert's mean image; the image error is relative to that "
+        "of the mean image",
+        added=True,
+    )
+    linear_features: bool = option(
+        False, "no ReLU after the encoder's last layer, so that no feature is always 0", added=True
+    )
     statistics_batches: int = option(
         0,
         "unaugmented expert batches that the encoder's batch norm statistics are computed from "
@@ -97,6 +113,12 @@ class ALConfig(LearnedRewardConfig):
         "evaluation",
         "mode of the encoder's batch norm where w is computed; rewards: always evaluation",
         choices=("evaluation", "training"),
+        added=True,
+    )
+    weight_metric: str = option(
+        "euclidean",
+        "norm of w that is bounded: |w|, or the standard deviation of w^T phi over the samples",
+        choices=("euclidean", "covariance"),
         added=True,
     )
 
@@ -150,8 +172,13 @@ def pretrain(
         load_module(autoencoder, run.saved["autoencoder"], str(run.folder))
         if "autoencoder_optimizer" in run.saved:
             load_optimizer(optimizer, run.saved["autoencoder_optimizer"])
+    scale = 1.0
+    if config.relative_image_error:
+        autoencoder.mean_image, scale = mean_image(expert)
     for number in range(run.step, config.pretraining_batches):
-        metrics = pretraining_step(config, ppo.compute, expert, autoencoder, optimizer, number)
+        metrics = pretraining_step(
+            config, ppo.compute, expert, autoencoder, optimizer, number, scale
+        )
         done = number + 1
         stops = run.stops(done)
         complete = done == config.pretraining_batches
@@ -181,8 +208,12 @@ def pretraining_step(
     autoencoder: Autoencoder,
     optimizer: Adam,
     number: int,
+    scale: float = 1.0,
 ) -> dict[str, Tensor]:
-    """Take the optimiser's step on batch `number`; returns the parts of the loss."""
+    """Take the optimiser's step on batch `number`; returns the parts of the loss.
+
+    The image error is divided by `scale` first.
+    """
     left = 1.0 - number / config.pretraining_batches if config.pretraining_anneal else 1.0
     for group in optimizer.param_groups:
         group["lr"] = config.pretraining_learning_rate * left
@@ -194,9 +225,19 @@ def pretraining_step(
         reconstructed, logits = autoencoder(images, actions)
     image_error, action_loss = autoencoder_loss(images, actions, reconstructed, logits)
     optimizer.zero_grad()
-    torch.autograd.backward(image_error + action_loss)
+    torch.autograd.backward(image_error / scale + action_loss)
     optimizer.step()
     return {"image_error": image_error, "action_loss": action_loss}
+
+
+def mean_image(expert: ExpertData) -> tuple[Tensor, float]:
+    """The mean (C, H, W) of the expert's images, and its mean squared error."""
+    chunks = np.array_split(np.arange(len(expert)), -(-len(expert) // CHUNK))
+    total = sum(to_unit(expert.images(rows)).sum(dim=0) for rows in chunks)
+    mean = torch.as_tensor(total / len(expert))
+    errors = [(to_unit(expert.images(rows)) - mean).square().mean().item() for rows in chunks]
+    error = float(np.average(errors, weights=[len(rows) for rows in chunks]))
+    return mean, max(error, SMALLEST_ERROR)
 
 
 def compute_statistics(
@@ -265,7 +306,7 @@ def imitate(
             chunks = zip(*(torch.split(part, size) for part in batch), strict=True)
             features = torch.cat([encode(images, actions) for images, actions in chunks])
             autoencoder.eval()
-            w, distance = feature_weights(*features.chunk(2))
+            w, distance = WEIGHTS[config.weight_metric](*features.chunk(2))
             pairs = zip(rollout.observations, rollout.actions, strict=True)
             raw = torch.stack([encode(to_unit(o), a) @ w for o, a in pairs])  # (T, N)
             rewards = normaliser(raw, rollout.tasks)
@@ -305,6 +346,30 @@ def feature_weights(expert: Tensor, novice: Tensor) -> tuple[Tensor, Tensor]:
     return w, WEIGHT_NORM * length
 
 
+def discriminant_weights(expert: Tensor, novice: Tensor) -> tuple[Tensor, Tensor]:
+    """Maximise w^T (mean expert - mean novice) over w^T C w <= 4, for features (B, 32) of each.
+
+    C is the mean of the two covariance matrices, with a small multiple of the identity added: w is
+    Fisher's linear discriminant. Unlike with |w|_2 <= 2, features with a large spread do not hide
+    the others: the result is the same for every invertible linear map of the features.
+
+    Returns:
+        w (32,) and the maximum, a scalar.
+    """
+    difference = (expert.mean(dim=0) - novice.mean(dim=0)).double()
+    covariance = (torch.cov(expert.T.double()) + torch.cov(novice.T.double())) / 2
+    identity = torch.eye(len(covariance), dtype=torch.float64, device=covariance.device)
+    smallest = torch.finfo(torch.float64).tiny  # for features that are all equal
+    covariance += (RIDGE * covariance.diagonal().mean() + smallest) * identity
+    direction = torch.linalg.solve(covariance, difference)
+    length = (difference @ direction).clamp(min=0.0).sqrt()  # Mahalanobis distance of the means
+    w = WEIGHT_NORM * direction / length.clamp(min=smallest)
+    return w.to(expert.dtype), (WEIGHT_NORM * length).to(expert.dtype)
+
+
+WEIGHTS = {"euclidean": feature_weights, "covariance": discriminant_weights}
+
+
 def unaugmented(expert: ExpertData, rows: Rows) -> Tensor:
     """Images (B, C, H, W) in [0, 1] of expert samples, in the memory layout of augmented ones."""
     return augment(expert.images(rows), SETS["none"], np.random.default_rng(0))
@@ -330,6 +395,7 @@ def make_autoencoder(config: ALConfig) -> Autoencoder:
             action_input=config.action_input,
             pixel_range=config.pixel_range,
             decoder_batch_norm=config.decoder_batch_norm,
+            linear_features=config.linear_features,
         )
 
 
