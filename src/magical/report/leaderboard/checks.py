@@ -75,12 +75,12 @@ def _statement_faults(entry: Entry) -> Iterator[str]:
     if _series(entry.version) != _series(__version__):
         yield (
             f"made by version {entry.version or '(not stated)'} of this package, this is "
-            f"{__version__}: scores may differ; evaluate again with a version {_series(__version__)}"
+            f"{__version__}: scores may differ; evaluate again"
         )
 
 
 def _series(version: str) -> str:
-    """The part of a version within which scores are comparable: before 1.0 the first two numbers."""
+    """The part of a version that scores depend on: one number, before 1.0 the first two."""
     parts = version.split(".")
     return ".".join(parts[:2] if parts[0] == "0" else parts[:1])
 
@@ -99,7 +99,8 @@ def _conflicts(result: Result, accepted: Sequence[Result]) -> Iterator[str]:
         ):
             if value != expected:
                 yield (
-                    f"{what} {_text(value)}, but {other.folder} of the same method {_text(expected)}"
+                    f"{what} {_text(value)}, but of the same method {other.folder} "
+                    f"{_text(expected)}"
                 )
                 return
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from magical import __version__
+from magical.errors import ScoresError
 from magical.evaluation.rollouts import ROLLOUTS
 from magical.evaluation.sources import SOURCES
 from magical.files import write_atomically
@@ -61,8 +62,16 @@ class Leaderboard:
 
 
 def make_leaderboard(folders: Iterable[Path | str]) -> Leaderboard:
-    """Check and rank all entries in or below the folders."""
-    accepted, rejected = check_entries(search_results(folders))
+    """Check and rank all entries in or below the folders.
+
+    Raises:
+        ScoresError: a folder is missing.
+    """
+    places = list(map(Path, folders))
+    for place in places:
+        if not place.is_dir():
+            raise ScoresError(f"{place}: expected a folder with entries, found none")
+    accepted, rejected = check_entries(search_results(places))
     return Leaderboard(make_boards(accepted), accepted, rejected)
 
 
