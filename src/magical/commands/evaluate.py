@@ -51,8 +51,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--horizon",
         type=_horizon,
         metavar="STEPS",
-        help="control steps (default: the paper's); `published`: the published code's, which are "
-        "fewer for the Cluster tasks, to compare with its tables",
+        help="control steps (default: the paper's); `published`: 240 for the Cluster tasks",
     )
     parser.add_argument(
         "--nudge",

@@ -77,8 +77,7 @@ def evaluate(
         rollouts: of each environment.
         seed: which set of fixed seeds; results are reported for 0.
         observation: by default the policy's own, or `LoRes4E`; states for a privileged policy.
-        horizon: control steps; `"published"` takes the published code's, for comparison with
-            published tables; for at least one of the tasks it must be another.
+        horizon: control steps; `"published"` takes the published code's, to compare with its tables.
         nudge: shift the initial poses of each rollout by up to so many units and radians, sampled
             from its seed. 1e-9 cannot be seen, and makes Demo's score the mean over what rounding
             otherwise decides once for all rollouts (docs/determinism.md).
@@ -93,15 +92,13 @@ def evaluate(
     Raises:
         PolicyError: the policy returned something else than actions.
         UnknownNameError: an unknown environment, observation or horizon, or the published horizon
-            of tasks that have one horizon only.
+            for tasks that have one horizon only.
         ValueError: a nudge out of range, or less than one rollout.
     """
     ids = environments(getattr(policy, "tasks", None))
     if env_ids is not None:
         ids = [parse_env_id(env_id).without_preset for env_id in env_ids]
-    if rollouts < 1:
-        raise ValueError(f"rollouts: expected at least 1, found {rollouts}")
-    _check_horizon(horizon, ids)
+    _check(rollouts, horizon, ids)
     setting = _Setting(policy, observation, horizon, checked_nudge(nudge), num_envs, seed)
     run = _in_processes if getattr(policy, "in_processes", False) else _in_this_process
     return _collect(run(setting, ids, rollouts, workers), ids, progress)
@@ -259,7 +256,9 @@ def _by_task(env_ids: Sequence[EnvId]) -> Iterator[tuple[Task, list[EnvId]]]:
         yield get_task(name), group
 
 
-def _check_horizon(horizon: Horizon, env_ids: Sequence[EnvId]) -> None:
+def _check(rollouts: int, horizon: Horizon, env_ids: Sequence[EnvId]) -> None:
+    if rollouts < 1:
+        raise ValueError(f"rollouts: expected at least 1, found {rollouts}")
     if horizon == "published":
         require_two_horizons(env_id.task for env_id in env_ids)
     elif horizon is not None and not (isinstance(horizon, int) and horizon > 0):
