@@ -77,7 +77,7 @@ def evaluate(
         rollouts: of each environment.
         seed: which set of fixed seeds; results are reported for 0.
         observation: by default the policy's own, or `LoRes4E`; states for a privileged policy.
-        horizon: control steps; `"published"` takes the published code's, to compare with its tables.
+        horizon: control steps; `"published"`: the published code's, to compare with its tables.
         nudge: shift the initial poses of each rollout by up to so many units and radians, sampled
             from its seed. 1e-9 cannot be seen, and makes Demo's score the mean over what rounding
             otherwise decides once for all rollouts (docs/determinism.md).
@@ -91,8 +91,7 @@ def evaluate(
 
     Raises:
         PolicyError: the policy returned something else than actions.
-        UnknownNameError: an unknown environment, observation or horizon, or the published horizon
-            for tasks that have one horizon only.
+        UnknownNameError: an unknown environment, observation or horizon, or no published horizon.
         ValueError: a nudge out of range, or less than one rollout.
     """
     ids = environments(getattr(policy, "tasks", None))
