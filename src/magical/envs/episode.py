@@ -172,10 +172,15 @@ class Episode:
         return float(self.task.progress_fn(self.simulation.scene, self.poses))
 
 
+def _is_possible(horizon: Horizon) -> bool:
+    if horizon is None or isinstance(horizon, str):
+        return horizon in (None, "published")
+    return 1 <= operator.index(horizon) <= MAX_HORIZON
+
+
 def check_options(task: Task, horizon: Horizon, reward: str) -> None:
     """Raise `ValueError` or `UnknownNameError` for an impossible horizon or reward."""
-    named = isinstance(horizon, str) and horizon == "published"
-    if not (named or horizon is None) and not 1 <= operator.index(horizon) <= MAX_HORIZON:  # type: ignore[arg-type]
+    if not _is_possible(horizon):
         raise ValueError(
             f"horizon: expected an integer from 1 to {MAX_HORIZON}, 'published' or None, found "
             f"{quoted(horizon)}"
