@@ -178,7 +178,7 @@ class _Rollouts:
         self.seed = setting.seed
         self.privileged = is_privileged(self.policy)
         self.env_ids = tuple(env_id for env_id in env_ids for _ in range(self.copies))
-        self.horizon = resolve_horizon(setting.horizon, task)
+        self.horizon = _resolve_horizon(setting.horizon, task)
         self.envs = MagicalVectorEnv(
             self.env_ids,
             workers=workers,
@@ -243,8 +243,7 @@ def _by_task(env_ids: Sequence[EnvId]) -> Iterator[tuple[Task, list[EnvId]]]:
         yield get_task(name), group
 
 
-def resolve_horizon(horizon: Horizon, task: Task) -> int:
-    """The control steps of an episode; raises `UnknownNameError` for what is no horizon."""
+def _resolve_horizon(horizon: Horizon, task: Task) -> int:
     if horizon is None:
         return task.horizon
     if horizon == "published":

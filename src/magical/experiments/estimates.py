@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from magical.evaluation import environments
-from magical.evaluation.rollouts import resolve_horizon
 from magical.experiments.plan import PlannedRun
 from magical.learning import Config
 from magical.learning.config import ImitationConfig
@@ -69,7 +68,7 @@ def _estimate(run: PlannedRun, speed: float) -> Estimate:
 def _evaluation_steps(run: PlannedRun) -> int:
     """The control steps of all rollouts after training."""
     env_ids = environments(run.tasks, run.evaluation.variants or None)
-    horizons = [resolve_horizon(run.evaluation.steps, env_id.task_spec) for env_id in env_ids]
+    horizons = [run.evaluation.steps(env_id.task) for env_id in env_ids]
     return run.evaluation.rollouts * sum(horizons)
 
 
