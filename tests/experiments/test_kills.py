@@ -3,41 +3,14 @@
 import os
 import random
 import signal
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 from magical.experiments.plan import PlannedRun
 from magical.experiments.status import read_status
-from tests.waiting import soon
+from tests.experiments.processes import TIMEOUT, lines, reached, running
 
-TIMEOUT = 120.0  # seconds, on a busy machine
 BATCHES = 6  # of each run
-
-
-@contextmanager
-def running(tiny: Path, out: Path) -> Iterator["subprocess.Popen[str]"]:
-    command = [sys.executable, "-m", "magical", "run", str(tiny), "--out", str(out)]
-    with subprocess.Popen(
-        [*command, "--workers", "1"], stderr=subprocess.PIPE, text=True
-    ) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
-
-
-def lines(out: Path) -> int:
-    """How much has been written: lines of metrics, and finished runs."""
-    metrics = sum(path.read_text().count("\n") for path in out.glob("runs/*/metrics.jsonl"))
-    return metrics + len(list(out.glob("runs/*/result.json")))
-
-
-def reached(out: Path, moment: int) -> bool:
-    """Whether so many lines and records are written in time."""
-    return soon(lambda: lines(out) >= moment, TIMEOUT)
 
 
 def records(out: Path) -> dict[str, tuple[int, int]]:

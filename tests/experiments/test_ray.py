@@ -1,7 +1,8 @@
 """Plans on a local Ray cluster of two worker processes."""
 
+import signal
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from magical.experiments.execution import Resources, execute
 from magical.experiments.plan import PlannedRun
 from magical.experiments.ray_cluster import RayExecutor, pack, unpack
 from magical.experiments.results import Results, opened
+from tests.experiments.processes import TIMEOUT, reached, running
 
 Planned = Callable[..., list[PlannedRun]]
 
@@ -24,7 +26,7 @@ def no_usage_statistics(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def scores(finished: Path) -> Iterator[Callable[[Path], bool]]:
+def scores(finished: Path) -> Callable[[Path], bool]:
     """Whether a results folder has the scores of local execution."""
 
     def equal(out: Path) -> bool:
@@ -69,6 +71,19 @@ def test_a_cluster_that_cannot_be_reached_is_named(
     message = capsys.readouterr().err
     assert f"the Ray cluster at {address} cannot be reached" in message
     assert "ray start --head" in message
+
+
+def test_sigterm_leaves_checkpoints(
+    tiny: Path, planned: Planned, tmp_path: Path, scores: Callable[[Path], bool]
+) -> None:
+    out = tmp_path / "out"
+    with running(tiny, out, "--executor", "ray") as process:
+        assert reached(out, 1)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(TIMEOUT) == 130
+    assert (out / "runs" / planned()[0].folder / "checkpoint.safetensors").is_file()
+    assert execute(planned(), out, Resources(executor="ray", workers=2)).complete
+    assert scores(out)
 
 
 def test_a_packed_folder_replaces_an_older_one(tmp_path: Path) -> None:
