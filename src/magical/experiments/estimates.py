@@ -68,7 +68,7 @@ def _estimate(run: PlannedRun, speed: float) -> Estimate:
 def _evaluation_steps(run: PlannedRun) -> int:
     """The control steps of all rollouts after training."""
     env_ids = environments(run.tasks, run.evaluation.variants or None)
-    horizons = [env_id.task_spec.resolve_horizon(run.evaluation.steps) for env_id in env_ids]
+    horizons = [run.evaluation.steps(env_id.task) for env_id in env_ids]
     return run.evaluation.rollouts * sum(horizons)
 
 

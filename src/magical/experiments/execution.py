@@ -82,8 +82,8 @@ class Summary:
         if failed:
             text += f", {failed} failed (magical status {shlex.quote(str(self.out))} says why; "
             text += "--retry-failed runs them again)"
-        if self.interrupted:
-            text += "; interrupted: the same command continues"
+        if self.counts[DONE] + failed < self.total:
+            text += "; the same command continues with the others"
         return text
 
     def to_dict(self) -> dict[str, Any]:

@@ -55,8 +55,8 @@ class Forecast:
                 "seed": run.seed,
                 "folder": run.folder,
                 "state": state,
-                "seconds": round(cost.here, 1),
-                "gpu_seconds": round(cost.gpu, 1),
+                "seconds": round(cost.here, 3),
+                "gpu_seconds": round(cost.gpu, 3),
             }
             for run, cost, state in self._items()
         ]

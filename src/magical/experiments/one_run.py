@@ -102,12 +102,13 @@ def _evaluate(run: PlannedRun, folder: Path) -> None:
     from magical.learning.devices import cpu_threads
 
     policy = load_policy(folder, device=run.config.device)
+    horizon = run.evaluation.horizon_of(run.tasks)
     with cpu_threads(run.config.threads):
         scores = evaluate(
             policy,
             environments(run.tasks, run.evaluation.variants or None),
             rollouts=run.evaluation.rollouts,
-            horizon=run.evaluation.steps,
+            horizon=horizon,
             workers=0 if run.config.threads == 1 else run.config.threads,
         )
     entry = Entry(
@@ -115,7 +116,7 @@ def _evaluate(run: PlannedRun, folder: Path) -> None:
         scores=scores,
         observation=str(observation_for(policy)),
         privileged=is_privileged(policy),
-        horizon=str(run.evaluation.horizon),
+        horizon="appendix" if horizon is None else str(horizon),
         version=__version__,
         details=_details(run),
     )

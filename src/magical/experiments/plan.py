@@ -9,17 +9,16 @@ import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 from magical.errors import MagicalError, PlanError
 from magical.evaluation.rollouts import ROLLOUTS, environments
 from magical.experts import get_goals
 from magical.learning import Config, find_algorithm
 from magical.learning.config import ImitationConfig, options
-from magical.tasks import Horizon
+from magical.tasks import Horizon, get_task
 
 EXPERT = "expert"  # as `demos`: the scripted experts' demonstrations, generated for the plan
-APPENDIX = "appendix"  # the default horizon
 DIGITS = 10  # of a run's identity, hexadecimal
 MAX_SLUG = 40  # characters of a method's name in a folder's name
 
@@ -55,12 +54,22 @@ class Evaluation:
 
     rollouts: int = ROLLOUTS
     variants: tuple[str, ...] = ()
-    horizon: str | int = APPENDIX
+    horizon: int | Literal["appendix", "published"] = "appendix"
 
-    @property
-    def steps(self) -> Horizon:
-        """The horizon as `magical.evaluation.evaluate` takes it."""
-        return None if self.horizon == APPENDIX else self.horizon  # type: ignore[return-value]
+    def steps(self, task: str) -> int:
+        """The control steps of a task's episodes."""
+        if isinstance(self.horizon, int):
+            return self.horizon
+        found = get_task(task)
+        return found.horizon if self.horizon == "appendix" else found.published_horizon
+
+    def horizon_of(self, tasks: Sequence[str]) -> Horizon:
+        """The horizon as `magical.evaluation.evaluate` takes it; `None` where it is the appendix's.
+
+        The published code's is the same for most tasks.
+        """
+        same = all(self.steps(task) == get_task(task).horizon for task in tasks)
+        return None if same or self.horizon == "appendix" else self.horizon
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -9,13 +9,13 @@ from typing import Any
 
 from magical.errors import MagicalError, PlanError
 from magical.evaluation.variants import full_variant
-from magical.experiments.plan import APPENDIX, Evaluation, Method, Plan, planned_runs
+from magical.experiments.plan import Evaluation, Method, Plan, planned_runs
 from magical.learning import find_algorithm
 from magical.learning.config import Option, options
 from magical.messages import quoted
 from magical.tasks import TASKS, get_task
 
-HORIZONS = (APPENDIX, "published")
+HORIZONS = ("appendix", "published")
 OF_THE_PLAN = ("tasks", "seed", "demos")  # settings that a method cannot change
 MAX_NAME = 100  # characters of a method's name
 MAX_NUMBER = 2**31 - 1

@@ -2,12 +2,14 @@
 
 import io
 import shutil
+import signal
 import socket
 import tarfile
 import tempfile
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,7 @@ from magical.errors import ClusterError, RunFolderError
 from magical.experiments.one_run import finish
 from magical.experiments.plan import PlannedRun
 from magical.experiments.results import EXPERIMENT, RESULT, Outcome, Results
+from magical.learning.interrupts import SIGNALS
 from magical.runs.folder import LOCK, read_json
 
 RETRIES = 3  # after the end of a node or of a process on it
@@ -135,6 +138,11 @@ def _connect(address: str | None, cores: int | None) -> None:
     """Connect to a cluster, or start one on this machine if `cores` are given or none is found."""
     if address and not _answers(address):
         raise ClusterError(_unreachable(address, f"nothing answers within {TIMEOUT:g} s"))
+    with _own_signal_handlers():
+        _init(address, cores)
+
+
+def _init(address: str | None, cores: int | None) -> None:
     if address is None and cores is None:
         with suppress(ConnectionError):
             ray.init(address="auto", log_to_driver=False)
@@ -146,6 +154,20 @@ def _connect(address: str | None, cores: int | None) -> None:
             ray.init(address=address, log_to_driver=False)
     except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
         raise ClusterError(_unreachable(address or "this machine", str(error)[:500])) from error
+
+
+@contextmanager
+def _own_signal_handlers() -> Iterator[None]:
+    """A context that undoes changes of signal handlers: `ray.init` replaces SIGTERM's."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _unreachable(address: str, reason: str) -> str:

@@ -104,10 +104,12 @@ def is_results(path: Path) -> bool:
 
 
 def check_results(path: Path, runs: Sequence[PlannedRun]) -> None:
-    """Check that an existing results folder belongs to this version and to the runs of a plan.
+    """Check that an existing results folder is of this version, and of the plan of these runs.
+
+    A plan may have changed since: it is another one if it has none of the methods.
 
     Raises:
-        ResultsError: it is of another version, or holds runs and none of these.
+        ResultsError: the folder is of another version, or of another plan.
     """
     found = _read(path / EXPERIMENT)
     version = found.get("versions", {}).get("magical")
@@ -117,12 +119,30 @@ def check_results(path: Path, runs: Sequence[PlannedRun]) -> None:
             f"magical {__version__} (format {FORMAT}): their scores may differ. Choose another "
             "folder (--out), or install that version"
         )
-    present = {folder.name for folder in run_folders(path)}
-    if present and not present & {run.folder for run in runs}:
+    methods = {str(run["method"]) for run in listed_runs(path)}
+    if methods and not methods & {run.method for run in runs}:
         raise ResultsError(
-            f"{path} holds {len(present)} runs of another plan, such as {min(present)}, and none "
-            "of this one; choose another folder (--out)"
+            f"{path} holds results of another plan, with the methods {', '.join(sorted(methods))}; "
+            "choose another folder (--out)"
         )
+
+
+def listed_runs(path: Path) -> list[dict[str, Any]]:
+    """The runs in `plan.json`, with folder, method, tasks, seed and total number of steps.
+
+    Raises:
+        ResultsError: the file is damaged.
+    """
+    if not (path / PLAN).exists():
+        return []
+    listed = _read(path / PLAN).get("runs")
+    fields = {"folder": str, "method": str, "tasks": list, "seed": int, "total": int}
+    if not isinstance(listed, list) or not all(
+        isinstance(run, dict) and {name: type(value) for name, value in run.items()} == fields
+        for run in listed
+    ):
+        raise ResultsError(f"{path / PLAN}: expected the runs of a plan; give another --out")
+    return listed
 
 
 def run_folders(path: Path) -> list[Path]:

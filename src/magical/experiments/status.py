@@ -13,12 +13,12 @@ from magical.experiments.results import (
     DONE,
     EXPERIMENT,
     FAILED,
-    PLAN,
     PROGRESS,
     RESULT,
     RUNS,
     WAITING,
     is_results,
+    listed_runs,
     read_state,
     run_folders,
 )
@@ -130,11 +130,7 @@ def read_status(path: Path) -> Status:
     active = is_locked(path / LOCK)
     progress = _read(path / PROGRESS) if active and (path / PROGRESS).exists() else {}
     running = progress.get("running", [])
-    try:
-        listed = _read(path / PLAN)["runs"]
-        runs = tuple(_run_status(path, item, item["folder"] in running) for item in listed)
-    except (KeyError, TypeError) as error:
-        raise ResultsError(f"{path / PLAN}: expected the runs of a plan, found none") from error
+    runs = tuple(_run_status(path, item, item["folder"] in running) for item in listed_runs(path))
     others = {folder.name for folder in run_folders(path)} - {run.folder for run in runs}
     return Status(path, active, progress.get("slots", 1), runs, len(others))
 
