@@ -85,8 +85,9 @@ def print_table(folder: Path) -> None:
         name = f"{env_id.task}-{env_id.variant}"
         if name in found:
             rows[env_id.task][short_variant(env_id.variant)] = cell(found[name])
-    print_markdown(folder.name, rows)
-    print_summary(list(found.values()))
+    if found:
+        print_markdown(folder.name, rows)
+        print_summary(list(found.values()))
 
 
 def scores_of(file: Path) -> NDArray[np.float64]:
