@@ -1,5 +1,6 @@
 """Apprenticeship learning: weights against a numerical maximiser, features, whole runs."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,10 @@ from magical.learning.algorithms.al import (
     ALConfig,
     autoencoder_loss,
     compute_statistics,
+    discriminant_weights,
     feature_weights,
     make_autoencoder,
+    mean_image,
     pretraining_step,
     sample_batch,
     unaugmented,
@@ -30,6 +33,8 @@ from magical.learning.replay_buffer import ReplayBuffer
 from magical.observe import PRESETS
 from tests.learning.conftest import TASKS, picture_demo, write_demos
 from tests.learning.reinforcement import assert_same, checkpoint, tiny
+
+Weigh = Callable[[torch.Tensor, torch.Tensor], tuple[torch.Tensor, torch.Tensor]]
 
 
 def small(demos: Path | str, preset: str = "quick", **fields: Any) -> ALConfig:
@@ -59,10 +64,39 @@ def test_weights_are_those_of_a_numerical_maximiser() -> None:
     assert gap.item() == pytest.approx(-best.fun, rel=1e-8)
 
 
-def test_no_difference_no_weights() -> None:
-    features = torch.randn(8, 32)
-    weights, gap = feature_weights(features, features)
-    assert weights.abs().sum().item() == gap.item() == 0.0
+@pytest.mark.parametrize("weigh", [feature_weights, discriminant_weights])
+def test_no_difference_no_weights(weigh: Weigh) -> None:
+    for features in (torch.randn(8, 32), torch.zeros(8, 32)):
+        weights, gap = weigh(features, features)
+        assert weights.abs().sum().item() == gap.item() == 0.0
+
+
+def test_discriminant_weights_are_those_of_a_numerical_maximiser() -> None:
+    torch.manual_seed(0)
+    mixing = torch.randn(5, 5).double()
+    expert, novice = (torch.randn(60, 5).double() @ mixing + shift for shift in (0.5, 0.0))
+    difference = (expert.mean(0) - novice.mean(0)).numpy()
+    covariance = (np.cov(expert.numpy().T) + np.cov(novice.numpy().T)) / 2
+    best = minimize(
+        lambda w: -w @ difference,
+        np.full(5, 0.1),
+        constraints={"type": "ineq", "fun": lambda w: 4.0 - w @ covariance @ w},
+        options={"ftol": 1e-14, "maxiter": 500},
+    )
+    weights, gap = discriminant_weights(expert, novice)
+    np.testing.assert_allclose(weights.numpy(), best.x, rtol=0.05, atol=0.02)  # but for the ridge
+    assert gap.item() == pytest.approx(-best.fun, rel=0.02)
+
+
+def test_discriminant_rewards_do_not_depend_on_the_features_scales() -> None:
+    torch.manual_seed(0)
+    expert, novice = torch.randn(80, 4) + 0.5, torch.randn(80, 4)
+    scales = torch.tensor([1.0, 3.0, 0.3, 1.0])
+    scaled, _ = discriminant_weights(expert * scales, novice * scales)
+    weights, _ = discriminant_weights(expert, novice)
+    torch.testing.assert_close(scaled * scales, weights, rtol=0.05, atol=0.02)
+    plain, _ = feature_weights(expert * scales, novice * scales)
+    assert (plain * scales - weights).abs().max() > 0.5
 
 
 def test_autoencoder_loss_by_hand() -> None:
@@ -222,3 +256,37 @@ def test_batch_norm_moves_on_in_training_mode_alone(demos: Path, tmp_path: Path)
         changed = {name for name in trained if not torch.equal(trained[name], pretrained[name])}
         assert bool(changed) == moves
         assert all("running" in name or "num_batches" in name for name in changed)
+
+
+def test_w_is_computed_by_the_configured_metric(demos: Path, tmp_path: Path) -> None:
+    states = []
+    for metric in ("euclidean", "covariance"):
+        folder = tmp_path / metric
+        trained = train(small(demos, weight_metric=metric), folder, stop_after=3)
+        states.append((trained.metrics["feature_distance"], checkpoint(folder)["policy"]))
+    (euclidean, first), (covariance, second) = states
+    assert euclidean != covariance
+    assert any(not torch.equal(first[name], second[name]) for name in first)
+
+
+def test_image_error_is_relative_to_the_mean_images(expert: ExpertData) -> None:
+    images = unaugmented(expert, np.arange(len(expert)))
+    mean, error = mean_image(expert)
+    torch.testing.assert_close(mean, images.mean(dim=0))
+    assert error == pytest.approx((images - images.mean(dim=0)).square().mean().item(), rel=1e-4)
+
+
+def test_decoder_adds_the_mean_image(demos: Path, tmp_path: Path) -> None:
+    for relative in (False, True):
+        config = small(demos, relative_image_error=relative, pretraining_batches=1)
+        train(config, tmp_path / str(relative), stop_after=1)
+        mean = checkpoint(tmp_path / str(relative))["autoencoder"]["mean_image"]
+        assert (mean.abs().sum() > 0) == relative
+
+
+def test_linear_features_may_be_negative(expert: ExpertData) -> None:
+    rows = np.arange(8)
+    images, actions = unaugmented(expert, rows), expert.labels(rows)[0]
+    for linear in (False, True):
+        features = make_autoencoder(small("", linear_features=linear)).encoder(images, actions)
+        assert (features.min() < 0) == linear

@@ -57,7 +57,7 @@ class ALConfig(LearnedRewardConfig):
             "discount": 0.95,
             "gae_lambda": 0.9,
             "entropy_bonus": 0.01,
-            "pretraining_batches": 400,
+            "pretraining_batches": 200,
             "pretraining_learning_rate": 1e-3,
             "pretraining_anneal": True,
             "relative_image_error": True,
