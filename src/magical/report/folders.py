@@ -112,7 +112,8 @@ def _curves(results: Sequence[Result]) -> tuple[dict[str, list[str]], dict[Path,
 
 
 def _trained_on(result: Result) -> str:
-    tasks = result.config.get("tasks", result.tasks)
+    recorded = result.config.get("tasks")
+    tasks = recorded if recorded and isinstance(recorded, list) else result.tasks
     return str(tasks[0]) if len(tasks) == 1 else f"{len(tasks)} tasks"
 
 

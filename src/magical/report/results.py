@@ -98,18 +98,18 @@ def find_results(folders: Iterable[Path | str]) -> Results:
     return results
 
 
-def search_results(folders: Iterable[Path | str]) -> Results:
+def search_results(folders: Iterable[Path | str], without: Path | None = None) -> Results:
     """Every entry in or below the folders, by folder as given, then by path.
 
-    Symbolic links and folders whose names begin with a dot are not followed. What cannot be read is
-    skipped, and listed.
+    Symbolic links and folders whose names begin with a dot are not followed, nor is the folder
+    `without`. What cannot be read is skipped, and listed.
     """
     found: list[Result] = []
     skipped: list[Skipped] = []
     places: list[Path] = []
     for root in map(Path, folders):
         known = {place.resolve() for place in places}
-        new = [place for place in _places(root) if place.resolve() not in known]
+        new = [place for place in _places(root, without) if place.resolve() not in known]
         places += new
         # A folder without any entry is read nevertheless: the error says what was expected.
         for place in [place for place in new if _holds_entry(place)] or ([root] if new else []):
@@ -122,11 +122,13 @@ def search_results(folders: Iterable[Path | str]) -> Results:
     return Results(found, skipped, runs, _planned(places, evaluated))
 
 
-def _places(root: Path) -> Iterator[Path]:
+def _places(root: Path, without: Path | None) -> Iterator[Path]:
     """A folder and all folders below it, parents before children, by name; itself if missing."""
     yield root
+    hidden = None if without is None else without.resolve()
     for path, names, _ in os.walk(root):
-        names[:] = sorted(name for name in names if not name.startswith("."))
+        kept = [name for name in names if not name.startswith(".")]
+        names[:] = sorted(name for name in kept if (Path(path) / name).resolve() != hidden)
         if Path(path) != root:
             yield Path(path)
 
