@@ -54,7 +54,7 @@ class Result:
 
 @dataclass(frozen=True, slots=True)
 class Skipped:
-    """A folder with files of an entry that cannot be used."""
+    """A folder with files of an entry that is not used."""
 
     folder: Path
     reason: str
@@ -113,6 +113,9 @@ def search_results(folders: Iterable[Path | str], without: Path | None = None) -
         places += new
         # A folder without any entry is read nevertheless: the error says what was expected.
         for place in [place for place in new if _holds_entry(place)] or ([root] if new else []):
+            if place != root and not _is_planned(place):
+                skipped.append(Skipped(place, "not a run of the plan, but of an earlier one"))
+                continue
             try:
                 found.append(Result(place, read_entry(place), _run_of(place, root)))
             except (ScoresError, OSError) as error:
@@ -146,6 +149,14 @@ def _run_of(place: Path, root: Path) -> Path | None:
             break
     inside = [path for path in sorted(place.iterdir()) if path.is_dir() and is_run(path)]
     return inside[0] if len(inside) == 1 else None
+
+
+def _is_planned(place: Path) -> bool:
+    """Whether a folder is not a plan's run, or one that the plan still lists."""
+    plan = place.parent.parent / PLAN
+    if place.parent.name != RUNS or not plan.is_file():
+        return True
+    return place.name in {run["folder"] for run in _runs(_read(plan))}
 
 
 def _planned(places: Iterable[Path], evaluated: Iterable[Path | None]) -> list[Planned] | None:
