@@ -90,6 +90,11 @@ def test_out_holds_an_entry(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
         (["no_module:thing"], 1, "cannot be imported"),
         (["noop", "--rollouts", "0"], 2, "at least 1"),
         (["noop", "--horizon", "soon"], 2, "soon"),
+        (
+            ["noop", "--horizon", "published", "--task", "MoveToRegion"],
+            2,
+            "found tasks with one horizon only: MoveToRegion (40 steps); leave the horizon out",
+        ),
     ],
 )
 def test_wrong_arguments(

@@ -138,6 +138,15 @@ def test_horizons(horizon: Any, steps: int) -> None:
     assert len(policy.acts) == steps
 
 
+def test_the_published_horizon_is_for_tasks_that_have_one_of_their_own() -> None:
+    with pytest.raises(UnknownNameError, match=r"ClusterColour, ClusterShape.*found.*MoveToRegion"):
+        evaluate(NoopPolicy(), [DEMO], rollouts=1, horizon="published", workers=0)
+    policy = Watching(observation="state")
+    ids = ["magical/MoveToRegion-Demo-v0", "magical/ClusterShape-Demo-v0"]
+    evaluate(policy, ids, rollouts=1, horizon="published", workers=0)
+    assert len(policy.acts) == 40 + 240
+
+
 @pytest.mark.parametrize("horizon", ["long", 0, -3])
 def test_a_wrong_horizon_is_named(horizon: Any) -> None:
     with pytest.raises(UnknownNameError, match="'published' or None"):

@@ -2,6 +2,7 @@
 
 import copy
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,16 @@ def test_fingers_follow_the_recordings_where_nothing_is_touched(
     for name in ("close_open", "turn_left", "turn_right"):
         difference = np.subtract(computed[name]["finger_angles"], recorded[name]["finger_angles"])
         assert np.abs(difference).max() < 0.01, name
+
+
+@pytest.mark.parametrize(
+    ("recorded", "meant"),
+    [(0.0, 0.0), (-1.5707963, -math.pi / 2), (3.1415927, math.pi), (1.57, 1.57), (0.3, 0.3)],
+)
+def test_rounded_quarter_turns_are_restored(recorded: float, meant: float) -> None:
+    motion = {"robot": [[0.1, 0.2], recorded], "blocks": [], "actions": []}
+    (row,) = motions.compute({"still": motion})["still"]["robot_pose"]
+    assert row == [0.1, 0.2, meant]
 
 
 def test_a_wrong_motion_is_detected(recorded: dict[str, Any], computed: dict[str, Any]) -> None:

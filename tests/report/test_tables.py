@@ -56,11 +56,32 @@ def test_with_published_rows_all_are_scored_by_the_published_rule() -> None:
 
 def test_a_different_horizon_is_said() -> None:
     scores = {"ClusterShape-Demo": [1.0]}
-    appendix = task_table("ClusterShape", [entry("mine", scores)], ["BC (ST)"])
+    appendix = task_table("ClusterShape", [entry("mine", scores)])
     published = task_table("ClusterShape", [entry("mine", scores, horizon="published")])
-    assert "240" in appendix.note
     assert appendix.rows[0].note.endswith("horizon 320")
     assert published.rows[0].note.endswith("horizon 240")
+
+
+@pytest.mark.parametrize("horizon", ["published", "240"])
+def test_published_rows_are_beside_scores_of_the_published_horizon(horizon: str) -> None:
+    scores = {"ClusterShape-Demo": [1.0]}
+    table = task_table("ClusterShape", [entry("mine", scores, horizon=horizon)], ["BC (ST)"])
+    assert [row.cells["Demo"].mean for row in table.rows] == [0.5, 0.35]
+    assert "whose horizon is 240 control steps" in table.note
+
+
+def test_published_rows_are_never_beside_scores_of_another_horizon() -> None:
+    scores = {"ClusterShape-Demo": [1.0]}
+    mine = entry("mine", scores, horizon="published")
+    table = task_table("ClusterShape", [mine, entry("other", scores)], ["BC (ST)"])
+    assert [row.label for row in table.rows] == ["mine", "other"]
+    assert [row.cells["Demo"].mean for row in table.rows] == [1.0, 1.0]
+    assert "Scored by the appendix's rule. The published rows are left out" in table.note
+    assert "240 control steps, not 320; evaluate with --horizon published" in table.note
+    short = entry("short", {"MakeLine-Demo": [1.0]}, horizon="7")
+    assert "--horizon 180 to compare" in task_table("MakeLine", [short], ["BC (ST)"]).note
+    elsewhere = entry("elsewhere", {"MakeLine-Demo": [1.0]})
+    assert len(task_table("ClusterShape", [mine, elsewhere], ["BC (ST)"]).rows) == 2
 
 
 def test_where_the_rules_agree_the_note_says_so() -> None:

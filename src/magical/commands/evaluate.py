@@ -52,8 +52,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--horizon",
         type=_horizon,
         metavar="STEPS",
-        help="control steps (default: the paper's); `published`: the published code's, to compare "
-        "with its tables",
+        help="control steps (default: the paper's); `published`: 240 for the Cluster tasks",
     )
     parser.add_argument(
         "--nudge",

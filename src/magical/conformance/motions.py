@@ -125,10 +125,21 @@ def _kind(name: str) -> str:
 
 def _scene(motion: Motion) -> Scene:
     (x, y), angle = motion["robot"]
+    angle = _unrounded(angle)
     blocks = tuple(
         Block(shape, Colour.RED, Pose(bx, by, turn)) for shape, (bx, by), turn in motion["blocks"]
     )
     return Scene(Pose(x, y, angle), blocks)
+
+
+def _unrounded(angle: float) -> float:
+    """The multiple of a quarter turn that was recorded as `angle`, with seven decimals, or `angle`.
+
+    The rest of an angle matters: it decides the direction of the fingers' pin joints
+    (magical/physics/pins.py).
+    """
+    turns = round(angle / (math.pi / 2)) * (math.pi / 2)
+    return turns if round(turns, 7) == angle else angle
 
 
 def _simulate(scene: Scene, actions: Sequence[int]) -> Motion:

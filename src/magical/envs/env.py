@@ -24,7 +24,7 @@ from magical.observe.arrays import copy_arrays
 from magical.scene.actions import ACTION_NAMES, NUM_ACTIONS
 from magical.scene.constants import CONTROL_RATE, RAW_FRAME_SIZE
 from magical.scene.state import State
-from magical.tasks import Task, get_task
+from magical.tasks import Horizon, Task, get_task
 
 Reward = Literal["none", "score", "dense"]
 
@@ -53,7 +53,8 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         task: the task's name.
         variant: the variant's name.
         observation: see `observe.make_spec`.
-        horizon: control steps in an episode; by default the task's.
+        horizon: control steps in an episode; by default the task's; "published" takes the published
+            code's, which differs for some tasks.
         reward: "none", "score" or "dense".
         render_mode: "rgb_array" (both views side by side) or None.
 
@@ -72,7 +73,7 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         task: str,
         variant: str,
         observation: Observation = None,
-        horizon: int | None = None,
+        horizon: Horizon = None,
         reward: Reward = "none",
         render_mode: str | None = None,
     ) -> None:

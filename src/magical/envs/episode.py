@@ -22,7 +22,7 @@ from magical.physics import Simulation
 from magical.scene.poses import Poses
 from magical.scene.scene import Dynamics, Scene
 from magical.scene.state import State
-from magical.tasks import TASKS, Task
+from magical.tasks import TASKS, Horizon, Task
 
 RESET_OPTIONS = ("scene", "dynamics", "nudge")
 MAX_NUDGE = 0.01  # units and radians; more can be seen, and is what the Jitter variant is for
@@ -48,14 +48,14 @@ class Episode:
         task: Task,
         variant: str,
         spec: ObservationSpec,
-        horizon: int | None = None,
+        horizon: Horizon = None,
         reward: str = "none",
         out: Any = None,
     ) -> None:
         check_options(task, horizon, reward)
         self.task = task
         self.variant = variant
-        self.horizon = task.horizon if horizon is None else horizon
+        self.horizon = task.resolve_horizon(horizon)
         self.reward = reward
         self.observer = spec.observer(out)
         self._frames = spec.frames
@@ -172,11 +172,18 @@ class Episode:
         return float(self.task.progress_fn(self.simulation.scene, self.poses))
 
 
-def check_options(task: Task, horizon: int | None, reward: str) -> None:
+def _is_possible(horizon: Horizon) -> bool:
+    if horizon is None or isinstance(horizon, str):
+        return horizon in (None, "published")
+    return 1 <= operator.index(horizon) <= MAX_HORIZON
+
+
+def check_options(task: Task, horizon: Horizon, reward: str) -> None:
     """Raise `ValueError` or `UnknownNameError` for an impossible horizon or reward."""
-    if horizon is not None and not 1 <= operator.index(horizon) <= MAX_HORIZON:
+    if not _is_possible(horizon):
         raise ValueError(
-            f"horizon: expected an integer from 1 to {MAX_HORIZON} or None, found {quoted(horizon)}"
+            f"horizon: expected an integer from 1 to {MAX_HORIZON}, 'published' or None, found "
+            f"{quoted(horizon)}"
         )
     if reward not in REWARDS:
         raise UnknownNameError(f"reward {quoted(reward)} is unknown; expected one of {REWARDS}")

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from magical.errors import ScoresError
-from magical.evaluation.rollouts import Horizon
 from magical.evaluation.scores import RolloutScore, check_protocol, read_scores, write_scores
 from magical.files import write_atomically
+from magical.tasks import Horizon
 from magical.untrusted import check_plain
 
 APPENDIX, PUBLISHED = "appendix", "published"  # horizons

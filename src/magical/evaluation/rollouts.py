@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +20,20 @@ from magical.evaluation.seeds import RolloutRng
 from magical.evaluation.variants import variants_of
 from magical.observe import Observation
 from magical.processes import available_cores, map_in_processes
-from magical.tasks import TASKS, Task, get_task, load_tasks
+from magical.tasks import (
+    TASKS,
+    Horizon,
+    Task,
+    get_task,
+    load_tasks,
+    require_two_horizons,
+)
 
 ROLLOUTS = 100  # on each variant (appendix C)
 NUM_ENVS = 64  # sub-environments stepped together: bounds the memory, hardly changes the speed
 SHARE = 10  # rollouts of one environment that a process computes at a time
 DEFAULT_OBSERVATION = "LoRes4E"
 
-Horizon = int | Literal["published"] | None
 Progress = Callable[[int], None]  # called with the number of rollouts that have just ended
 
 
@@ -71,8 +77,7 @@ def evaluate(
         rollouts: of each environment.
         seed: which set of fixed seeds; results are reported for 0.
         observation: by default the policy's own, or `LoRes4E`; states for a privileged policy.
-        horizon: control steps; `"published"` takes the published code's, for comparison with
-            published tables.
+        horizon: control steps; `"published"`: the published code's, to compare with its tables.
         nudge: shift the initial poses of each rollout by up to so many units and radians, sampled
             from its seed. 1e-9 cannot be seen, and makes Demo's score the mean over what rounding
             otherwise decides once for all rollouts (docs/determinism.md).
@@ -86,14 +91,13 @@ def evaluate(
 
     Raises:
         PolicyError: the policy returned something else than actions.
-        UnknownNameError: an unknown environment, observation or horizon.
+        UnknownNameError: an unknown environment, observation or horizon, or no published horizon.
         ValueError: a nudge out of range, or less than one rollout.
     """
     ids = environments(getattr(policy, "tasks", None))
     if env_ids is not None:
         ids = [parse_env_id(env_id).without_preset for env_id in env_ids]
-    if rollouts < 1:
-        raise ValueError(f"rollouts: expected at least 1, found {rollouts}")
+    _check(rollouts, horizon, ids)
     setting = _Setting(policy, observation, horizon, checked_nudge(nudge), num_envs, seed)
     run = _in_processes if getattr(policy, "in_processes", False) else _in_this_process
     return _collect(run(setting, ids, rollouts, workers), ids, progress)
@@ -226,7 +230,7 @@ class _Rollouts:
         self.options = {"nudge": setting.nudge} if setting.nudge else None
         self.privileged = is_privileged(self.policy)
         self.env_ids = tuple(env_id for env_id in env_ids for _ in range(self.copies))
-        self.horizon = _resolve_horizon(setting.horizon, task)
+        self.horizon = task.resolve_horizon(setting.horizon)
         self.envs = MagicalVectorEnv(
             self.env_ids,
             workers=workers,
@@ -291,14 +295,13 @@ def _by_task(env_ids: Sequence[EnvId]) -> Iterator[tuple[Task, list[EnvId]]]:
         yield get_task(name), group
 
 
-def _resolve_horizon(horizon: Horizon, task: Task) -> int:
-    if horizon is None:
-        return task.horizon
+def _check(rollouts: int, horizon: Horizon, env_ids: Sequence[EnvId]) -> None:
+    if rollouts < 1:
+        raise ValueError(f"rollouts: expected at least 1, found {rollouts}")
     if horizon == "published":
-        return task.published_horizon
-    if isinstance(horizon, int) and horizon > 0:
-        return horizon
-    raise UnknownNameError(
-        f"horizon: expected a positive number of control steps, 'published' or None, "
-        f"found {horizon!r}"
-    )
+        require_two_horizons(env_id.task for env_id in env_ids)
+    elif horizon is not None and not (isinstance(horizon, int) and horizon > 0):
+        raise UnknownNameError(
+            f"horizon: expected a positive number of control steps, 'published' or None, "
+            f"found {horizon!r}"
+        )

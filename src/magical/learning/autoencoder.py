@@ -29,7 +29,7 @@ class Autoencoder(nn.Module):
         super().__init__()
         assert image_shape[1:] == (SIZE, SIZE)
         self.encoder = Trunk(
-            network, image_shape, batch_norm=True, action_input=True, num_features=FEATURES
+            network, image_shape, batch_norm=True, action_input="one-hot", num_features=FEATURES
         )
         self.hidden = nn.Sequential(
             nn.Linear(FEATURES, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, HIDDEN), nn.ReLU()

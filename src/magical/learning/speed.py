@@ -5,7 +5,7 @@ import time
 import torch
 
 from magical.learning.algorithms.bc import BCConfig, bc_loss, make_policy
-from magical.learning.devices import Compute, choose_device, restored_threads
+from magical.learning.devices import Compute, choose_device, full_float32, restored_threads
 from magical.learning.models import PolicyNetwork
 from magical.tasks import TASKS
 
@@ -35,7 +35,7 @@ def training_speeds(
     threads = sorted({1, torch.get_num_threads()}) if chosen == "cpu" else [0]
     ways = [Compute(chosen, name, count) for name in ("float32", "bfloat16") for count in threads]
     fastest = dict.fromkeys(ways, float("inf"))
-    with restored_threads():
+    with restored_threads(), full_float32():
         for number in range(WARM_UP + rounds):
             for way in ways:
                 seconds = _batch_time(way, policy, config)

@@ -12,7 +12,7 @@ from magical.errors import InvalidConfigError, RunFolderError
 from magical.learning.algorithms import find_algorithm
 from magical.learning.checkpoints import restore_previous_checkpoint
 from magical.learning.config import Config
-from magical.learning.devices import restored_threads
+from magical.learning.devices import full_float32, restored_threads
 from magical.learning.interrupts import Interrupts
 from magical.learning.policy import NetworkPolicy, load_policy
 from magical.learning.run import Metrics, Run
@@ -107,7 +107,12 @@ def _opened(folder: Path, config: Config, resume: bool, previous: bool) -> Itera
     """A run folder that is locked and ready to be trained in."""
     if previous and not resume:
         raise InvalidConfigError("previous_checkpoint needs resume: a new run has no checkpoints")
-    with _full_disk_as_error(folder), locked_folder(folder, resume), restored_threads():
+    with (
+        _full_disk_as_error(folder),
+        locked_folder(folder, resume),
+        restored_threads(),
+        full_float32(),
+    ):
         open_folder(folder, config.to_dict(), resume)
         if previous:
             restore_previous_checkpoint(folder)

@@ -11,7 +11,7 @@ from magical.evaluation.intervals import Interval, rollout_mean
 from magical.evaluation.published import RUNS
 from magical.evaluation.statistics import over_runs
 from magical.evaluation.variants import SHORT_VARIANTS, short_variant
-from magical.report.differences import counterparts, differences, is_comparable, steps
+from magical.report.differences import RULE, counterparts, differences, steps
 from magical.tasks import Task, get_task
 
 LIGHTEST, DARKEST = (255, 255, 255), (33, 102, 172)  # RGB of a score of 0 and of 1
@@ -78,7 +78,9 @@ def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = (
     """A row for each method among the entries, then the published rows of the methods named.
 
     Entries with the same method are runs of it. With published rows, all scores are by the
-    published code's rule. Methods and published tables without the task are left out.
+    published code's rule; where an entry's horizon is another than the published code's, the
+    published rows are left out, and the note says so. Methods and published tables without the
+    task are left out.
     """
     found, entries = get_task(task), list(entries)
     runs: dict[str, list[Entry]] = {}
@@ -86,20 +88,20 @@ def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = (
         if task in by_variant(entry.scores):
             runs.setdefault(entry.row, []).append(entry)
     methods = tuple(published) if task in published_tasks() else ()
-    rule = "published_code_score" if methods else "score"
     theirs = counterparts(entries, methods)
-    rows = [
-        _beside(_method_row(found, row, group, rule), found, group, theirs.get(group[0].method))
-        for row, group in runs.items()
-    ]
-    rows += [_published_row(task, method) for method in methods]
+    published_rows = [_published_row(task, method) for method in methods]
+    other = _other_horizons(found, [entry for group in runs.values() for entry in group])
+    compared = bool(methods) and not other
+    rule = RULE if compared else "score"
+    rows = [_method_row(found, row, group, rule) for row, group in runs.items()]
+    if compared:
+        rows = [_beside(row, found, runs[row.label], theirs) for row in rows] + published_rows
     variants = tuple(map(short_variant, found.variants))
     kept = tuple(row for row in rows if row.cells)
     one_run = any(len(runs[row.label]) == 1 for row in kept if row.label in runs)
-    note = _rule_note(found, bool(methods)) + (ONE_RUN if one_run else "")
-    if methods and not all(is_comparable(found, run) for group in runs.values() for run in group):
-        note += " Rows with another horizon are not compared with the published ones."
-    return Table(task, variants, kept, note, bool(methods))
+    note = _rule_note(found, compared)
+    note += _left_out_note(found, other) if methods and other else ""
+    return Table(task, variants, kept, note + (ONE_RUN if one_run else ""), compared)
 
 
 def entry_tasks(entries: Iterable[Entry]) -> tuple[str, ...]:
@@ -145,8 +147,9 @@ def _method_row(task: Task, method: str, runs: Sequence[Entry], rule: str) -> Ro
     return Row(method, cells, f"{note}{_horizon_note(task, runs)}")
 
 
-def _beside(row: Row, task: Task, runs: Sequence[Entry], method: str | None) -> Row:
+def _beside(row: Row, task: Task, runs: Sequence[Entry], theirs: Mapping[str, str]) -> Row:
     """A row of ours with its differences from the published row that it is held against."""
+    method = theirs.get(runs[0].method)
     if method is None:
         return row
     found = differences(task, runs, method)
@@ -189,9 +192,24 @@ def _published_row(task: str, method: str) -> Row:
 
 def _horizon_note(task: Task, runs: Sequence[Entry]) -> str:
     """Which horizon, where the published code's differs from the appendix's."""
-    if task.horizon == task.published_horizon:
+    if not task.has_two_horizons:
         return ""
     return f"; horizon {' and '.join(sorted({steps(task, run) for run in runs}))}"
+
+
+def _other_horizons(task: Task, entries: Sequence[Entry]) -> list[str]:
+    """The horizons of the task's entries that are not the published code's, in control steps."""
+    found = {steps(task, entry) for entry in entries}
+    return sorted(found - {str(task.published_horizon)})
+
+
+def _left_out_note(task: Task, other: Sequence[str]) -> str:
+    """Why published rows are left out: which horizons are not theirs."""
+    asked = "published" if task.has_two_horizons else task.published_horizon
+    return (
+        f" The published rows are left out: their horizon is {task.published_horizon} control "
+        f"steps, not {' or '.join(other)}; evaluate with --horizon {asked} to compare."
+    )
 
 
 def _rule_note(task: Task, published: bool) -> str:
@@ -202,9 +220,9 @@ def _rule_note(task: Task, published: bool) -> str:
     horizon = f", whose horizon is {task.published_horizon} control steps"
     return (
         "All rows are scored by the published code's rule, as the published ones are"
-        f"{horizon if task.horizon != task.published_horizon else ''}."
+        f"{horizon if task.has_two_horizons else ''}."
     )
 
 
 def _rules_differ(task: Task) -> bool:
-    return task.published_score_fn is not None or task.horizon != task.published_horizon
+    return task.published_score_fn is not None or task.has_two_horizons
