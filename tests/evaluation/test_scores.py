@@ -93,7 +93,20 @@ def test_half_an_entry_says_what_is_missing(tmp_path: Path, missing: str) -> Non
         read_entry(tmp_path)
 
 
-@pytest.mark.parametrize("text", ["{", "[]", "{}", '{"method": "x", "colour": 1}'])
+DEEP = f'{{"method": "x", "details": {"[" * 40}{"]" * 40}}}'
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{",
+        "[]",
+        "{}",
+        '{"method": "x", "colour": 1}',
+        '{"method": "x", "details": {"big": 1e999}}',
+        DEEP.replace("[[", '{"a": [', 1).replace("]]", "]}", 1),
+    ],
+)
 def test_a_damaged_entry_is_named(tmp_path: Path, text: str) -> None:
     Entry(method="mine", scores=SCORES).write(tmp_path)
     (tmp_path / "entry.json").write_text(text)

@@ -157,6 +157,7 @@ def test_the_report_of_a_folder_says_everything(
     for seed in (0, 1):
         folder = write_entry(f"runs/a{seed}", "<a>", scores, seed, details={"policy": "random"})
         rows = [json.dumps({"step": step, "loss": 1 / (step + 1)}) for step in range(20)]
+        rows += ['{"step": "late", "loss": 1}', '{"step": 21, "loss": NaN}']
         (folder / "metrics.jsonl").write_text("\n".join(rows) + "\n")
     write_entry("runs/b", "$b_1", scores, details={"policy": "noop"})
     (write_entry("runs/bad", "bad", scores) / "scores.csv").write_text("bad")
@@ -166,6 +167,8 @@ def test_the_report_of_a_folder_says_everything(
     assert cli.main(argv) == 0
     assert "skipped" in capsys.readouterr().err
     text = page.read_text()
+    cli.main(argv)
+    assert page.read_text() == text
     parser = Balanced()
     parser.feed(text)
     assert parser.open == []

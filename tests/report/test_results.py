@@ -105,7 +105,11 @@ def test_a_plan_says_which_runs_are_missing(write_entry: WriteEntry, tmp_path: P
     names = ("done", "failed", "begun", "waiting")
     runs = [{**run, "folder": name, "seed": seed} for seed, name in enumerate(names)]
     write_json(tmp_path / "plan.json", {"runs": [*runs, {"folder": 7}, "nothing"]})
-    missing = [(m.method, m.task, m.what) for m in find_missing(find_results([tmp_path]))]
+    write_entry("runs/earlier", "a", region, seed=9)
+    results = find_results([tmp_path])
+    assert [result.folder.name for result in results.found] == ["done"]
+    assert [item.folder.name for item in results.skipped] == ["earlier"]
+    missing = [(m.method, m.task, m.what) for m in find_missing(results)]
     assert missing == [
         ("a", "MoveToRegion", "seed 1: failed: oh"),
         ("a", "MoveToRegion", "seed 2: not finished"),

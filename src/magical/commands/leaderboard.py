@@ -24,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
     from magical.report.aggregate import interval_text
     from magical.report.leaderboard import make_leaderboard
 
-    board = make_leaderboard(args.folders)
+    board = make_leaderboard(args.folders, args.out)
     for part in board.boards:
         rows = [
             (

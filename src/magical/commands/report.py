@@ -55,6 +55,8 @@ def run(args: argparse.Namespace) -> int:
     """Read, tabulate, write."""
     from magical.report.results import find_results
 
+    if args.clips and (args.compare or not args.out or _kind(args) != "html"):
+        log("--clips is for a page (--out FILE.html); no rollouts are recorded")
     results = find_results(args.folders)
     for item in results.skipped:
         log(f"skipped {item.folder}: {item.reason}")
@@ -90,10 +92,10 @@ def _print_tables(args: argparse.Namespace, results: "Results") -> None:
 
 
 def _write(args: argparse.Namespace, results: "Results") -> None:
-    from magical.report.export import FORMATS, format_of
+    from magical.report.export import FORMATS
     from magical.report.folders import evaluated_page
 
-    kind, published = args.format or format_of(args.out), _published(args, results)
+    kind, published = _kind(args), _published(args, results)
     if kind in FORMATS:
         FORMATS[kind](results, published, args.out)
         return
@@ -106,6 +108,13 @@ def _write(args: argparse.Namespace, results: "Results") -> None:
         clips=args.clips or 0,
     )
     page.write(args.out)
+
+
+def _kind(args: argparse.Namespace) -> str:
+    """The format of the file to write."""
+    from magical.report.export import format_of
+
+    return str(args.format or format_of(args.out))
 
 
 def _published(args: argparse.Namespace, results: "Results") -> tuple[str, ...]:

@@ -12,6 +12,8 @@ each interval covers; `benchmarks/intervals.py` measures it.
 """
 
 from collections.abc import Iterable, Sequence
+from itertools import groupby
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -44,8 +46,9 @@ def by_environment(
 ) -> dict[EnvId, list[float]]:
     """The scores of a run's rollouts by environment; `rule` as for `run_means`."""
     scores: dict[EnvId, list[float]] = {}
-    for rollout in rollouts:
-        scores.setdefault(rollout.env_id, []).append(getattr(rollout, rule))
+    value = attrgetter(rule)
+    for env_id, rows in groupby(rollouts, attrgetter("env_id")):  # mostly in order: a few groups
+        scores.setdefault(env_id, []).extend(map(value, rows))
     return scores
 
 

@@ -104,8 +104,15 @@ def _panel(
 
 def _points(rows: Rows, key: str) -> list[tuple[float, float]]:
     """(step, value) where a quantity was measured."""
-    pairs = [(row["step"], row.get(key)) for row in rows]
-    return [(step, value) for step, value in pairs if isinstance(value, int | float)]
+    return [
+        (row["step"], row[key])
+        for row in rows
+        if _is_finite(row["step"]) and _is_finite(row.get(key))
+    ]
+
+
+def _is_finite(number: object) -> bool:
+    return isinstance(number, int | float) and math.isfinite(number)
 
 
 def _svg(runs: Mapping[str, Rows], panels: Sequence[str]) -> str:

@@ -78,7 +78,7 @@ def _subtitle(results: Results, skipped: int) -> str:
         f"method{'s' if methods != 1 else ''}"
     ]
     if skipped:
-        parts.append(f"{skipped} skipped, with files that are damaged or not the protocol's")
+        parts.append(f"{skipped} skipped")
     unscored = len(results.not_evaluated if results.planned is None else results.planned)
     if unscored:
         parts.append(f"{unscored} without scores")
@@ -112,7 +112,8 @@ def _curves(results: Sequence[Result]) -> tuple[dict[str, list[str]], dict[Path,
 
 
 def _trained_on(result: Result) -> str:
-    tasks = result.config.get("tasks", result.tasks)
+    recorded = result.config.get("tasks")
+    tasks = recorded if recorded and isinstance(recorded, list) else result.tasks
     return str(tasks[0]) if len(tasks) == 1 else f"{len(tasks)} tasks"
 
 
@@ -128,7 +129,7 @@ def _missing(results: Results) -> Grid | None:
 
 
 def _skipped(rows: Sequence[tuple[str, str]]) -> Grid | None:
-    note = "Files that are damaged or not the protocol's; nothing in the tables comes from them."
+    note = "Folders whose files cannot be used; nothing in the tables comes from them."
     return Grid("Skipped", ("folder", "reason"), rows, note) if rows else None
 
 

@@ -18,6 +18,7 @@ WIDTH = 6.0  # inches
 STYLE: Any = {
     "font.size": 11,
     "svg.fonttype": "none",  # text stays text: it can be searched and read aloud
+    "svg.hashsalt": "magical",  # the same figure gets the same ids
     "text.parse_math": False,  # names of methods are shown as they are
 }
 

@@ -54,7 +54,7 @@ class Result:
 
 @dataclass(frozen=True, slots=True)
 class Skipped:
-    """A folder with files of an entry that cannot be used."""
+    """A folder with files of an entry that is not used."""
 
     folder: Path
     reason: str
@@ -98,21 +98,24 @@ def find_results(folders: Iterable[Path | str]) -> Results:
     return results
 
 
-def search_results(folders: Iterable[Path | str]) -> Results:
+def search_results(folders: Iterable[Path | str], without: Path | None = None) -> Results:
     """Every entry in or below the folders, by folder as given, then by path.
 
-    Symbolic links and folders whose names begin with a dot are not followed. What cannot be read is
-    skipped, and listed.
+    Symbolic links and folders whose names begin with a dot are not followed, nor is the folder
+    `without`. What cannot be read is skipped, and listed.
     """
     found: list[Result] = []
     skipped: list[Skipped] = []
     places: list[Path] = []
     for root in map(Path, folders):
         known = {place.resolve() for place in places}
-        new = [place for place in _places(root) if place.resolve() not in known]
+        new = [place for place in _places(root, without) if place.resolve() not in known]
         places += new
         # A folder without any entry is read nevertheless: the error says what was expected.
         for place in [place for place in new if _holds_entry(place)] or ([root] if new else []):
+            if place != root and not _is_planned(place):
+                skipped.append(Skipped(place, "not a run of the plan, but of an earlier one"))
+                continue
             try:
                 found.append(Result(place, read_entry(place), _run_of(place, root)))
             except (ScoresError, OSError) as error:
@@ -122,11 +125,13 @@ def search_results(folders: Iterable[Path | str]) -> Results:
     return Results(found, skipped, runs, _planned(places, evaluated))
 
 
-def _places(root: Path) -> Iterator[Path]:
+def _places(root: Path, without: Path | None) -> Iterator[Path]:
     """A folder and all folders below it, parents before children, by name; itself if missing."""
     yield root
+    hidden = None if without is None else without.resolve()
     for path, names, _ in os.walk(root):
-        names[:] = sorted(name for name in names if not name.startswith("."))
+        kept = [name for name in names if not name.startswith(".")]
+        names[:] = sorted(name for name in kept if (Path(path) / name).resolve() != hidden)
         if Path(path) != root:
             yield Path(path)
 
@@ -144,6 +149,14 @@ def _run_of(place: Path, root: Path) -> Path | None:
             break
     inside = [path for path in sorted(place.iterdir()) if path.is_dir() and is_run(path)]
     return inside[0] if len(inside) == 1 else None
+
+
+def _is_planned(place: Path) -> bool:
+    """Whether a folder is not a plan's run, or one that the plan still lists."""
+    plan = place.parent.parent / PLAN
+    if place.parent.name != RUNS or not plan.is_file():
+        return True
+    return place.name in {run["folder"] for run in _runs(_read(plan))}
 
 
 def _planned(places: Iterable[Path], evaluated: Iterable[Path | None]) -> list[Planned] | None:

@@ -11,7 +11,7 @@ from magical.evaluation.intervals import Interval, rollout_mean
 from magical.evaluation.published import RUNS
 from magical.evaluation.statistics import over_runs
 from magical.evaluation.variants import SHORT_VARIANTS, short_variant
-from magical.report.differences import counterparts, differences, steps
+from magical.report.differences import RULE, counterparts, differences, steps
 from magical.tasks import Task, get_task
 
 LIGHTEST, DARKEST = (255, 255, 255), (33, 102, 172)  # RGB of a score of 0 and of 1
@@ -88,15 +88,14 @@ def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = (
         if task in by_variant(entry.scores):
             runs.setdefault(entry.row, []).append(entry)
     methods = tuple(published) if task in published_tasks() else ()
+    theirs = counterparts(entries, methods)
+    published_rows = [_published_row(task, method) for method in methods]
     other = _other_horizons(found, [entry for group in runs.values() for entry in group])
     compared = bool(methods) and not other
-    rule = "published_code_score" if compared else "score"
-    theirs = counterparts(entries, methods) if compared else {}
-    rows = [
-        _beside(_method_row(found, row, group, rule), found, group, theirs.get(group[0].method))
-        for row, group in runs.items()
-    ]
-    rows += [_published_row(task, method) for method in methods if compared]
+    rule = RULE if compared else "score"
+    rows = [_method_row(found, row, group, rule) for row, group in runs.items()]
+    if compared:
+        rows = [_beside(row, found, runs[row.label], theirs) for row in rows] + published_rows
     variants = tuple(map(short_variant, found.variants))
     kept = tuple(row for row in rows if row.cells)
     one_run = any(len(runs[row.label]) == 1 for row in kept if row.label in runs)
@@ -148,8 +147,9 @@ def _method_row(task: Task, method: str, runs: Sequence[Entry], rule: str) -> Ro
     return Row(method, cells, f"{note}{_horizon_note(task, runs)}")
 
 
-def _beside(row: Row, task: Task, runs: Sequence[Entry], method: str | None) -> Row:
+def _beside(row: Row, task: Task, runs: Sequence[Entry], theirs: Mapping[str, str]) -> Row:
     """A row of ours with its differences from the published row that it is held against."""
+    method = theirs.get(runs[0].method)
     if method is None:
         return row
     found = differences(task, runs, method)
@@ -199,7 +199,7 @@ def _horizon_note(task: Task, runs: Sequence[Entry]) -> str:
 
 def _other_horizons(task: Task, entries: Sequence[Entry]) -> list[str]:
     """The horizons of the task's entries that are not the published code's, in control steps."""
-    found = {steps(task, entry) for entry in entries if task.name in by_variant(entry.scores)}
+    found = {steps(task, entry) for entry in entries}
     return sorted(found - {str(task.published_horizon)})
 
 

@@ -60,6 +60,15 @@ def test_the_site_is_whole(
     assert methods == {"<A> & b", "C"}
 
 
+def test_the_site_may_lie_among_the_entries(entries: Path) -> None:
+    site = entries / "site"
+    argv = ["leaderboard", str(entries), "--out", str(site)]
+    assert cli.main(argv) == 0
+    first = (site / "index.html").read_text()
+    assert cli.main(argv) == 0
+    assert (site / "index.html").read_text() == first
+
+
 def test_without_a_valid_entry_the_page_says_why(
     write_entry: WriteEntry, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -61,8 +61,8 @@ class Leaderboard:
         )
 
 
-def make_leaderboard(folders: Iterable[Path | str]) -> Leaderboard:
-    """Check and rank all entries in or below the folders.
+def make_leaderboard(folders: Iterable[Path | str], site: Path | None = None) -> Leaderboard:
+    """Check and rank all entries in or below the folders, except the copies in a site.
 
     Raises:
         ScoresError: a folder is missing.
@@ -71,7 +71,7 @@ def make_leaderboard(folders: Iterable[Path | str]) -> Leaderboard:
     for place in places:
         if not place.is_dir():
             raise ScoresError(f"{place}: expected a folder with entries, found none")
-    accepted, rejected = check_entries(search_results(places))
+    accepted, rejected = check_entries(search_results(places, without=site))
     return Leaderboard(make_boards(accepted), accepted, rejected)
 
 
