@@ -18,9 +18,9 @@ def evaluation_details(policy: str, out: Path) -> dict[str, Any]:
         out: the entry's folder.
     """
     from magical.evaluation import BUILT_IN
-    from magical.evaluation.sources import LEARNED_FROM
     from magical.runs import versions
     from magical.runs.machine import machine, source_commit
+    from magical.runs.sources import LEARNED_FROM
 
     made = {"versions": versions(), "commit": source_commit(), "machine": machine()}
     if Path(policy).is_dir():
