@@ -236,8 +236,7 @@ def mean_image(expert: ExpertData) -> tuple[Tensor, float]:
     total = sum(to_unit(expert.images(rows)).sum(dim=0) for rows in chunks)
     mean = torch.as_tensor(total / len(expert))
     errors = [(to_unit(expert.images(rows)) - mean).square().mean().item() for rows in chunks]
-    error = float(np.average(errors, weights=[len(rows) for rows in chunks]))
-    return mean, max(error, SMALLEST_ERROR)
+    return mean, max(float(np.average(errors, weights=list(map(len, chunks)))), SMALLEST_ERROR)
 
 
 def compute_statistics(
@@ -324,9 +323,8 @@ def sample_batch(
     config: ALConfig, expert: ExpertData, replay_buffer: ReplayBuffer, rng: np.random.Generator
 ) -> tuple[Tensor, Tensor]:
     """Images and actions that w is computed from: the expert's, followed by as many novice's."""
-    counts = [config.feature_samples]
-    rows = expert.sample_counts(counts, rng)
-    novice_images, novice_actions, _ = replay_buffer.sample(counts, rng)
+    rows = expert.sample_counts([config.feature_samples], rng)
+    novice_images, novice_actions, _ = replay_buffer.sample([config.feature_samples], rng)
     images = torch.cat([expert.images(rows), novice_images])
     augmentations = config.augmentations if config.augment_features else SETS["none"]
     return augment(images, augmentations, rng), torch.cat([expert.labels(rows)[0], novice_actions])
@@ -360,8 +358,8 @@ def discriminant_weights(expert: Tensor, novice: Tensor) -> tuple[Tensor, Tensor
     covariance = (torch.cov(expert.T.double()) + torch.cov(novice.T.double())) / 2
     identity = torch.eye(len(covariance), dtype=torch.float64, device=covariance.device)
     smallest = torch.finfo(torch.float64).tiny  # for features that are all equal
-    covariance += (RIDGE * covariance.diagonal().mean() + smallest) * identity
-    direction = torch.linalg.solve(covariance, difference)
+    ridge = RIDGE * covariance.diagonal().mean() + smallest
+    direction = torch.linalg.solve(covariance + ridge * identity, difference)
     length = (difference @ direction).clamp(min=0.0).sqrt()  # Mahalanobis distance of the means
     w = WEIGHT_NORM * direction / length.clamp(min=smallest)
     return w.to(expert.dtype), (WEIGHT_NORM * length).to(expert.dtype)
