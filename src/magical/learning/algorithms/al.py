@@ -55,8 +55,7 @@ class ALConfig(LearnedRewardConfig):
             **QUICK,
             "total_steps": 45_000,
             "discount": 0.95,
-            "gae_lambda": 0.9,
-            "entropy_bonus": 0.01,
+            "entropy_bonus": 3e-3,
             "pretraining_batches": 200,
             "pretraining_learning_rate": 1e-3,
             "pretraining_anneal": True,
@@ -347,9 +346,10 @@ def feature_weights(expert: Tensor, novice: Tensor) -> tuple[Tensor, Tensor]:
 def discriminant_weights(expert: Tensor, novice: Tensor) -> tuple[Tensor, Tensor]:
     """Maximise w^T (mean expert - mean novice) over w^T C w <= 4, for features (B, 32) of each.
 
-    C is the mean of the two covariance matrices, with a small multiple of the identity added: w is
-    Fisher's linear discriminant. Unlike with |w|_2 <= 2, features with a large spread do not hide
-    the others: the result is the same for every invertible linear map of the features.
+    C is the mean of the two covariance matrices, so that w is Fisher's linear discriminant. Unlike
+    with |w|_2 <= 2, features with a large spread do not hide the others: w^T phi is the same for
+    every invertible linear map of the features, but for a small multiple of the identity that is
+    added to C.
 
     Returns:
         w (32,) and the maximum, a scalar.
