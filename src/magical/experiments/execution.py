@@ -147,13 +147,14 @@ def _finish_all(
         while waiting and not stopping and len(running) < executor.slots():
             run = waiting.popleft()
             running[executor.start(run)] = run
-            results.write_progress(list(running.values()), executor.slots())
+            results.write_progress(running.values(), executor.slots())
         ended, _ = wait(running, POLL, FIRST_COMPLETED)
         for future in ended:
             run = running.pop(future)
             outcome = _outcome(run, future, results, stopping or stop.seen)
             full = full or outcome.state == "no space"
             display.ended(run, outcome)
+            results.write_progress(running.values(), executor.slots())
         display.refresh()
         if (stop.seen or full) and not stopping:
             stopping = True
