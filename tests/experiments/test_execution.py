@@ -170,6 +170,19 @@ def test_a_run_with_a_damaged_checkpoint_resumes_from_the_one_before(
     assert scores_of(copied) == scores_of(finished)
 
 
+def test_what_a_killed_process_left_does_not_stand_in_the_way(
+    planned: Planned, inline: Started, out: Path
+) -> None:
+    (run, _) = planned()
+    folder = out / "runs" / run.folder
+    execute([], out)
+    folder.mkdir(parents=True)
+    for name in (".result.json.999.part", ".scores.csv.999.part"):
+        (folder / name).write_text("{")
+    assert execute([run], out).complete
+    assert list(folder.glob(".*.part")) == []
+
+
 def test_no_space_stops_the_plan_and_says_so(
     planned: Planned, inline: Started, out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
