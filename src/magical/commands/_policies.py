@@ -19,18 +19,16 @@ def evaluation_details(policy: str, out: Path) -> dict[str, Any]:
     """
     from magical.evaluation import BUILT_IN
     from magical.evaluation.sources import LEARNED_FROM
-    from magical.runs import versions
-    from magical.runs.machine import machine, source_commit
+    from magical.runs.provenance import provenance
 
-    made = {"versions": versions(), "commit": source_commit(), "machine": machine()}
     if Path(policy).is_dir():
         from magical.learning import read_config
         from magical.learning.description import training_details
 
         details = training_details(read_config(Path(policy)))
-        return {RECORDED: os.path.relpath(policy, out), **details, **made}
+        return {RECORDED: os.path.relpath(policy, out), **details, **provenance()}
     nothing: dict[str, Any] = {LEARNED_FROM: []} if policy in BUILT_IN else {}
-    return {RECORDED: policy, **nothing, **made}
+    return {RECORDED: policy, **nothing, **provenance()}
 
 
 def policy_of(folder: Path, entry: "Entry", run: Path | None = None) -> "Policy":
