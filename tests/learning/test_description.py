@@ -4,10 +4,10 @@ import pytest
 
 pytest.importorskip("torch", reason="the learning extra is not installed")
 
-from magical.evaluation.sources import SOURCES, learned_from
 from magical.learning import Config, algorithm_names, find_algorithm
 from magical.learning.config import options
 from magical.learning.description import training_details
+from magical.runs.sources import SOURCES, learned_from
 
 
 def config(algorithm: str, **fields: object) -> Config:

@@ -18,8 +18,8 @@ def evaluation_details(policy: str, out: Path) -> dict[str, Any]:
         out: the entry's folder.
     """
     from magical.evaluation import BUILT_IN
-    from magical.evaluation.sources import LEARNED_FROM
     from magical.runs.provenance import provenance
+    from magical.runs.sources import LEARNED_FROM
 
     if Path(policy).is_dir():
         from magical.learning import read_config

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
 
 from magical.errors import InvalidConfigError, UnknownNameError
-from magical.evaluation.sources import DEMONSTRATIONS
 from magical.learning.augmentations import BORDERS, Augmentations, parse_augmentations
 from magical.learning.networks import network_names
 from magical.observe import PRESETS, ObservationSpec, make_spec
+from magical.runs.sources import DEMONSTRATIONS
 from magical.tasks import get_task
 
 DEVICES = ("auto", "cpu", "cuda")
@@ -106,7 +106,7 @@ class Config:
 
     @property
     def learned_from(self) -> tuple[str, ...]:
-        """What is learned from, in the words of `magical.evaluation.sources`."""
+        """What is learned from, in the words of `magical.runs.sources`."""
         return ()
 
     def _require_choices(self) -> None:

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from magical.evaluation.sources import LEARNED_FROM
 from magical.learning.config import Config, ImitationConfig
+from magical.runs.sources import LEARNED_FROM
 
 
 def training_details(config: Config) -> dict[str, Any]:

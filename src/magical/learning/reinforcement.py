@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 from magical.errors import InvalidConfigError
-from magical.evaluation.sources import INTERACTION
 from magical.learning.config import PUBLISHED_CODE_IMAGES, Config, ImitationConfig, option
+from magical.runs.sources import INTERACTION
 from magical.tasks import Horizon, have_two_horizons, require_two_horizons
 
 INITS = ("torch", "centred")

@@ -22,7 +22,6 @@ from magical.demos import Dataset, DatasetWriter, Trajectory
 from magical.envs import EnvId
 from magical.errors import InvalidConfigError, RunFolderError
 from magical.evaluation import environments
-from magical.evaluation.sources import EXPERT_LABELS, INTERACTION, TEST_VARIANTS
 from magical.evaluation.variants import full_variant, short_variant
 from magical.experts import get_goals
 from magical.learning.algorithms import Algorithm
@@ -33,6 +32,7 @@ from magical.learning.policy import NetworkPolicy
 from magical.learning.run import Run
 from magical.learning.streams import Purpose, stream
 from magical.learning.supervision import LabelledEpisodes, relabel
+from magical.runs.sources import EXPERT_LABELS, INTERACTION, TEST_VARIANTS
 
 AGGREGATE = "aggregate"  # in the run folder
 

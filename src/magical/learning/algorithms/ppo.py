@@ -20,7 +20,6 @@ from torch import Tensor, nn
 from torch.optim import Adam
 
 from magical.envs.env import Reward
-from magical.evaluation.sources import SCORE
 from magical.learning.algorithms import Algorithm
 from magical.learning.augment import to_unit
 from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
@@ -34,6 +33,7 @@ from magical.learning.rollouts import Rollout, RolloutBuffer, RolloutEnvs, shuff
 from magical.learning.run import Run
 from magical.learning.streams import Purpose, stream
 from magical.observe import NAMED
+from magical.runs.sources import SCORE
 
 ADVANTAGE_EPSILON = 1e-8
 Forward = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]  # as `PPOTrainer.forward`

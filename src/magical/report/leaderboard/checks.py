@@ -7,9 +7,9 @@ from magical import __version__
 from magical.evaluation import Entry, by_variant
 from magical.evaluation.entry import APPENDIX
 from magical.evaluation.rollouts import ROLLOUTS
-from magical.evaluation.sources import learned_from
 from magical.evaluation.variants import short_variant
 from magical.report.results import Result, Results
+from magical.runs.sources import learned_from
 from magical.tasks import get_task
 
 NUDGE = 1e-9  # the protocol's, in units and radians

@@ -4,9 +4,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from magical.evaluation.intervals import Interval
-from magical.evaluation.sources import learned_from
 from magical.report.methods import ComparedMethod, compared_methods
 from magical.report.results import Result
+from magical.runs.sources import learned_from
 from magical.tasks import TASKS
 
 ALL_TASKS = "All tasks"

@@ -8,7 +8,6 @@ from pathlib import Path
 from magical import __version__
 from magical.errors import ScoresError
 from magical.evaluation.rollouts import ROLLOUTS
-from magical.evaluation.sources import SOURCES
 from magical.files import write_atomically
 from magical.report.differences import matching_methods
 from magical.report.folders import evaluated_page
@@ -17,6 +16,7 @@ from magical.report.leaderboard.ranking import STATE, Board, make_boards
 from magical.report.page import render_template, write_text
 from magical.report.results import Result, Results, search_results
 from magical.report.runs import FILES
+from magical.runs.sources import SOURCES
 
 INDEX = "index.html"
 METHODS, ENTRIES = "methods", "entries"  # folders of the site
