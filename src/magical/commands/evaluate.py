@@ -38,15 +38,28 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--variants", nargs="+", metavar="VARIANT", help="such as Demo Jitter (default: all)"
     )
+    _configure_episodes(parser)
+    parser.add_argument(
+        "--observation", metavar="PRESET", help="default: the policy's own, or LoRes4E"
+    )
+    parser.add_argument(
+        "--workers", type=non_negative_int, metavar="N", help="processes (default: the cores)"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="write scores.csv and entry.json there"
+    )
+    parser.add_argument("--method", metavar="NAME", help="name in tables (default: the policy's)")
+    add_json(parser)
+
+
+def _configure_episodes(parser: argparse.ArgumentParser) -> None:
+    """The arguments that say which episodes are rolled out."""
     parser.add_argument(
         "--rollouts",
         type=positive_int,
         default=100,
         metavar="N",
         help="on each variant (default: 100)",
-    )
-    parser.add_argument(
-        "--observation", metavar="PRESET", help="default: the policy's own, or LoRes4E"
     )
     parser.add_argument(
         "--horizon",
@@ -69,14 +82,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="which set of fixed seeds (default: 0)",
     )
-    parser.add_argument(
-        "--workers", type=non_negative_int, metavar="N", help="processes (default: the cores)"
-    )
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="write scores.csv and entry.json there"
-    )
-    parser.add_argument("--method", metavar="NAME", help="name in tables (default: the policy's)")
-    add_json(parser)
 
 
 def _horizon(text: str) -> int | str:
@@ -94,10 +99,10 @@ def _nudge(text: str) -> float:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate, print, write."""
-    from magical.evaluation import environments, evaluate, summarise
+    from magical.evaluation import environments, evaluate, load_policy, summarise
     from magical.progress import progress_bar
 
-    policy = find_policy(args.policy)
+    policy = load_policy(args.policy)
     env_ids = environments(args.task or getattr(policy, "tasks", None), args.variants)
     with progress_bar("rollouts", len(env_ids) * args.rollouts) as advance:
         scores = evaluate(
@@ -120,21 +125,6 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def find_policy(name: str) -> "Policy":
-    """The policy of a run folder, or of one of the names that `evaluation.load_policy` takes.
-
-    Raises `UnknownNameError` or `PolicyError`, or what loading a run raises.
-    """
-    from magical.evaluation import load_policy
-
-    if Path(name).is_dir():
-        from magical.learning import load_policy as load_run  # imports PyTorch
-
-        policy: Policy = load_run(Path(name))
-        return policy
-    return load_policy(name)
-
-
 def make_entry(
     args: argparse.Namespace, policy: "Policy", scores: "Sequence[RolloutScore]"
 ) -> "Entry":
@@ -145,7 +135,7 @@ def make_entry(
     from magical.evaluation.rollouts import observation_for
 
     return Entry(
-        method=args.method or Path(args.policy).name,
+        method=args.method or Path(args.policy).absolute().name,  # of "." too
         scores=scores,
         observation=str(observation_for(policy, args.observation)),
         privileged=is_privileged(policy),

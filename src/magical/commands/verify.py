@@ -18,7 +18,6 @@ from magical.commands._common import (
     print_table,
 )
 from magical.commands._policies import policy_of
-from magical.commands.evaluate import find_policy
 
 if TYPE_CHECKING:
     from magical.evaluation.verification import Verification
@@ -55,13 +54,13 @@ def run(args: argparse.Namespace) -> int:
     """Run again, compare, print; 1 if the scores are not confirmed."""
     import numpy as np
 
-    from magical.evaluation import read_entry
+    from magical.evaluation import load_policy, read_entry
     from magical.evaluation.verification import is_same_machine, verify
     from magical.runs import versions
     from magical.runs.machine import machine
 
     entry = read_entry(args.entry)
-    policy = find_policy(args.policy) if args.policy else policy_of(args.entry, entry)
+    policy = load_policy(args.policy) if args.policy else policy_of(args.entry, entry)
     found = verify(
         entry,
         policy,

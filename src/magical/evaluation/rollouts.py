@@ -66,10 +66,9 @@ def evaluate(
 ) -> list[RolloutScore]:
     """Score a policy on environments, all variants of a task together.
 
-    Rollout i of every environment is reset with `evaluation_seed(i, seed)`, so every policy gets
-    the same scenes. Scores depend neither on `workers` nor, for policies that sample their random
-    numbers row by row (`RolloutRng`), on `num_envs` or on what else is evaluated; a network's
-    arithmetic may still differ in the last bit between batch sizes.
+    Rollout i of every environment is reset with `evaluation_seed(i, seed)`. Scores depend neither
+    on `workers` nor, for policies that sample row by row (`RolloutRng`), on `num_envs` or on what
+    else is evaluated, but for the last bit of a network's arithmetic.
 
     Args:
         policy: see `Policy`; `load_policy` makes one from a name.
@@ -77,10 +76,10 @@ def evaluate(
         rollouts: of each environment.
         seed: which set of fixed seeds; results are reported for 0.
         observation: by default the policy's own, or `LoRes4E`; states for a privileged policy.
-        horizon: control steps; `"published"`: the published code's, to compare with its tables.
-        nudge: shift the initial poses of each rollout by up to so many units and radians, sampled
-            from its seed. 1e-9 cannot be seen, and makes Demo's score the mean over what rounding
-            otherwise decides once for all rollouts (docs/determinism.md).
+        horizon: control steps; `"published"` takes the published code's, for comparison with
+            published tables; for at least one of the tasks it must be another.
+        nudge: shift each rollout's initial poses by up to so many units and radians, sampled from
+            its seed; with 1e-9 Demo's score is no matter of rounding (docs/determinism.md).
         num_envs: the most environments to step together (at least one for each environment id).
         workers: processes; by default one for each core. They step the environments, and for a
             policy with `in_processes` they run the policy too.
@@ -91,13 +90,14 @@ def evaluate(
 
     Raises:
         PolicyError: the policy returned something else than actions.
-        UnknownNameError: an unknown environment, observation or horizon, or no published horizon.
+        UnknownNameError: an unknown environment, observation or horizon, or tasks with only one.
         ValueError: a nudge out of range, or less than one rollout.
     """
-    ids = environments(getattr(policy, "tasks", None))
-    if env_ids is not None:
-        ids = [parse_env_id(env_id).without_preset for env_id in env_ids]
-    _check(rollouts, horizon, ids)
+    default = environments(getattr(policy, "tasks", None)) if env_ids is None else env_ids
+    ids = [parse_env_id(env_id).without_preset for env_id in default]
+    _check_horizon(horizon, ids)
+    if rollouts < 1:
+        raise ValueError(f"rollouts: expected at least 1, found {rollouts}")
     setting = _Setting(policy, observation, horizon, checked_nudge(nudge), num_envs, seed)
     run = _in_processes if getattr(policy, "in_processes", False) else _in_this_process
     return _collect(run(setting, ids, rollouts, workers), ids, progress)
@@ -295,9 +295,7 @@ def _by_task(env_ids: Sequence[EnvId]) -> Iterator[tuple[Task, list[EnvId]]]:
         yield get_task(name), group
 
 
-def _check(rollouts: int, horizon: Horizon, env_ids: Sequence[EnvId]) -> None:
-    if rollouts < 1:
-        raise ValueError(f"rollouts: expected at least 1, found {rollouts}")
+def _check_horizon(horizon: Horizon, env_ids: Sequence[EnvId]) -> None:
     if horizon == "published":
         require_two_horizons(env_id.task for env_id in env_ids)
     elif horizon is not None and not (isinstance(horizon, int) and horizon > 0):

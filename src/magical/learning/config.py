@@ -172,6 +172,11 @@ class Config:
         raise NotImplementedError
 
     @property
+    def training_samples(self) -> int:
+        """The samples of all forward and backward passes of a whole run, to estimate its time."""
+        raise NotImplementedError
+
+    @property
     def observation_spec(self) -> ObservationSpec:
         """The observation's specification; the same for all tasks."""
         return make_spec(self.observation, get_task(self.tasks[0]))

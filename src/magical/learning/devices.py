@@ -107,6 +107,13 @@ def restored_threads() -> Iterator[None]:
 @contextmanager
 def one_thread() -> Iterator[None]:
     """A context with one CPU thread: for small layers, synchronisation costs more than it gains."""
+    with cpu_threads(1):
+        yield
+
+
+@contextmanager
+def cpu_threads(number: int) -> Iterator[None]:
+    """A context in which PyTorch uses this number of CPU threads."""
     with restored_threads():
-        torch.set_num_threads(1)
+        torch.set_num_threads(number)
         yield

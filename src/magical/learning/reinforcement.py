@@ -129,6 +129,11 @@ class ReinforcementConfig(Config):
         """All updates."""
         return self.updates
 
+    @property
+    def training_samples(self) -> int:
+        """Every step of an environment, once in each epoch."""
+        return self.updates * self.steps_per_update * self.epochs
+
 
 @dataclass(frozen=True, kw_only=True)
 class LearnedRewardConfig(ReinforcementConfig, ImitationConfig):

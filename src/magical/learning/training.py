@@ -17,7 +17,7 @@ from magical.learning.interrupts import Interrupts
 from magical.learning.policy import NetworkPolicy, load_policy
 from magical.learning.run import Metrics, Run
 from magical.progress import ProgressBar
-from magical.runs.folder import locked_folder, open_folder
+from magical.runs.folder import is_run, locked_folder, open_folder
 from magical.runs.metrics import read_metrics
 
 Callback = Callable[[int, Metrics], object]  # step, metrics
@@ -66,7 +66,8 @@ def train(
 ) -> TrainResult:
     """Train a policy, in the run folder `out`.
 
-    Ctrl-C and SIGTERM save a checkpoint and return; a second Ctrl-C interrupts at once.
+    Ctrl-C and SIGTERM save a checkpoint and return; a second Ctrl-C interrupts at once. A new run
+    that fails before it has logged or saved anything is removed again.
 
     Args:
         config: an algorithm's configuration, such as `BCConfig.preset("quick", ...)`.
@@ -135,7 +136,5 @@ def _full_disk_as_error(folder: Path) -> Iterator[None]:
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT):
             raise
-        raise RunFolderError(
-            f"{folder}: the disk is full; the last checkpoint is whole. Free some space, then "
-            "resume (--resume)"
-        ) from error
+        then = "resume (--resume); the last checkpoint is whole" if is_run(folder) else "try again"
+        raise RunFolderError(f"{folder}: the disk is full. Free some space, then {then}") from error

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from warnings import catch_warnings, filterwarnings
 
 from magical.errors import RunFolderError
 from magical.files import write_atomically
@@ -25,6 +26,7 @@ from magical.runs.metrics import read_metrics
 PANELS = ("loss", "accuracy", "score")  # of `learning_curves`, where the metrics have them
 SMOOTHING = 50  # rows of metrics that a curve is averaged over, at most a tenth of all
 MOST_POINTS = 200  # of a curve
+LONGEST = 30  # characters of a name in the legend
 NOT_PLOTTED = ("step", "environment_steps", "warning")
 COLUMNS = 4  # of `save_learning_curves`
 
@@ -115,24 +117,34 @@ def _is_finite(number: object) -> bool:
 
 def _svg(runs: Mapping[str, Rows], panels: Sequence[str]) -> str:
     # From the report extra. Figure alone: no window system, no global state.
+    from matplotlib import rc_context
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(4.6 * len(panels), 3.2), layout="constrained")
     for axes, key in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
-        for name, rows in runs.items():
+        lines = []
+        for rows in runs.values():
             points = [(row["step"], row[key]) for row in rows if row.get(key) is not None]
-            axes.plot(*_smooth(points), label=name, linewidth=1.4)
+            lines += axes.plot(*_smooth(points), linewidth=1.4)
         axes.set_title(key, fontsize=11)
         axes.set_xlabel("step")
         axes.grid(alpha=0.3)
         axes.spines[["top", "right"]].set_visible(False)
         if key == "accuracy":
             axes.set_ylim(0, 1)
-    axes.legend(frameon=False, fontsize=9)
     file = io.StringIO()
-    figure.savefig(file, format="svg", metadata={"Date": None})
+    # A name may be any path: it is neither mathematics nor limited to the characters of a font.
+    with rc_context({"svg.fonttype": "none", "text.parse_math": False}), catch_warnings():
+        filterwarnings("ignore", "Glyph")
+        axes.legend(lines, list(map(_shorten, runs)), frameon=False, fontsize=9)
+        figure.savefig(file, format="svg", metadata={"Date": None})
     text = file.getvalue()
     return text[text.index("<svg") :]
+
+
+def _shorten(name: str) -> str:
+    """The end of a long name, where folders differ; a legend as wide as the panel has no room."""
+    return name if len(name) <= LONGEST else f"…{name[1 - LONGEST :]}"
 
 
 def _smooth(points: Sequence[tuple[float, float]]) -> tuple[list[float], list[float]]:

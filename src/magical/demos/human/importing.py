@@ -84,11 +84,11 @@ def import_published(
             if isinstance(result, Exception):
                 failed.append((str(file), _reason(file, result)))
                 continue
-            earlier = first.setdefault(result[0].fingerprint, file.name)
-            if earlier != file.name:
-                duplicates.append((file.name, earlier))
+            if earlier := first.get(result[0].fingerprint):  # perhaps of the same name
+                duplicates.append((str(file) if earlier == file.name else file.name, earlier))
                 if skip_duplicates:
                     continue
+            first.setdefault(result[0].fingerprint, file.name)
             writer.append_encoded(*result)
             imported.append(file.name)
     return ImportReport(tuple(imported), tuple(already), tuple(duplicates), tuple(failed))

@@ -63,6 +63,11 @@ class BCConfig(ImitationConfig):
         """All batches."""
         return self.batches
 
+    @property
+    def training_samples(self) -> int:
+        """The samples of all batches."""
+        return self.total * self.batch_size
+
     def learning_rate_at(self, batch: int) -> float:
         """The learning rate of a batch: constant, or annealed linearly to 0."""
         left = 1.0 - batch / self.batches if self.anneal else 1.0

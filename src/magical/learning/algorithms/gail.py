@@ -77,6 +77,12 @@ class GAILConfig(LearnedRewardConfig):
                 f"found {self.discriminator_batch_size}"
             )
 
+    @property
+    def training_samples(self) -> int:
+        """Those of the policy and of the discriminator."""
+        steps = self.updates * self.discriminator_steps
+        return super().training_samples + steps * self.discriminator_batch_size
+
 
 def train(config: GAILConfig, run: Run) -> None:
     """Imitate demonstrations."""

@@ -56,6 +56,12 @@ class WGAILGPConfig(GAILConfig):
         self.require_positive("penalty_weight")
         self.require_one_task()
 
+    @property
+    def training_samples(self) -> int:
+        """Those of GAIL, and for the penalty half a batch with two backward passes."""
+        steps = self.updates * self.discriminator_steps
+        return super().training_samples + steps * self.discriminator_batch_size
+
 
 def train(config: WGAILGPConfig, run: Run) -> None:
     """Imitate demonstrations."""
