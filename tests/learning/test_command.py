@@ -38,6 +38,8 @@ def test_train_stop_resume(demos: Path, tmp_path: Path, capsys: pytest.CaptureFi
 def test_an_evaluated_run_says_what_it_is_and_can_be_verified(
     demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    from magical.learning.devices import num_threads
+
     run, entry = tmp_path / "run", tmp_path / "evaluation" / "run"
     assert main(bc(demos, run)) == 0
     options = ["--variants", "Demo", "--rollouts", "3", "--horizon", "5", "--workers", "0"]
@@ -47,6 +49,7 @@ def test_an_evaluated_run_says_what_it_is_and_can_be_verified(
     assert details["algorithm"] == "bc"
     assert details["learned_from"] == ["demonstrations"]
     assert set(details) >= {"training_seed", "demonstrations", "versions", "commit", "machine"}
+    assert details["threads"] == num_threads()
     assert main(["verify", str(entry), "--workers", "0"]) == 0
     assert "confirmed: 3 of 3" in capsys.readouterr().out
 

@@ -10,16 +10,18 @@ from typing import Any
 from magical import __version__
 from magical.errors import CheckpointError, MagicalError
 from magical.evaluation import Entry, environments, evaluate
+from magical.evaluation.entry import POLICY, THREADS
 from magical.evaluation.policy import is_privileged
 from magical.evaluation.rollouts import observation_for
 from magical.experiments.plan import EXPERT, PlannedRun
 from magical.experiments.results import DONE, FAILED, RESULT, Outcome, is_out_of_space
 from magical.learning import Config, TrainResult, is_run, load_policy, train
 from magical.learning.config import ImitationConfig
+from magical.learning.description import training_details
 from magical.messages import printable
 from magical.processes import describe
-from magical.runs.folder import versions, write_json
-from magical.runs.machine import machine, source_commit
+from magical.runs.folder import write_json
+from magical.runs.provenance import provenance
 
 MAX_ERROR = 2_000  # characters of a recorded message
 
@@ -66,9 +68,7 @@ def write_result(run: PlannedRun, folder: Path, **result: Any) -> None:
         "identity": run.identity,
         "settings": run.settings(),
         "finished": f"{datetime.now(UTC):%FT%TZ}",
-        "versions": versions(),
-        "commit": source_commit(),
-        "machine": machine(),
+        **provenance(),
     }
     write_json(folder / RESULT, {**result, **facts})
 
@@ -125,10 +125,12 @@ def _evaluate(run: PlannedRun, folder: Path) -> None:
 
 def _details(run: PlannedRun) -> dict[str, Any]:
     """How the run was made, for `entry.json`; all settings are in `result.json`."""
-    details: dict[str, Any] = {
-        "algorithm": run.config.algorithm,
+    details = {
+        POLICY: ".",
+        THREADS: run.config.threads,
         "preset": run.preset,
-        "training seed": run.seed,
+        **training_details(run.config),
+        **provenance(),
     }
     if isinstance(run.config, ImitationConfig):
         source = "dataset" if run.expert_demos is None else EXPERT
