@@ -65,6 +65,7 @@ def test_every_run_is_a_run_folder_with_an_entry_and_a_record(
         assert entry.details["demonstrations"] == "2 of each task (expert)"
         assert entry.details["learned_from"] == ["demonstrations"]
         assert entry.details["policy"] == "."
+        assert entry.nudge == 1e-9
         assert is_same_machine(entry.details, machine(), versions())
         assert read_config(folder).seed == run.seed
         assert load_policy(folder).tasks == ("MoveToRegion",)

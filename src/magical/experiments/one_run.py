@@ -20,7 +20,8 @@ from magical.learning.config import ImitationConfig
 from magical.learning.description import training_details
 from magical.messages import printable
 from magical.processes import describe
-from magical.runs.folder import write_json
+from magical.runs.folder import versions, write_json
+from magical.runs.machine import machine, source_commit
 from magical.runs.provenance import provenance
 
 MAX_ERROR = 2_000  # characters of a recorded message
@@ -68,7 +69,9 @@ def write_result(run: PlannedRun, folder: Path, **result: Any) -> None:
         "identity": run.identity,
         "settings": run.settings(),
         "finished": f"{datetime.now(UTC):%FT%TZ}",
-        **provenance(),
+        "versions": versions(),
+        "commit": source_commit(),
+        "machine": machine(),
     }
     write_json(folder / RESULT, {**result, **facts})
 
@@ -109,6 +112,7 @@ def _evaluate(run: PlannedRun, folder: Path) -> None:
             environments(run.tasks, run.evaluation.variants or None),
             rollouts=run.evaluation.rollouts,
             horizon=horizon,
+            nudge=run.evaluation.nudge,
             workers=0 if run.config.threads == 1 else run.config.threads,
         )
     entry = Entry(
@@ -117,6 +121,7 @@ def _evaluate(run: PlannedRun, folder: Path) -> None:
         observation=str(observation_for(policy)),
         privileged=is_privileged(policy),
         horizon="appendix" if horizon is None else str(horizon),
+        nudge=run.evaluation.nudge,
         version=__version__,
         details=_details(run),
     )
