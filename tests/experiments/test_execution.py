@@ -23,7 +23,7 @@ from magical.experiments.plan import PlannedRun
 from magical.experiments.status import read_status
 from magical.files import lock_now
 from magical.learning import load_policy, read_config, training
-from magical.runs import read_metrics, versions
+from magical.runs import versions
 from magical.runs.machine import machine
 
 Planned = Callable[..., list[PlannedRun]]
@@ -140,25 +140,54 @@ def test_an_interrupted_run_resumes_from_its_checkpoint(
     finished: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    runs = planned()
+    (run, _) = runs = planned()
+    steps: list[int] = []
 
     def train(config: Any, folder: Path, **kwargs: Any) -> Any:
         def interrupt(step: int, metrics: object) -> None:
-            if step == 3:
+            steps.append(step)
+            if len(steps) == 3:
                 os.kill(os.getpid(), signal.SIGTERM)
 
         return training.train(config, folder, callback=interrupt, **kwargs)
 
     monkeypatch.setattr("magical.experiments.one_run.train", train)
-    execute(runs, out)
-    folder = out / "runs" / runs[0].folder
-    assert read_metrics(folder)[-1]["step"] == 4
+    execute([run], out)
+    assert steps == [1, 2, 3, 4]  # a signal is seen after the next batch
     assert results_of(out) == {}
-    assert [run.step for run in read_status(out).runs] == [4, 4]
-
-    monkeypatch.setattr("magical.experiments.one_run.train", training.train)
+    assert [one.step for one in read_status(out).runs] == [4]
+    assert execute([run], out).complete
+    assert steps == [1, 2, 3, 4, 5, 6]
     assert execute(runs, out).complete
     assert scores_of(out) == scores_of(finished)
+
+
+def test_a_run_with_a_damaged_checkpoint_resumes_from_the_one_before(
+    planned: Planned, inline: Started, copied: Path, finished: Path
+) -> None:
+    (first, second) = planned()
+    folder = copied / "runs" / first.folder
+    (folder / "result.json").unlink()
+    (folder / "scores.csv").unlink()
+    checkpoint = folder / "checkpoint.safetensors"
+    checkpoint.unlink()  # it may share its contents with the previous one
+    checkpoint.write_bytes(b"damaged")
+    assert execute([first, second], copied).complete
+    assert [run.seed for run in inline] == [0]
+    assert scores_of(copied) == scores_of(finished)
+
+
+def test_what_a_killed_process_left_does_not_stand_in_the_way(
+    planned: Planned, inline: Started, out: Path
+) -> None:
+    (run, _) = planned()
+    folder = out / "runs" / run.folder
+    execute([], out)
+    folder.mkdir(parents=True)
+    for name in (".result.json.999.part", ".scores.csv.999.part"):
+        (folder / name).write_text("{")
+    assert execute([run], out).complete
+    assert list(folder.glob(".*.part")) == []
 
 
 def test_no_space_stops_the_plan_and_says_so(

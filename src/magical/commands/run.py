@@ -5,6 +5,7 @@ not done again, an interrupted one resumes from its last checkpoint.
 """
 
 import argparse
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -41,7 +42,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--address",
         metavar="ADDRESS",
-        help="of the cluster (default: the one that this machine belongs to, or a new one)",
+        help="of a Ray cluster, as ray.init takes it; implies --executor ray (default: the cluster "
+        "that this machine belongs to, or a new one)",
     )
     parser.add_argument(
         "--workers",
@@ -51,7 +53,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--gpus",
-        type=float,
+        type=_share,
         default=0.0,
         metavar="X",
         help="the share of a GPU that Ray reserves for each run (default: 0)",
@@ -63,6 +65,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--retry-failed", action="store_true", help="run those that failed again")
     add_json(parser)
+
+
+def _share(text: str) -> float:
+    """An argparse type: a finite number of at least 0."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"expected a number of at least 0, found {text!r}")
+    return value
 
 
 def run(args: argparse.Namespace) -> int:
@@ -91,7 +104,10 @@ def _execute(args: argparse.Namespace, runs: "Sequence[PlannedRun]", out: Path) 
     from magical.experiments.execution import Resources, execute
 
     resources = Resources(
-        executor=args.executor, address=args.address, workers=args.workers, gpus=args.gpus
+        executor="ray" if args.address else args.executor,
+        address=args.address,
+        workers=args.workers,
+        gpus=args.gpus,
     )
     summary = execute(runs, out, resources, retry_failed=args.retry_failed)
     log(str(summary))

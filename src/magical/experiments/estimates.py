@@ -1,5 +1,6 @@
 """Estimates of how long runs take, here and on a GPU: right within a factor of two or so."""
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -23,7 +24,8 @@ GPU_SECONDS_PER_SAMPLE = 25 * 60 / 12.8e6
 GPU_SECONDS_PER_STEP = 5 * 60 / 1e6
 
 SOURCES = (
-    "here: from the training speed of the networks, measured just now on this machine",
+    "here: from the training speed of the networks, measured just now on this machine, for a core "
+    "that a run has to itself",
     "one GPU: an estimate for a data-centre GPU of its own, derived and not measured "
     "(docs/benchmarks.md)",
 )
@@ -88,7 +90,11 @@ def _measure(ways: set[tuple[str, str, str, int]]) -> dict[tuple[str, str, str, 
 
     found = {}
     for network, device, threads in {(network, device, n) for network, device, _, n in ways}:
-        speeds = training_speeds(network, device=device, rounds=ROUNDS, threads=(threads,))
+        # Of one thread, the processor time is measured: what else runs here does not matter.
+        clock = time.process_time if threads == 1 else time.perf_counter
+        speeds = training_speeds(
+            network, device=device, rounds=ROUNDS, threads=(threads,), clock=clock
+        )
         for compute, speed in speeds.items():
             found[network, device, compute.precision, threads] = speed
     return found

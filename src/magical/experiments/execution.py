@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from magical.errors import UnknownNameError
 from magical.experiments.demonstrations import prepare_demonstrations
 from magical.experiments.display import Display
 from magical.experiments.one_run import record_failure
@@ -16,9 +17,8 @@ from magical.experiments.plan import PlannedRun
 from magical.experiments.results import DONE, FAILED, Outcome, Results, no_space, opened
 from magical.learning.interrupts import Interrupts
 
-POLL = 1.0  # seconds between looks at signals and the display
-LOCAL, RAY = "local", "ray"
-EXECUTORS = (LOCAL, RAY)
+POLL = 1.0  # seconds between checks for signals, and between refreshes of the display
+LOCAL, RAY = "local", "ray"  # executors
 
 
 class Executor(Protocol):
@@ -52,6 +52,12 @@ class Resources:
     address: str | None = None
     workers: int | None = None
     gpus: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.executor not in (LOCAL, RAY):
+            raise UnknownNameError(
+                f"executor {self.executor!r} is unknown; expected {LOCAL} or {RAY}"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,17 +149,18 @@ def _finish_all(
     waiting = deque(runs)
     running: dict[Future[Outcome], PlannedRun] = {}
     stopping = full = False  # full: no space is left
-    while running or (waiting and not stopping):
-        while waiting and not stopping and len(running) < executor.slots():
+    while running or (waiting and not (full or stop.seen)):
+        while waiting and not (full or stop.seen) and len(running) < executor.slots():
             run = waiting.popleft()
             running[executor.start(run)] = run
-            results.write_progress(list(running.values()), executor.slots())
+            results.write_progress(running.values(), executor.slots())
         ended, _ = wait(running, POLL, FIRST_COMPLETED)
         for future in ended:
             run = running.pop(future)
             outcome = _outcome(run, future, results, stopping or stop.seen)
             full = full or outcome.state == "no space"
             display.ended(run, outcome)
+            results.write_progress(running.values(), executor.slots())
         display.refresh()
         if (stop.seen or full) and not stopping:
             stopping = True

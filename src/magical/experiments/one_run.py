@@ -10,11 +10,12 @@ from typing import Any
 from magical import __version__
 from magical.errors import CheckpointError, MagicalError
 from magical.evaluation import Entry, environments, evaluate
-from magical.evaluation.entry import POLICY, THREADS
+from magical.evaluation.entry import ENTRY_FILE, POLICY, SCORES_FILE, THREADS
 from magical.evaluation.policy import is_privileged
 from magical.evaluation.rollouts import observation_for
 from magical.experiments.plan import EXPERT, PlannedRun
 from magical.experiments.results import DONE, FAILED, RESULT, Outcome, is_out_of_space
+from magical.files import remove_partial_files
 from magical.learning import Config, TrainResult, is_run, load_policy, train
 from magical.learning.config import ImitationConfig
 from magical.learning.description import training_details
@@ -38,8 +39,10 @@ def finish(run: PlannedRun, folder: Path, demos: Path | None) -> Outcome:
         demos: the dataset to learn from.
     """
     start = time.perf_counter()
+    source_commit()  # now: the source may change while the run is in progress
     try:
         (folder / RESULT).unlink(missing_ok=True)
+        remove_partial_files(folder, RESULT, SCORES_FILE, ENTRY_FILE)
         seconds = _train_and_evaluate(run, folder, demos)
         if seconds is None:
             return Outcome("interrupted", time.perf_counter() - start)

@@ -9,7 +9,7 @@
 
 import errno
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,7 +53,7 @@ class Results:
         """`done`, `failed`, or `None` for a run that has not been finished."""
         return read_state(self.folder(run))
 
-    def write_progress(self, running: Sequence[PlannedRun], slots: int) -> None:
+    def write_progress(self, running: Iterable[PlannedRun], slots: int) -> None:
         """Note which runs are in progress, and how many can be at a time."""
         names = [run.folder for run in running]
         write_json(self.path / PROGRESS, {"running": names, "slots": slots})
@@ -138,7 +138,9 @@ def listed_runs(path: Path) -> list[dict[str, Any]]:
     listed = _read(path / PLAN).get("runs")
     fields = {"folder": str, "method": str, "tasks": list, "seed": int, "total": int}
     if not isinstance(listed, list) or not all(
-        isinstance(run, dict) and {name: type(value) for name, value in run.items()} == fields
+        isinstance(run, dict)
+        and {name: type(value) for name, value in run.items()} == fields
+        and Path(run["folder"]).name == run["folder"]
         for run in listed
     ):
         raise ResultsError(f"{path / PLAN}: expected the runs of a plan; give another --out")

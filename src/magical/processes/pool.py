@@ -135,12 +135,13 @@ class ProcessPool:
         return result
 
     def terminate(self) -> None:
-        """Send SIGTERM to all children; work that handles it can finish what it is doing.
+        """Send SIGTERM to all children, and start no task any more.
 
-        A task whose child is ended by the signal fails with `WorkerDiedError`. (Windows has no such
-        signal: there every child ends at once.)
+        Work that handles the signal can finish what it is doing. Other tasks fail with
+        `WorkerDiedError`. (Windows has no such signal: there every child ends at once.)
         """
         with self._lock:
+            self._closed = True
             for child in self._children:
                 child.process.terminate()
 
@@ -188,10 +189,10 @@ class ProcessPool:
     def _idle_child(self) -> Child:
         """A child without a task, started if there is none."""
         with self._lock:
-            if self._idle:
-                return self._idle.pop()
             if self._closed:
                 raise WorkerDiedError("the pool of processes is closed")
+            if self._idle:
+                return self._idle.pop()
             self._children.append(Child(__name__))
             return self._children[-1]
 

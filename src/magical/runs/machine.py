@@ -3,6 +3,7 @@
 import platform
 import shutil
 import subprocess
+from functools import cache
 from pathlib import Path
 
 from magical import __file__ as PACKAGE
@@ -22,8 +23,9 @@ def machine() -> dict[str, str]:
     }
 
 
+@cache
 def source_commit() -> str | None:
-    """The commit of the package's source, with `-dirty` after local changes.
+    """The commit of the package's source at the first call, with `-dirty` after local changes.
 
     `None` unless the package is imported from a clone and git is installed.
     """
