@@ -93,7 +93,7 @@ def test_half_an_entry_says_what_is_missing(tmp_path: Path, missing: str) -> Non
         read_entry(tmp_path)
 
 
-DEEP = f'{{"method": "x", "details": {"[" * 40}{"]" * 40}}}'
+DEEP = '{"method": "x", "details": {"a": ' + "[" * 40 + "]" * 40 + "}}"
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ DEEP = f'{{"method": "x", "details": {"[" * 40}{"]" * 40}}}'
         "{}",
         '{"method": "x", "colour": 1}',
         '{"method": "x", "details": {"big": 1e999}}',
-        DEEP.replace("[[", '{"a": [', 1).replace("]]", "]}", 1),
+        DEEP,
     ],
 )
 def test_a_damaged_entry_is_named(tmp_path: Path, text: str) -> None:

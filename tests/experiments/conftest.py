@@ -21,6 +21,7 @@ num_demos = 2
 expert_demos = 3
 preset = "quick"
 rollouts = 1
+nudge = 1e-9
 variants = ["Demo"]
 
 [[methods]]

@@ -16,12 +16,15 @@ from magical.cli import main
 from magical.demos import Dataset, DatasetWriter
 from magical.errors import DatasetError, DemonstrationsError, PlacementError, ResultsError
 from magical.evaluation import read_entry
+from magical.evaluation.verification import is_same_machine
 from magical.experiments import one_run, results
 from magical.experiments.execution import execute
 from magical.experiments.plan import PlannedRun
 from magical.experiments.status import read_status
 from magical.files import lock_now
 from magical.learning import load_policy, read_config, training
+from magical.runs import versions
+from magical.runs.machine import machine
 
 Planned = Callable[..., list[PlannedRun]]
 Started = list[PlannedRun]
@@ -60,6 +63,10 @@ def test_every_run_is_a_run_folder_with_an_entry_and_a_record(
         assert entry.method == "BC tiny"
         assert [str(row.env_id) for row in entry.scores] == ["magical/MoveToRegion-Demo-v0"]
         assert entry.details["demonstrations"] == "2 of each task (expert)"
+        assert entry.details["learned_from"] == ["demonstrations"]
+        assert entry.details["policy"] == "."
+        assert entry.nudge == 1e-9
+        assert is_same_machine(entry.details, machine(), versions())
         assert read_config(folder).seed == run.seed
         assert load_policy(folder).tasks == ("MoveToRegion",)
         record = records[run.folder]

@@ -84,8 +84,14 @@ def test_a_run_is_identified_by_what_its_scores_depend_on(tmp_path: Path) -> Non
     assert folder("") == folder("# the same\n") == folder("", "expert")
     assert folder("", "human") == folder("", "elsewhere/human")
     changes = ("rollouts = 3\n", "seeds = [1]\n", "num_demos = 9\n", 'variants = ["Demo"]\n')
-    more = ('horizon = "published"\n', "threads = 2\n", 'demos = "human"\n', "expert_demos = 26\n")
-    assert len({folder(text) for text in ("", *changes, *more)}) == 9
+    more = (
+        'horizon = "published"\n',
+        "nudge = 1e-9\n",
+        "threads = 2\n",
+        'demos = "human"\n',
+        "expert_demos = 26\n",
+    )
+    assert len({folder(text) for text in ("", *changes, *more)}) == 10
 
 
 def test_settings_have_the_fields_types(tmp_path: Path) -> None:
@@ -127,6 +133,7 @@ def test_settings_have_the_fields_types(tmp_path: Path) -> None:
         ("rollouts = 0\n" + BC, "rollouts: expected 1 to"),
         ('variants = ["Weather"]\n' + BC, "variants: 'Weather' is not a variant"),
         ('variants = ["CountPlus"]\ntasks = ["MoveToCorner"]\n' + BC, "MoveToCorner has none of"),
+        ("nudge = 1\n" + BC, "nudge: expected a number from 0 to"),
         ('horizon = "long"\n' + BC, "horizon: expected a number of control steps, appendix or"),
         ("num_demos = 30\n" + BC, "expert_demos: expected at least num_demos, 30, found 25"),
         (

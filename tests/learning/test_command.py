@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from magical.cli import main
+from magical.evaluation import read_entry
 from magical.learning import algorithm_names
 from magical.runs.folder import CHECKPOINT, PREVIOUS
 
@@ -32,6 +33,25 @@ def test_train_stop_resume(demos: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert main(["train", "bc", "--out", str(out), "--resume"]) == 0
     assert "finished; magical evaluate" in capsys.readouterr().err
     assert main(bc(demos, out, "--resume")) == 0
+
+
+def test_an_evaluated_run_says_what_it_is_and_can_be_verified(
+    demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from magical.learning.devices import num_threads
+
+    run, entry = tmp_path / "run", tmp_path / "evaluation" / "run"
+    assert main(bc(demos, run)) == 0
+    options = ["--variants", "Demo", "--rollouts", "3", "--horizon", "5", "--workers", "0"]
+    assert main(["evaluate", str(run), *options, "--out", str(entry)]) == 0
+    details = read_entry(entry).details
+    assert details["policy"] == "../../run"
+    assert details["algorithm"] == "bc"
+    assert details["learned_from"] == ["demonstrations"]
+    assert set(details) >= {"training_seed", "demonstrations", "versions", "commit", "machine"}
+    assert details["threads"] == num_threads()
+    assert main(["verify", str(entry), "--workers", "0"]) == 0
+    assert "confirmed: 3 of 3" in capsys.readouterr().out
 
 
 def test_a_damaged_checkpoint_is_named_and_the_previous_one_resumed(

@@ -78,6 +78,7 @@ def test_missing_tasks_runs_seeds_and_variants_are_named(
     write_entry("a1", "a", region, seed=1)
     write_entry("b0", "b", region | rest, seed=0)
     write_entry("c0", "c", {"MakeLine-Demo": [1.0]}, seed=0)
+    write_entry("c1", "c", {"MakeLine-Demo": [0.5]}, seed=1)
     write_json(tmp_path / "d0" / "config.json", {"seed": 0})
     missing = {(m.method, m.task, m.what) for m in find_missing(find_results([tmp_path]))}
     variants = "Jitter, Layout, Colour, Shape, CountPlus, Dynamics, All"
@@ -87,7 +88,7 @@ def test_missing_tasks_runs_seeds_and_variants_are_named(
         ("c", "MoveToRegion", "no run"),
         ("a", "MakeLine", "no run"),
         ("b", "MakeLine", "no run"),
-        ("c", "MakeLine", f"seed 0: not evaluated on {variants}"),
+        ("c", "MakeLine", f"seeds 0, 1: not evaluated on {variants}"),
         ("–", "–", f"{tmp_path / 'd0'}: a training run without an entry"),
     }
 

@@ -1,13 +1,15 @@
 """Shared by the commands: the policy that an evaluated run is of."""
 
 import os
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from magical.evaluation import Entry, Policy
 
-RECORDED = "policy"  # in an entry's details: what was evaluated
+
+MOST_THREADS = 1024  # that an entry can ask for
 
 
 def evaluation_details(policy: str, out: Path) -> dict[str, Any]:
@@ -18,19 +20,19 @@ def evaluation_details(policy: str, out: Path) -> dict[str, Any]:
         out: the entry's folder.
     """
     from magical.evaluation import BUILT_IN
-    from magical.runs import versions
-    from magical.runs.machine import machine, source_commit
+    from magical.evaluation.entry import POLICY, THREADS
+    from magical.runs.provenance import provenance
     from magical.runs.sources import LEARNED_FROM
 
-    made = {"versions": versions(), "commit": source_commit(), "machine": machine()}
     if Path(policy).is_dir():
         from magical.learning import read_config
         from magical.learning.description import training_details
+        from magical.learning.devices import num_threads
 
-        details = training_details(read_config(Path(policy)))
-        return {RECORDED: os.path.relpath(policy, out), **details, **made}
+        details = {**training_details(read_config(Path(policy))), THREADS: num_threads()}
+        return {POLICY: os.path.relpath(policy, out), **details, **provenance()}
     nothing: dict[str, Any] = {LEARNED_FROM: []} if policy in BUILT_IN else {}
-    return {RECORDED: policy, **nothing, **made}
+    return {POLICY: policy, **nothing, **provenance()}
 
 
 def policy_of(folder: Path, entry: "Entry", run: Path | None = None) -> "Policy":
@@ -49,9 +51,10 @@ def policy_of(folder: Path, entry: "Entry", run: Path | None = None) -> "Policy"
     """
     from magical.errors import PolicyError
     from magical.evaluation import BUILT_IN, load_policy
+    from magical.evaluation.entry import POLICY
     from magical.runs import is_run
 
-    name = entry.details.get(RECORDED)
+    name = entry.details.get(POLICY)
     recorded = [folder / name] if isinstance(name, str) else []
     for place in (*recorded, run or folder):
         if is_run(place):
@@ -65,3 +68,19 @@ def policy_of(folder: Path, entry: "Entry", run: Path | None = None) -> "Policy"
         f"{folder}: expected a run folder or one of {', '.join(BUILT_IN)} as the policy "
         f"that was evaluated, found {name!r}"
     )
+
+
+def recorded_threads(entry: "Entry") -> AbstractContextManager[None]:
+    """A context in which PyTorch uses as many CPU threads as in an entry's evaluation.
+
+    Another number may change the last bit of a network's arithmetic. Without a record, nothing
+    changes, and PyTorch is not imported.
+    """
+    from magical.evaluation.entry import THREADS
+
+    number = entry.details.get(THREADS)
+    if not isinstance(number, int) or not 1 <= number <= MOST_THREADS:
+        return nullcontext()
+    from magical.learning.devices import cpu_threads
+
+    return cpu_threads(number)

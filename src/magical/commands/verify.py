@@ -17,7 +17,7 @@ from magical.commands._common import (
     print_json,
     print_table,
 )
-from magical.commands._policies import policy_of
+from magical.commands._policies import policy_of, recorded_threads
 
 if TYPE_CHECKING:
     from magical.evaluation.verification import Verification
@@ -61,14 +61,15 @@ def run(args: argparse.Namespace) -> int:
 
     entry = read_entry(args.entry)
     policy = load_policy(args.policy) if args.policy else policy_of(args.entry, entry)
-    found = verify(
-        entry,
-        policy,
-        rounds=args.rounds,
-        rng=np.random.default_rng(args.seed),
-        same_machine=is_same_machine(entry.details, machine(), versions()),
-        workers=args.workers,
-    )
+    with recorded_threads(entry):
+        found = verify(
+            entry,
+            policy,
+            rounds=args.rounds,
+            rng=np.random.default_rng(args.seed),
+            same_machine=is_same_machine(entry.details, machine(), versions()),
+            workers=args.workers,
+        )
     _print(found)
     if args.json:
         print_json(

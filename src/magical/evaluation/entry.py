@@ -14,6 +14,8 @@ from magical.tasks import Horizon
 from magical.untrusted import check_plain
 
 APPENDIX, PUBLISHED = "appendix", "published"  # horizons
+POLICY = "policy"  # in the details: a run folder relative to the entry's, or a policy's name
+THREADS = "threads"  # in the details: CPU threads of a network that acted
 SCORES_FILE, ENTRY_FILE = "scores.csv", "entry.json"
 
 

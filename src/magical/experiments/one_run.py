@@ -10,7 +10,7 @@ from typing import Any
 from magical import __version__
 from magical.errors import CheckpointError, MagicalError
 from magical.evaluation import Entry, environments, evaluate
-from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
+from magical.evaluation.entry import ENTRY_FILE, POLICY, SCORES_FILE, THREADS
 from magical.evaluation.policy import is_privileged
 from magical.evaluation.rollouts import observation_for
 from magical.experiments.plan import EXPERT, PlannedRun
@@ -18,10 +18,12 @@ from magical.experiments.results import DONE, FAILED, RESULT, Outcome, is_out_of
 from magical.files import remove_partial_files
 from magical.learning import Config, TrainResult, is_run, load_policy, train
 from magical.learning.config import ImitationConfig
+from magical.learning.description import training_details
 from magical.messages import printable
 from magical.processes import describe
 from magical.runs.folder import versions, write_json
 from magical.runs.machine import machine, source_commit
+from magical.runs.provenance import provenance
 
 MAX_ERROR = 2_000  # characters of a recorded message
 
@@ -113,6 +115,7 @@ def _evaluate(run: PlannedRun, folder: Path) -> None:
             environments(run.tasks, run.evaluation.variants or None),
             rollouts=run.evaluation.rollouts,
             horizon=horizon,
+            nudge=run.evaluation.nudge,
             workers=0 if run.config.threads == 1 else run.config.threads,
         )
     entry = Entry(
@@ -121,6 +124,7 @@ def _evaluate(run: PlannedRun, folder: Path) -> None:
         observation=str(observation_for(policy)),
         privileged=is_privileged(policy),
         horizon="appendix" if horizon is None else str(horizon),
+        nudge=run.evaluation.nudge,
         version=__version__,
         details=_details(run),
     )
@@ -129,10 +133,12 @@ def _evaluate(run: PlannedRun, folder: Path) -> None:
 
 def _details(run: PlannedRun) -> dict[str, Any]:
     """How the run was made, for `entry.json`; all settings are in `result.json`."""
-    details: dict[str, Any] = {
-        "algorithm": run.config.algorithm,
+    details = {
+        POLICY: ".",
+        THREADS: run.config.threads,
         "preset": run.preset,
-        "training seed": run.seed,
+        **training_details(run.config),
+        **provenance(),
     }
     if isinstance(run.config, ImitationConfig):
         source = "dataset" if run.expert_demos is None else EXPERT

@@ -50,11 +50,14 @@ class Evaluation:
         rollouts: on each variant.
         variants: names in ids; a task is evaluated on those of them that it has. Empty: all.
         horizon: `appendix`, `published` (the published code's), or a number of control steps.
+        nudge: the largest shift of initial poses, in units and radians; the protocol's is 1e-9, and
+            0 is for comparison with published scores (docs/protocol.md).
     """
 
     rollouts: int = ROLLOUTS
     variants: tuple[str, ...] = ()
     horizon: int | Literal["appendix", "published"] = "appendix"
+    nudge: float = 0.0
 
     def steps(self, task: str) -> int:
         """The control steps of a task's episodes."""

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from magical.envs.episode import checked_nudge
 from magical.errors import MagicalError, PlanError
 from magical.evaluation.variants import full_variant
 from magical.experiments.plan import Evaluation, Method, Plan, planned_runs
@@ -179,6 +180,13 @@ def _horizon(value: Any, key: str) -> str | int:
     return str(value)
 
 
+def _nudge(value: Any, key: str) -> float:
+    try:
+        return checked_nudge(value)
+    except ValueError as error:
+        raise PlanError(f"{key}: {error}") from error
+
+
 def _distinct(values: Sequence[Any], key: str) -> tuple[Any, ...]:
     for value in values:
         if values.count(value) > 1:
@@ -219,6 +227,7 @@ _EVALUATION: Mapping[str, Reader] = {
     "rollouts": _integer,
     "variants": _variants,
     "horizon": _horizon,
+    "nudge": _nudge,
 }
 _METHOD: Mapping[str, Reader] = {
     "name": _name,

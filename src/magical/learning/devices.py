@@ -111,6 +111,11 @@ def one_thread() -> Iterator[None]:
         yield
 
 
+def num_threads() -> int:
+    """The number of CPU threads that PyTorch uses."""
+    return torch.get_num_threads()
+
+
 @contextmanager
 def cpu_threads(number: int) -> Iterator[None]:
     """A context in which PyTorch uses this number of CPU threads."""

@@ -62,11 +62,20 @@ def _absent(seeds: set[int | None], present: set[int | None]) -> str:
 
 
 def _variants(results: Sequence[Result]) -> Iterator[Missing]:
+    """The variants that runs were not evaluated on; runs that lack the same ones together."""
+    groups: dict[tuple[str, str, str], list[Result]] = {}
     for result in results:
-        which = result.folder.name if result.seed is None else f"seed {result.seed}"
         for task, cells in by_variant(result.entry.scores).items():
             names = map(short_variant, get_task(task).variants)
-            absent = [name for name in names if name not in cells]
-            if absent:
-                text = f"{which}: not evaluated on {', '.join(absent)}"
-                yield Missing(result.entry.row, task, text)
+            if absent := ", ".join(name for name in names if name not in cells):
+                groups.setdefault((result.entry.row, task, absent), []).append(result)
+    for (method, task, absent), runs in groups.items():
+        yield Missing(method, task, f"{_named(runs)}: not evaluated on {absent}")
+
+
+def _named(runs: Sequence[Result]) -> str:
+    """Runs by their seeds, or by their folders where a seed is not known."""
+    seeds = [run.seed for run in runs]
+    if None in seeds:
+        return ", ".join(run.folder.name for run in runs)
+    return f"seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds))}"

@@ -15,7 +15,7 @@ from magical.report.differences import RULE, counterparts, differences, steps
 from magical.tasks import Task, get_task
 
 LIGHTEST, DARKEST = (255, 255, 255), (33, 102, 172)  # RGB of a score of 0 and of 1
-INK_CHANGES = 0.55  # scores above are written in white
+INK_CHANGES = 0.8  # scores above are written in white; there both inks have a contrast of about 4
 ONE_RUN = (
     " In brackets: 95% intervals over the rollouts of one run, which do not include the spread "
     "between training runs."
