@@ -1,98 +1,168 @@
-"""Following all bodies through a recording, frame by frame."""
+"""Following all bodies of an episode from frame to frame."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.demos.human.recovery.fit import COARSE, FINE, MIDDLE, Bodies, PoseFitter
+from magical.demos.human.recovery.fit import FAR, Bodies, Fit, PoseFitter
 from magical.physics import Simulation
 from magical.render import Renderer
+from magical.render.frame import VIEW_WIDTH
 from magical.scene import Poses, Scene, Shape, View
-from magical.scene.constants import CONTROL_RATE, RAW_FRAME_SIZE
+from magical.scene.constants import BLOCK_SIZE, CONTROL_RATE, RAW_FRAME_SIZE, STAR_OUTER_RADIUS
 from magical.scene.poses import EYES, FIRST_BLOCK, ROBOT
 
-Image = NDArray[np.uint8]
-TOLERANCE = 8  # grey levels: pixels that differ by more are wrong
+TOLERANCE = 8  # grey levels: pixels that differ by more in any channel are wrong
+RETRY = 1e-3  # share of wrong pixels above which other first guesses are tried
+NEARBY = 0.03  # units around a block within which wrong pixels may be due to it
+SIGNIFICANT = 3.0  # standard deviations: a block that seems to have moved by less has not
+UNSEEN = 0.1  # units or radians: standard deviation of a pose that the pixels do not determine
+AWAY = 100.0  # units: where bodies are out of view
+_SHAPE = (RAW_FRAME_SIZE, RAW_FRAME_SIZE, 3)
+_REACH = max(BLOCK_SIZE, STAR_OUTER_RADIUS) + NEARBY  # units
+
+Frames = Mapping[View, NDArray[np.uint8]]  # (384, 384, 3) in both views
+Mask = NDArray[np.bool_]  # (384, 384)
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """What was recovered from the frames of one time step."""
+
+    bodies: Bodies  # in the rows of `Poses`
+    deviations: Bodies  # standard deviations; 0 for what kept its pose
+    wrong: float  # share of pixels in both views that differ by more than `TOLERANCE`
+    covered: bool  # whether the robot and a block overlap in the allocentric view
+    unseen: int  # bodies that kept their poses because the pixels do not determine them
 
 
 class Tracker:
-    """Recovers the poses of one episode.
+    """Recovers the poses of one episode, which starts in `scene`, at rest.
 
+    Bodies are simulated from one time step to the next for a first guess; what is recovered depends
+    on the frames alone, up to the precision that they allow. A body that no pixel says anything
+    new about keeps its pose.
     """
 
     def __init__(self, scene: Scene) -> None:
-        self.scene = scene
         self._fitter = PoseFitter(scene)
-        self._renderers = {view: Renderer(scene, view, RAW_FRAME_SIZE, 1, False) for view in View}
-        self._rendered = {
-            view: np.empty((RAW_FRAME_SIZE, RAW_FRAME_SIZE, 3), np.uint8) for view in View
+        # The human demonstrations were recorded with another graphics driver.
+        self._renderers = {
+            view: Renderer(scene, view, RAW_FRAME_SIZE, 1, whole_dashes=False) for view in View
         }
+        self._rendered = np.empty(_SHAPE, np.uint8)
         self._simulation = Simulation(scene)
-        self.bodies = Poses.at_rest(scene).bodies
-        self.state = self._simulation.read().copy()
-        self.size=RAW_FRAME_SIZE
+        self._state = self._simulation.read().copy()  # poses and velocities
+        self._bodies = Poses.at_rest(scene).bodies
+        self._discs = [
+            FIRST_BLOCK + i for i, block in enumerate(scene.blocks) if block.shape == Shape.CIRCLE
+        ]
+        self._frames: Frames = {}
+        self._ground = self._allocentric(_without(self._bodies, range(len(self._bodies))))
 
-    def wrong(self, bodies: Bodies, frames: Mapping[View, Image]) -> dict[View, NDArray[np.bool_]]:
-        result = {}
-        for view, renderer in self._renderers.items():
-            renderer.render(bodies, self._rendered[view])
-            a, b = self._rendered[view], frames[view]
-            result[view] = (np.maximum(a, b) - np.minimum(a, b) > TOLERANCE).any(axis=2)
-        return result
+    def start(self, frames: Frames) -> Moment:
+        """The first time step: the scene's own poses."""
+        self._frames = frames
+        return self._moment(frames, Fit(self._bodies, np.zeros_like(self._bodies)), 0)
 
-    def count(self, bodies, frames):
-        return sum(int(w.sum()) for w in self.wrong(bodies, frames).values())
+    def follow(self, action: int, frames: Frames) -> Moment:
+        """The next time step, which an action led to."""
+        if all(np.array_equal(frames[view], self._frames[view]) for view in View):
+            self._correct(self._bodies, self._bodies)
+            return self._moment(frames, Fit(self._bodies, np.zeros_like(self._bodies)), 0)
+        self._frames = frames
+        predicted = self._predict(action)
+        fit = self._fit(predicted, frames)
+        unseen = self._keep(fit)
+        self._correct(predicted, fit.bodies)
+        return self._moment(frames, fit, unseen)
 
-    def predict(self, action: int) -> Bodies:
-        self._simulation.write(self.state)
+    def _predict(self, action: int) -> Bodies:
+        self._simulation.write(self._state)
         self._simulation.step(action)
-        self.state = self._simulation.read().copy()
-        return self.state[:, :3].copy()
+        self._state = self._simulation.read().copy()
+        predicted: Bodies = self._state[:, :3].copy()
+        predicted[self._discs, 2] = self._bodies[self._discs, 2]
+        return predicted
 
-    def step(self, action: int, frames: Mapping[View, Image]):
-        previous = self.bodies
-        guess = self.predict(action)
+    def _correct(self, predicted: Bodies, bodies: Bodies) -> None:
+        """Continue from recovered poses; velocities are corrected by what was predicted wrongly."""
+        still = (bodies == self._bodies).all(axis=1)
+        self._state[:, 3:] += CONTROL_RATE * (bodies - predicted)
+        self._state[still, 3:] = 0.0
+        self._state[:, :3] = bodies
+        self._bodies = bodies
+
+    def _fit(self, predicted: Bodies, frames: Frames) -> Fit:
+        """The best fit from some first guesses, the simulated one first."""
         labels = self._fitter.label(frames)
-        mixed = guess.copy()
-        mixed[FIRST_BLOCK:] = previous[FIRST_BLOCK:]
-        wrong = self.wrong(mixed, frames)
-        free = [*range(FIRST_BLOCK), *self._moved(previous, guess, wrong[View.ALLO])]
-        start = mixed
-        for row in free:
-            start[row] = guess[row]
-        fit = self._fitter.fit(start, labels, free, MIDDLE + FINE)
-        count = self.count(fit.bodies, frames)
-        self.retries = 0
-        if count > 300:
-            for other in (start, previous):
-                self.retries += 1
-                again = self._fitter.fit(other, labels, range(len(previous)), COARSE + MIDDLE + FINE)
-                c = self.count(again.bodies, frames)
-                if c < count:
-                    fit, count = again, c
-        bodies = fit.bodies
-        for row in range(FIRST_BLOCK, len(bodies)):
-            if (abs(bodies[row] - previous[row]) < 3 * fit.deviations[row]+1e-9).all():
-                bodies[row] = previous[row]
-        self.correct(guess, bodies, previous)
-        return fit, len(free) - FIRST_BLOCK
+        guess = np.concatenate([predicted[:FIRST_BLOCK], self._bodies[FIRST_BLOCK:]])
+        moved = list(self._blocks_near(self._wrong(View.ALLO, guess, frames)))
+        guess[moved] = predicted[moved]
+        best = self._fitter.fit(guess, labels, [*range(FIRST_BLOCK), *moved])
+        share = self._share(best.bodies, frames)
+        for other in (guess, self._bodies):
+            if share > RETRY:
+                fit = self._fitter.fit(other, labels, range(len(guess)), FAR)
+                new = self._share(fit.bodies, frames)
+                best, share = (fit, new) if new < share else (best, share)
+        return best
 
-    def correct(self, guess, bodies, previous):
-        self.bodies = bodies
-        self.state[:, 3:] += CONTROL_RATE * (bodies - guess)
-        self.state[:, :3] = bodies
-        still = (bodies == previous).all(axis=1)
-        self.state[still, 3:] = 0.0
+    def _keep(self, fit: Fit) -> int:
+        """Give bodies their last poses where the frames do not tell; returns how many are unseen."""
+        before, bodies, deviations = self._bodies, fit.bodies, fit.deviations
+        unseen = (deviations > UNSEEN).any(axis=1)
+        moved = np.abs(bodies - before) > SIGNIFICANT * deviations
+        still = ~moved.any(axis=1) & (np.arange(len(bodies)) >= FIRST_BLOCK)
+        bodies[unseen | still] = before[unseen | still]
+        deviations[unseen | still] = 0.0
+        bodies[EYES, :2] = bodies[ROBOT, :2]
+        return int(unseen.sum())
 
-    def _moved(self, previous, guess, wrong):
-        rows, cols = np.nonzero(wrong)
-        x = (cols + 0.5) * 2.04 / self.size - 1.02
-        y = 1.02 - (rows + 0.5) * 2.04 / self.size
-        found = []
-        for row in range(FIRST_BLOCK, len(previous)):
-            d = np.hypot(x - previous[row, 0], y - previous[row, 1])
-            if (d < 0.16 + 0.02).any():
-                found.append(row)
-        return found
+    def _blocks_near(self, wrong: Mask) -> Iterator[int]:
+        """The rows of the blocks near any wrong pixel of the allocentric view."""
+        rows, columns = np.nonzero(wrong)
+        x = (columns + 0.5) * VIEW_WIDTH / RAW_FRAME_SIZE - VIEW_WIDTH / 2
+        y = VIEW_WIDTH / 2 - (rows + 0.5) * VIEW_WIDTH / RAW_FRAME_SIZE
+        for row in range(FIRST_BLOCK, len(self._bodies)):
+            block_x, block_y, _ = self._bodies[row]
+            if (np.hypot(x - block_x, y - block_y) < _REACH).any():
+                yield row
+
+    def _moment(self, frames: Frames, fit: Fit, unseen: int) -> Moment:
+        share = self._share(fit.bodies, frames)
+        return Moment(fit.bodies.copy(), fit.deviations, share, self._is_covered(fit.bodies), unseen)
+
+    def _share(self, bodies: Bodies, frames: Frames) -> float:
+        return float(np.mean([self._wrong(view, bodies, frames).mean() for view in View]))
+
+    def _wrong(self, view: View, bodies: Bodies, frames: Frames) -> Mask:
+        self._renderers[view].render(bodies, self._rendered)
+        difference = np.maximum(self._rendered, frames[view]) - np.minimum(
+            self._rendered, frames[view]
+        )
+        return _any_channel(difference > TOLERANCE)
+
+    def _allocentric(self, bodies: Bodies) -> NDArray[np.uint8]:
+        self._renderers[View.ALLO].render(bodies, self._rendered)
+        return self._rendered.copy()
+
+    def _is_covered(self, bodies: Bodies) -> bool:
+        robot = self._allocentric(_without(bodies, range(FIRST_BLOCK, len(bodies))))
+        blocks = self._allocentric(_without(bodies, range(FIRST_BLOCK)))
+        overlap = (robot != self._ground) & (blocks != self._ground)
+        return bool(overlap.any())
+
+
+def _without(bodies: Bodies, rows: Sequence[int]) -> Bodies:
+    """The poses with some bodies out of view."""
+    shown = bodies.copy()
+    shown[list(rows), :2] = AWAY
+    return shown
+
+
+def _any_channel(mask: NDArray[np.bool_]) -> Mask:
+    """`mask.any(axis=2)`, which takes ten times as long."""
+    return mask[:, :, 0] | mask[:, :, 1] | mask[:, :, 2]
