@@ -4,12 +4,20 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
+from enum import StrEnum
 from pathlib import Path
 
-from magical.demos.human.published import MAX_PATH, MAX_UNPACKED, read_published
+from magical.demos.human.published import (
+    MAX_PATH,
+    MAX_UNPACKED,
+    Recording,
+    naming_errors,
+    read_recording,
+)
 from magical.demos.store.codec import encode
 from magical.demos.store.dataset import Dataset
 from magical.demos.store.manifest import ManifestEntry
+from magical.demos.store.trajectory import RECOVERY, Trajectory
 from magical.demos.store.writer import DatasetWriter
 from magical.errors import DatasetError, MagicalError, WorkerError
 from magical.files import open_regular, sha256_sum
@@ -20,6 +28,14 @@ SUFFIX = ".pkl.gz"
 Progress = Callable[[int], None]  # called with the number of files finished since the last call
 
 
+class Keep(StrEnum):
+    """What imported trajectories hold."""
+
+    POSES = "poses"  # or frames where poses cannot be recovered
+    BOTH = "both"
+    FRAMES = "frames"
+
+
 @dataclass(frozen=True, slots=True)
 class ImportReport:
     """Names of the files, by outcome of the import."""
@@ -28,6 +44,7 @@ class ImportReport:
     already: tuple[str, ...]  # in the dataset before
     duplicates: tuple[tuple[str, str], ...]  # (file, earlier one with the same actions and frames)
     failed: tuple[tuple[str, str], ...]  # (file, reason)
+    without_poses: tuple[tuple[str, str], ...] = ()  # (imported file, why it keeps its frames)
 
 
 def find_published(source: Path) -> list[Path]:
@@ -46,6 +63,7 @@ def import_published(
     files: Sequence[Path],
     out: Path | str,
     *,
+    keep: Keep = Keep.POSES,
     workers: int | None = None,
     max_bytes: int = MAX_UNPACKED,
     skip_duplicates: bool = False,
@@ -59,6 +77,7 @@ def import_published(
     Args:
         files: the published files.
         out: the dataset, created if there is none.
+        keep: what to keep of each demonstration.
         workers: number of processes; default: the usable cores.
         max_bytes: the most that one file may unpack to.
         skip_duplicates: leave out files with the actions and frames of an earlier one.
@@ -75,23 +94,26 @@ def import_published(
     already = [file.name for file in files if file not in set(wanted)]
     advance = progress or (lambda _: None)
     advance(len(already))
-    imported, duplicates, failed = [], [], []
+    imported, duplicates, failed, without_poses = [], [], [], []
     workers = min(workers or available_cores(), len(wanted))
-    convert = partial(_convert, max_bytes=max_bytes, sums=sums)
+    convert = partial(_convert, keep=keep, max_bytes=max_bytes, sums=sums)
     with closing(map_in_processes(convert, wanted, workers, on_error="return")) as results:
         for file, result in zip(wanted, results, strict=True):
             advance(1)
             if isinstance(result, Exception):
                 failed.append((str(file), _reason(file, result)))
                 continue
-            earlier = first.setdefault(result[0].fingerprint, file.name)
+            entry, raw, problem = result
+            earlier = first.setdefault(entry.fingerprint, file.name)
             if earlier != file.name:
                 duplicates.append((file.name, earlier))
                 if skip_duplicates:
                     continue
-            writer.append_encoded(*result)
+            writer.append_encoded(entry, raw)
             imported.append(file.name)
-    return ImportReport(tuple(imported), tuple(already), tuple(duplicates), tuple(failed))
+            if problem:
+                without_poses.append((file.name, problem))
+    return ImportReport(*map(tuple, (imported, already, duplicates, failed, without_poses)))
 
 
 def _sum(file: Path) -> str:
@@ -104,15 +126,27 @@ def _sum(file: Path) -> str:
 
 
 def _convert(
-    file: Path, max_bytes: int, sums: Mapping[Path, str] | None
-) -> tuple[ManifestEntry, bytes]:
-    trajectory = read_published(file, max_bytes)
-    raw = encode(trajectory)
-    entry = ManifestEntry.of(trajectory, raw)
-    if sums is not None and entry.source_sha256 != sums[file]:
-        found = str(entry.source_sha256)
+    file: Path, keep: Keep, max_bytes: int, sums: Mapping[Path, str] | None
+) -> tuple[ManifestEntry, bytes, str | None]:
+    """The entry and the bytes of one file's trajectory, and why it has no poses, if so."""
+    recording = read_recording(file, max_bytes)
+    found = recording.source["source_sha256"]
+    if sums is not None and found != sums[file]:
         raise DatasetError(f"expected SHA-256 {sums[file][:12]}..., found {found[:12]}...")
-    return entry, raw
+    with naming_errors(file):
+        trajectory = _trajectory(recording, keep)
+    raw = encode(trajectory)
+    problem = trajectory.metadata.get(RECOVERY, {}).get("problem")
+    return ManifestEntry.of(trajectory, raw), raw, problem
+
+
+def _trajectory(recording: Recording, keep: Keep) -> Trajectory:
+    if keep == Keep.FRAMES:
+        return recording.trajectory()
+    # Imports numba, which only the recovery needs.
+    from magical.demos.human.recovery.recovery import recovered_trajectory
+
+    return recovered_trajectory(recording, keep_frames=keep == Keep.BOTH)
 
 
 def _reason(file: Path, error: Exception) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.demos.human.recovery.fit import FAR, Bodies, Fit, PoseFitter
-from magical.physics import Simulation
+from magical.demos.motion import PoseFollower
 from magical.render import Renderer
 from magical.render.frame import VIEW_WIDTH
 from magical.scene import Poses, Scene, Shape, View
@@ -19,6 +19,7 @@ RETRY = 1e-3  # share of wrong pixels above which other first guesses are tried
 NEARBY = 0.03  # units around a block within which wrong pixels may be due to it
 SIGNIFICANT = 3.0  # standard deviations: a block that seems to have moved by less has not
 UNSEEN = 0.1  # units or radians: standard deviation of a pose that the pixels do not determine
+GRID = 2.0**-17  # units or radians: poses are rounded to it, far below their uncertainty
 AWAY = 100.0  # units: where bodies are out of view
 _SHAPE = (RAW_FRAME_SIZE, RAW_FRAME_SIZE, 3)
 _REACH = max(BLOCK_SIZE, STAR_OUTER_RADIUS) + NEARBY  # units
@@ -53,8 +54,7 @@ class Tracker:
             view: Renderer(scene, view, RAW_FRAME_SIZE, 1, whole_dashes=False) for view in View
         }
         self._rendered = np.empty(_SHAPE, np.uint8)
-        self._simulation = Simulation(scene)
-        self._state = self._simulation.read().copy()  # poses and velocities
+        self._follower = PoseFollower(scene)
         self._bodies = Poses.at_rest(scene).bodies
         self._discs = [
             FIRST_BLOCK + i for i, block in enumerate(scene.blocks) if block.shape == Shape.CIRCLE
@@ -69,31 +69,16 @@ class Tracker:
 
     def follow(self, action: int, frames: Frames) -> Moment:
         """The next time step, which an action led to."""
-        if all(np.array_equal(frames[view], self._frames[view]) for view in View):
-            self._correct(self._bodies, self._bodies)
-            return self._moment(frames, Fit(self._bodies, np.zeros_like(self._bodies)), 0)
-        self._frames = frames
-        predicted = self._predict(action)
-        fit = self._fit(predicted, frames)
-        unseen = self._keep(fit)
-        self._correct(predicted, fit.bodies)
-        return self._moment(frames, fit, unseen)
-
-    def _predict(self, action: int) -> Bodies:
-        self._simulation.write(self._state)
-        self._simulation.step(action)
-        self._state = self._simulation.read().copy()
-        predicted: Bodies = self._state[:, :3].copy()
+        predicted = self._follower.predict(action)
         predicted[self._discs, 2] = self._bodies[self._discs, 2]
-        return predicted
-
-    def _correct(self, predicted: Bodies, bodies: Bodies) -> None:
-        """Continue from recovered poses; velocities are corrected by what was predicted wrongly."""
-        still = (bodies == self._bodies).all(axis=1)
-        self._state[:, 3:] += CONTROL_RATE * (bodies - predicted)
-        self._state[still, 3:] = 0.0
-        self._state[:, :3] = bodies
-        self._bodies = bodies
+        if all(np.array_equal(frames[view], self._frames[view]) for view in View):
+            fit, unseen = Fit(self._bodies, np.zeros_like(self._bodies)), 0
+        else:
+            fit = self._fit(predicted, frames)
+            unseen = self._keep(fit)
+        self._follower.correct(fit.bodies)
+        self._frames, self._bodies = frames, fit.bodies
+        return self._moment(frames, fit, unseen)
 
     def _fit(self, predicted: Bodies, frames: Frames) -> Fit:
         """The best fit from some first guesses, the simulated one first."""
@@ -113,6 +98,7 @@ class Tracker:
     def _keep(self, fit: Fit) -> int:
         """Give bodies their last poses where the frames do not tell; returns how many are unseen."""
         before, bodies, deviations = self._bodies, fit.bodies, fit.deviations
+        bodies[:] = np.where(deviations > 0.0, np.round(bodies / GRID) * GRID, bodies)
         unseen = (deviations > UNSEEN).any(axis=1)
         moved = np.abs(bodies - before) > SIGNIFICANT * deviations
         still = ~moved.any(axis=1) & (np.arange(len(bodies)) >= FIRST_BLOCK)
