@@ -8,6 +8,8 @@ from magical.physics import Simulation
 from magical.scene import Dynamics, Scene
 from magical.scene.constants import CONTROL_RATE
 
+PRECISION = 1e-3  # units or radians: differences below may be due to the recorded poses
+
 Bodies = NDArray[np.float64]  # (5 + blocks, 3), the poses in the rows of `Poses`
 States = NDArray[np.float64]  # (..., 5 + blocks, 6), poses and velocities
 
@@ -15,7 +17,8 @@ States = NDArray[np.float64]  # (..., 5 + blocks, 6), poses and velocities
 class PoseFollower:
     """A simulation that is brought back to recorded poses after every control step.
 
-    The velocities are the simulation's, plus the mean velocity of what it predicted wrongly.
+    Velocities are the simulation's; where it predicted a body wrongly, the mean velocity that it
+    lacked is added. In contact, where velocities change within a control step, they are estimates.
 
     Attributes:
         states: the current poses and velocities, (5 + blocks, 6).
@@ -33,10 +36,12 @@ class PoseFollower:
         return self._predicted[:, :3].copy()
 
     def correct(self, bodies: Bodies) -> None:
-        """Continue from the poses that were recorded after the step; what has not moved is still."""
+        """Continue from the poses recorded after the step; what has not moved is still."""
         still = (bodies == self.states[:, :3]).all(axis=1)
         states = self._predicted.copy()
-        states[:, 3:] += CONTROL_RATE * (bodies - states[:, :3])
+        lacking = bodies - states[:, :3]
+        wrong = np.abs(lacking).max(axis=1) > PRECISION
+        states[wrong, 3:] += CONTROL_RATE * lacking[wrong]
         states[still, 3:] = 0.0
         states[:, :3] = bodies
         self.states = states

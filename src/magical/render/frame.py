@@ -89,7 +89,7 @@ def _counter_left_by_allocentric_frame(corners: Floats, whole: bool) -> float:
     width, height = corners[1, 0] - corners[0, 0], corners[0, 1] - corners[3, 1]
     if whole:
         return 2.0 * (round_up(width / pixel) + round_up(height / pixel))
-    return 2.0 * (width + height) / pixel
+    return 2.0 * float(width + height) / pixel
 
 
 @inlined
@@ -153,8 +153,9 @@ def compiled_render(samples: int) -> Callable[..., int]:
 
         EGO renders everything; `ground` is the same array as `pixels`. GROUND renders the
         allocentric ground only. ALLO renders bodies over a ground that was rendered before, its
-        finished pixels in `kept`. `whole` is for `lines.dashes`. The other arrays are those of `display.DisplayList` and
-        `canvas.Canvas`. Returns the number of tiles, or -1 for poses that are out of range.
+        finished pixels in `kept`. `whole` is for `lines.dashes`. The other arrays are those of
+        `display.DisplayList` and `canvas.Canvas`. Returns the number of tiles, or -1 for poses
+        that are out of range.
         """
         if not within_reach(bodies):
             return -1

@@ -3,9 +3,10 @@
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from functools import partial
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 from magical.demos.human.published import (
     MAX_PATH,
@@ -89,31 +90,66 @@ def import_published(
     """
     writer, entries = DatasetWriter(out), Dataset.open(out).entries
     known = {(entry.source, entry.source_sha256) for entry in entries}
-    first = {entry.fingerprint: entry.source or entry.file for entry in entries}
     wanted = [file for file in files if (file.name, _sum(file)) not in known]
-    already = [file.name for file in files if file not in set(wanted)]
     advance = progress or (lambda _: None)
-    advance(len(already))
-    imported, duplicates, failed, without_poses = [], [], [], []
+    advance(len(files) - len(wanted))
+    outcomes = _Outcomes(writer, entries, skip_duplicates)
     workers = min(workers or available_cores(), len(wanted))
     convert = partial(_convert, keep=keep, max_bytes=max_bytes, sums=sums)
     with closing(map_in_processes(convert, wanted, workers, on_error="return")) as results:
         for file, result in zip(wanted, results, strict=True):
             advance(1)
-            if isinstance(result, Exception):
-                failed.append((str(file), _reason(file, result)))
-                continue
-            entry, raw, problem = result
-            earlier = first.setdefault(entry.fingerprint, file.name)
-            if earlier != file.name:
-                duplicates.append((file.name, earlier))
-                if skip_duplicates:
-                    continue
-            writer.append_encoded(entry, raw)
-            imported.append(file.name)
-            if problem:
-                without_poses.append((file.name, problem))
-    return ImportReport(*map(tuple, (imported, already, duplicates, failed, without_poses)))
+            outcomes.add(file, result)
+    already = tuple(file.name for file in files if file not in set(wanted))
+    return outcomes.report(already)
+
+
+class _Converted(NamedTuple):
+    """One file as a trajectory, and why that has no poses, if so."""
+
+    entry: ManifestEntry
+    raw: bytes
+    problem: str | None
+
+
+class _Outcomes:
+    """Writes converted files, and keeps account of them."""
+
+    def __init__(
+        self, writer: DatasetWriter, entries: Sequence[ManifestEntry], skip_duplicates: bool
+    ) -> None:
+        self._writer = writer
+        self._skip_duplicates = skip_duplicates
+        self._first = {entry.fingerprint: entry.source or entry.file for entry in entries}
+        self._imported: list[str] = []
+        self._duplicates: list[tuple[str, str]] = []
+        self._failed: list[tuple[str, str]] = []
+        self._without_poses: list[tuple[str, str]] = []
+
+    def add(self, file: Path, result: _Converted | Exception) -> None:
+        """Write what came of a file, if it is wanted."""
+        if isinstance(result, Exception):
+            self._failed.append((str(file), _reason(file, result)))
+            return
+        earlier = self._first.setdefault(result.entry.fingerprint, file.name)
+        if earlier != file.name:
+            self._duplicates.append((file.name, earlier))
+            if self._skip_duplicates:
+                return
+        self._writer.append_encoded(result.entry, result.raw)
+        self._imported.append(file.name)
+        if result.problem:
+            self._without_poses.append((file.name, result.problem))
+
+    def report(self, already: tuple[str, ...]) -> ImportReport:
+        """The account."""
+        return ImportReport(
+            imported=tuple(self._imported),
+            already=already,
+            duplicates=tuple(self._duplicates),
+            failed=tuple(self._failed),
+            without_poses=tuple(self._without_poses),
+        )
 
 
 def _sum(file: Path) -> str:
@@ -127,8 +163,7 @@ def _sum(file: Path) -> str:
 
 def _convert(
     file: Path, keep: Keep, max_bytes: int, sums: Mapping[Path, str] | None
-) -> tuple[ManifestEntry, bytes, str | None]:
-    """The entry and the bytes of one file's trajectory, and why it has no poses, if so."""
+) -> _Converted:
     recording = read_recording(file, max_bytes)
     found = recording.source["source_sha256"]
     if sums is not None and found != sums[file]:
@@ -137,7 +172,7 @@ def _convert(
         trajectory = _trajectory(recording, keep)
     raw = encode(trajectory)
     problem = trajectory.metadata.get(RECOVERY, {}).get("problem")
-    return ManifestEntry.of(trajectory, raw), raw, problem
+    return _Converted(ManifestEntry.of(trajectory, raw), raw, problem)
 
 
 def _trajectory(recording: Recording, keep: Keep) -> Trajectory:

@@ -36,10 +36,11 @@ class Recovery:
         """Plain data for a trajectory's metadata."""
         if self.problem:
             return {"problem": self.problem}
+        wrong = [round(share, 7) for share in self.wrong.tolist()]
         return {
             "tolerance": TOLERANCE,
-            "wrong_pixels": [round(share, 7) for share in self.wrong.tolist()],
-            "largest_wrong_pixels": float(self.wrong.max()),
+            "wrong_pixels": wrong,
+            "largest_wrong_pixels": max(wrong),
             "deviations": {name: self._deviation(rows) for name, rows in _GROUPS.items()},
             "covered_frames": self.covered,
             "unseen_poses": self.unseen,
@@ -105,4 +106,3 @@ def _problem(wrong: NDArray[np.float64]) -> str | None:
     if len(wrong) == 1:
         return f"the recording does not start in the Demo scene: {found}"
     return f"no poses explain the frames of time step {len(wrong) - 1}: {found}"
-

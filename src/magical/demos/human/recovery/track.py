@@ -11,7 +11,7 @@ from magical.demos.motion import PoseFollower
 from magical.render import Renderer
 from magical.render.frame import VIEW_WIDTH
 from magical.scene import Poses, Scene, Shape, View
-from magical.scene.constants import BLOCK_SIZE, CONTROL_RATE, RAW_FRAME_SIZE, STAR_OUTER_RADIUS
+from magical.scene.constants import BLOCK_SIZE, RAW_FRAME_SIZE, STAR_OUTER_RADIUS
 from magical.scene.poses import EYES, FIRST_BLOCK, ROBOT
 
 TOLERANCE = 8  # grey levels: pixels that differ by more in any channel are wrong
@@ -96,7 +96,7 @@ class Tracker:
         return best
 
     def _keep(self, fit: Fit) -> int:
-        """Give bodies their last poses where the frames do not tell; returns how many are unseen."""
+        """Give bodies their last poses where the frames do not tell; the number of unseen ones."""
         before, bodies, deviations = self._bodies, fit.bodies, fit.deviations
         bodies[:] = np.where(deviations > 0.0, np.round(bodies / GRID) * GRID, bodies)
         unseen = (deviations > UNSEEN).any(axis=1)
@@ -119,7 +119,9 @@ class Tracker:
 
     def _moment(self, frames: Frames, fit: Fit, unseen: int) -> Moment:
         share = self._share(fit.bodies, frames)
-        return Moment(fit.bodies.copy(), fit.deviations, share, self._is_covered(fit.bodies), unseen)
+        return Moment(
+            fit.bodies.copy(), fit.deviations, share, self._is_covered(fit.bodies), unseen
+        )
 
     def _share(self, bodies: Bodies, frames: Frames) -> float:
         return float(np.mean([self._wrong(view, bodies, frames).mean() for view in View]))
