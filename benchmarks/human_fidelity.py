@@ -89,7 +89,7 @@ def main() -> int:
     print_recovery(trajectories, args.published)
     print_scores(trajectories)
     with progress_bar("windows", len(trajectories)) as advance:
-        windows = []
+        windows: list[Window] = []
         for trajectory in trajectories:
             windows += simulate_windows(trajectory, args.every)
             advance(1)
@@ -124,7 +124,7 @@ def print_recovery(trajectories: list[Trajectory], published: Path | None) -> No
 
 def largest(group: list[Trajectory], name: str, part: str) -> float:
     """The largest 95th percentile of a standard deviation in the files of a task."""
-    return max(t.metadata["recovery"]["deviations"][name][part] for t in group)
+    return float(max(t.metadata["recovery"]["deviations"][name][part] for t in group))
 
 
 def differences_at_96(trajectory: Trajectory, files: dict[str, Path]) -> tuple[float, float]:
@@ -133,7 +133,8 @@ def differences_at_96(trajectory: Trajectory, files: dict[str, Path]) -> tuple[f
     First as everything is rendered here, then with the dashes as in the recording.
     """
     recorded = read_published(files[trajectory.metadata["source"]]).frames
-    assert recorded is not None and trajectory.poses is not None
+    assert recorded is not None
+    assert trajectory.poses is not None
     found, rendered = [], np.empty((FRAME_SIZE, FRAME_SIZE, 3), np.uint8)
     for whole in (True, False):
         total = 0.0
@@ -191,8 +192,8 @@ def uncertainty(trajectory: Trajectory) -> Array:
     assert trajectory.poses is not None
     deviations = trajectory.metadata["recovery"]["deviations"]
     spread = np.zeros((trajectory.poses.shape[1], 6))
-    rows = {"robot": ROBOT, "fingers": FINGERS, "eyes": EYES, "blocks": slice(FIRST_BLOCK, None)}
-    for name, chosen in rows.items():
+    rows = {"fingers": FINGERS, "eyes": EYES, "blocks": slice(FIRST_BLOCK, None)}
+    for name, chosen in {"robot": slice(ROBOT, ROBOT + 1), **rows}.items():
         spread[chosen, :2] = deviations[name]["position"]
         spread[chosen, 2] = deviations[name]["angle"]
     spread[:, 3:] = np.sqrt(2.0) * CONTROL_RATE * spread[:, :3]  # of a difference of two poses

@@ -7,6 +7,7 @@ statement about an edge nearby is one row of `Edges`: by how much the poses fulf
 changes with the bodies' poses.
 """
 
+from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -14,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.render.display import DisplayList, display_list
-from magical.render.edge_search import MOST_LAYERS, Labels, compiled_label, compiled_search
+from magical.render.edge_rows import MOST_LAYERS
+from magical.render.edge_search import MIXED, Labels, compiled_search
+from magical.render.jit import entry_point
 from magical.render.palette import OUTSIDE, RGB, SHADES, WHITE, lanes
 from magical.render.polygons import Floats, Ints
 from magical.scene.constants import RAW_FRAME_SIZE
@@ -67,7 +70,7 @@ class EdgeFinder:
             `edge_search.MIXED` for any other colour, as smoothed lines have it.
         """
         labels = np.empty((self.size, self.size), np.uint8)
-        compiled_label()(frame, self._palette, labels)
+        _compiled_label()(frame, self._palette, labels)
         return labels
 
     def find(
@@ -92,6 +95,28 @@ class EdgeFinder:
         count = search(bodies, *self._layers, labels, *self._memory, wanted, band, ego)
         anchor, turn = numbers[:, :count].copy()  # the memory is used again
         return Edges(anchor, turn, *values[:, :count].copy())
+
+
+@cache
+def _compiled_label() -> Callable[..., None]:
+    """The entry point that names the colours of a frame's pixels."""
+
+    @entry_point
+    def label(frame: NDArray[np.uint8], palette: NDArray[np.int32], labels: Labels) -> None:
+        size = len(labels)
+        colour, found = np.int64(-1), MIXED
+        for y in range(size):
+            row = frame[size - 1 - y]
+            for x in range(size):
+                new = np.int64(row[x, 0]) | np.int64(row[x, 1]) << 8 | np.int64(row[x, 2]) << 16
+                if new != colour:
+                    colour, found = new, MIXED
+                    for i in range(len(palette)):
+                        if palette[i] == new:
+                            found = i
+                labels[y, x] = found
+
+    return label
 
 
 class _Layers(NamedTuple):

@@ -149,13 +149,12 @@ def compiled_render(samples: int) -> Callable[..., int]:
         mode: int,
         whole: bool,
     ) -> int:
-        """Render into `pixels`, in one of three modes.
+        """Render into `pixels`; returns the number of tiles, or -1 for poses out of range.
 
-        EGO renders everything; `ground` is the same array as `pixels`. GROUND renders the
+        Mode EGO renders everything; `ground` is the same array as `pixels`. GROUND renders the
         allocentric ground only. ALLO renders bodies over a ground that was rendered before, its
         finished pixels in `kept`. `whole` is for `lines.dashes`. The other arrays are those of
-        `display.DisplayList` and `canvas.Canvas`. Returns the number of tiles, or -1 for poses
-        that are out of range.
+        `display.DisplayList` and `canvas.Canvas`.
         """
         if not within_reach(bodies):
             return -1
@@ -165,8 +164,7 @@ def compiled_render(samples: int) -> Callable[..., int]:
         canvas = Canvas(ground, tiles, owners, counts, body_pixels, touched, pixels, size, samples)
         body_frames(bodies, mode == EGO, extent, frames)
         if mode != ALLO:
-            ego = mode == EGO
-            render_ground(canvas, corners, colours, frames[count], ego, whole, edges, spans)
+            render_ground(canvas, corners, colours, frames[count], mode == EGO, whole, edges, spans)
         if mode != EGO:
             source = ground if mode == GROUND else kept
             for pixel in range(size * size):

@@ -81,8 +81,8 @@ def test_download_verifies_imports_and_cleans_up(
     tmp_path: Path, served: tuple[str, type[Handler]], run: Run
 ) -> None:
     url, handler = served
-    command = ("download", "--out", tmp_path / "d", "--base-url", url, "--files", FIRST)
-    command += ("--frames-only",)
+    where = ("--out", tmp_path / "d", "--base-url", url, "--files", FIRST)
+    command = ("download", *where, "--frames-only")
     status, result = run(*command)
     assert (status, len(result["imported"]), result["not_fetched"]) == (0, 5, [])
     assert len(Dataset.open(tmp_path / "d")) == 5

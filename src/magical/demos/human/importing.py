@@ -161,9 +161,7 @@ def _sum(file: Path) -> str:
         return ""
 
 
-def _convert(
-    file: Path, keep: Keep, max_bytes: int, sums: Mapping[Path, str] | None
-) -> _Converted:
+def _convert(file: Path, keep: Keep, max_bytes: int, sums: Mapping[Path, str] | None) -> _Converted:
     recording = read_recording(file, max_bytes)
     found = recording.source["source_sha256"]
     if sums is not None and found != sums[file]:
