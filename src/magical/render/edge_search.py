@@ -8,34 +8,49 @@ right and y up from the frame's lower left corner.
 import math
 from collections.abc import Callable
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from magical.render.display import DISC_SIDES
-from magical.render.edge_rows import (
-    ANCHOR,
-    COLOUR,
-    COUNT,
-    FIRST,
-    MOST_LAYERS,
-    PART,
-    TURN,
-    Near,
-    Placement,
-    write_pixel,
-)
-from magical.render.frame import body_frames
+from magical.render.frame import VIEW_WIDTH, body_frames
 from magical.render.jit import entry_point, inlined
 from magical.render.polygons import SUBSAMPLES, Floats, Ints
 
+MOST_LAYERS = 8  # polygons in a pixel's list; further ones are left out
 MIXED = 255  # the label of a pixel of no plain colour
 TILE = 8  # pixels across the tiles in which edges on the ground are looked for
 DEEP = 1e3  # pixels: stands for any distance beyond the band
 DASH_REACH = 3.0  # pixels from a region's edge within which its dashes may be
 AMBIGUOUS = 4.0  # square pixels: two explanations that differ by less in cost explain nothing
 
+FIRST, COUNT, ANCHOR, TURN, COLOUR, PART = range(6)  # columns of `items`
+
 Labels = NDArray[np.uint8]  # (size, size), lowest row first
+
+
+class Near(NamedTuple):
+    """The lists of the polygons near each pixel, front to back, up to one that hides the rest."""
+
+    counts: NDArray[np.int8]  # (P,)
+    wanted: NDArray[np.bool_]  # (P,): whether an edge of a wanted body is near
+    item: NDArray[np.int16]  # (P, MOST_LAYERS)
+    edge: NDArray[np.int16]  # (P, MOST_LAYERS): the nearest, a column of `Placement.planes`
+    inside: NDArray[np.float32]  # (P, MOST_LAYERS): how far inside that the pixel's centre lies
+
+
+class Placement(NamedTuple):
+    """Where everything is on the frame."""
+
+    frames: Floats  # (bodies + 1, 4): cos, sin (times the scale), x, y; the workspace's last
+    planes: Floats  # (3, V): each edge's outward normal x and y, and its distance along that
+    origins: Floats  # (n, 2): of the polygons' own frames
+    circles: Floats  # (n, 4): as of `edges._Layers`
+    to_workspace: Floats  # (4,): a, b, u, v of (a x + b y + u, a y - b x + v)
+    scale: float  # pixels a unit
+    size: int
+    ego: bool
 
 
 @inlined
@@ -204,18 +219,15 @@ def _explain(
 
 
 @inlined
-def _placement(bodies: Floats, vertices: Floats, count: int, size: int, ego: bool) -> Placement:
-    """The frames of the bodies, and room for the polygons."""
-    frames, to = np.empty((len(bodies) + 1, 4)), np.empty(4)
-    body_frames(bodies, ego, float(size), frames)
+def _place(bodies: Floats, placement: Placement) -> None:
+    """Place the bodies on the frame."""
+    frames, to = placement.frames, placement.to_workspace
+    body_frames(bodies, placement.ego, float(placement.size), frames)
     frames /= SUBSAMPLES
     cos, sin, x, y = frames[len(bodies)]
     square = cos * cos + sin * sin
     to[0], to[1] = cos / square, sin / square
     to[2], to[3] = -to[0] * x - to[1] * y, to[1] * x - to[0] * y
-    planes = np.empty((3, vertices.shape[1]))
-    origins, circles = np.empty((count, 2)), np.empty((count, 4))
-    return Placement(frames, planes, origins, circles, to, math.sqrt(square), size, ego)
 
 
 @inlined
@@ -228,12 +240,12 @@ def _read_pixels(
     labels: Labels,
     ground_wanted: bool,
     band: float,
-    numbers: Ints,
-    values: Floats,
+    numbers: NDArray[np.int32],
+    margins: Floats,
 ) -> int:
     """Explain the pixels near wanted edges, tile by tile, and empty the lists."""
     size, rows = placement.size, 0
-    ground, room = np.empty(len(rectangles)), values.shape[1] - MOST_LAYERS - len(rectangles)
+    ground, room = np.empty(len(rectangles)), len(margins) - MOST_LAYERS - len(rectangles)
     across = (size + TILE - 1) // TILE
     for tile in range(across * across):
         left, bottom = tile % across * TILE, tile // across * TILE
@@ -249,11 +261,15 @@ def _read_pixels(
                 x, y = column + 0.5, row + 0.5
                 if _depths(placement, rectangles, x, y, band, ground) or asked:
                     layer = _explain(near, pixel, count, items, ground, shades, label, band)
-                    if layer >= 0:
-                        rows = write_pixel(
-                            *(placement, near, pixel, count, layer, items, rectangles, ground),
-                            *(band, numbers, values, rows),
-                        )
+                    for i in range(min(layer + 1, count + len(ground))):
+                        inside = near.inside[pixel, i] if i < count else ground[i - count]
+                        if abs(inside) <= band and (placement.ego or i < count):
+                            sign = 1 if i == layer else -1
+                            margins[rows] = sign * inside
+                            numbers[0, rows] = near.item[pixel, i] if i < count else count - i - 1
+                            numbers[1, rows] = near.edge[pixel, i] if i < count else 0
+                            numbers[2, rows], numbers[3, rows] = pixel, sign
+                            rows += 1
     return rows
 
 
@@ -276,18 +292,25 @@ def compiled_search() -> Callable[..., int]:
         near_item: NDArray[np.int16],
         near_edge: NDArray[np.int16],
         near_inside: NDArray[np.float32],
-        numbers: Ints,
-        values: Floats,
+        numbers: NDArray[np.int32],
+        margins: Floats,
+        frames: Floats,
+        planes: Floats,
+        origins: Floats,
         wanted: NDArray[np.bool_],
         band: float,
         ego: bool,
     ) -> int:
-        """Write the statements to `numbers` and `values`; returns how many.
+        """Write the statements to `numbers` and `margins`; returns how many.
 
-        The arrays are those of `edges._Layers` and `Near`, whose counts are 0 before and after.
+        `numbers` are a polygon's number or -1 - that of a rectangle, the edge's column in `planes`,
+        the pixel, and 1 or -1 for inside or outside. The other arrays are those of `edges._Layers`,
+        `Near`, whose counts are 0 before and after, and `Placement`, which are results too.
         """
         near = Near(counts, asked, near_item, near_edge, near_inside)
-        placement = _placement(bodies, vertices, len(items), len(labels), ego)
+        circled, to, scale = np.empty_like(circles), np.empty(4), len(labels) / VIEW_WIDTH
+        placement = Placement(frames, planes, origins, circled, to, scale, len(labels), ego)
+        _place(bodies, placement)
         for i in range(len(items)):
             _place_item(items[i], offsets[i], circles[i], vertices, placement, i)
         all_wanted = ego and wanted[0]  # the camera moves with the robot
@@ -296,7 +319,7 @@ def compiled_search() -> Callable[..., int]:
             if mine or _is_near_wanted(items, placement.circles, i, wanted, band):
                 _gather(placement, items, i, near, band, mine)
         return _read_pixels(
-            placement, near, items, rectangles, shades, labels, all_wanted, band, numbers, values
+            placement, near, items, rectangles, shades, labels, all_wanted, band, numbers, margins
         )
 
     return search

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.render.display import DisplayList, display_list
-from magical.render.edge_rows import MOST_LAYERS
-from magical.render.edge_search import MIXED, Labels, compiled_search
+from magical.render.edge_search import ANCHOR, MIXED, MOST_LAYERS, TURN, Labels, compiled_search
+from magical.render.frame import ROBOT_HEIGHT
 from magical.render.jit import entry_point
 from magical.render.palette import OUTSIDE, RGB, SHADES, WHITE, lanes
 from magical.render.polygons import Floats, Ints
@@ -90,11 +90,64 @@ class EdgeFinder:
         """
         if wanted is None:
             wanted = np.ones(len(bodies), np.bool_)
-        *_, numbers, values = self._memory
+        *_, numbers, margins = self._memory
+        bodies_and_ground, polygons = len(bodies) + 1, len(self._layers.items)
+        placed = np.empty((bodies_and_ground, 4)), np.empty((3, self._layers.vertices.shape[1]))
+        placed += (np.empty((polygons, 2)),)
         search, ego = compiled_search(), self.view == View.EGO
-        count = search(bodies, *self._layers, labels, *self._memory, wanted, band, ego)
-        anchor, turn = numbers[:, :count].copy()  # the memory is used again
-        return Edges(anchor, turn, *values[:, :count].copy())
+        count = search(bodies, *self._layers, labels, *self._memory, *placed, wanted, band, ego)
+        return self._edges(numbers[:, :count], margins[:count].copy(), *placed)
+
+    def _edges(
+        self,
+        numbers: NDArray[np.int32],
+        margins: Floats,
+        frames: Floats,
+        planes: Floats,
+        origins: Floats,
+    ) -> Edges:
+        """The derivatives of the statements found by `edge_search.compiled_search`."""
+        item, edge, pixel, sign = numbers
+        x, y = pixel % self.size + 0.5, pixel // self.size + 0.5
+        ground, workspace = item < 0, frames[-1]
+        nx, ny = planes[0, edge], planes[1, edge]
+        nx[ground], ny[ground] = self._ground_normals(
+            -1 - item[ground], x[ground], y[ground], workspace
+        )
+        nx, ny = sign * nx, sign * ny
+        anchor = np.where(ground, -1, self._layers.items[item, ANCHOR])
+        turn = np.where(ground, -1, self._layers.items[item, TURN])
+        own_x, own_y = np.where(anchor == turn, (x, y), origins[item].T)
+        anchor_x, anchor_y = frames[anchor, 2:].T
+        camera = np.zeros_like(margins)
+        if self.view == View.EGO:
+            camera = nx * (y - self.size * ROBOT_HEIGHT) - ny * (x - self.size / 2)
+        return Edges(
+            anchor=anchor,
+            turn=turn,
+            margin=margins,
+            x=nx * workspace[0] + ny * workspace[1],
+            y=ny * workspace[0] - nx * workspace[1],
+            anchor_angle=ny * (own_x - anchor_x) - nx * (own_y - anchor_y),
+            turn_angle=ny * (x - own_x) - nx * (y - own_y),
+            camera_angle=camera,
+        )
+
+    def _ground_normals(
+        self, rectangle: NDArray[np.int32], x: Floats, y: Floats, workspace: Floats
+    ) -> tuple[Floats, Floats]:
+        """The outward normals, on the frame, of the rectangles' edges nearest to points."""
+        cos, sin, x0, y0 = workspace
+        square = cos * cos + sin * sin
+        u, v = (
+            (cos * (x - x0) + sin * (y - y0)) / square,
+            (cos * (y - y0) - sin * (x - x0)) / square,
+        )
+        left, right, bottom, top = self._layers.rectangles[rectangle].T
+        nearest = np.argmin([u - left, right - u, v - bottom, top - v], axis=0)
+        outward = np.array([(-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0)])[nearest]
+        nx, ny = outward.T / np.sqrt(square)
+        return cos * nx - sin * ny, sin * nx + cos * ny
 
 
 @cache
@@ -191,6 +244,6 @@ def _working_memory(size: int) -> tuple[Any, ...]:
         np.empty((pixels, MOST_LAYERS), np.int16),
         np.empty((pixels, MOST_LAYERS), np.int16),
         np.empty((pixels, MOST_LAYERS), np.float32),
-        np.empty((2, rows), np.int64),
-        np.empty((6, rows)),
+        np.empty((4, rows), np.int32),
+        np.empty(rows),
     )
