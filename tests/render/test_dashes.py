@@ -5,14 +5,14 @@ import pytest
 from numpy.typing import NDArray
 
 from magical.render import Renderer
-from magical.scene import Pose, Poses, Region, Scene
+from magical.scene import Colour, Pose, Poses, Region, Scene
 
 PIXEL = 2.04 / 384  # units
 
 
 def render(width: float, height: float, whole: bool) -> NDArray[np.uint8]:
     """A region of a size in pixels, whose corners are at pixel centres on the top left."""
-    region = Region("red", -60.5 * PIXEL, 40.5 * PIXEL, height * PIXEL, width * PIXEL)
+    region = Region(Colour.RED, -60.5 * PIXEL, 40.5 * PIXEL, height * PIXEL, width * PIXEL)
     scene = Scene(Pose(0.8, -0.8, 0.0), regions=(region,))
     frame = np.empty((384, 384, 3), np.uint8)
     Renderer(scene, "allo", 384, 1, whole_dashes=whole).render(Poses.at_rest(scene).bodies, frame)

@@ -91,9 +91,11 @@ class EdgeFinder:
         if wanted is None:
             wanted = np.ones(len(bodies), np.bool_)
         *_, numbers, margins = self._memory
-        bodies_and_ground, polygons = len(bodies) + 1, len(self._layers.items)
-        placed = np.empty((bodies_and_ground, 4)), np.empty((3, self._layers.vertices.shape[1]))
-        placed += (np.empty((polygons, 2)),)
+        placed = (
+            np.empty((len(bodies) + 1, 4)),  # the frames of the bodies and the workspace
+            np.empty((3, self._layers.vertices.shape[1])),  # the edges
+            np.empty((len(self._layers.items), 2)),  # the polygons' origins
+        )
         search, ego = compiled_search(), self.view == View.EGO
         count = search(bodies, *self._layers, labels, *self._memory, *placed, wanted, band, ego)
         return self._edges(numbers[:, :count], margins[:count].copy(), *placed)
@@ -138,11 +140,8 @@ class EdgeFinder:
     ) -> tuple[Floats, Floats]:
         """The outward normals, on the frame, of the rectangles' edges nearest to points."""
         cos, sin, x0, y0 = workspace
-        square = cos * cos + sin * sin
-        u, v = (
-            (cos * (x - x0) + sin * (y - y0)) / square,
-            (cos * (y - y0) - sin * (x - x0)) / square,
-        )
+        square, dx, dy = cos * cos + sin * sin, x - x0, y - y0
+        u, v = (cos * dx + sin * dy) / square, (cos * dy - sin * dx) / square
         left, right, bottom, top = self._layers.rectangles[rectangle].T
         nearest = np.argmin([u - left, right - u, v - bottom, top - v], axis=0)
         outward = np.array([(-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0)])[nearest]

@@ -107,7 +107,7 @@ def train(config: BCConfig, run: Run) -> None:
 class Batch(NamedTuple):
     """Samples of demonstrations."""
 
-    inputs: Tensor  # (B, C, H, W) float32 in [0, 1], or state vectors (B, size)
+    images: Tensor  # (B, C, H, W) float32 in [0, 1], or state vectors (B, size)
     actions: Tensor  # (B,) int64
     tasks: Tensor  # (B,) int64
 
@@ -173,17 +173,17 @@ class BCTrainer:
         """Batch `number`: a function of the data, the seed and the number alone."""
         rng = stream(self.config.seed, Purpose.BATCHES, number)
         rows = data.sample(self.config.batch_size, rng)
-        inputs = data.images(rows)
+        images = data.images(rows)
         if self.config.observation != STATE:
-            inputs = augment(inputs, self.augmentations, rng)
-        return Batch(inputs, *data.labels(rows))
+            images = augment(images, self.augmentations, rng)
+        return Batch(images, *data.labels(rows))
 
     def step(self, batch: Batch, learning_rate: float) -> tuple[Tensor, Tensor]:
         """Take one step of the optimiser; returns the loss and the logits (B, 18)."""
         for group in self.optimizer.param_groups:
             group["lr"] = learning_rate
         with self.compute.autocast():
-            logits = self._forward(batch.inputs, batch.tasks)
+            logits = self._forward(batch.images, batch.tasks)
         loss = bc_loss(logits, batch.actions)
         self.optimizer.zero_grad()
         torch.autograd.backward(loss)
