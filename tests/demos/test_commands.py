@@ -1,13 +1,14 @@
 """`magical demos info` and `replay` on intact and damaged recordings."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from magical.cli import main
-from magical.demos import Dataset
+from magical.demos import Dataset, DatasetWriter, Trajectory
 
 Run = Callable[..., tuple[int, dict[str, Any]]]
 
@@ -27,6 +28,17 @@ def test_info_counts_and_lists_problems(small_dataset: Path, run: Run) -> None:
     assert (status, result["count"], result["problems"]) == (0, 2, [])
 
 
+def test_info_counts_the_trajectories_with_labels(
+    tmp_path: Path, make_trajectory: Callable[..., Trajectory], run: Run
+) -> None:
+    writer = DatasetWriter(tmp_path)
+    for labels in (None, [1] * 12):
+        writer.append(make_trajectory(expert_actions=labels))
+    status, result = run("info", tmp_path)
+    assert (status, result["environments"][0]["with_expert_actions"]) == (0, 1)
+    assert result["environments"][0]["count"] == 2
+
+
 def test_replay_of_recordings_is_exact(small_dataset: Path, run: Run) -> None:
     status, result = run("replay", small_dataset)
     assert status == 0
@@ -34,6 +46,24 @@ def test_replay_of_recordings_is_exact(small_dataset: Path, run: Run) -> None:
     for mean in result["environments"]:
         assert mean["published_code_score"] == mean["recorded"]
         assert (mean["exact"], mean["published_replay"]) == (mean["count"], None)
+
+
+def test_replay_says_how_many_got_the_recorded_score(
+    small_dataset: Path, tmp_path: Path, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, result = run("replay", small_dataset)
+    assert (status, result["agree"]) == (0, 3)
+    writer = DatasetWriter(tmp_path / "other")
+    for number, trajectory in enumerate(Dataset.open(small_dataset)):
+        by_rule = "score" if number == 0 else "published_code_score"
+        wrong = {by_rule: abs(1.0 - getattr(trajectory, by_rule))} if number < 2 else {}
+        writer.append(replace(trajectory, **wrong))
+    status, result = run("replay", tmp_path / "other")
+    assert (status, result["agree"]) == (0, 1)
+    assert [one["agrees"] for one in result["replays"]] == [False, False, True]
+    assert sum(mean["agree"] for mean in result["environments"]) == 1
+    assert main(["demos", "replay", str(tmp_path / "other")]) == 0
+    assert "1 of 3 replays got the recorded score" in capsys.readouterr().out
 
 
 def test_replay_skips_damaged_files(

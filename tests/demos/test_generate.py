@@ -13,7 +13,7 @@ from magical.demos import Dataset
 from magical.demos.generate import demonstrate, generate
 from magical.demos.replay import replay
 from magical.envs.seeds import episode_seed
-from magical.errors import DatasetError, NoSolutionError
+from magical.errors import DatasetError, InvalidConfigError, NoSolutionError
 
 ENV = "magical/MoveToRegion-TestAll-v0"
 Run = Callable[..., tuple[int, dict[str, Any]]]
@@ -59,6 +59,39 @@ def test_only_demonstrations_with_the_score_are_kept(
     monkeypatch.setattr("magical.demos.generate.MAX_DROPPED", 1)
     with pytest.raises(DatasetError, match=r"attempts scored less than 1\.1"):
         generate(ENV, 2, tmp_path / "d", min_score=1.1, workers=1)
+
+
+def test_perturbed_demonstrations_hold_both_actions(tmp_path: Path, run: Run) -> None:
+    command = ("generate", "--env", ENV, "-n", 3, "--perturb", 0.5, "--workers", 1)
+    assert run(*command, "--out", tmp_path)[0] == 0
+    for number, trajectory in enumerate(Dataset.open(tmp_path)):
+        made = demonstrate(ENV, episode_seed(0, number), perturb=0.5)
+        assert trajectory.expert_actions is not None
+        assert trajectory.expert_actions.tolist() == made.labels.tolist()
+        assert trajectory.actions.tolist() == made.actions.tolist()
+        assert 0.2 < (trajectory.labels != trajectory.actions).mean() < 0.8
+        assert replay(trajectory).departure == 0.0
+        assert trajectory.metadata["perturb"] == 0.5
+    plain = demonstrate(ENV, episode_seed(0, 0))
+    assert plain.expert_actions is None
+    assert plain.labels is plain.actions
+    assert plain.metadata["perturb"] == 0.0
+
+
+@pytest.mark.parametrize("share", ["1.5", "-0.1", "nan", "much"])
+def test_a_share_outside_0_to_1_is_refused(
+    share: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "d"
+    command = ["demos", "generate", "--env", ENV, f"--perturb={share}", "--out", str(out)]
+    assert main(command) == 2
+    assert f"--perturb: expected a number from 0 to 1, found '{share}'" in capsys.readouterr().err
+    if share != "much":
+        with pytest.raises(InvalidConfigError, match="perturb: expected a number from 0 to 1"):
+            generate(ENV, 1, out, perturb=float(share), workers=1)
+        with pytest.raises(InvalidConfigError, match="perturb: expected a number from 0 to 1"):
+            demonstrate(ENV, 0, perturb=float(share))
+    assert not out.exists()
 
 
 def test_several_environments_append(tmp_path: Path, run: Run) -> None:

@@ -127,7 +127,8 @@ def test_arrays_have_every_step(
     tmp_path: Path, make_trajectory: MakeTrajectory, preset: str
 ) -> None:
     writer = DatasetWriter(tmp_path / "d")
-    made = [make_trajectory(steps=steps, seed=steps) for steps in (3, 5)]
+    labels = {3: [1, 2, 3], 5: None}
+    made = [make_trajectory(steps=n, seed=n, expert_actions=labels[n]) for n in (3, 5)]
     for trajectory in made:
         writer.append(trajectory)
     dataset = Dataset.open(tmp_path / "d")
@@ -136,6 +137,9 @@ def test_arrays_have_every_step(
     assert arrays["steps"].tolist() == [0, 1, 2, 0, 1, 2, 3, 4]
     np.testing.assert_array_equal(
         arrays["actions"], np.concatenate([trajectory.actions for trajectory in made])
+    )
+    np.testing.assert_array_equal(
+        arrays["labels"], np.concatenate([trajectory.labels for trajectory in made])
     )
     expected = [observations(trajectory, preset, range(len(trajectory))) for trajectory in made]
     if isinstance(expected[0], dict):

@@ -4,11 +4,13 @@ import json
 import re
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 from magical.cli import main
+from magical.learning import algorithm_names
 from magical.runs.folder import CHECKPOINT, PREVIOUS
 
 TINY = ["--preset", "quick", "--batches", "4", "--batch-size", "4", "--num-demos", "2"]
@@ -69,6 +71,28 @@ def test_errors_say_what_to_do_and_have_status_1(
         assert message in error
 
 
+@pytest.mark.parametrize("existed", [False, True])
+@pytest.mark.parametrize("algorithm", [name for name in algorithm_names() if name != "ppo"])
+def test_a_run_that_could_not_begin_leaves_no_folder(
+    algorithm: str, existed: bool, demos: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    if existed:
+        out.mkdir()
+    shared = ["train", algorithm, "--task", "MoveToCorner", "--out", str(out), "--preset", "quick"]
+    if find_spec("tensorboard"):
+        shared.append("--tensorboard")
+    assert main([*shared, "--demos", str(tmp_path / "none")]) == 1
+    assert main([*shared, "--demos", str(demos), "--num-demos", "9"]) == 1
+    assert out.exists() == existed
+    assert not existed or not list(out.iterdir())
+
+
+def test_the_corrected_command_trains(demos: Path, tmp_path: Path) -> None:
+    assert main(bc(demos, tmp_path / "run", "--num-demos", "9")) == 1
+    assert main(bc(demos, tmp_path / "run")) == 0
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -106,6 +130,29 @@ def test_the_run_folder_gets_a_picture_of_the_learning_curves(demos: Path, tmp_p
     pytest.importorskip("matplotlib", reason="the report extra is not installed")
     assert main(bc(demos, tmp_path / "run")) == 0
     assert (tmp_path / "run" / "learning-curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "name", ["copied runs", "_hidden", "$1_$", "日本", "/".join(["long"] * 40)]
+)
+def test_runs_from_elsewhere_are_evaluated_and_reported_without_warnings(
+    name: str, demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("matplotlib", reason="the report extra is not installed")
+    assert main(bc(demos, tmp_path / "here" / "bc")) == 0
+    there = tmp_path / "there" / name
+    there.parent.mkdir(parents=True)
+    (tmp_path / "here").rename(there)
+    config = there / "bc" / "config.json"
+    config.write_text(config.read_text().replace(json.dumps(str(demos)), '"D:\\\\demos"'))
+    assert "D:" in config.read_text()
+    monkeypatch.chdir(there / "bc")
+    only = ["--variants", "Demo", "--rollouts", "1", "--workers", "0"]
+    assert main(["evaluate", ".", "--out", ".", *only]) == 0
+    assert json.loads((there / "bc" / "entry.json").read_text())["method"] == "bc"
+    assert main(["report", str(there / "bc"), "--out", "page.html"]) == 0
+    assert name[:20] in (there / "bc" / "page.html").read_text()
 
 
 def test_without_pytorch_training_names_the_command_that_installs_it() -> None:

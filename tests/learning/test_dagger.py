@@ -24,7 +24,6 @@ from magical.learning import load_policy, train
 from magical.learning.algorithms.bc import BCConfig, make_policy
 from magical.learning.algorithms.dagger import AGGREGATE, DAggerConfig
 from magical.learning.run import Metrics
-from magical.learning.supervision import LABELS
 from magical.runs import read_metrics
 from magical.runs.folder import CHECKPOINT
 from tests.learning.conftest import TASKS
@@ -56,7 +55,7 @@ def assert_same_run(first: Path, second: Path) -> None:
     assert_same(a, b)
     for left, right in zip(aggregate(first), aggregate(second), strict=True):
         assert left.actions.tolist() == right.actions.tolist()
-        assert left.metadata[LABELS] == right.metadata[LABELS]
+        assert left.labels.tolist() == right.labels.tolist()
 
 
 def aggregate(folder: Path) -> Dataset:

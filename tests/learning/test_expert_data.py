@@ -1,5 +1,6 @@
 """Demonstrations chosen, kept as single frames, sampled as stacks."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,16 @@ def test_samples_with_noops_go_and_the_frames_before_them_stay() -> None:
     assert data.actions.tolist() == [5, 7]
     shown = np.asarray(observations(trajectory, "LoRes4E")).transpose(0, 3, 1, 2)
     np.testing.assert_array_equal(data.images(np.arange(2)).numpy(), shown[[1, 4]])
+
+
+def test_labels_are_learned_not_what_was_executed() -> None:
+    executed = picture_demo("MoveToCorner", 0, actions=[3, 0, 4])
+    labelled = replace(executed, expert_actions=np.array([0, 5, 7]))
+    spec, task = PRESETS["LoRes4E"], "MoveToCorner"
+    data = ExpertData([(task, labelled)], [task], spec, remove_noops=True)
+    assert data.actions.tolist() == [5, 7]
+    shown = np.asarray(observations(labelled, "LoRes4E")).transpose(0, 3, 1, 2)
+    np.testing.assert_array_equal(data.images(np.arange(2)).numpy(), shown[[1, 2]])
 
 
 def test_nothing_but_noops_is_an_error() -> None:

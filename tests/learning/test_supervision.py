@@ -1,7 +1,6 @@
 """Episodes that experts label: what is taken, what is said, what is kept."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,9 +9,9 @@ from numpy.typing import NDArray
 
 from magical.demos import Trajectory, observations
 from magical.envs import EnvId
-from magical.errors import DemonstrationsError
-from magical.experts import expert_for
-from magical.learning.supervision import LABELS, LabelledEpisodes, relabel
+from magical.experts import Memory, expert_for
+from magical.experts.memory import note_other_action
+from magical.learning.supervision import LabelledEpisodes
 from magical.physics import Simulation
 from magical.scene import Poses, State
 
@@ -47,14 +46,10 @@ def collect(share: float, seed: int = 0, workers: int = 0) -> tuple[list[Traject
         return episodes.collect(policy, share, rng, round=3), policy
 
 
-def labels_of(trajectory: Trajectory) -> NDArray[np.int64]:
-    return np.array(trajectory.metadata[LABELS])
-
-
 def expert_on(trajectory: Trajectory) -> tuple[list[int], NDArray[np.float64]]:
     """The expert's labels along an episode that is simulated again, and the episode's poses."""
     simulation = Simulation(trajectory.scene, trajectory.dynamics)
-    expert, memory = expert_for(trajectory.task.name, seed=trajectory.seed), None
+    expert, memory = expert_for(trajectory.task.name, seed=trajectory.seed), Memory()
     labels, poses = [], [simulation.read()[:, :3].copy()]
     for step, action in enumerate(trajectory.actions.tolist()):
         table = simulation.read().copy()
@@ -62,6 +57,7 @@ def expert_on(trajectory: Trajectory) -> tuple[list[int], NDArray[np.float64]]:
             trajectory.scene, Poses(table[:, :3]), table[:, 3:], step, trajectory.task.horizon
         )
         label, memory = expert.act(state, memory)
+        memory = memory if label == action else note_other_action(memory, action)
         labels.append(label)
         simulation.step(action)
         poses.append(simulation.read()[:, :3].copy())
@@ -75,7 +71,7 @@ def test_labels_are_the_experts_on_the_states_visited(share: float) -> None:
     assert [len(t) for t in trajectories] == [40, 40, 80]
     for trajectory in trajectories:
         labels, poses = expert_on(trajectory)
-        assert labels == labels_of(trajectory).tolist()
+        assert labels == trajectory.labels.tolist()
         assert np.array_equal(poses, np.asarray(trajectory.poses))
 
 
@@ -84,18 +80,17 @@ def test_what_is_learned_from_is_what_the_learner_saw() -> None:
     for row, trajectory in enumerate(trajectories):
         steps = len(trajectory)
         saw = np.stack(policy.shown)[:steps, row]
-        assert np.array_equal(np.asarray(observations(relabel(trajectory), "LoRes4E"))[:steps], saw)
-        assert np.array_equal(relabel(trajectory).actions, labels_of(trajectory))
+        assert np.array_equal(np.asarray(observations(trajectory, "LoRes4E"))[:steps], saw)
 
 
 def test_the_share_says_whose_actions_are_taken() -> None:
     for trajectory in collect(0.0)[0]:
         assert set(trajectory.actions.tolist()) == {FORWARD_LEFT}
     for trajectory in collect(1.0)[0]:
-        assert np.array_equal(trajectory.actions, labels_of(trajectory))
+        assert np.array_equal(trajectory.actions, trajectory.labels)
     taken, wanted = (
         np.concatenate(parts)
-        for parts in zip(*((t.actions, labels_of(t)) for t in collect(0.25)[0]), strict=True)
+        for parts in zip(*((t.actions, t.labels) for t in collect(0.25)[0]), strict=True)
     )
     differ = wanted != FORWARD_LEFT
     assert 0.1 < (taken == wanted)[differ].mean() < 0.4
@@ -108,7 +103,7 @@ def test_episodes_follow_from_the_generator_alone() -> None:
         assert np.array_equal(a.actions, b.actions)
         assert np.array_equal(np.asarray(a.poses), np.asarray(b.poses))
         assert a.seed == b.seed != c.seed
-        assert a.metadata[LABELS] == b.metadata[LABELS]
+        assert np.array_equal(a.labels, b.labels)
 
 
 def test_the_metadata_says_where_an_episode_comes_from() -> None:
@@ -116,11 +111,3 @@ def test_the_metadata_says_where_an_episode_comes_from() -> None:
     assert trajectory.demonstrator == "dagger"
     assert (trajectory.metadata["round"], trajectory.metadata["expert_share"]) == (3, 0.5)
     assert {"versions", "recorded"} <= set(trajectory.metadata)
-
-
-@pytest.mark.parametrize("labels", [None, [1, 2], "text", [18] * 40, [-1] * 40, [0.5] * 40])
-def test_labels_that_do_not_fit_are_named(labels: Any) -> None:
-    trajectory = collect(1.0)[0][0]
-    damaged = replace(trajectory, metadata={LABELS: labels} if labels is not None else {})
-    with pytest.raises(DemonstrationsError, match="expected 40 actions in the metadata"):
-        relabel(damaged)

@@ -74,6 +74,17 @@ def positive_int(text: str) -> int:
     return _at_least(1, text)
 
 
+def fraction(text: str) -> float:
+    """An argparse type: a number from 0 to 1."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value <= 1.0:
+        raise argparse.ArgumentTypeError(f"expected a number from 0 to 1, found {text!r}")
+    return value
+
+
 def _at_least(least: int, text: str) -> int:
     try:
         value = int(text)

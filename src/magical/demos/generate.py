@@ -16,6 +16,7 @@ from magical.envs.ids import EnvId, parse_env_id
 from magical.envs.seeds import episode_seed
 from magical.errors import DatasetError
 from magical.experts import modules_of, rollout
+from magical.experts.perturbation import check_perturb
 from magical.processes import available_cores, map_in_processes
 from magical.tasks import load_tasks
 
@@ -38,39 +39,41 @@ def generate(
     out: Path | str,
     *,
     seed: int = 0,
+    first: int = 0,
     skill: float = 1.0,
+    perturb: float = 0.0,
     min_score: float = 0.0,
     workers: int | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> GenerateReport:
     """Append `number` demonstrations by the task's scripted expert to a dataset.
 
-    Attempt i has the scene of `reset(seed=episode_seed(seed, i))` and its own strategy.
-    Attempts that score less than `min_score` (appendix's rule) are dropped. The result depends on
-    the arguments alone, not on `workers` (processes; default: the available cores).
+    Attempt i has the scene of `reset(seed=episode_seed(seed, i))` and its own strategy; `first` is
+    the number of the first attempt, to continue a series. Attempts that score less than
+    `min_score` (appendix's rule) are dropped. In a share `perturb` of the control steps a random
+    action is executed; the expert's remain those to imitate (`Trajectory.labels`). The result does
+    not depend on `workers` (processes; default: the available cores).
 
     Raises:
-        DatasetError: too few attempts reach the score, or the dataset cannot be written; what was
-            kept before stays.
+        DatasetError: too few attempts reach the score, or the dataset cannot be written.
+        InvalidConfigError: `skill` or `perturb` is not between 0 and 1.
         InvalidTaskError: worker processes could not import the task.
         NoExpertError: the task has no expert.
         NoSolutionError: a scene cannot be solved.
-        WorkerDiedError: a worker process was killed; what was kept before stays.
+        WorkerDiedError: a worker process was killed. What was kept before any error stays.
     """
     parsed = parse_env_id(env_id)
+    check_perturb(perturb)
     workers = workers or available_cores()
     modules = modules_of(parsed.task) if workers > 1 else []
     writer = DatasetWriter(out)
-    attempt = partial(_attempt, modules, parsed, seed, skill)
+    attempt = partial(_attempt, modules, parsed, seed, skill, perturb)
     scores: list[float] = []
     dropped = 0
-    with closing(map_in_processes(attempt, count(), workers)) as results:
+    with closing(map_in_processes(attempt, count(first), workers)) as results:
         while len(scores) < number:
             if dropped > MAX_DROPPED * number:
-                raise DatasetError(
-                    f"{env_id}: {dropped} attempts scored less than {min_score} and {len(scores)} "
-                    "did not; give a lower score or a higher skill"
-                )
+                raise DatasetError(_too_few(env_id, min_score, len(scores), dropped))
             entry, raw = next(results)
             if entry.final_score < min_score:
                 dropped += 1
@@ -82,15 +85,25 @@ def generate(
     return GenerateReport(env_id, len(scores), dropped, tuple(scores))
 
 
-def demonstrate(env_id: str, seed: int, skill: float = 1.0) -> Trajectory:
+def _too_few(env_id: str, min_score: float, kept: int, dropped: int) -> str:
+    return (
+        f"{env_id}: {dropped} attempts scored less than {min_score} and {kept} did not; give a "
+        "lower score, a higher skill or a lower share of perturbed steps"
+    )
+
+
+def demonstrate(env_id: str, seed: int, skill: float = 1.0, *, perturb: float = 0.0) -> Trajectory:
     """One episode of the scripted expert, in the scene of `reset(seed=seed)`.
 
+    `perturb` as in `generate`.
+
     Raises:
+        InvalidConfigError: `skill` or `perturb` is not between 0 and 1.
         NoExpertError: the task has no expert.
         NoSolutionError: the scene cannot be solved.
     """
     parsed = parse_env_id(env_id)
-    episode = rollout(parsed.task, parsed.variant, seed, skill=skill)
+    episode = rollout(parsed.task, parsed.variant, seed, skill=skill, perturb=perturb)
     return Trajectory.from_poses(
         parsed,
         episode.scene,
@@ -99,15 +112,16 @@ def demonstrate(env_id: str, seed: int, skill: float = 1.0) -> Trajectory:
         dynamics=episode.dynamics,
         seed=seed,
         demonstrator="expert",
-        metadata={"skill": skill, **provenance()},
+        expert_actions=episode.expert_actions if perturb else None,
+        metadata={"skill": skill, "perturb": perturb, **provenance()},
     )
 
 
 def _attempt(
-    modules: Sequence[str], env_id: EnvId, seed: int, skill: float, attempt: int
+    modules: Sequence[str], env_id: EnvId, seed: int, skill: float, perturb: float, attempt: int
 ) -> tuple[ManifestEntry, bytes]:
     for module in modules:
         load_tasks(module)
-    trajectory = demonstrate(env_id, episode_seed(seed, attempt), skill)
+    trajectory = demonstrate(env_id, episode_seed(seed, attempt), skill, perturb=perturb)
     raw = encode(trajectory)
     return ManifestEntry.of(trajectory, raw), raw

@@ -186,7 +186,8 @@ def dataset_arrays(dataset: "Dataset", observation: Observation = "LoRes4E") -> 
 
     Returns:
         `observations` (N, *shape), or a dict of such: the observation before each action.
-        `actions` (N,) int64.
+        `actions` (N,) int64: those that were executed.
+        `labels` (N,) int64: those to imitate; others only where `Trajectory.expert_actions` are.
         `episodes` (N,) int64: index of the trajectory in the dataset.
         `steps` (N,) int64: index of the step in the trajectory.
         `env_ids`, `scores`, `published_code_scores`, `demonstrators`: one for each trajectory.
@@ -198,11 +199,11 @@ def dataset_arrays(dataset: "Dataset", observation: Observation = "LoRes4E") -> 
     lengths = [entry.length for entry in dataset.entries]
     total = sum(lengths)
     batch: Any = None
-    actions = np.empty(total, np.int64)
+    actions, labels = np.empty(total, np.int64), np.empty(total, np.int64)
     start = 0
     for trajectory in dataset:
         rows = slice(start, start + len(trajectory))
-        actions[rows] = trajectory.actions
+        actions[rows], labels[rows] = trajectory.actions, trajectory.labels
         reader = ObservationReader(trajectory, observation)
         batch = empty(reader.spec.fields, (total,)) if batch is None else batch
         _check_shape(batch, reader)
@@ -211,6 +212,7 @@ def dataset_arrays(dataset: "Dataset", observation: Observation = "LoRes4E") -> 
     return {
         "observations": batch,
         "actions": actions,
+        "labels": labels,
         "episodes": np.repeat(np.arange(len(lengths)), lengths),
         "steps": _counted(lengths),
         "env_ids": np.array([str(entry.env_id) for entry in dataset.entries]),

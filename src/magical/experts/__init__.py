@@ -18,6 +18,8 @@ One decision (`Expert.act`):
     4. Otherwise approach: every few steps compare the sides from which the block can be grasped;
        drive to the gate behind the best one, around other blocks (travel), then straight ahead.
     5. Below skill 1, action noise perturbs the action, and some moves.
+Where another action than its own is executed (perturbed demonstrations, DAgger), the expert takes
+over from the next state.
 
 Where it fails. Mostly in the Cluster tasks' CountPlus and All variants: with nine or ten blocks the
 fingers push neighbours aside, blocks enclosed by walls and others take several attempts, and time
@@ -33,7 +35,7 @@ Files, from below:
     grasp, grasp_costs                      geometry of a grasp; what each side costs
     steering, carry                         the skills: travel, approach, back off, escape; carry
     memory, expert, action_noise            progress and giving up; the decision; lower skill
-    rollout                                 whole episodes
+    perturbation, rollout                   random actions that are recovered from; whole episodes
 
 Constants are grouped by skill in frozen `...Settings`, each with its unit and how it was found:
 "geometry" follows from the sizes of robot and blocks; "measured" was read off the simulator;
@@ -46,10 +48,17 @@ from magical.experts.expert import Expert, expert_for
 from magical.experts.goals import get_goals, register_goals
 from magical.experts.memory import Memory
 from magical.experts.planning import Goals, Move, Plan, Strategy
-from magical.experts.rollout import ExpertEpisode, check_solvable, modules_of, rollout
+from magical.experts.rollout import (
+    EpisodeExpert,
+    ExpertEpisode,
+    check_solvable,
+    modules_of,
+    rollout,
+)
 from magical.experts.state_view import StateView
 
 __all__ = [
+    "EpisodeExpert",
     "Expert",
     "ExpertEpisode",
     "Goals",

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 from magical.experts.planning import NO_PLAN, Move, Plan
 from magical.experts.state_view import StateView
+from magical.scene.actions import ACTIONS, Gripper
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +44,17 @@ class Memory:
     escape_steps: int = 0  # control steps of driving away that are left
     escape_with_block: bool = False  # whether the fingers stay closed meanwhile
     idle_steps: int = 0  # control steps until an idle expert plans again
+
+
+def note_other_action(memory: Memory, action: int) -> Memory:
+    """Record that another action than the expert's was executed: it takes over from there.
+
+    It keeps its plan and its move, and a block that closed fingers hold. Its counts of progress are
+    of motions that it chose itself, and would have it escape from what others did.
+    """
+    is_closed = ACTIONS[action].gripper is Gripper.CLOSED
+    held_steps = memory.held_steps if is_closed else 0
+    return Memory(plan=memory.plan, move=memory.move, held_steps=held_steps)
 
 
 def note_progress(memory: Memory, distance: float) -> Memory:

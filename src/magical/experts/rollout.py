@@ -8,23 +8,47 @@ from numpy.typing import NDArray
 
 from magical.envs.vector.workers import defining_modules
 from magical.errors import NoSolutionError
-from magical.experts.expert import expert_for
+from magical.experts.expert import Expert, expert_for
 from magical.experts.goals import get_goals
-from magical.experts.memory import Memory
+from magical.experts.memory import Memory, note_other_action
+from magical.experts.perturbation import Perturbation
 from magical.physics import Simulation
-from magical.scene import NUM_ACTIONS, Dynamics, Poses, Scene, State
+from magical.scene import NOOP, NUM_ACTIONS, Dynamics, Poses, Scene, State
 from magical.tasks import get_task
 
 
 @dataclass(frozen=True, slots=True)
 class ExpertEpisode:
-    """One episode: its initial scene and dynamics, the actions, and all poses."""
+    """One episode: its initial scene and dynamics, the actions, and all poses.
+
+    Where a random policy acts first, its actions stand for the expert's.
+    """
 
     scene: Scene
     dynamics: Dynamics
-    actions: NDArray[np.int64]  # (T,)
+    actions: NDArray[np.int64]  # (T,), executed
+    expert_actions: NDArray[np.int64]  # (T,), the expert's; the same unless perturbed
     poses: NDArray[np.float64]  # (T + 1, bodies, 3), rows as in `Poses`
     score: float  # of the last poses, by the appendix
+
+
+class EpisodeExpert:
+    """An expert with its memory of one episode, in which others may act too."""
+
+    def __init__(self, expert: Expert) -> None:
+        self._expert = expert
+        self._memory = Memory()
+        self._action = NOOP  # its last one
+
+    def act(self, state: State) -> int:
+        """The expert's action in the present state."""
+        self._action, self._memory = self._expert.act(state, self._memory)
+        return self._action
+
+    def note_executed(self, action: int) -> None:
+        """Tell it which action was executed after its own; it takes over if that was another."""
+        if action != self._action:
+            self._memory = note_other_action(self._memory, action)
 
 
 def check_solvable(task: str, scene: Scene) -> None:
@@ -44,6 +68,7 @@ def rollout(
     seed: int | None = None,
     *,
     skill: float = 1.0,
+    perturb: float = 0.0,
     random_steps: int = 0,
     strategy_seed: int | None = None,
 ) -> ExpertEpisode:
@@ -52,38 +77,45 @@ def rollout(
     Args:
         task: The task's name.
         variant: The variant's name, such as TestLayout.
-        seed: Of the scene, the dynamics and the random steps; None: a random one.
+        seed: Of the scene, the dynamics and the random actions; None: a random one.
         skill: From 0 to 1, as in `expert_for`.
+        perturb: From 0 to 1, the share of steps with a random action in place of the expert's.
         random_steps: Control steps in which a random policy acts before the expert takes over.
         strategy_seed: Of the expert's strategy; None: `seed`.
 
     Raises:
+        InvalidConfigError: the skill or the share is not between 0 and 1.
         UnknownNameError: the task or variant does not exist.
         NoExpertError: the task has no expert.
         NoSolutionError: the scene cannot be solved.
     """
-    spec = get_task(task)
-    rng = np_random(seed)[0]
+    spec, rng = get_task(task), np_random(seed)[0]
     scene, dynamics = spec.sample(variant, rng)
     check_solvable(task, scene)
-    expert = expert_for(task, seed=seed if strategy_seed is None else strategy_seed, skill=skill)
+    strategy_seed = seed if strategy_seed is None else strategy_seed
+    expert = EpisodeExpert(expert_for(task, seed=strategy_seed, skill=skill))
+    perturbation = Perturbation(perturb, rng)
     simulation = Simulation(scene, dynamics)
-    memory: Memory | None = None
-    actions: list[int] = []
+    chosen: list[tuple[int, int]] = []
     tables = [simulation.read().copy()]
     for step in range(spec.horizon):
         if step < random_steps:
-            action = int(rng.integers(NUM_ACTIONS))
+            action = expert_action = int(rng.integers(NUM_ACTIONS))
         else:
-            table = tables[-1]
-            state = State(scene, Poses(table[:, :3]), table[:, 3:], step, spec.horizon)
-            action, memory = expert.act(state, memory)
+            expert_action = expert.act(_state(scene, tables[-1], step, spec.horizon))
+            action = perturbation.execute(expert_action)
+            expert.note_executed(action)
         simulation.step(action)
-        actions.append(action)
+        chosen.append((action, expert_action))
         tables.append(simulation.read().copy())
+    actions, expert_actions = np.array(chosen).T
     poses = np.stack(tables)[:, :, :3]
     score = spec.score(scene, Poses(poses[-1]))
-    return ExpertEpisode(scene, dynamics, np.array(actions), poses, score)
+    return ExpertEpisode(scene, dynamics, actions, expert_actions, poses, score)
+
+
+def _state(scene: Scene, table: NDArray[np.float64], step: int, horizon: int) -> State:
+    return State(scene, Poses(table[:, :3]), table[:, 3:], step, horizon)
 
 
 def modules_of(task: str) -> list[str]:

@@ -101,7 +101,7 @@ class ExpertData:
     """The state-action samples of demonstrations, S in all, on a device.
 
     Attributes:
-        actions: (S,) int64.
+        actions: (S,) int64, the trajectories' labels.
         tasks: (S,) int64, positions in `task_names`.
     """
 
@@ -220,6 +220,6 @@ def _samples(
 ) -> _Samples:
     steps = np.arange(len(trajectory))
     if remove_noops:
-        steps = np.flatnonzero(trajectory.actions != NOOP)
+        steps = np.flatnonzero(trajectory.labels != NOOP)
     stacks = [first + stack_indices(steps, component.frames) for component in components]
-    return _Samples(trajectory.actions[steps], np.full(len(steps), task), stacks)
+    return _Samples(trajectory.labels[steps], np.full(len(steps), task), stacks)

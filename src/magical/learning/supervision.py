@@ -1,7 +1,6 @@
 """Episodes in which a policy acts and scripted experts label every state with their action."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from types import TracebackType
 from typing import Any, Self
 
@@ -13,19 +12,17 @@ from magical.demos.store.provenance import provenance
 from magical.envs import EnvId
 from magical.envs.seeds import sample_training_seeds
 from magical.envs.vector import MagicalVectorEnv
-from magical.errors import DemonstrationsError
 from magical.evaluation.policy import Policy
-from magical.experts import Memory, expert_for
-from magical.scene import NUM_ACTIONS, Dynamics, Scene, State
-
-LABELS = "expert_actions"  # metadata: the expert's action in each state, (T,)
+from magical.experts import EpisodeExpert, expert_for
+from magical.scene import Dynamics, Scene
 
 
 class LabelledEpisodes:
     """Environments, one per episode, that policies and experts act in.
 
     Each episode has its own expert, with a strategy sampled as for demonstrations. The expert
-    observes the episode from the start, whether or not its actions are taken.
+    observes the episode from the start; where the policy does something else, it takes over from
+    the next state.
     """
 
     def __init__(self, env_ids: Sequence[EnvId], observation: str, workers: int | None) -> None:
@@ -51,7 +48,7 @@ class LabelledEpisodes:
     def collect(
         self, policy: Policy, beta: float, rng: np.random.Generator, **remarks: Any
     ) -> list[Trajectory]:
-        """Collect one episode in every environment, with the experts' labels in its metadata.
+        """Collect one episode in every environment, labelled by the experts.
 
         Args:
             policy: acts, except where the expert does.
@@ -68,7 +65,8 @@ class LabelledEpisodes:
         policy.reset(np.ones(count, np.bool_))
         starts = [(state.scene, self._dynamics(row)) for row, state in enumerate(envs.states())]
         experts = [
-            _EpisodeExpert(env_id, seed) for env_id, seed in zip(envs.env_ids, seeds, strict=True)
+            EpisodeExpert(expert_for(env_id.task, seed=seed))
+            for env_id, seed in zip(envs.env_ids, seeds, strict=True)
         ]
         poses, taken, labels = [envs.bodies[0][:, :, :3].copy()], [], []
         active = np.ones(count, np.bool_)
@@ -80,6 +78,8 @@ class LabelledEpisodes:
             policy_actions = np.asarray(policy.act(observations, envs.env_ids, rng))
             is_experts = rng.random(count) < beta
             actions = np.where(is_experts, expert_actions, policy_actions)  # (N,)
+            for expert, action in zip(experts, actions.tolist(), strict=True):
+                expert.note_executed(action)
             observations, _, _, truncated, _ = envs.step(actions, active)
             active &= ~truncated
             poses.append(envs.bodies[0][:, :, :3].copy())
@@ -113,35 +113,8 @@ class LabelledEpisodes:
                 dynamics=dynamics,
                 seed=seeds[row],
                 demonstrator="dagger",
-                metadata={LABELS: labels[:steps, row].tolist(), **remarks},
+                expert_actions=labels[:steps, row],
+                metadata=remarks,
             )
             for row, ((scene, dynamics), steps) in enumerate(zip(starts, lengths, strict=True))
         ]
-
-
-class _EpisodeExpert:
-    """An expert and its memory of one episode."""
-
-    def __init__(self, env_id: EnvId, seed: int) -> None:
-        self._expert = expert_for(env_id.task, seed=seed)
-        self._memory: Memory | None = None
-
-    def act(self, state: State) -> int:
-        action, self._memory = self._expert.act(state, self._memory)
-        return action
-
-
-def relabel(trajectory: Trajectory) -> Trajectory:
-    """Replace the actions that were taken by the expert's labels.
-
-    Raises:
-        DemonstrationsError: there are no labels, or they do not fit the trajectory.
-    """
-    labels = np.asarray(trajectory.metadata.get(LABELS, []))
-    good = labels.shape == trajectory.actions.shape and labels.dtype.kind == "i"
-    if not good or labels.min() < 0 or labels.max() >= NUM_ACTIONS:
-        raise DemonstrationsError(
-            f"{trajectory.env_id}: expected {len(trajectory)} actions in the metadata "
-            f"{LABELS!r}, found {str(trajectory.metadata.get(LABELS))[:60]}"
-        )
-    return replace(trajectory, actions=labels)

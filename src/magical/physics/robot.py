@@ -9,9 +9,10 @@ from collections.abc import Callable
 import pymunk
 
 from magical.physics import chipmunk
+from magical.physics.pins import finger_position
 from magical.scene import constants as c
 from magical.scene.actions import ACTIONS, Gripper, Longitudinal, Turn
-from magical.scene.geometry import Polygon, finger_polygons, to_workspace
+from magical.scene.geometry import Polygon, finger_polygons
 from magical.scene.scene import Dynamics, Pose
 
 ROBOT_GROUP = 1  # collision group shared by all shapes of the robot
@@ -139,7 +140,8 @@ def _add_finger(
     upper, forearm = finger_polygons(side)
     finger = pymunk.Body(c.FINGER_MASS, _finger_moment(upper, forearm))
     root = (side * c.FINGER_ROOT_X, c.FINGER_ROOT_Y)
-    finger.position, finger.angle = to_workspace(root, pose), pose.angle - side * c.FINGER_OPEN
+    finger.position = finger_position(body, root, pose)
+    finger.angle = pose.angle - side * c.FINGER_OPEN
     # A pin joint of zero length, as published; a pivot joint grips visibly differently.
     pin = pymunk.PinJoint(body, finger, root, (0, 0))
     pin.error_bias = 0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from magical.cli import main
-from magical.demos import Dataset, Trajectory, observations
+from magical.demos import Dataset, DatasetWriter, Trajectory, observations
 from magical.errors import DatasetError
 
 MakeTrajectory = Callable[..., Trajectory]
@@ -57,6 +57,27 @@ def test_lerobot_export_is_readable(mixed: Path, tmp_path: Path, decoded: Any) -
                 assert time == (start + step) / 8
                 assert np.abs(frame.astype(int) - expected[step, :, :, -3:]).mean() < 2
     assert {row["data/file_index"] for row in episodes} == {0, 1}
+
+
+def test_lerobot_actions_are_those_to_imitate(
+    tmp_path: Path, make_trajectory: MakeTrajectory
+) -> None:
+    pytest.importorskip("av", reason=MISSING)
+    pq = pytest.importorskip("pyarrow.parquet", reason=MISSING)
+    from magical.demos.export.lerobot import export_lerobot
+
+    writer = DatasetWriter(tmp_path / "d")
+    for labels in (None, [17, 0, 4]):
+        writer.append(make_trajectory(steps=3, expert_actions=labels))
+    plain, labelled = Dataset.open(tmp_path / "d")
+    export_lerobot(Dataset.open(tmp_path / "d"), tmp_path / "out")
+    table = pq.read_table(tmp_path / "out" / "data").to_pydict()
+    assert table["action"] == [*plain.actions.tolist(), 17, 0, 4]
+    assert table["executed_action"] == [*plain.actions.tolist(), *labelled.actions.tolist()]
+    features = json.loads((tmp_path / "out" / "meta" / "info.json").read_text())["features"]
+    assert features["executed_action"] == features["action"] | {"names": None}
+    stats = json.loads((tmp_path / "out" / "meta" / "stats.json").read_text())
+    assert stats["executed_action"]["count"] == [6]
 
 
 def test_lerobot_statistics(mixed: Path, tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magical.demos import Dataset, Trajectory, observations
+from magical.demos import Dataset, DatasetWriter, Trajectory, observations
 from magical.errors import DatasetError, TrajectoryError
 from magical.observe import PRESETS
 
@@ -48,6 +48,24 @@ def test_minari_export_is_lossless(
         assert first["demonstrator"] == part[0].demonstrator
     recovered = minari.load_dataset(names[0]).recover_environment()
     assert recovered.observation_space == PRESETS[preset].space
+
+
+def test_labels_are_infos_beside_the_executed_actions(
+    tmp_path: Path, make_trajectory: MakeTrajectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    minari = pytest.importorskip("minari", reason=MISSING)
+    from magical.demos.export.minari import export_minari
+
+    writer = DatasetWriter(tmp_path / "d")
+    made = [make_trajectory(steps=3, expert_actions=labels) for labels in (None, [17, 0, 4])]
+    for trajectory in made:
+        writer.append(trajectory)
+    (name,) = export_minari(Dataset.open(tmp_path / "d"), root=tmp_path / "minari")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    plain, labelled = minari.load_dataset(name)
+    assert "expert_action" not in plain.infos
+    assert labelled.infos["expert_action"].tolist() == [17, 0, 4, -1]
+    assert labelled.actions.tolist() == made[1].actions.tolist()
 
 
 def test_refused_minari_export_leaves_no_files(mixed: Path, tmp_path: Path) -> None:

@@ -115,6 +115,24 @@ def test_duplicates_are_reported(tmp_path: Path, published: Any, run: Run) -> No
     assert (status, result["duplicates"], len(result["imported"])) == (0, [pair], 2)
 
 
+def test_duplicates_of_one_name_are_found_by_their_content(
+    tmp_path: Path, published: Any, run: Run
+) -> None:
+    pickled, name = published().pickle, "demo-019.pkl.gz"
+    for level, folder in enumerate(("a", "b", "c"), 1):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / name).write_bytes(gzip.compress(pickled, level, mtime=level))
+    out, twice = tmp_path / "once", [str(tmp_path / "b" / name), name]
+    status, result = run("import", tmp_path, "--out", out, "--skip-duplicates")
+    assert (status, result["imported"]) == (0, [name])
+    assert result["duplicates"] == [twice, [str(tmp_path / "c" / name), name]]
+    status, result = run("import", tmp_path / "b", "--out", out, "--skip-duplicates")
+    assert (status, result["imported"], result["duplicates"]) == (0, [], [twice])
+    status, result = run("import", tmp_path / "b", "--out", tmp_path / "all")
+    status, result = run("import", tmp_path / "a", "--out", tmp_path / "all")
+    assert (status, len(result["imported"]), len(result["duplicates"])) == (0, 1, 1)
+
+
 def test_sums_of_the_published_archive(root: Path) -> None:
     file = root / "src" / "magical" / "demos" / "human" / "data" / "human-demos.sha256"
     sha256 = "e58d49ee1ac3309353a901573f38ce8519dcfc4eef4247e2d141bcb93f206566"

@@ -5,6 +5,7 @@ import sys
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,8 @@ def assert_equal(a: Trajectory, b: Trajectory) -> None:
         assert getattr(a, field) == getattr(b, field), field
     assert (a.demonstrator, a.metadata) == (b.demonstrator, b.metadata)
     np.testing.assert_array_equal(a.actions, b.actions)
+    assert (a.expert_actions is None) == (b.expert_actions is None)
+    np.testing.assert_array_equal(a.labels, b.labels)
     assert (a.poses is None) == (b.poses is None)
     if a.poses is not None and b.poses is not None:
         assert a.poses.tobytes() == b.poses.tobytes()
@@ -37,9 +40,30 @@ def test_round_trip_is_exact(
     posed = make_trajectory(
         "magical/FixColour-TestAll-v0", metadata={"name": "me", "deep": [1, {}]}
     )
-    for trajectory in (posed, make_frames_trajectory()):
+    labelled = make_trajectory(steps=4, expert_actions=[0, 17, 3, 3])
+    for trajectory in (posed, labelled, make_frames_trajectory()):
         assert_equal(trajectory, decode(encode(trajectory)))
         assert encode(trajectory) == encode(decode(encode(trajectory)))
+
+
+def test_labels_in_the_metadata_of_earlier_versions_are_read(
+    make_trajectory: MakeTrajectory,
+) -> None:
+    metadata = {"expert_actions": [0, 17, 3], "round": 1}
+    earlier = make_trajectory(steps=3, demonstrator="dagger", metadata=metadata)
+    read = decode(encode(earlier))
+    assert read.actions.tolist() == earlier.actions.tolist()
+    assert (read.labels.tolist(), read.metadata) == ([0, 17, 3], {"round": 1})
+    assert_equal(read, decode(encode(read)))
+    other = make_trajectory(steps=3, metadata=metadata)
+    assert_equal(other, decode(encode(other)))
+    malformed: list[Any] = [[0, 17], [0, 17, 18], ["a"] * 3, [[1], [2, 3]], 3, {}]
+    for wrong in malformed:
+        damaged = make_trajectory(
+            steps=3, demonstrator="dagger", metadata={"expert_actions": wrong}
+        )
+        with pytest.raises(DatasetError, match="expected a trajectory"):
+            decode(encode(damaged))
 
 
 def test_largest_trajectory_takes_at_most_150_kb(make_trajectory: MakeTrajectory) -> None:

@@ -93,6 +93,10 @@ DAMAGE: dict[str, Callable[[bytes], bytes]] = {
     "dynamics of a number": lambda raw: with_header(raw, dynamics=3),
     "metadata of a list": lambda raw: with_header(raw, metadata=[1]),
     "a shape of a terabyte": lambda raw: with_members(raw, actions=array("(999999999999,)")),
+    "labels of another length": lambda raw: with_members(
+        raw, expert_actions=array("(3,)", data=b"\x00" * 3)
+    ),
+    "labels of a terabyte": lambda raw: with_members(raw, expert_actions=array("(999999999999,)")),
     "a negative shape": lambda raw: with_members(raw, actions=array("(-1,)")),
     "no shape": lambda raw: with_members(raw, actions=array("()", data=b"\x00")),
     "an .npy header that is no literal": lambda raw: with_members(raw, poses=npy("{'descr': (((")),

@@ -37,6 +37,16 @@ def test_trajectory_copies_its_arrays_and_is_read_only() -> None:
         trajectory.seed = 3  # type: ignore[misc]
 
 
+def test_labels_are_the_experts_actions_where_it_has_others() -> None:
+    assert Trajectory(**GOOD).labels.tolist() == [1, 2]
+    labelled = Trajectory(**GOOD, expert_actions=np.array([3, 2], np.uint8))
+    assert labelled.actions.tolist() == [1, 2]
+    assert labelled.labels.tolist() == [3, 2]
+    assert labelled.labels.dtype == np.int64
+    with pytest.raises(ValueError, match="read-only"):
+        labelled.labels[0] = 1
+
+
 def test_preset_is_dropped_from_the_id() -> None:
     trajectory = Trajectory(**{**GOOD, "env_id": "MoveToCorner-TestAll-LoRes4E-v0"})
     assert trajectory.env_id == "magical/MoveToCorner-TestAll-v0"
@@ -52,6 +62,10 @@ def test_preset_is_dropped_from_the_id() -> None:
         ({"actions": np.array([], np.int64)}, "at least 1"),
         ({"actions": np.array([[1, 2]])}, r"\(1, 2\)"),
         ({"actions": np.array([1, 2, 3])}, "for 3 actions"),
+        ({"expert_actions": np.array([1])}, "one for each of 2 actions, found 1"),
+        ({"expert_actions": np.array([1, 18])}, "expert_actions: expected numbers from 0 to 17"),
+        ({"expert_actions": np.array([1.0, 2.0])}, "expert_actions: expected integers"),
+        ({"expert_actions": np.array([[1, 2]])}, r"\(1, 2\)"),
         ({"poses": POSES[:2]}, "expected finite float64"),
         ({"poses": POSES[:, :5]}, "1 blocks"),
         ({"poses": POSES.astype(np.float32)}, "float32"),

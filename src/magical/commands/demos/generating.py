@@ -5,6 +5,7 @@ from dataclasses import asdict
 
 from magical.commands._common import (
     add_json,
+    fraction,
     non_negative_int,
     positive_int,
     print_json,
@@ -39,6 +40,14 @@ def add_commands(subparsers: Subparsers) -> None:
     parser.add_argument(
         "--skill", type=float, default=1.0, metavar="K", help="below 1: deliberately worse"
     )
+    parser.add_argument(
+        "--perturb",
+        type=fraction,
+        default=0.0,
+        metavar="P",
+        help="share of steps, 0 to 1, with a random action in place of the expert's; learners "
+        "imitate the expert's (default: 0)",
+    )
     add_workers(parser)
     add_json(parser)
 
@@ -59,6 +68,7 @@ def run_generate(args: argparse.Namespace) -> int:
                 args.out,
                 seed=args.seed,
                 skill=args.skill,
+                perturb=args.perturb,
                 min_score=args.min_score,
                 workers=args.workers,
                 progress=advance,

@@ -1,7 +1,9 @@
 """`magical demos info` and `magical demos replay`: the content of a dataset."""
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 from magical.commands._common import add_json, log, print_json, print_table
 from magical.commands.demos._shared import (
@@ -13,6 +15,9 @@ from magical.commands.demos._shared import (
     number,
 )
 from magical.messages import printable
+
+if TYPE_CHECKING:
+    from magical.demos.store.summary import DatasetSummary
 
 
 def add_commands(subparsers: Subparsers) -> None:
@@ -42,29 +47,7 @@ def run_info(args: argparse.Namespace) -> int:
     dataset = Dataset.open(args.dataset, skip_damaged=True)
     summaries = summarise_dataset(dataset)
     duplicates = find_duplicates(dataset.entries)
-    header = ("environment", "count", "poses", "steps", "score", "published rule", "kB each", "by")
-    rows = [
-        (
-            s.env_id,
-            s.count,
-            s.with_poses,
-            f"{s.lengths[0]}-{s.lengths[2]}",
-            number(s.score),
-            number(s.published_code_score),
-            f"{s.size / s.count / 1000:.0f}",
-            names(s.demonstrators),
-        )
-        for s in summaries
-    ]
-    print_table(header, rows)
-    print()
-    print_table(
-        ("environment", "actions, most frequent first"),
-        [
-            (s.env_id, ", ".join(f"{name} {share:.0%}" for name, share in s.action_frequencies[:6]))
-            for s in summaries
-        ],
-    )
+    _print_summaries(summaries)
     for later, earlier in duplicates:
         log(f"duplicate: {printable(later)} shows the same as {printable(earlier)}")
     log_problems(dataset.problems)
@@ -80,6 +63,44 @@ def run_info(args: argparse.Namespace) -> int:
     return 1 if dataset.problems else 0
 
 
+def _print_summaries(summaries: "Sequence[DatasetSummary]") -> None:
+    header = (
+        "environment",
+        "count",
+        "poses",
+        "labels",
+        "steps",
+        "score",
+        "published rule",
+        "kB each",
+        "by",
+    )
+    rows = [
+        (
+            s.env_id,
+            s.count,
+            s.with_poses,
+            s.with_expert_actions,
+            f"{s.lengths[0]}-{s.lengths[2]}",
+            number(s.score),
+            number(s.published_code_score),
+            f"{s.size / s.count / 1000:.0f}",
+            names(s.demonstrators),
+        )
+        for s in summaries
+    ]
+    print_table(header, rows)
+    print("labels: trajectories with expert actions beside those that were executed.")
+    print()
+    print_table(
+        ("environment", "actions, most frequent first"),
+        [
+            (s.env_id, ", ".join(f"{name} {share:.0%}" for name, share in s.action_frequencies[:6]))
+            for s in summaries
+        ],
+    )
+
+
 def run_replay(args: argparse.Namespace) -> int:
     """`magical demos replay`: exit status 1 if anything is damaged."""
     from magical.demos import Dataset
@@ -93,33 +114,40 @@ def run_replay(args: argparse.Namespace) -> int:
             replays.append(replay(trajectory, entry.file))
             advance(1)
     means = mean_replays(replays)
-    header = ("environment", "count", "recorded", "replayed", "published", "appendix", "exact")
+    header = (
+        "environment", "count", "recorded", "replayed", "agree", "published", "appendix", "exact"
+    )  # fmt: skip
     rows = [
         (
             m.env_id,
             m.count,
             number(m.recorded),
             number(m.published_code_score),
+            m.agree,
             "-" if m.published_replay is None else "{:.2f} to {:.2f}".format(*m.published_replay),
             number(m.score),
             "-" if m.exact is None else m.exact,
         )
         for m in means
     ]
+    agree = sum(mean.agree for mean in means)
     print_table(header, rows)
-    print()
-    print(
-        "recorded, replayed, published: by the published code's rule; appendix: by the appendix's."
-    )
-    print("published: 25 human demonstrations replayed in the published implementation, unchanged")
-    print("and with the robot's start moved by 1e-9. exact: ended in the recorded poses.")
+    print(f"\n{agree} of {len(replays)} replays got the recorded score.\n\n{_REPLAY_NOTE}")
     log_problems(dataset.problems)
     if args.json:
         print_json(
             {
+                "agree": agree,
                 "environments": [asdict(mean) for mean in means],
-                "replays": [asdict(one) for one in replays],
+                "replays": [asdict(one) | {"agrees": one.agrees} for one in replays],
                 "problems": [asdict(problem) for problem in dataset.problems],
             }
         )
     return 1 if dataset.problems else 0
+
+
+_REPLAY_NOTE = """\
+recorded, replayed, published: by the published code's rule; appendix: by the appendix's.
+agree: replays that got the recorded score, by both rules where both are recorded.
+published: 25 human demonstrations replayed in the published implementation, unchanged
+and with the robot's start moved by 1e-9. exact: ended in the recorded poses."""

@@ -65,6 +65,8 @@ def export_lerobot(
 
     Features: both cameras at 96 x 96 (H.264, slightly lossy), `action` (int64, 0 to 17),
     `next.done`, and where all poses are known `observation.state` (robot pose and finger angles).
+    `action` is the one to imitate; where some trajectory has others that were executed, those are
+    `executed_action`.
     Scores, demonstrator and environment id are columns of `meta/episodes`.
 
     Raises:
@@ -95,6 +97,7 @@ class _Writer:
         self.total = 0
         self.frames_in_file = 0
         self._with_state = all(entry.has_poses for entry in dataset.entries)
+        self._with_executed = any(trajectory.expert_actions is not None for trajectory in dataset)
         self._tasks: dict[str, int] = {}
         self._episodes: list[dict[str, Any]] = []
         self._stats: list[dict[str, Stats]] = []
@@ -156,7 +159,9 @@ class _Writer:
     def _columns(self, trajectory: Trajectory, task: int) -> Columns:
         steps = len(trajectory)
         frame = np.arange(steps)
-        columns: Columns = {"action": trajectory.actions, "next.done": frame == steps - 1}
+        columns: Columns = {"action": trajectory.labels, "next.done": frame == steps - 1}
+        if self._with_executed:
+            columns["executed_action"] = trajectory.actions
         if self._with_state:
             assert trajectory.poses is not None
             columns["observation.state"] = _robot_states(trajectory.poses[:-1])
@@ -194,10 +199,12 @@ class _Writer:
 
     def _schema(self) -> Any:
         state = [("observation.state", pa.list_(pa.float32(), len(_STATE)))]
+        executed = [("executed_action", pa.int64())]
         return pa.schema(
             [
                 ("action", pa.int64()),
                 ("next.done", pa.bool_()),
+                *(executed if self._with_executed else []),
                 *(state if self._with_state else []),
                 ("timestamp", pa.float32()),
                 *((name, pa.int64()) for name in _INDICES),
@@ -219,6 +226,7 @@ class _Writer:
             **({"observation.state": feature("float32", _STATE)} if self._with_state else {}),
             "action": feature("int64", ["action"]),
             "next.done": feature("bool"),
+            **({"executed_action": feature("int64")} if self._with_executed else {}),
             "timestamp": feature("float32"),
             **{name: feature("int64") for name in _INDICES},
         }

@@ -36,8 +36,10 @@ def export_minari(
     """Write Minari datasets `magical/<Task>-<Variant>-<preset>/<name>-v0`; returns their ids.
 
     Observations are the preset's, as the environment returned them, in HDF5 with
-    `jpeg_encoding=False`. Rewards are 0; the last info of an episode has both scores, and its
-    metadata the demonstrator. `root` is Minari's folder of datasets (default: Minari's own).
+    `jpeg_encoding=False`. Actions are those that were executed; where the trajectory has others to
+    imitate, the info beside observation t has the one of step t as `expert_action`, -1 at the end.
+    Rewards are 0; the last info of an episode has both scores, and its metadata the demonstrator.
+    `root` is Minari's folder of datasets (default: Minari's own).
 
     Raises:
         DatasetError: a dataset of that name exists, or a trajectory is damaged; no partial dataset
@@ -103,11 +105,14 @@ def _buffers(part: Dataset, preset: str) -> Iterator[Any]:
 
 
 def _infos(trajectory: Trajectory) -> dict[str, Any]:
-    """The scores as the environment's `info` gives them, 0.0 before the last step."""
+    """The scores as the environment's `info` gives them, 0.0 before the last step, and labels."""
     scores = {"published_code_score": trajectory.published_code_score}
     if trajectory.score is not None:
         scores["eval_score"] = trajectory.score
-    return {name: np.append(np.zeros(len(trajectory)), score) for name, score in scores.items()}
+    infos = {name: np.append(np.zeros(len(trajectory)), score) for name, score in scores.items()}
+    if trajectory.expert_actions is not None:
+        infos["expert_action"] = np.append(trajectory.expert_actions, -1)
+    return infos
 
 
 @contextmanager

@@ -131,11 +131,12 @@ class _Outcomes:
         if isinstance(result, Exception):
             self._failed.append((str(file), _reason(file, result)))
             return
-        earlier = self._first.setdefault(result.entry.fingerprint, file.name)
-        if earlier != file.name:
-            self._duplicates.append((file.name, earlier))
+        if earlier := self._first.get(result.entry.fingerprint):  # perhaps of the same name
+            later = str(file) if earlier == file.name else file.name
+            self._duplicates.append((later, earlier))
             if self._skip_duplicates:
                 return
+        self._first.setdefault(result.entry.fingerprint, file.name)
         self._writer.append_encoded(result.entry, result.raw)
         self._imported.append(file.name)
         if result.problem:

@@ -185,7 +185,7 @@ def _recording(data: Any, source: Mapping[str, str]) -> Recording:
     env_id = parse_env_id(env_name).without_preset
     if env_id.variant != "Demo":
         raise TrajectoryError(f"expected a Demo environment, found {quoted(env_name)}")
-    actions = checked_actions(_values(record.acts))
+    actions = checked_actions("acts", _values(record.acts))
     packed = {view: _packed(record.obs, view, len(actions)) for view in View}
     return Recording(env_id, actions, checked_score("score", score), source, packed)
 

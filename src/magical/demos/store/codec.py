@@ -1,8 +1,9 @@
 """The file format of a trajectory: an .npz archive, plain arrays that NumPy reads without pickle.
 
 Members: `header` (JSON as uint8), `actions` (T,) uint8, and `poses` (T + 1, 5 + blocks, 3) float64
-or `frames_allo` and `frames_ego` (T + 1, 96, 96, 3) uint8, or all of them. Deflate already exploits
-the repeated rows of blocks at rest and the similarity of successive frames: filters in front of it
+or `frames_allo` and `frames_ego` (T + 1, 96, 96, 3) uint8, or all of them; and `expert_actions`
+(T,) uint8 where the trajectory has them. Deflate already exploits the
+repeated rows of blocks at rest and the similarity of successive frames: filters in front of it
 saved nothing.
 """
 
@@ -37,14 +38,15 @@ _FIELDS = ("env_id", "seed", "score", "published_code_score", "demonstrator", "m
 class _Member(NamedTuple):
     dtype: str
     trailing: tuple[int | None, ...]  # sizes after the first; None: any
-    per_time_step: bool  # T + 1 rows
+    more_rows: int | None  # than there are actions; None: any number
 
 
-_FRAMES = _Member("|u1", (FRAME_SIZE, FRAME_SIZE, 3), per_time_step=True)
+_FRAMES = _Member("|u1", (FRAME_SIZE, FRAME_SIZE, 3), more_rows=1)
 _MEMBERS = {  # in the order of reading
-    "header": _Member("|u1", (), per_time_step=False),
-    "actions": _Member("|u1", (), per_time_step=False),
-    "poses": _Member("<f8", (None, 3), per_time_step=True),
+    "header": _Member("|u1", (), more_rows=None),
+    "actions": _Member("|u1", (), more_rows=None),
+    "expert_actions": _Member("|u1", (), more_rows=0),
+    "poses": _Member("<f8", (None, 3), more_rows=1),
     **{f"frames_{view}": _FRAMES for view in VIEWS},
 }
 # The header of an .npy file as NumPy writes it for such arrays (format version 1.0).
@@ -93,6 +95,8 @@ def encode(trajectory: Trajectory) -> bytes:
         "header": np.frombuffer(text, np.uint8),
         "actions": trajectory.actions.astype(np.uint8),
     }
+    if trajectory.expert_actions is not None:
+        arrays["expert_actions"] = trajectory.expert_actions.astype(np.uint8)
     if trajectory.poses is not None:
         arrays["poses"] = trajectory.poses
     for view, frames in (trajectory.frames or {}).items():
@@ -142,7 +146,8 @@ def _read_arrays(raw: bytes) -> dict[str, NDArray[Any]]:
     with zipfile.ZipFile(io.BytesIO(raw)) as archive:
         infos = _check_members(archive.infolist())
         for name in (name for name in _MEMBERS if name in infos):
-            rows = len(arrays["actions"]) + 1 if _MEMBERS[name].per_time_step else None
+            more = _MEMBERS[name].more_rows
+            rows = None if more is None else len(arrays["actions"]) + more
             with archive.open(infos[name]) as file:
                 arrays[name] = _read_array(file, name, infos[name].file_size, rows)
     return arrays
@@ -231,4 +236,12 @@ def _trajectory(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Traj
         actions=arrays["actions"],
         poses=arrays.get("poses"),
         frames=frames or None,
+        expert_actions=_expert_actions(header, arrays),
     )
+
+
+def _expert_actions(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Any:
+    """The expert's actions; they were once stored in the metadata of DAgger's episodes."""
+    if "expert_actions" in arrays or header["demonstrator"] != "dagger":
+        return arrays.get("expert_actions")
+    return header["metadata"].pop("expert_actions", None)

@@ -1,5 +1,6 @@
 """Summaries of a dataset, and duplicates in it."""
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -17,6 +18,7 @@ class DatasetSummary:
     env_id: str
     count: int
     with_poses: int
+    with_expert_actions: int
     demonstrators: tuple[str, ...]
     lengths: tuple[int, float, int]  # control steps: minimum, mean, maximum
     score: float | None  # mean of the known scores by the appendix's rule
@@ -41,11 +43,17 @@ def summarise_dataset(dataset: Dataset) -> list[DatasetSummary]:
     """
     groups: dict[str, list[ManifestEntry]] = {}
     actions: dict[str, np.ndarray[tuple[int], np.dtype[np.int64]]] = {}
+    labelled: Counter[str] = Counter()
     for entry in dataset.entries:
         groups.setdefault(entry.env_id, []).append(entry)
-        counts = np.bincount(dataset.read(entry).actions, minlength=NUM_ACTIONS)
+        trajectory = dataset.read(entry)
+        counts = np.bincount(trajectory.actions, minlength=NUM_ACTIONS)
         actions[entry.env_id] = actions.get(entry.env_id, 0) + counts
-    return [_summary(env_id, groups[env_id], actions[env_id].tolist()) for env_id in sorted(groups)]
+        labelled[entry.env_id] += trajectory.expert_actions is not None
+    return [
+        _summary(env_id, groups[env_id], labelled[env_id], actions[env_id].tolist())
+        for env_id in sorted(groups)
+    ]
 
 
 def find_duplicates(entries: Iterable[ManifestEntry]) -> list[tuple[str, str]]:
@@ -59,13 +67,16 @@ def find_duplicates(entries: Iterable[ManifestEntry]) -> list[tuple[str, str]]:
     return pairs
 
 
-def _summary(env_id: str, entries: list[ManifestEntry], actions: list[int]) -> DatasetSummary:
+def _summary(
+    env_id: str, entries: list[ManifestEntry], labelled: int, actions: list[int]
+) -> DatasetSummary:
     lengths = [entry.length for entry in entries]
     scores = [entry.score for entry in entries if entry.score is not None]
     return DatasetSummary(
         env_id=env_id,
         count=len(entries),
         with_poses=sum(entry.has_poses for entry in entries),
+        with_expert_actions=labelled,
         demonstrators=tuple(sorted({entry.demonstrator for entry in entries})),
         lengths=(min(lengths), float(np.mean(lengths)), max(lengths)),
         score=float(np.mean(scores)) if scores else None,

@@ -29,6 +29,10 @@ class Trajectory:
     `poses` are known, from which any view can be rendered exactly at any resolution, or `frames`,
     or both. Arrays are copied and made read-only. Metadata must be plain JSON data.
 
+    `actions` are those that were executed, which led from each pose to the next. Where others than
+    the expert's were executed, in perturbed demonstrations and in DAgger's episodes,
+    `expert_actions` has what the expert chose in each state. Imitation learners learn `labels`.
+
     Raises:
         TrajectoryError: the parts do not match; the message names the one at fault.
         UnknownNameError: there is no such environment.
@@ -36,19 +40,22 @@ class Trajectory:
 
     env_id: EnvId  # without a preset, such as magical/FindDupe-TestAll-v0; a string is parsed
     scene: Scene  # the initial scene
-    actions: NDArray[np.int64]  # (T,)
+    actions: NDArray[np.int64]  # (T,), executed
     published_code_score: float  # of the final state (docs/specification.md, section 9)
     score: float | None = None  # of the final state by the appendix's rule; None: poses unknown
     dynamics: Dynamics = field(default_factory=Dynamics)
     seed: int | None = None  # passed to `reset`, where known
     poses: NDArray[np.float64] | None = None  # (T + 1, 5 + blocks, 3), rows as in `Poses`
     frames: Mapping[str, NDArray[np.uint8]] | None = None  # view: (T + 1, 96, 96, 3)
+    expert_actions: NDArray[np.int64] | None = None  # (T,); None: those that were executed
     demonstrator: str = "unknown"  # the person or policy that chose the actions
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "env_id", parse_env_id(self.env_id).without_preset)
-        object.__setattr__(self, "actions", checked_actions(self.actions))
+        object.__setattr__(self, "actions", checked_actions("actions", self.actions))
+        if self.expert_actions is not None:
+            object.__setattr__(self, "expert_actions", self._checked_labels(self.expert_actions))
         if self.poses is None and self.frames is None:
             raise TrajectoryError("expected poses or frames, found none")
         if self.poses is not None:
@@ -91,6 +98,11 @@ class Trajectory:
         return len(self.actions)
 
     @property
+    def labels(self) -> NDArray[np.int64]:
+        """The actions to imitate, (T,): the expert's where it has others than were executed."""
+        return self.actions if self.expert_actions is None else self.expert_actions
+
+    @property
     def task(self) -> Task:
         """The task that was demonstrated."""
         return self.env_id.task_spec
@@ -104,6 +116,15 @@ class Trajectory:
     def is_recovered(self) -> bool:
         """Whether poses were recovered from frames: the simulation does not reproduce them."""
         return self.poses is not None and RECOVERY in self.metadata
+
+    def _checked_labels(self, labels: ArrayLike) -> NDArray[np.int64]:
+        array = checked_actions("expert_actions", labels)
+        if array.shape != self.actions.shape:
+            raise TrajectoryError(
+                f"expert_actions: expected one for each of {len(self.actions)} actions, "
+                f"found {len(array)}"
+            )
+        return array
 
     def _checked_poses(self, poses: ArrayLike) -> NDArray[np.float64]:
         expected = (len(self.actions) + 1, FIRST_BLOCK + len(self.scene.blocks), 3)
@@ -153,17 +174,17 @@ def checked_score(name: str, value: Any) -> float:
     return float(value)
 
 
-def checked_actions(actions: ArrayLike) -> NDArray[np.int64]:
+def checked_actions(name: str, actions: ArrayLike) -> NDArray[np.int64]:
     """Actions (T,), read-only; raises `TrajectoryError` for anything else."""
     array = np.asarray(actions)
     if array.ndim != 1 or not len(array) or array.dtype.kind not in "iu":
         raise TrajectoryError(
-            f"actions: expected integers of shape (T,), T at least 1, "
+            f"{name}: expected integers of shape (T,), T at least 1, "
             f"found {array.dtype} {array.shape}"
         )
     if array.min() < 0 or array.max() >= NUM_ACTIONS:
         raise TrajectoryError(
-            f"actions: expected numbers from 0 to {NUM_ACTIONS - 1}, "
+            f"{name}: expected numbers from 0 to {NUM_ACTIONS - 1}, "
             f"found {array.min()} to {array.max()}"
         )
     return _frozen(array.astype(np.int64))

@@ -13,12 +13,16 @@ from torch.optim import SGD, Adam, Optimizer
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
 from magical.learning.augment import augment
-from magical.learning.augmentations import parse_augmentations
 from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
-from magical.learning.config import IMAGE_OBSERVATIONS, ImitationConfig, option
+from magical.learning.config import (
+    IMAGE_OBSERVATIONS,
+    PUBLISHED_CODE_IMAGES,
+    ImitationConfig,
+    option,
+)
 from magical.learning.devices import choose_device
 from magical.learning.expert_data import ExpertData, load_demonstrations
-from magical.learning.models import PolicyNetwork, Trunk
+from magical.learning.models import PolicyNetwork, Trunk, init_last_layers
 from magical.learning.prefetch import prefetch
 from magical.learning.run import Run
 from magical.learning.streams import Purpose, seeded_init, stream
@@ -37,12 +41,14 @@ class BCConfig(ImitationConfig):
         "quick": {
             "network": "small",
             "batches": 2400,
+            "precision": "auto",
             "optimizer": "adam",
             "learning_rate": 1e-3,
             "momentum": 0.9,
             "anneal": True,
             "augment": "noise+translation+rotation",
         },
+        "published-code": PUBLISHED_CODE_IMAGES,
     }
 
     observation: str = option(
@@ -54,9 +60,6 @@ class BCConfig(ImitationConfig):
     learning_rate: float = option(1e-3, "initial learning rate")
     momentum: float = option(0.1, "momentum; Adam's beta 1")
     anneal: bool = option(False, "anneal the learning rate linearly to 0")
-    augment: str = option(
-        "all", "augmentation: all, none, no-trans-rot, or names joined by +", metavar="NAMES"
-    )
     log_every: int = option(50, "batches between lines of metrics")
     checkpoint_every: int = option(500, "batches between checkpoints")
 
@@ -64,7 +67,6 @@ class BCConfig(ImitationConfig):
         super().__post_init__()
         self.require_positive("batches", "batch_size", "learning_rate")
         self.require_positive("log_every", "checkpoint_every")
-        self.require_augmentations("augment")
         if self.observation == STATE:
             self._check_state()
 
@@ -84,6 +86,11 @@ class BCConfig(ImitationConfig):
     def total(self) -> int:
         """All batches."""
         return self.batches
+
+    @property
+    def training_samples(self) -> int:
+        """The samples of all batches."""
+        return self.total * self.batch_size
 
     def learning_rate_at(self, batch: int) -> float:
         """The learning rate of a batch: constant, or annealed linearly to 0."""
@@ -124,7 +131,6 @@ class BCTrainer:
         """Create a new trainer, or resume from the run's checkpoint."""
         self.config, self.run = config, run
         self.device = choose_device(config.device)
-        self.augmentations = parse_augmentations(config.augment)
         self.reset()
         self.compute = run.compute(self.device, config.precision, config.threads)
         if run.saved:
@@ -175,7 +181,7 @@ class BCTrainer:
         rows = data.sample(self.config.batch_size, rng)
         images = data.images(rows)
         if self.config.observation != STATE:
-            images = augment(images, self.augmentations, rng)
+            images = augment(images, self.config.augmentations, rng)
         return Batch(images, *data.labels(rows))
 
     def step(self, batch: Batch, learning_rate: float) -> tuple[Tensor, Tensor]:
@@ -201,8 +207,12 @@ class BCTrainer:
 def make_policy(config: BCConfig) -> PolicyNetwork:
     """The policy network, with batch norm (appendix B), initialised from the seed."""
     with seeded_init(config.seed):
-        trunk = Trunk(config.network, config.input_shape, batch_norm=True)
-        return PolicyNetwork(trunk, len(config.tasks))
+        trunk = Trunk(
+            config.network, config.input_shape, batch_norm=True, pixel_range=config.pixel_range
+        )
+        network = PolicyNetwork(trunk, len(config.tasks))
+        init_last_layers(config, network.policy)
+        return network
 
 
 def make_optimizer(config: BCConfig, network: nn.Module) -> Optimizer:

@@ -8,8 +8,8 @@ online learning", AISTATS 2011. Round 0 is behavioural cloning of the demonstrat
 2. adds them to the aggregated dataset;
 3. continues behavioural cloning on everything labelled so far.
 
-The run folder's `aggregate` is an ordinary dataset of the episodes: its actions are those that were
-taken, the labels are in the metadata `expert_actions`. There are no published settings for these
+The run folder's `aggregate` is an ordinary dataset of the episodes, with the labels as their
+`expert_actions`. There are no published settings for these
 tasks; `paper` has behavioural cloning's (Table 3), its 20,000 batches split between the rounds.
 """
 
@@ -31,7 +31,8 @@ from magical.learning.expert_data import ExpertData, TaskTrajectories, load_demo
 from magical.learning.policy import NetworkPolicy
 from magical.learning.run import Run
 from magical.learning.streams import Purpose, stream
-from magical.learning.supervision import LabelledEpisodes, relabel
+from magical.learning.supervision import LabelledEpisodes
+from magical.runs.sources import EXPERT_LABELS, INTERACTION, TEST_VARIANTS
 
 AGGREGATE = "aggregate"  # in the run folder
 
@@ -57,6 +58,12 @@ class DAggerConfig(BCConfig):
     restart: bool = option(False, "train from the initialisation in each round")
     keep_noops: bool = option(False, "train on no-op labels too")
     workers: int | None = option(None, "environment processes (default: one per core)")
+
+    @property
+    def learned_from(self) -> tuple[str, ...]:
+        """See `Config`."""
+        tests = (TEST_VARIANTS,) if set(self.variants) - {"Demo"} else ()
+        return (*super().learned_from, INTERACTION, EXPERT_LABELS, *tests)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -207,9 +214,9 @@ class AggregatedDataset:
         return [entry.sha256 for entry in self.until(number).entries]
 
     def labelled(self, number: int) -> TaskTrajectories:
-        """The episodes until a round, with the expert's labels in place of the actions taken."""
+        """The episodes until a round, with the names of their tasks."""
         episodes = self.until(number)
-        return tuple((e.task, relabel(t)) for e, t in zip(episodes.entries, episodes, strict=True))
+        return tuple((e.task, t) for e, t in zip(episodes.entries, episodes, strict=True))
 
     def score(self, number: int) -> dict[str, float]:
         """The mean score of a round's episodes; nothing in round 0."""

@@ -1,0 +1,102 @@
+"""Perturbed demonstrations: what is executed, what the expert says, and how it recovers."""
+
+import numpy as np
+import pytest
+
+from magical.errors import InvalidConfigError
+from magical.experts import Memory, Move, expert_for, rollout
+from magical.experts.memory import note_other_action
+from magical.experts.perturbation import MAX_STEPS, Perturbation
+from magical.physics import Simulation
+from magical.scene import NOOP, NUM_ACTIONS
+from magical.scene.actions import Action, Gripper
+from magical.tasks import get_task
+from tests.experts.scenes import state_of
+
+OTHER = NUM_ACTIONS  # no action: tells the expert's from random ones
+
+
+def executed(share: float, steps: int = 20_000) -> list[int]:
+    perturbation = Perturbation(share, np.random.default_rng(0))
+    return [perturbation.execute(OTHER) for _ in range(steps)]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 1.0])
+def test_the_share_is_that_of_the_control_steps(share: float) -> None:
+    found = np.mean([action != OTHER for action in executed(share)])
+    assert found == pytest.approx(share, abs=0.0 if share in (0.0, 1.0) else 0.02)
+
+
+def test_random_actions_are_all_actions_held_for_some_steps() -> None:
+    actions = np.array(executed(0.01))
+    starts = np.flatnonzero(np.diff(actions, prepend=OTHER))
+    runs = [part for part in np.split(actions, starts) if len(part) and part[0] != OTHER]
+    assert set(actions.tolist()) == set(range(NUM_ACTIONS + 1))
+    lengths = np.array([len(run) for run in runs])
+    assert set(range(1, MAX_STEPS + 1)) <= set(lengths.tolist())
+    assert lengths.mean() == pytest.approx((1 + MAX_STEPS) / 2, rel=0.15)
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1, float("nan"), float("inf")])
+def test_shares_that_cannot_be_are_refused(share: float) -> None:
+    with pytest.raises(InvalidConfigError, match="perturb: expected a number from 0 to 1, found"):
+        rollout("MoveToRegion", seed=0, perturb=share)
+
+
+def test_without_perturbation_everything_stays_as_it_is() -> None:
+    plain, other = rollout("FixColour", "TestAll", 3), rollout("FixColour", "TestAll", 3, perturb=0)
+    assert np.array_equal(plain.poses, other.poses)
+    assert np.array_equal(plain.actions, plain.expert_actions)
+
+
+def test_labels_are_those_of_an_expert_that_observes_what_is_executed() -> None:
+    episode = rollout("MoveToCorner", "TestAll", 5, perturb=0.4)
+    assert 0.2 < (episode.actions != episode.expert_actions).mean() < 0.6
+    expert, memory = expert_for("MoveToCorner", seed=5), Memory()
+    simulation = Simulation(episode.scene, episode.dynamics)
+    labels = []
+    for step, action in enumerate(episode.actions.tolist()):
+        label, memory = expert.act(state_of(simulation, episode.scene, step, 80), memory)
+        memory = memory if label == action else note_other_action(memory, action)
+        labels.append(label)
+        simulation.step(action)
+    assert labels == episode.expert_actions.tolist()
+    assert np.array_equal(simulation.poses().bodies, episode.poses[-1])
+
+
+def test_the_same_seed_gives_the_same_episode() -> None:
+    first, again = (rollout("MoveToCorner", seed=1, perturb=0.3) for _ in range(2))
+    assert np.array_equal(first.actions, again.actions)
+    other = rollout("MoveToCorner", seed=1, perturb=0.2)
+    assert not np.array_equal(first.actions, other.actions)
+    assert first.scene == other.scene == rollout("MoveToCorner", seed=1).scene
+
+
+@pytest.mark.parametrize("task", ["MoveToRegion", "MoveToCorner", "FixColour"])
+def test_the_expert_recovers(task: str) -> None:
+    scores = [rollout(task, seed=seed, perturb=0.1).score for seed in range(6)]
+    assert np.mean(scores) >= 0.9, scores
+
+
+def test_an_expert_does_not_escape_from_what_others_do() -> None:
+    """A robot that others keep standing is not stuck: the same state, the same label."""
+    scene = get_task("MoveToCorner").demo
+    expert = expert_for("MoveToCorner", seed=0)
+    simulation, memory = Simulation(scene), Memory()
+    first, _ = expert.act(state_of(simulation, scene, 0), None)
+    for step in range(30):
+        label, memory = expert.act(state_of(simulation, scene, step), memory)
+        assert label == first, step
+        memory = note_other_action(memory, NOOP)
+        simulation.step(NOOP)
+
+
+def test_the_move_stays_and_a_block_is_held_while_the_fingers_stay_closed() -> None:
+    move = Move((0.5, 0.5), 0.1, block=0)
+    memory = Memory(move=move, held_steps=5, stalled_steps=6, escape_steps=2)
+    closed, opened = (
+        note_other_action(memory, Action(gripper=gripper).id)
+        for gripper in (Gripper.CLOSED, Gripper.OPEN)
+    )
+    assert (closed.held_steps, opened.held_steps) == (5, 0)
+    assert closed == Memory(move=move, held_steps=5)
