@@ -14,7 +14,7 @@ import pytest
 
 from magical.cli import main
 from magical.demos import Dataset, DatasetWriter, Trajectory
-from magical.demos.human.importing import find_published, import_published
+from magical.demos.human.importing import Keep, find_published, import_published
 from magical.demos.human.published import published_sums, read_published
 from magical.demos.store.summary import find_duplicates
 from magical.errors import DatasetError
@@ -25,9 +25,9 @@ Run = Callable[..., tuple[int, dict[str, Any]]]
 
 @pytest.fixture(scope="session")
 def human(human_archive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """All 40 files, imported."""
+    """All 40 files, imported as frames."""
     out = tmp_path_factory.mktemp("human") / "dataset"
-    report = import_published(find_published(human_archive), out)
+    report = import_published(find_published(human_archive), out, keep=Keep.FRAMES)
     assert len(report.imported) == 40
     assert (report.failed, report.duplicates, report.already) == ((), (), ())
     return out
@@ -96,7 +96,7 @@ def test_first_frame_is_the_demo_scene(human: Path) -> None:
 
 def test_import_again_changes_nothing(human: Path, human_archive: Path, run: Run) -> None:
     before = (human / "manifest.jsonl").read_bytes()
-    status, result = run("import", human_archive / "fix-colour", "--out", human)
+    status, result = run("import", human_archive / "fix-colour", "--out", human, "--frames-only")
     assert (status, result["imported"], len(result["already"])) == (0, [], 5)
     assert (human / "manifest.jsonl").read_bytes() == before
 

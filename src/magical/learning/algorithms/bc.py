@@ -10,16 +10,23 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.optim import SGD, Adam, Optimizer
 
+from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
 from magical.learning.augment import augment
 from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
-from magical.learning.config import PUBLISHED_CODE_IMAGES, ImitationConfig, option
+from magical.learning.config import (
+    IMAGE_OBSERVATIONS,
+    PUBLISHED_CODE_IMAGES,
+    ImitationConfig,
+    option,
+)
 from magical.learning.devices import choose_device
 from magical.learning.expert_data import ExpertData, load_demonstrations
 from magical.learning.models import PolicyNetwork, Trunk, init_last_layers
 from magical.learning.prefetch import prefetch
 from magical.learning.run import Run
 from magical.learning.streams import Purpose, seeded_init, stream
+from magical.observe import STATE
 
 ADAM_BETA_2 = 0.999
 
@@ -44,6 +51,9 @@ class BCConfig(ImitationConfig):
         "published-code": PUBLISHED_CODE_IMAGES,
     }
 
+    observation: str = option(
+        "LoRes4E", "observation preset, or state", choices=(*IMAGE_OBSERVATIONS, STATE)
+    )
     batches: int = option(20_000, "batches in all")
     batch_size: int = option(32, "samples per batch")
     optimizer: str = option("sgd", "optimiser", choices=("sgd", "adam"))
@@ -57,6 +67,20 @@ class BCConfig(ImitationConfig):
         super().__post_init__()
         self.require_positive("batches", "batch_size", "learning_rate")
         self.require_positive("log_every", "checkpoint_every")
+        if self.observation == STATE:
+            self._check_state()
+
+    def _check_state(self) -> None:
+        """Raise `InvalidConfigError` for what state vectors cannot be learned with."""
+        if self.augment != "none":
+            raise InvalidConfigError(
+                f"augment: expected none, as state vectors are not augmented, found {self.augment}"
+            )
+        if len(self.tasks) > 1:
+            raise InvalidConfigError(
+                "observation: state vectors differ between tasks, so one task is expected, found "
+                f"{', '.join(self.tasks)}; use a pixel observation, or a run for each task"
+            )
 
     @property
     def total(self) -> int:
@@ -90,7 +114,7 @@ def train(config: BCConfig, run: Run) -> None:
 class Batch(NamedTuple):
     """Samples of demonstrations."""
 
-    images: Tensor  # (B, C, H, W) float32 in [0, 1]
+    images: Tensor  # (B, C, H, W) float32 in [0, 1], or state vectors (B, size)
     actions: Tensor  # (B,) int64
     tasks: Tensor  # (B,) int64
 
@@ -155,7 +179,9 @@ class BCTrainer:
         """Batch `number`: a function of the data, the seed and the number alone."""
         rng = stream(self.config.seed, Purpose.BATCHES, number)
         rows = data.sample(self.config.batch_size, rng)
-        images = augment(data.images(rows), self.config.augmentations, rng)
+        images = data.images(rows)
+        if self.config.observation != STATE:
+            images = augment(images, self.config.augmentations, rng)
         return Batch(images, *data.labels(rows))
 
     def step(self, batch: Batch, learning_rate: float) -> tuple[Tensor, Tensor]:

@@ -26,7 +26,7 @@ from magical.evaluation.variants import full_variant, short_variant
 from magical.experts import get_goals
 from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.bc import BCConfig, BCTrainer, make_policy
-from magical.learning.config import option
+from magical.learning.config import IMAGE_OBSERVATIONS, option
 from magical.learning.expert_data import ExpertData, TaskTrajectories, load_demonstrations
 from magical.learning.policy import NetworkPolicy
 from magical.learning.run import Run
@@ -47,6 +47,7 @@ class DAggerConfig(BCConfig):
         "quick": {**BCConfig.presets["quick"], "rounds": 6, "batches": 400, "episodes": 5},
     }
 
+    observation: str = option("LoRes4E", "observation preset", choices=IMAGE_OBSERVATIONS)
     batches: int = option(2_000, "batches per round")
     rounds: int = option(10, "rounds; all but the first collect episodes before training")
     episodes: int = option(10, "episodes of each task per round, variants in rotation")
