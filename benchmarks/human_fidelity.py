@@ -311,7 +311,7 @@ def draw(windows: list[Window], own: list[Window], path: Path) -> None:
     names = [f"{label}{'' if i % 2 == 0 else ', own recordings'}" for i, label in enumerate(labels)]
     figure.legend(lines, names, ncols=6, loc="lower center")
     figure.tight_layout(rect=(0, 0.06, 1, 1))
-    figure.savefig(path, dpi=100)
+    figure.savefig(path, dpi=80)
 
 
 if __name__ == "__main__":
