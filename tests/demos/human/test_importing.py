@@ -193,3 +193,27 @@ def test_hand_made_file_is_read_as_the_published_ones(tmp_path: Path, published:
         np.testing.assert_array_equal(trajectory.frames[view], average)
     assert trajectory.actions.tolist() == made.actions.tolist()
     assert trajectory.published_code_score == 0.75
+
+
+def test_a_file_without_recoverable_poses_keeps_its_frames(
+    tmp_path: Path, published: Any, run: Run
+) -> None:
+    file = published().write(tmp_path / "demo.pkl.gz")
+    status, result = run("import", file, "--out", tmp_path / "d", "--workers", 1)
+    assert (status, result["imported"]) == (0, ["demo.pkl.gz"])
+    ((name, why),) = result["without_poses"]
+    assert name == "demo.pkl.gz"
+    assert "does not start in the Demo scene" in why
+    (trajectory,) = Dataset.open(tmp_path / "d")
+    assert trajectory.frames is not None
+    assert (trajectory.poses, trajectory.is_recovered) == (None, False)
+
+
+def test_frames_alone_are_kept_without_an_attempt(tmp_path: Path, published: Any, run: Run) -> None:
+    file = published().write(tmp_path / "demo.pkl.gz")
+    command = ("import", file, "--out", tmp_path / "d", "--workers", 1)
+    status, result = run(*command, "--frames-only")
+    assert (status, result["without_poses"]) == (0, [])
+    (trajectory,) = Dataset.open(tmp_path / "d")
+    assert "recovery" not in trajectory.metadata
+    assert main(["demos", *map(str, command), "--frames-only", "--keep-frames"]) == 2
