@@ -22,12 +22,8 @@ from magical.files import LockedError, is_partial, lock_now, remove_partial_file
 from magical.runs.folder import LOCK, read_json, versions, write_json
 
 FORMAT = 1
-EXPERIMENT, PLAN, PROGRESS, RESULT = (
-    "experiment.json",
-    "plan.json",
-    "progress.json",
-    "result.json",
-)
+EXPERIMENT, PLAN = "experiment.json", "plan.json"
+PROGRESS, RESULT = "progress.json", "result.json"
 RUNS, DEMOS = "runs", "demos"
 DONE, FAILED, WAITING = "done", "failed", "waiting"  # states; the first two are in `result.json`
 
