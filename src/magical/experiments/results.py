@@ -108,7 +108,8 @@ def check_results(path: Path, runs: Sequence[PlannedRun]) -> None:
         ResultsError: the folder is of another version, or of another plan.
     """
     found = _read(path / EXPERIMENT)
-    version = found.get("versions", {}).get("magical")
+    versions_then = found.get("versions")
+    version = versions_then.get("magical") if isinstance(versions_then, dict) else None
     if found.get("format") != FORMAT or version != __version__:
         raise ResultsError(
             f"{path} holds results of magical {version} (format {found.get('format')}), this is "
