@@ -59,18 +59,18 @@ def planned(tiny: Path) -> Callable[..., list[PlannedRun]]:
 class InlineExecutor:
     """Finishes each run when it is started, in this process."""
 
-    def __init__(self, results: Results, demos: Path | None, started: list[PlannedRun]) -> None:
-        self.results, self.demos, self.started = results, demos, started
+    def __init__(self, results: Results, started: list[PlannedRun]) -> None:
+        self.results, self.started = results, started
 
     def slots(self) -> int:
         return 1
 
-    def start(self, run: PlannedRun) -> Future[Outcome]:
+    def start(self, run: PlannedRun, demos: Path | None) -> Future[Outcome]:
         from magical.experiments.one_run import finish
 
         self.started.append(run)
         future: Future[Outcome] = Future()
-        future.set_result(finish(run, self.results.folder(run), self.demos))
+        future.set_result(finish(run, self.results.folder(run), demos))
         return future
 
     def stop(self) -> None:
@@ -85,10 +85,8 @@ def in_this_process() -> Iterator[list[PlannedRun]]:
     """A context in which plans are executed in this process; the list of the runs started."""
     started: list[PlannedRun] = []
 
-    def make(
-        runs: list[PlannedRun], results: Results, demos: Path | None, resources: object
-    ) -> InlineExecutor:
-        return InlineExecutor(results, demos, started)
+    def make(runs: list[PlannedRun], results: Results, resources: object) -> InlineExecutor:
+        return InlineExecutor(results, started)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("magical.experiments.execution._executor", make)

@@ -48,12 +48,13 @@ def test_the_scores_are_those_of_local_processes(
 def test_without_a_shared_folder_runs_come_back_through_ray(
     planned: Planned, finished: Path, tmp_path: Path, scores: Callable[[Path], bool]
 ) -> None:
-    out, runs = tmp_path / "out", planned()
+    out, runs, demos = tmp_path / "out", planned(), finished / "demos" / "expert-3"
     with opened(out, runs) as results:
         elsewhere = Results(results.path, "the id of another folder")
-        executor = RayExecutor(runs, elsewhere, finished / "demos" / "expert-3", workers=2)
+        executor = RayExecutor(runs, elsewhere, workers=2)
         try:
-            outcomes = [future.result() for future in [executor.start(run) for run in runs]]
+            started = [executor.start(run, demos) for run in runs]
+            outcomes = [future.result() for future in started]
         finally:
             executor.close()
     assert [outcome.state for outcome in outcomes] == ["done", "done"]

@@ -27,8 +27,8 @@ class Executor(Protocol):
     def slots(self) -> int:
         """How many runs can be in progress at a time."""
 
-    def start(self, run: PlannedRun) -> Future[Outcome]:
-        """Start a run."""
+    def start(self, run: PlannedRun, demos: Path | None) -> Future[Outcome]:
+        """Start a run, which learns from the dataset `demos`."""
 
     def stop(self) -> None:
         """Have the runs in progress save a checkpoint and end."""
@@ -130,10 +130,10 @@ def execute(
         again = (None, FAILED) if retry_failed else (None,)
         waiting = [run for run in runs if states[run] in again]
         if waiting:
-            demos = prepare_demonstrations(waiting, results, resources.workers)
-            executor = _executor(waiting, results, demos, resources)
-            with closing(executor), Display(results.path) as display:
-                _finish_all(waiting, results, executor, display, stop)
+            with closing(_executor(waiting, results, resources)) as executor:
+                demos = prepare_demonstrations(waiting, results, resources.workers)
+                with Display(results.path) as display:
+                    _finish_all(waiting, demos, results, executor, display, stop)
         return Summary(
             results.path, Counter(filter(None, map(results.state, runs))), len(runs), stop.seen
         )
@@ -141,6 +141,7 @@ def execute(
 
 def _finish_all(
     runs: Sequence[PlannedRun],
+    demos: Path | None,
     results: Results,
     executor: Executor,
     display: Display,
@@ -152,7 +153,7 @@ def _finish_all(
     while running or (waiting and not (full or stop.seen)):
         while waiting and not (full or stop.seen) and len(running) < executor.slots():
             run = waiting.popleft()
-            running[executor.start(run)] = run
+            running[executor.start(run, demos)] = run
             results.write_progress(running.values(), executor.slots())
         ended, _ = wait(running, POLL, FIRST_COMPLETED)
         for future in ended:
@@ -181,15 +182,11 @@ def _outcome(run: PlannedRun, future: Future[Outcome], results: Results, stoppin
     return Outcome("failed", error=record_failure(run, results.folder(run), error))
 
 
-def _executor(
-    runs: Sequence[PlannedRun], results: Results, demos: Path | None, resources: Resources
-) -> Executor:
+def _executor(runs: Sequence[PlannedRun], results: Results, resources: Resources) -> Executor:
     if resources.executor == RAY:
         from magical.experiments.ray_cluster import RayExecutor  # an optional library
 
-        return RayExecutor(
-            runs, results, demos, resources.address, resources.workers, resources.gpus
-        )
+        return RayExecutor(runs, results, resources.address, resources.workers, resources.gpus)
     from magical.experiments.local import LocalExecutor
 
-    return LocalExecutor(runs, results, demos, resources.workers)
+    return LocalExecutor(runs, results, resources.workers)

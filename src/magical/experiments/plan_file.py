@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from magical.envs.episode import checked_nudge
-from magical.errors import MagicalError, PlanError
+from magical.errors import MagicalError, MissingDependencyError, PlanError
 from magical.evaluation.variants import full_variant
 from magical.experiments.plan import Evaluation, Method, Plan, planned_runs
 from magical.learning import find_algorithm
@@ -209,7 +209,7 @@ def _naming(key: str) -> Iterator[None]:
     """Add the key to the message of an error."""
     try:
         yield
-    except PlanError:
+    except (PlanError, MissingDependencyError):
         raise
     except MagicalError as error:
         raise PlanError(f"{key}: {error}") from error

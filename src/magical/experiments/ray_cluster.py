@@ -40,7 +40,6 @@ class RayExecutor:
         self,
         runs: Sequence[PlannedRun],
         results: Results,
-        demos: Path | None,
         address: str | None = None,
         workers: int | None = None,
         gpus: float = 0.0,
@@ -50,7 +49,6 @@ class RayExecutor:
         Args:
             runs: that will be started.
             results: the results folder.
-            demos: the dataset to learn from.
             address: as `ray.init` takes it; default: the cluster that this machine belongs to, or
                 a new one, and with `workers` always a new one.
             workers: runs at a time on a new cluster on this machine.
@@ -64,7 +62,7 @@ class RayExecutor:
         self._results = results
         _connect(address, workers and workers * self._threads)
         self._remote = ray.remote(_finish)
-        self._demos = None if demos is None else (demos, ray.put(pack(demos)))
+        self._packed: dict[Path, Any] = {}  # datasets, as object references
         self._tasks: dict[Future[Returned], Any] = {}  # the object references
 
     def slots(self) -> int:
@@ -75,8 +73,8 @@ class RayExecutor:
             slots = min(slots, int(resources.get("GPU", 0) / self._gpus))
         return max(1, slots)
 
-    def start(self, run: PlannedRun) -> Future[Outcome]:
-        """Start a run."""
+    def start(self, run: PlannedRun, demos: Path | None) -> Future[Outcome]:
+        """Start a run, which learns from the dataset `demos`."""
         task = self._remote.options(
             name=run.folder,
             num_cpus=run.config.threads,
@@ -84,8 +82,11 @@ class RayExecutor:
             max_retries=RETRIES,
         )
         folder = self._results.folder(run)
-        demos = self._demos and (str(self._demos[0]), [self._demos[1]])
-        reference = task.remote(run, str(folder), self._results.id, demos)
+        if demos and demos not in self._packed:
+            self._packed[demos] = ray.put(pack(demos))
+        # References in a list are not fetched before they are needed.
+        dataset = (str(demos), [self._packed[demos]]) if demos else None
+        reference = task.remote(run, str(folder), self._results.id, dataset)
         ended: Future[Returned] = reference.future()
         self._tasks[ended] = reference
         outcome: Future[Outcome] = Future()

@@ -22,12 +22,8 @@ from magical.files import LockedError, is_partial, lock_now, remove_partial_file
 from magical.runs.folder import LOCK, read_json, versions, write_json
 
 FORMAT = 1
-EXPERIMENT, PLAN, PROGRESS, RESULT = (
-    "experiment.json",
-    "plan.json",
-    "progress.json",
-    "result.json",
-)
+EXPERIMENT, PLAN = "experiment.json", "plan.json"
+PROGRESS, RESULT = "progress.json", "result.json"
 RUNS, DEMOS = "runs", "demos"
 DONE, FAILED, WAITING = "done", "failed", "waiting"  # states; the first two are in `result.json`
 
@@ -112,7 +108,8 @@ def check_results(path: Path, runs: Sequence[PlannedRun]) -> None:
         ResultsError: the folder is of another version, or of another plan.
     """
     found = _read(path / EXPERIMENT)
-    version = found.get("versions", {}).get("magical")
+    versions_then = found.get("versions")
+    version = versions_then.get("magical") if isinstance(versions_then, dict) else None
     if found.get("format") != FORMAT or version != __version__:
         raise ResultsError(
             f"{path} holds results of magical {version} (format {found.get('format')}), this is "
