@@ -21,7 +21,6 @@ from torch.optim import SGD
 
 from magical.learning.algorithms.bc import Batch, BCConfig, bc_loss, make_optimizer, make_policy
 from magical.learning.augment import augment
-from magical.learning.augmentations import parse_augmentations
 from magical.learning.devices import Compute, choose_compute, choose_device
 from magical.learning.networks import find_network
 from magical.learning.prefetch import prefetch
@@ -52,8 +51,8 @@ class Setup:
         size = self.config.batch_size
         moments = torch.from_numpy(rng.integers(0, FRAMES, size * 4)).to(self.device)
         images = self.frames.index_select(0, moments).view(size, 12, 96, 96)
-        which = parse_augmentations(self.config.augment)
-        return Batch(augment(images, which, rng), self.actions, self.tasks)
+        images = augment(images, self.config.augmentations, rng)
+        return Batch(images, self.actions, self.tasks)
 
 
 def our_step(setup: Setup, compute: Compute) -> Callable[[Batch], None]:

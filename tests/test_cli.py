@@ -1,6 +1,7 @@
 """The command line: discovery, exit statuses, output."""
 
 import json
+import math
 import os
 import subprocess
 import sys
@@ -207,7 +208,7 @@ def motions(path: Path, *, wrong: float | None) -> Path:
     if wrong is not None:
         still = [0.0, 0.0, 0.0]
         motion["robot_pose"] = [still, [wrong, 0.0, 0.0]]
-        motion["finger_angles"] = [[0.3927, -0.3927]] * 2
+        motion["finger_angles"] = [[math.pi / 8, -math.pi / 8]] * 2
         motion["block_poses"] = [[], []]
     path.write_text(json.dumps({"drive-still": motion}))
     return path

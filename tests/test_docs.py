@@ -106,6 +106,28 @@ def test_generated_tables_are_up_to_date() -> None:
     assert tool["main"](["--check"]) == 0, "run python tools/readme_tables.py"
 
 
+def test_the_tables_of_presets_are_up_to_date() -> None:
+    pytest.importorskip("torch", reason="the learning extra is not installed")
+    from tools import preset_tables
+
+    assert preset_tables.main(["--check"]) == 0, "run python -m tools.preset_tables"
+
+
+def test_paper_presets_have_what_the_appendix_states() -> None:
+    pytest.importorskip("torch", reason="the learning extra is not installed")
+    from magical.learning import find_algorithm
+    from magical.learning.config import options
+    from tools import preset_tables
+
+    for name in preset_tables.SOURCES:
+        kind = find_algorithm(name).config
+        stated = preset_tables.appendix(kind)
+        assert len(stated) >= 10
+        defaults = {option.name: option.default for option in options(kind)}
+        paper = {**defaults, **kind.presets["paper"]}
+        assert {field: paper[field] for field in stated} == stated
+
+
 def test_one_version_everywhere() -> None:
     assert f"\nversion: {magical.__version__}\n" in (ROOT / "CITATION.cff").read_text()
     assert f"\n## [{magical.__version__}]" in (ROOT / "CHANGELOG.md").read_text()

@@ -3,7 +3,6 @@
 python tools/augmentation_picture.py
 """
 
-from dataclasses import replace
 from pathlib import Path
 
 import gymnasium
@@ -13,7 +12,7 @@ from PIL import Image, ImageDraw
 
 import magical  # noqa: F401  (registers the environments)
 from magical.learning.augment import augment
-from magical.learning.augmentations import NAMES, SETS, Augmentations
+from magical.learning.augmentations import NAMES, SETS, Augmentations, parse_augmentations
 
 OUT = Path(__file__).resolve().parents[1] / "docs" / "images" / "augmentations.png"
 SAMPLES = 4  # examples of each
@@ -22,7 +21,7 @@ TILE, GAP, LABEL = 144, 8, 110  # pixels
 
 def rows() -> dict[str, Augmentations]:
     """What is shown: nothing, each alone, all."""
-    alone = {name: replace(SETS["none"], **{name: True}) for name in NAMES}
+    alone = {name: parse_augmentations(name) for name in NAMES}
     return {"original": SETS["none"], **alone, "all": SETS["all"]}
 
 

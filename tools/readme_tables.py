@@ -6,7 +6,7 @@ With --check nothing is written; the exit status is 1 if the README is out of da
 """
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from magical.cli import find_commands
@@ -65,24 +65,26 @@ def commands() -> str:
 TABLES = {"tasks": tasks, "presets": presets, "commands": commands}
 
 
-def renew(text: str) -> str:
-    """The README's text with every table made anew."""
-    for name, make in TABLES.items():
+def renew(text: str, page: Path, tables: Mapping[str, Callable[[], str]]) -> str:
+    """A page's text with every table made anew."""
+    for name, make in tables.items():
         before, found, rest = text.partition(f"<!-- {name} -->\n")
         _, closed, after = rest.partition("<!-- end -->")
         if not found or not closed:
-            raise SystemExit(f"{README.name}: expected <!-- {name} --> and <!-- end -->")
+            raise SystemExit(f"{page.name}: expected <!-- {name} --> and <!-- end -->")
         text = before + found + make() + "\n" + closed + after
     return text
 
 
-def main(arguments: list[str]) -> int:
-    """Write, or check."""
-    old = README.read_text(encoding="utf-8")
-    new = renew(old)
+def main(
+    arguments: Sequence[str], page: Path = README, tables: Mapping[str, Callable[[], str]] = TABLES
+) -> int:
+    """Write a page's tables, or check them."""
+    old = page.read_text(encoding="utf-8")
+    new = renew(old, page, tables)
     if "--check" in arguments:
         return int(new != old)
-    README.write_text(new, encoding="utf-8")
+    page.write_text(new, encoding="utf-8")
     return 0
 
 

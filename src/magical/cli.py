@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from types import ModuleType
 
 from magical import __version__, commands
-from magical.errors import MagicalError, UnknownNameError
+from magical.errors import MagicalError, PlanError, UnknownNameError
 
 GOOD, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
 
@@ -40,7 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
     except SystemExit as stop:  # argparse: --help, --version, wrong usage
         return stop.code if isinstance(stop.code, int) else USAGE
-    except UnknownNameError as error:
+    except (UnknownNameError, PlanError) as error:
         return _report(error, USAGE)
     except BrokenPipeError:
         # The reader closed the pipe (`magical envs | head`); the exit's own flush must not fail.

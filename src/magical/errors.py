@@ -121,6 +121,18 @@ class InvalidConfigError(MagicalError, ValueError):
     """A configuration with values that cannot be, or of another algorithm."""
 
 
+class PlanError(MagicalError, ValueError):
+    """A plan with unknown names, settings that cannot be combined, or the same run twice."""
+
+
+class ResultsError(MagicalError, RuntimeError):
+    """A results folder that is in use, of another plan or version, damaged, or without space."""
+
+
+class ClusterError(MagicalError, ConnectionError):
+    """A Ray cluster that cannot be reached."""
+
+
 class RunFolderError(MagicalError, RuntimeError):
     """A run folder that is in use, missing, damaged or cannot be written to."""
 

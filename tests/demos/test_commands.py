@@ -1,6 +1,7 @@
 """`magical demos info` and `replay` on intact and damaged recordings."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,24 @@ def test_replay_of_recordings_is_exact(small_dataset: Path, run: Run) -> None:
     for mean in result["environments"]:
         assert mean["published_code_score"] == mean["recorded"]
         assert (mean["exact"], mean["published_replay"]) == (mean["count"], None)
+
+
+def test_replay_says_how_many_got_the_recorded_score(
+    small_dataset: Path, tmp_path: Path, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    status, result = run("replay", small_dataset)
+    assert (status, result["agree"]) == (0, 3)
+    writer = DatasetWriter(tmp_path / "other")
+    for number, trajectory in enumerate(Dataset.open(small_dataset)):
+        by_rule = "score" if number == 0 else "published_code_score"
+        wrong = {by_rule: abs(1.0 - getattr(trajectory, by_rule))} if number < 2 else {}
+        writer.append(replace(trajectory, **wrong))
+    status, result = run("replay", tmp_path / "other")
+    assert (status, result["agree"]) == (0, 1)
+    assert [one["agrees"] for one in result["replays"]] == [False, False, True]
+    assert sum(mean["agree"] for mean in result["environments"]) == 1
+    assert main(["demos", "replay", str(tmp_path / "other")]) == 0
+    assert "1 of 3 replays got the recorded score" in capsys.readouterr().out
 
 
 def test_replay_skips_damaged_files(

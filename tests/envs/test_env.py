@@ -18,6 +18,7 @@ from magical.errors import (
     UnknownNameError,
 )
 from magical.scene import ACTION_NAMES, Block, Colour, Dynamics, Pose, Region, Scene, Shape
+from magical.tasks import TASKS
 
 CORNER = "magical/MoveToCorner-Demo-v0"
 
@@ -77,6 +78,12 @@ def test_horizons_are_the_appendix_s() -> None:
     assert made == horizons
 
 
+def test_the_published_horizon_differs_for_the_cluster_tasks_alone() -> None:
+    for task in TASKS.values():
+        env = MagicalEnv(task.name, "Demo", observation="state", horizon="published")
+        assert env.horizon == (240 if task.name.startswith("Cluster") else task.horizon)
+
+
 @pytest.mark.parametrize("action", [-1, 18, 1.0, "3", None, True, np.array([1, 2]), np.float32(2)])
 def test_bad_actions(action: Any) -> None:
     env = _make()
@@ -114,7 +121,13 @@ def test_unknown_ids(env_id: str, hint: str) -> None:
 
 @pytest.mark.parametrize(
     "options",
-    [{"observation": "LoRes5"}, {"reward": "lots"}, {"render_mode": "human"}, {"horizon": 0}],
+    [
+        {"observation": "LoRes5"},
+        {"reward": "lots"},
+        {"render_mode": "human"},
+        {"horizon": 0},
+        {"horizon": "long"},
+    ],
 )
 def test_bad_construction(options: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match="expected"):

@@ -90,6 +90,11 @@ def test_out_holds_an_entry(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
         (["no_module:thing"], 1, "cannot be imported"),
         (["noop", "--rollouts", "0"], 2, "at least 1"),
         (["noop", "--horizon", "soon"], 2, "soon"),
+        (
+            ["noop", "--horizon", "published", "--task", "MoveToRegion"],
+            2,
+            "found tasks with one horizon only: MoveToRegion (40 steps); leave the horizon out",
+        ),
     ],
 )
 def test_wrong_arguments(
@@ -117,3 +122,19 @@ def test_a_folder_that_is_no_run_says_so(
     status, _, err = evaluate(capsys, str(tmp_path))
     assert status == 1
     assert "expected a run folder" in err
+
+
+def test_a_nudge_is_recorded(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    argv = ["--task", "MoveToRegion", "--variants", "Demo", "--rollouts", "2"]
+    status, _, _ = evaluate(capsys, "random", *argv, "--nudge", "1e-9", "--out", str(tmp_path))
+    assert status == 0
+    assert read_entry(tmp_path).nudge == 1e-9
+
+
+@pytest.mark.parametrize("nudge", ["x", "-1", "1", "nan"])
+def test_a_nudge_out_of_range_is_wrong_usage(
+    capsys: pytest.CaptureFixture[str], nudge: str
+) -> None:
+    status, _, err = evaluate(capsys, "random", f"--nudge={nudge}")
+    assert status == 2
+    assert "--nudge" in err

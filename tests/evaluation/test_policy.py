@@ -1,11 +1,13 @@
 """What policies may return, and how they are found."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from magical.envs import EnvId
 from magical.errors import PolicyError, UnknownNameError
@@ -113,6 +115,22 @@ def test_a_plain_function_is_a_policy(module: str, suffix: str) -> None:
     np.testing.assert_array_equal(policy.act(None, [DEMO], np.random.default_rng(0)), [1])
 
 
+def function(
+    observations: object, env_ids: Sequence[str], rng: np.random.Generator
+) -> NDArray[np.int64]:
+    return np.zeros(len(env_ids), np.int64)
+
+
+def test_what_a_name_may_stand_for_is_taken_itself(module: str) -> None:
+    policy = RandomPolicy()
+    assert load_policy(policy) is policy
+    assert isinstance(load_policy(NoopPolicy), NoopPolicy)
+    assert isinstance(load_policy(function), FunctionPolicy)
+    assert isinstance(load_policy(Path(f"{module}.py:function")), FunctionPolicy)
+    with pytest.raises(PolicyError, match="found int 7"):
+        load_policy(7)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(
     ("name", "message"),
     [
@@ -133,8 +151,8 @@ def test_missing_modules(name: str) -> None:
         load_policy(name)
 
 
-@pytest.mark.parametrize("name", ["randon", "module:", ":name"])
-def test_a_name_of_no_known_form_lists_the_forms(name: str) -> None:
+@pytest.mark.parametrize("name", ["randon", "module:", ":name", Path("runs/none")])
+def test_a_name_of_no_known_form_lists_the_forms(name: str | Path) -> None:
     with pytest.raises(UnknownNameError, match=r"random, noop, expert, a run folder, module:name"):
         load_policy(name)
 

@@ -1,12 +1,21 @@
 """The published tables."""
 
 import hashlib
+import math
 from pathlib import Path
 
 import pytest
+import scipy.stats
 
 from magical.errors import UnknownNameError
-from magical.evaluation import published_methods, published_score, published_table, published_tasks
+from magical.evaluation import (
+    difference_from_published,
+    published_methods,
+    published_score,
+    published_table,
+    published_tasks,
+)
+from magical.evaluation.statistics import Spread
 from magical.tasks import TASKS
 
 
@@ -47,3 +56,20 @@ def test_the_table_is_the_one_that_was_checked_against_the_appendix(root: Path) 
     file = root / "src" / "magical" / "evaluation" / "data" / "published-scores.csv"
     sha256 = "7090cbc8fdb278c03140581e52c0b31b2e3f4a1ab24ecd9d5d6539a2cc2a2301"
     assert hashlib.sha256(file.read_bytes()).hexdigest() == sha256
+
+
+def test_the_difference_from_a_published_mean_has_welch_s_interval() -> None:
+    ours, theirs = [0.5, 0.7, 0.9], Spread(0.6, 0.1)
+    value, low, high = difference_from_published(ours, theirs)
+    # Our mean is 0.7 with the variance 0.04 / 3; theirs has 0.01 / 4, whatever the divisor of 0.1.
+    ours_of, theirs_of = 0.04 / 3, 0.01 / 4
+    freedom = (ours_of + theirs_of) ** 2 / (ours_of**2 / 2 + theirs_of**2 / 4)
+    half = float(scipy.stats.t.ppf(0.975, freedom)) * math.sqrt(ours_of + theirs_of)
+    assert (value, low, high) == pytest.approx((0.1, 0.1 - half, 0.1 + half))
+
+
+def test_one_run_differs_without_an_interval() -> None:
+    value, low, high = difference_from_published([0.25], Spread(0.5, 0.1))
+    assert value == -0.25
+    assert math.isnan(low)
+    assert math.isnan(high)

@@ -138,6 +138,15 @@ def test_horizons(horizon: Any, steps: int) -> None:
     assert len(policy.acts) == steps
 
 
+def test_the_published_horizon_is_for_tasks_that_have_one_of_their_own() -> None:
+    with pytest.raises(UnknownNameError, match=r"ClusterColour, ClusterShape.*found.*MoveToRegion"):
+        evaluate(NoopPolicy(), [DEMO], rollouts=1, horizon="published", workers=0)
+    policy = Watching(observation="state")
+    ids = ["magical/MoveToRegion-Demo-v0", "magical/ClusterShape-Demo-v0"]
+    evaluate(policy, ids, rollouts=1, horizon="published", workers=0)
+    assert len(policy.acts) == 40 + 240
+
+
 @pytest.mark.parametrize("horizon", ["long", 0, -3])
 def test_a_wrong_horizon_is_named(horizon: Any) -> None:
     with pytest.raises(UnknownNameError, match="'published' or None"):
@@ -225,3 +234,28 @@ def test_a_policy_that_edits_its_observations_changes_nothing(
         for edits in (False, True)
     ]
     assert results[0] == results[1]
+
+
+def test_a_nudge_gives_every_rollout_its_own_start() -> None:
+    exact, nudged = Watching(privileged=True), Watching(privileged=True)
+    evaluate(exact, [DEMO], rollouts=3, horizon=1, workers=0)
+    scores = evaluate(nudged, [DEMO], rollouts=3, horizon=1, nudge=1e-9, workers=0)
+    same, starts = (
+        np.stack([state.poses.bodies for state in policy.acts[0][0]]) for policy in (exact, nudged)
+    )  # (3, 5, 3) each
+    assert np.array_equal(same[0], same[1])
+    assert len(np.unique(starts[:, 0, 0])) == 3
+    assert 0 < np.abs(starts - same).max() < 1e-8
+    assert [row.seed for row in scores] == [evaluation_seed(i) for i in range(3)]
+
+
+@pytest.mark.parametrize("name", ["random", "expert"])
+def test_a_nudge_does_not_depend_on_processes(name: str) -> None:
+    policy = load_policy(name)
+    one = evaluate(policy, [DEMO], rollouts=12, nudge=1e-9, workers=0)
+    assert evaluate(policy, [DEMO], rollouts=12, nudge=1e-9, workers=2) == one
+
+
+def test_a_nudge_out_of_range() -> None:
+    with pytest.raises(ValueError, match="nudge: expected"):
+        evaluate(NoopPolicy(), [DEMO], rollouts=1, nudge=1.0, workers=0)

@@ -74,7 +74,9 @@ def test_damaged_files_are_named(tmp_path: Path, text: str, message: str) -> Non
 
 
 def test_entries_are_read_back_and_keep_what_their_authors_added(tmp_path: Path) -> None:
-    entry = Entry(method="mine", scores=SCORES, observation="LoRes4E", details={"labels": 10})
+    entry = Entry(
+        method="mine", scores=SCORES, observation="LoRes4E", nudge=1e-9, details={"labels": 10}
+    )
     entry.write(tmp_path)
     assert read_entry(tmp_path) == entry
     Entry(method="mine", scores=SCORES[:1], details={"note": "again"}).write(tmp_path)
@@ -91,7 +93,20 @@ def test_half_an_entry_says_what_is_missing(tmp_path: Path, missing: str) -> Non
         read_entry(tmp_path)
 
 
-@pytest.mark.parametrize("text", ["{", "[]", "{}", '{"method": "x", "colour": 1}'])
+DEEP = '{"method": "x", "details": {"a": ' + "[" * 40 + "]" * 40 + "}}"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{",
+        "[]",
+        "{}",
+        '{"method": "x", "colour": 1}',
+        '{"method": "x", "details": {"big": 1e999}}',
+        DEEP,
+    ],
+)
 def test_a_damaged_entry_is_named(tmp_path: Path, text: str) -> None:
     Entry(method="mine", scores=SCORES).write(tmp_path)
     (tmp_path / "entry.json").write_text(text)

@@ -211,6 +211,23 @@ def test_strata_add_up_in_the_probability_of_improvement() -> None:
 # Over rollouts.
 
 
+def test_a_performance_profile_is_the_share_of_runs_above_each_threshold() -> None:
+    scores = [[0.0, 0.5], [0.5, 1.0], [1.0, 1.0]]
+    at = stats.performance_profile(scores, [0.0, 0.5, 0.9, 1.0])
+    # Above 0: 2 of 3 runs and 3 of 3; above 0.5: 1 and 2; above 0.9 the same; above 1 none.
+    assert [interval.value for interval in at] == pytest.approx([5 / 6, 1 / 2, 1 / 2, 0.0])
+    # Above 0.5 the runs' means over the two environments are 0, 1/2 and 1: std 1/2.
+    half = T2 * 0.5 / math.sqrt(3)
+    assert at[1] == pytest.approx((0.5, max(0.5 - half, 0.0), min(0.5 + half, 1.0)))
+
+
+def test_a_performance_profile_leaves_out_what_was_not_evaluated() -> None:
+    scores = [[0.2, np.nan], [0.6, np.nan], [np.nan, 0.9]]
+    (interval,) = stats.performance_profile(scores, [0.5])
+    assert interval.value == pytest.approx((1 / 2 + 1) / 2)
+    assert math.isnan(interval.low)  # the second environment has one run
+
+
 def test_over_rollouts_is_the_weighted_sum_of_environments() -> None:
     run = rollouts(IDS[0], *[1.0] * 8, 0.0, 0.0) + rollouts(IDS[2], *[1.0] * 10)
     env_ids = [IDS[0], IDS[2]]
@@ -267,3 +284,12 @@ def test_agreement_with_rliable() -> None:
     assert stats.probability_of_improvement(table, other).value == pytest.approx(
         metrics.probability_of_improvement(table, other)
     )
+
+
+def test_performance_profiles_agree_with_rliable() -> None:
+    library = pytest.importorskip("rliable.library", reason="rliable is not installed")
+    table = np.round(np.random.default_rng(6).random((6, 4)), 1)
+    thresholds = np.linspace(0.0, 1.0, 11)
+    found = [interval.value for interval in stats.performance_profile(table, thresholds)]
+    expected = [library.run_score_deviation(table, threshold) for threshold in thresholds]
+    assert found == pytest.approx(expected)

@@ -1,6 +1,7 @@
 """What augmentations do to pictures, against numpy and scikit-image."""
 
 from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ NONE = SETS["none"]
 
 
 def only(name: str) -> Augmentations:
-    return replace(NONE, **{name: True})
+    return parse_augmentations(name)
 
 
 def rng() -> np.random.Generator:
@@ -37,7 +38,9 @@ def test_names_sets_and_combinations() -> None:
     assert parse_augmentations("none") == Augmentations(False, False, False, False)
     assert parse_augmentations("noise+rotation") == Augmentations(True, False, True, False)
     for name in NAMES:
-        assert asdict(parse_augmentations(name)) == {n: n == name for n in NAMES}
+        found = asdict(parse_augmentations(name, borders="repeat", linear_light=False))
+        assert (found["borders"], found["linear_light"]) == ("repeat", False)
+        assert {n: found[n] for n in NAMES} == {n: n == name for n in NAMES}
     with pytest.raises(UnknownNameError, match=r"'blur'.*no-trans-rot.*noise, translation"):
         parse_augmentations("noise+blur")
 
@@ -104,12 +107,15 @@ def test_ablations_share_random_numbers() -> None:
     assert torch.allclose(both, separate, atol=1e-6)
 
 
+@pytest.mark.parametrize(("borders", "padding"), [("mirror", "symmetric"), ("repeat", "edge")])
 @pytest.mark.parametrize(("right", "down"), [(3, 0), (0, -4), (-2, 4)])
-def test_whole_pixel_translation_moves_and_mirrors(right: int, down: int) -> None:
+def test_whole_pixel_translation_moves_and_mirrors_or_repeats(
+    right: int, down: int, borders: str, padding: Any
+) -> None:
     images = np.random.default_rng(0).random((1, 3, 96, 96))
     shift = np.array([[right / 96, down / 96]])
-    moved = warp(torch.from_numpy(images), np.zeros(1), shift).numpy()
-    padded = np.pad(images, ((0, 0), (0, 0), (8, 8), (8, 8)), mode="symmetric")
+    moved = warp(torch.from_numpy(images), np.zeros(1), shift, borders).numpy()
+    padded = np.pad(images, ((0, 0), (0, 0), (8, 8), (8, 8)), mode=padding)
     expected = padded[:, :, 8 - down : 104 - down, 8 - right : 104 - right]
     np.testing.assert_allclose(moved, expected, atol=1e-9)
 
@@ -153,3 +159,19 @@ def centres(images: Tensor) -> NDArray[np.float64]:
     x = (mass.sum(axis=1) * places).sum(axis=1) / total
     y = (mass.sum(axis=2) * places).sum(axis=1) / total
     return np.stack([x, y], axis=1)
+
+
+def test_the_settings_of_borders_and_colours_are_used() -> None:
+    images = smooth_stacks()
+    mirrored, repeated = (
+        augment(images, parse_augmentations("translation", borders), rng())
+        for borders in ("mirror", "repeat")
+    )
+    inside = slice(10, -10)
+    assert torch.allclose(mirrored[..., inside, inside], repeated[..., inside, inside], atol=1e-5)
+    assert float((mirrored - repeated).abs().max()) > 1e-3
+    linear, plain = (
+        augment(images, parse_augmentations("colour", linear_light=linear_light), rng())
+        for linear_light in (True, False)
+    )
+    assert 1e-3 < float((linear - plain).abs().max()) < 0.1

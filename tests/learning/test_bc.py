@@ -10,20 +10,24 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
-from magical.demos import observations
+from magical.demos import Trajectory, observations
 from magical.errors import CheckpointError, DivergedError, InvalidConfigError, RunFolderError
+from magical.evaluation import evaluate
 from magical.learning import load_policy, run, train
 from magical.learning.algorithms.bc import (
     BCConfig,
     bc_loss,
 )
 from magical.learning.checkpoints import load_checkpoint
+from magical.physics import Simulation
 from magical.runs import read_metrics
 from magical.runs.folder import CHECKPOINT
+from magical.tasks import get_task
 from tests.learning.conftest import TASKS, picture_demo, write_demos
 
 
@@ -337,3 +341,35 @@ def test_other_demonstrations_cannot_continue_a_run(demos: Path, tmp_path: Path)
     moved = replace(config, demos=str(write_demos(tmp_path / "others", others)))
     with pytest.raises(RunFolderError, match="other demonstrations"):
         train(moved, tmp_path / "run", resume=True)
+
+
+def test_state_vectors_are_learned_from(tmp_path: Path) -> None:
+    task, actions = get_task("MoveToRegion"), np.repeat([1, 4], 16)
+    simulation = Simulation(task.demo)
+    poses = [simulation.poses().bodies]
+    for action in actions.tolist():
+        simulation.step(action)
+        poses.append(simulation.poses().bodies)
+    demo = Trajectory.from_poses("MoveToRegion-Demo-v0", task.demo, actions, np.stack(poses))
+    demos = write_demos(tmp_path / "demos", [demo])
+    fields = {"tasks": ("MoveToRegion",), "observation": "state", "num_demos": 1}
+    config = tiny(demos, **fields, augment="none", batches=300, batch_size=16)
+    train(config, tmp_path / "run")
+    policy = load_policy(tmp_path / "run", greedy=True)
+    states = observations(demo, "state")[:-1]
+    found = policy.act(states, ["MoveToRegion-Demo-v0"] * len(states), np.random.default_rng(0))
+    assert np.mean(found == actions) > 0.9
+    (score,) = evaluate(policy, ["MoveToRegion-Demo-v0"], rollouts=1, seed=0, workers=0)
+    assert 0.0 <= score.score <= 1.0
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"augment": "noise"}, "augment: expected none"),
+        ({"augment": "none", "tasks": TASKS}, "one task is expected"),
+    ],
+)
+def test_state_vectors_need_other_settings(fields: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidConfigError, match=message):
+        tiny(Path("demos"), observation="state", **fields)

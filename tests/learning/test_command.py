@@ -4,11 +4,14 @@ import json
 import re
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
 from magical.cli import main
+from magical.evaluation import read_entry
+from magical.learning import algorithm_names
 from magical.runs.folder import CHECKPOINT, PREVIOUS
 
 TINY = ["--preset", "quick", "--batches", "4", "--batch-size", "4", "--num-demos", "2"]
@@ -30,6 +33,25 @@ def test_train_stop_resume(demos: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert main(["train", "bc", "--out", str(out), "--resume"]) == 0
     assert "finished; magical evaluate" in capsys.readouterr().err
     assert main(bc(demos, out, "--resume")) == 0
+
+
+def test_an_evaluated_run_says_what_it_is_and_can_be_verified(
+    demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from magical.learning.devices import num_threads
+
+    run, entry = tmp_path / "run", tmp_path / "evaluation" / "run"
+    assert main(bc(demos, run)) == 0
+    options = ["--variants", "Demo", "--rollouts", "3", "--horizon", "5", "--workers", "0"]
+    assert main(["evaluate", str(run), *options, "--out", str(entry)]) == 0
+    details = read_entry(entry).details
+    assert details["policy"] == "../../run"
+    assert details["algorithm"] == "bc"
+    assert details["learned_from"] == ["demonstrations"]
+    assert set(details) >= {"training_seed", "demonstrations", "versions", "commit", "machine"}
+    assert details["threads"] == num_threads()
+    assert main(["verify", str(entry), "--workers", "0"]) == 0
+    assert "confirmed: 3 of 3" in capsys.readouterr().out
 
 
 def test_a_damaged_checkpoint_is_named_and_the_previous_one_resumed(
@@ -69,6 +91,28 @@ def test_errors_say_what_to_do_and_have_status_1(
         assert message in error
 
 
+@pytest.mark.parametrize("existed", [False, True])
+@pytest.mark.parametrize("algorithm", [name for name in algorithm_names() if name != "ppo"])
+def test_a_run_that_could_not_begin_leaves_no_folder(
+    algorithm: str, existed: bool, demos: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "run"
+    if existed:
+        out.mkdir()
+    shared = ["train", algorithm, "--task", "MoveToCorner", "--out", str(out), "--preset", "quick"]
+    if find_spec("tensorboard"):
+        shared.append("--tensorboard")
+    assert main([*shared, "--demos", str(tmp_path / "none")]) == 1
+    assert main([*shared, "--demos", str(demos), "--num-demos", "9"]) == 1
+    assert out.exists() == existed
+    assert not existed or not list(out.iterdir())
+
+
+def test_the_corrected_command_trains(demos: Path, tmp_path: Path) -> None:
+    assert main(bc(demos, tmp_path / "run", "--num-demos", "9")) == 1
+    assert main(bc(demos, tmp_path / "run")) == 0
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -106,6 +150,29 @@ def test_the_run_folder_gets_a_picture_of_the_learning_curves(demos: Path, tmp_p
     pytest.importorskip("matplotlib", reason="the report extra is not installed")
     assert main(bc(demos, tmp_path / "run")) == 0
     assert (tmp_path / "run" / "learning-curves.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "name", ["copied runs", "_hidden", "$1_$", "日本", "/".join(["long"] * 40)]
+)
+def test_runs_from_elsewhere_are_evaluated_and_reported_without_warnings(
+    name: str, demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("matplotlib", reason="the report extra is not installed")
+    assert main(bc(demos, tmp_path / "here" / "bc")) == 0
+    there = tmp_path / "there" / name
+    there.parent.mkdir(parents=True)
+    (tmp_path / "here").rename(there)
+    config = there / "bc" / "config.json"
+    config.write_text(config.read_text().replace(json.dumps(str(demos)), '"D:\\\\demos"'))
+    assert "D:" in config.read_text()
+    monkeypatch.chdir(there / "bc")
+    only = ["--variants", "Demo", "--rollouts", "1", "--workers", "0"]
+    assert main(["evaluate", ".", "--out", ".", *only]) == 0
+    assert json.loads((there / "bc" / "entry.json").read_text())["method"] == "bc"
+    assert main(["report", str(there / "bc"), "--out", "page.html"]) == 0
+    assert name[:20] in (there / "bc" / "page.html").read_text()
 
 
 def test_without_pytorch_training_names_the_command_that_installs_it() -> None:

@@ -4,12 +4,16 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
 from magical import cli
-from magical.learning import load_policy
+from magical.evaluation import evaluate
+from magical.learning import algorithm_names, find_algorithm, load_policy, train
+from magical.learning.algorithms.bc import BCConfig
+from magical.learning.config import options
 from magical.learning.devices import Compute, choose_compute, has_bfloat16, restored_threads
 from magical.learning.speed import training_speeds
 from magical.runs import read_json
@@ -84,3 +88,34 @@ def test_the_command_recommends(capsys: pytest.CaptureFixture[str]) -> None:
 def test_an_unknown_network_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["bench", "training", "--network", "huge"]) == cli.USAGE
     assert "network 'huge' is unknown" in capsys.readouterr().err
+
+
+def float32_precisions() -> list[str]:
+    """How a GPU computes with float32 in convolutions and in products of matrices."""
+    cudnn: Any = torch.backends.cudnn
+    return [cudnn.conv.fp32_precision, torch.backends.cuda.matmul.fp32_precision]
+
+
+def test_float32_is_not_tensorfloat32_on_a_gpu(demos: Path, tmp_path: Path) -> None:
+    config = BCConfig.preset(
+        "paper", tasks=("MoveToCorner",), demos=str(demos), num_demos=2, network="light", batches=1
+    )
+    assert config.precision == "float32"
+    before, during = float32_precisions(), []
+    assert before[0] == "tf32"  # PyTorch's default for convolutions
+    result = train(config, tmp_path, callback=lambda *_: during.extend(float32_precisions()))
+    policy = result.policy()
+    policy.network.register_forward_hook(lambda *_: during.extend(float32_precisions()))
+    evaluate(policy, ["magical/MoveToCorner-Demo-v0"], rollouts=1, horizon=1, workers=0)
+    assert set(during) == {"ieee"}
+    assert float32_precisions() == before
+
+
+def test_every_paper_preset_is_float32() -> None:
+    fields: dict[str, Any] = {"tasks": ("MoveToCorner",), "demos": ""}
+    for name in algorithm_names():
+        kind = find_algorithm(name).config
+        given = {option.name for option in options(kind)} & set(fields)
+        for preset in kind.presets:
+            config = kind.preset(preset, **{field: fields[field] for field in given})
+            assert config.precision == ("auto" if preset == "quick" else "float32")

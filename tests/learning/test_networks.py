@@ -34,7 +34,7 @@ def test_every_architecture_makes_trunks_of_images_and_of_vectors(
     hidden = find_network(network).HIDDEN
     actions = torch.tensor([0, 1, 2])
     for shape in (IMAGE, (27,)):
-        trunk = Trunk(network, shape, batch_norm=batch_norm, action_input=True, num_features=7)
+        trunk = Trunk(network, shape, batch_norm=batch_norm, action_input="one-hot", num_features=7)
         features = trunk(torch.rand(3, *shape), actions)
         assert features.shape == (3, trunk.num_features) == (3, 7)
         assert Trunk(network, shape).num_features == hidden[-1]
@@ -119,7 +119,7 @@ def test_policies_values_and_discriminators() -> None:
 
 
 def test_discriminator_sees_the_action_after_the_convolutions() -> None:
-    trunk = Trunk("paper", IMAGE, batch_norm=True, action_input=True)
+    trunk = Trunk("paper", IMAGE, batch_norm=True, action_input="one-hot")
     discriminator = Discriminator(trunk, num_tasks=1).eval()
     assert trunk.linear[0].in_features == 4608 + 18
     none = torch.zeros(3, dtype=torch.int64)

@@ -1,6 +1,7 @@
 """TrainResult networks as policies, and runs loaded again."""
 
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -9,12 +10,15 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from magical import evaluation
+from magical.envs import parse_env_id
 from magical.errors import CheckpointError, DivergedError, PolicyError, RunFolderError
 from magical.evaluation import Policy, evaluate
 from magical.learning import NetworkPolicy, is_run, load_policy, train
 from magical.learning.algorithms.bc import BCConfig
 from magical.learning.devices import Compute
-from magical.observe import PRESETS
+from magical.observe import NAMED, PRESETS
+from magical.report.clips import record_clips
 from magical.runs.folder import CHECKPOINT
 from tests.learning.conftest import TASKS
 
@@ -91,6 +95,48 @@ def test_logits_that_are_not_finite_are_an_error(bad: float, greedy: bool) -> No
         policy.act(frames, [IDS[0], IDS[1], IDS[0]], np.random.default_rng(0))
 
 
+class Sharing:
+    """A user's policy whose tensors share the memory of what it is given."""
+
+    def __init__(self, observation: str, privileged: bool = False) -> None:
+        self.observation = observation
+        self.privileged = privileged
+
+    def reset(self, mask: Any) -> None:
+        pass
+
+    def act(self, observations: Any, env_ids: Any, rng: np.random.Generator) -> Any:
+        arrays = [observations]
+        if self.privileged:
+            arrays = [a for state in observations for a in (state.poses.bodies, state.velocities)]
+        elif isinstance(observations, dict):
+            arrays = list(observations.values())
+        for array in arrays:
+            torch.from_numpy(array)  # warns of an array that is not writeable
+        return rng.integers(18, size=len(env_ids))
+
+
+@pytest.fixture
+def every_warning() -> Iterator[None]:
+    """PyTorch gives this warning once in a process otherwise."""
+    before = torch.is_warn_always_enabled()
+    torch.set_warn_always(True)
+    yield
+    torch.set_warn_always(before)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.usefixtures("every_warning")
+@pytest.mark.parametrize(
+    ("observation", "workers"),
+    [*((name, 0) for name in (*PRESETS, *NAMED, "privileged")), ("LoRes4E", 2), ("raw", 2)],
+)
+def test_users_policies_may_share_memory_with_observations(observation: str, workers: int) -> None:
+    policy = Sharing(observation, privileged=observation == "privileged")
+    evaluate(policy, IDS[:1], rollouts=2, horizon=4, workers=workers)
+    record_clips(policy, [parse_env_id(IDS[0])], size=8)
+
+
 @pytest.fixture(scope="module")
 def run(demos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     config = BCConfig.preset(
@@ -110,6 +156,20 @@ def test_a_run_is_loaded_with_its_observation_and_tasks(run: Path) -> None:
     np.testing.assert_array_equal(once, policy.probabilities(frames, IDS))
     np.testing.assert_allclose(once.sum(axis=1), 1.0)
     assert not policy.network.training
+
+
+def test_one_function_loads_runs_as_well_as_named_policies(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loaded = evaluation.load_policy(run)
+    assert isinstance(loaded, NetworkPolicy)
+    monkeypatch.chdir(run.parent)
+    named = evaluation.load_policy(run.name)
+    assert isinstance(named, NetworkPolicy)
+    weights, same = loaded.network.state_dict(), named.network.state_dict()
+    assert all(torch.equal(weights[name], same[name]) for name in weights)
+    with pytest.raises(RunFolderError, match="expected a run folder"):
+        evaluation.load_policy(run.parent)
 
 
 def test_folders_that_hold_no_usable_run_are_named(run: Path, tmp_path: Path) -> None:

@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from magical.learning.monitoring import COLLAPSE_UPDATES, CollapseDetector, mean_by_task
+from magical.learning.reinforcement import REWARD_FLOOR
 from magical.learning.replay_buffer import ReplayBuffer
-from magical.learning.reward_normalisation import SMALLEST_DIVISOR, RewardNormaliser
+from magical.learning.reward_normalisation import RewardNormaliser
 
 
 def test_rewards_are_normalised_as_two_passes_would() -> None:
@@ -30,7 +31,7 @@ def test_rewards_are_normalised_as_two_passes_would() -> None:
 
 def test_equal_rewards_are_not_blown_up() -> None:
     normaliser = RewardNormaliser(1, std=0.1)
-    rewards = torch.tensor([[1.0, 1.0 + SMALLEST_DIVISOR / 10]])
+    rewards = torch.tensor([[1.0, 1.0 + REWARD_FLOOR / 10]])
     found = normaliser(rewards, torch.zeros(2, dtype=torch.int64))
     np.testing.assert_allclose(found.numpy(), [[-0.005, 0.005]], rtol=1e-3)
 

@@ -140,7 +140,7 @@ def test_options_follow_the_fields() -> None:
 def test_every_field_with_choices_accepts_these_alone() -> None:
     for option in options(BCConfig):
         for value in option.choices:
-            fields: dict[str, Any] = {option.name: value}
+            fields: dict[str, Any] = {option.name: value, "augment": "none"}
             made = BCConfig(tasks=("MoveToCorner",), demos="d", **fields)
             assert getattr(made, option.name) == value
         if option.choices:

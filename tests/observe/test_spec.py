@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
+from magical.envs.env import MagicalEnv
 from magical.errors import UnknownNameError
 from magical.observe import (
     PRESETS,
@@ -95,3 +96,19 @@ def test_unknown_specs(bad: object) -> None:
 def test_impossible_specs(fields: dict[str, object]) -> None:
     with pytest.raises(ValueError, match="expected"):
         PixelSpec(**fields)  # type: ignore[arg-type]
+
+
+def test_a_picture_has_all_frames_side_by_side() -> None:
+    for name, spec in PRESETS.items():
+        env = MagicalEnv("MoveToRegion", "Demo", observation=name)
+        observation = env.reset(seed=0)[0]
+        picture = spec.picture(observation)
+        frames = sum(count for _, count in spec.parts)
+        assert picture.shape == (spec.size, spec.size * frames, 3)
+        newest = spec.stacks(observation)[-1][..., -3:]
+        np.testing.assert_array_equal(picture[:, -spec.size :], newest)
+
+
+def test_a_state_vector_has_no_picture() -> None:
+    spec: ObservationSpec = StateSpec(3, 1)
+    assert spec.picture(np.zeros(spec.network_shape, np.float32)) is None

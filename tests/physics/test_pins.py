@@ -9,8 +9,6 @@ import numpy as np
 import pymunk
 import pytest
 
-from magical.conformance import motions
-from magical.conformance.recordings import recording_path
 from magical.physics import Simulation
 from magical.physics.pins import finger_position, published_error
 from magical.scene import Pose
@@ -55,7 +53,7 @@ def test_fingers_are_displaced_by_the_least_power_of_two_of_it(root: tuple[float
         error = [Fraction(each) for each in published_error(root, pose)]
         moved = displacement(root, pose)
         if not any(error):
-            assert moved == (0, 0)
+            assert not any(moved)
             continue
         factor = max(moved, key=abs) / max(error, key=abs)
         assert moved == (factor * error[0], factor * error[1])
@@ -88,12 +86,3 @@ def test_the_first_step_from_a_demo_scene(name: str) -> None:
         poses = simulation.poses()
         found = [*poses.robot, *poses.finger_angles]
         assert np.allclose(found, FIRST_STEPS[name][action], rtol=0, atol=1e-8), action
-
-
-def test_the_first_steps_of_the_recorded_motions() -> None:
-    recorded = motions.load(recording_path("motions.json"))
-    computed = motions.compute(recorded)
-    for name, motion in recorded.items():
-        for key in ("robot_pose", "finger_angles"):
-            error = np.subtract(computed[name][key][:3], motion[key][:3])
-            assert np.abs(error).max() < 6e-8, (name, key)  # recorded with seven decimals

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from magical.errors import WorkerDiedError, WorkerError
-from magical.processes import WorkerTraceback, available_cores, map_in_processes
+from magical.processes import ProcessPool, WorkerTraceback, available_cores, map_in_processes
 from tests.processes import work
 from tests.waiting import gone, soon
 
@@ -150,6 +150,17 @@ def test_output_is_no_reply_and_a_child_has_one_thread(capfd: Any) -> None:
     assert read == ""
     assert environment["OMP_NUM_THREADS"] == environment["OPENBLAS_NUM_THREADS"] == "1"
     assert capfd.readouterr() == ("", "printed\n")
+
+
+def test_a_terminated_pool_lets_work_finish_and_starts_no_more(tmp_path: Path) -> None:
+    file = tmp_path / "waiting"
+    with closing(ProcessPool(1)) as pool:
+        first, second = pool.submit(work.wait_for_sigterm, str(file)), pool.submit(abs, -1)
+        assert soon(file.exists, 60.0)
+        pool.terminate()
+        assert first.result() == "received [15]"
+        with pytest.raises(WorkerDiedError, match="the pool of processes is closed"):
+            second.result()
 
 
 def test_available_cores() -> None:

@@ -77,6 +77,16 @@ def compute_for_ever(folder: str) -> None:
         _ = -1 in itertools.count()
 
 
+def wait_for_sigterm(file: str) -> str:
+    """Create a file, wait for SIGTERM; how it was received."""
+    received = []
+    signal.signal(signal.SIGTERM, lambda number, frame: received.append(number))
+    Path(file).touch()
+    while not received:
+        os.sched_yield()
+    return f"received {received}"
+
+
 def wait_for_ever(folder: str) -> None:
     """Leave the process id as a file's name, then wait for a signal; return without a folder."""
     if folder:

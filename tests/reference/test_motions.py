@@ -27,8 +27,10 @@ def computed(recorded: dict[str, Any]) -> dict[str, Any]:
 def test_within_limits(recorded: dict[str, Any], computed: dict[str, Any]) -> None:
     comparisons = motions.compare(recorded, computed)
     assert {each.name for each in comparisons} == {
-        "drive position", "drive robot angle", "turn position", "turn robot angle",
-        "push position", "push robot angle", "grip position",
+        "drive first steps", "drive position", "drive robot angle",
+        "turn first steps", "turn position", "turn robot angle",
+        "push first steps", "push position", "push robot angle", "push block angle",
+        "grip first steps", "grip position", "grip robot angle", "grip block angle",
     }  # fmt: skip
     assert [each for each in comparisons if not each.passed] == []
 
@@ -54,9 +56,13 @@ def test_rounded_quarter_turns_are_restored(recorded: float, meant: float) -> No
 def test_a_wrong_motion_is_detected(recorded: dict[str, Any], computed: dict[str, Any]) -> None:
     wrong = copy.deepcopy(recorded)
     wrong["push_star"]["block_poses"][-1][0][0] += 0.1
-    wrong["turn_left"]["robot_pose"][3][2] += 0.05
+    wrong["push_circle"]["block_poses"][-1][0][2] += 0.01
+    wrong["turn_left"]["robot_pose"][4][2] += 0.05
+    wrong["drive_back"]["finger_angles"][2][0] += 1e-6
     failed = {each.name for each in motions.compare(wrong, computed) if not each.passed}
-    assert failed == {"push position", "turn robot angle"}
+    assert failed == {
+        "push position", "push block angle", "turn robot angle", "drive first steps",
+    }  # fmt: skip
 
 
 def test_without_recorded_results_it_only_computes(

@@ -2,7 +2,9 @@
 
 import base64
 import io
+import json
 import re
+from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -146,3 +148,47 @@ def test_the_report_command_knows_the_published_methods(
 ) -> None:
     assert cli.main(["report", str(evaluated), "--published", "BC"]) == 2
     assert "BC (ST)" in capsys.readouterr().err
+
+
+def test_the_report_of_a_folder_says_everything(
+    write_entry: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scores = {"MoveToRegion-Demo": [1.0, 0.0], "MoveToRegion-TestAll": [0.0, 0.0]}
+    for seed in (0, 1):
+        folder = write_entry(f"runs/a{seed}", "<a>", scores, seed, details={"policy": "random"})
+        rows = [json.dumps({"step": step, "loss": 1 / (step + 1)}) for step in range(20)]
+        rows += ['{"step": "late", "loss": 1}', '{"step": 21, "loss": NaN}']
+        (folder / "metrics.jsonl").write_text("\n".join(rows) + "\n")
+    write_entry("runs/b", "$b_1", scores, details={"policy": "noop"})
+    (write_entry("runs/bad", "bad", scores) / "scores.csv").write_text("bad")
+    (tmp_path / "runs" / "a1" / "metrics.jsonl").write_text("bad\n")
+    page = tmp_path / "page.html"
+    argv = ["report", str(tmp_path / "runs"), "--out", str(page), "--clips", "2"]
+    assert cli.main(argv) == 0
+    assert "skipped" in capsys.readouterr().err
+    text = page.read_text()
+    cli.main(argv)
+    assert page.read_text() == text
+    parser = Balanced()
+    parser.feed(text)
+    assert parser.open == []
+    assert not [a for a in parser.addresses if a.startswith(("http", "//"))]
+    ids = re.findall(r' id="([^"]+)"', text)
+    assert len(ids) == len(set(ids))
+    used = re.findall(r'(?:url\(#|href="#)([^")]+)', text)
+    assert set(used) <= set(ids)
+    for words in (
+        "3 evaluated runs of 2 methods; 2 skipped",
+        "expected the header",
+        "expected a JSON object with a step",
+        "1 of 2 runs",
+        "not evaluated on Jitter, Layout, Colour, Dynamics",
+        "Generalisation gaps",
+        "Probability of improvement",
+        'aria-label="Performance profiles of all methods"',
+        'aria-label="Learning curves: loss on MoveToRegion"',
+        "$b_1 on MoveToRegion",
+        "&lt;a&gt; on MoveToRegion: ",  # its run folder has no checkpoint
+        "versions: torch 9.9",
+    ):
+        assert words in text, words

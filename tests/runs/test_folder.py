@@ -12,7 +12,7 @@ import pytest
 
 from magical.errors import RunFolderError
 from magical.runs import is_run, locked_folder, open_folder, read_json
-from magical.runs.folder import CONFIG, RECORD
+from magical.runs.folder import CHECKPOINT, CONFIG, METRICS, RECORD
 
 CONFIGURATION: Mapping[str, Any] = {"algorithm": "bc", "demos": "demos", "seed": 0}
 
@@ -84,6 +84,34 @@ def test_a_run_whose_creation_was_killed_can_be_created(tmp_path: Path) -> None:
     with locked_folder(tmp_path / "run", resume=False):
         open_folder(tmp_path / "run", CONFIGURATION, resume=False)
     assert not list((tmp_path / "run").glob(".*.part"))
+
+
+def fail(folder: Path, file: str = METRICS, text: str = "") -> None:
+    """Open a run, write one of its files, and fail."""
+    resume = is_run(folder)
+    with locked_folder(folder, resume):
+        open_folder(folder, CONFIGURATION, resume)
+        (folder / file).write_text(text)
+        raise ValueError("cannot begin")
+
+
+def test_a_new_run_that_fails_before_it_begins_is_removed(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="cannot begin"):
+        fail(tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("file", [METRICS, CHECKPOINT, "thesis.tex"])
+def test_a_run_that_has_begun_or_holds_other_files_is_kept(tmp_path: Path, file: str) -> None:
+    with pytest.raises(ValueError, match="cannot begin"):
+        fail(tmp_path / "run", file, "{}")
+    assert is_run(tmp_path / "run")
+
+
+def test_a_run_that_was_there_before_is_kept(folder: Path) -> None:
+    with pytest.raises(ValueError, match="cannot begin"):
+        fail(folder)
+    assert is_run(folder)
 
 
 @pytest.mark.parametrize(("text", "found"), [("{", "Expecting property"), ("[]", "list")])

@@ -19,6 +19,7 @@ from magical.commands._common import (
     print_json,
     print_table,
 )
+from magical.commands._policies import evaluation_details
 
 if TYPE_CHECKING:
     from magical.evaluation import Entry, Policy, RolloutScore
@@ -37,29 +38,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--variants", nargs="+", metavar="VARIANT", help="such as Demo Jitter (default: all)"
     )
-    parser.add_argument(
-        "--rollouts",
-        type=positive_int,
-        default=100,
-        metavar="N",
-        help="on each variant (default: 100)",
-    )
+    _configure_episodes(parser)
     parser.add_argument(
         "--observation", metavar="PRESET", help="default: the policy's own, or LoRes4E"
-    )
-    parser.add_argument(
-        "--horizon",
-        type=_horizon,
-        metavar="STEPS",
-        help="control steps (default: the paper's); `published`: the published code's, to compare "
-        "with its tables",
-    )
-    parser.add_argument(
-        "--seed",
-        type=non_negative_int,
-        default=0,
-        metavar="N",
-        help="which set of fixed seeds (default: 0)",
     )
     parser.add_argument(
         "--workers", type=non_negative_int, metavar="N", help="processes (default: the cores)"
@@ -71,16 +52,57 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_json(parser)
 
 
+def _configure_episodes(parser: argparse.ArgumentParser) -> None:
+    """The arguments that say which episodes are rolled out."""
+    parser.add_argument(
+        "--rollouts",
+        type=positive_int,
+        default=100,
+        metavar="N",
+        help="on each variant (default: 100)",
+    )
+    parser.add_argument(
+        "--horizon",
+        type=_horizon,
+        metavar="STEPS",
+        help="control steps (default: the paper's); `published`: 240 for the Cluster tasks",
+    )
+    parser.add_argument(
+        "--nudge",
+        type=_nudge,
+        default=0.0,
+        metavar="X",
+        help="shift initial poses by up to X units and radians, sampled from each rollout's seed; "
+        "1e-9 averages over what rounding decides (default: 0)",
+    )
+    parser.add_argument(
+        "--seed",
+        type=non_negative_int,
+        default=0,
+        metavar="N",
+        help="which set of fixed seeds (default: 0)",
+    )
+
+
 def _horizon(text: str) -> int | str:
     return text if text == "published" else positive_int(text)
 
 
+def _nudge(text: str) -> float:
+    from magical.envs.episode import checked_nudge
+
+    try:
+        return checked_nudge(float(text))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+
+
 def run(args: argparse.Namespace) -> int:
     """Evaluate, print, write."""
-    from magical.evaluation import environments, evaluate, summarise
+    from magical.evaluation import environments, evaluate, load_policy, summarise
     from magical.progress import progress_bar
 
-    policy = find_policy(args.policy)
+    policy = load_policy(args.policy)
     env_ids = environments(args.task or getattr(policy, "tasks", None), args.variants)
     with progress_bar("rollouts", len(env_ids) * args.rollouts) as advance:
         scores = evaluate(
@@ -90,6 +112,7 @@ def run(args: argparse.Namespace) -> int:
             seed=args.seed,
             observation=args.observation,
             horizon=args.horizon,
+            nudge=args.nudge,
             workers=args.workers,
             progress=advance,
         )
@@ -102,21 +125,6 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def find_policy(name: str) -> "Policy":
-    """The policy of a run folder, or of one of the names that `evaluation.load_policy` takes.
-
-    Raises `UnknownNameError` or `PolicyError`, or what loading a run raises.
-    """
-    from magical.evaluation import load_policy
-
-    if Path(name).is_dir():
-        from magical.learning import load_policy as load_run  # imports PyTorch
-
-        policy: Policy = load_run(Path(name))
-        return policy
-    return load_policy(name)
-
-
 def make_entry(
     args: argparse.Namespace, policy: "Policy", scores: "Sequence[RolloutScore]"
 ) -> "Entry":
@@ -127,13 +135,15 @@ def make_entry(
     from magical.evaluation.rollouts import observation_for
 
     return Entry(
-        method=args.method or Path(args.policy).name,
+        method=args.method or Path(args.policy).absolute().name,  # of "." too
         scores=scores,
         observation=str(observation_for(policy, args.observation)),
         privileged=is_privileged(policy),
         horizon="appendix" if args.horizon is None else str(args.horizon),
+        nudge=args.nudge,
         seed=args.seed,
         version=__version__,
+        details=evaluation_details(args.policy, args.out),
     )
 
 

@@ -39,6 +39,7 @@ def generate(
     out: Path | str,
     *,
     seed: int = 0,
+    first: int = 0,
     skill: float = 1.0,
     perturb: float = 0.0,
     min_score: float = 0.0,
@@ -47,20 +48,19 @@ def generate(
 ) -> GenerateReport:
     """Append `number` demonstrations by the task's scripted expert to a dataset.
 
-    Attempt i has the scene of `reset(seed=episode_seed(seed, i))` and its own strategy. Attempts
-    that score less than `min_score` (appendix's rule) are dropped. In a share `perturb` of the
-    control steps, on average, a random action is executed instead of the expert's; the expert's are
-    still the ones to imitate (`Trajectory.labels`). The result depends on the arguments alone, not
-    on `workers` (processes; default: the available cores).
+    Attempt i has the scene of `reset(seed=episode_seed(seed, i))` and its own strategy; `first` is
+    the number of the first attempt, to continue a series. Attempts that score less than
+    `min_score` (appendix's rule) are dropped. In a share `perturb` of the control steps a random
+    action is executed; the expert's remain those to imitate (`Trajectory.labels`). The result does
+    not depend on `workers` (processes; default: the available cores).
 
     Raises:
-        DatasetError: too few attempts reach the score, or the dataset cannot be written; what was
-            kept before stays.
+        DatasetError: too few attempts reach the score, or the dataset cannot be written.
         InvalidConfigError: `skill` or `perturb` is not between 0 and 1.
         InvalidTaskError: worker processes could not import the task.
         NoExpertError: the task has no expert.
         NoSolutionError: a scene cannot be solved.
-        WorkerDiedError: a worker process was killed; what was kept before stays.
+        WorkerDiedError: a worker process was killed. What was kept before any error stays.
     """
     parsed = parse_env_id(env_id)
     check_perturb(perturb)
@@ -70,7 +70,7 @@ def generate(
     attempt = partial(_attempt, modules, parsed, seed, skill, perturb)
     scores: list[float] = []
     dropped = 0
-    with closing(map_in_processes(attempt, count(), workers)) as results:
+    with closing(map_in_processes(attempt, count(first), workers)) as results:
         while len(scores) < number:
             if dropped > MAX_DROPPED * number:
                 raise DatasetError(_too_few(env_id, min_score, len(scores), dropped))

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from magical.demos.motion import estimated_states
 from magical.demos.store.trajectory import Trajectory
 from magical.errors import ObservationError, TrajectoryError
 from magical.observe import Observation, make_spec
@@ -91,7 +92,8 @@ class TrajectorySource:
     def body_states(self) -> NDArray[np.float64]:
         """Poses and velocities, (T + 1, 5 + blocks, 6) float64.
 
-        Velocities are not stored, so the actions are simulated again.
+        Velocities are not stored, so the actions are simulated again. Where the poses were
+        recovered from frames, the simulation follows them (see `motion.PoseFollower`).
 
         Raises:
             TrajectoryError: poses are unknown, or the simulation does not reproduce them.
@@ -99,6 +101,8 @@ class TrajectorySource:
         trajectory = self.trajectory
         if trajectory.poses is None:
             raise TrajectoryError(f"{trajectory.env_id}: a recording of frames has no states")
+        if trajectory.is_recovered:
+            return estimated_states(trajectory)
         simulation = Simulation(trajectory.scene, trajectory.dynamics)
         states = [simulation.read().copy()]
         for time, action in enumerate(trajectory.actions.tolist(), 1):

@@ -1,5 +1,6 @@
 """Replaying recorded actions in the simulation."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -24,6 +25,7 @@ PUBLISHED_REPLAY: Mapping[str, tuple[float, float]] = MappingProxyType(
         "ClusterShape": (0.30, 0.28),
     }
 )
+TOLERANCE = 1e-6  # of a score, which others may have rounded to single precision
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +36,18 @@ class Replay:
     env_id: EnvId
     demonstrator: str
     recorded: float  # the recorded score by the published code's rule
+    recorded_score: float | None  # by the appendix's rule, where it is known
     score: float  # of the final state, by the appendix's rule
     published_code_score: float
     departure: float | None  # largest distance of a body's final x or y from the recorded one
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the scores are the recorded ones, by each rule that one is recorded by."""
+        same = math.isclose(self.published_code_score, self.recorded, abs_tol=TOLERANCE)
+        if self.recorded_score is None:
+            return same
+        return same and math.isclose(self.score, self.recorded_score, abs_tol=TOLERANCE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +59,7 @@ class MeanReplay:
     recorded: float
     score: float
     published_code_score: float
+    agree: int  # number that got the recorded scores
     published_replay: tuple[float, float] | None  # `PUBLISHED_REPLAY`, for human demonstrations
     exact: int | None  # number that ended in exactly the recorded poses, where those are known
 
@@ -68,6 +80,7 @@ def replay(trajectory: Trajectory, file: str = "") -> Replay:
         env_id=trajectory.env_id,
         demonstrator=trajectory.demonstrator,
         recorded=trajectory.published_code_score,
+        recorded_score=trajectory.score,
         score=float(task.score(trajectory.scene, poses)),
         published_code_score=float(task.published_code_score(trajectory.scene, poses)),
         departure=departure,
@@ -91,6 +104,7 @@ def _mean(env_id: EnvId, group: list[Replay]) -> MeanReplay:
         recorded=float(np.mean([r.recorded for r in group])),
         score=float(np.mean([r.score for r in group])),
         published_code_score=float(np.mean([r.published_code_score for r in group])),
+        agree=sum(replayed.agrees for replayed in group),
         published_replay=PUBLISHED_REPLAY.get(env_id.task) if human else None,
         exact=sum(departure == 0.0 for departure in known) if known else None,
     )

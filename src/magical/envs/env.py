@@ -24,7 +24,7 @@ from magical.observe.arrays import copy_arrays
 from magical.scene.actions import ACTION_NAMES, NUM_ACTIONS
 from magical.scene.constants import CONTROL_RATE, RAW_FRAME_SIZE
 from magical.scene.state import State
-from magical.tasks import Task, get_task
+from magical.tasks import Horizon, Task, get_task
 
 Reward = Literal["none", "score", "dense"]
 
@@ -53,7 +53,8 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         task: the task's name.
         variant: the variant's name.
         observation: see `observe.make_spec`.
-        horizon: control steps in an episode; by default the task's.
+        horizon: control steps in an episode; by default the task's; "published" takes the published
+            code's, which differs for some tasks.
         reward: "none", "score" or "dense".
         render_mode: "rgb_array" (both views side by side) or None.
 
@@ -72,7 +73,7 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         task: str,
         variant: str,
         observation: Observation = None,
-        horizon: int | None = None,
+        horizon: Horizon = None,
         reward: Reward = "none",
         render_mode: str | None = None,
     ) -> None:
@@ -108,10 +109,12 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         Args:
             seed: of the random generator; `None` keeps the current generator.
             options: `scene` and `dynamics` (dataclasses, or plain dicts as `to_dict()` makes them)
-                to start from instead.
+                to start from instead; `nudge`, which shifts the initial poses by up to that much,
+                sampled by the generator (units and radians; docs/determinism.md).
 
         Raises:
             InvalidSceneError, PlacementError: no episode can start from these.
+            ValueError: unknown options, or a nudge out of range.
         """
         super().reset(seed=seed)
         self._running = False

@@ -22,9 +22,10 @@ from magical.physics import Simulation
 from magical.scene.poses import Poses
 from magical.scene.scene import Dynamics, Scene
 from magical.scene.state import State
-from magical.tasks import TASKS, Task
+from magical.tasks import TASKS, Horizon, Task
 
-RESET_OPTIONS = ("scene", "dynamics")
+RESET_OPTIONS = ("scene", "dynamics", "nudge")
+MAX_NUDGE = 0.01  # units and radians; more can be seen, and is what the Jitter variant is for
 REWARDS = ("none", "score", "dense")
 
 
@@ -47,14 +48,14 @@ class Episode:
         task: Task,
         variant: str,
         spec: ObservationSpec,
-        horizon: int | None = None,
+        horizon: Horizon = None,
         reward: str = "none",
         out: Any = None,
     ) -> None:
         check_options(task, horizon, reward)
         self.task = task
         self.variant = variant
-        self.horizon = task.horizon if horizon is None else horizon
+        self.horizon = task.resolve_horizon(horizon)
         self.reward = reward
         self.observer = spec.observer(out)
         self._frames = spec.frames
@@ -66,7 +67,12 @@ class Episode:
     def start(self, rng: np.random.Generator, options: Mapping[str, Any] | None = None) -> None:
         """Start an episode from a sampled scene, or from the one in `options`.
 
-        Raises `InvalidSceneError` for an impossible scene, `ValueError` for unknown options.
+        `nudge` then shifts the initial poses by up to so many units and radians, sampled from
+        `rng` (docs/determinism.md).
+
+        Raises:
+            InvalidSceneError: an impossible scene.
+            ValueError: unknown options, or a nudge that is not from 0 to `MAX_NUDGE`.
         """
         scene, dynamics = self.task.sample(self.variant, rng)
         chosen = options or {}
@@ -78,6 +84,8 @@ class Episode:
             self.task.validate(scene)
         if chosen.get("dynamics") is not None:
             dynamics = as_dynamics(chosen["dynamics"])
+        if nudge := checked_nudge(chosen.get("nudge")):
+            scene = scene.nudged(nudge, rng)
         self._start_from(scene, dynamics)
 
     def step(self, action: int) -> bool:
@@ -164,11 +172,18 @@ class Episode:
         return float(self.task.progress_fn(self.simulation.scene, self.poses))
 
 
-def check_options(task: Task, horizon: int | None, reward: str) -> None:
+def _is_possible(horizon: Horizon) -> bool:
+    if horizon is None or isinstance(horizon, str):
+        return horizon in (None, "published")
+    return 1 <= operator.index(horizon) <= MAX_HORIZON
+
+
+def check_options(task: Task, horizon: Horizon, reward: str) -> None:
     """Raise `ValueError` or `UnknownNameError` for an impossible horizon or reward."""
-    if horizon is not None and not 1 <= operator.index(horizon) <= MAX_HORIZON:
+    if not _is_possible(horizon):
         raise ValueError(
-            f"horizon: expected an integer from 1 to {MAX_HORIZON} or None, found {quoted(horizon)}"
+            f"horizon: expected an integer from 1 to {MAX_HORIZON}, 'published' or None, found "
+            f"{quoted(horizon)}"
         )
     if reward not in REWARDS:
         raise UnknownNameError(f"reward {quoted(reward)} is unknown; expected one of {REWARDS}")
@@ -177,6 +192,19 @@ def check_options(task: Task, horizon: int | None, reward: str) -> None:
         raise UnknownNameError(
             f"{task.name} has no dense reward; expected one of: {', '.join(having)}"
         )
+
+
+def checked_nudge(nudge: Any) -> float:
+    """The largest shift of initial poses, 0.0 for `None`.
+
+    Raises `ValueError` unless it is from 0 to `MAX_NUDGE`.
+    """
+    if nudge is None:
+        return 0.0
+    number = isinstance(nudge, float | int) and not isinstance(nudge, bool)
+    if not number or not 0.0 <= nudge <= MAX_NUDGE:
+        raise ValueError(f"nudge: expected a number from 0 to {MAX_NUDGE}, found {quoted(nudge)}")
+    return float(nudge)
 
 
 def _checked_score(task: Task, name: str, value: Any) -> float:

@@ -4,6 +4,7 @@ from magical.evaluation.entry import Entry, read_entry
 from magical.evaluation.loading import BUILT_IN, as_policy, load_policy
 from magical.evaluation.policy import FunctionPolicy, NoopPolicy, Policy, RandomPolicy
 from magical.evaluation.published import (
+    difference_from_published,
     published_methods,
     published_score,
     published_table,
@@ -28,6 +29,7 @@ __all__ = [
     "RolloutScore",
     "as_policy",
     "by_variant",
+    "difference_from_published",
     "environments",
     "evaluate",
     "load_policy",

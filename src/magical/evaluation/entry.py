@@ -1,6 +1,7 @@
 """An evaluated run on disk: `scores.csv` and `entry.json` (docs/protocol.md)."""
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -9,7 +10,12 @@ from typing import Any
 from magical.errors import ScoresError
 from magical.evaluation.scores import RolloutScore, check_protocol, read_scores, write_scores
 from magical.files import write_atomically
+from magical.tasks import Horizon
+from magical.untrusted import check_plain
 
+APPENDIX, PUBLISHED = "appendix", "published"  # horizons
+POLICY = "policy"  # in the details: a run folder relative to the entry's, or a policy's name
+THREADS = "threads"  # in the details: CPU threads of a network that acted
 SCORES_FILE, ENTRY_FILE = "scores.csv", "entry.json"
 
 
@@ -17,17 +23,30 @@ SCORES_FILE, ENTRY_FILE = "scores.csv", "entry.json"
 class Entry:
     """One training run's evaluation: how it was made, and every rollout's score.
 
-    Entries with the same `method` are runs of it and share a row of the tables.
+    Entries with the same `row` are runs of one method and share a row of the tables.
     """
 
-    method: str  # the row's name
+    method: str
     scores: Sequence[RolloutScore] = field(repr=False)
     observation: str = ""  # the policy's observation; "state" for a privileged one
     privileged: bool = False
-    horizon: str = "appendix"  # or "published", or a number of control steps
+    horizon: str = APPENDIX  # or PUBLISHED, or a number of control steps
+    nudge: float = 0.0  # the largest shift of initial poses, in units and radians
     seed: int = 0  # which set of fixed seeds
     version: str = ""  # of this package
     details: dict[str, Any] = field(default_factory=dict)  # demonstrations, training, authors, ...
+
+    @property
+    def row(self) -> str:
+        """The row's label: the method, and the nudge if there was one."""
+        return f"{self.method}, nudge {self.nudge:g}" if self.nudge else self.method
+
+    @property
+    def steps(self) -> Horizon:
+        """The horizon as `magical.evaluation.evaluate` takes it."""
+        if self.horizon == APPENDIX:
+            return None
+        return "published" if self.horizon == PUBLISHED else int(self.horizon)
 
     def write(self, folder: Path | str) -> None:
         """Write both files; details that `entry.json` already holds and `self` lacks are kept."""
@@ -63,6 +82,7 @@ def read_entry(folder: Path | str) -> Entry:
             f"found {sorted(data)}; put everything else into details"
         )
     _check_fields(source / ENTRY_FILE, data)
+    _check_horizon(source / ENTRY_FILE, data.get("horizon", APPENDIX))
     scores = read_scores(source / SCORES_FILE)
     try:
         check_protocol(scores, data.get("seed", 0))
@@ -76,6 +96,7 @@ _TYPES = {
     "observation": str,
     "privileged": bool,
     "horizon": str,
+    "nudge": float,
     "seed": int,
     "version": str,
     "details": dict,
@@ -87,7 +108,7 @@ def _check_fields(path: Path, data: dict[str, Any]) -> None:
     """Raise `ScoresError` for a field of another type, or text that cannot be printed."""
     for name, value in data.items():
         expected = _TYPES[name]
-        if type(value) is not expected or (isinstance(value, int) and value < 0):
+        if type(value) is not expected or (isinstance(value, int | float) and not value >= 0):
             raise ScoresError(
                 f"{path}: {name}: expected {expected.__name__}, found {type(value).__name__}"
             )
@@ -98,6 +119,14 @@ def _check_fields(path: Path, data: dict[str, Any]) -> None:
             )
 
 
+def _check_horizon(path: Path, horizon: str) -> None:
+    if horizon not in (APPENDIX, PUBLISHED) and not re.fullmatch("[1-9][0-9]{0,5}", horizon):
+        raise ScoresError(
+            f"{path}: horizon: expected {APPENDIX}, {PUBLISHED} or a number of control steps, "
+            f"found {horizon!r}"
+        )
+
+
 def _read_json(path: Path) -> dict[str, Any]:
     try:
         data = json.loads(path.read_bytes())
@@ -105,4 +134,8 @@ def _read_json(path: Path) -> dict[str, Any]:
         raise ScoresError(f"{path}: expected JSON, found none: {error}") from error
     if not isinstance(data, dict):
         raise ScoresError(f"{path}: expected a JSON object, found {type(data).__name__}")
+    try:
+        check_plain(data)
+    except ValueError as error:
+        raise ScoresError(f"{path}: {error}") from error
     return data

@@ -63,6 +63,10 @@ class ExpertPolicy:
         for row in np.flatnonzero(mask):
             self._experts[row] = self._memories[row] = None
 
+    def __reduce__(self) -> tuple[type["ExpertPolicy"], tuple[float, float]]:
+        """A copy for another process has the settings, and no episode in progress."""
+        return ExpertPolicy, (self.skill, self.random_share)
+
     def modules(self, tasks: Sequence[str]) -> list[str]:
         """The modules from which a new process learns of the tasks' experts."""
         return sorted({module for task in tasks for module in modules_of(task)})

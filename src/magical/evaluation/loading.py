@@ -1,8 +1,9 @@
-"""Loading policies by name: `random`, `noop`, `expert`, or a user's own `module:name`."""
+"""Loading policies: by name, from a run folder, or from a user's own object or `module:name`."""
 
 import importlib
 import importlib.util
 import inspect
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -26,27 +27,41 @@ BUILT_IN: dict[str, Callable[[], Policy]] = {
 }
 
 
-def load_policy(name: str) -> Policy:
-    """Load a policy by name: one of `BUILT_IN`, `module:name` or `path/to/file.py:name`.
+# Who loads run folders. Found by name, as users' policies are: this package is below `learning` and
+# needs no PyTorch, which is imported when a run is loaded.
+RUN_LOADER = "magical.learning:load_policy"
 
-    The name in the module may be a policy (an object with `act` and `reset`), a class or function
-    that returns one when called without arguments, or a plain function
-    `(observations, env_ids, rng) -> actions` for a policy without memory. The working directory
-    is searched last for the module, and only if it is found nowhere else.
+
+def load_policy(source: str | os.PathLike[str] | Policy | Callable[..., Any]) -> Policy:
+    """Load a policy from whatever describes one.
+
+    Args:
+        source: one of
+
+            - a name in `BUILT_IN`;
+            - a run folder, whose newest checkpoint is loaded (needs PyTorch;
+              `magical.learning.load_policy` also chooses the device, or greedy actions);
+            - `module:name` or `path/to/file.py:name`. The working directory is searched last for
+              the module, and only if it is found nowhere else;
+            - a policy, or what such a name may stand for: an object with `act` and `reset`, a
+              class or function that returns one when called without arguments, or a plain
+              function `(observations, env_ids, rng) -> actions` for a policy without memory.
 
     Raises:
-        UnknownNameError: neither a built-in policy nor of the form `module:name`.
+        UnknownNameError: a text of none of these forms.
         PolicyError: the module or the name in it cannot be found, or is not a policy.
+        RunFolderError, CheckpointError: the folder holds no run, or a damaged one.
+        MissingDependencyError: a run folder, without PyTorch.
     """
+    if not isinstance(source, str | os.PathLike):
+        return as_policy(source)
+    name = os.fspath(source)
     if name in BUILT_IN:
         return BUILT_IN[name]()
-    module_name, colon, attribute = name.rpartition(":")
-    if not colon or not module_name or not attribute:
-        raise UnknownNameError(
-            f"policy {name!r}: expected one of {', '.join(BUILT_IN)}, a run folder, module:name "
-            "or file.py:name"
-        )
-    return as_policy(_find(_import(module_name), attribute, name), name)
+    if Path(name).is_dir():
+        policy: Policy = _attribute(RUN_LOADER)(name)
+        return policy
+    return as_policy(_attribute(name), name)
 
 
 def as_policy(thing: Any, name: str = "policy") -> Policy:
@@ -108,7 +123,15 @@ def _import_file(path: Path) -> ModuleType:
     return module
 
 
-def _find(module: ModuleType, attribute: str, name: str) -> Any:
+def _attribute(name: str) -> Any:
+    """What `module:name` or `file.py:name` stands for."""
+    module_name, colon, attribute = name.rpartition(":")
+    if not colon or not module_name or not attribute:
+        raise UnknownNameError(
+            f"policy {name!r}: expected one of {', '.join(BUILT_IN)}, a run folder, module:name "
+            "or file.py:name"
+        )
+    module = _import(module_name)
     if not hasattr(module, attribute):
         known = ", ".join(word for word in vars(module) if not word.startswith("_"))
         raise PolicyError(f"policy {name!r}: no {attribute!r} in the module, which has: {known}")

@@ -6,12 +6,17 @@ computed by the published code: compare them with `published_code_score`, evalua
 """
 
 import csv
+import math
 from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
 from types import MappingProxyType
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 from magical.errors import UnknownNameError
+from magical.evaluation.intervals import CONFIDENCE, Interval
 from magical.evaluation.statistics import Spread
 from magical.evaluation.variants import full_variant, short_variant
 
@@ -58,3 +63,30 @@ def published_score(task: str, method: str, variant: str) -> Spread | None:
                 f"{name!r} is not a {what} of the published tables; they have: {', '.join(known)}"
             )
     return published_table().get((task, method, short_variant(full_variant(variant))))
+
+
+def difference_from_published(
+    means: ArrayLike, published: Spread, confidence: float = CONFIDENCE
+) -> Interval:
+    """The mean of our runs less the published mean, with Welch's t interval over runs.
+
+    The published tables give a standard deviation over five runs, but not its divisor; the interval
+    takes the one that makes it wider (the number of runs). For one run there is no interval.
+
+    Args:
+        means: (runs,), each run's mean score in one environment, by the published code's rule.
+        published: the mean and standard deviation of the tables.
+        confidence: nominal coverage.
+    """
+    from scipy.special import stdtrit  # slow to import
+
+    ours = np.asarray(means, np.float64)
+    value = float(ours.mean()) - published.mean
+    if len(ours) < 2:
+        return Interval(value, math.nan, math.nan)
+    variances = np.array([ours.var(ddof=1) / len(ours), published.std**2 / (RUNS - 1)])
+    total = variances.sum()
+    freedom = np.array([len(ours) - 1, RUNS - 1])
+    welch = total**2 / (variances**2 / freedom).sum() if total > 0.0 else 1.0
+    half = float(stdtrit(welch, (1.0 + confidence) / 2.0)) * math.sqrt(total)
+    return Interval(value, value - half, value + half)

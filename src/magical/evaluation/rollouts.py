@@ -3,12 +3,13 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from magical.envs import EnvId, parse_env_id
+from magical.envs.episode import checked_nudge
 from magical.envs.seeds import evaluation_seed
 from magical.envs.vector import MagicalVectorEnv
 from magical.envs.vector.workers import defining_modules
@@ -19,14 +20,20 @@ from magical.evaluation.seeds import RolloutRng
 from magical.evaluation.variants import variants_of
 from magical.observe import Observation
 from magical.processes import available_cores, map_in_processes
-from magical.tasks import TASKS, Task, get_task, load_tasks
+from magical.tasks import (
+    TASKS,
+    Horizon,
+    Task,
+    get_task,
+    load_tasks,
+    require_two_horizons,
+)
 
 ROLLOUTS = 100  # on each variant (appendix C)
 NUM_ENVS = 64  # sub-environments stepped together: bounds the memory, hardly changes the speed
 SHARE = 10  # rollouts of one environment that a process computes at a time
 DEFAULT_OBSERVATION = "LoRes4E"
 
-Horizon = int | Literal["published"] | None
 Progress = Callable[[int], None]  # called with the number of rollouts that have just ended
 
 
@@ -52,16 +59,16 @@ def evaluate(
     seed: int = 0,
     observation: Observation = None,
     horizon: Horizon = None,
+    nudge: float = 0.0,
     num_envs: int = NUM_ENVS,
     workers: int | None = None,
     progress: Progress | None = None,
 ) -> list[RolloutScore]:
     """Score a policy on environments, all variants of a task together.
 
-    Rollout i of every environment is reset with `evaluation_seed(i, seed)`, so every policy gets
-    the same scenes. Scores depend neither on `workers` nor, for policies that sample their random
-    numbers row by row (`RolloutRng`), on `num_envs` or on what else is evaluated; a network's
-    arithmetic may still differ in the last bit between batch sizes.
+    Rollout i of every environment is reset with `evaluation_seed(i, seed)`. Scores depend neither
+    on `workers` nor, for policies that sample row by row (`RolloutRng`), on `num_envs` or on what
+    else is evaluated, but for the last bit of a network's arithmetic.
 
     Args:
         policy: see `Policy`; `load_policy` makes one from a name.
@@ -70,7 +77,9 @@ def evaluate(
         seed: which set of fixed seeds; results are reported for 0.
         observation: by default the policy's own, or `LoRes4E`; states for a privileged policy.
         horizon: control steps; `"published"` takes the published code's, for comparison with
-            published tables.
+            published tables; for at least one of the tasks it must be another.
+        nudge: shift each rollout's initial poses by up to so many units and radians, sampled from
+            its seed; with 1e-9 Demo's score is no matter of rounding (docs/determinism.md).
         num_envs: the most environments to step together (at least one for each environment id).
         workers: processes; by default one for each core. They step the environments, and for a
             policy with `in_processes` they run the policy too.
@@ -81,16 +90,57 @@ def evaluate(
 
     Raises:
         PolicyError: the policy returned something else than actions.
-        UnknownNameError: an unknown environment, observation or horizon.
+        UnknownNameError: an unknown environment, observation or horizon, or tasks with only one.
+        ValueError: a nudge out of range, or less than one rollout.
     """
-    ids = environments(getattr(policy, "tasks", None))
-    if env_ids is not None:
-        ids = [parse_env_id(env_id).without_preset for env_id in env_ids]
+    default = environments(getattr(policy, "tasks", None)) if env_ids is None else env_ids
+    ids = [parse_env_id(env_id).without_preset for env_id in default]
+    _check_horizon(horizon, ids)
     if rollouts < 1:
         raise ValueError(f"rollouts: expected at least 1, found {rollouts}")
-    setting = _Setting(policy, observation, horizon, num_envs, seed)
+    setting = _Setting(policy, observation, horizon, checked_nudge(nudge), num_envs, seed)
     run = _in_processes if getattr(policy, "in_processes", False) else _in_this_process
     return _collect(run(setting, ids, rollouts, workers), ids, progress)
+
+
+def evaluate_round(
+    policy: Policy,
+    env_ids: Sequence[EnvId],
+    number: int,
+    *,
+    rollouts: int,
+    seed: int = 0,
+    observation: Observation = None,
+    horizon: Horizon = None,
+    nudge: float = 0.0,
+    workers: int | None = None,
+) -> list[RolloutScore]:
+    """One round of an evaluation again: all rollouts that were run together with one of them.
+
+    A network's arithmetic may depend on the size of the batch in the last bit, which can tip a
+    sampled action. A round is a batch as `evaluate` makes it by default, so on the same machine its
+    scores are the same.
+
+    Args:
+        policy: see `Policy`.
+        env_ids: all environments of one task that the evaluation had, in its order.
+        number: of the rollout.
+        rollouts: of each environment in the evaluation.
+        seed: as for `evaluate`, and so are
+        observation: and
+        horizon: and
+        nudge: and
+        workers: processes.
+    """
+    setting = _Setting(policy, observation, horizon, checked_nudge(nudge), NUM_ENVS, seed)
+    if getattr(policy, "in_processes", False):
+        first = number - number % SHARE
+        numbers = range(first, min(first + SHARE, rollouts))
+        return [row for env_id in env_ids for row in _score_share(setting, [], (env_id, numbers))]
+    with _Rollouts(setting, env_ids[0].task_spec, env_ids, rollouts, workers) as batch:
+        first = number - number % batch.copies
+        numbers = range(first, min(first + batch.copies, rollouts))
+        return [row for part in batch.run(numbers) for row in part]
 
 
 def _collect(
@@ -113,6 +163,7 @@ class _Setting:
     policy: Policy
     observation: Observation
     horizon: Horizon
+    nudge: float
     num_envs: int
     seed: int
 
@@ -176,9 +227,10 @@ class _Rollouts:
         self.copies = -(-rollouts // rounds)  # of each environment
         self.policy = setting.policy
         self.seed = setting.seed
+        self.options = {"nudge": setting.nudge} if setting.nudge else None
         self.privileged = is_privileged(self.policy)
         self.env_ids = tuple(env_id for env_id in env_ids for _ in range(self.copies))
-        self.horizon = _resolve_horizon(setting.horizon, task)
+        self.horizon = task.resolve_horizon(setting.horizon)
         self.envs = MagicalVectorEnv(
             self.env_ids,
             workers=workers,
@@ -214,7 +266,7 @@ class _Rollouts:
     def _episodes(self, seeds: Sequence[int], active: Mask) -> tuple[NDArray[Any], NDArray[Any]]:
         """One episode in each active environment, and the final scores by both rules."""
         rng = RolloutRng(self.env_ids, seeds)
-        observations, infos = self.envs.reset(seed=list(seeds))
+        observations, infos = self.envs.reset(seed=list(seeds), options=self.options)
         self.policy.reset(np.ones(len(seeds), np.bool_))
         for _ in range(self.horizon):
             given = self.envs.states() if self.privileged else observations
@@ -243,14 +295,11 @@ def _by_task(env_ids: Sequence[EnvId]) -> Iterator[tuple[Task, list[EnvId]]]:
         yield get_task(name), group
 
 
-def _resolve_horizon(horizon: Horizon, task: Task) -> int:
-    if horizon is None:
-        return task.horizon
+def _check_horizon(horizon: Horizon, env_ids: Sequence[EnvId]) -> None:
     if horizon == "published":
-        return task.published_horizon
-    if isinstance(horizon, int) and horizon > 0:
-        return horizon
-    raise UnknownNameError(
-        f"horizon: expected a positive number of control steps, 'published' or None, "
-        f"found {horizon!r}"
-    )
+        require_two_horizons(env_id.task for env_id in env_ids)
+    elif horizon is not None and not (isinstance(horizon, int) and horizon > 0):
+        raise UnknownNameError(
+            f"horizon: expected a positive number of control steps, 'published' or None, "
+            f"found {horizon!r}"
+        )

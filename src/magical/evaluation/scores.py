@@ -3,6 +3,8 @@
 import csv
 import io
 from collections.abc import Iterable, Sequence
+from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -106,9 +108,9 @@ def check_protocol(scores: Iterable[RolloutScore], seed: int) -> None:
 def by_variant(scores: Iterable[RolloutScore]) -> dict[str, dict[str, list[RolloutScore]]]:
     """Group scores by task, then by the variant's short name, in the order of the rows."""
     table: dict[str, dict[str, list[RolloutScore]]] = {}
-    for row in scores:
-        cells = table.setdefault(row.env_id.task, {})
-        cells.setdefault(short_variant(row.env_id.variant), []).append(row)
+    for env_id, rows in groupby(scores, attrgetter("env_id")):  # mostly in order: a few groups
+        cells = table.setdefault(env_id.task, {})
+        cells.setdefault(short_variant(env_id.variant), []).extend(rows)
     return table
 
 

@@ -12,6 +12,8 @@ each interval covers; `benchmarks/intervals.py` measures it.
 """
 
 from collections.abc import Iterable, Sequence
+from itertools import groupby
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -44,8 +46,9 @@ def by_environment(
 ) -> dict[EnvId, list[float]]:
     """The scores of a run's rollouts by environment; `rule` as for `run_means`."""
     scores: dict[EnvId, list[float]] = {}
-    for rollout in rollouts:
-        scores.setdefault(rollout.env_id, []).append(getattr(rollout, rule))
+    value = attrgetter(rule)
+    for env_id, rows in groupby(rollouts, attrgetter("env_id")):  # mostly in order: a few groups
+        scores.setdefault(env_id, []).extend(map(value, rows))
     return scores
 
 
@@ -216,6 +219,31 @@ def probability_of_improvement(
     won = [_share_won(x[~np.isnan(x)], y[~np.isnan(y)]) for x, y in zip(a.T, b.T, strict=True)]
     value = float(np.mean(won))
     return wilson_interval(value, _comparisons(a, b), confidence)
+
+
+def performance_profile(
+    scores: ArrayLike, thresholds: ArrayLike, confidence: float = CONFIDENCE
+) -> list[Interval]:
+    """The share of runs that score above each threshold, averaged over environments.
+
+    The run-score distribution of Agarwal et al. (2021), section 4.1; the same as theirs where all
+    environments have as many runs. The intervals are t intervals over runs, one for each threshold
+    (not a band that holds for all at once).
+
+    Args:
+        scores: (runs, environments), see the module's docstring.
+        thresholds: (T,), in units of scores.
+        confidence: nominal coverage of each interval.
+
+    Raises:
+        ValueError: as for `mean`.
+    """
+    table = _table(scores)
+    missing = np.isnan(table)
+    return [
+        mean(np.where(missing, np.nan, table > threshold), confidence)
+        for threshold in np.asarray(thresholds, np.float64)
+    ]
 
 
 def _table(scores: ArrayLike) -> Floats:

@@ -7,15 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from magical import __version__
-from magical.demos.generate import generate
-from magical.demos.store.dataset import Dataset
 from magical.evaluation import Entry, Policy, environments, evaluate, load_policy
 from magical.evaluation.policy import is_privileged
 from magical.evaluation.rollouts import observation_for
+from magical.experiments.demonstrations import generate_missing
 from magical.learning import NetworkPolicy, find_algorithm, is_run, train
 
 TASKS = ("MoveToRegion", "MoveToCorner")
-SEED_STRIDE = 1_000_000  # between seeds of demonstrations generated in different sessions
 BC, EXPERT, RANDOM = "BC quick", "scripted expert", "random policy"
 
 
@@ -74,7 +72,13 @@ def quickstart(settings: Settings, stopwatch: Stopwatch) -> Result:
     """
     tasks = settings.tasks
     with stopwatch.part(f"{settings.demos} demonstrations each of {' and '.join(tasks)}"):
-        make_demonstrations(settings)
+        generate_missing(
+            settings.out / "demos",
+            tasks,
+            settings.demos,
+            seed=settings.seed,
+            workers=settings.workers,
+        )
     policies: dict[str, NetworkPolicy] = {}
     for task in tasks:
         with stopwatch.part(f"training on {task}"):
@@ -84,20 +88,6 @@ def quickstart(settings: Settings, stopwatch: Stopwatch) -> Result:
         with stopwatch.part(f"evaluation on all variants of {task}"):
             entries[task] = evaluate_policies(settings, task, policy)
     return Result(policies, entries)
-
-
-def make_demonstrations(settings: Settings) -> Path:
-    """Generate those expert demonstrations of each task's Demo variant that are missing."""
-    folder = settings.out / "demos"
-    existing = Dataset.open(folder) if folder.exists() else None
-    for task in settings.tasks:
-        count = len(existing.filter(task=task)) if existing else 0
-        if count < settings.demos:
-            # Other seeds than those of an interrupted quickstart's demonstrations.
-            seed = settings.seed + SEED_STRIDE * count
-            (demo,) = environments([task], ["Demo"])
-            generate(demo, settings.demos - count, folder, seed=seed, workers=settings.workers)
-    return folder
 
 
 def train_policy(settings: Settings, task: str) -> NetworkPolicy:

@@ -6,11 +6,12 @@
 """
 
 from magical.files.atomic import is_partial, link_atomically, remove_partial_files, write_atomically
-from magical.files.lock import LockedError, lock_now, locked
+from magical.files.lock import LockedError, is_locked, lock_now, locked
 from magical.files.regular import open_regular, sha256_sum
 
 __all__ = [
     "LockedError",
+    "is_locked",
     "is_partial",
     "link_atomically",
     "lock_now",

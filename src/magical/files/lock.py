@@ -72,6 +72,23 @@ def lock_now(path: Path) -> Iterator[None]:
             _unlock(file)
 
 
+def is_locked(path: Path) -> bool:
+    """Whether another process, or an open file of this one, holds an exclusive lock on a file.
+
+    Raises:
+        OSError: the file cannot be opened, or is not a regular file.
+    """
+    if not path.exists():
+        return False
+    with open_regular(path) as file:
+        try:
+            _lock(file, reading=True, wait=False)
+        except (BlockingIOError, PermissionError):
+            return True
+        _unlock(file)
+        return False
+
+
 def _holder(path: Path) -> int | None:
     """The process id in a lock file; `None` if it has not been written yet."""
     with open_regular(path) as file:

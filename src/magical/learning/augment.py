@@ -1,8 +1,8 @@
 """Image augmentation: noise, translation, rotation, colour jitter (appendix B).
 
 The parameters are sampled once per frame stack; the noise alone is sampled for every pixel and
-channel. Order: colour jitter, one combined rotation and translation with mirrored borders, noise,
-clamp (docs/specification.md, section 10). Everything runs batched on the images' own device.
+channel. Order: colour jitter, one combined rotation and translation, noise, clamp
+(docs/specification.md, section 10). Everything runs batched on the images' own device.
 """
 
 import math
@@ -23,6 +23,7 @@ MAX_ROTATION = math.radians(5.0)
 MAX_LIGHTNESS_CHANGE = 0.01  # factors from 0.99 to 1.01
 MAX_COLOUR_ROTATION = 0.15  # rad in the (a, b) plane
 
+PADDING_MODES = {"mirror": "reflection", "repeat": "border"}  # PyTorch's names
 CPU_CHUNK = 4  # stacks at a time, so that intermediate results fit into a core's cache
 
 
@@ -46,10 +47,12 @@ def augment(images: Tensor, which: Augmentations, rng: np.random.Generator) -> T
         rows = slice(first, first + chunk)
         some = images[rows]
         if which.colour:
-            some = colour_jitter(some, parameters.lightness[rows], parameters.hues[rows])
+            some = colour_jitter(
+                some, parameters.lightness[rows], parameters.hues[rows], which.linear_light
+            )
         some = to_unit(some)
         if which.translation or which.rotation:
-            some = warp(some, parameters.angles[rows], parameters.shifts[rows])
+            some = warp(some, parameters.angles[rows], parameters.shifts[rows], which.borders)
         if which.noise:
             noise = torch.empty_like(some).normal_(0.0, NOISE_STD, generator=generator)
             some = noise.add_(some).clamp_(0.0, 1.0)
@@ -64,13 +67,20 @@ def to_unit(observations: Tensor) -> Tensor:
     return observations.float().mul_(1.0 / 255.0)
 
 
-def warp(images: Tensor, angles: NDArray[np.float64], shifts: NDArray[np.float64]) -> Tensor:
-    """Rotate each stack about its centre, then translate it, mirroring at the borders.
+def warp(
+    images: Tensor,
+    angles: NDArray[np.float64],
+    shifts: NDArray[np.float64],
+    borders: str = "mirror",
+) -> Tensor:
+    """Rotate each stack about its centre, then translate it.
 
     Args:
         images: (B, C, H, W) float.
         angles: (B,) radians, counter-clockwise as seen.
         shifts: (B, 2) to the right and down, as fractions of width and height.
+        borders: what is beyond the image: "mirror", the image mirrored there, or "repeat", its
+            outermost pixels.
 
     Returns:
         (B, C, H, W), bilinearly interpolated.
@@ -84,7 +94,7 @@ def warp(images: Tensor, angles: NDArray[np.float64], shifts: NDArray[np.float64
     inverse = np.concatenate([rotation, translation[:, :, None]], axis=2)  # (B, 2, 3)
     theta = torch.from_numpy(inverse).to(images.device, images.dtype)
     grid = affine_grid(theta, list(images.shape), align_corners=False)
-    return grid_sample(images, grid, padding_mode="reflection", align_corners=False)
+    return grid_sample(images, grid, padding_mode=PADDING_MODES[borders], align_corners=False)
 
 
 @dataclass(frozen=True, slots=True)

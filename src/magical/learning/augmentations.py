@@ -1,21 +1,24 @@
-"""Which augmentations are applied to images: names, the paper's ablations, parsing (no PyTorch)."""
+"""Which augmentations are applied to images, and how: names, the paper's ablations (no PyTorch)."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 
 from magical.errors import UnknownNameError
 
 
 @dataclass(frozen=True, slots=True)
 class Augmentations:
-    """Which augmentations are switched on."""
+    """Which augmentations are switched on, and how they are computed."""
 
     noise: bool = True
     translation: bool = True
     rotation: bool = True
     colour: bool = True
+    borders: str = "mirror"  # one of `BORDERS`: what is beyond a translated or rotated image
+    linear_light: bool = True  # decode sRGB before the conversion to CIE Lab
 
 
-NAMES = tuple(field.name for field in fields(Augmentations))
+NAMES = ("noise", "translation", "rotation", "colour")
+BORDERS = ("mirror", "repeat")  # the image's mirror image, or its outermost pixels
 SETS = {
     "all": Augmentations(),
     "no-trans-rot": Augmentations(translation=False, rotation=False),
@@ -23,16 +26,19 @@ SETS = {
 }
 
 
-def parse_augmentations(text: str) -> Augmentations:
+def parse_augmentations(
+    text: str, borders: str = "mirror", linear_light: bool = True
+) -> Augmentations:
     """Parse one of `SETS`, or names joined by `+`, such as `noise+rotation`.
 
-    `no-trans-rot` and `none` are the tables' "no trans./rot. aug." and "no aug.".
+    `no-trans-rot` and `none` are the tables' "no trans./rot. aug." and "no aug.". The other
+    arguments are those of `Augmentations`.
 
     Raises:
         UnknownNameError: a name that is none of these.
     """
     if text in SETS:
-        return SETS[text]
+        return replace(SETS[text], borders=borders, linear_light=linear_light)
     chosen = text.split("+")
     unknown = [name for name in chosen if name not in NAMES]
     if unknown:
@@ -40,4 +46,6 @@ def parse_augmentations(text: str) -> Augmentations:
             f"augmentation {unknown[0]!r} is unknown; expected one of {', '.join(SETS)}, or some "
             f"of {', '.join(NAMES)} joined by +"
         )
-    return Augmentations(**{name: name in chosen for name in NAMES})
+    return Augmentations(
+        **{name: name in chosen for name in NAMES}, borders=borders, linear_light=linear_light
+    )

@@ -23,38 +23,76 @@ SIZE = START[1] * 2 ** len(DOUBLINGS)  # pixels
 
 
 class Autoencoder(nn.Module):
-    """Encodes images (B, C, 96, 96) and actions (B,) as features (B, 32), and decodes them."""
+    """Encodes images (B, C, 96, 96) and actions (B,) as features (B, 32), and decodes them.
 
-    def __init__(self, network: str, image_shape: tuple[int, ...]) -> None:
+    Attributes:
+        mean_image: (C, 96, 96), the image that the decoder's output is added to; 0 at first.
+    """
+
+    def __init__(
+        self,
+        network: str,
+        image_shape: tuple[int, ...],
+        *,
+        action_input: str = "one-hot",
+        pixel_range: str = "unit",
+        decoder_batch_norm: bool = False,
+        linear_features: bool = False,
+    ) -> None:
+        """Build an autoencoder, with PyTorch's initialisation.
+
+        Args:
+            network: the encoder's architecture.
+            image_shape: (C, 96, 96).
+            action_input: how the encoder takes actions: "one-hot" or "embedding", see `Trunk`.
+            pixel_range: the range of the encoder's pixels: "unit" or "symmetric", see `Trunk`. The
+                decoder's are in [0, 1] whatever it is.
+            decoder_batch_norm: follow each ReLU of the decoder's convolutions by batch norm.
+            linear_features: leave out the ReLU after the encoder's last layer.
+        """
         super().__init__()
         assert image_shape[1:] == (SIZE, SIZE)
         self.encoder = Trunk(
-            network, image_shape, batch_norm=True, action_input=True, num_features=FEATURES
+            network,
+            image_shape,
+            batch_norm=True,
+            action_input=action_input,
+            num_features=FEATURES,
+            pixel_range=pixel_range,
         )
+        if linear_features:
+            self.encoder.linear[-1] = nn.Identity()
         self.hidden = nn.Sequential(
             nn.Linear(FEATURES, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, HIDDEN), nn.ReLU()
         )
         self.action = nn.Linear(HIDDEN, NUM_ACTIONS)
-        self.image = _image_decoder(image_shape[0])
+        self.start = nn.Linear(HIDDEN, int(np.prod(START)))
+        self.image = _image_decoder(image_shape[0], decoder_batch_norm)
+        self.mean_image: Tensor
+        self.register_buffer("mean_image", torch.zeros(image_shape))
+        # Convolutions are fastest with this memory layout.
+        self.image.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, images: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:
         """Reconstructed images (B, C, 96, 96) and logits of actions (B, 18)."""
         hidden = self.hidden(self.encoder(images, actions))
-        return self.image(hidden), self.action(hidden)
+        start = self.start(hidden).view(-1, *START)
+        difference = self.image(start.contiguous(memory_format=torch.channels_last))
+        return difference.float() + self.mean_image, self.action(hidden)
 
 
-def _image_decoder(channels: int) -> nn.Sequential:
-    layers: list[nn.Module] = [nn.Linear(HIDDEN, int(np.prod(START))), nn.Unflatten(1, START)]
+def _image_decoder(channels: int, batch_norm: bool) -> nn.Sequential:
+    """Feature maps (B, 64, 6, 6) to images (B, channels, 96, 96)."""
+    layers: list[nn.Module] = []
     inputs = START[0]
-    for first, second in DOUBLINGS:
-        layers += [
-            nn.Upsample(scale_factor=2, mode="nearest"),
-            nn.Conv2d(inputs, first, 3, padding=1),
-            nn.ReLU(),
-            nn.Conv2d(first, second or channels, 3, padding=1),
-        ]
-        layers += [nn.ReLU()] if second else []
-        inputs = second or channels
+    for doubled, last in DOUBLINGS:
+        layers.append(nn.Upsample(scale_factor=2, mode="nearest"))
+        for outputs in (doubled, last):
+            layers.append(nn.Conv2d(inputs, outputs or channels, 3, padding=1))
+            if outputs:
+                layers.append(nn.ReLU())
+                layers += [nn.BatchNorm2d(outputs)] if batch_norm else []
+                inputs = outputs
     return nn.Sequential(*layers)
 
 

@@ -36,24 +36,33 @@ GAMMA, GAMMA_SCALE, GAMMA_OFFSET = 2.4, 1.055, 0.055
 GAMMA_KNEE, GAMMA_SLOPE = 0.0031308, 12.92
 
 
-def colour_jitter(images: Tensor, scales: NDArray[np.float64], hues: NDArray[np.float64]) -> Tensor:
+def colour_jitter(
+    images: Tensor,
+    scales: NDArray[np.float64],
+    hues: NDArray[np.float64],
+    linear_light: bool = True,
+) -> Tensor:
     """Scale the lightness and rotate the (a, b) plane of each stack of frames.
 
     Args:
         images: (B, 3 * frames, H, W) sRGB, uint8 or float in [0, 1].
         scales: (B,) factors for L.
         hues: (B,) angles in radians, from a towards b.
+        linear_light: decode sRGB to linear light before the conversion to XYZ, as its definition
+            asks, and encode it afterwards.
 
-    Rehues:
+    Returns:
         Float images of the same shape, clamped to [0, 1]; all frames of a stack are changed alike.
     """
     batch, channels, height, width = images.shape
-    linear = _decode_gamma(images).reshape(batch, channels // 3, 3, height * width)
+    linear = _decode_gamma(images) if linear_light else _to_float(images)
+    linear = linear.reshape(batch, channels // 3, 3, height * width)
     matrices, offsets = (_like(array, linear) for array in root_maps(scales, hues))
     roots = _to_roots(_mix(TO_TRISTIMULUS, linear))  # (B, frames, 3, H * W)
     roots = torch.matmul(matrices[:, None], roots).add_(offsets[:, None, :, None])
     linear = _mix(FROM_TRISTIMULUS, _from_roots(roots))
-    return _encode_gamma(linear).clamp_(0.0, 1.0).reshape(images.shape)
+    out = _encode_gamma(linear) if linear_light else linear
+    return out.clamp_(0.0, 1.0).reshape(images.shape)
 
 
 def root_maps(
@@ -75,6 +84,10 @@ def _like(array: NDArray[np.float64], tensor: Tensor) -> Tensor:
 
 def _mix(matrix: NDArray[np.float64], pixels: Tensor) -> Tensor:
     return torch.matmul(_like(matrix, pixels), pixels)
+
+
+def _to_float(images: Tensor) -> Tensor:
+    return images / 255.0 if images.dtype == torch.uint8 else images
 
 
 def _decode_gamma(images: Tensor) -> Tensor:

@@ -12,20 +12,37 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
 
 from magical.errors import InvalidConfigError, UnknownNameError
-from magical.learning.augmentations import parse_augmentations
+from magical.learning.augmentations import BORDERS, Augmentations, parse_augmentations
 from magical.learning.networks import network_names
 from magical.observe import PRESETS, ObservationSpec, make_spec
+from magical.runs.sources import DEMONSTRATIONS
 from magical.tasks import get_task
 
 DEVICES = ("auto", "cpu", "cuda")
 PRECISIONS = ("auto", "float32", "bfloat16")
+PIXEL_RANGES = {"unit": (0.0, 1.0), "symmetric": (-1.0, 1.0)}
+LAST_LAYER_INITS = ("default", "normal")
 IMAGE_OBSERVATIONS = tuple(name for name, spec in PRESETS.items() if not spec.separate)
+
+# What the published code does in all algorithms, where it differs from the appendix
+# (docs/specification.md, section 11; docs/presets.md).
+PUBLISHED_CODE_IMAGES: Mapping[str, Any] = {
+    "pixel_range": "symmetric",
+    "last_layer_init": "normal",
+    "borders": "repeat",
+    "linear_light": False,
+}
 
 METAVARS = {int: "N", float: "X", str: "NAME", bool: None}
 
 
 def option(
-    default: Any, text: str, *, choices: tuple[str, ...] = (), metavar: str | None = None
+    default: Any,
+    text: str,
+    *,
+    choices: tuple[str, ...] = (),
+    metavar: str | None = None,
+    added: bool = False,
 ) -> Any:
     """A configuration field.
 
@@ -34,8 +51,9 @@ def option(
         text: a line of help for the command line.
         choices: the allowed values, if there are only a few.
         metavar: what stands for the value in the command line's help.
+        added: older runs lack the field, and did what the default does.
     """
-    metadata = {"help": text, "choices": choices, "metavar": metavar}
+    metadata = {"help": text, "choices": choices, "metavar": metavar, "added": added}
     return dataclasses.field(default=default, metadata=metadata)
 
 
@@ -52,9 +70,24 @@ class Config:
     observation: str = option("LoRes4E", "observation preset", choices=IMAGE_OBSERVATIONS)
     seed: int = option(0, "determines demonstrations, initialisation, minibatches and episodes")
     network: str = option("paper", "network architecture", choices=network_names())
+    pixel_range: str = option(
+        "unit",
+        "of the networks' images: [0, 1] or [-1, 1]",
+        choices=tuple(PIXEL_RANGES),
+        added=True,
+    )
+    last_layer_init: str = option(
+        "default",
+        "initialisation of the last layers: the other layers', or N(0, 1)",
+        choices=LAST_LAYER_INITS,
+        added=True,
+    )
     device: str = option("auto", "where to compute", choices=DEVICES)
+    # PPO compares ratios with a clip range of 0.01: bfloat16's resolution is nearly as coarse.
     precision: str = option(
-        "auto", "of the forward and backward pass; auto: by the processor", choices=PRECISIONS
+        "float32",
+        "of the forward and backward pass; auto: bfloat16 where the processor has it",
+        choices=PRECISIONS,
     )
     threads: int = option(0, "CPU threads; 0: PyTorch's own number")
     compile: bool = option(False, "compile the networks (torch.compile)")
@@ -70,6 +103,11 @@ class Config:
             raise InvalidConfigError(f"seed: expected at least 0, found {self.seed}")
         self.require_at_least_zero("threads")
         self._require_choices()
+
+    @property
+    def learned_from(self) -> tuple[str, ...]:
+        """What is learned from, in the words of `magical.runs.sources`."""
+        return ()
 
     def _require_choices(self) -> None:
         for field in dataclasses.fields(self):
@@ -134,6 +172,11 @@ class Config:
         raise NotImplementedError
 
     @property
+    def training_samples(self) -> int:
+        """The samples of all forward and backward passes of a whole run, to estimate its time."""
+        raise NotImplementedError
+
+    @property
     def observation_spec(self) -> ObservationSpec:
         """The observation's specification; the same for all tasks."""
         return make_spec(self.observation, get_task(self.tasks[0]))
@@ -150,14 +193,15 @@ class Config:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Self:
-        """The inverse of `to_dict`.
+        """The inverse of `to_dict`; fields that older runs lack get their defaults.
 
-        Raises `InvalidConfigError` for missing or unknown fields.
+        Raises `InvalidConfigError` for other missing fields, and for unknown ones.
         """
         fields = {name: value for name, value in data.items() if name != "algorithm"}
         known = {field.name for field in dataclasses.fields(cls)}
-        if set(fields) != known or data.get("algorithm") != cls.algorithm:
-            odd = sorted(set(fields) ^ known)
+        added = {field.name for field in dataclasses.fields(cls) if field.metadata["added"]}
+        odd = sorted((set(fields) ^ known) - (added - set(fields)))
+        if odd or data.get("algorithm") != cls.algorithm:
             raise InvalidConfigError(
                 f"expected a configuration of {cls.algorithm}, found one of "
                 f"{data.get('algorithm')!r} with other fields: {odd}"
@@ -176,10 +220,30 @@ class ImitationConfig(Config):
         dataclasses.MISSING, "folder with a dataset of demonstrations", metavar="FOLDER"
     )
     num_demos: int = option(10, "demonstrations of each task, sampled by the seed")
+    augment: str = option(
+        "all", "augmentation: all, none, no-trans-rot, or names joined by +", metavar="NAMES"
+    )
+    borders: str = option(
+        "mirror", "how augmented images go on beyond their borders", choices=BORDERS, added=True
+    )
+    linear_light: bool = option(
+        True, "convert sRGB to linear light for the colour jitter", added=True
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self.require_positive("num_demos")
+        self.require_augmentations("augment")
+
+    @property
+    def augmentations(self) -> Augmentations:
+        """The augmentations of images."""
+        return parse_augmentations(self.augment, self.borders, self.linear_light)
+
+    @property
+    def learned_from(self) -> tuple[str, ...]:
+        """See `Config`."""
+        return (*super().learned_from, DEMONSTRATIONS)
 
 
 @dataclass(frozen=True, slots=True)

@@ -77,6 +77,24 @@ def has_bfloat16(device: str) -> bool:
 
 
 @contextmanager
+def full_float32() -> Iterator[None]:
+    """A context in which a GPU does not round float32 numbers to TensorFloat-32.
+
+    PyTorch lets convolutions do so by default.
+    """
+    cudnn: Any = torch.backends.cudnn  # its parts are not in the type annotations
+    parts: tuple[Any, ...] = (cudnn.conv, cudnn.rnn, torch.backends.cuda.matmul)
+    before = [part.fp32_precision for part in parts]
+    try:
+        for part in parts:
+            part.fp32_precision = "ieee"
+        yield
+    finally:
+        for part, precision in zip(parts, before, strict=True):
+            part.fp32_precision = precision
+
+
+@contextmanager
 def restored_threads() -> Iterator[None]:
     """A context after which PyTorch's number of threads is what it was before."""
     before = torch.get_num_threads()
@@ -89,6 +107,18 @@ def restored_threads() -> Iterator[None]:
 @contextmanager
 def one_thread() -> Iterator[None]:
     """A context with one CPU thread: for small layers, synchronisation costs more than it gains."""
+    with cpu_threads(1):
+        yield
+
+
+def num_threads() -> int:
+    """The number of CPU threads that PyTorch uses."""
+    return torch.get_num_threads()
+
+
+@contextmanager
+def cpu_threads(number: int) -> Iterator[None]:
+    """A context in which PyTorch uses this number of CPU threads."""
     with restored_threads():
-        torch.set_num_threads(1)
+        torch.set_num_threads(number)
         yield

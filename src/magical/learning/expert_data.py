@@ -158,7 +158,10 @@ class ExpertData:
         return len(self.actions)
 
     def images(self, rows: Rows) -> Tensor:
-        """Frame stacks (B, C, H, W) uint8 of samples, in the observation's channel order."""
+        """Frame stacks (B, C, H, W) uint8 of samples, in the observation's channel order.
+
+        State vectors are (B, size) float32.
+        """
         index = self._index(rows)
         stacks = [
             frames.index_select(0, indices[index].flatten()).view(len(rows), -1, *frames.shape[2:])

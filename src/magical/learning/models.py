@@ -3,19 +3,23 @@
 Source: appendix B, Fig. 11; docs/specification.md, section 10.
 
 A trunk maps observations to features; a last layer per task maps features to logits, values or
-scores. Images are float (B, C, H, W) in [0, 1], state vectors float (B, size); `tasks` is int64
-(B,), the position of each row's task in the configuration.
+scores. Images are float (B, C, H, W) in [0, 1], which a trunk may map to [-1, 1]; state vectors are
+float (B, size); `tasks` is int64 (B,), the position of each row's task in the configuration.
 """
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from magical.learning.config import PIXEL_RANGES, Config
 from magical.learning.networks import find_network
 from magical.learning.reinforcement import ReinforcementConfig
 from magical.learning.streams import seeded_init
 from magical.scene import NUM_ACTIONS
 
+EMBEDDING = 32  # size of the learnt embedding of an action (docs/specification.md, section 11)
+# Inputs that an action adds to the first and to the last linear layer, by how it is joined.
+JOINED = {"none": (0, 0), "one-hot": (NUM_ACTIONS, 0), "embedding": (0, EMBEDDING)}
 MEAN_BRIGHTNESS = 0.92  # of the tasks' frames, in [0, 1]
 POLICY_GAIN = 0.01  # factor of the policy's last layer under `centred`: nearly uniform actions
 
@@ -24,8 +28,9 @@ class Trunk(nn.Module):
     """Observations to features: everything but the last layer.
 
     Images pass the architecture's convolutions, are flattened, and pass its linear layers. State
-    vectors pass the linear layers alone. With `action_input` the one-hot action is joined to the
-    flattened output of the convolutions.
+    vectors pass the linear layers alone. An action is joined as a one-hot vector to the flattened
+    output of the convolutions, or as a learnt embedding to the input of the last linear layer
+    (the second of two in Fig. 11).
 
     Attributes:
         num_features: the size of the output.
@@ -37,8 +42,9 @@ class Trunk(nn.Module):
         input_shape: tuple[int, ...],
         *,
         batch_norm: bool = False,
-        action_input: bool = False,
+        action_input: str = "none",
         num_features: int | None = None,
+        pixel_range: str = "unit",
     ) -> None:
         """Build the trunk of an architecture, with PyTorch's initialisation.
 
@@ -46,8 +52,11 @@ class Trunk(nn.Module):
             network: the architecture's name.
             input_shape: (C, H, W) of images or (size,) of state vectors.
             batch_norm: use batch norm in the convolutions.
-            action_input: whether `forward` takes actions too.
+            action_input: how actions are joined: "one-hot", "embedding", or "none": `forward`
+                takes no actions.
             num_features: replaces the last linear layer's size.
+            pixel_range: the range that images are mapped to: "unit", [0, 1], or "symmetric",
+                [-1, 1].
 
         Raises:
             UnknownNameError: no such architecture.
@@ -63,7 +72,10 @@ class Trunk(nn.Module):
             self.convolutions = architecture.make_convolutions(input_shape[0], batch_norm)
             size = _flat_size(self.convolutions, input_shape)
         self.action_input = action_input
-        self.linear = _linear_layers(size + NUM_ACTIONS * action_input, hidden)
+        self._pixels = PIXEL_RANGES[pixel_range]
+        joined = JOINED[action_input]
+        self.linear = _linear_layers([size, *hidden], joined)
+        self.embedding = nn.Embedding(NUM_ACTIONS, EMBEDDING) if joined[1] else None
         self.num_features = hidden[-1]
         # Convolutions are fastest with this memory layout.
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -72,13 +84,25 @@ class Trunk(nn.Module):
         """Features (B, num_features) of observations (B, ...), and of actions (B,) int64."""
         flat = observations
         if self.convolutions is not None:
-            flat = self.convolutions(observations).flatten(1)  # (B, C * H * W)
-        if self.action_input:
+            flat = self.convolutions(self._to_range(observations)).flatten(1)  # (B, C * H * W)
+        linear: nn.Module = self.linear
+        if self.action_input == "embedding":
+            flat, linear = self.linear[:-2](flat), self.linear[-2:]  # a last layer and its ReLU
+        if self.action_input != "none":
             assert actions is not None
-            one_hot = functional.one_hot(actions, NUM_ACTIONS)  # (B, 18)
-            flat = torch.cat([flat, one_hot.to(flat.dtype)], dim=1)
-        features: Tensor = self.linear(flat)
+            flat = torch.cat([flat, self._action_features(actions).to(flat.dtype)], dim=1)
+        features: Tensor = linear(flat)
         return features
+
+    def _action_features(self, actions: Tensor) -> Tensor:
+        if self.embedding is not None:
+            embedded: Tensor = self.embedding(actions)  # (B, 32)
+            return embedded
+        return functional.one_hot(actions, NUM_ACTIONS)  # (B, 18)
+
+    def _to_range(self, images: Tensor) -> Tensor:
+        low, high = self._pixels
+        return images if (low, high) == (0.0, 1.0) else images * (high - low) + low
 
 
 def _flat_size(convolutions: nn.Module, input_shape: tuple[int, ...]) -> int:
@@ -89,11 +113,19 @@ def _flat_size(convolutions: nn.Module, input_shape: tuple[int, ...]) -> int:
     return int(size)
 
 
-def _linear_layers(inputs: int, sizes: tuple[int, ...]) -> nn.Sequential:
+def _linear_layers(sizes: list[int], joined: tuple[int, int]) -> nn.Sequential:
+    """Linear layers, each followed by a ReLU.
+
+    Args:
+        sizes: of the first input, then of each layer's output.
+        joined: how many inputs the first and the last layer have besides.
+    """
+    inputs = sizes[:-1]
+    inputs[0] += joined[0]
+    inputs[-1] += joined[1]
     layers: list[nn.Module] = []
-    for size in sizes:
-        layers += [nn.Linear(inputs, size), nn.ReLU()]
-        inputs = size
+    for before, after in zip(inputs, sizes[1:], strict=True):
+        layers += [nn.Linear(before, after), nn.ReLU()]
     return nn.Sequential(*layers)
 
 
@@ -152,7 +184,7 @@ class Discriminator(nn.Module):
     def __init__(self, trunk: Trunk, num_tasks: int) -> None:
         """`trunk` has an action input."""
         super().__init__()
-        assert trunk.action_input
+        assert trunk.action_input != "none"
         self.trunk = trunk
         self.last = TaskLinear(trunk.num_features, 1, num_tasks)
 
@@ -168,14 +200,23 @@ def make_actor_critic(config: ReinforcementConfig) -> ActorCritic:
     It has no batch norm (appendix B).
     """
     with seeded_init(config.seed):
-        trunk = Trunk(config.network, config.input_shape)
+        trunk = Trunk(config.network, config.input_shape, pixel_range=config.pixel_range)
         network = ActorCritic(trunk, len(config.tasks))
         if config.init == "centred" and trunk.convolutions is not None:
-            centre(network)
+            centre(network, config.pixel_range)
+        init_last_layers(config, network.policy, network.value)
         return network
 
 
-def centre(network: ActorCritic) -> None:
+def init_last_layers(config: Config, *layers: TaskLinear) -> None:
+    """Initialise weights and biases from N(0, 1) if the configuration says so."""
+    if config.last_layer_init == "normal":
+        for layer in layers:
+            nn.init.normal_(layer.linear.weight)
+            nn.init.normal_(layer.linear.bias)
+
+
+def centre(network: ActorCritic, pixel_range: str = "unit") -> None:
     """Initialise an actor-critic of images without batch norm so that it can tell frames apart.
 
     With PyTorch's initialisation the difference between two frames, which are nearly white,
@@ -190,7 +231,9 @@ def centre(network: ActorCritic) -> None:
     with torch.no_grad():
         first = layers[0]
         assert first.bias is not None
-        first.bias.copy_(-MEAN_BRIGHTNESS * first.weight.flatten(1).sum(dim=1))
+        low, high = PIXEL_RANGES[pixel_range]
+        brightness = low + (high - low) * MEAN_BRIGHTNESS
+        first.bias.copy_(-brightness * first.weight.flatten(1).sum(dim=1))
         network.policy.linear.weight.mul_(POLICY_GAIN)
 
 

@@ -16,7 +16,7 @@ from magical.evaluation.policy import Actions, Mask
 from magical.learning.algorithms import find_algorithm, read_config
 from magical.learning.augment import to_unit
 from magical.learning.checkpoints import load_module, load_newest_checkpoint
-from magical.learning.devices import Compute, choose_device
+from magical.learning.devices import Compute, choose_device, full_float32
 from magical.learning.reinforcement import ReinforcementConfig
 from magical.observe import ObservationSpec
 from magical.runs.folder import CHECKPOINT, CONFIG, RECORD, is_run, read_json
@@ -76,7 +76,7 @@ class NetworkPolicy:
         """The distribution over actions, (B, 18) float64; raises what `act` raises."""
         inputs = to_inputs(observations, self._spec).to(self._compute.device)
         tasks = self._task_numbers(env_ids).to(self._compute.device)
-        with torch.inference_mode(), self._compute.autocast():
+        with torch.inference_mode(), full_float32(), self._compute.autocast():
             logits = self.network(to_unit(inputs), tasks)  # (B, 18)
         logits = logits.double().cpu()
         _require_finite(logits)
@@ -160,6 +160,7 @@ def demo_score(network: nn.Module, config: ReinforcementConfig, compute: Compute
         [EnvId(task, "Demo") for task in config.tasks],
         rollouts=config.evaluation_rollouts,
         seed=EVALUATION_SEED,
+        horizon=config.env_horizon,
         workers=config.workers,
     )
     network.train()

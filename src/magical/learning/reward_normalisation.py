@@ -7,16 +7,25 @@ import torch
 from torch import Tensor
 
 from magical.learning.checkpoints import StateDict
-
-SMALLEST_DIVISOR = 1e-3  # docs/specification.md, section 10
+from magical.learning.reinforcement import REWARD_FLOOR
 
 
 class RewardNormaliser:
     """Normalises by running statistics over all rewards of a run, separately for each task."""
 
-    def __init__(self, num_tasks: int, std: float, device: str = "cpu") -> None:
-        """`std` is the standard deviation of the normalised rewards."""
+    def __init__(
+        self, num_tasks: int, std: float, device: str = "cpu", floor: float = REWARD_FLOOR
+    ) -> None:
+        """Start without statistics.
+
+        Args:
+            num_tasks: the number of tasks.
+            std: the standard deviation of the normalised rewards.
+            device: where rewards are.
+            floor: running standard deviations below this count as this.
+        """
         self.target = std
+        self.floor = floor
         # Double precision: sums over a million rewards.
         self.count = torch.zeros(num_tasks, dtype=torch.float64, device=device)
         self.mean = torch.zeros_like(self.count)
@@ -30,7 +39,7 @@ class RewardNormaliser:
     def __call__(self, rewards: Tensor, tasks: Tensor) -> Tensor:
         """Update the statistics with rewards (T, N) of tasks (N,), and normalise the rewards."""
         self.update(rewards, tasks)
-        divisor = self.std.clamp(min=SMALLEST_DIVISOR)
+        divisor = self.std.clamp(min=self.floor)
         normalised = (rewards - self.mean[tasks]) / divisor[tasks] * self.target
         return normalised.to(rewards.dtype)
 

@@ -65,6 +65,7 @@ class RolloutEnvs:
             [EnvId(name, "Demo") for name in names],
             workers=config.workers,
             observation=config.observation,
+            horizon=config.env_horizon,
             reward=reward,
             autoreset_mode="SameStep",
             copy=False,
@@ -72,7 +73,9 @@ class RolloutEnvs:
         self._config = config
         self._spec: ObservationSpec = config.observation_spec
         self.device = device
-        self._horizons = np.array([get_task(name).horizon for name in names])
+        self._horizons = np.array(
+            [get_task(name).resolve_horizon(config.env_horizon) for name in names]
+        )
 
     def __enter__(self) -> Self:
         return self

@@ -12,12 +12,12 @@ from magical.errors import InvalidConfigError, RunFolderError
 from magical.learning.algorithms import find_algorithm
 from magical.learning.checkpoints import restore_previous_checkpoint
 from magical.learning.config import Config
-from magical.learning.devices import restored_threads
+from magical.learning.devices import full_float32, restored_threads
 from magical.learning.interrupts import Interrupts
 from magical.learning.policy import NetworkPolicy, load_policy
 from magical.learning.run import Metrics, Run
 from magical.progress import ProgressBar
-from magical.runs.folder import locked_folder, open_folder
+from magical.runs.folder import is_run, locked_folder, open_folder
 from magical.runs.metrics import read_metrics
 
 Callback = Callable[[int, Metrics], object]  # step, metrics
@@ -66,7 +66,8 @@ def train(
 ) -> TrainResult:
     """Train a policy, in the run folder `out`.
 
-    Ctrl-C and SIGTERM save a checkpoint and return; a second Ctrl-C interrupts at once.
+    Ctrl-C and SIGTERM save a checkpoint and return; a second Ctrl-C interrupts at once. A new run
+    that fails before it has logged or saved anything is removed again.
 
     Args:
         config: an algorithm's configuration, such as `BCConfig.preset("quick", ...)`.
@@ -107,7 +108,12 @@ def _opened(folder: Path, config: Config, resume: bool, previous: bool) -> Itera
     """A run folder that is locked and ready to be trained in."""
     if previous and not resume:
         raise InvalidConfigError("previous_checkpoint needs resume: a new run has no checkpoints")
-    with _full_disk_as_error(folder), locked_folder(folder, resume), restored_threads():
+    with (
+        _full_disk_as_error(folder),
+        locked_folder(folder, resume),
+        restored_threads(),
+        full_float32(),
+    ):
         open_folder(folder, config.to_dict(), resume)
         if previous:
             restore_previous_checkpoint(folder)
@@ -130,7 +136,5 @@ def _full_disk_as_error(folder: Path) -> Iterator[None]:
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT):
             raise
-        raise RunFolderError(
-            f"{folder}: the disk is full; the last checkpoint is whole. Free some space, then "
-            "resume (--resume)"
-        ) from error
+        then = "resume (--resume); the last checkpoint is whole" if is_run(folder) else "try again"
+        raise RunFolderError(f"{folder}: the disk is full. Free some space, then {then}") from error

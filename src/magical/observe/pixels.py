@@ -139,6 +139,12 @@ class PixelSpec:
             windows.append(array)
         return windows
 
+    def picture(self, observation: Any) -> Pixels:
+        """See `ObservationSpec`: all frames side by side, by view, oldest first."""
+        stacks = self.stacks(observation)
+        frames = [np.split(stack, stack.shape[-1] // CHANNELS, axis=-1) for stack in stacks]
+        return np.concatenate([frame for stack in frames for frame in stack], axis=1)
+
     def observer(self, out: Any = None) -> "PixelObserver":
         """See `ObservationSpec`."""
         return PixelObserver(self, out)

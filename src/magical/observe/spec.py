@@ -103,6 +103,9 @@ class ObservationSpec(Protocol):
         Raises `ObservationError` for arrays of another shape or type.
         """
 
+    def picture(self, observation: Any) -> NDArray[np.uint8] | None:
+        """One observation as an RGB image (H, W, 3) to look at; `None` for what is no image."""
+
     def observer(self, out: Any = None) -> Observer:
         """An observer that writes into `out`, or into arrays of its own."""
 

@@ -96,6 +96,9 @@ class StateSpec:
             )
         return array
 
+    def picture(self, observation: Any) -> None:
+        """See `ObservationSpec`: a vector is no image."""
+
     def observer(self, out: NDArray[np.float32] | None = None) -> "StateObserver":
         """See `ObservationSpec`."""
         return StateObserver(self, out)

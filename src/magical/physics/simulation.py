@@ -41,8 +41,8 @@ class Simulation:
         ]
         if not scene.robot_first:
             self._robot = Robot(self._space, scene.robot, self.dynamics)
-        bodies = [self._robot.body, *self._robot.fingers, *self._robot.eyes, *blocks]
-        self._reader = BodyReader(self._space, bodies)
+        self._bodies = [self._robot.body, *self._robot.fingers, *self._robot.eyes, *blocks]
+        self._reader = BodyReader(self._space, self._bodies)
 
     def step(self, action: int) -> None:
         """Advance by one control step of 1/8 s.
@@ -72,3 +72,17 @@ class Simulation:
             units, radians and seconds. Eyes have no position of their own; theirs is the robot's.
         """
         return self._reader.read()
+
+    def write(self, bodies: NDArray[np.float64]) -> None:
+        """Move every body to a pose and give it a velocity: the inverse of `read`.
+
+        Contacts of the step before are forgotten only as far as bodies have moved apart.
+
+        Args:
+            bodies: (5 + number of blocks, 6), as `read` returns it; the eyes' positions are not
+                used.
+        """
+        for body, row in zip(self._bodies, bodies.tolist(), strict=True):
+            x, y, angle, velocity_x, velocity_y, spin = row
+            body.position, body.angle = (x, y), angle
+            body.velocity, body.angular_velocity = (velocity_x, velocity_y), spin

@@ -98,7 +98,7 @@ def _map_here(
 def _map_in_pool(
     work: Callable[[Item], Result], items: Iterable[Item], count: int
 ) -> Generator["Future[Result]", None, None]:
-    with closing(_Pool(count)) as pool:
+    with closing(ProcessPool(count)) as pool:
         waiting: deque[Future[Result]] = deque()
         for item in items:
             waiting.append(pool.submit(work, item))
@@ -107,8 +107,11 @@ def _map_in_pool(
         yield from waiting
 
 
-class _Pool:
-    """Child processes, and as many threads, each of which waits for the answer to one task."""
+class ProcessPool:
+    """Child processes that compute one task after another, each submitted by itself.
+
+    `map_in_processes` is simpler where results are wanted in the items' order.
+    """
 
     def __init__(self, count: int) -> None:
         self._tasks: SimpleQueue[tuple[bytes, Future[Any]] | None] = SimpleQueue()
@@ -123,10 +126,24 @@ class _Pool:
             thread.start()
 
     def submit(self, work: Callable[[Item], Result], item: Item) -> "Future[Result]":
-        """Compute `work(item)` in a child as soon as one is idle."""
+        """Compute `work(item)` in a child as soon as one is idle.
+
+        See `map_in_processes` for what `work` may be and which exceptions the result has.
+        """
         result: Future[Result] = Future()
         self._tasks.put((pickle.dumps((work, item)), result))
         return result
+
+    def terminate(self) -> None:
+        """Send SIGTERM to all children, and start no task any more.
+
+        Work that handles the signal can finish what it is doing. Other tasks fail with
+        `WorkerDiedError`. (Windows has no such signal: there every child ends at once.)
+        """
+        with self._lock:
+            self._closed = True
+            for child in self._children:
+                child.process.terminate()
 
     def close(self) -> None:
         """End all children at once, whatever they are doing."""
@@ -172,10 +189,10 @@ class _Pool:
     def _idle_child(self) -> Child:
         """A child without a task, started if there is none."""
         with self._lock:
-            if self._idle:
-                return self._idle.pop()
             if self._closed:
                 raise WorkerDiedError("the pool of processes is closed")
+            if self._idle:
+                return self._idle.pop()
             self._children.append(Child(__name__))
             return self._children[-1]
 

@@ -51,6 +51,7 @@ def render_ground(
     colours: Ints,
     workspace: Floats,
     ego: bool,
+    whole: bool,
     edges: Floats,
     spans: Ints,
 ) -> None:
@@ -60,7 +61,9 @@ def render_ground(
     for pixel in range(canvas.size * canvas.size):
         canvas.ground[pixel] = background
     turned, placed, on_frame = np.empty((2, 4)), np.empty((2, 5)), np.empty((4, 2))
-    counter = _counter_left_by_allocentric_frame(corners[len(corners) - 1]) if ego else 0
+    counter = 0.0
+    if ego:
+        counter = _counter_left_by_allocentric_frame(corners[len(corners) - 1], whole)
     for i in range(len(corners)):
         for k in range(4):
             x, y = corners[i, k, 0], corners[i, k, 1]
@@ -73,18 +76,20 @@ def render_ground(
         if i == 0:
             outline(canvas, on_frame, colours[i, 1])
         else:
-            counter = dashes(canvas, on_frame, colours[i, 1], counter)
+            counter = dashes(canvas, on_frame, colours[i, 1], counter, whole)
 
 
 @inlined
-def _counter_left_by_allocentric_frame(corners: Floats) -> int:
+def _counter_left_by_allocentric_frame(corners: Floats, whole: bool) -> float:
     """Where the dash counter stands after an outline that is all in view.
 
     The published environments render an allocentric frame before every egocentric one.
     """
     pixel = VIEW_WIDTH / RAW_FRAME_SIZE
     width, height = corners[1, 0] - corners[0, 0], corners[0, 1] - corners[3, 1]
-    return 2 * (round_up(width / pixel) + round_up(height / pixel))
+    if whole:
+        return 2.0 * (round_up(width / pixel) + round_up(height / pixel))
+    return 2.0 * float(width + height) / pixel
 
 
 @inlined
@@ -142,13 +147,14 @@ def compiled_render(samples: int) -> Callable[..., int]:
         kept: Pixels,
         size: int,
         mode: int,
+        whole: bool,
     ) -> int:
-        """Render into `pixels`, in one of three modes.
+        """Render into `pixels`; returns the number of tiles, or -1 for poses out of range.
 
-        EGO renders everything; `ground` is the same array as `pixels`. GROUND renders the
+        Mode EGO renders everything; `ground` is the same array as `pixels`. GROUND renders the
         allocentric ground only. ALLO renders bodies over a ground that was rendered before, its
-        finished pixels in `kept`. The other arrays are those of `display.DisplayList` and
-        `canvas.Canvas`. Returns the number of tiles, or -1 for poses that are out of range.
+        finished pixels in `kept`. `whole` is for `lines.dashes`. The other arrays are those of
+        `display.DisplayList` and `canvas.Canvas`.
         """
         if not within_reach(bodies):
             return -1
@@ -158,7 +164,7 @@ def compiled_render(samples: int) -> Callable[..., int]:
         canvas = Canvas(ground, tiles, owners, counts, body_pixels, touched, pixels, size, samples)
         body_frames(bodies, mode == EGO, extent, frames)
         if mode != ALLO:
-            render_ground(canvas, corners, colours, frames[count], mode == EGO, edges, spans)
+            render_ground(canvas, corners, colours, frames[count], mode == EGO, whole, edges, spans)
         if mode != EGO:
             source = ground if mode == GROUND else kept
             for pixel in range(size * size):

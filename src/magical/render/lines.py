@@ -151,31 +151,33 @@ def outline(canvas: Canvas, corners: Floats, colour: int) -> None:
 
 
 @inlined
-def dashes(canvas: Canvas, corners: Floats, colour: int, counter: int) -> int:
+def dashes(canvas: Canvas, corners: Floats, colour: int, counter: float, whole: bool) -> float:
     """A region's dashed outline; takes and returns the dash counter.
 
     Every side counts the pixels of the 384 frame from where it comes into view and advances the
-    counter by a whole number, so that dashes continue round corners. The counter is
-    reset at an outline's first side, but, as in the published frames, only if that is in view.
+    counter, so that dashes continue round corners: by a whole number, or, as in the frames of the
+    human demonstrations, by its exact length. The counter is reset at an outline's first side,
+    but, as in the published frames, only if that is in view.
     """
     extent = canvas.size * canvas.samples
     unit = extent / RAW_FRAME_SIZE
     line, dash = np.empty(4), np.empty(4)
     for i in range(4):
         if _side(corners, i, extent, line):
-            counter = 0 if i == 0 else counter
+            counter = 0.0 if i == 0 else counter
+            base = int(counter + 1e-9)
             dx, dy = line[2] - line[0], line[3] - line[1]
             length = math.sqrt(dx * dx + dy * dy) / unit
             count, start = round_up(length), 0
             while start < count:
-                stop = min(start + DASH - (counter + start) % DASH, count)
-                if (counter + start) // DASH % 2 == 0:
+                stop = min(start + DASH - (base + start) % DASH, count)
+                if (base + start) // DASH % 2 == 0:
                     a, b = start / length, min(stop / length, 1.0)
                     dash[0], dash[1] = line[0] + a * dx, line[1] + a * dy
                     dash[2], dash[3] = line[0] + b * dx, line[1] + b * dy
                     stroke(canvas, dash, DASH_WIDTH * unit, colour)
                 start = stop
-            counter += count
+            counter += count if whole else length
     return counter
 
 

@@ -36,6 +36,9 @@ class Renderer:
         samples: 1, 2 or 4; samples x samples are averaged in each pixel, halves rounded to even.
             Default: as few as make 384 across, at most 4. 4 at 96 pixels is the published
             pipeline, 1 at 384 its raw frame.
+        whole_dashes: whether the sides of goal regions advance the pattern of dashes by whole
+            pixels of the 384 frame (docs/specification.md, section 6). The human demonstrations
+            were recorded with another graphics driver, which advanced it by their exact length.
 
     Raises:
         UnknownNameError: no such view.
@@ -48,6 +51,7 @@ class Renderer:
         view: View | str,
         size: int = FRAME_SIZE,
         samples: int | None = None,
+        whole_dashes: bool = True,
     ) -> None:
         self.view = parse_word(View, view)
         self.size = size
@@ -66,8 +70,8 @@ class Renderer:
         if self.view == View.EGO:
             memory, mode = _shared_memory(size, self.samples, layers, self._pixels), EGO
         else:
-            memory, mode = self._cached_ground(layers), ALLO
-        self._arguments = (*self._display, *memory, size, mode)
+            memory, mode = self._cached_ground(layers, whole_dashes), ALLO
+        self._arguments = (*self._display, *memory, size, mode, whole_dashes)
 
     def render(self, bodies: NDArray[np.float64], out: Image) -> None:
         """Write the frame into `out`, which may be a view of any layout, such as a stack's end.
@@ -122,12 +126,13 @@ class Renderer:
         if self._compiled(mine, *self._arguments) < 0:
             raise RenderError(f"expected finite poses within {FAR:g} units, found {mine.tolist()}")
 
-    def _cached_ground(self, layers: int) -> "_Memory":
+    def _cached_ground(self, layers: int, whole_dashes: bool) -> "_Memory":
         """Render the ground once and keep it: the allocentric camera does not move."""
         shared = _shared_memory(self.size, self.samples, layers, self._pixels)
         own = shared._replace(ground=np.empty_like(self._pixels), tiles=np.empty_like(shared.tiles))
         self._bodies[:] = 0.0
-        tiles = self._compiled(self._bodies, *self._display, *own, self.size, GROUND)
+        arguments = (*self._display, *own, self.size, GROUND, whole_dashes)
+        tiles = self._compiled(self._bodies, *arguments)
         return own._replace(tiles=own.tiles[:tiles].copy(), kept=self._pixels.copy())
 
 

@@ -5,6 +5,7 @@ import io
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,9 @@ from magical.envs.vector import MagicalVectorEnv
 from magical.evaluation.policy import Policy, checked_actions, is_privileged
 from magical.evaluation.rollouts import observation_for
 from magical.evaluation.seeds import RolloutRng
+from magical.observe import ObservationSpec
+from magical.observe.arrays import select
+from magical.observe.presets import make_spec
 from magical.render import Renderer
 from magical.scene import State, View
 from magical.scene.constants import CONTROL_RATE
@@ -26,16 +30,19 @@ LAST_FRAME = 1.5  # seconds that an animation shows its last frame
 
 @dataclass(frozen=True, slots=True)
 class Clip:
-    """One rollout, the allocentric view at every control step, and its final score."""
+    """One rollout, the allocentric view every few control steps, and its final score."""
 
     env_id: EnvId
     score: float
-    frames: NDArray[np.uint8]  # (T + 1, H, W, 3)
+    frames: NDArray[np.uint8]  # (F, H, W, 3)
+    every: int = 1  # control steps between frames
+    shown: NDArray[np.uint8] | None = None  # what the policy got half-way, (H, W, 3)
 
-    def webp(self, rate: float = CONTROL_RATE) -> bytes:
+    def webp(self, rate: float = CONTROL_RATE, quality: int = 70) -> bytes:
         """An animated WebP that loops, at `rate` control steps a second."""
         images = [Image.fromarray(frame) for frame in self.frames]
-        durations = [round(1000 / rate)] * (len(images) - 1) + [round(1000 * LAST_FRAME)]
+        step = round(1000 * self.every / rate)
+        durations = [step] * (len(images) - 1) + [round(1000 * LAST_FRAME)]
         file = io.BytesIO()
         images[0].save(
             file,
@@ -44,7 +51,7 @@ class Clip:
             append_images=images[1:],
             duration=durations,
             loop=0,
-            quality=70,
+            quality=quality,
             method=3,
         )
         return file.getvalue()
@@ -62,32 +69,87 @@ def record_clips(
 
     Raises `PolicyError` where the policy returns something else than actions.
     """
-    seeds = [evaluation_seed(rollout, seed)] * len(env_ids)
+    rollouts = [(env_id, rollout) for env_id in env_ids]
+    return record_rollouts(policy, rollouts, seed=seed, size=size)
+
+
+def record_rollouts(
+    policy: Policy,
+    rollouts: Sequence[tuple[EnvId, int]],
+    *,
+    seed: int = 0,
+    horizon: int | None = None,
+    nudge: float = 0.0,
+    size: int = SIZE,
+    every: int = 1,
+) -> list[Clip]:
+    """Run the policy again in some of an evaluation's rollouts, all of one task.
+
+    Args:
+        policy: see `Policy`.
+        rollouts: the environment and the number of each.
+        seed: which set of fixed seeds.
+        horizon: control steps; by default the task's.
+        nudge: as for `magical.evaluation.evaluate`.
+        size: pixels across a frame.
+        every: control steps between frames; the last step is always shown.
+
+    Raises:
+        PolicyError: the policy returned something else than actions.
+    """
+    env_ids = [env_id for env_id, _ in rollouts]
+    seeds = [evaluation_seed(number, seed) for _, number in rollouts]
     observation = observation_for(policy)
-    with closing(MagicalVectorEnv(env_ids, workers=0, observation=observation)) as envs:
+    with closing(
+        MagicalVectorEnv(env_ids, workers=0, observation=observation, horizon=horizon)
+    ) as envs:
         rng = RolloutRng(env_ids, seeds)
-        observations, info = envs.reset(seed=seeds)
+        observations, info = envs.reset(seed=seeds, options={"nudge": nudge} if nudge else None)
         policy.reset(np.ones(len(env_ids), np.bool_))
         states = envs.states()
-        cameras = [Renderer(state.scene, View.ALLO, size) for state in states]
-        videos = [[_render(camera, state)] for camera, state in zip(cameras, states, strict=True)]
-        for _ in range(states[0].horizon):
+        film, last = _Film(states, size), states[0].horizon
+        for step in range(1, last + 1):
+            if step == (last + 1) // 2 and not is_privileged(policy):
+                film.shown = _pictures(make_spec(observation, env_ids[0].task_spec), observations)
             given = states if is_privileged(policy) else observations
             actions = checked_actions(policy.act(given, env_ids, rng), len(env_ids))
             observations, _, _, _, info = envs.step(actions)
             states = envs.states()
-            for video, camera, state in zip(videos, cameras, states, strict=True):
-                video.append(_render(camera, state))
-    return [
-        Clip(env_id, float(score), np.array(video))
-        for env_id, score, video in zip(env_ids, info["eval_score"], videos, strict=True)
-    ]
+            if step % every == 0 or step == last:
+                film.add(states)
+    return film.clips(env_ids, info["eval_score"].tolist(), every)
 
 
-def _render(camera: Renderer, state: State) -> NDArray[np.uint8]:
-    frame = np.empty((camera.size, camera.size, 3), np.uint8)
-    camera.render(state.poses.bodies, frame)
-    return frame
+class _Film:
+    """The frames of several rollouts."""
+
+    def __init__(self, states: Sequence[State], size: int) -> None:
+        self._renderers = [Renderer(state.scene, View.ALLO, size) for state in states]
+        self._frames: list[list[NDArray[np.uint8]]] = [[] for _ in states]
+        self.shown: list[NDArray[np.uint8] | None] = [None for _ in states]
+        self.add(states)
+
+    def add(self, states: Sequence[State]) -> None:
+        """Render every rollout's present state."""
+        for renderer, frames, state in zip(self._renderers, self._frames, states, strict=True):
+            frame = np.empty((renderer.size, renderer.size, 3), np.uint8)
+            renderer.render(state.poses.bodies, frame)
+            frames.append(frame)
+
+    def clips(self, env_ids: Sequence[EnvId], scores: Sequence[float], every: int) -> list[Clip]:
+        """The rollouts as clips, after their end."""
+        parts = zip(env_ids, scores, self._frames, self.shown, strict=True)
+        return [
+            Clip(env_id, s, np.array(frames), every, shown) for env_id, s, frames, shown in parts
+        ]
+
+
+def _pictures(spec: ObservationSpec, observations: Any) -> list[NDArray[np.uint8] | None]:
+    """What the policy is shown in each environment; nothing for what is no image."""
+    count = len(
+        next(iter(observations.values())) if isinstance(observations, dict) else observations
+    )
+    return [spec.picture(select(observations, row)) for row in range(count)]
 
 
 def data_uri(data: bytes, kind: str) -> str:

@@ -1,41 +1,157 @@
 """A page from folders of evaluated runs."""
 
-from collections.abc import Sequence
+import platform
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from magical.evaluation import Entry
+import numpy as np
+
+from magical import __version__
+from magical.evaluation.statistics import interquartile_mean
+from magical.processes import available_cores
 from magical.report.aggregate import aggregate_header, aggregate_rows, aggregates
-from magical.report.curves import learning_curves
-from magical.report.page import Page
-from magical.report.tables import Table
+from magical.report.breakdown import THRESHOLDS, Grid, gap_grid, improvement_table, profiles
+from magical.report.curves import TrainedRun, curves_by_task
+from magical.report.methods import ComparedMethod, compared_methods
+from magical.report.missing import find_missing
+from magical.report.page import Figure, Page
+from magical.report.plots import interval_plot, profile_plot
+from magical.report.reels import LoadPolicy, record_reels
+from magical.report.results import Result, Results
+from magical.report.runs import describe_methods
+from magical.report.tables import report_tables
 
 
 def evaluated_page(
-    title: str, folders: Sequence[Path], entries: Sequence[Entry], tables: Sequence[Table]
+    title: str,
+    results: Results,
+    published: Sequence[str] = (),
+    *,
+    out: Path | None = None,
+    load_policy: LoadPolicy | None = None,
+    clips: int = 0,
 ) -> Page:
-    """Tables, learning curves where the folders hold training runs, and where it all is from."""
-    facts = {
-        f"{entry.method} ({folder})": ", ".join(
-            f"{name} {value}"
-            for name, value in (
-                ("observation", entry.observation),
-                ("horizon", entry.horizon),
-                ("seeds", entry.seed),
-                ("version", entry.version),
-                *entry.details.items(),
-            )
-            if value != ""
-        )
-        for folder, entry in zip(folders, entries, strict=True)
-    }
+    """All that evaluated runs and their training runs tell, and what is missing.
+
+    Args:
+        title: of the page.
+        results: what `find_results` has found.
+        published: rows of the published tables to show.
+        out: where the page will be written: it then has links to the runs' files.
+        load_policy: gives a run's policy; needed for
+        clips: of how many runs the best, median and worst rollouts are recorded.
+    """
+    entries = results.entries
+    methods = compared_methods(entries)
     lines, note = aggregates(entries)
+    curves, damaged = _curves(results.found)
+    reels, notes = (
+        record_reels(results.found, load_policy, clips) if load_policy and clips else ([], [])
+    )
+    skipped = [(str(item.folder), item.reason) for item in results.skipped]
+    skipped += [(str(folder), reason) for folder, reason in damaged.items()]
     return Page(
         title=title,
-        subtitle=f"{len(entries)} evaluated runs",
-        tables=tables,
+        subtitle=_subtitle(results, len(skipped)),
+        tables=report_tables(entries, published),
         rollouts=max(row.rollout for entry in entries for row in entry.scores) + 1,
         aggregate=[aggregate_header(lines), *aggregate_rows(lines)] if lines else (),
         aggregate_note=note,
-        curves=learning_curves(dict(zip(map(str, folders), folders, strict=True))),
-        facts=facts,
+        aggregate_figures=_figures(methods) if methods else (),
+        gaps=gap_grid(methods) if methods else None,
+        improvement=improvement_table(methods) if methods else None,
+        curves_by_task=curves,
+        extremes=reels,
+        clip_notes=notes,
+        missing=_missing(results),
+        skipped=_skipped(skipped),
+        facts=_facts(results.found),
+        methods=describe_methods(results.found, out),
     )
+
+
+def _subtitle(results: Results, skipped: int) -> str:
+    methods = len({entry.row for entry in results.entries})
+    runs = len(results.found)
+    parts = [
+        f"{runs} evaluated run{'s' if runs != 1 else ''} of {methods} "
+        f"method{'s' if methods != 1 else ''}"
+    ]
+    if skipped:
+        parts.append(f"{skipped} skipped")
+    unscored = len(results.not_evaluated if results.planned is None else results.planned)
+    if unscored:
+        parts.append(f"{unscored} without scores")
+    return "; ".join(parts)
+
+
+def _figures(methods: Sequence[ComparedMethod]) -> list[Figure]:
+    iqm = {method.name: interquartile_mean(method.means) for method in methods}
+    return [
+        Figure(
+            interval_plot(iqm, "interquartile mean", "iqm"),
+            "Interquartile mean: the mean of the middle half of all runs' scores, with 95% "
+            "intervals over runs.",
+        ),
+        Figure(
+            profile_plot(THRESHOLDS, profiles(methods)),
+            "Performance profiles: the share of runs, averaged over environments, that score above "
+            "τ; higher is better. Shaded: 95% intervals over runs, for each τ on its own.",
+        ),
+    ]
+
+
+def _curves(results: Sequence[Result]) -> tuple[dict[str, list[str]], dict[Path, str]]:
+    names = list(dict.fromkeys(result.entry.row for result in results))
+    runs = {
+        result.run: TrainedRun(result.entry.row, _trained_on(result), result.run)
+        for result in results
+        if result.run is not None
+    }
+    return curves_by_task(list(runs.values()), names)
+
+
+def _trained_on(result: Result) -> str:
+    recorded = result.config.get("tasks")
+    tasks = recorded if recorded and isinstance(recorded, list) else result.tasks
+    return str(tasks[0]) if len(tasks) == 1 else f"{len(tasks)} tasks"
+
+
+def _missing(results: Results) -> Grid | None:
+    note = (
+        "Every method is expected to have each task that another has, with as many runs, with the "
+        "same seeds, on all variants."
+        if results.planned is None
+        else "Runs of the plan without scores, and variants that runs were not evaluated on."
+    )
+    rows = find_missing(results)
+    return Grid("Scores", ("method", "task", "missing"), rows, note) if rows else None
+
+
+def _skipped(rows: Sequence[tuple[str, str]]) -> Grid | None:
+    note = "Folders whose files cannot be used; nothing in the tables comes from them."
+    return Grid("Skipped", ("folder", "reason"), rows, note) if rows else None
+
+
+def _facts(results: Sequence[Result]) -> dict[str, str]:
+    """What the scores may depend on beside the settings, over all runs; and who made the page."""
+    places = [(result.record, result.entry.details) for result in results]
+    found: dict[str, list[object]] = {
+        "evaluated by magical": [result.entry.version for result in results],
+        "commit": [place.get("commit") for pair in places for place in pair],
+        "libraries": [_listed(place.get("versions")) for pair in places for place in pair],
+        "machine": [_listed(place.get("machine")) for pair in places for place in pair],
+    }
+    facts = {name: "; ".join(dict.fromkeys(str(v) for v in vs if v)) for name, vs in found.items()}
+    return {
+        **{name: text or "not recorded" for name, text in facts.items()},
+        "this page": f"made by magical {__version__}, Python {platform.python_version()}, NumPy "
+        f"{np.__version__}, on {platform.machine()}, {available_cores()} cores",
+    }
+
+
+def _listed(values: object) -> str:
+    """The contents of a mapping in one line; nothing for anything else."""
+    if not isinstance(values, Mapping):
+        return ""
+    return ", ".join(f"{name} {value}" for name, value in values.items())

@@ -9,8 +9,19 @@ from numpy.typing import NDArray
 
 from magical.evaluation.variants import short_variant
 from magical.files import write_atomically
-from magical.report.clips import SIZE, Clip, data_uri, png
+from magical.report.breakdown import Grid
+from magical.report.clips import Clip, data_uri, png
+from magical.report.reels import Reel, ShownClip
+from magical.report.runs import MethodFacts
 from magical.report.tables import DARKEST, LIGHTEST, Table
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A plot with what it says."""
+
+    svg: str
+    caption: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,52 +34,62 @@ class Page:
     rollouts: int  # on each variant
     aggregate: Sequence[Sequence[str]] = ()  # a header and a row for each method
     aggregate_note: str = ""
+    aggregate_figures: Sequence[Figure] = ()
+    gaps: Grid | None = None
+    improvement: Table | None = None
     curves: str = ""  # SVG
+    curves_by_task: Mapping[str, Sequence[str]] = field(default_factory=dict)  # SVG
     reels: Mapping[str, Sequence[Clip]] = field(default_factory=dict)  # rollouts by title
+    extremes: Sequence[Reel] = ()  # the best, median and worst rollouts of runs
+    clip_notes: Sequence[str] = ()  # which runs' rollouts are not shown, and why
+    missing: Grid | None = None  # which scores are missing
+    skipped: Grid | None = None  # which files could not be used
+    methods: Sequence[MethodFacts] = ()  # how each run was made
     sheet: NDArray[Any] | None = None  # (H, W, 3) uint8
     facts: Mapping[str, str] = field(default_factory=dict)  # how it was made, by name
 
     def html(self) -> str:
         """The page's source, with everything inline: nothing is loaded from elsewhere."""
-        import jinja2  # from the report extra
-
-        environment = jinja2.Environment(
-            loader=jinja2.PackageLoader("magical.report"),
-            autoescape=True,
-            undefined=jinja2.StrictUndefined,
-            trim_blocks=True,
-            lstrip_blocks=True,
-        )
-        return environment.get_template("page.html.j2").render(
-            title=self.title,
-            subtitle=self.subtitle,
-            tables=self.tables,
-            rollouts=self.rollouts,
+        return render_template(
+            "page.html.j2",
+            page=self,
             lightest=f"rgb{LIGHTEST}",
             darkest=f"rgb{DARKEST}",
-            aggregate=self.aggregate,
-            aggregate_note=self.aggregate_note,
-            curves=self.curves,
             reels=[_reel(title, clips) for title, clips in self.reels.items()],
-            clip_size=SIZE,
             sheet=None if self.sheet is None else data_uri(png(self.sheet), "image/png"),
-            facts=self.facts,
         )
 
     def write(self, path: Path | str) -> None:
         """Write the page; raises `OSError` where that is not possible."""
-        text = self.html()
-        with write_atomically(path) as file:
-            file.write(text.encode())
+        write_text(path, self.html())
 
 
-def _reel(title: str, clips: Sequence[Clip]) -> dict[str, Any]:
+def render_template(name: str, **values: Any) -> str:
+    """One of the templates of this package with values, which are escaped."""
+    import jinja2  # from the report extra
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("magical.report"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(name).render(**values)
+
+
+def write_text(path: Path | str, text: str) -> None:
+    """Write a text file atomically, in UTF-8; raises `OSError` where that is not possible."""
+    with write_atomically(path) as file:
+        file.write(text.encode())
+
+
+def _reel(title: str, clips: Sequence[Clip]) -> Reel:
     shown = [
-        {
-            "variant": short_variant(clip.env_id.variant),
-            "score": clip.score,
-            "uri": data_uri(clip.webp(), "image/webp"),
-        }
+        ShownClip(
+            data_uri(clip.webp(), "image/webp"),
+            f"{short_variant(clip.env_id.variant)}: {clip.score:.2f}",
+        )
         for clip in clips
     ]
-    return {"title": title, "clips": shown}
+    return Reel(title, shown)

@@ -12,8 +12,9 @@
 
 import json
 import platform
+import shutil
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
@@ -51,7 +52,9 @@ def is_run(path: Path | str) -> bool:
 def locked_folder(path: Path, resume: bool) -> Iterator[None]:
     """Hold the lock of a run folder for training, creating the folder if it is missing.
 
-    Reading a run needs no lock. Temporary files of a killed process are removed.
+    Reading a run needs no lock. Temporary files of a killed process are removed. A new run that
+    fails before it has logged or saved anything, for instance for lack of demonstrations, is
+    removed again, so that the corrected command finds the folder as it was.
 
     Args:
         path: as in `open_folder`.
@@ -61,18 +64,39 @@ def locked_folder(path: Path, resume: bool) -> Iterator[None]:
         RunFolderError: another process or thread trains this run; there is nothing to resume; the
             folder holds other files.
     """
+    existed = path.exists()
     if not is_run(path):
         _check_new(path, resume)
         path.mkdir(parents=True, exist_ok=True)
     try:
         with lock_now(path / LOCK):
             remove_partial_files(path, *WRITTEN)
-            yield
+            is_new = not is_run(path)
+            try:
+                yield
+            except Exception:
+                if is_new:
+                    _remove_unless_begun(path, keep_folder=existed)
+                raise
     except LockedError as error:
         raise RunFolderError(
             f"{path}: process {error.process_id or '(unknown)'} already trains this run; wait for "
             "its end, or stop it"
         ) from error
+
+
+def _remove_unless_begun(path: Path, keep_folder: bool) -> None:
+    """Remove the files of a run without metrics and checkpoints, unless there are others too."""
+    names = {file.name for file in path.iterdir()}
+    has_metrics = METRICS in names and (path / METRICS).stat().st_size > 0
+    if has_metrics or names & {CHECKPOINT, PREVIOUS} or names - {*WRITTEN, TENSORBOARD, LOCK}:
+        return
+    shutil.rmtree(path / TENSORBOARD, ignore_errors=True)
+    with suppress(OSError):  # Windows keeps the lock's file, which is open
+        for name in (*WRITTEN, LOCK):
+            (path / name).unlink(missing_ok=True)
+        if not keep_folder:
+            path.rmdir()
 
 
 def open_folder(path: Path, config: Mapping[str, Any], resume: bool) -> None:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, astuple, dataclass, fields
+from dataclasses import asdict, astuple, dataclass, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -155,6 +155,22 @@ class Scene:
         object.__setattr__(self, "robot", _pose("robot", self.robot))
         object.__setattr__(self, "blocks", tuple(self.blocks))
         object.__setattr__(self, "regions", tuple(self.regions))
+
+    def nudged(self, amount: float, rng: np.random.Generator) -> "Scene":
+        """The scene with robot and blocks shifted and turned by uniform samples.
+
+        Args:
+            amount: the largest shift of each coordinate, in workspace units, and of each angle, in
+                radians.
+            rng: samples three numbers for the robot, then three for each block.
+        """
+
+        def nudge(pose: Pose) -> Pose:
+            return Pose(*(pose + rng.uniform(-amount, amount, size=3)).tolist())
+
+        robot = nudge(self.robot)
+        blocks = tuple(replace(block, pose=nudge(block.pose)) for block in self.blocks)
+        return replace(self, robot=robot, blocks=blocks)
 
     def to_dict(self, exact: bool = False) -> dict[str, Any]:
         """Plain data for JSON, in the recordings' format.

@@ -2,6 +2,7 @@
 
 from magical.tasks.axes import VARIANTS, Axis
 from magical.tasks.checking import check_placement
+from magical.tasks.horizons import have_two_horizons, require_two_horizons
 from magical.tasks.placement import Placement
 from magical.tasks.registry import (
     TASKS,
@@ -11,19 +12,22 @@ from magical.tasks.registry import (
     register_task,
     unregister_task,
 )
-from magical.tasks.task import Task
+from magical.tasks.task import Horizon, Task
 from magical.tasks.validation import validate_scene
 
 __all__ = [
     "TASKS",
     "VARIANTS",
     "Axis",
+    "Horizon",
     "Placement",
     "Task",
     "check_placement",
     "get_task",
+    "have_two_horizons",
     "load_tasks",
     "register_task",
+    "require_two_horizons",
     "unregister_task",
     "validate_scene",
 ]

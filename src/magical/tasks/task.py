@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from typing import Literal
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from magical.tasks.validation import validate_scene
 RandomiseFn = Callable[[Scene, Axis, np.random.Generator], Scene]
 ScoreFn = Callable[[Scene, Poses], float]
 ValidateFn = Callable[[Scene], str]
+Horizon = int | Literal["published"] | None  # steps, the published code's, the appendix's
 
 
 def _accept(scene: Scene) -> str:
@@ -66,6 +68,17 @@ class Task:
             raise InvalidTaskError(
                 f"{self.name}: expected {needed} for the axis COUNT, found {self.axes}"
             )
+
+    @property
+    def has_two_horizons(self) -> bool:
+        """Whether the published code's horizon differs from the appendix's."""
+        return self.published_horizon != self.horizon
+
+    def resolve_horizon(self, horizon: Horizon) -> int:
+        """The control steps of an episode: a given number, the published code's, the appendix's."""
+        if horizon is None:
+            return self.horizon
+        return self.published_horizon if horizon == "published" else horizon
 
     @property
     def variants(self) -> tuple[str, ...]:

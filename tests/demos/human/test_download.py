@@ -81,7 +81,8 @@ def test_download_verifies_imports_and_cleans_up(
     tmp_path: Path, served: tuple[str, type[Handler]], run: Run
 ) -> None:
     url, handler = served
-    command = ("download", "--out", tmp_path / "d", "--base-url", url, "--files", FIRST)
+    where = ("--out", tmp_path / "d", "--base-url", url, "--files", FIRST)
+    command = ("download", *where, "--frames-only")
     status, result = run(*command)
     assert (status, len(result["imported"]), result["not_fetched"]) == (0, 5, [])
     assert len(Dataset.open(tmp_path / "d")) == 5
@@ -101,7 +102,7 @@ def test_file_missing_on_the_server_is_named(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     command = ["demos", "download", "--out", str(tmp_path / "d"), "--base-url", served[0]]
-    status = main([*command, "--files", "move-to-region/*00[4-6]*"])
+    status = main([*command, "--files", "move-to-region/*00[4-6]*", "--frames-only"])
     assert status == 1
     shown = capsys.readouterr()
     assert "Demo-v0-005.pkl.gz: could not be fetched: the server answered 404" in shown.err

@@ -14,7 +14,7 @@ import pytest
 
 from magical.cli import main
 from magical.demos import Dataset, DatasetWriter, Trajectory
-from magical.demos.human.importing import find_published, import_published
+from magical.demos.human.importing import Keep, find_published, import_published
 from magical.demos.human.published import published_sums, read_published
 from magical.demos.store.summary import find_duplicates
 from magical.errors import DatasetError
@@ -25,9 +25,9 @@ Run = Callable[..., tuple[int, dict[str, Any]]]
 
 @pytest.fixture(scope="session")
 def human(human_archive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """All 40 files, imported."""
+    """All 40 files, imported as frames."""
     out = tmp_path_factory.mktemp("human") / "dataset"
-    report = import_published(find_published(human_archive), out)
+    report = import_published(find_published(human_archive), out, keep=Keep.FRAMES)
     assert len(report.imported) == 40
     assert (report.failed, report.duplicates, report.already) == ((), (), ())
     return out
@@ -96,7 +96,7 @@ def test_first_frame_is_the_demo_scene(human: Path) -> None:
 
 def test_import_again_changes_nothing(human: Path, human_archive: Path, run: Run) -> None:
     before = (human / "manifest.jsonl").read_bytes()
-    status, result = run("import", human_archive / "fix-colour", "--out", human)
+    status, result = run("import", human_archive / "fix-colour", "--out", human, "--frames-only")
     assert (status, result["imported"], len(result["already"])) == (0, [], 5)
     assert (human / "manifest.jsonl").read_bytes() == before
 
@@ -113,6 +113,24 @@ def test_duplicates_are_reported(tmp_path: Path, published: Any, run: Run) -> No
     assert (status, result["duplicates"]) == (0, [pair])
     status, result = run("import", tmp_path, "--out", tmp_path / "once", "--skip-duplicates")
     assert (status, result["duplicates"], len(result["imported"])) == (0, [pair], 2)
+
+
+def test_duplicates_of_one_name_are_found_by_their_content(
+    tmp_path: Path, published: Any, run: Run
+) -> None:
+    pickled, name = published().pickle, "demo-019.pkl.gz"
+    for level, folder in enumerate(("a", "b", "c"), 1):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / name).write_bytes(gzip.compress(pickled, level, mtime=level))
+    out, twice = tmp_path / "once", [str(tmp_path / "b" / name), name]
+    status, result = run("import", tmp_path, "--out", out, "--skip-duplicates")
+    assert (status, result["imported"]) == (0, [name])
+    assert result["duplicates"] == [twice, [str(tmp_path / "c" / name), name]]
+    status, result = run("import", tmp_path / "b", "--out", out, "--skip-duplicates")
+    assert (status, result["imported"], result["duplicates"]) == (0, [], [twice])
+    status, result = run("import", tmp_path / "b", "--out", tmp_path / "all")
+    status, result = run("import", tmp_path / "a", "--out", tmp_path / "all")
+    assert (status, len(result["imported"]), len(result["duplicates"])) == (0, 1, 1)
 
 
 def test_sums_of_the_published_archive(root: Path) -> None:
@@ -175,3 +193,27 @@ def test_hand_made_file_is_read_as_the_published_ones(tmp_path: Path, published:
         np.testing.assert_array_equal(trajectory.frames[view], average)
     assert trajectory.actions.tolist() == made.actions.tolist()
     assert trajectory.published_code_score == 0.75
+
+
+def test_a_file_without_recoverable_poses_keeps_its_frames(
+    tmp_path: Path, published: Any, run: Run
+) -> None:
+    file = published().write(tmp_path / "demo.pkl.gz")
+    status, result = run("import", file, "--out", tmp_path / "d", "--workers", 1)
+    assert (status, result["imported"]) == (0, ["demo.pkl.gz"])
+    ((name, why),) = result["without_poses"]
+    assert name == "demo.pkl.gz"
+    assert "does not start in the Demo scene" in why
+    (trajectory,) = Dataset.open(tmp_path / "d")
+    assert trajectory.frames is not None
+    assert (trajectory.poses, trajectory.is_recovered) == (None, False)
+
+
+def test_frames_alone_are_kept_without_an_attempt(tmp_path: Path, published: Any, run: Run) -> None:
+    file = published().write(tmp_path / "demo.pkl.gz")
+    command = ("import", file, "--out", tmp_path / "d", "--workers", 1)
+    status, result = run(*command, "--frames-only")
+    assert (status, result["without_poses"]) == (0, [])
+    (trajectory,) = Dataset.open(tmp_path / "d")
+    assert "recovery" not in trajectory.metadata
+    assert main(["demos", *map(str, command), "--frames-only", "--keep-frames"]) == 2

@@ -87,6 +87,13 @@ def run_download(args: argparse.Namespace) -> int:
 
 def _add_importing(parser: argparse.ArgumentParser) -> None:
     add_out(parser)
+    frames = parser.add_mutually_exclusive_group()
+    frames.add_argument(
+        "--keep-frames", action="store_true", help="keep the 96 x 96 frames beside the poses"
+    )
+    frames.add_argument(
+        "--frames-only", action="store_true", help="do not recover poses, which takes most time"
+    )
     parser.add_argument(
         "--skip-duplicates", action="store_true", help="import what is in several files once"
     )
@@ -101,13 +108,15 @@ def _import(
     sums: Mapping[Path, str] | None = None,
     not_fetched: Sequence[str] = (),
 ) -> int:
-    from magical.demos.human.importing import import_published
+    from magical.demos.human.importing import Keep, import_published
     from magical.progress import progress_bar
 
+    keep = Keep.FRAMES if args.frames_only else Keep.BOTH if args.keep_frames else Keep.POSES
     with progress_bar("import", len(files)) as advance:
         report = import_published(
             files,
             args.out,
+            keep=keep,
             workers=args.workers,
             max_bytes=max_bytes,
             skip_duplicates=args.skip_duplicates,
@@ -126,5 +135,7 @@ def _print_report(report: "ImportReport", out: Path) -> None:
         print(f"{len(report.already)} were there already")
     for later, earlier in report.duplicates:
         log(f"duplicate: {printable(later)} shows the same as {printable(earlier)}")
+    for file, reason in report.without_poses:
+        log(f"kept as frames: {printable(file)}: {reason}")
     for _, reason in report.failed:
         log(f"error: {reason}")

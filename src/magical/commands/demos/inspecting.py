@@ -114,33 +114,40 @@ def run_replay(args: argparse.Namespace) -> int:
             replays.append(replay(trajectory, entry.file))
             advance(1)
     means = mean_replays(replays)
-    header = ("environment", "count", "recorded", "replayed", "published", "appendix", "exact")
+    header = (
+        "environment", "count", "recorded", "replayed", "agree", "published", "appendix", "exact"
+    )  # fmt: skip
     rows = [
         (
             m.env_id,
             m.count,
             number(m.recorded),
             number(m.published_code_score),
+            m.agree,
             "-" if m.published_replay is None else "{:.2f} to {:.2f}".format(*m.published_replay),
             number(m.score),
             "-" if m.exact is None else m.exact,
         )
         for m in means
     ]
+    agree = sum(mean.agree for mean in means)
     print_table(header, rows)
-    print()
-    print(
-        "recorded, replayed, published: by the published code's rule; appendix: by the appendix's."
-    )
-    print("published: 25 human demonstrations replayed in the published implementation, unchanged")
-    print("and with the robot's start moved by 1e-9. exact: ended in the recorded poses.")
+    print(f"\n{agree} of {len(replays)} replays got the recorded score.\n\n{_REPLAY_NOTE}")
     log_problems(dataset.problems)
     if args.json:
         print_json(
             {
+                "agree": agree,
                 "environments": [asdict(mean) for mean in means],
-                "replays": [asdict(one) for one in replays],
+                "replays": [asdict(one) | {"agrees": one.agrees} for one in replays],
                 "problems": [asdict(problem) for problem in dataset.problems],
             }
         )
     return 1 if dataset.problems else 0
+
+
+_REPLAY_NOTE = """\
+recorded, replayed, published: by the published code's rule; appendix: by the appendix's.
+agree: replays that got the recorded score, by both rules where both are recorded.
+published: 25 human demonstrations replayed in the published implementation, unchanged
+and with the robot's start moved by 1e-9. exact: ended in the recorded poses."""

@@ -61,7 +61,7 @@ def video_frames(trajectory: Trajectory) -> Iterator[Image]:
 
 
 def _has(trajectory: Trajectory, view: str) -> bool:
-    return trajectory.frames is None or view in trajectory.frames
+    return trajectory.poses is not None or view in (trajectory.frames or {})
 
 
 def _banner(trajectory: Trajectory, time: int, width: int) -> Image:

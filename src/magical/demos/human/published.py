@@ -2,7 +2,9 @@
 
 import gzip
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -12,8 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.demos.human.safe_pickle import Array, Record, load
-from magical.demos.store.trajectory import MAX_NAME, Trajectory
-from magical.envs.ids import parse_env_id
+from magical.demos.store.trajectory import (
+    MAX_NAME,
+    Trajectory,
+    checked_actions,
+    checked_score,
+)
+from magical.envs.ids import EnvId, parse_env_id
 from magical.errors import MagicalError, TrajectoryError, UnsafeFileError
 from magical.files import open_regular, sha256_sum
 from magical.messages import printable, quoted
@@ -24,14 +31,63 @@ MAX_UNPACKED = 512 << 20  # bytes; the largest published file unpacks to 213 MB
 MAX_PATH = 1000  # characters of a path in a message
 BINNING = RAW_FRAME_SIZE // FRAME_SIZE  # pixels averaged along each axis
 _CHUNK = 1 << 17
-_VIEWS = (str(View.ALLO), str(View.EGO))
+_SHAPE = (RAW_FRAME_SIZE, RAW_FRAME_SIZE, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A published demonstration of T actions, its frames compressed.
+
+    Attributes:
+        env_id: the environment, without a preset.
+        actions: (T,) int64.
+        score: by the published code's rule.
+        source: the file's name and SHA-256 sum.
+    """
+
+    env_id: EnvId
+    actions: NDArray[np.int64]
+    score: float
+    source: Mapping[str, str]
+    packed: Mapping[View, list[NDArray[np.uint8]]]  # T + 1 frames a view
+
+    def frames(self, time: int) -> dict[View, NDArray[np.uint8]]:
+        """The frames (384, 384, 3) at time step `time`, 0 to T, in both views."""
+        return {view: unpack(frames[time]) for view, frames in self.packed.items()}
+
+    def averaged(self) -> dict[str, NDArray[np.uint8]]:
+        """All frames averaged 4 x 4, (T + 1, 96, 96, 3) for each view."""
+        return {
+            str(view): np.stack([average(unpack(frame)) for frame in frames])
+            for view, frames in self.packed.items()
+        }
+
+    def trajectory(self, **metadata: Any) -> Trajectory:
+        """The trajectory of the averaged frames, without poses."""
+        return Trajectory(
+            env_id=self.env_id,
+            scene=self.env_id.task_spec.demo,  # every episode of a Demo environment has this scene
+            actions=self.actions,
+            frames=self.averaged(),
+            published_code_score=self.score,
+            demonstrator="human",
+            metadata={**self.source, **metadata},
+        )
 
 
 def read_published(path: Path, max_bytes: int = MAX_UNPACKED) -> Trajectory:
     """Read one published file; frames are averaged 4 x 4 down to 96 x 96, exactly.
 
-    The appendix's score is unknown (None), since the files hold frames, not poses. Memory use is
-    that of the reduced frames, however large the file is.
+    The appendix's score is unknown (None), since the files hold frames, not poses. Arguments and
+    errors are those of `read_recording`.
+    """
+    recording = read_recording(path, max_bytes)
+    with naming_errors(path):
+        return recording.trajectory()
+
+
+def read_recording(path: Path, max_bytes: int = MAX_UNPACKED) -> Recording:
+    """Read one published file. It takes little memory, however large the file is.
 
     Args:
         path: the file.
@@ -42,15 +98,22 @@ def read_published(path: Path, max_bytes: int = MAX_UNPACKED) -> Trajectory:
             holds anything but a demonstration's plain data.
         TrajectoryError: its arrays do not fit together.
     """
-    name = printable(str(path), MAX_PATH)
-    try:
+    with naming_errors(path):
         with open_regular(path, follow_links=True) as file:
             source = sha256_sum(file)
             check_unpacked_size(file, max_bytes)
             file.seek(0)
             with gzip.open(file) as unpacked:
-                data = load(unpacked, average)
-        return _trajectory(data, {"source": path.name, "source_sha256": source})
+                data = load(unpacked, pack)
+        return _recording(data, {"source": path.name, "source_sha256": source})
+
+
+@contextmanager
+def naming_errors(path: Path) -> Iterator[None]:
+    """Errors in the block become errors that name the file."""
+    name = printable(str(path), MAX_PATH)
+    try:
+        yield
     except UnsafeFileError as error:
         raise UnsafeFileError(f"{name}: {error}") from error
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
@@ -81,28 +144,37 @@ def check_unpacked_size(file: IO[bytes], max_bytes: int) -> None:
                 )
 
 
-def average(array: NDArray[Any]) -> NDArray[Any]:
-    """A published frame (384, 384, 3) uint8 averaged 4 x 4, halves to even; actions unchanged.
+def pack(array: NDArray[Any]) -> NDArray[Any]:
+    """A published frame (384, 384, 3) uint8, compressed; actions unchanged.
 
     Raises:
         UnsafeFileError: any other array.
     """
     if array.ndim == 1 and array.dtype.kind in "if":
         return array
-    if array.shape != (RAW_FRAME_SIZE, RAW_FRAME_SIZE, 3) or array.dtype != np.uint8:
+    if array.shape != _SHAPE or array.dtype != np.uint8:
         raise UnsafeFileError(
-            f"expected actions or uint8 frames ({RAW_FRAME_SIZE}, {RAW_FRAME_SIZE}, 3), "
-            f"found {array.dtype} {array.shape}"
+            f"expected actions or uint8 frames {_SHAPE}, found {array.dtype} {array.shape}"
         )
-    rows = array.reshape(FRAME_SIZE, BINNING, -1).sum(axis=1, dtype=np.uint16)
+    return np.frombuffer(zlib.compress(array.tobytes(), level=1), np.uint8)
+
+
+def unpack(packed: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The inverse of `pack`."""
+    return np.frombuffer(zlib.decompress(packed.tobytes()), np.uint8).reshape(_SHAPE)
+
+
+def average(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """A frame (384, 384, 3) averaged 4 x 4 to (96, 96, 3), halves to even."""
+    rows = frame.reshape(FRAME_SIZE, BINNING, -1).sum(axis=1, dtype=np.uint16)
     parts = rows.reshape(FRAME_SIZE, FRAME_SIZE, BINNING, 3)
     total = parts[:, :, 0] + parts[:, :, 1] + parts[:, :, 2] + parts[:, :, 3]
     odd = (total >> 4) & 1
-    mean: NDArray[Any] = ((total + 7 + odd) >> 4).astype(np.uint8)
+    mean: NDArray[np.uint8] = ((total + 7 + odd) >> 4).astype(np.uint8)
     return mean
 
 
-def _trajectory(data: Any, metadata: Mapping[str, Any]) -> Trajectory:
+def _recording(data: Any, source: Mapping[str, str]) -> Recording:
     if type(data) is not dict or not {"env_name", "score", "trajectory"} <= set(data):
         raise TrajectoryError("expected a dict of env_name, score and trajectory")
     record, env_name, score = data["trajectory"], data["env_name"], data["score"]
@@ -113,16 +185,9 @@ def _trajectory(data: Any, metadata: Mapping[str, Any]) -> Trajectory:
     env_id = parse_env_id(env_name).without_preset
     if env_id.variant != "Demo":
         raise TrajectoryError(f"expected a Demo environment, found {quoted(env_name)}")
-    actions = _values(record.acts)
-    return Trajectory(
-        env_id=env_id,
-        scene=env_id.task_spec.demo,  # every episode of a Demo environment has this scene
-        actions=actions,
-        frames={view: _stacked(record.obs, view, len(actions)) for view in _VIEWS},
-        published_code_score=score,
-        demonstrator="human",
-        metadata=metadata,
-    )
+    actions = checked_actions("acts", _values(record.acts))
+    packed = {view: _packed(record.obs, view, len(actions)) for view in View}
+    return Recording(env_id, actions, checked_score("score", score), source, packed)
 
 
 def _values(array: Any) -> NDArray[Any]:
@@ -131,19 +196,18 @@ def _values(array: Any) -> NDArray[Any]:
     return array.values
 
 
-def _stacked(observations: Any, view: str, actions: int) -> NDArray[np.uint8]:
+def _packed(observations: Any, view: View, actions: int) -> list[NDArray[np.uint8]]:
     if type(observations) is not list or len(observations) != actions + 1:
         found = len(observations) if type(observations) is list else "none"
         raise TrajectoryError(
             f"obs: expected {actions + 1} observations for {actions} actions, found {found}"
         )
-    frames = [_frame(observation, view) for observation in observations]
-    return np.stack(frames)
+    return [_frame(observation, str(view)) for observation in observations]
 
 
 def _frame(observation: Any, view: str) -> NDArray[np.uint8]:
     array = observation.get(view) if type(observation) is dict else None
-    if type(array) is not Array or array.values is None or array.values.ndim != 3:
+    if type(array) is not Array or array.values is None or array.values.dtype != np.uint8:
         raise TrajectoryError(f"obs: expected dicts of uint8 frames, found one without {view}")
     return array.values
 

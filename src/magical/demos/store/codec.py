@@ -1,8 +1,8 @@
 """The file format of a trajectory: an .npz archive, plain arrays that NumPy reads without pickle.
 
-Members: `header` (JSON as uint8), `actions` (T,) uint8, and either `poses` (T + 1, 5 + blocks, 3)
-float64 or `frames_allo` and `frames_ego` (T + 1, 96, 96, 3) uint8; and `expert_actions` (T,) uint8
-where the trajectory has them. Deflate already exploits the
+Members: `header` (JSON as uint8), `actions` (T,) uint8, and `poses` (T + 1, 5 + blocks, 3) float64
+or `frames_allo` and `frames_ego` (T + 1, 96, 96, 3) uint8, or all of them; and `expert_actions`
+(T,) uint8 where the trajectory has them. Deflate already exploits the
 repeated rows of blocks at rest and the similarity of successive frames: filters in front of it
 saved nothing.
 """

@@ -18,6 +18,7 @@ from magical.tasks import Task
 from magical.untrusted import check_plain
 
 VIEWS = tuple(str(view) for view in View)
+RECOVERY = "recovery"  # in the metadata: how poses were recovered from frames
 MAX_NAME = 1000  # characters of an environment id or a demonstrator's name
 
 
@@ -25,8 +26,8 @@ MAX_NAME = 1000  # characters of an environment id or a demonstrator's name
 class Trajectory:
     """A recorded episode of T control steps, with T + 1 time steps from `reset` to its end.
 
-    Either `poses` are known, from which any view can be rendered exactly at any resolution, or only
-    `frames`. Arrays are copied and made read-only. Metadata must be plain JSON data.
+    `poses` are known, from which any view can be rendered exactly at any resolution, or `frames`,
+    or both. Arrays are copied and made read-only. Metadata must be plain JSON data.
 
     `actions` are those that were executed, which led from each pose to the next. Where others than
     the expert's were executed, in perturbed demonstrations and in DAgger's episodes,
@@ -52,11 +53,11 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "env_id", parse_env_id(self.env_id).without_preset)
-        object.__setattr__(self, "actions", _checked_actions("actions", self.actions))
+        object.__setattr__(self, "actions", checked_actions("actions", self.actions))
         if self.expert_actions is not None:
             object.__setattr__(self, "expert_actions", self._checked_labels(self.expert_actions))
-        if (self.poses is None) == (self.frames is None):
-            raise TrajectoryError("expected either poses or frames, found both or none")
+        if self.poses is None and self.frames is None:
+            raise TrajectoryError("expected poses or frames, found none")
         if self.poses is not None:
             object.__setattr__(self, "poses", self._checked_poses(self.poses))
         if self.frames is not None:
@@ -111,8 +112,13 @@ class Trajectory:
         """The variant, such as `Demo`."""
         return self.env_id.variant
 
+    @property
+    def is_recovered(self) -> bool:
+        """Whether poses were recovered from frames: the simulation does not reproduce them."""
+        return self.poses is not None and RECOVERY in self.metadata
+
     def _checked_labels(self, labels: ArrayLike) -> NDArray[np.int64]:
-        array = _checked_actions("expert_actions", labels)
+        array = checked_actions("expert_actions", labels)
         if array.shape != self.actions.shape:
             raise TrajectoryError(
                 f"expert_actions: expected one for each of {len(self.actions)} actions, "
@@ -152,11 +158,7 @@ class Trajectory:
             value = getattr(self, name)
             if value is None and name == "score":
                 continue
-            if not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
-                raise TrajectoryError(
-                    f"{name}: expected a number from 0 to 1, found {quoted(value)}"
-                )
-            object.__setattr__(self, name, float(value))
+            object.__setattr__(self, name, checked_score(name, value))
 
 
 def _frozen(array: NDArray[Any]) -> NDArray[Any]:
@@ -165,7 +167,15 @@ def _frozen(array: NDArray[Any]) -> NDArray[Any]:
     return copied
 
 
-def _checked_actions(name: str, actions: ArrayLike) -> NDArray[np.int64]:
+def checked_score(name: str, value: Any) -> float:
+    """A score; raises `TrajectoryError` for anything but a number from 0 to 1."""
+    if not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
+        raise TrajectoryError(f"{name}: expected a number from 0 to 1, found {quoted(value)}")
+    return float(value)
+
+
+def checked_actions(name: str, actions: ArrayLike) -> NDArray[np.int64]:
+    """Actions (T,), read-only; raises `TrajectoryError` for anything else."""
     array = np.asarray(actions)
     if array.ndim != 1 or not len(array) or array.dtype.kind not in "iu":
         raise TrajectoryError(

@@ -43,6 +43,7 @@ from magical.scene.constants import RAW_FRAME_SIZE
 from magical.scene.poses import Poses
 from magical.scene.scene import Scene
 from magical.scene.state import State
+from magical.tasks import Horizon
 
 Bools = NDArray[np.bool_]
 _CLOSING = (WorkerDiedError, WorkerTimeoutError)  # errors after which the environment is closed
@@ -90,7 +91,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         env_ids: Sequence[str],
         workers: int | None = None,
         observation: Observation = None,
-        horizon: int | None = None,
+        horizon: Horizon = None,
         reward: Reward = "none",
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         copy: bool = True,
@@ -151,7 +152,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         Args:
             seed: sub-environment i gets `seed + i`, or `seed[i]` of a list; None continues each
                 one's own random generator.
-            options: `reset_mask`, bool (N,); `scene` and `dynamics` as for `MagicalEnv`.
+            options: `reset_mask`, bool (N,); `scene`, `dynamics` and `nudge` as for `MagicalEnv`.
 
         Returns:
             All observations, and `infos` masked to the sub-environments that were reset.

@@ -19,7 +19,7 @@ from magical.observe import Observation, ObservationSpec, make_spec
 from magical.observe.arrays import assign, select
 from magical.scene.poses import FIRST_BLOCK
 from magical.scene.scene import Scene
-from magical.tasks import Task
+from magical.tasks import Horizon, Task
 
 # The current observations, the previous ones, and those of the step in progress: training loops
 # keep the first two.
@@ -34,7 +34,7 @@ class VectorSpec:
 
     env_ids: tuple[EnvId, ...]  # one for each sub-environment, without presets
     observation: Observation
-    horizon: int | None
+    horizon: Horizon
     reward: Reward
     autoreset_mode: AutoresetMode
     copy: bool

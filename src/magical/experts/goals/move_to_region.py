@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from magical.experts.distances import FACING_LIMIT
 from magical.experts.goals._regions import inset, missing_parts, preferred_point
 from magical.experts.planning import Goals, Move, Plan, Strategy
 from magical.experts.state_view import StateView
@@ -27,8 +28,17 @@ def plan(view: StateView, strategy: Strategy, last: Plan) -> Plan:
     if inset(region, SETTINGS.done).contains(*view.position):
         return Plan()
     depth = SETTINGS.depth + SETTINGS.depth_range * strategy.placements[2]
-    goal = preferred_point(strategy, inset(region, depth + SETTINGS.overshoot), 0)
+    x, y = preferred_point(strategy, inset(region, depth + SETTINGS.overshoot), 0)
+    goal = _reachable(x), _reachable(y)
     return Plan((Move(goal, SETTINGS.tolerance, area=inset(region, depth)),))
+
+
+def _reachable(coordinate: float) -> float:
+    """The nearest coordinate at which the open fingers do not meet a wall.
+
+    Driving on at a wall would look like being stuck, and the robot would back out of the region.
+    """
+    return min(max(coordinate, -FACING_LIMIT), FACING_LIMIT)
 
 
 GOALS = Goals(plan, unsolvable_fn=lambda scene: missing_parts(scene, regions=1, blocks=0))

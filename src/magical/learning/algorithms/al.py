@@ -2,18 +2,18 @@
 
 First an autoencoder is trained on the expert's samples; its encoder phi is then frozen. Each update
 
-1. collects a rollout with the present policy (the novice) and adds its features to a replay buffer;
+1. collects a rollout with the present policy (the novice) and adds it to a replay buffer;
 2. computes the weights w that best separate the mean features of expert and novice, in closed form;
 3. updates the policy by PPO with the normalised reward w^T phi(s, a).
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional
 from torch.optim import Adam
 
@@ -21,13 +21,14 @@ from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.ppo import PPOTrainer
 from magical.learning.augment import augment, to_unit
-from magical.learning.augmentations import parse_augmentations
+from magical.learning.augmentations import SETS
 from magical.learning.autoencoder import SIZE, Autoencoder, save_reconstructions
 from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
-from magical.learning.config import ImitationConfig, option
+from magical.learning.config import option
+from magical.learning.devices import Compute
 from magical.learning.expert_data import ExpertData, Rows, load_demonstrations
 from magical.learning.models import make_actor_critic
-from magical.learning.reinforcement import QUICK, ReinforcementConfig
+from magical.learning.reinforcement import PUBLISHED_CODE, QUICK, LearnedRewardConfig
 from magical.learning.replay_buffer import ReplayBuffer
 from magical.learning.reward_normalisation import RewardNormaliser
 from magical.learning.run import Run
@@ -35,16 +36,16 @@ from magical.learning.streams import Purpose, seeded_init, stream
 
 AUTOENCODER_INIT = 1  # number of the initialisation; the policy's is 0
 WEIGHT_NORM = 2.0  # of w (appendix B, equation 1)
+SMALLEST_ERROR = 1e-6  # of the mean image; where all images are equal it is 0
+RIDGE = 1e-3  # of the features' mean variance, added to each one's in `discriminant_weights`
 LOG_EVERY, CHECKPOINT_EVERY = 50, 500  # batches of pretraining
 NUM_RECONSTRUCTIONS = 10  # frames in the picture
 PICTURE = "reconstructions.png"
-CHUNK = 64  # samples per forward pass without gradients
-
-Encode = Callable[[Tensor, Tensor], Tensor]  # images (B, C, H, W), actions (B,) -> features (B, 32)
+CHUNK = 64  # samples per forward pass without gradients and batch statistics
 
 
 @dataclass(frozen=True, kw_only=True)
-class ALConfig(ReinforcementConfig, ImitationConfig):
+class ALConfig(LearnedRewardConfig):
     """Settings of apprenticeship learning; the defaults are appendix B's and Table 4's."""
 
     algorithm: ClassVar[str] = "al"
@@ -55,9 +56,22 @@ class ALConfig(ReinforcementConfig, ImitationConfig):
             "total_steps": 45_000,
             "discount": 0.95,
             "entropy_bonus": 3e-3,
-            "pretraining_batches": 1500,
+            "pretraining_batches": 200,
             "pretraining_learning_rate": 1e-3,
-            "augment": "noise+translation+rotation",
+            "pretraining_anneal": True,
+            "relative_image_error": True,
+            "linear_features": True,
+            "statistics_batches": 60,
+            "weight_metric": "covariance",
+        },
+        "published-code": {
+            **PUBLISHED_CODE,
+            "pretraining_batch_size": 12,
+            "decoder_batch_norm": True,
+            "augment": "all",
+            "feature_samples": 264,
+            "augment_features": True,
+            "feature_batch_norm": "training",
         },
     }
 
@@ -69,16 +83,49 @@ class ALConfig(ReinforcementConfig, ImitationConfig):
         "of the autoencoder's images: all, none, no-trans-rot, or names joined by +",
         metavar="NAMES",
     )
+    pretraining_anneal: bool = option(
+        False, "anneal the autoencoder's learning rate linearly to 0", added=True
+    )
+    relative_image_error: bool = option(
+        False,
+        "decode the difference from the expert's mean image; the image error is relative to that "
+        "of the mean image",
+        added=True,
+    )
+    linear_features: bool = option(
+        False, "no ReLU after the encoder's last layer, so that no feature is always 0", added=True
+    )
+    statistics_batches: int = option(
+        0,
+        "unaugmented expert batches that the encoder's batch norm statistics are computed from "
+        "after pretraining; 0: keep the running ones of pretraining",
+        added=True,
+    )
+    decoder_batch_norm: bool = option(
+        False, "use batch norm in the autoencoder's decoder too", added=True
+    )
     feature_samples: int = option(512, "samples, each of expert and novice, to compute w from")
-    reward_std: float = option(0.1, "standard deviation of the normalised rewards")
-    replay_batches: int = option(4, "rollouts in the replay buffer of novice samples")
+    augment_features: bool = option(
+        False, "augment the images that w is computed from, as in pretraining", added=True
+    )
+    feature_batch_norm: str = option(
+        "evaluation",
+        "mode of the encoder's batch norm where w is computed; rewards: always evaluation",
+        choices=("evaluation", "training"),
+        added=True,
+    )
+    weight_metric: str = option(
+        "euclidean",
+        "norm of w that is bounded: |w|, or the standard deviation of w^T phi over the samples",
+        choices=("euclidean", "covariance"),
+        added=True,
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self.require_positive("pretraining_batches", "pretraining_batch_size")
         self.require_positive("pretraining_learning_rate", "feature_samples")
-        self.require_positive("reward_std", "replay_batches")
-        self.require_augmentations("augment")
+        self.require_at_least_zero("statistics_batches")
         self.require_one_task()
         if self.input_shape[1:] != (SIZE, SIZE):
             raise InvalidConfigError(
@@ -89,6 +136,12 @@ class ALConfig(ReinforcementConfig, ImitationConfig):
     def total(self) -> int:
         """The batches of pretraining and the updates."""
         return self.pretraining_batches + self.updates
+
+    @property
+    def training_samples(self) -> int:
+        """Those of the autoencoder, with a decoder as large as the encoder, and of the policy."""
+        pretraining = self.pretraining_batches * self.pretraining_batch_size
+        return 2 * pretraining + super().training_samples
 
 
 def train(config: ALConfig, run: Run) -> None:
@@ -101,7 +154,6 @@ def train(config: ALConfig, run: Run) -> None:
         autoencoder = make_autoencoder(config).to(ppo.device)
         if not pretrain(config, run, ppo, expert, autoencoder):
             return
-        autoencoder.eval().requires_grad_(False)
         draw_reconstructions(run, ppo, expert, autoencoder)
         imitate(config, run, ppo, expert, autoencoder)
 
@@ -109,33 +161,33 @@ def train(config: ALConfig, run: Run) -> None:
 def pretrain(
     config: ALConfig, run: Run, ppo: PPOTrainer, expert: ExpertData, autoencoder: Autoencoder
 ) -> bool:
-    """Train the autoencoder on the expert's samples; false if the run stops before the end."""
+    """Train the autoencoder on the expert's samples, then freeze it.
+
+    Returns:
+        Whether the pretraining is complete; if not, the run stops.
+    """
     optimizer = Adam(autoencoder.parameters(), config.pretraining_learning_rate, fused=True)
     if run.saved:
         load_module(autoencoder, run.saved["autoencoder"], str(run.folder))
         if "autoencoder_optimizer" in run.saved:
             load_optimizer(optimizer, run.saved["autoencoder_optimizer"])
-    augmentations = parse_augmentations(config.augment)
+    scale = 1.0
+    if config.relative_image_error:
+        autoencoder.mean_image, scale = mean_image(expert)
     for number in range(run.step, config.pretraining_batches):
-        rng = stream(config.seed, Purpose.PRETRAINING, number)
-        rows = expert.sample_counts([config.pretraining_batch_size], rng)
-        images = augment(expert.images(rows), augmentations, rng)
-        actions, _ = expert.labels(rows)
-        with ppo.compute.autocast():
-            reconstructed, logits = autoencoder(images, actions)
-        image_error, action_loss = autoencoder_loss(images, actions, reconstructed, logits)
-        optimizer.zero_grad()
-        torch.autograd.backward(image_error + action_loss)
-        optimizer.step()
-
+        metrics = pretraining_step(
+            config, ppo.compute, expert, autoencoder, optimizer, number, scale
+        )
         done = number + 1
         stops = run.stops(done)
-        last = stops or done == config.pretraining_batches
-        if last or done % LOG_EVERY == 0:
-            metrics = {"image_error": image_error.item(), "action_loss": action_loss.item()}
-            run.log(done, config.total, **metrics)
-            run.require_finite(done, metrics)
-        if last or done % CHECKPOINT_EVERY == 0:
+        complete = done == config.pretraining_batches
+        if complete:
+            compute_statistics(config, ppo.compute, expert, autoencoder)
+        if complete or stops or done % LOG_EVERY == 0:
+            values = {name: value.item() for name, value in metrics.items()}
+            run.log(done, config.total, **values)
+            run.require_finite(done, values)
+        if complete or stops or done % CHECKPOINT_EVERY == 0:
             state = {
                 "policy": ppo.network.state_dict(),
                 "autoencoder": autoencoder.state_dict(),
@@ -144,7 +196,69 @@ def pretrain(
             run.checkpoint(done, state)
         if stops:
             return False
+    autoencoder.eval().requires_grad_(False)
     return True
+
+
+def pretraining_step(
+    config: ALConfig,
+    compute: Compute,
+    expert: ExpertData,
+    autoencoder: Autoencoder,
+    optimizer: Adam,
+    number: int,
+    scale: float = 1.0,
+) -> dict[str, Tensor]:
+    """Take the optimiser's step on batch `number`; returns the parts of the loss.
+
+    The image error is divided by `scale` first.
+    """
+    left = 1.0 - number / config.pretraining_batches if config.pretraining_anneal else 1.0
+    for group in optimizer.param_groups:
+        group["lr"] = config.pretraining_learning_rate * left
+    rng = stream(config.seed, Purpose.PRETRAINING, number)
+    rows = expert.sample_counts([config.pretraining_batch_size], rng)
+    images = augment(expert.images(rows), config.augmentations, rng)
+    actions, _ = expert.labels(rows)
+    with compute.autocast():
+        reconstructed, logits = autoencoder(images, actions)
+    image_error, action_loss = autoencoder_loss(images, actions, reconstructed, logits)
+    optimizer.zero_grad()
+    torch.autograd.backward(image_error / scale + action_loss)
+    optimizer.step()
+    return {"image_error": image_error, "action_loss": action_loss}
+
+
+def mean_image(expert: ExpertData) -> tuple[Tensor, float]:
+    """The mean (C, H, W) of the expert's images, and its mean squared error."""
+    chunks = np.array_split(np.arange(len(expert)), -(-len(expert) // CHUNK))
+    total = sum(to_unit(expert.images(rows)).sum(dim=0) for rows in chunks)
+    mean = torch.as_tensor(total / len(expert))
+    errors = [(to_unit(expert.images(rows)) - mean).square().mean().item() for rows in chunks]
+    return mean, max(float(np.average(errors, weights=list(map(len, chunks)))), SMALLEST_ERROR)
+
+
+def compute_statistics(
+    config: ALConfig, compute: Compute, expert: ExpertData, autoencoder: Autoencoder
+) -> None:
+    """Replace batch norm's running statistics by means over unaugmented expert batches.
+
+    The running ones are of augmented images, and of weights that have changed since.
+    """
+    if not config.statistics_batches:
+        return
+    layers = [m for m in autoencoder.modules() if isinstance(m, nn.BatchNorm2d)]
+    momenta = [layer.momentum for layer in layers]
+    for layer in layers:
+        layer.reset_running_stats()
+        layer.momentum = None  # the mean over all batches
+    rng = stream(config.seed, Purpose.PRETRAINING, config.pretraining_batches)
+    for _ in range(config.statistics_batches):
+        rows = expert.sample_counts([config.pretraining_batch_size], rng)
+        with torch.no_grad(), compute.autocast():
+            autoencoder(unaugmented(expert, rows), expert.labels(rows)[0])
+    for layer, momentum in zip(layers, momenta, strict=True):
+        layer.momentum = momentum
 
 
 def autoencoder_loss(
@@ -159,19 +273,17 @@ def imitate(
     config: ALConfig, run: Run, ppo: PPOTrainer, expert: ExpertData, autoencoder: Autoencoder
 ) -> None:
     """Compute w and update the policy, in alternation."""
+    replay_buffer = ReplayBuffer(config.replay_batches, ppo.envs.task_of)
+    normaliser = RewardNormaliser(1, config.reward_std, ppo.device, config.reward_floor)
+    if run.saved and "apprentice" in run.saved:
+        saved = run.saved["apprentice"]
+        replay_buffer.load_state_dict(saved["replay_buffer"], ppo.device)
+        normaliser.load_state_dict(saved["reward_statistics"])
 
     def encode(images: Tensor, actions: Tensor) -> Tensor:
         with torch.no_grad(), ppo.compute.autocast():
             features: Tensor = autoencoder.encoder(images, actions)
         return features.float()
-
-    expert_features = encode_expert(expert, encode)  # (S, 32)
-    replay_buffer = ReplayBuffer(config.replay_batches, ppo.envs.task_of)
-    normaliser = RewardNormaliser(1, config.reward_std, ppo.device)
-    if run.saved and "apprentice" in run.saved:
-        saved = run.saved["apprentice"]
-        replay_buffer.load_state_dict(saved["replay_buffer"], ppo.device)
-        normaliser.load_state_dict(saved["reward_statistics"])
 
     def state_dict() -> StateDict:
         apprentice = {
@@ -183,14 +295,18 @@ def imitate(
     for update in ppo.remaining_updates():
         rollout = ppo.collect_rollout(update)
         with ppo.monitor.timed("features"):
-            pairs = zip(rollout.observations, rollout.actions, strict=True)
-            features = torch.stack([encode(to_unit(o), a) for o, a in pairs])  # (T, N, 32)
-            replay_buffer.add(features, rollout.actions)
+            replay_buffer.add(rollout.observations, rollout.actions)
             rng = stream(config.seed, Purpose.DISCRIMINATOR, update)
-            rows = torch.from_numpy(expert.sample_counts([config.feature_samples], rng))
-            novice_features, _, _ = replay_buffer.sample([config.feature_samples], rng)
-            w, distance = feature_weights(expert_features[rows.to(ppo.device)], novice_features)
-            raw = features @ w  # (T, N)
+            training = config.feature_batch_norm == "training"
+            size = 2 * config.feature_samples if training else CHUNK
+            batch = sample_batch(config, expert, replay_buffer, rng)
+            autoencoder.train(training)
+            chunks = zip(*(torch.split(part, size) for part in batch), strict=True)
+            features = torch.cat([encode(images, actions) for images, actions in chunks])
+            autoencoder.eval()
+            w, distance = WEIGHTS[config.weight_metric](*features.chunk(2))
+            pairs = zip(rollout.observations, rollout.actions, strict=True)
+            raw = torch.stack([encode(to_unit(o), a) @ w for o, a in pairs])  # (T, N)
             rewards = normaliser(raw, rollout.tasks)
         metrics = ppo.improve_policy(update, rollout, rewards)
         metrics |= {
@@ -200,6 +316,17 @@ def imitate(
         }
         if ppo.finish_update(update, metrics, state_dict):
             break
+
+
+def sample_batch(
+    config: ALConfig, expert: ExpertData, replay_buffer: ReplayBuffer, rng: np.random.Generator
+) -> tuple[Tensor, Tensor]:
+    """Images and actions that w is computed from: the expert's, followed by as many novice's."""
+    rows = expert.sample_counts([config.feature_samples], rng)
+    novice_images, novice_actions, _ = replay_buffer.sample([config.feature_samples], rng)
+    images = torch.cat([expert.images(rows), novice_images])
+    augmentations = config.augmentations if config.augment_features else SETS["none"]
+    return augment(images, augmentations, rng), torch.cat([expert.labels(rows)[0], novice_actions])
 
 
 def feature_weights(expert: Tensor, novice: Tensor) -> tuple[Tensor, Tensor]:
@@ -216,18 +343,34 @@ def feature_weights(expert: Tensor, novice: Tensor) -> tuple[Tensor, Tensor]:
     return w, WEIGHT_NORM * length
 
 
-def encode_expert(expert: ExpertData, encode: Encode) -> Tensor:
-    """The features (S, 32) of all expert samples."""
-    parts = []
-    for first in range(0, len(expert), CHUNK):
-        rows = np.arange(first, min(first + CHUNK, len(expert)))
-        parts.append(encode(unaugmented(expert, rows), expert.labels(rows)[0]))
-    return torch.cat(parts)
+def discriminant_weights(expert: Tensor, novice: Tensor) -> tuple[Tensor, Tensor]:
+    """Maximise w^T (mean expert - mean novice) over w^T C w <= 4, for features (B, 32) of each.
+
+    C is the mean of the two covariance matrices, so that w is Fisher's linear discriminant. Unlike
+    with |w|_2 <= 2, features with a large spread do not hide the others: w^T phi is the same for
+    every invertible linear map of the features, but for a small multiple of the identity that is
+    added to C.
+
+    Returns:
+        w (32,) and the maximum, a scalar.
+    """
+    difference = (expert.mean(dim=0) - novice.mean(dim=0)).double()
+    covariance = (torch.cov(expert.T.double()) + torch.cov(novice.T.double())) / 2
+    identity = torch.eye(len(covariance), dtype=torch.float64, device=covariance.device)
+    smallest = torch.finfo(torch.float64).tiny  # for features that are all equal
+    ridge = RIDGE * covariance.diagonal().mean() + smallest
+    direction = torch.linalg.solve(covariance + ridge * identity, difference)
+    length = (difference @ direction).clamp(min=0.0).sqrt()  # Mahalanobis distance of the means
+    w = WEIGHT_NORM * direction / length.clamp(min=smallest)
+    return w.to(expert.dtype), (WEIGHT_NORM * length).to(expert.dtype)
+
+
+WEIGHTS = {"euclidean": feature_weights, "covariance": discriminant_weights}
 
 
 def unaugmented(expert: ExpertData, rows: Rows) -> Tensor:
     """Images (B, C, H, W) in [0, 1] of expert samples, in the memory layout of augmented ones."""
-    return augment(expert.images(rows), parse_augmentations("none"), np.random.default_rng(0))
+    return augment(expert.images(rows), SETS["none"], np.random.default_rng(0))
 
 
 def draw_reconstructions(
@@ -244,7 +387,14 @@ def draw_reconstructions(
 def make_autoencoder(config: ALConfig) -> Autoencoder:
     """The autoencoder, initialised from the seed."""
     with seeded_init(config.seed, AUTOENCODER_INIT):
-        return Autoencoder(config.network, config.input_shape)
+        return Autoencoder(
+            config.network,
+            config.input_shape,
+            action_input=config.action_input,
+            pixel_range=config.pixel_range,
+            decoder_batch_norm=config.decoder_batch_norm,
+            linear_features=config.linear_features,
+        )
 
 
 ALGORITHM = Algorithm(ALConfig, train, make_actor_critic)

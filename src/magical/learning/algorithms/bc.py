@@ -10,17 +10,23 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.optim import SGD, Adam, Optimizer
 
+from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
 from magical.learning.augment import augment
-from magical.learning.augmentations import parse_augmentations
 from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
-from magical.learning.config import ImitationConfig, option
+from magical.learning.config import (
+    IMAGE_OBSERVATIONS,
+    PUBLISHED_CODE_IMAGES,
+    ImitationConfig,
+    option,
+)
 from magical.learning.devices import choose_device
 from magical.learning.expert_data import ExpertData, load_demonstrations
-from magical.learning.models import PolicyNetwork, Trunk
+from magical.learning.models import PolicyNetwork, Trunk, init_last_layers
 from magical.learning.prefetch import prefetch
 from magical.learning.run import Run
 from magical.learning.streams import Purpose, seeded_init, stream
+from magical.observe import STATE
 
 ADAM_BETA_2 = 0.999
 
@@ -35,23 +41,25 @@ class BCConfig(ImitationConfig):
         "quick": {
             "network": "small",
             "batches": 2400,
+            "precision": "auto",
             "optimizer": "adam",
             "learning_rate": 1e-3,
             "momentum": 0.9,
             "anneal": True,
             "augment": "noise+translation+rotation",
         },
+        "published-code": PUBLISHED_CODE_IMAGES,
     }
 
+    observation: str = option(
+        "LoRes4E", "observation preset, or state", choices=(*IMAGE_OBSERVATIONS, STATE)
+    )
     batches: int = option(20_000, "batches in all")
     batch_size: int = option(32, "samples per batch")
     optimizer: str = option("sgd", "optimiser", choices=("sgd", "adam"))
     learning_rate: float = option(1e-3, "initial learning rate")
     momentum: float = option(0.1, "momentum; Adam's beta 1")
     anneal: bool = option(False, "anneal the learning rate linearly to 0")
-    augment: str = option(
-        "all", "augmentation: all, none, no-trans-rot, or names joined by +", metavar="NAMES"
-    )
     log_every: int = option(50, "batches between lines of metrics")
     checkpoint_every: int = option(500, "batches between checkpoints")
 
@@ -59,12 +67,30 @@ class BCConfig(ImitationConfig):
         super().__post_init__()
         self.require_positive("batches", "batch_size", "learning_rate")
         self.require_positive("log_every", "checkpoint_every")
-        self.require_augmentations("augment")
+        if self.observation == STATE:
+            self._check_state()
+
+    def _check_state(self) -> None:
+        """Raise `InvalidConfigError` for what state vectors cannot be learned with."""
+        if self.augment != "none":
+            raise InvalidConfigError(
+                f"augment: expected none, as state vectors are not augmented, found {self.augment}"
+            )
+        if len(self.tasks) > 1:
+            raise InvalidConfigError(
+                "observation: state vectors differ between tasks, so one task is expected, found "
+                f"{', '.join(self.tasks)}; use a pixel observation, or a run for each task"
+            )
 
     @property
     def total(self) -> int:
         """All batches."""
         return self.batches
+
+    @property
+    def training_samples(self) -> int:
+        """The samples of all batches."""
+        return self.total * self.batch_size
 
     def learning_rate_at(self, batch: int) -> float:
         """The learning rate of a batch: constant, or annealed linearly to 0."""
@@ -88,7 +114,7 @@ def train(config: BCConfig, run: Run) -> None:
 class Batch(NamedTuple):
     """Samples of demonstrations."""
 
-    images: Tensor  # (B, C, H, W) float32 in [0, 1]
+    images: Tensor  # (B, C, H, W) float32 in [0, 1], or state vectors (B, size)
     actions: Tensor  # (B,) int64
     tasks: Tensor  # (B,) int64
 
@@ -105,7 +131,6 @@ class BCTrainer:
         """Create a new trainer, or resume from the run's checkpoint."""
         self.config, self.run = config, run
         self.device = choose_device(config.device)
-        self.augmentations = parse_augmentations(config.augment)
         self.reset()
         self.compute = run.compute(self.device, config.precision, config.threads)
         if run.saved:
@@ -154,7 +179,10 @@ class BCTrainer:
         """Batch `number`: a function of the data, the seed and the number alone."""
         rng = stream(self.config.seed, Purpose.BATCHES, number)
         rows = data.sample(self.config.batch_size, rng)
-        return Batch(augment(data.images(rows), self.augmentations, rng), *data.labels(rows))
+        images = data.images(rows)
+        if self.config.observation != STATE:
+            images = augment(images, self.config.augmentations, rng)
+        return Batch(images, *data.labels(rows))
 
     def step(self, batch: Batch, learning_rate: float) -> tuple[Tensor, Tensor]:
         """Take one step of the optimiser; returns the loss and the logits (B, 18)."""
@@ -179,8 +207,12 @@ class BCTrainer:
 def make_policy(config: BCConfig) -> PolicyNetwork:
     """The policy network, with batch norm (appendix B), initialised from the seed."""
     with seeded_init(config.seed):
-        trunk = Trunk(config.network, config.input_shape, batch_norm=True)
-        return PolicyNetwork(trunk, len(config.tasks))
+        trunk = Trunk(
+            config.network, config.input_shape, batch_norm=True, pixel_range=config.pixel_range
+        )
+        network = PolicyNetwork(trunk, len(config.tasks))
+        init_last_layers(config, network.policy)
+        return network
 
 
 def make_optimizer(config: BCConfig, network: nn.Module) -> Optimizer:

@@ -26,12 +26,13 @@ from magical.evaluation.variants import full_variant, short_variant
 from magical.experts import get_goals
 from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.bc import BCConfig, BCTrainer, make_policy
-from magical.learning.config import option
+from magical.learning.config import IMAGE_OBSERVATIONS, option
 from magical.learning.expert_data import ExpertData, TaskTrajectories, load_demonstrations
 from magical.learning.policy import NetworkPolicy
 from magical.learning.run import Run
 from magical.learning.streams import Purpose, stream
 from magical.learning.supervision import LabelledEpisodes
+from magical.runs.sources import EXPERT_LABELS, INTERACTION, TEST_VARIANTS
 
 AGGREGATE = "aggregate"  # in the run folder
 
@@ -46,6 +47,7 @@ class DAggerConfig(BCConfig):
         "quick": {**BCConfig.presets["quick"], "rounds": 6, "batches": 400, "episodes": 5},
     }
 
+    observation: str = option("LoRes4E", "observation preset", choices=IMAGE_OBSERVATIONS)
     batches: int = option(2_000, "batches per round")
     rounds: int = option(10, "rounds; all but the first collect episodes before training")
     episodes: int = option(10, "episodes of each task per round, variants in rotation")
@@ -56,6 +58,12 @@ class DAggerConfig(BCConfig):
     restart: bool = option(False, "train from the initialisation in each round")
     keep_noops: bool = option(False, "train on no-op labels too")
     workers: int | None = option(None, "environment processes (default: one per core)")
+
+    @property
+    def learned_from(self) -> tuple[str, ...]:
+        """See `Config`."""
+        tests = (TEST_VARIANTS,) if set(self.variants) - {"Demo"} else ()
+        return (*super().learned_from, INTERACTION, EXPERT_LABELS, *tests)
 
     def __post_init__(self) -> None:
         super().__post_init__()

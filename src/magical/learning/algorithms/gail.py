@@ -27,14 +27,13 @@ from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.ppo import PPOTrainer
 from magical.learning.augment import augment, to_unit
-from magical.learning.augmentations import parse_augmentations
 from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
-from magical.learning.config import ImitationConfig, option
+from magical.learning.config import option
 from magical.learning.devices import Compute
 from magical.learning.expert_data import ExpertData, load_demonstrations, split_evenly
-from magical.learning.models import Discriminator, Trunk, make_actor_critic
+from magical.learning.models import Discriminator, Trunk, init_last_layers, make_actor_critic
 from magical.learning.monitoring import Metrics
-from magical.learning.reinforcement import QUICK, ReinforcementConfig
+from magical.learning.reinforcement import PUBLISHED_CODE, QUICK, LearnedRewardConfig
 from magical.learning.replay_buffer import ReplayBuffer
 from magical.learning.reward_normalisation import RewardNormaliser
 from magical.learning.rollouts import Rollout
@@ -45,7 +44,7 @@ DISCRIMINATOR_INIT = 1  # number of the initialisation; the policy's is 0
 
 
 @dataclass(frozen=True, kw_only=True)
-class GAILConfig(ReinforcementConfig, ImitationConfig):
+class GAILConfig(LearnedRewardConfig):
     """Settings of generative adversarial imitation learning; the defaults are Table 4's."""
 
     algorithm: ClassVar[str] = "gail"
@@ -56,6 +55,7 @@ class GAILConfig(ReinforcementConfig, ImitationConfig):
             "discriminator_learning_rate": 1e-4,
             "augment": "noise+translation+rotation",
         },
+        "published-code": {**PUBLISHED_CODE, "discriminator_learning_rate": 2e-5},
     }
 
     discriminator_steps: int = option(12, "the discriminator's optimiser steps per update")
@@ -66,20 +66,22 @@ class GAILConfig(ReinforcementConfig, ImitationConfig):
         "of the discriminator's images: all, none, no-trans-rot, or names joined by +",
         metavar="NAMES",
     )
-    reward_std: float = option(0.1, "standard deviation of the normalised rewards")
-    replay_batches: int = option(4, "rollouts in the replay buffer of novice samples")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self.require_positive("discriminator_steps", "discriminator_learning_rate")
-        self.require_positive("reward_std", "replay_batches")
-        self.require_augmentations("augment")
         least = 2 * len(self.tasks)
         if self.discriminator_batch_size < least or self.discriminator_batch_size % 2:
             raise InvalidConfigError(
                 "discriminator_batch_size: expected an even number, at least two for each task, "
                 f"found {self.discriminator_batch_size}"
             )
+
+    @property
+    def training_samples(self) -> int:
+        """Those of the policy and of the discriminator."""
+        steps = self.updates * self.discriminator_steps
+        return super().training_samples + steps * self.discriminator_batch_size
 
 
 def train(config: GAILConfig, run: Run) -> None:
@@ -168,8 +170,9 @@ class DiscriminatorTrainer:
         )
         self._expert = expert
         self._replay_buffer = replay_buffer
-        self._normaliser = RewardNormaliser(len(config.tasks), config.reward_std, compute.device)
-        self._augmentations = parse_augmentations(config.augment)
+        self._normaliser = RewardNormaliser(
+            len(config.tasks), config.reward_std, compute.device, config.reward_floor
+        )
         self._compute = compute
         self._loss = loss
         self._reward = reward
@@ -217,7 +220,7 @@ class DiscriminatorTrainer:
         novice_images, novice_actions, novice_tasks = self._replay_buffer.sample(counts, rng)
         images = torch.cat([self._expert.images(rows), novice_images])
         return DiscriminatorBatch(
-            augment(images, self._augmentations, rng),
+            augment(images, self.config.augmentations, rng),
             torch.cat([expert_actions, novice_actions]),
             torch.cat([expert_tasks, novice_tasks]),
         )
@@ -242,8 +245,16 @@ class DiscriminatorTrainer:
 def make_discriminator(config: GAILConfig) -> Discriminator:
     """The discriminator, with batch norm and action input, initialised from the seed."""
     with seeded_init(config.seed, DISCRIMINATOR_INIT):
-        trunk = Trunk(config.network, config.input_shape, batch_norm=True, action_input=True)
-        return Discriminator(trunk, len(config.tasks))
+        trunk = Trunk(
+            config.network,
+            config.input_shape,
+            batch_norm=True,
+            action_input=config.action_input,
+            pixel_range=config.pixel_range,
+        )
+        discriminator = Discriminator(trunk, len(config.tasks))
+        init_last_layers(config, discriminator.last)
+        return discriminator
 
 
 ALGORITHM = Algorithm(GAILConfig, train, make_actor_critic)

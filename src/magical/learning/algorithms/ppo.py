@@ -33,6 +33,7 @@ from magical.learning.rollouts import Rollout, RolloutBuffer, RolloutEnvs, shuff
 from magical.learning.run import Run
 from magical.learning.streams import Purpose, stream
 from magical.observe import NAMED
+from magical.runs.sources import SCORE
 
 ADVANTAGE_EPSILON = 1e-8
 Forward = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]  # as `PPOTrainer.forward`
@@ -54,6 +55,11 @@ class PPOConfig(ReinforcementConfig):
         "LoRes4E", "observation preset", choices=(*IMAGE_OBSERVATIONS, *NAMED)
     )
     reward: str = option("dense", "the environment's reward", choices=("dense", "score"))
+
+    @property
+    def learned_from(self) -> tuple[str, ...]:
+        """See `Config`."""
+        return (*super().learned_from, SCORE)
 
 
 def train(config: PPOConfig, run: Run) -> None:

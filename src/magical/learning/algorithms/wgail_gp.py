@@ -22,7 +22,7 @@ from magical.learning.algorithms.gail import (
     GAILConfig,
     train_adversarially,
 )
-from magical.learning.config import option
+from magical.learning.config import PIXEL_RANGES, option
 from magical.learning.models import Discriminator, make_actor_critic
 from magical.learning.run import Run
 
@@ -34,19 +34,43 @@ class WGAILGPConfig(GAILConfig):
     """Settings of Wasserstein GAIL with a gradient penalty; the defaults are Table 4's."""
 
     algorithm: ClassVar[str] = "wgail-gp"
-    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = GAILConfig.presets
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        **GAILConfig.presets,
+        "published-code": {
+            **GAILConfig.presets["published-code"],
+            "penalty_weight": 200.0,  # 100 beside half the difference of the means
+            "penalty_batch_norm": "training",
+        },
+    }
 
     penalty_weight: float = option(100.0, "weight of the gradient penalty")
+    penalty_batch_norm: str = option(
+        "evaluation",
+        "mode of batch norm in the gradient penalty",
+        choices=("evaluation", "training"),
+        added=True,
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self.require_positive("penalty_weight")
         self.require_one_task()
 
+    @property
+    def training_samples(self) -> int:
+        """Those of GAIL, and for the penalty half a batch with two backward passes."""
+        steps = self.updates * self.discriminator_steps
+        return super().training_samples + steps * self.discriminator_batch_size
+
 
 def train(config: WGAILGPConfig, run: Run) -> None:
     """Imitate demonstrations."""
-    loss = partial(critic_loss, penalty_weight=config.penalty_weight)
+    loss = partial(
+        critic_loss,
+        penalty_weight=config.penalty_weight,
+        penalty_batch_norm=config.penalty_batch_norm,
+        pixel_range=config.pixel_range,
+    )
     train_adversarially(config, run, loss, critic_reward)
 
 
@@ -60,8 +84,14 @@ def critic_loss(
     batch: DiscriminatorBatch,
     rng: np.random.Generator,
     penalty_weight: float,
+    penalty_batch_norm: str = "evaluation",
+    pixel_range: str = "unit",
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """Mean f(novice) - mean f(expert) + penalty_weight * penalty: to be minimised.
+
+    Batch norm is in evaluation mode in the penalty, unless configured otherwise: the function that
+    gives the rewards is what has to be Lipschitz, a row's gradient must not depend on other rows,
+    and the statistics must remain those of real images.
 
     Logs the estimated distance, mean f(expert) - mean f(novice), the penalty, and the accuracy of
     a threshold midway between the two means.
@@ -69,11 +99,8 @@ def critic_loss(
     logits = critic(batch.images, batch.actions, batch.tasks).float()  # (2B,)
     expert, novice = logits[: batch.half], logits[batch.half :]
     distance = expert.mean() - novice.mean()
-    # Batch norm in evaluation mode: the function that gives the rewards is what has to be
-    # Lipschitz, a row's gradient must not depend on other rows, and the statistics must remain
-    # those of real images.
-    critic.eval()
-    penalty = gradient_penalty(critic, *interpolate(batch, rng))
+    critic.train(penalty_batch_norm == "training")
+    penalty = gradient_penalty(critic, *interpolate(batch, rng), pixel_range)
     critic.train()
     threshold = (expert.mean() + novice.mean()) / 2
     accuracy = torch.cat([expert > threshold, novice < threshold]).float().mean()
@@ -99,12 +126,20 @@ def interpolate(
     return images, actions, batch.tasks[:half]
 
 
-def gradient_penalty(critic: Critic, images: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
-    """Mean of (|df / d image|_2 - 1)^2; differentiable with respect to the critic's weights."""
+def gradient_penalty(
+    critic: Critic, images: Tensor, actions: Tensor, tasks: Tensor, pixel_range: str = "unit"
+) -> Tensor:
+    """Mean of (|df / d image|_2 - 1)^2; differentiable with respect to the critic's weights.
+
+    Images (B, C, H, W) are in [0, 1]; the gradient is with respect to the pixels in `pixel_range`,
+    as the critic's first convolution takes them.
+    """
     images = images.detach().requires_grad_()
     logits = critic(images, actions, tasks)
     (gradients,) = torch.autograd.grad(logits.sum(), images, create_graph=True)
+    low, high = PIXEL_RANGES[pixel_range]
     norms: Tensor = torch.linalg.vector_norm(gradients.float().flatten(1), dim=1)  # (B,)
+    norms = norms / (high - low)
     return (norms - 1.0).square().mean()
 
 

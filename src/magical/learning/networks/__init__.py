@@ -4,7 +4,7 @@ Such a file defines
 
 - `HIDDEN`: the sizes of the linear layers that follow the convolutions, and
 - `make_convolutions(channels, batch_norm)`: a module from images (B, channels, H, W), float in
-  [0, 1], to feature maps of any shape (B, ...).
+  [0, 1] or [-1, 1], to feature maps of any shape (B, ...).
 
 `magical.learning.models.Trunk` puts the two together and adds what all architectures share: the
 action input of discriminators, and linear layers alone for state vectors.

@@ -1,0 +1,86 @@
+"""Shared by the commands: the policy that an evaluated run is of."""
+
+import os
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from magical.evaluation import Entry, Policy
+
+
+MOST_THREADS = 1024  # that an entry can ask for
+
+
+def evaluation_details(policy: str, out: Path) -> dict[str, Any]:
+    """What an entry written to `out` records about the policy and about this evaluation.
+
+    Args:
+        policy: a run folder, which is recorded relative to `out`, or another policy's name.
+        out: the entry's folder.
+    """
+    from magical.evaluation import BUILT_IN
+    from magical.evaluation.entry import POLICY, THREADS
+    from magical.runs.provenance import provenance
+    from magical.runs.sources import LEARNED_FROM
+
+    if Path(policy).is_dir():
+        from magical.learning import read_config
+        from magical.learning.description import training_details
+        from magical.learning.devices import num_threads
+
+        details = {**training_details(read_config(Path(policy))), THREADS: num_threads()}
+        return {POLICY: os.path.relpath(policy, out), **details, **provenance()}
+    nothing: dict[str, Any] = {LEARNED_FROM: []} if policy in BUILT_IN else {}
+    return {POLICY: policy, **nothing, **provenance()}
+
+
+def policy_of(folder: Path, entry: "Entry", run: Path | None = None) -> "Policy":
+    """The policy of an evaluated run: that of its run folder, or a built-in one by name.
+
+    Code that an entry names is not run, since entries come from anywhere.
+
+    Args:
+        folder: the entry's.
+        entry: the entry.
+        run: its run folder if it names none; by default its own folder.
+
+    Raises:
+        PolicyError: the entry has no such policy.
+        RunFolderError, CheckpointError: the run cannot be loaded.
+    """
+    from magical.errors import PolicyError
+    from magical.evaluation import BUILT_IN, load_policy
+    from magical.evaluation.entry import POLICY
+    from magical.runs import is_run
+
+    name = entry.details.get(POLICY)
+    recorded = [folder / name] if isinstance(name, str) else []
+    for place in (*recorded, run or folder):
+        if is_run(place):
+            from magical.learning import load_policy as load_run  # imports PyTorch
+
+            policy: Policy = load_run(place)
+            return policy
+    if name in BUILT_IN:
+        return load_policy(str(name))
+    raise PolicyError(
+        f"{folder}: expected a run folder or one of {', '.join(BUILT_IN)} as the policy "
+        f"that was evaluated, found {name!r}"
+    )
+
+
+def recorded_threads(entry: "Entry") -> AbstractContextManager[None]:
+    """A context in which PyTorch uses as many CPU threads as in an entry's evaluation.
+
+    Another number may change the last bit of a network's arithmetic. Without a record, nothing
+    changes, and PyTorch is not imported.
+    """
+    from magical.evaluation.entry import THREADS
+
+    number = entry.details.get(THREADS)
+    if not isinstance(number, int) or not 1 <= number <= MOST_THREADS:
+        return nullcontext()
+    from magical.learning.devices import cpu_threads
+
+    return cpu_threads(number)

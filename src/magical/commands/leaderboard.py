@@ -1,0 +1,49 @@
+"""Make a leaderboard of evaluated entries: static pages that can be put on any web server.
+
+FOLDER holds entries (folders with scores.csv and entry.json) at any depth. Each is checked against
+the protocol; methods are ranked by TestAll and by the generalisation gap; what is not ranked is
+listed with the reason.
+"""
+
+import argparse
+from pathlib import Path
+
+from magical.commands._common import log, print_table
+
+HELP = "rank evaluated entries on a static page"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Describe the command's arguments."""
+    parser.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="entries")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write index.html and pages there")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check, rank, print, write."""
+    from magical.report.aggregate import interval_text
+    from magical.report.leaderboard import make_leaderboard
+
+    board = make_leaderboard(args.folders, args.out)
+    for part in board.boards:
+        rows = [
+            (
+                row.rank,
+                row.method,
+                interval_text(row.test_all),
+                interval_text(row.gap),
+                row.gap_rank,
+                row.unit,
+                ", ".join(row.used) or "–",
+            )
+            for row in part.standings
+        ]
+        header = ("rank", part.name, "TestAll", "gap", "rank by gap", "intervals over", "used")
+        print_table(header, rows)
+        print()
+    for entry in board.rejected:
+        print(f"not ranked: {entry.folder}: {'; '.join(entry.reasons)}")
+    if args.out:
+        board.write(args.out)
+        log(f"wrote {args.out / 'index.html'}")
+    return 0

@@ -1,0 +1,118 @@
+"""Run a plan: train and evaluate every method on every task with every seed.
+
+PLAN is a TOML file (docs/experiments.md). Given again, the command continues: a run that is done is
+not done again, an interrupted one resumes from its last checkpoint.
+"""
+
+import argparse
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from magical.commands._common import add_json, log, positive_int, print_json, print_table
+
+if TYPE_CHECKING:
+    from magical.experiments.plan import PlannedRun
+
+HELP = "run a plan of training runs, here or on a Ray cluster"
+INTERRUPTED = 130  # exit status after Ctrl-C or SIGTERM
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Describe the command's arguments."""
+    parser.add_argument("plan", type=Path, metavar="PLAN", help="such as plans/quick.toml")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="the results folder (default: runs/ and the plan's name)",
+    )
+    parser.add_argument(
+        "--demos",
+        metavar="FOLDER",
+        help="a dataset of demonstrations, or `expert`, in place of the plan's",
+    )
+    parser.add_argument(
+        "--executor",
+        choices=("local", "ray"),
+        default="local",
+        help="processes on this machine, or tasks of a Ray cluster",
+    )
+    parser.add_argument(
+        "--address",
+        metavar="ADDRESS",
+        help="of a Ray cluster, as ray.init takes it; implies --executor ray (default: the cluster "
+        "that this machine belongs to, or a new one)",
+    )
+    parser.add_argument(
+        "--workers",
+        type=positive_int,
+        metavar="N",
+        help="runs at a time on this machine (default: the cores, divided by the threads of a run)",
+    )
+    parser.add_argument(
+        "--gpus",
+        type=_share,
+        default=0.0,
+        metavar="X",
+        help="the share of a GPU that Ray reserves for each run (default: 0)",
+    )
+    parser.add_argument(
+        "--dry-run",
+        action="store_true",
+        help="list the runs, what they cost and which are done, and run none",
+    )
+    parser.add_argument("--retry-failed", action="store_true", help="run those that failed again")
+    add_json(parser)
+
+
+def _share(text: str) -> float:
+    """An argparse type: a finite number of at least 0."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"expected a number of at least 0, found {text!r}")
+    return value
+
+
+def run(args: argparse.Namespace) -> int:
+    """Execute the plan, or describe what it would do."""
+    from magical.experiments.plan import planned_runs
+    from magical.experiments.plan_file import read_plan
+
+    runs = planned_runs(read_plan(args.plan, args.demos))
+    out = args.out or Path("runs") / args.plan.stem
+    return _dry_run(args, runs, out) if args.dry_run else _execute(args, runs, out)
+
+
+def _dry_run(args: argparse.Namespace, runs: "Sequence[PlannedRun]", out: Path) -> int:
+    from magical.experiments.forecast import HEADER, forecast
+
+    expected = forecast(runs, out)
+    print_table(HEADER, expected.rows())
+    for line in expected.lines():
+        print(line)
+    if args.json:
+        print_json(expected.to_dict())
+    return 0
+
+
+def _execute(args: argparse.Namespace, runs: "Sequence[PlannedRun]", out: Path) -> int:
+    from magical.experiments.execution import Resources, execute
+
+    resources = Resources(
+        executor="ray" if args.address else args.executor,
+        address=args.address,
+        workers=args.workers,
+        gpus=args.gpus,
+    )
+    summary = execute(runs, out, resources, retry_failed=args.retry_failed)
+    log(str(summary))
+    if args.json:
+        print_json(summary.to_dict())
+    if summary.interrupted:
+        return INTERRUPTED
+    return 0 if summary.complete else 1

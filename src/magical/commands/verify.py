@@ -1,0 +1,116 @@
+"""Run a sample of an entry's rollouts again, and say whether its scores are what they would be.
+
+ENTRY is a folder with scores.csv and entry.json. Its policy is that of the run folder that it names
+or lies in, a built-in one, or --policy. On the machine that the scores were made on they must be
+equal; on another one small differences of arithmetic may change single rollouts, and only their
+mean is judged.
+"""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from magical.commands._common import (
+    add_json,
+    non_negative_int,
+    positive_int,
+    print_json,
+    print_table,
+)
+from magical.commands._policies import policy_of, recorded_threads
+
+if TYPE_CHECKING:
+    from magical.evaluation.verification import Verification
+
+HELP = "run a sample of an entry's rollouts again"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Describe the command's arguments."""
+    parser.add_argument("entry", type=Path, metavar="ENTRY", help="an evaluated run's folder")
+    parser.add_argument(
+        "--policy", metavar="POLICY", help="as for evaluate (default: what the entry records)"
+    )
+    parser.add_argument(
+        "--rounds",
+        type=positive_int,
+        default=1,
+        metavar="N",
+        help="batches of rollouts to run again of each task (default: 1, up to 64 rollouts)",
+    )
+    parser.add_argument(
+        "--seed",
+        type=non_negative_int,
+        metavar="N",
+        help="chooses the batches (default: others each time)",
+    )
+    parser.add_argument(
+        "--workers", type=non_negative_int, metavar="N", help="processes (default: the cores)"
+    )
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run again, compare, print; 1 if the scores are not confirmed."""
+    import numpy as np
+
+    from magical.evaluation import load_policy, read_entry
+    from magical.evaluation.verification import is_same_machine, verify
+    from magical.runs import versions
+    from magical.runs.machine import machine
+
+    entry = read_entry(args.entry)
+    policy = load_policy(args.policy) if args.policy else policy_of(args.entry, entry)
+    with recorded_threads(entry):
+        found = verify(
+            entry,
+            policy,
+            rounds=args.rounds,
+            rng=np.random.default_rng(args.seed),
+            same_machine=is_same_machine(entry.details, machine(), versions()),
+            workers=args.workers,
+        )
+    _print(found)
+    if args.json:
+        print_json(
+            {
+                "confirmed": found.confirmed,
+                "rollouts": len(found.recorded),
+                "equal": found.equal,
+                "same_machine": found.same_machine,
+            }
+        )
+    return 0 if found.confirmed else 1
+
+
+def _print(found: "Verification") -> None:
+    rows = [
+        (
+            env_id.task,
+            env_id.variant,
+            len(part.recorded),
+            part.equal,
+            f"{sum(row.score for row in part.recorded) / len(part.recorded):.3f}",
+            f"{sum(row.score for row in part.again) / len(part.again):.3f}",
+        )
+        for env_id, part in found.by_environment().items()
+    ]
+    print_table(("task", "variant", "rollouts", "equal", "recorded mean", "mean now"), rows)
+    print(_verdict(found))
+
+
+def _verdict(found: "Verification") -> str:
+    count = f"{found.equal} of {len(found.recorded)} rollouts have the recorded scores"
+    if found.equal == len(found.recorded):
+        return f"confirmed: {count}"
+    if found.same_machine:
+        return f"not confirmed: {count}; on the same machine with the same versions all should have"
+    value, low, high = found.mean_change
+    change = f"the mean score changed by {value:+.3f} ({low:+.3f} to {high:+.3f})"
+    elsewhere = "the entry was evaluated on another machine, with other versions, or says neither"
+    if found.confirmed:
+        return (
+            f"not contradicted: {count}; {change}, which chance explains; {elsewhere}, where "
+            "single rollouts may differ"
+        )
+    return f"not confirmed: {count}; {change}, more than chance explains, although {elsewhere}"

@@ -1,0 +1,183 @@
+"""Poses fitted to recorded frames: logistic regression on which side of edges the pixels lie.
+
+A statement of `render.edges.Edges` whose margin is m holds with probability 1 / (1 + exp(-m / s)).
+The likelihood of the statements from all views together is maximised by Newton's method, first with
+a softness s of about a pixel and then with ever smaller ones. The hundreds of pixels along an
+outline lie at as many different distances from it, so they determine it to about a hundredth of a
+pixel. The curvature of the likelihood at the end gives the remaining uncertainty.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical.render.edge_search import Labels
+from magical.render.edges import EdgeFinder, Edges
+from magical.render.frame import VIEW_WIDTH
+from magical.scene import Scene, Shape, View
+from magical.scene.constants import RAW_FRAME_SIZE
+from magical.scene.poses import EYES, FIRST_BLOCK, ROBOT
+
+PIXEL = VIEW_WIDTH / RAW_FRAME_SIZE  # units
+MAX_STEP = 0.1  # units or radians in one iteration
+CONVERGED = 0.3  # of the softness: a step below it ends a stage
+RIDGE = 1.0  # per square unit or radian: for what no pixel determines
+
+Bodies = NDArray[np.float64]  # (5 + blocks, 3), the poses in the rows of `Poses`
+Array = NDArray[np.float64]
+
+
+class Stage(NamedTuple):
+    """Iterations of one softness."""
+
+    softness: float  # pixels
+    iterations: int  # at most
+    bounded: bool = False  # steps that always improve, for poses that are pixels off
+
+    @property
+    def band(self) -> float:
+        """How far from edges pixels matter, in pixels."""
+        return 6.0 * self.softness + 0.2
+
+
+NEAR = (
+    Stage(0.8, 3, bounded=True),
+    Stage(0.3, 2),
+    Stage(0.1, 2),
+    Stage(0.03, 4),
+)
+FAR = (Stage(2.5, 8, bounded=True), *NEAR)  # for first guesses that are up to 15 pixels off
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """Fitted poses, and how well the pixels determine them."""
+
+    bodies: Bodies
+    deviations: Bodies  # standard deviations of x, y and angle; 0 where they were not fitted
+
+
+class PoseFitter:
+    """Fits poses of one scene's bodies to the frames of one moment in both views."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._finders = {view: EdgeFinder(scene, view) for view in View}
+        self._discs = {
+            FIRST_BLOCK + i for i, block in enumerate(scene.blocks) if block.shape == Shape.CIRCLE
+        }
+
+    def label(self, frames: Mapping[View, NDArray[np.uint8]]) -> dict[View, Labels]:
+        """What `fit` takes, of frames (384, 384, 3) in both views."""
+        return {view: self._finders[view].label(frames[view]) for view in View}
+
+    def fit(
+        self,
+        guess: Bodies,
+        labels: Mapping[View, Labels],
+        free: Sequence[int],
+        stages: Sequence[Stage] = NEAR,
+    ) -> Fit:
+        """Fit the poses in the rows `free`.
+
+        The angle of a round block cannot be seen, and stays what it is.
+
+        Args:
+            guess: the poses to start from, and those of the other bodies.
+            labels: of the recorded frames.
+            free: rows, in order.
+            stages: as far as the guess may be off.
+        """
+        unknowns = list(self._unknowns(free))
+        wanted = np.zeros(len(guess), np.bool_)
+        wanted[list(free)] = True
+        bodies, curvature = guess.copy(), np.eye(len(unknowns))
+        for stage in stages:
+            for _ in range(stage.iterations):
+                edges = {
+                    view: finder.find(bodies, labels[view], stage.band, wanted)
+                    for view, finder in self._finders.items()
+                }
+                slope, curvature = _likelihood(edges, unknowns, stage, len(bodies))
+                step = np.clip(np.linalg.solve(curvature, slope), -MAX_STEP, MAX_STEP)
+                _move(bodies, unknowns, step)
+                if _largest_shift(unknowns, step) < CONVERGED * stage.softness * PIXEL:
+                    break
+        deviations = np.zeros_like(bodies)
+        _move(deviations, unknowns, np.sqrt(np.diag(np.linalg.inv(curvature))))
+        return Fit(bodies, deviations)
+
+    def _unknowns(self, free: Sequence[int]) -> Iterator[tuple[int, int]]:
+        """The row and the axis of every number to be fitted."""
+        for row in free:
+            if not EYES.start <= row < EYES.stop:
+                yield from ((row, 0), (row, 1))
+            if row not in self._discs:
+                yield row, 2
+
+
+def _move(bodies: Bodies, unknowns: Sequence[tuple[int, int]], step: Array) -> None:
+    for (row, axis), change in zip(unknowns, step.tolist(), strict=True):
+        bodies[row, axis] += change
+    bodies[EYES, :2] = bodies[ROBOT, :2]
+
+
+def _largest_shift(unknowns: Sequence[tuple[int, int]], step: Array) -> float:
+    shifts = (abs(c) for (_, axis), c in zip(unknowns, step.tolist(), strict=True) if axis < 2)
+    return max(shifts, default=0.0)
+
+
+def _likelihood(
+    edges: Mapping[View, Edges], unknowns: Sequence[tuple[int, int]], stage: Stage, bodies: int
+) -> tuple[Array, Array]:
+    """The slope of the logarithm of the likelihood, and its negated curvature or a bound of it."""
+    slope, curvature = np.zeros(3 * bodies), np.zeros((3 * bodies, 3 * bodies))
+    for view, found in edges.items():
+        scaled = np.clip(found.margin / stage.softness, -40.0, 40.0)
+        wrong = 1.0 / (1.0 + np.exp(scaled))
+        weights = _bounds(scaled, wrong) if stage.bounded else wrong * (1.0 - wrong)
+        weights /= stage.softness**2
+        for columns, rows, jacobian in _jacobians(found, view):
+            slope[columns] += wrong[rows] @ jacobian / stage.softness
+            block = jacobian.T @ (weights[rows, None] * jacobian)
+            curvature[np.ix_(columns, columns)] += block
+    chosen = [3 * row + axis for row, axis in unknowns]
+    ridge = RIDGE * np.eye(len(chosen))
+    return slope[chosen], curvature[np.ix_(chosen, chosen)] + ridge
+
+
+def _bounds(scaled: Array, wrong: Array) -> Array:
+    """Jaakkola and Jordan's bound of the curvature, with which every step improves.
+
+    Source: Bayesian parameter estimation via variational methods, Statistics and Computing 10
+    (2000).
+    """
+    away = np.where(np.abs(scaled) < 1e-3, 1.0, scaled)
+    return np.where(away == scaled, (0.5 - wrong) / away, 0.25)
+
+
+def _jacobians(edges: Edges, view: View) -> Iterator[tuple[list[int], NDArray[np.int64], Array]]:
+    """The derivatives of the margins, one group of statements about the same bodies at a time.
+
+    Yields:
+        The columns 3 * row + axis, the statements (n,), and derivatives (n, columns).
+    """
+    pairs = 256 * edges.anchor + edges.turn
+    order = np.argsort(pairs, kind="stable")
+    for rows in np.split(order, np.flatnonzero(np.diff(pairs[order])) + 1):
+        if not len(rows):
+            continue
+        anchor, turn = int(edges.anchor[rows[0]]), int(edges.turn[rows[0]])
+        x, y = edges.x[rows], edges.y[rows]
+        parts: dict[int, Array] = {}
+        if anchor >= 0:
+            parts = {3 * anchor: x, 3 * anchor + 1: y, 3 * anchor + 2: edges.anchor_angle[rows]}
+        if turn != anchor:
+            parts[3 * turn + 2] = edges.turn_angle[rows]
+        if view == View.EGO:  # the camera moves with the robot
+            for axis, change in enumerate((-x, -y, edges.camera_angle[rows])):
+                column = 3 * ROBOT + axis
+                parts[column] = parts[column] + change if column in parts else change
+        yield list(parts), rows, np.stack(list(parts.values()), axis=1)

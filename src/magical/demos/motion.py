@@ -1,0 +1,59 @@
+"""Velocities for recorded poses: the simulation follows them, from time step to time step."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical.demos.store.trajectory import Trajectory
+from magical.physics import Simulation
+from magical.scene import Dynamics, Scene
+from magical.scene.constants import CONTROL_RATE
+
+PRECISION = 1e-3  # units or radians: differences below may be due to the recorded poses
+
+Bodies = NDArray[np.float64]  # (5 + blocks, 3), the poses in the rows of `Poses`
+States = NDArray[np.float64]  # (..., 5 + blocks, 6), poses and velocities
+
+
+class PoseFollower:
+    """A simulation that is brought back to recorded poses after every control step.
+
+    Velocities are the simulation's; where it predicted a body wrongly, the mean velocity that it
+    lacked is added. In contact, where velocities change within a control step, they are estimates.
+
+    Attributes:
+        states: the current poses and velocities, (5 + blocks, 6).
+    """
+
+    def __init__(self, scene: Scene, dynamics: Dynamics | None = None) -> None:
+        self._simulation = Simulation(scene, dynamics)
+        self.states: States = self._simulation.read().copy()
+
+    def predict(self, action: int) -> Bodies:
+        """Simulate one control step from the current poses and velocities; the predicted poses."""
+        self._simulation.write(self.states)
+        self._simulation.step(action)
+        self._predicted = self._simulation.read().copy()
+        return self._predicted[:, :3].copy()
+
+    def correct(self, bodies: Bodies) -> None:
+        """Continue from the poses recorded after the step; what has not moved is still."""
+        still = (bodies == self.states[:, :3]).all(axis=1)
+        states = self._predicted.copy()
+        lacking = bodies - states[:, :3]
+        wrong = np.abs(lacking).max(axis=1) > PRECISION
+        states[wrong, 3:] += CONTROL_RATE * lacking[wrong]
+        states[still, 3:] = 0.0
+        states[:, :3] = bodies
+        self.states = states
+
+
+def estimated_states(trajectory: Trajectory) -> States:
+    """Poses and estimated velocities at every time step, (T + 1, 5 + blocks, 6)."""
+    assert trajectory.poses is not None
+    follower = PoseFollower(trajectory.scene, trajectory.dynamics)
+    states = [follower.states]
+    for action, bodies in zip(trajectory.actions.tolist(), trajectory.poses[1:], strict=True):
+        follower.predict(action)
+        follower.correct(bodies)
+        states.append(follower.states)
+    return np.stack(states)

@@ -1,0 +1,91 @@
+"""The live view of an execution, and the table of `magical status`."""
+
+from collections.abc import Iterable
+from datetime import timedelta
+from pathlib import Path
+from typing import Self
+
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from magical.experiments.plan import PlannedRun
+from magical.experiments.results import DONE, FAILED, Outcome
+from magical.experiments.status import RUNNING, STATES, RunStatus, Status, read_status
+
+SHOWN = 20  # runs in progress or failed that are listed
+
+
+class Display:
+    """A table on standard error, refreshed while a plan is executed; lines without a terminal."""
+
+    def __init__(self, path: Path) -> None:
+        """Create a display of the results folder `path`."""
+        self._path = path
+        self._console = Console(stderr=True)
+        self._live = Live(console=self._console, auto_refresh=False, transient=True)
+
+    def __enter__(self) -> Self:
+        if self._console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._live.stop()
+
+    def ended(self, run: PlannedRun, outcome: Outcome) -> None:
+        """Print a line about a run that has ended."""
+        error = f": {outcome.error}" if outcome.error else ""
+        line = f"{outcome.state}: {run} ({duration(outcome.seconds)}){error}"
+        self._console.print(line, highlight=False, markup=False, soft_wrap=True)
+
+    def refresh(self) -> None:
+        """Show the present state."""
+        if self._live.is_started:
+            self._live.update(status_table(read_status(self._path)), refresh=True)
+
+
+def status_table(status: Status) -> RenderableType:
+    """How far a plan is: counts by method, runs in progress, failed runs, time left."""
+    table = Table("method", *STATES, "runs", box=None, header_style="bold")
+    for column in table.columns[1:]:
+        column.justify = "right"
+    groups: dict[str, list[RunStatus]] = {}
+    for run in status.runs:
+        groups.setdefault(run.method, []).append(run)
+    for method, runs in groups.items():
+        _add_row(table, method, runs)
+    if len(groups) > 1:
+        _add_row(table, "all", status.runs)
+    return Group(table, *map(Text, _lines(status)))
+
+
+def duration(seconds: float) -> str:
+    """For instance `2:03:20`."""
+    return str(timedelta(seconds=round(seconds)))
+
+
+def _add_row(table: Table, name: str, runs: Iterable[RunStatus]) -> None:
+    states = [run.state for run in runs]
+    counts = [str(states.count(state) or "") for state in STATES]
+    table.add_row(Text(name), *counts, str(len(states)))
+
+
+def _lines(status: Status) -> Iterable[str]:
+    yield ""
+    running = [run for run in status.runs if run.state == RUNNING]
+    for run in running[:SHOWN]:
+        yield f"running: {run}: {run.step} of {run.total}"
+    failed = [run for run in status.runs if run.state == FAILED]
+    for run in failed[:SHOWN]:
+        yield f"failed: {run}: {run.error}"
+    if len(failed) > SHOWN:
+        yield f"failed: {len(failed) - SHOWN} more"
+    if status.others:
+        yield f"{status.others} runs in the folder are not in the plan any more"
+    left = status.seconds_left()
+    if status.active and left is not None:
+        yield f"time left: about {duration(left)}"
+    elif not status.active and status.counts[DONE] + len(failed) < len(status.runs):
+        yield "no process is executing the plan; magical run continues it"

@@ -1,0 +1,100 @@
+"""Estimates of how long runs take, here and on a GPU: right within a factor of two or so."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from magical.evaluation import environments
+from magical.experiments.plan import PlannedRun
+from magical.learning import Config
+from magical.learning.config import ImitationConfig
+from magical.learning.reinforcement import ReinforcementConfig
+
+ROUNDS = 2  # timed batches of a network
+FORWARD = 1 / 3  # time of a forward pass, of that of a forward and backward pass
+
+# Rendering and augmenting a sample of behavioural cloning takes 25 to 50 ms of a core for 32 of
+# them; 7,500 steps a second of an environment with its pixels (docs/benchmarks.md).
+SECONDS_PER_PREPARED_SAMPLE = 1.2e-3
+SECONDS_PER_STEP = 1 / 7_500
+
+# Derived, not measured (docs/benchmarks.md, "PPO and GAIL"): the 12.8 million samples of GAIL in 25
+# minutes, and its million steps of environments on a dozen cores in 5.
+GPU_SECONDS_PER_SAMPLE = 25 * 60 / 12.8e6
+GPU_SECONDS_PER_STEP = 5 * 60 / 1e6
+
+SOURCES = (
+    "here: from the training speed of the networks, measured just now on this machine, for a core "
+    "that a run has to itself",
+    "one GPU: an estimate for a data-centre GPU of its own, derived and not measured "
+    "(docs/benchmarks.md)",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """The time that a run takes in a process of its own, in seconds.
+
+    Attributes:
+        here: on this machine, with the run's number of threads.
+        gpu: on a data-centre GPU that it has to itself; not measured.
+    """
+
+    here: float
+    gpu: float
+
+
+def estimate(runs: Sequence[PlannedRun]) -> list[Estimate]:
+    """An estimate for each run; takes some seconds to measure the networks' training speed."""
+    speeds = _measure({_way(run.config) for run in runs})
+    return [_estimate(run, speeds[_way(run.config)]) for run in runs]
+
+
+def _estimate(run: PlannedRun, speed: float) -> Estimate:
+    """An estimate from the samples a second of forward and backward passes here."""
+    config = run.config
+    samples, steps = config.training_samples, _evaluation_steps(run)
+    prepared = 0
+    if isinstance(config, ReinforcementConfig):
+        steps += config.updates * config.steps_per_update
+    elif isinstance(config, ImitationConfig):
+        prepared = samples
+    return Estimate(
+        here=(samples + FORWARD * steps) / speed
+        + prepared * SECONDS_PER_PREPARED_SAMPLE
+        + steps * SECONDS_PER_STEP,
+        gpu=samples * GPU_SECONDS_PER_SAMPLE + steps * GPU_SECONDS_PER_STEP,
+    )
+
+
+def _evaluation_steps(run: PlannedRun) -> int:
+    """The control steps of all rollouts after training."""
+    env_ids = environments(run.tasks, run.evaluation.variants or None)
+    horizons = [run.evaluation.steps(env_id.task) for env_id in env_ids]
+    return run.evaluation.rollouts * sum(horizons)
+
+
+def _way(config: Config) -> tuple[str, str, str, int]:
+    """What the speed depends on: network, device, precision, threads."""
+    from magical.learning.devices import choose_compute, choose_device
+
+    device = choose_device(config.device)
+    compute = choose_compute(device, config.precision, config.threads)
+    threads = compute.threads if device == "cpu" else 0
+    return config.network, device, compute.precision, threads
+
+
+def _measure(ways: set[tuple[str, str, str, int]]) -> dict[tuple[str, str, str, int], float]:
+    """Samples a second of forward and backward passes."""
+    from magical.learning.speed import training_speeds
+
+    found = {}
+    for network, device, threads in {(network, device, n) for network, device, _, n in ways}:
+        # Of one thread, the processor time is measured: what else runs here does not matter.
+        clock = time.process_time if threads == 1 else time.perf_counter
+        speeds = training_speeds(
+            network, device=device, rounds=ROUNDS, threads=(threads,), clock=clock
+        )
+        for compute, speed in speeds.items():
+            found[network, device, compute.precision, threads] = speed
+    return found

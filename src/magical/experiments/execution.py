@@ -1,0 +1,192 @@
+"""Executing the runs of a plan, wherever: which are started when, and what becomes of them."""
+
+import shlex
+from collections import Counter, deque
+from collections.abc import Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from magical.errors import UnknownNameError
+from magical.experiments.demonstrations import prepare_demonstrations
+from magical.experiments.display import Display
+from magical.experiments.one_run import record_failure
+from magical.experiments.plan import PlannedRun
+from magical.experiments.results import DONE, FAILED, Outcome, Results, no_space, opened
+from magical.learning.interrupts import Interrupts
+
+POLL = 1.0  # seconds between checks for signals, and between refreshes of the display
+LOCAL, RAY = "local", "ray"  # executors
+
+
+class Executor(Protocol):
+    """A place where runs are finished."""
+
+    def slots(self) -> int:
+        """How many runs can be in progress at a time."""
+
+    def start(self, run: PlannedRun, demos: Path | None) -> Future[Outcome]:
+        """Start a run, which learns from the dataset `demos`."""
+
+    def stop(self) -> None:
+        """Have the runs in progress save a checkpoint and end."""
+
+    def close(self) -> None:
+        """End everything at once."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Resources:
+    """Where runs are executed, and with what.
+
+    Attributes:
+        executor: `local` or `ray`.
+        address: of a Ray cluster; by default a running one on this machine, or a new one.
+        workers: processes on this machine, local or of a new Ray cluster.
+        gpus: the share of a GPU that Ray reserves for each run.
+    """
+
+    executor: str = LOCAL
+    address: str | None = None
+    workers: int | None = None
+    gpus: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.executor not in (LOCAL, RAY):
+            raise UnknownNameError(
+                f"executor {self.executor!r} is unknown; expected {LOCAL} or {RAY}"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """What became of a plan's runs.
+
+    Attributes:
+        out: the results folder.
+        counts: the number of runs by state: `done` and `failed`; the rest has not been finished.
+        total: the number of runs of the plan.
+        interrupted: by Ctrl-C or SIGTERM.
+    """
+
+    out: Path
+    counts: Counter[str]
+    total: int
+    interrupted: bool
+
+    @property
+    def complete(self) -> bool:
+        """Whether every run is done."""
+        return self.counts[DONE] == self.total
+
+    def __str__(self) -> str:
+        """One line for the command line."""
+        failed = self.counts[FAILED]
+        text = f"{self.out}: {self.counts[DONE]} of {self.total} runs done"
+        if failed:
+            text += f", {failed} failed (magical status {shlex.quote(str(self.out))} says why; "
+            text += "--retry-failed runs them again)"
+        if self.counts[DONE] + failed < self.total:
+            text += "; the same command continues with the others"
+        return text
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return {
+            "out": str(self.out),
+            "runs": self.total,
+            "done": self.counts[DONE],
+            "failed": self.counts[FAILED],
+            "interrupted": self.interrupted,
+        }
+
+
+def execute(
+    runs: Sequence[PlannedRun],
+    out: Path,
+    resources: Resources = Resources(),
+    *,
+    retry_failed: bool = False,
+) -> Summary:
+    """Finish all runs that are not done yet, in a results folder.
+
+    Ctrl-C and SIGTERM leave checkpoints and return; a second one interrupts at once.
+
+    Args:
+        runs: of a plan.
+        out: the results folder, new or of an earlier version of the plan.
+        resources: where to execute them.
+        retry_failed: try those again that have failed; they continue from their last checkpoint.
+
+    Raises:
+        ResultsError: see `magical.experiments.results.opened`; no space is left.
+        ClusterError: the Ray cluster cannot be reached.
+        DatasetError, DemonstrationsError: no demonstrations to learn from, or too few.
+    """
+    with Interrupts() as stop, opened(out, runs) as results:
+        states = {run: results.state(run) for run in runs}
+        again = (None, FAILED) if retry_failed else (None,)
+        waiting = [run for run in runs if states[run] in again]
+        if waiting:
+            with closing(_executor(waiting, results, resources)) as executor:
+                demos = prepare_demonstrations(waiting, results, resources.workers)
+                with Display(results.path) as display:
+                    _finish_all(waiting, demos, results, executor, display, stop)
+        return Summary(
+            results.path, Counter(filter(None, map(results.state, runs))), len(runs), stop.seen
+        )
+
+
+def _finish_all(
+    runs: Sequence[PlannedRun],
+    demos: Path | None,
+    results: Results,
+    executor: Executor,
+    display: Display,
+    stop: Interrupts,
+) -> None:
+    waiting = deque(runs)
+    running: dict[Future[Outcome], PlannedRun] = {}
+    stopping = full = False  # full: no space is left
+    while running or (waiting and not (full or stop.seen)):
+        while waiting and not (full or stop.seen) and len(running) < executor.slots():
+            run = waiting.popleft()
+            running[executor.start(run, demos)] = run
+            results.write_progress(running.values(), executor.slots())
+        ended, _ = wait(running, POLL, FIRST_COMPLETED)
+        for future in ended:
+            run = running.pop(future)
+            outcome = _outcome(run, future, results, stopping or stop.seen)
+            full = full or outcome.state == "no space"
+            display.ended(run, outcome)
+            results.write_progress(running.values(), executor.slots())
+        display.refresh()
+        if (stop.seen or full) and not stopping:
+            stopping = True
+            executor.stop()
+    if full:
+        raise no_space(results.path)
+
+
+def _outcome(run: PlannedRun, future: Future[Outcome], results: Results, stopping: bool) -> Outcome:
+    """How a run ended; if its process died, that is recorded unless it was told to end."""
+    error = future.exception()
+    if error is None:
+        return future.result()
+    if stopping:
+        return Outcome("interrupted")
+    if not isinstance(error, Exception):
+        raise error
+    return Outcome("failed", error=record_failure(run, results.folder(run), error))
+
+
+def _executor(runs: Sequence[PlannedRun], results: Results, resources: Resources) -> Executor:
+    if resources.executor == RAY:
+        from magical.experiments.ray_cluster import RayExecutor  # an optional library
+
+        return RayExecutor(runs, results, resources.address, resources.workers, resources.gpus)
+    from magical.experiments.local import LocalExecutor
+
+    return LocalExecutor(runs, results, resources.workers)

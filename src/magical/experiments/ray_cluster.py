@@ -1,0 +1,217 @@
+"""Runs as tasks of a Ray cluster (docs/experiments.md); needs the extra `ray`."""
+
+import io
+import shutil
+import signal
+import socket
+import tarfile
+import tempfile
+import threading
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import ray
+
+from magical.errors import ClusterError, RunFolderError
+from magical.experiments.one_run import finish
+from magical.experiments.plan import PlannedRun
+from magical.experiments.results import EXPERIMENT, RESULT, Outcome, Results
+from magical.learning.interrupts import SIGNALS
+from magical.runs.folder import LOCK, read_json
+
+RETRIES = 3  # after the end of a node or of a process on it
+TIMEOUT = 10.0  # seconds to reach a cluster's port
+
+Returned = tuple[Outcome, bytes | None]  # with the run's folder, packed, unless it is shared
+
+
+class RayExecutor:
+    """Finishes runs as Ray tasks, each of which reserves its threads and a share of a GPU.
+
+    Where the results folder is shared with a node, its runs write there, and a run that is started
+    again resumes from its checkpoint. Otherwise the demonstrations go to the node, and the folder
+    of a finished run comes back, through Ray.
+    """
+
+    def __init__(
+        self,
+        runs: Sequence[PlannedRun],
+        results: Results,
+        address: str | None = None,
+        workers: int | None = None,
+        gpus: float = 0.0,
+    ) -> None:
+        """Connect to a cluster, or start one on this machine.
+
+        Args:
+            runs: that will be started.
+            results: the results folder.
+            address: as `ray.init` takes it; default: the cluster that this machine belongs to, or
+                a new one, and with `workers` always a new one.
+            workers: runs at a time on a new cluster on this machine.
+            gpus: the share of a GPU that each run reserves.
+
+        Raises:
+            ClusterError: the cluster cannot be reached.
+        """
+        self._threads = max((run.config.threads for run in runs), default=1)
+        self._gpus = gpus
+        self._results = results
+        _connect(address, workers and workers * self._threads)
+        self._remote = ray.remote(_finish)
+        self._packed: dict[Path, Any] = {}  # datasets, as object references
+        self._tasks: dict[Future[Returned], Any] = {}  # the object references
+
+    def slots(self) -> int:
+        """How many runs the present nodes can have in progress at a time."""
+        resources = ray.cluster_resources()
+        slots = int(resources.get("CPU", 0) // self._threads)
+        if self._gpus:
+            slots = min(slots, int(resources.get("GPU", 0) / self._gpus))
+        return max(1, slots)
+
+    def start(self, run: PlannedRun, demos: Path | None) -> Future[Outcome]:
+        """Start a run, which learns from the dataset `demos`."""
+        task = self._remote.options(
+            name=run.folder,
+            num_cpus=run.config.threads,
+            num_gpus=self._gpus,
+            max_retries=RETRIES,
+        )
+        folder = self._results.folder(run)
+        if demos and demos not in self._packed:
+            self._packed[demos] = ray.put(pack(demos))
+        # References in a list are not fetched before they are needed.
+        dataset = (str(demos), [self._packed[demos]]) if demos else None
+        reference = task.remote(run, str(folder), self._results.id, dataset)
+        ended: Future[Returned] = reference.future()
+        self._tasks[ended] = reference
+        outcome: Future[Outcome] = Future()
+        ended.add_done_callback(lambda _: self._settle(ended, folder, outcome))
+        return outcome
+
+    def stop(self) -> None:
+        """Have the runs in progress save a checkpoint and end."""
+        for reference in list(self._tasks.values()):
+            ray.cancel(reference, force=False)
+
+    def close(self) -> None:
+        """Leave the cluster; one that was started here ends."""
+        ray.shutdown()
+
+    def _settle(self, ended: Future[Returned], folder: Path, outcome: Future[Outcome]) -> None:
+        """Store a run's folder if it came back through Ray, then pass its outcome on."""
+        self._tasks.pop(ended, None)
+        try:
+            result, packed = ended.result()
+            if packed is not None:
+                unpack(packed, folder)
+            outcome.set_result(result)
+        except Exception as error:
+            outcome.set_exception(error)
+
+
+def pack(folder: Path) -> bytes:
+    """A folder as the bytes of an uncompressed tar file, without locks."""
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w") as archive:
+        archive.add(folder, ".", filter=lambda item: None if item.name.endswith(LOCK) else item)
+    return buffer.getvalue()
+
+
+def unpack(packed: bytes, folder: Path) -> None:
+    """Write what `pack` has packed; a folder that is there already is replaced.
+
+    The final record is written last of all.
+    """
+    temporary = folder.with_name(f".{folder.name}.part")
+    shutil.rmtree(temporary, ignore_errors=True)
+    with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
+        archive.extractall(temporary, filter="data")
+    shutil.rmtree(folder, ignore_errors=True)
+    temporary.replace(folder)
+
+
+def _connect(address: str | None, cores: int | None) -> None:
+    """Connect to a cluster, or start one on this machine if `cores` are given or none is found."""
+    if address and not _answers(address):
+        raise ClusterError(_unreachable(address, f"nothing answers within {TIMEOUT:g} s"))
+    with _own_signal_handlers():
+        _init(address, cores)
+
+
+def _init(address: str | None, cores: int | None) -> None:
+    if address is None and cores is None:
+        with suppress(ConnectionError):
+            ray.init(address="auto", log_to_driver=False)
+            return
+    try:
+        if address is None:
+            ray.init(address="local", num_cpus=cores, log_to_driver=False)
+        else:
+            ray.init(address=address, log_to_driver=False)
+    except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
+        raise ClusterError(_unreachable(address or "this machine", str(error)[:500])) from error
+
+
+@contextmanager
+def _own_signal_handlers() -> Iterator[None]:
+    """A context that undoes changes of signal handlers: `ray.init` replaces SIGTERM's."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _unreachable(address: str, reason: str) -> str:
+    return (
+        f"the Ray cluster at {address} cannot be reached: {reason}; start one with "
+        "`ray start --head`, and give the address that it prints"
+    )
+
+
+def _answers(address: str) -> bool:
+    """Whether something listens at `host:port` or `ray://host:port`; other addresses pass."""
+    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    if not colon or not port.isdigit():
+        return True
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), TIMEOUT).close()
+    except OSError:
+        return False
+    return True
+
+
+def _finish(
+    run: PlannedRun, folder: str, identity: str, demos: tuple[str, list[Any]] | None
+) -> Returned:
+    """A run's task on a node of the cluster."""
+    shared = Path(folder)
+    if _is_shared(shared, identity):
+        return finish(run, shared, None if demos is None else Path(demos[0])), None
+    with tempfile.TemporaryDirectory(prefix="magical-") as name:
+        own = Path(name) / "run"
+        dataset = None
+        if demos is not None:
+            dataset = Path(name) / "demos"
+            unpack(ray.get(demos[1][0]), dataset)
+        outcome = finish(run, own, dataset)
+        complete = (own / RESULT).is_file()
+        return outcome, pack(own) if complete else None
+
+
+def _is_shared(folder: Path, identity: str) -> bool:
+    """Whether this node sees the results folder itself, not one of its own at the same path."""
+    experiment = folder.parents[1] / EXPERIMENT
+    try:
+        return read_json(experiment).get("id") == identity
+    except RunFolderError:
+        return False

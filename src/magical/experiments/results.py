@@ -1,0 +1,245 @@
+"""The results folder of a plan (docs/experiments.md).
+
+- `experiment.json`: format, identity of the folder, versions, the demonstrations of a dataset
+- `plan.json`: the runs of the plan, in its order
+- `progress.json`: which runs are in progress, while `.lock` is held
+- `demos/`: demonstrations generated for the plan
+- `runs/<name>/`: a run's folder, with `scores.csv`, `entry.json` and last of all `result.json`
+"""
+
+import errno
+import uuid
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from magical import __version__
+from magical.errors import ResultsError, RunFolderError
+from magical.experiments.plan import PlannedRun
+from magical.files import LockedError, is_partial, lock_now, remove_partial_files
+from magical.runs.folder import LOCK, read_json, versions, write_json
+
+FORMAT = 1
+EXPERIMENT, PLAN = "experiment.json", "plan.json"
+PROGRESS, RESULT = "progress.json", "result.json"
+RUNS, DEMOS = "runs", "demos"
+DONE, FAILED, WAITING = "done", "failed", "waiting"  # states; the first two are in `result.json`
+
+
+@dataclass(frozen=True, slots=True)
+class Results:
+    """A results folder that this process has locked.
+
+    Attributes:
+        path: the folder, absolute.
+        id: sampled when the folder was created; tells it from another machine's folder of the
+            same path.
+    """
+
+    path: Path
+    id: str
+
+    def folder(self, run: PlannedRun) -> Path:
+        """A run's folder."""
+        return self.path / RUNS / run.folder
+
+    def state(self, run: PlannedRun) -> str | None:
+        """`done`, `failed`, or `None` for a run that has not been finished."""
+        return read_state(self.folder(run))
+
+    def write_progress(self, running: Iterable[PlannedRun], slots: int) -> None:
+        """Note which runs are in progress, and how many can be at a time."""
+        names = [run.folder for run in running]
+        write_json(self.path / PROGRESS, {"running": names, "slots": slots})
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How the attempt to finish a run ended.
+
+    Attributes:
+        state: `interrupted` by Ctrl-C or SIGTERM with a checkpoint left; `no space` on the device.
+        seconds: of this attempt.
+        error: the message, if it failed.
+    """
+
+    state: Literal["done", "failed", "interrupted", "no space"]
+    seconds: float = 0.0
+    error: str = ""
+
+
+@contextmanager
+def opened(path: Path, runs: Sequence[PlannedRun]) -> Iterator[Results]:
+    """A locked results folder for the runs of a plan, created if it is missing.
+
+    Raises:
+        ResultsError: the folder holds other files, or results of another plan or another version;
+            another process runs a plan in it; there is no space left.
+    """
+    path = path.absolute()
+    with space_needed(path):
+        if not is_results(path):
+            _require_new(path)
+        path.mkdir(parents=True, exist_ok=True)
+        try:
+            with lock_now(path / LOCK):
+                remove_partial_files(path, EXPERIMENT, PLAN, PROGRESS)
+                yield _opened(path, runs)
+        except LockedError as error:
+            raise ResultsError(
+                f"{path}: process {error.process_id or '(unknown)'} already runs a plan in this "
+                "folder; wait for its end, or stop it"
+            ) from error
+
+
+def is_results(path: Path) -> bool:
+    """Whether a path is a results folder."""
+    return (path / EXPERIMENT).is_file()
+
+
+def check_results(path: Path, runs: Sequence[PlannedRun]) -> None:
+    """Check that an existing results folder is of this version, and of the plan of these runs.
+
+    A plan may have changed since: it is another one if it has none of the methods.
+
+    Raises:
+        ResultsError: the folder is of another version, or of another plan.
+    """
+    found = _read(path / EXPERIMENT)
+    versions_then = found.get("versions")
+    version = versions_then.get("magical") if isinstance(versions_then, dict) else None
+    if found.get("format") != FORMAT or version != __version__:
+        raise ResultsError(
+            f"{path} holds results of magical {version} (format {found.get('format')}), this is "
+            f"magical {__version__} (format {FORMAT}): their scores may differ. Choose another "
+            "folder (--out), or install that version"
+        )
+    methods = {str(run["method"]) for run in listed_runs(path)}
+    if methods and not methods & {run.method for run in runs}:
+        raise ResultsError(
+            f"{path} holds results of another plan, with the methods {', '.join(sorted(methods))}; "
+            "choose another folder (--out)"
+        )
+
+
+def listed_runs(path: Path) -> list[dict[str, Any]]:
+    """The runs in `plan.json`, with folder, method, tasks, seed and total number of steps.
+
+    Raises:
+        ResultsError: the file is damaged.
+    """
+    if not (path / PLAN).exists():
+        return []
+    listed = _read(path / PLAN).get("runs")
+    fields = {"folder": str, "method": str, "tasks": list, "seed": int, "total": int}
+    if not isinstance(listed, list) or not all(
+        isinstance(run, dict)
+        and {name: type(value) for name, value in run.items()} == fields
+        and Path(run["folder"]).name == run["folder"]
+        for run in listed
+    ):
+        raise ResultsError(f"{path / PLAN}: expected the runs of a plan; give another --out")
+    return listed
+
+
+def run_folders(path: Path) -> list[Path]:
+    """The folders of all runs in a results folder, those of earlier plans too."""
+    return sorted(folder for folder in (path / RUNS).glob("[!.]*") if folder.is_dir())
+
+
+def read_state(folder: Path) -> str | None:
+    """`done`, `failed`, or `None` for a run that has not been finished, by its final record.
+
+    Raises:
+        ResultsError: the record is damaged.
+    """
+    if not (folder / RESULT).is_file():
+        return None
+    state = _read(folder / RESULT).get("state")
+    if state not in (DONE, FAILED):
+        raise ResultsError(
+            f"{folder / RESULT}: expected a state, {DONE} or {FAILED}, found {state!r:.100}; "
+            "remove the file to finish the run again"
+        )
+    return str(state)
+
+
+@contextmanager
+def space_needed(path: Path) -> Iterator[None]:
+    """Raise a `ResultsError` that says so if there is no space left."""
+    try:
+        yield
+    except OSError as error:
+        if not is_out_of_space(error):
+            raise
+        raise no_space(path) from error
+
+
+def no_space(path: Path) -> ResultsError:
+    """The error of a device that is full."""
+    return ResultsError(
+        f"{path}: no space left on the device. Finished runs and checkpoints are whole: free some "
+        "space, then give the same command again"
+    )
+
+
+def planned_states(path: Path, runs: Sequence[PlannedRun]) -> list[str]:
+    """The state of each run in a folder that need not exist: `done`, `failed` or `waiting`.
+
+    Raises:
+        ResultsError: the folder could not be used for these runs.
+    """
+    if is_results(path):
+        check_results(path, runs)
+        return [read_state(path / RUNS / run.folder) or WAITING for run in runs]
+    _require_new(path)
+    return [WAITING] * len(runs)
+
+
+def is_out_of_space(error: BaseException | None) -> bool:
+    """Whether an error, or one that led to it, is that no space (or quota) is left."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+def _require_new(path: Path) -> None:
+    def left_by_a_kill(file: Path) -> bool:
+        return file.name == LOCK or is_partial(file, EXPERIMENT)
+
+    if path.exists() and not (path.is_dir() and all(map(left_by_a_kill, path.iterdir()))):
+        raise ResultsError(
+            f"{path}: expected a new or an empty folder, or results of a plan; found other things "
+            "in it. Choose another folder (--out)"
+        )
+
+
+def _opened(path: Path, runs: Sequence[PlannedRun]) -> Results:
+    if is_results(path):
+        check_results(path, runs)
+    else:
+        found = {"format": FORMAT, "id": uuid.uuid4().hex, "versions": versions()}
+        write_json(path / EXPERIMENT, found)
+    write_json(path / PLAN, {"runs": [_listed(run) for run in runs]})
+    return Results(path, str(_read(path / EXPERIMENT).get("id")))
+
+
+def _listed(run: PlannedRun) -> Mapping[str, Any]:
+    return {
+        "folder": run.folder,
+        "method": run.method,
+        "tasks": list(run.tasks),
+        "seed": run.seed,
+        "total": run.config.total,
+    }
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return read_json(path)
+    except RunFolderError as error:
+        raise ResultsError(str(error)) from error

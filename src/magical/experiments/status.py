@@ -1,0 +1,174 @@
+"""How far the runs of a plan are, from the files of a results folder alone."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import mean
+from typing import Any
+
+from magical.errors import ResultsError, RunFolderError
+from magical.experiments.plan import in_words
+from magical.experiments.results import (
+    DONE,
+    EXPERIMENT,
+    FAILED,
+    PROGRESS,
+    RESULT,
+    RUNS,
+    WAITING,
+    is_results,
+    listed_runs,
+    read_state,
+    run_folders,
+)
+from magical.files import is_locked
+from magical.runs.folder import LOCK, read_json
+from magical.runs.metrics import read_metrics
+
+RUNNING = "running"
+STATES = (DONE, FAILED, RUNNING, WAITING)
+
+
+@dataclass(frozen=True, slots=True)
+class RunStatus:
+    """How far one run is.
+
+    Attributes:
+        folder: the name of its folder.
+        method: the method's name.
+        tasks: the tasks that are learned.
+        seed: of training.
+        state: one of `STATES`; an interrupted run waits.
+        step: batches or updates done; of the newest line of metrics.
+        total: batches or updates of the whole training.
+        seconds: that the last session of training and the evaluation took, if it is done.
+        error: the message, if it failed.
+    """
+
+    folder: str
+    method: str
+    tasks: tuple[str, ...]
+    seed: int
+    state: str
+    step: int
+    total: int
+    seconds: float | None = None
+    error: str = ""
+
+    def __str__(self) -> str:
+        """For messages, for instance `BC (ST), MoveToCorner, seed 0`."""
+        return f"{self.method}, {in_words(self.tasks)}, seed {self.seed}"
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """How far a plan is.
+
+    Attributes:
+        path: the results folder.
+        active: whether a process is executing the plan.
+        slots: how many runs it executes at a time.
+        runs: every run, in the plan's order.
+        others: the number of runs in the folder that are not in the plan any more.
+    """
+
+    path: Path
+    active: bool
+    slots: int
+    runs: tuple[RunStatus, ...]
+    others: int
+
+    @property
+    def counts(self) -> Counter[str]:
+        """The number of runs by state."""
+        return Counter(run.state for run in self.runs)
+
+    def seconds_left(self) -> float | None:
+        """An estimate from the times of finished runs; `None` while there are none.
+
+        A run is expected to take the mean of its method's finished runs, or of all.
+        """
+        times: dict[str, list[float]] = {}
+        for run in self.runs:
+            if run.seconds is not None:
+                times.setdefault(run.method, []).append(run.seconds)
+        if not times:
+            return None
+        overall = mean(time for group in times.values() for time in group)
+        left = sum(
+            mean(times.get(run.method, [overall])) * (1 - run.step / max(1, run.total))
+            for run in self.runs
+            if run.state in (RUNNING, WAITING)
+        )
+        return left / max(1, self.slots)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return {
+            "out": str(self.path),
+            "active": self.active,
+            "runs": len(self.runs),
+            **{state: self.counts[state] for state in STATES},
+            "others": self.others,
+            "seconds_left": self.seconds_left(),
+            "failures": {run.folder: run.error for run in self.runs if run.state == FAILED},
+        }
+
+
+def read_status(path: Path) -> Status:
+    """Read how far a plan is; its execution is not disturbed.
+
+    Raises:
+        ResultsError: no results folder, or a damaged one.
+    """
+    if not is_results(path):
+        raise ResultsError(
+            f"{path}: expected a results folder with {EXPERIMENT} (`magical run PLAN --out DIR` "
+            "makes one), found none"
+        )
+    active = is_locked(path / LOCK)
+    progress = _read(path / PROGRESS) if active and (path / PROGRESS).exists() else {}
+    running = progress.get("running", [])
+    runs = tuple(_run_status(path, item, item["folder"] in running) for item in listed_runs(path))
+    others = {folder.name for folder in run_folders(path)} - {run.folder for run in runs}
+    return Status(path, active, progress.get("slots", 1), runs, len(others))
+
+
+def _run_status(path: Path, item: Mapping[str, Any], running: bool) -> RunStatus:
+    folder = path / RUNS / item["folder"]
+    try:
+        state = read_state(folder)
+        record = _read(folder / RESULT) if state else {}
+        error = str(record.get("error", ""))
+        step = 0 if state else _step(folder)
+    except ResultsError as damage:
+        state, record, error, step = FAILED, {}, str(damage), 0
+    seconds = record.get("seconds")
+    return RunStatus(
+        folder=item["folder"],
+        method=item["method"],
+        tasks=tuple(item["tasks"]),
+        seed=item["seed"],
+        state=state or (RUNNING if running else WAITING),
+        step=step,
+        total=item["total"],
+        seconds=sum(seconds.values()) if seconds else None,
+        error=error,
+    )
+
+
+def _step(folder: Path) -> int:
+    """The step of a run's newest metrics."""
+    try:
+        rows: Sequence[Mapping[str, Any]] = read_metrics(folder)
+    except RunFolderError as error:
+        raise ResultsError(str(error)) from error
+    return int(rows[-1]["step"]) if rows else 0
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        return read_json(path)
+    except RunFolderError as error:
+        raise ResultsError(str(error)) from error

@@ -1,0 +1,325 @@
+"""The search for edges in a recorded frame: the compiled part of `edges`.
+
+Polygons are placed on the frame and added, front to back, to the lists of the pixels that they
+cover or nearly cover. Then each list explains its pixel's colour. Coordinates are in pixels, x
+right and y up from the frame's lower left corner.
+"""
+
+import math
+from collections.abc import Callable
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical.render.display import DISC_SIDES
+from magical.render.frame import VIEW_WIDTH, body_frames
+from magical.render.jit import entry_point, inlined
+from magical.render.polygons import SUBSAMPLES, Floats, Ints
+
+MOST_LAYERS = 8  # polygons in a pixel's list; further ones are left out
+MIXED = 255  # the label of a pixel of no plain colour
+TILE = 8  # pixels across the tiles in which edges on the ground are looked for
+DEEP = 1e3  # pixels: stands for any distance beyond the band
+DASH_REACH = 3.0  # pixels from a region's edge within which its dashes may be
+AMBIGUOUS = 4.0  # square pixels: two explanations that differ by less in cost explain nothing
+
+FIRST, COUNT, ANCHOR, TURN, COLOUR, PART = range(6)  # columns of `items`
+
+Labels = NDArray[np.uint8]  # (size, size), lowest row first
+
+
+class Near(NamedTuple):
+    """The lists of the polygons near each pixel, front to back, up to one that hides the rest."""
+
+    counts: NDArray[np.int8]  # (P,)
+    wanted: NDArray[np.bool_]  # (P,): whether an edge of a wanted body is near
+    item: NDArray[np.int16]  # (P, MOST_LAYERS)
+    edge: NDArray[np.int16]  # (P, MOST_LAYERS): the nearest, a column of `Placement.planes`
+    inside: NDArray[np.float32]  # (P, MOST_LAYERS): how far inside that the pixel's centre lies
+
+
+class Placement(NamedTuple):
+    """Where everything is on the frame."""
+
+    frames: Floats  # (bodies + 1, 4): cos, sin (times the scale), x, y; the workspace's last
+    planes: Floats  # (3, V): each edge's outward normal x and y, and its distance along that
+    origins: Floats  # (n, 2): of the polygons' own frames
+    circles: Floats  # (n, 4): as of `edges._Layers`
+    to_workspace: Floats  # (4,): a, b, u, v of (a x + b y + u, a y - b x + v)
+    scale: float  # pixels a unit
+    size: int
+    ego: bool
+
+
+@inlined
+def _place_item(
+    item: Ints, offset: Floats, circle: Floats, vertices: Floats, placement: Placement, i: int
+) -> None:
+    """Place one polygon on the frame."""
+    frames, planes, first = placement.frames, placement.planes, item[FIRST]
+    anchor, cos, sin = frames[item[ANCHOR]], frames[item[TURN], 0], frames[item[TURN], 1]
+    x0 = anchor[0] * offset[0] - anchor[1] * offset[1] + anchor[2]
+    y0 = anchor[1] * offset[0] + anchor[0] * offset[1] + anchor[3]
+    placement.origins[i, 0], placement.origins[i, 1] = x0, y0
+    for k in range(first, first + item[COUNT]):
+        following = k + 1 if k + 1 < first + item[COUNT] else first
+        dx = vertices[0, following] - vertices[0, k]
+        dy = vertices[1, following] - vertices[1, k]
+        length = placement.scale * math.sqrt(dx * dx + dy * dy)
+        nx, ny = (cos * dy + sin * dx) / length, (sin * dy - cos * dx) / length
+        x = cos * vertices[0, k] - sin * vertices[1, k] + x0
+        y = sin * vertices[0, k] + cos * vertices[1, k] + y0
+        planes[0, k], planes[1, k], planes[2, k] = nx, ny, nx * x + ny * y
+    placement.circles[i, 0] = cos * circle[0] - sin * circle[1] + x0
+    placement.circles[i, 1] = sin * circle[0] + cos * circle[1] + y0
+    placement.circles[i, 2] = placement.scale * circle[2]
+    placement.circles[i, 3] = placement.scale * circle[3]
+
+
+@inlined
+def _is_near_wanted(
+    items: Ints, circles: Floats, i: int, wanted: NDArray[np.bool_], band: float
+) -> bool:
+    """Whether a polygon may be near an edge of a wanted body."""
+    for k in range(len(items)):
+        if wanted[items[k, ANCHOR]] or wanted[items[k, TURN]]:
+            dx, dy = circles[i, 0] - circles[k, 0], circles[i, 1] - circles[k, 1]
+            reach = circles[i, 3] + circles[k, 3] + 2.0 * band
+            if dx * dx + dy * dy < reach * reach:
+                return True
+    return False
+
+
+@inlined
+def _gather(
+    placement: Placement, items: Ints, i: int, near: Near, band: float, wanted: bool
+) -> None:
+    """Add one polygon to the lists of the pixels that it covers or nearly covers."""
+    circle, planes, size = placement.circles[i], placement.planes, placement.size
+    reach, hollow = circle[3] + band, max(circle[2] - band, 0.0)
+    edge = items[i, FIRST]
+    for row in range(max(0, int(circle[1] - reach)), min(size, int(circle[1] + reach) + 1)):
+        for column in range(max(0, int(circle[0] - reach)), min(size, int(circle[0] + reach) + 1)):
+            x, y = column + 0.5, row + 0.5
+            square = (x - circle[0]) ** 2 + (y - circle[1]) ** 2
+            if square > reach * reach:
+                continue
+            inside = DEEP
+            if square >= hollow * hollow:
+                if items[i, COUNT] >= DISC_SIDES:
+                    edge = _walk(planes, items[i, FIRST], items[i, COUNT], edge, x, y)
+                else:
+                    edge = _nearest(planes, items[i, FIRST], items[i, COUNT], x, y)
+                inside = planes[2, edge] - planes[0, edge] * x - planes[1, edge] * y
+            if inside > -band:
+                _add(near, items, row * size + column, i, edge, inside, band)
+                near.wanted[row * size + column] |= wanted and inside <= band
+
+
+@inlined
+def _nearest(planes: Floats, first: int, count: int, x: float, y: float) -> int:
+    """The edge of a convex polygon that a point lies least far inside, or furthest outside."""
+    least, edge = math.inf, first
+    for k in range(first, first + count):
+        inside = planes[2, k] - planes[0, k] * x - planes[1, k] * y
+        if inside < least:
+            least, edge = inside, k
+    return edge
+
+
+@inlined
+def _walk(planes: Floats, first: int, count: int, edge: int, x: float, y: float) -> int:
+    """The same for a regular polygon, searched from an edge that is probably near."""
+    least = planes[2, edge] - planes[0, edge] * x - planes[1, edge] * y
+    for step in (1, count - 1):
+        while True:
+            k = first + (edge - first + step) % count
+            inside = planes[2, k] - planes[0, k] * x - planes[1, k] * y
+            if inside >= least:
+                break
+            least, edge = inside, k
+    return edge
+
+
+@inlined
+def _add(
+    near: Near, items: Ints, pixel: int, i: int, edge: int, inside: float, band: float
+) -> None:
+    """Add to a pixel's list; of the polygons of one part, the one that it lies deepest in."""
+    count = near.counts[pixel]
+    if count > 0:
+        last = count - 1
+        if items[near.item[pixel, last], PART] == items[i, PART]:
+            if near.inside[pixel, last] >= inside:
+                return
+            count = last
+        elif near.inside[pixel, last] > band:
+            return  # hidden
+    if count < MOST_LAYERS:
+        near.item[pixel, count], near.edge[pixel, count] = i, edge
+        near.inside[pixel, count] = inside
+        near.counts[pixel] = count + 1
+
+
+@inlined
+def _depths(
+    placement: Placement, rectangles: Floats, x: float, y: float, band: float, ground: Floats
+) -> bool:
+    """How far inside the rectangles on the ground a point lies; whether it is near an edge."""
+    to = placement.to_workspace
+    u, v = to[0] * x + to[1] * y + to[2], to[0] * y - to[1] * x + to[3]
+    near = False
+    for i in range(len(rectangles)):
+        across = min(u - rectangles[i, 0], rectangles[i, 1] - u)
+        along = min(v - rectangles[i, 2], rectangles[i, 3] - v)
+        ground[i] = placement.scale * min(across, along)
+        near |= abs(ground[i]) <= band
+    return near
+
+
+@inlined
+def _explain(
+    near: Near,
+    pixel: int,
+    count: int,
+    items: Ints,
+    ground: Floats,
+    shades: Ints,
+    label: int,
+    band: float,
+) -> int:
+    """Which layer gave a pixel its colour: an index in its list, then in `ground`.
+
+    An explanation costs the squares of the distances by which edges must move for it.
+
+    Returns:
+        -1 where no layer, or more than one, explains the colour.
+    """
+    best = second = math.inf
+    chosen, cost = -1, 0.0
+    for i in range(count + len(ground)):
+        inside = near.inside[pixel, i] if i < count else ground[i - count]
+        colour = items[near.item[pixel, i], COLOUR] if i < count else shades[i - count, 0]
+        dash = i >= count and label == shades[i - count, 1] and abs(inside) < DASH_REACH
+        if dash or (colour == label and inside > -band):
+            total = cost if dash or inside > 0.0 else cost + inside * inside
+            second = min(max(total, best), second)
+            if total < best:
+                best, chosen = total, -1 if dash else i
+        if inside > band:
+            cost = math.inf
+            break
+        if inside > 0.0:
+            cost += inside * inside
+    if cost < best and label == shades[len(ground), 0]:
+        best, second, chosen = cost, best, count + len(ground)
+    return chosen if second - best > min(AMBIGUOUS, band * band) else -1
+
+
+@inlined
+def _place(bodies: Floats, placement: Placement) -> None:
+    """Place the bodies on the frame."""
+    frames, to = placement.frames, placement.to_workspace
+    body_frames(bodies, placement.ego, float(placement.size), frames)
+    frames /= SUBSAMPLES
+    cos, sin, x, y = frames[len(bodies)]
+    square = cos * cos + sin * sin
+    to[0], to[1] = cos / square, sin / square
+    to[2], to[3] = -to[0] * x - to[1] * y, to[1] * x - to[0] * y
+
+
+@inlined
+def _read_pixels(
+    placement: Placement,
+    near: Near,
+    items: Ints,
+    rectangles: Floats,
+    shades: Ints,
+    labels: Labels,
+    ground_wanted: bool,
+    band: float,
+    numbers: NDArray[np.int32],
+    margins: Floats,
+) -> int:
+    """Explain the pixels near wanted edges, tile by tile, and empty the lists."""
+    size, rows = placement.size, 0
+    ground, room = np.empty(len(rectangles)), len(margins) - MOST_LAYERS - len(rectangles)
+    across = (size + TILE - 1) // TILE
+    for tile in range(across * across):
+        left, bottom = tile % across * TILE, tile // across * TILE
+        x, y = left + TILE / 2, bottom + TILE / 2
+        on_edge = ground_wanted and _depths(placement, rectangles, x, y, band + TILE, ground)
+        for row in range(bottom, min(bottom + TILE, size)):
+            for column in range(left, min(left + TILE, size)):
+                pixel, label = row * size + column, labels[row, column]
+                count, asked = near.counts[pixel], near.wanted[pixel]
+                near.counts[pixel], near.wanted[pixel] = 0, False
+                if label == MIXED or not (asked or on_edge) or rows > room:
+                    continue
+                x, y = column + 0.5, row + 0.5
+                if _depths(placement, rectangles, x, y, band, ground) or asked:
+                    layer = _explain(near, pixel, count, items, ground, shades, label, band)
+                    for i in range(min(layer + 1, count + len(ground))):
+                        inside = near.inside[pixel, i] if i < count else ground[i - count]
+                        if abs(inside) <= band and (placement.ego or i < count):
+                            sign = 1 if i == layer else -1
+                            margins[rows] = sign * inside
+                            numbers[0, rows] = near.item[pixel, i] if i < count else count - i - 1
+                            numbers[1, rows] = near.edge[pixel, i] if i < count else 0
+                            numbers[2, rows], numbers[3, rows] = pixel, sign
+                            rows += 1
+    return rows
+
+
+@cache
+def compiled_search() -> Callable[..., int]:
+    """The entry point that finds edges."""
+
+    @entry_point
+    def search(
+        bodies: Floats,
+        vertices: Floats,
+        items: Ints,
+        offsets: Floats,
+        circles: Floats,
+        rectangles: Floats,
+        shades: Ints,
+        labels: Labels,
+        counts: NDArray[np.int8],
+        asked: NDArray[np.bool_],
+        near_item: NDArray[np.int16],
+        near_edge: NDArray[np.int16],
+        near_inside: NDArray[np.float32],
+        numbers: NDArray[np.int32],
+        margins: Floats,
+        frames: Floats,
+        planes: Floats,
+        origins: Floats,
+        wanted: NDArray[np.bool_],
+        band: float,
+        ego: bool,
+    ) -> int:
+        """Write the statements to `numbers` and `margins`; returns how many.
+
+        `numbers` are a polygon's number or -1 - that of a rectangle, the edge's column in `planes`,
+        the pixel, and 1 or -1 for inside or outside. The other arrays are those of `edges._Layers`,
+        `Near`, whose counts are 0 before and after, and `Placement`, which are results too.
+        """
+        near = Near(counts, asked, near_item, near_edge, near_inside)
+        circled, to, scale = np.empty_like(circles), np.empty(4), len(labels) / VIEW_WIDTH
+        placement = Placement(frames, planes, origins, circled, to, scale, len(labels), ego)
+        _place(bodies, placement)
+        for i in range(len(items)):
+            _place_item(items[i], offsets[i], circles[i], vertices, placement, i)
+        all_wanted = ego and wanted[0]  # the camera moves with the robot
+        for i in range(len(items)):
+            mine = all_wanted or wanted[items[i, ANCHOR]] or wanted[items[i, TURN]]
+            if mine or _is_near_wanted(items, placement.circles, i, wanted, band):
+                _gather(placement, items, i, near, band, mine)
+        return _read_pixels(
+            placement, near, items, rectangles, shades, labels, all_wanted, band, numbers, margins
+        )
+
+    return search

@@ -1,0 +1,248 @@
+"""What the pixels of a recorded frame say about the edges of the polygons in it.
+
+Every pixel centre lies inside or outside every polygon. Given roughly known poses and a pixel's
+recorded colour, `EdgeFinder` finds the layer that most plausibly gave the colour: the pixel's
+centre must lie inside this layer's polygon and outside all polygons in front of it. Each such
+statement about an edge nearby is one row of `Edges`: by how much the poses fulfil it, and how that
+changes with the bodies' poses.
+"""
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical.render.display import DisplayList, display_list
+from magical.render.edge_search import ANCHOR, MIXED, MOST_LAYERS, TURN, Labels, compiled_search
+from magical.render.frame import ROBOT_HEIGHT
+from magical.render.jit import entry_point
+from magical.render.palette import OUTSIDE, RGB, SHADES, WHITE, lanes
+from magical.render.polygons import Floats, Ints
+from magical.scene.constants import RAW_FRAME_SIZE
+from magical.scene.scene import Scene
+from magical.scene.vocabulary import View, parse_word
+
+
+class Edges(NamedTuple):
+    """N statements about edges near pixel centres.
+
+    `margin` is the distance of a pixel's centre from an edge, positive where the poses fulfil the
+    statement. The other arrays hold its derivatives, in pixels per unit or radian.
+    """
+
+    anchor: NDArray[np.int64]  # (N,): row of the body that the polygon stands on; -1: the ground
+    turn: NDArray[np.int64]  # (N,): row of the body that it turns with; -1: the ground
+    margin: NDArray[np.float64]  # (N,): pixels
+    x: NDArray[np.float64]  # (N,): by the anchor's x, or by minus the camera's
+    y: NDArray[np.float64]  # (N,): the same for y
+    anchor_angle: NDArray[np.float64]  # (N,)
+    turn_angle: NDArray[np.float64]  # (N,): 0 where it is the anchor that the polygon turns with
+    camera_angle: NDArray[np.float64]  # (N,): by the angle of the camera, 0 in allocentric frames
+
+
+class EdgeFinder:
+    """Finds edges in recorded frames of one scene and view, with one sample a pixel.
+
+    Args:
+        scene: which bodies and regions there are; its poses are not used, except the regions'.
+        view: `View.EGO` or `View.ALLO`, or their names.
+        size: height and width of the frames in pixels.
+    """
+
+    def __init__(self, scene: Scene, view: View | str, size: int = RAW_FRAME_SIZE) -> None:
+        self.view = parse_word(View, view)
+        self.size = size
+        shown = display_list(scene)
+        self._palette = _palette(shown, scene)
+        self._layers = _layers(shown, scene, self._palette)
+        self._memory = _working_memory(size)
+
+    def label(self, frame: NDArray[np.uint8]) -> Labels:
+        """Name every pixel's colour.
+
+        Args:
+            frame: (size, size, 3).
+
+        Returns:
+            (size, size) uint8, lowest row first: numbers of the scene's colours, and
+            `edge_search.MIXED` for any other colour, as smoothed lines have it.
+        """
+        labels = np.empty((self.size, self.size), np.uint8)
+        _compiled_label()(frame, self._palette, labels)
+        return labels
+
+    def find(
+        self,
+        bodies: NDArray[np.float64],
+        labels: Labels,
+        band: float,
+        wanted: NDArray[np.bool_] | None = None,
+    ) -> Edges:
+        """All statements about edges within `band` pixels of pixel centres.
+
+        Args:
+            bodies: (5 + blocks, 3), the poses in the rows of `Poses`.
+            labels: a frame's, from `label`.
+            band: pixels.
+            wanted: (5 + blocks,), the bodies whose edges matter; by default all.
+        """
+        if wanted is None:
+            wanted = np.ones(len(bodies), np.bool_)
+        *_, numbers, margins = self._memory
+        placed = (
+            np.empty((len(bodies) + 1, 4)),  # the frames of the bodies and the workspace
+            np.empty((3, self._layers.vertices.shape[1])),  # the edges
+            np.empty((len(self._layers.items), 2)),  # the polygons' origins
+        )
+        search, ego = compiled_search(), self.view == View.EGO
+        count = search(bodies, *self._layers, labels, *self._memory, *placed, wanted, band, ego)
+        return self._edges(numbers[:, :count], margins[:count].copy(), *placed)
+
+    def _edges(
+        self,
+        numbers: NDArray[np.int32],
+        margins: Floats,
+        frames: Floats,
+        planes: Floats,
+        origins: Floats,
+    ) -> Edges:
+        """The derivatives of the statements found by `edge_search.compiled_search`."""
+        item, edge, pixel, sign = numbers
+        x, y = pixel % self.size + 0.5, pixel // self.size + 0.5
+        ground, workspace = item < 0, frames[-1]
+        nx, ny = planes[0, edge], planes[1, edge]
+        nx[ground], ny[ground] = self._ground_normals(
+            -1 - item[ground], x[ground], y[ground], workspace
+        )
+        nx, ny = sign * nx, sign * ny
+        anchor = np.where(ground, -1, self._layers.items[item, ANCHOR])
+        turn = np.where(ground, -1, self._layers.items[item, TURN])
+        own_x, own_y = np.where(anchor == turn, (x, y), origins[item].T)
+        anchor_x, anchor_y = frames[anchor, 2:].T
+        camera = np.zeros_like(margins)
+        if self.view == View.EGO:
+            camera = nx * (y - self.size * ROBOT_HEIGHT) - ny * (x - self.size / 2)
+        return Edges(
+            anchor=anchor,
+            turn=turn,
+            margin=margins,
+            x=nx * workspace[0] + ny * workspace[1],
+            y=ny * workspace[0] - nx * workspace[1],
+            anchor_angle=ny * (own_x - anchor_x) - nx * (own_y - anchor_y),
+            turn_angle=ny * (x - own_x) - nx * (y - own_y),
+            camera_angle=camera,
+        )
+
+    def _ground_normals(
+        self, rectangle: NDArray[np.int32], x: Floats, y: Floats, workspace: Floats
+    ) -> tuple[Floats, Floats]:
+        """The outward normals, on the frame, of the rectangles' edges nearest to points."""
+        cos, sin, x0, y0 = workspace
+        square, dx, dy = cos * cos + sin * sin, x - x0, y - y0
+        u, v = (cos * dx + sin * dy) / square, (cos * dy - sin * dx) / square
+        left, right, bottom, top = self._layers.rectangles[rectangle].T
+        nearest = np.argmin([u - left, right - u, v - bottom, top - v], axis=0)
+        outward = np.array([(-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0)])[nearest]
+        nx, ny = outward.T / np.sqrt(square)
+        return cos * nx - sin * ny, sin * nx + cos * ny
+
+
+@cache
+def _compiled_label() -> Callable[..., None]:
+    """The entry point that names the colours of a frame's pixels."""
+
+    @entry_point
+    def label(frame: NDArray[np.uint8], palette: NDArray[np.int32], labels: Labels) -> None:
+        size = len(labels)
+        colour, found = np.int64(-1), MIXED
+        for y in range(size):
+            row = frame[size - 1 - y]
+            for x in range(size):
+                new = np.int64(row[x, 0]) | np.int64(row[x, 1]) << 8 | np.int64(row[x, 2]) << 16
+                if new != colour:
+                    colour, found = new, MIXED
+                    for i in range(len(palette)):
+                        if palette[i] == new:
+                            found = i
+                labels[y, x] = found
+
+    return label
+
+
+class _Layers(NamedTuple):
+    """A scene's polygons, front to back, and the rectangles on the ground."""
+
+    vertices: Floats  # (2, V)
+    items: Ints  # (n, 6): first vertex, vertices, anchor row, turn row, colour, part
+    offsets: Floats  # (n, 2): in the anchor's frame
+    circles: Floats  # (n, 4): a point inside, radii of the circles about it inside and around
+    rectangles: Floats  # (R + 1, 4): left, right, bottom, top of regions and workspace
+    shades: Ints  # (R + 2, 2): colours of their fill and dashes (-1: none); last, what is outside
+
+
+def _palette(shown: DisplayList, scene: Scene) -> NDArray[np.int32]:
+    """The colours of everything in the scene, packed, in order."""
+    bodies = {_pack(int(colour)) for colour in shown.items[:, 4]}
+    ground = {_packed(rgb) for region in scene.regions for rgb in SHADES[region.colour]}
+    return np.array(sorted(bodies | ground | {_packed(WHITE), _packed(OUTSIDE)}), np.int32)
+
+
+def _pack(colour: int) -> int:
+    """A colour of three 16-bit lanes as three bytes."""
+    return colour & 0xFF | colour >> 8 & 0xFF00 | colour >> 16 & 0xFF0000
+
+
+def _packed(colour: RGB) -> int:
+    return _pack(lanes(colour))
+
+
+def _layers(shown: DisplayList, scene: Scene, palette: NDArray[np.int32]) -> _Layers:
+    def number(packed: int) -> int:
+        return int(np.searchsorted(palette, packed))
+
+    items = np.empty((len(shown.items), 6), np.int64)
+    items[:, :4] = shown.items[:, :4]
+    items[:, 4] = [number(_pack(int(colour))) for colour in shown.items[:, 4]]
+    items[:, 5] = _parts(shown)
+    shades = [SHADES[region.colour] for region in reversed(scene.regions)]
+    colours = [(number(_packed(s.region)), number(_packed(s.fill))) for s in shades]
+    colours += [(number(_packed(colour)), -1) for colour in (WHITE, OUTSIDE)]
+    corners = np.concatenate([shown.ground[:0:-1], shown.ground[:1]])  # the uppermost first
+    low, high = corners.min(axis=1), corners.max(axis=1)
+    rectangles = np.stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]], axis=1)
+    circles = np.array([_circles(shown.vertices[:, a : a + n]) for a, n in items[:, :2]])
+    return _Layers(
+        shown.vertices, items, shown.offsets, circles, rectangles, np.array(colours, np.int64)
+    )
+
+
+def _parts(shown: DisplayList) -> NDArray[np.int64]:
+    """Numbers the parts: successive polygons of one colour in one place are one shape."""
+    keys = np.concatenate([shown.items[:, 2:], shown.offsets], axis=1)
+    return np.cumsum([0, *(keys[1:] != keys[:-1]).any(axis=1)])
+
+
+def _circles(points: Floats) -> tuple[float, float, float, float]:
+    """A polygon's centre, and the radii of the circles about it inside and around."""
+    centre = points.mean(axis=1, keepdims=True)
+    dx, dy = np.roll(points, -1, axis=1) - points
+    x, y = centre - points
+    inner = float(((dx * y - dy * x) / np.hypot(dx, dy)).min())
+    return float(centre[0, 0]), float(centre[1, 0]), inner, float(np.hypot(x, y).max())
+
+
+@cache
+def _working_memory(size: int) -> tuple[Any, ...]:
+    """What `edge_search.compiled_search` works in; the last two arrays hold its result."""
+    pixels, rows = size * size, 4 * size * size
+    return (
+        np.zeros(pixels, np.int8),
+        np.zeros(pixels, np.bool_),
+        np.empty((pixels, MOST_LAYERS), np.int16),
+        np.empty((pixels, MOST_LAYERS), np.int16),
+        np.empty((pixels, MOST_LAYERS), np.float32),
+        np.empty((4, rows), np.int32),
+        np.empty(rows),
+    )

@@ -1,0 +1,66 @@
+"""Our scores beside the published ones: by the published code's rule, horizon and scene only."""
+
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+
+from magical.evaluation import (
+    Entry,
+    by_variant,
+    difference_from_published,
+    published_methods,
+    published_score,
+)
+from magical.evaluation.intervals import Interval
+from magical.tasks import Task
+
+RULE = "published_code_score"
+
+
+def matching_methods(entries: Iterable[Entry]) -> tuple[str, ...]:
+    """The methods of the published tables whose names some entries have."""
+    names = {entry.method for entry in entries}
+    return tuple(method for method in published_methods() if method in names)
+
+
+def counterparts(entries: Iterable[Entry], published: Sequence[str]) -> dict[str, str]:
+    """The published row to hold each method against, by the method's name: that of the same name.
+
+    Where no method has the name of a published row, and there is one such row, all have that one.
+    """
+    names = list(dict.fromkeys(entry.method for entry in entries))
+    same = {name: name for name in names if name in published}
+    if not same and len(published) == 1:
+        return dict.fromkeys(names, published[0])
+    return same
+
+
+def steps(task: Task, run: Entry) -> str:
+    """The number of control steps that a run was evaluated with on a task."""
+    known = {"appendix": task.horizon, "published": task.published_horizon}
+    return str(known.get(run.horizon, run.horizon))
+
+
+def is_comparable(task: Task, run: Entry) -> bool:
+    """Whether a run was evaluated with the horizon of the published rows of a task."""
+    return steps(task, run) == str(task.published_horizon)
+
+
+def differences(task: Task, runs: Sequence[Entry], method: str) -> Mapping[str, Interval]:
+    """Our mean less the published one by short variant name, where they can be compared.
+
+    Demo of nudged runs cannot: the published Demo scores are of the exact scene
+    (docs/determinism.md).
+    """
+    if not all(is_comparable(task, run) for run in runs):
+        return {}
+    tables = [by_variant(run.scores).get(task.name, {}) for run in runs]
+    nudged = any(run.nudge for run in runs)
+    found = {}
+    for variant in tables[0]:
+        spread = published_score(task.name, method, variant)
+        complete = all(variant in table for table in tables)
+        if spread is not None and complete and not (nudged and variant == "Demo"):
+            means = [np.mean([getattr(row, RULE) for row in table[variant]]) for table in tables]
+            found[variant] = difference_from_published(means, spread)
+    return found

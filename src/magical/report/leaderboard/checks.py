@@ -1,0 +1,109 @@
+"""Whether entries are what the protocol asks for (docs/protocol.md)."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from magical import __version__
+from magical.evaluation import Entry, by_variant
+from magical.evaluation.entry import APPENDIX
+from magical.evaluation.rollouts import ROLLOUTS
+from magical.evaluation.variants import short_variant
+from magical.report.results import Result, Results
+from magical.runs.sources import learned_from
+from magical.tasks import get_task
+
+NUDGE = 1e-9  # the protocol's, in units and radians
+SEED = 0  # the protocol's set of fixed seeds
+
+
+@dataclass(frozen=True, slots=True)
+class Rejected:
+    """An entry that is not ranked, and why."""
+
+    folder: str
+    method: str
+    reasons: Sequence[str]
+
+
+def check_entries(results: Results) -> tuple[list[Result], list[Rejected]]:
+    """The entries that can be ranked, and the others with the reasons."""
+    rejected = [Rejected(str(item.folder), "", [item.reason]) for item in results.skipped]
+    candidates = []
+    for result in results.found:
+        if reasons := faults(result.entry):
+            rejected.append(Rejected(str(result.folder), result.entry.method, reasons))
+        else:
+            candidates.append(result)
+    accepted: list[Result] = []
+    for result in candidates:
+        if reasons := list(_conflicts(result, accepted)):
+            rejected.append(Rejected(str(result.folder), result.entry.method, reasons))
+        else:
+            accepted.append(result)
+    return accepted, rejected
+
+
+def faults(entry: Entry) -> list[str]:
+    """What an entry by itself has that the protocol does not allow; empty if nothing."""
+    return [*_evaluation_faults(entry), *_coverage_faults(entry), *_statement_faults(entry)]
+
+
+def _evaluation_faults(entry: Entry) -> Iterator[str]:
+    if entry.horizon != APPENDIX:
+        yield f"horizon {entry.horizon}, expected {APPENDIX}: evaluate without --horizon"
+    if entry.nudge != NUDGE:
+        yield f"nudge {entry.nudge:g}, expected {NUDGE:g}: evaluate with --nudge {NUDGE:g}"
+    if entry.seed != SEED:
+        yield f"set {entry.seed} of fixed seeds, expected {SEED}: evaluate without --seed"
+    rollouts = max(row.rollout for row in entry.scores) + 1
+    if rollouts != ROLLOUTS:
+        yield f"{rollouts} rollouts of each environment, expected {ROLLOUTS}"
+
+
+def _coverage_faults(entry: Entry) -> Iterator[str]:
+    for task, cells in by_variant(entry.scores).items():
+        names = map(short_variant, get_task(task).variants)
+        if absent := [name for name in names if name not in cells]:
+            yield f"{task} without {', '.join(absent)}: all variants of a task are needed"
+
+
+def _statement_faults(entry: Entry) -> Iterator[str]:
+    try:
+        learned_from(entry.details)
+    except ValueError as error:
+        yield str(error)
+    if _series(entry.version) != _series(__version__):
+        yield (
+            f"made by version {entry.version or '(not stated)'} of this package, this is "
+            f"{__version__}: scores may differ; evaluate again"
+        )
+
+
+def _series(version: str) -> str:
+    """The part of a version that scores depend on: one number, before 1.0 the first two."""
+    parts = version.split(".")
+    return ".".join(parts[:2] if parts[0] == "0" else parts[:1])
+
+
+def _conflicts(result: Result, accepted: Sequence[Result]) -> Iterator[str]:
+    """Why a run cannot be one of its method's, given those before it."""
+    entry = result.entry
+    for other in (run for run in accepted if run.entry.method == entry.method):
+        if list(other.entry.scores) == list(entry.scores):
+            yield f"the same scores as {other.folder}: each run counts once"
+            return
+        for what, value, expected in (
+            ("shown", entry.observation, other.entry.observation),
+            ("privileged", entry.privileged, other.entry.privileged),
+            ("learned from", learned_from(entry.details), learned_from(other.entry.details)),
+        ):
+            if value != expected:
+                yield (
+                    f"{what} {_text(value)}, but of the same method {other.folder} "
+                    f"{_text(expected)}"
+                )
+                return
+
+
+def _text(value: object) -> str:
+    return ", ".join(value) or "nothing" if isinstance(value, tuple) else str(value)

@@ -1,0 +1,94 @@
+"""Methods in order: by TestAll, and by the generalisation gap."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from magical.evaluation.intervals import Interval
+from magical.report.methods import ComparedMethod, compared_methods
+from magical.report.results import Result
+from magical.runs.sources import learned_from
+from magical.tasks import TASKS
+
+ALL_TASKS = "All tasks"
+DEMO, TEST_ALL = "Demo", "TestAll"
+STATE = "state"  # what a privileged policy is shown, among what an entry used
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """A method's place on a board."""
+
+    method: str
+    unit: str  # what the intervals are over
+    test_all: Interval  # mean score
+    demo: Interval
+    gap: Interval  # Demo's mean less TestAll's
+    used: tuple[str, ...]  # to learn from, and `state` for a privileged policy
+    rank: int = 0  # by TestAll, 1 for the highest; the same for equal scores
+    gap_rank: int = 0  # by the gap, 1 for the lowest
+
+
+@dataclass(frozen=True, slots=True)
+class Board:
+    """The standings on a task, or on all of them."""
+
+    name: str
+    standings: Sequence[Standing]  # by TestAll
+
+
+def make_boards(results: Sequence[Result]) -> list[Board]:
+    """A board of the methods that have all tasks, then one for each task that any has."""
+    groups: dict[str, list[Result]] = {}
+    for result in results:
+        groups.setdefault(result.entry.method, []).append(result)
+    methods = {name: _method(runs) for name, runs in groups.items()}
+    used = {name: _used(runs[0]) for name, runs in groups.items()}
+    whole = [m for m in methods.values() if {i.task for i in m.env_ids} >= set(TASKS)]
+    boards = [Board(ALL_TASKS, _ranked([_standing(m, m.name, used) for m in whole]))]
+    for task in TASKS:
+        parts = [_on_task(method, task) for method in methods.values()]
+        standings = [_standing(part, part.name, used) for part in parts if part is not None]
+        if standings:
+            boards.append(Board(task, _ranked(standings)))
+    return boards
+
+
+def _method(runs: Sequence[Result]) -> ComparedMethod:
+    (method,) = compared_methods(replace(run.entry, nudge=0.0) for run in runs)
+    return method
+
+
+def _on_task(method: ComparedMethod, task: str) -> ComparedMethod | None:
+    env_ids = [env_id for env_id in method.env_ids if env_id.task == task]
+    return method.on(env_ids) if env_ids else None
+
+
+def _used(result: Result) -> tuple[str, ...]:
+    state = (STATE,) if result.entry.privileged else ()
+    return (*learned_from(result.entry.details), *state)
+
+
+def _standing(method: ComparedMethod, name: str, used: dict[str, tuple[str, ...]]) -> Standing:
+    def mean(variant: str) -> Interval:
+        return method.on([i for i in method.env_ids if i.variant == variant]).mean()
+
+    gap = method.generalisation_gap()
+    assert gap is not None  # entries with all variants have Demo and TestAll
+    return Standing(name, method.unit, mean(TEST_ALL), mean(DEMO), gap, used[name])
+
+
+def _ranked(standings: Sequence[Standing]) -> list[Standing]:
+    """The standings with their ranks, by TestAll, then by the gap, then by name."""
+    ranked = [
+        replace(
+            row,
+            rank=_rank(row, standings, lambda other: -other.test_all.value),
+            gap_rank=_rank(row, standings, lambda other: other.gap.value),
+        )
+        for row in standings
+    ]
+    return sorted(ranked, key=lambda row: (row.rank, row.gap_rank, row.method))
+
+
+def _rank(row: Standing, standings: Sequence[Standing], key: Callable[[Standing], float]) -> int:
+    return 1 + sum(key(other) < key(row) - 1e-12 for other in standings)

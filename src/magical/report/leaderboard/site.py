@@ -1,0 +1,94 @@
+"""The leaderboard's pages: an index, and a report of each method with its entries."""
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from magical import __version__
+from magical.errors import ScoresError
+from magical.evaluation.rollouts import ROLLOUTS
+from magical.files import write_atomically
+from magical.report.differences import matching_methods
+from magical.report.folders import evaluated_page
+from magical.report.leaderboard.checks import NUDGE, Rejected, check_entries
+from magical.report.leaderboard.ranking import STATE, Board, make_boards
+from magical.report.page import render_template, write_text
+from magical.report.results import Result, Results, search_results
+from magical.report.runs import FILES
+from magical.runs.sources import SOURCES
+
+INDEX = "index.html"
+METHODS, ENTRIES = "methods", "entries"  # folders of the site
+MAX_NAME = 40  # characters of a method's name in a file's name
+
+
+@dataclass(frozen=True, slots=True)
+class Leaderboard:
+    """The methods in order, and the entries that are not ranked."""
+
+    boards: Sequence[Board]
+    accepted: Sequence[Result]
+    rejected: Sequence[Rejected]
+
+    def write(self, site: Path) -> None:
+        """Write the pages, and copies of the entries that they link to, so that they stay together.
+
+        Raises:
+            OSError: the folder cannot be written to.
+        """
+        groups: dict[str, list[Result]] = {}
+        for result in self.accepted:
+            groups.setdefault(result.entry.method, []).append(result)
+        pages = {}
+        for number, (method, results) in enumerate(groups.items(), 1):
+            name = f"{number:03d}-{_file_name(method)}"
+            pages[method] = f"{METHODS}/{name}.html"
+            _write_method(site, method, results, name)
+        write_text(site / INDEX, self._html(pages))
+
+    def _html(self, pages: dict[str, str]) -> str:
+        used = {name for board in self.boards for row in board.standings for name in row.used}
+        filters = {**SOURCES, STATE: "the true state instead of an observation"}
+        return render_template(
+            "leaderboard.html.j2",
+            board=self,
+            pages=pages,
+            filters={name: text for name, text in filters.items() if name in used},
+            rollouts=ROLLOUTS,
+            nudge=f"{NUDGE:g}",
+            version=__version__,
+        )
+
+
+def make_leaderboard(folders: Iterable[Path | str], site: Path | None = None) -> Leaderboard:
+    """Check and rank all entries in or below the folders, except the copies in a site.
+
+    Raises:
+        ScoresError: a folder is missing.
+    """
+    places = list(map(Path, folders))
+    for place in places:
+        if not place.is_dir():
+            raise ScoresError(f"{place}: expected a folder with entries, found none")
+    accepted, rejected = check_entries(search_results(places, without=site))
+    return Leaderboard(make_boards(accepted), accepted, rejected)
+
+
+def _write_method(site: Path, method: str, results: Sequence[Result], name: str) -> None:
+    """The report of one method's runs, and copies of their files."""
+    copied = []
+    for number, result in enumerate(results, 1):
+        folder = site / ENTRIES / f"{name}-{number}"
+        for file in FILES:
+            with write_atomically(folder / file) as target:
+                target.write((result.folder / file).read_bytes())
+        copied.append(replace(result, folder=folder))
+    page = site / METHODS / f"{name}.html"
+    published = matching_methods(result.entry for result in results)
+    evaluated_page(method, Results(copied), published, out=page).write(page)
+
+
+def _file_name(method: str) -> str:
+    """A method's name in letters and digits."""
+    return re.sub(r"[^a-z0-9]+", "-", method.lower()).strip("-")[:MAX_NAME]

@@ -1,0 +1,109 @@
+"""The methods among some entries, on the environments that they have in common."""
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from magical.envs import EnvId
+from magical.evaluation import Entry
+from magical.evaluation.intervals import Floats, Interval, weighted_sum
+from magical.evaluation.statistics import (
+    by_environment,
+    difference,
+    gap_weights,
+    generalisation_gap,
+    mean,
+    over_rollouts,
+    run_means,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedMethod:
+    """One method's runs on the environments that are compared."""
+
+    name: str
+    runs: Sequence[Entry]
+    env_ids: Sequence[EnvId]
+    means: Floats  # (runs, environments); NaN where a run was not evaluated
+
+    @property
+    def several(self) -> bool:
+        """Whether there are enough runs for intervals over runs."""
+        return not math.isnan(mean(self.means).low)
+
+    @property
+    def unit(self) -> str:
+        """What intervals are over, in words."""
+        counts = (~np.isnan(self.means)).sum(axis=0)
+        if not self.several:
+            return "rollouts of 1 run" if counts.max() == 1 else "rollouts"
+        fewest, most = counts.min(), counts.max()
+        return f"{fewest} runs" if fewest == most else f"{fewest} to {most} runs"
+
+    def mean(self) -> Interval:
+        """Over runs, or over rollouts where there is one run."""
+        if self.several:
+            return mean(self.means)
+        return self._over_rollouts(np.full(len(self.env_ids), 1 / len(self.env_ids)))
+
+    def generalisation_gap(self, variant: str = "TestAll") -> Interval | None:
+        """As `mean`; `None` where no task has both Demo and the variant."""
+        try:
+            weights = gap_weights(self.env_ids, variant)
+        except ValueError:
+            return None
+        if self.several:
+            return generalisation_gap(self.means, self.env_ids, variant)
+        return self._over_rollouts(weights)
+
+    def difference(self, other: "ComparedMethod") -> Interval:
+        """This method's mean less another's, with an interval over runs where both have several."""
+        if self.several and other.several:
+            return difference(self.means, other.means)
+        return weighted_sum([self.mean(), other.mean()], [1.0, -1.0])
+
+    def on(self, env_ids: Sequence[EnvId]) -> "ComparedMethod":
+        """The same method on some of its environments."""
+        return _method(self.name, self.runs, env_ids)
+
+    def _over_rollouts(self, weights: Floats) -> Interval:
+        return over_rollouts([run.scores for run in self.runs], self.env_ids, weights)
+
+
+def left_out(entries: Iterable[Entry], env_ids: Iterable[EnvId]) -> list[EnvId]:
+    """The environments that some entries have and that are not compared."""
+    found = dict.fromkeys(row.env_id for entry in entries for row in entry.scores)
+    compared = set(env_ids)
+    return [env_id for env_id in found if env_id not in compared]
+
+
+def compared_methods(entries: Iterable[Entry]) -> list[ComparedMethod]:
+    """Every method on the environments that all have; empty where there is none.
+
+    Entries with the same row are runs of a method, each on all of its tasks or on some. A method
+    has an environment if all its runs on that task do.
+    """
+    groups: dict[str, list[Entry]] = {}
+    for entry in entries:
+        groups.setdefault(entry.row, []).append(entry)
+    found = [_environments(runs) for runs in groups.values()]
+    shared = [env_id for env_id in (found[0] if found else []) if all(env_id in i for i in found)]
+    return [_method(name, group, shared) for name, group in groups.items()] if shared else []
+
+
+def _method(name: str, group: Sequence[Entry], env_ids: Sequence[EnvId]) -> ComparedMethod:
+    runs = [entry for entry in group if any(row.env_id in env_ids for row in entry.scores)]
+    return ComparedMethod(name, runs, env_ids, run_means([run.scores for run in runs], env_ids))
+
+
+def _environments(runs: Sequence[Entry]) -> list[EnvId]:
+    """The environments that all of a method's runs on their task have, in the order they come."""
+    counts = Counter(env_id for run in runs for env_id in by_environment(run.scores))
+    tasks = Counter(
+        task for run in runs for task in {env_id.task for env_id in by_environment(run.scores)}
+    )
+    return [env_id for env_id in counts if counts[env_id] == tasks[env_id.task]]

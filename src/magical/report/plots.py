@@ -1,0 +1,132 @@
+"""Plots as SVG that can stand in one HTML page together: unique ids, text as text."""
+
+import html
+import io
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from magical.evaluation.intervals import Floats, Interval
+
+# Okabe and Ito's colours, which the colour-blind can tell apart; then the same with other dashes.
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#222222")
+DASHES = ("-", "--", ":", "-.")
+WIDTH = 6.0  # inches
+STYLE: Any = {
+    "font.size": 11,
+    "svg.fonttype": "none",  # text stays text: it can be searched and read aloud
+    "svg.hashsalt": "magical",  # the same figure gets the same ids
+    "text.parse_math": False,  # names of methods are shown as they are
+}
+
+
+def line_style(index: int) -> dict[str, Any]:
+    """Colour and dashes of the method with this number, different for the first 28."""
+    dashes = DASHES[index // len(COLOURS) % len(DASHES)]
+    return {"color": COLOURS[index % len(COLOURS)], "linestyle": dashes}
+
+
+@contextmanager
+def plotting() -> Iterator[None]:
+    """The settings that figures are made and written with."""
+    import matplotlib as mpl
+
+    with mpl.rc_context(STYLE):
+        yield
+
+
+def new_figure(height: float, width: float = WIDTH) -> Any:
+    """An empty figure, in inches."""
+    # From the report extra. Figure alone: no window system, no global state.
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def svg(figure: Any, name: str, label: str) -> str:
+    """A figure as an `<svg>` element.
+
+    Args:
+        figure: of matplotlib.
+        name: a prefix of all ids in it, unique on the page.
+        label: what it shows, for those who cannot see it.
+    """
+    file = io.StringIO()
+    no_metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+    with plotting():
+        figure.savefig(file, format="svg", metadata=no_metadata)
+    text = file.getvalue()
+    text = text[text.index("<svg") :]
+    # Metadata, and a style sheet that would hold for the whole page: the page has one of its own.
+    text = re.sub(r"<metadata>.*?</metadata>\s*", "", text, flags=re.DOTALL)
+    text = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>\s*", "", text, flags=re.DOTALL)
+    text = re.sub(r'\b(id=")|(url\(#)|(href="#)', lambda m: f"{m[0]}{name}-", text)
+    text = re.sub(r' xmlns(:xlink)?="[^"]*"', "", text).replace("xlink:href", "href")
+    text = re.sub(r' (width|height)="[\d.]+pt"', "", text, count=2)
+    return text.replace("<svg", f'<svg role="img" aria-label="{html.escape(label)}"', 1)
+
+
+def profile_plot(thresholds: Floats, profiles: Mapping[str, Sequence[Interval]]) -> str:
+    """Performance profiles: the share of runs that score above each threshold."""
+    with plotting():
+        figure = new_figure(3.6 + legend_height(len(profiles)))
+        axes = figure.subplots()
+        lines = {}
+        for index, (name, intervals) in enumerate(profiles.items()):
+            values, lows, highs = np.array(intervals).T
+            style = line_style(index)
+            (lines[name],) = axes.step(thresholds, values, where="post", linewidth=1.8, **style)
+            if not np.isnan(lows).any():
+                band = {"color": style["color"], "alpha": 0.15, "linewidth": 0}
+                axes.fill_between(thresholds, lows, highs, step="post", **band)
+        axes.set(xlabel="score τ", ylabel="share of runs with score > τ", ylim=(-0.02, 1.02))
+        tidy(axes)
+        legend(figure, lines)
+        return svg(figure, "profile", "Performance profiles of all methods")
+
+
+def interval_plot(
+    intervals: Mapping[str, Interval], label: str, name: str, zero: bool = False
+) -> str:
+    """Estimates with their intervals, one below the other, in the methods' colours.
+
+    With `zero` they are differences: in one colour, with a line at 0.
+    """
+    with plotting():
+        figure = new_figure(0.9 + 0.36 * len(intervals))
+        axes = figure.subplots()
+        for index, (value, low, high) in enumerate(intervals.values()):
+            colour = line_style(0 if zero else index)["color"]
+            if not np.isnan(low):
+                axes.plot([low, high], [index, index], color=colour, linewidth=3, alpha=0.5)
+            axes.plot([value], [index], "o", color=colour, markersize=6)
+        if zero:
+            axes.axvline(0.0, color="#222222", linewidth=1)
+        axes.set_yticks(range(len(intervals)), list(intervals))
+        axes.set_ylim(len(intervals) - 0.5, -0.5)
+        axes.set_xlabel(label)
+        tidy(axes)
+        return svg(figure, name, label)
+
+
+def legend(figure: Any, lines: Mapping[str, Any]) -> None:
+    """A legend below a figure, of lines by name; nothing for no lines."""
+    if lines:
+        # matplotlib leaves out names that begin with an underscore.
+        names = [f"\u200b{name}" if name.startswith("_") else name for name in lines]
+        options = {"loc": "outside lower center", "frameon": False, "fontsize": 10}
+        figure.legend(lines.values(), names, ncols=min(len(names), 2), **options)
+
+
+def legend_height(count: int) -> float:
+    """What a legend of so many lines adds to a figure's height, in inches."""
+    return 0.22 * -(-count // 2)
+
+
+def tidy(axes: Any) -> None:
+    """A light grid, and no frame above or on the right."""
+    axes.grid(alpha=0.3)
+    axes.spines[["top", "right"]].set_visible(False)

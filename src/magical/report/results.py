@@ -1,0 +1,200 @@
+"""Evaluated runs in folders, at any depth."""
+
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from magical.errors import RunFolderError, ScoresError
+from magical.evaluation import Entry, by_variant, read_entry
+from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
+from magical.runs import is_run, read_json
+from magical.runs.folder import CONFIG, RECORD
+
+# Files of a plan's results folder (docs/experiments.md).
+PLAN = "plan.json"  # the planned runs
+FINAL = "result.json"  # a run's final record, in its folder
+RUNS = "runs"  # the folder of their folders
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """An evaluated run and where it was found."""
+
+    folder: Path
+    entry: Entry
+    run: Path | None = None  # the folder of the training run, where there is one
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """The tasks that it was evaluated on."""
+        return tuple(by_variant(self.entry.scores))
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The configuration of training; empty where there is none that can be read."""
+        return {} if self.run is None else _read(self.run / CONFIG)
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """Versions, device, demonstrations and machine, as far as they were recorded."""
+        if self.run is None:
+            return {}
+        final = _read(self.run / FINAL)
+        names = ("versions", "commit", "machine", "finished", "seconds")
+        return {**_read(self.run / RECORD), **{key: final[key] for key in names if key in final}}
+
+    @property
+    def seed(self) -> int | None:
+        """The seed of training, where it is known."""
+        seed = self.config.get("seed", self.entry.details.get("training_seed"))
+        return seed if isinstance(seed, int) else None
+
+
+@dataclass(frozen=True, slots=True)
+class Skipped:
+    """A folder with files of an entry that is not used."""
+
+    folder: Path
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """A run of a plan that has no scores."""
+
+    method: str
+    tasks: tuple[str, ...]
+    seed: int
+    state: str  # in words
+
+
+@dataclass(frozen=True, slots=True)
+class Results:
+    """What was found below some folders."""
+
+    found: Sequence[Result]
+    skipped: Sequence[Skipped] = ()
+    not_evaluated: Sequence[Path] = ()  # run folders without an entry
+    planned: Sequence[Planned] | None = None  # without scores; `None` where there is no plan
+
+    @property
+    def entries(self) -> list[Entry]:
+        """The entries, in the order of their folders."""
+        return [result.entry for result in self.found]
+
+
+def find_results(folders: Iterable[Path | str]) -> Results:
+    """As `search_results`, with at least one entry.
+
+    Raises:
+        ScoresError: there is no entry that can be read; says why the first one cannot.
+    """
+    results = search_results(folders)
+    if not results.found:
+        reasons = [item.reason for item in results.skipped]
+        raise ScoresError(reasons[0] if reasons else "expected folders, found none")
+    return results
+
+
+def search_results(folders: Iterable[Path | str], without: Path | None = None) -> Results:
+    """Every entry in or below the folders, by folder as given, then by path.
+
+    Symbolic links and folders whose names begin with a dot are not followed, nor is the folder
+    `without`. What cannot be read is skipped, and listed.
+    """
+    found: list[Result] = []
+    skipped: list[Skipped] = []
+    places: list[Path] = []
+    for root in map(Path, folders):
+        known = {place.resolve() for place in places}
+        new = [place for place in _places(root, without) if place.resolve() not in known]
+        places += new
+        # A folder without any entry is read nevertheless: the error says what was expected.
+        for place in [place for place in new if _holds_entry(place)] or ([root] if new else []):
+            if place != root and not _is_planned(place):
+                skipped.append(Skipped(place, "not a run of the plan, but of an earlier one"))
+                continue
+            try:
+                found.append(Result(place, read_entry(place), _run_of(place, root)))
+            except (ScoresError, OSError) as error:
+                skipped.append(Skipped(place, str(error)))
+    evaluated = {result.run for result in found} | {item.folder for item in skipped}
+    runs = [place for place in places if is_run(place) and place not in evaluated]
+    return Results(found, skipped, runs, _planned(places, evaluated))
+
+
+def _places(root: Path, without: Path | None) -> Iterator[Path]:
+    """A folder and all folders below it, parents before children, by name; itself if missing."""
+    yield root
+    hidden = None if without is None else without.resolve()
+    for path, names, _ in os.walk(root):
+        kept = [name for name in names if not name.startswith(".")]
+        names[:] = sorted(name for name in kept if (Path(path) / name).resolve() != hidden)
+        if Path(path) != root:
+            yield Path(path)
+
+
+def _holds_entry(place: Path) -> bool:
+    return (place / SCORES_FILE).exists() or (place / ENTRY_FILE).exists()
+
+
+def _run_of(place: Path, root: Path) -> Path | None:
+    """The run folder that an entry belongs to: its own, one above it, or the only one in it."""
+    for folder in (place, *place.parents):
+        if is_run(folder):
+            return folder
+        if folder == root:
+            break
+    inside = [path for path in sorted(place.iterdir()) if path.is_dir() and is_run(path)]
+    return inside[0] if len(inside) == 1 else None
+
+
+def _is_planned(place: Path) -> bool:
+    """Whether a folder is not a plan's run, or one that the plan still lists."""
+    plan = place.parent.parent / PLAN
+    if place.parent.name != RUNS or not plan.is_file():
+        return True
+    return place.name in {run["folder"] for run in _runs(_read(plan))}
+
+
+def _planned(places: Iterable[Path], evaluated: Iterable[Path | None]) -> list[Planned] | None:
+    """The runs without scores of all plans among the folders."""
+    plans = [place for place in places if (place / PLAN).is_file()]
+    if not plans:
+        return None
+    done = {folder.resolve() for folder in evaluated if folder is not None}
+    return [
+        Planned(str(run["method"]), tuple(map(str, run["tasks"])), int(run["seed"]), _state(folder))
+        for plan in plans
+        for run in _runs(_read(plan / PLAN))
+        if (folder := plan / RUNS / str(run["folder"])).resolve() not in done
+    ]
+
+
+def _runs(plan: dict[str, Any]) -> list[dict[str, Any]]:
+    """The runs that a plan lists, if it is one of ours."""
+    runs = plan.get("runs")
+    types = {"folder": str, "method": str, "tasks": list, "seed": int}
+    return [
+        run
+        for run in (runs if isinstance(runs, list) else [])
+        if isinstance(run, dict) and all(isinstance(run.get(key), t) for key, t in types.items())
+    ]
+
+
+def _state(folder: Path) -> str:
+    """Why a planned run has no scores."""
+    final = _read(folder / FINAL)
+    if final.get("state") == "failed":
+        return f"failed: {final.get('error', 'unknown error')}"
+    return "not finished" if is_run(folder) else "not run"
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """A JSON object; empty where it is missing or damaged."""
+    try:
+        return read_json(path)
+    except RunFolderError:
+        return {}

@@ -1,0 +1,41 @@
+"""What an entry may have learned from: the words of `learned_from` in its details."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+DEMONSTRATIONS = "demonstrations"
+INTERACTION = "interaction"
+SCORE = "score"
+EXPERT_LABELS = "expert labels"
+TEST_VARIANTS = "test variants"
+EXTRA_DATA = "extra data"
+
+LEARNED_FROM = "learned_from"  # the field of an entry's details
+
+SOURCES: Mapping[str, str] = MappingProxyType(
+    {
+        DEMONSTRATIONS: "demonstrations of the Demo variant",
+        INTERACTION: "episodes in the Demo variant, without their scores",
+        SCORE: "scores of episodes in the Demo variant",
+        EXPERT_LABELS: "an expert asked for actions in states that the learner visits",
+        TEST_VARIANTS: "test variants, seen before the final evaluation",
+        EXTRA_DATA: "data from elsewhere, such as a pre-trained network",
+    }
+)
+
+
+def learned_from(details: Mapping[str, Any]) -> tuple[str, ...]:
+    """What an entry's details say it learned from, in the order of `SOURCES`.
+
+    Raises:
+        ValueError: they do not say, or name something that is not in `SOURCES`.
+    """
+    stated = details.get(LEARNED_FROM)
+    names = stated if isinstance(stated, list) else None
+    if names is None or any(name not in SOURCES for name in map(str, names)):
+        raise ValueError(
+            f"expected {LEARNED_FROM} in the details, a list of some of: {', '.join(SOURCES)}; "
+            f"found {'none' if stated is None else repr(stated)[:100]}"
+        )
+    return tuple(name for name in SOURCES if name in names)

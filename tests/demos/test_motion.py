@@ -1,0 +1,49 @@
+"""Velocities estimated for recorded poses."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from magical.demos import Trajectory
+from magical.demos.motion import estimated_states
+from magical.physics import Simulation
+
+MakeTrajectory = Callable[..., Trajectory]
+
+
+def simulated(trajectory: Trajectory) -> np.ndarray:
+    simulation = Simulation(trajectory.scene, trajectory.dynamics)
+    states = [simulation.read().copy()]
+    for action in trajectory.actions.tolist():
+        simulation.step(action)
+        states.append(simulation.read().copy())
+    return np.stack(states)
+
+
+def test_poses_are_kept_and_velocities_are_the_simulations(make_trajectory: MakeTrajectory) -> None:
+    trajectory = make_trajectory(steps=40)
+    found, true = estimated_states(trajectory), simulated(trajectory)
+    np.testing.assert_array_equal(found[..., :3], trajectory.poses)
+    assert np.abs(found - true)[:, 0, 3:].max() < 0.02
+    assert np.median(np.abs(found - true)[:, 0, 3:]) < 1e-6
+
+
+def test_wrong_predictions_correct_the_velocities(make_trajectory: MakeTrajectory) -> None:
+    trajectory = make_trajectory(steps=10)
+    poses = np.array(trajectory.poses)
+    poses[5:, 0, 0] += 0.01  # the robot jumps
+    jumped = Trajectory.from_poses(
+        str(trajectory.env_id), trajectory.scene, trajectory.actions, poses
+    )
+    change = estimated_states(jumped)[5, 0, 3] - estimated_states(trajectory)[5, 0, 3]
+    assert abs(change - 8 * 0.01) < 1e-6
+
+
+def test_simulation_continues_from_written_states(make_trajectory: MakeTrajectory) -> None:
+    trajectory = make_trajectory(steps=20)
+    states = simulated(trajectory)
+    simulation = Simulation(trajectory.scene, trajectory.dynamics)
+    simulation.write(states[10])
+    np.testing.assert_array_equal(simulation.read(), states[10])
+    simulation.step(int(trajectory.actions[10]))
+    assert np.abs(simulation.read() - states[11])[0, :2].max() < 1e-3

@@ -1,0 +1,71 @@
+"""Initial poses that are shifted by less than anything can show."""
+
+from contextlib import closing
+from typing import Any
+
+import numpy as np
+import pytest
+
+from magical.envs import EnvId
+from magical.envs.env import MagicalEnv
+from magical.envs.episode import MAX_NUDGE
+from magical.envs.vector import MagicalVectorEnv
+from magical.tasks import TASKS
+
+NUDGE = 1e-9
+
+
+def _poses(env: MagicalEnv) -> Any:
+    return env.state().poses.bodies.copy()
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_nudge_moves_robot_and_blocks_and_cannot_be_seen(task: str) -> None:
+    env = MagicalEnv(task, "Demo", observation="LoRes4E")
+    exact_frames, _ = env.reset(seed=0)
+    exact = _poses(env)
+    frames, _ = env.reset(seed=0, options={"nudge": NUDGE})
+    shift = np.abs(_poses(env) - exact)
+    moved = np.r_[0, 5 : len(shift)]  # the robot and the blocks
+    assert shift[moved].max() <= NUDGE * 1.001
+    assert shift[moved].min() > 0
+    assert np.array_equal(frames, exact_frames)
+
+
+def test_a_nudge_is_sampled_from_the_seed() -> None:
+    env = MagicalEnv("MoveToCorner", "TestJitter", observation="state")
+    starts = []
+    for seed, nudge in ((3, NUDGE), (3, NUDGE), (4, NUDGE), (3, 0.0)):
+        env.reset(seed=seed, options={"nudge": nudge})
+        starts.append(_poses(env))
+    assert np.array_equal(starts[0], starts[1])
+    assert np.abs(starts[0] - starts[2]).max() > 1e-3  # another scene
+    assert 0 < np.abs(starts[0] - starts[3]).max() < 1e-8
+
+
+def test_a_nudged_episode_can_be_saved_and_continued() -> None:
+    env = MagicalEnv("MoveToRegion", "Demo", observation="state")
+    env.reset(seed=5, options={"nudge": NUDGE})
+    env.step(1)
+    other = MagicalEnv("MoveToRegion", "Demo", observation="state")
+    other.set_state(env.get_state())
+    assert np.array_equal(_poses(env), _poses(other))
+
+
+def test_the_vector_environment_nudges_each_episode_as_the_single_one_does() -> None:
+    seeds = [1, 2]
+    ids = [EnvId("FindDupe", "Demo")] * 2
+    with closing(MagicalVectorEnv(ids, workers=0, observation="state")) as envs:
+        envs.reset(seed=seeds, options={"nudge": NUDGE})
+        starts = [state.poses.bodies.copy() for state in envs.states()]
+    assert not np.array_equal(starts[0], starts[1])
+    for seed, start in zip(seeds, starts, strict=True):
+        env = MagicalEnv("FindDupe", "Demo", observation="state")
+        env.reset(seed=seed, options={"nudge": NUDGE})
+        assert np.array_equal(start, _poses(env))
+
+
+@pytest.mark.parametrize("nudge", [-1e-9, 2 * MAX_NUDGE, float("nan"), "1e-9", True])
+def test_nudges_out_of_range(nudge: Any) -> None:
+    with pytest.raises(ValueError, match="nudge: expected a number from 0 to"):
+        MagicalEnv("MoveToRegion", "Demo").reset(options={"nudge": nudge})

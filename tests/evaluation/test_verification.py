@@ -1,0 +1,161 @@
+"""Running a sample of an entry's rollouts again."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from magical import cli
+from magical.envs import EnvId
+from magical.errors import PolicyError, ScoresError
+from magical.evaluation import (
+    Entry,
+    NoopPolicy,
+    RandomPolicy,
+    RolloutScore,
+    environments,
+    evaluate,
+    load_policy,
+    read_entry,
+)
+from magical.evaluation.policy import Actions
+from magical.evaluation.rollouts import evaluate_round
+from magical.evaluation.verification import Verification, is_same_machine, verify
+from magical.runs import versions
+from magical.runs.machine import machine
+
+IDS = environments(["MoveToRegion"], ["Demo", "Layout", "All"])
+DEMO = EnvId("MoveToRegion", "Demo")
+
+
+class BatchSizes(RandomPolicy):
+    """Depends on the size of the batch, as a network's arithmetic may."""
+
+    def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
+        return (super().act(observations, env_ids, rng) + len(env_ids)) % 18
+
+
+def test_a_round_is_a_batch_of_the_evaluation() -> None:
+    options: dict[str, Any] = {"rollouts": 50, "horizon": 12, "workers": 0}
+    scores = evaluate(BatchSizes(), IDS, **options)
+    for number, expected in ((0, range(17)), (20, range(17, 34)), (49, range(34, 50))):
+        found = evaluate_round(BatchSizes(), IDS, number, **options)
+        assert found == [row for row in scores if row.rollout in expected]
+
+
+def test_a_round_of_a_policy_that_runs_in_processes() -> None:
+    scores = evaluate(load_policy("expert"), IDS[:1], rollouts=12, workers=0)
+    found = evaluate_round(load_policy("expert"), IDS[:1], 11, rollouts=12)
+    assert found == [row for row in scores if row.rollout >= 10]
+
+
+@pytest.fixture
+def entry() -> Entry:
+    scores = evaluate(RandomPolicy(), IDS, rollouts=30, horizon=20, nudge=0.01, seed=2, workers=0)
+    return Entry(method="m", scores=scores, observation="state", horizon="20", nudge=0.01, seed=2)
+
+
+def test_the_scores_of_the_same_policy_are_confirmed(entry: Entry) -> None:
+    rng = np.random.default_rng(0)
+    found = verify(entry, RandomPolicy(), rng=rng, same_machine=True, workers=0)
+    assert found.confirmed
+    assert found.equal == len(found.recorded) in (3 * 15, 3 * 30)
+    assert set(found.by_environment()) == set(IDS)
+    everything = verify(entry, RandomPolicy(), rounds=99, rng=rng, workers=0)
+    assert sorted(everything.again) == sorted(entry.scores)
+
+
+def test_the_scores_of_another_policy_are_not(entry: Entry) -> None:
+    better = replace(entry, scores=[row._replace(score=1.0) for row in entry.scores])
+    for same_machine in (True, False):
+        rng = np.random.default_rng(0)
+        found = verify(better, RandomPolicy(), rng=rng, same_machine=same_machine, workers=0)
+        assert not found.confirmed
+        assert found.mean_change.high < 0.0
+
+
+def rows(*scores: float) -> list[RolloutScore]:
+    return [RolloutScore(DEMO, i, i, score, score) for i, score in enumerate(scores)]
+
+
+def test_elsewhere_changes_that_cancel_are_not_held_against_it() -> None:
+    old, now = rows(0.0, 1.0, 0.5, 0.5), rows(1.0, 0.0, 0.5, 0.5)
+    assert Verification(old, now, same_machine=False).confirmed
+    assert not Verification(old, now, same_machine=True).confirmed
+    assert Verification(old, now, same_machine=False).equal == 2
+
+
+def test_one_changed_rollout_elsewhere_shows_nothing_and_here_it_does() -> None:
+    found = Verification(rows(0, 0, 0, 0), rows(0, 0, 0, 1), same_machine=False)
+    # The changes' standard deviation is 1/2, that of their mean 1/4; t(3) = 3.182446.
+    half = 3.182446 / 4
+    assert found.mean_change == pytest.approx((0.25, 0.25 - half, 1.0))
+    assert found.confirmed
+    assert not replace(found, same_machine=True).confirmed
+
+
+def test_a_change_of_the_published_score_alone_counts() -> None:
+    old = rows(1.0)
+    now = [old[0]._replace(published_code_score=0.0)]
+    assert Verification(old, now, same_machine=True).equal == 0
+
+
+def test_another_kind_of_policy_is_refused(entry: Entry) -> None:
+    rng = np.random.default_rng(0)
+    with pytest.raises(PolicyError, match="privileged"):
+        verify(replace(entry, privileged=True), RandomPolicy(), rng=rng)
+    with pytest.raises(PolicyError, match="LoRes4A"):
+        verify(replace(entry, observation="LoRes4A"), RandomPolicy(), rng=rng)
+
+
+def test_the_same_machine_may_have_another_name() -> None:
+    here = {"name": "a", "processor": "p", "cores": "2"}
+    details = {"machine": {**here, "name": "b"}, "versions": {"numpy": "1"}}
+    assert is_same_machine(details, here, {"numpy": "1"})
+    assert not is_same_machine(details, here, {"numpy": "2"})
+    assert not is_same_machine(details, {**here, "processor": "q"}, {"numpy": "1"})
+    assert not is_same_machine({}, here, {})
+
+
+def test_the_command_confirms_or_exits_with_1(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    argv = ["--task", "MoveToRegion", "--variants", "Demo", "All", "--rollouts", "4"]
+    options = ["--workers", "0", "--horizon", "20", "--nudge", "1e-9"]
+    cli.main(["evaluate", "random", *argv, *options, "--out", str(tmp_path)])
+    details = read_entry(tmp_path).details
+    assert details["policy"] == "random"
+    assert details["learned_from"] == []
+    assert is_same_machine(details, machine(), versions())
+    capsys.readouterr()
+    verify = ["verify", str(tmp_path), "--workers", "0", "--seed", "1"]
+    assert cli.main([*verify, "--json"]) == 0
+    out = capsys.readouterr().out
+    assert "confirmed: 8 of 8" in out
+    assert '"equal": 8' in out
+    scores = tmp_path / "scores.csv"
+    scores.write_text(scores.read_text().replace(",0.0,0.0", ",1.0,1.0"))
+    assert cli.main(verify) == 1
+    assert "not confirmed" in capsys.readouterr().out
+
+
+def test_code_that_an_entry_names_is_not_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "bad.py").write_text("raise SystemExit('run')\n")
+    scores = evaluate(NoopPolicy(), IDS[:1], rollouts=1, workers=0)
+    name = f"{tmp_path / 'bad.py'}:policy"
+    Entry(method="m", scores=scores, details={"policy": name}).write(tmp_path)
+    assert cli.main(["verify", str(tmp_path)]) == 1
+    assert "expected a run folder or one of random, noop, expert" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("horizon", ["soon", "0", "-1", "1e3", "9" * 9, ""])
+def test_an_impossible_horizon_is_refused(tmp_path: Path, horizon: str) -> None:
+    scores = evaluate(NoopPolicy(), IDS[:1], rollouts=1, workers=0)
+    Entry(method="m", scores=scores, horizon=horizon).write(tmp_path)
+    with pytest.raises(ScoresError, match="horizon: expected"):
+        read_entry(tmp_path)

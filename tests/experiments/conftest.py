@@ -1,0 +1,113 @@
+"""A plan that takes seconds, and its execution in this process."""
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from magical.experiments.plan import PlannedRun, planned_runs
+from magical.experiments.results import Outcome, Results
+
+# What needs PyTorch cannot even be imported without it.
+collect_ignore_glob = [] if find_spec("torch") else ["test_*.py"]
+
+TINY = """
+tasks = ["MoveToRegion"]
+seeds = [0, 1]
+num_demos = 2
+expert_demos = 3
+preset = "quick"
+rollouts = 1
+nudge = 1e-9
+variants = ["Demo"]
+
+[[methods]]
+name = "BC tiny"
+algorithm = "bc"
+settings = { batches = 6, batch_size = 4, log_every = 1, checkpoint_every = 2 }
+"""
+
+
+@pytest.fixture(scope="session")
+def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A plan of two runs."""
+    path = tmp_path_factory.mktemp("plans") / "tiny.toml"
+    path.write_text(TINY)
+    return path
+
+
+@pytest.fixture(scope="session")
+def planned(tiny: Path) -> Callable[..., list[PlannedRun]]:
+    """The runs of the tiny plan, with parts of its text replaced."""
+    from magical.experiments.plan_file import read_plan
+
+    def make(*changes: tuple[str, str], demos: str | None = None) -> list[PlannedRun]:
+        text = tiny.read_text()
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new)
+        path = tiny.with_name("changed.toml")
+        path.write_text(text)
+        return planned_runs(read_plan(path, demos))
+
+    return make
+
+
+class InlineExecutor:
+    """Finishes each run when it is started, in this process."""
+
+    def __init__(self, results: Results, started: list[PlannedRun]) -> None:
+        self.results, self.started = results, started
+
+    def slots(self) -> int:
+        return 1
+
+    def start(self, run: PlannedRun, demos: Path | None) -> Future[Outcome]:
+        from magical.experiments.one_run import finish
+
+        self.started.append(run)
+        future: Future[Outcome] = Future()
+        future.set_result(finish(run, self.results.folder(run), demos))
+        return future
+
+    def stop(self) -> None:
+        """Nothing is ever in progress."""
+
+    def close(self) -> None:
+        """There is nothing to close."""
+
+
+@contextmanager
+def in_this_process() -> Iterator[list[PlannedRun]]:
+    """A context in which plans are executed in this process; the list of the runs started."""
+    started: list[PlannedRun] = []
+
+    def make(runs: list[PlannedRun], results: Results, resources: object) -> InlineExecutor:
+        return InlineExecutor(results, started)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("magical.experiments.execution._executor", make)
+        yield started
+
+
+@pytest.fixture
+def inline() -> Iterator[list[PlannedRun]]:
+    """Execute plans in this process; the list of the runs that were started."""
+    with in_this_process() as started:
+        yield started
+
+
+@pytest.fixture(scope="session")
+def finished(
+    planned: Callable[..., list[PlannedRun]], tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """The results of the tiny plan; not to be changed."""
+    from magical.experiments.execution import execute
+
+    path = tmp_path_factory.mktemp("finished") / "out"
+    with in_this_process():
+        assert execute(planned(), path).complete
+    return path

@@ -1,0 +1,35 @@
+"""`magical run` in a process of its own, for tests that end it."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from tests.waiting import soon
+
+TIMEOUT = 120.0  # seconds, on a busy machine
+
+
+@contextmanager
+def running(plan: Path, out: Path, *options: str) -> Iterator["subprocess.Popen[str]"]:
+    """A process that executes a plan, one run at a time; killed at the end."""
+    command = [sys.executable, "-m", "magical", "run", str(plan), "--out", str(out), *options]
+    with subprocess.Popen(
+        [*command, "--workers", "1"], stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def lines(out: Path) -> int:
+    """How much has been written: lines of metrics, and finished runs."""
+    metrics = sum(path.read_text().count("\n") for path in out.glob("runs/*/metrics.jsonl"))
+    return metrics + len(list(out.glob("runs/*/result.json")))
+
+
+def reached(out: Path, moment: int) -> bool:
+    """Whether so many lines and records are written in time."""
+    return soon(lambda: lines(out) >= moment, TIMEOUT)

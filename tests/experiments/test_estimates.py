@@ -1,0 +1,66 @@
+"""Estimates of the time of runs, against figures worked out by hand."""
+
+from typing import Any
+
+import pytest
+
+from magical.experiments.estimates import estimate
+from magical.experiments.plan import Evaluation, Method, Plan, planned_runs
+from magical.learning.devices import Compute
+
+SPEED = 100.0  # samples a second, forward and backward
+ROLLOUT_STEPS = 100 * 6 * 80  # MoveToCorner: rollouts, variants, horizon
+
+
+@pytest.fixture(autouse=True)
+def measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    def speeds(network: str, *, threads: tuple[int, ...], **options: Any) -> dict[Compute, float]:
+        return {
+            Compute("cpu", precision, threads[0]): SPEED for precision in ("float32", "bfloat16")
+        }
+
+    monkeypatch.setattr("magical.learning.speed.training_speeds", speeds)
+    monkeypatch.setattr("magical.learning.devices.choose_device", lambda _: "cpu")
+
+
+def seconds(algorithm: str) -> tuple[float, float]:
+    method = Method(name="A", algorithm=algorithm)
+    (found,) = estimate(planned_runs(Plan(methods=(method,), tasks=("MoveToCorner",))))
+    return found.here, found.gpu
+
+
+def test_behavioural_cloning() -> None:
+    here, gpu = seconds("bc")
+    samples = 20_000 * 32
+    assert here == pytest.approx(
+        (samples + ROLLOUT_STEPS / 3) / SPEED + samples * 1.2e-3 + ROLLOUT_STEPS / 7_500
+    )
+    assert gpu == pytest.approx(samples * 1500 / 12.8e6 + ROLLOUT_STEPS * 3e-4)
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "more"),
+    [
+        ("ppo", 0),
+        ("gail", 3906 * 12 * 24),
+        ("wgail-gp", 2 * 3906 * 12 * 24),
+        ("al", 2 * 8192 * 24),
+    ],
+)
+def test_algorithms_with_ppo(algorithm: str, more: int) -> None:
+    here, _ = seconds(algorithm)
+    steps = 3906 * 256 + ROLLOUT_STEPS
+    samples = 3906 * 256 * 12 + more
+    assert here == pytest.approx((samples + steps / 3) / SPEED + steps / 7_500)
+
+
+@pytest.mark.parametrize(
+    ("horizon", "steps", "given"),
+    [("appendix", (80, 320), None), ("published", (80, 240), "published"), (9, (9, 9), 9)],
+)
+def test_horizons(horizon: Any, steps: tuple[int, int], given: Any) -> None:
+    evaluation = Evaluation(horizon=horizon)
+    tasks = ("MoveToCorner", "ClusterColour")
+    assert tuple(evaluation.steps(task) for task in tasks) == steps
+    assert evaluation.horizon_of(tasks) == given
+    assert evaluation.horizon_of(("MoveToCorner",)) == (9 if horizon == 9 else None)

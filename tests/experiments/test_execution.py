@@ -1,0 +1,300 @@
+"""Execution of a plan: what is done once, what again, what is refused, what is recorded."""
+
+import errno
+import json
+import os
+import shutil
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import magical
+from magical.cli import main
+from magical.demos import Dataset, DatasetWriter
+from magical.errors import DatasetError, DemonstrationsError, PlacementError, ResultsError
+from magical.evaluation import read_entry
+from magical.evaluation.verification import is_same_machine
+from magical.experiments import one_run, results
+from magical.experiments.execution import execute
+from magical.experiments.plan import PlannedRun
+from magical.experiments.status import read_status
+from magical.files import lock_now
+from magical.learning import load_policy, read_config, training
+from magical.runs import versions
+from magical.runs.machine import machine
+
+Planned = Callable[..., list[PlannedRun]]
+Started = list[PlannedRun]
+
+
+def results_of(out: Path) -> dict[str, dict[str, Any]]:
+    """The final record of each run, by its folder's name."""
+    return {
+        path.parent.name: json.loads(path.read_text()) for path in out.glob("runs/*/result.json")
+    }
+
+
+def scores_of(out: Path) -> dict[str, bytes]:
+    return {path.parent.name: path.read_bytes() for path in out.glob("runs/*/scores.csv")}
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    """No results yet."""
+    return tmp_path / "out"
+
+
+@pytest.fixture
+def copied(finished: Path, out: Path) -> Path:
+    """Results of the tiny plan, to change."""
+    return Path(shutil.copytree(finished, out))
+
+
+def test_every_run_is_a_run_folder_with_an_entry_and_a_record(
+    planned: Planned, finished: Path
+) -> None:
+    records = results_of(finished)
+    for run in planned():
+        folder = finished / "runs" / run.folder
+        entry = read_entry(folder)
+        assert entry.method == "BC tiny"
+        assert [str(row.env_id) for row in entry.scores] == ["magical/MoveToRegion-Demo-v0"]
+        assert entry.details["demonstrations"] == "2 of each task (expert)"
+        assert entry.details["learned_from"] == ["demonstrations"]
+        assert entry.details["policy"] == "."
+        assert entry.nudge == 1e-9
+        assert is_same_machine(entry.details, machine(), versions())
+        assert read_config(folder).seed == run.seed
+        assert load_policy(folder).tasks == ("MoveToRegion",)
+        record = records[run.folder]
+        assert (record["state"], record["identity"]) == ("done", run.identity)
+        assert record["versions"]["magical"] == magical.__version__
+        assert {"torch", "numpy", "python"} <= set(record["versions"])
+        assert set(record["machine"]) == {"name", "platform", "processor", "cores"}
+        assert set(record["seconds"]) == {"training", "evaluation"}
+
+
+def test_what_is_done_is_not_done_again_and_a_changed_plan_runs_what_changed(
+    planned: Planned, inline: Started, copied: Path
+) -> None:
+    summary = execute(planned(), copied)
+    assert (summary.complete, summary.total, summary.interrupted) == (True, 2, False)
+    assert inline == []
+    execute(planned(("seeds = [0, 1]", "seeds = [1, 2]")), copied)
+    assert [run.seed for run in inline] == [2]
+    status = read_status(copied)
+    assert (status.counts["done"], status.others, status.active) == (2, 1, False)
+    inline.clear()
+    execute(planned(("seeds = [0, 1]", "seeds = [0]"), ("batches = 6", "batches = 7")), copied)
+    assert [run.config.total for run in inline] == [7]
+
+
+def test_the_same_plan_gives_the_same_scores(
+    planned: Planned, inline: Started, out: Path, finished: Path
+) -> None:
+    execute(planned(), out)
+    scores = scores_of(out)
+    assert len(scores) == 2
+    assert scores == scores_of(finished)
+
+
+def test_a_failing_run_is_recorded_and_does_not_stop_the_others(
+    planned: Planned,
+    inline: Started,
+    out: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    runs = planned()
+
+    def train(config: Any, *args: Any, **kwargs: Any) -> Any:
+        if config.seed == 0:
+            raise PlacementError("no room")
+        return training.train(config, *args, **kwargs)
+
+    monkeypatch.setattr("magical.experiments.one_run.train", train)
+    summary = execute(runs, out)
+    assert (summary.counts["done"], summary.counts["failed"]) == (1, 1)
+    assert "failed: BC tiny, MoveToRegion, seed 0" in capsys.readouterr().err
+    record = results_of(out)[runs[0].folder]
+    assert record["error"] == "no room"
+    assert "in train" in record["traceback"]
+    (failed,) = (run for run in read_status(out).runs if run.state == "failed")
+    assert failed.error == "no room"
+
+    monkeypatch.setattr("magical.experiments.one_run.train", training.train)
+    inline.clear()
+    assert not execute(runs, out).complete
+    assert inline == []
+    assert execute(runs, out, retry_failed=True).complete
+    assert [run.seed for run in inline] == [0]
+
+
+def test_an_interrupted_run_resumes_from_its_checkpoint(
+    planned: Planned,
+    inline: Started,
+    out: Path,
+    finished: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (run, _) = runs = planned()
+    steps: list[int] = []
+
+    def train(config: Any, folder: Path, **kwargs: Any) -> Any:
+        def interrupt(step: int, metrics: object) -> None:
+            steps.append(step)
+            if len(steps) == 3:
+                os.kill(os.getpid(), signal.SIGTERM)
+
+        return training.train(config, folder, callback=interrupt, **kwargs)
+
+    monkeypatch.setattr("magical.experiments.one_run.train", train)
+    execute([run], out)
+    assert steps == [1, 2, 3, 4]  # a signal is seen after the next batch
+    assert results_of(out) == {}
+    assert [one.step for one in read_status(out).runs] == [4]
+    assert execute([run], out).complete
+    assert steps == [1, 2, 3, 4, 5, 6]
+    assert execute(runs, out).complete
+    assert scores_of(out) == scores_of(finished)
+
+
+def test_a_run_with_a_damaged_checkpoint_resumes_from_the_one_before(
+    planned: Planned, inline: Started, copied: Path, finished: Path
+) -> None:
+    (first, second) = planned()
+    folder = copied / "runs" / first.folder
+    (folder / "result.json").unlink()
+    (folder / "scores.csv").unlink()
+    checkpoint = folder / "checkpoint.safetensors"
+    checkpoint.unlink()  # it may share its contents with the previous one
+    checkpoint.write_bytes(b"damaged")
+    assert execute([first, second], copied).complete
+    assert [run.seed for run in inline] == [0]
+    assert scores_of(copied) == scores_of(finished)
+
+
+def test_what_a_killed_process_left_does_not_stand_in_the_way(
+    planned: Planned, inline: Started, out: Path
+) -> None:
+    (run, _) = planned()
+    folder = out / "runs" / run.folder
+    execute([], out)
+    folder.mkdir(parents=True)
+    for name in (".result.json.999.part", ".scores.csv.999.part"):
+        (folder / name).write_text("{")
+    assert execute([run], out).complete
+    assert list(folder.glob(".*.part")) == []
+
+
+def test_no_space_stops_the_plan_and_says_so(
+    planned: Planned, inline: Started, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*args: object, **kwargs: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    runs = planned()
+    monkeypatch.setattr(one_run, "_evaluate", full)
+    with pytest.raises(ResultsError, match=r"no space left on the device.* free some space"):
+        execute(runs, out)
+    assert [run.seed for run in inline] == [0]
+    assert results_of(out) == {}
+    monkeypatch.setattr(results, "write_json", full)
+    with pytest.raises(ResultsError, match="no space left on the device"):
+        execute(runs, out)
+
+
+def test_other_folders_are_refused(planned: Planned, inline: Started, copied: Path) -> None:
+    runs, out = planned(), copied
+    with pytest.raises(ResultsError, match="expected a new or an empty folder"):
+        execute(runs, out / "demos")
+    with pytest.raises(ResultsError, match="results of another plan, with the methods BC tiny;"):
+        execute(planned(('"BC tiny"', '"BC"')), out)
+    experiment = json.loads((out / "experiment.json").read_text())
+    experiment["versions"]["magical"] = "0.0.1"
+    (out / "experiment.json").write_text(json.dumps(experiment))
+    with pytest.raises(ResultsError, match=r"results of magical 0\.0\.1 .*this is magical"):
+        execute(runs, out)
+    (out / "experiment.json").write_text("{")
+    with pytest.raises(ResultsError, match=r"experiment\.json"):
+        execute(runs, out)
+
+
+def test_a_folder_is_used_by_one_execution_at_a_time(
+    planned: Planned, inline: Started, copied: Path
+) -> None:
+    with lock_now(copied / ".lock"):
+        assert read_status(copied).active
+        with pytest.raises(ResultsError, match=f"process {os.getpid()} already runs a plan"):
+            execute(planned(), copied)
+    assert not read_status(copied).active
+
+
+def test_demonstrations_of_a_dataset(
+    planned: Planned, inline: Started, out: Path, finished: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(DatasetError, match="human"):
+        execute(planned(demos=str(tmp_path / "human")), out)
+    demos = Path(shutil.copytree(finished / "demos" / "expert-3", tmp_path / "human"))
+    runs = planned(demos=str(demos))
+    with pytest.raises(DemonstrationsError, match="at least 4 demonstrations of MoveToRegion"):
+        execute(planned(("num_demos = 2", "num_demos = 4"), demos=str(demos)), tmp_path / "few")
+    execute(runs[:1], out)
+    assert read_entry(out / "runs" / runs[0].folder).details["demonstrations"].endswith("(dataset)")
+    DatasetWriter(demos).append(Dataset.open(demos)[0])
+    with pytest.raises(ResultsError, match="learned from other demonstrations of MoveToRegion"):
+        execute(runs, out)
+
+
+def test_interrupted_generation_gives_the_same_demonstrations(tmp_path: Path) -> None:
+    from magical.experiments.demonstrations import generate_missing
+
+    for counts in ((3,), (1, 3)):
+        for count in counts:
+            generate_missing(tmp_path / str(counts), ["MoveToRegion"], count, workers=1)
+    whole, parts = (Dataset.open(tmp_path / str(counts)) for counts in ((3,), (1, 3)))
+    assert [one.actions.tolist() for one in whole] == [one.actions.tolist() for one in parts]
+
+
+def test_status_and_dry_run_on_the_command_line(
+    tiny: Path,
+    inline: Started,
+    out: Path,
+    finished: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def result(*argv: str) -> tuple[list[str], dict[str, Any]]:
+        assert main([*argv, "--json"]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        return lines, json.loads(lines[-1])
+
+    dry = ("run", str(tiny), "--out", str(out), "--dry-run")
+    lines, plan = result(*dry)
+    assert not out.exists()
+    assert plan["runs"] == 2
+    assert [(one["method"], one["tasks"], one["seed"]) for one in plan["plan"]] == [
+        ("BC tiny", ["MoveToRegion"], 0),
+        ("BC tiny", ["MoveToRegion"], 1),
+    ]
+    assert all(one["seconds"] > 0 and one["gpu_seconds"] > 0 for one in plan["plan"])
+    assert "measured just now on this machine" in lines[-3]
+    assert "not measured" in lines[-2]
+    assert main(["status", str(out)]) == 1
+    assert "expected a results folder" in capsys.readouterr().err
+
+    shutil.copytree(finished, out)
+    _, summary = result("run", str(tiny), "--out", str(out))
+    assert (summary["runs"], summary["done"], summary["failed"]) == (2, 2, 0)
+    assert [one["state"] for one in result(*dry)[1]["plan"]] == ["done", "done"]
+    _, status = result("status", str(out))
+    assert (status["done"], status["waiting"], status["active"]) == (2, 0, False)
+
+
+def test_status_names_a_damaged_record(planned: Planned, copied: Path) -> None:
+    (copied / "runs" / planned()[0].folder / "result.json").write_text("{")
+    status = read_status(copied)
+    assert [run.state for run in status.runs] == ["failed", "done"]
+    assert "result.json" in status.runs[0].error

@@ -1,0 +1,62 @@
+"""Plans in processes that are killed: nothing is done twice, and the scores stay the same."""
+
+import os
+import random
+import signal
+from collections.abc import Callable
+from pathlib import Path
+
+from magical.experiments.plan import PlannedRun
+from magical.experiments.status import read_status
+from tests.experiments.processes import TIMEOUT, lines, reached, running
+
+BATCHES = 6  # of each run
+
+
+def records(out: Path) -> dict[str, tuple[int, int]]:
+    """The final records, told from those written again by inode and time."""
+    found = {path.parent.name: path.stat() for path in out.glob("runs/*/result.json")}
+    return {name: (status.st_ino, status.st_mtime_ns) for name, status in found.items()}
+
+
+def scores(out: Path) -> dict[str, bytes]:
+    return {path.parent.name: path.read_bytes() for path in out.glob("runs/*/scores.csv")}
+
+
+def test_killed_three_times_the_scores_are_the_same_and_no_run_is_done_twice(
+    tiny: Path, finished: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    everything = lines(finished)
+    assert everything == 2 * (BATCHES + 1)
+    moments = sorted(random.Random(0).sample(range(1, everything), 3))
+    before: dict[str, tuple[int, int]] = {}
+    for moment in moments:
+        with running(tiny, out) as process:
+            assert reached(out, moment)
+            os.kill(process.pid, signal.SIGKILL)
+        now = records(out)
+        assert before.items() <= now.items()
+        before = now
+    with running(tiny, out) as process:
+        assert process.wait(TIMEOUT) == 0
+    assert before.items() <= records(out).items()
+    assert len(records(out)) == 2
+    assert scores(out) == scores(finished)
+
+
+def test_sigterm_leaves_a_checkpoint_and_exits_130(
+    tiny: Path, planned: Callable[..., list[PlannedRun]], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    folder = out / "runs" / planned()[0].folder
+    with running(tiny, out) as process:
+        assert reached(out, 1)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(TIMEOUT) == 130
+        assert process.stderr is not None
+        assert "the same command continues" in process.stderr.read()
+    assert (folder / "checkpoint.safetensors").is_file()
+    status = read_status(out)
+    assert not status.active
+    assert status.counts["failed"] == 0

@@ -1,0 +1,154 @@
+"""Plans: the files of the repository, the runs that follow, and what is refused."""
+
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from magical.cli import main
+from magical.errors import PlanError
+from magical.evaluation import published_methods, published_tasks
+from magical.experiments.plan import PlannedRun, planned_runs
+from magical.experiments.plan_file import read_plan
+
+HEAD = 'tasks = ["MoveToCorner"]\npreset = "quick"\n'
+BC = '[[methods]]\nname = "A"\nalgorithm = "bc"\n'
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / "plan.toml"
+    path.write_text(text)
+    return path
+
+
+def runs_of(folder: Path, text: str, demos: str | None = None) -> list[PlannedRun]:
+    return planned_runs(read_plan(write(folder, text), demos))
+
+
+def test_the_papers_plan_is_the_appendix_grid(root: Path) -> None:
+    runs = planned_runs(read_plan(root / "plans" / "paper.toml"))
+    assert len(runs) == 370
+    assert {run.method for run in runs} == set(published_methods())
+    counts = Counter(run.method for run in runs)
+    assert {name for name, count in counts.items() if count == 5} == {"BC (MT)", "GAIL (MT)"}
+    assert set(counts.values()) == {5, 40}
+    assert {task for run in runs for task in run.tasks} == set(published_tasks())
+    assert len({run.folder for run in runs}) == 370
+
+
+@pytest.mark.parametrize(
+    ("method", "settings"),
+    [
+        ("BC (ST)", {"observation": "LoRes4E", "augment": "all", "batches": 20_000}),
+        ("BC (ST, allo.)", {"observation": "LoRes4A", "augment": "all"}),
+        ("BC (ST, no aug.)", {"observation": "LoRes4E", "augment": "none"}),
+        ("BC (ST, no trans./rot. aug.)", {"augment": "no-trans-rot"}),
+        ("GAIL (ST, no aug.)", {"augment": "none", "total_steps": 1_000_000}),
+        ("WGAIL-GP (ST)", {"algorithm": "wgail-gp", "penalty_weight": 100.0}),
+    ],
+)
+def test_the_papers_rows_have_its_settings(
+    root: Path, method: str, settings: dict[str, Any]
+) -> None:
+    runs = planned_runs(read_plan(root / "plans" / "paper.toml"))
+    config = next(run.config.to_dict() for run in runs if run.method == method)
+    assert settings.items() <= {**config}.items()
+    assert config["num_demos"] == 10
+
+
+def test_the_quick_plan_can_be_run(root: Path) -> None:
+    runs = planned_runs(read_plan(root / "plans" / "quick.toml"))
+    assert {run.config.algorithm for run in runs} == {"bc"}
+    assert {run.expert_demos for run in runs} == {25}
+
+
+def test_runs_are_methods_times_tasks_times_seeds(tmp_path: Path) -> None:
+    text = 'tasks = ["MoveToCorner", "MoveToRegion"]\nseeds = [3, 5]\npreset = "quick"\n' + BC
+    runs = runs_of(tmp_path, text + '[[methods]]\nname = "B"\nalgorithm = "bc"\nmulti_task = true')
+    assert [str(run) for run in runs] == [
+        "A, MoveToCorner, seed 3",
+        "A, MoveToCorner, seed 5",
+        "A, MoveToRegion, seed 3",
+        "A, MoveToRegion, seed 5",
+        "B, 2 tasks, seed 3",
+        "B, 2 tasks, seed 5",
+    ]
+
+
+def test_a_run_is_identified_by_what_its_scores_depend_on(tmp_path: Path) -> None:
+    def folder(text: str, demos: str | None = None) -> str:
+        (run,) = runs_of(tmp_path, text + HEAD + BC, demos)
+        return run.folder
+
+    assert folder("") == folder("# the same\n") == folder("", "expert")
+    assert folder("", "human") == folder("", "elsewhere/human")
+    changes = ("rollouts = 3\n", "seeds = [1]\n", "num_demos = 9\n", 'variants = ["Demo"]\n')
+    more = (
+        'horizon = "published"\n',
+        "nudge = 1e-9\n",
+        "threads = 2\n",
+        'demos = "human"\n',
+        "expert_demos = 26\n",
+    )
+    assert len({folder(text) for text in ("", *changes, *more)}) == 10
+
+
+def test_settings_have_the_fields_types(tmp_path: Path) -> None:
+    text = 'settings = { learning_rate = 1, anneal = false, variants = ["Jitter"] }\n'
+    (run,) = runs_of(tmp_path, HEAD + BC.replace('"bc"', '"dagger"') + text)
+    config = run.config.to_dict()
+    assert config["learning_rate"] == 1.0
+    assert config["anneal"] is False
+    assert config["variants"] == ["Jitter"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("tasks = [", "expected a plan in TOML"),
+        ("", "methods: expected at least one, found none"),
+        ("sedes = [1]\n" + BC, "sedes: unknown; expected some of: tasks, seeds,"),
+        (BC + 'settings = { augmnt = "none" }', r"methods\[0\].settings.augmnt: unknown"),
+        (BC + "settings = { seed = 1 }", r"methods\[0\].settings.seed: unknown"),
+        (BC + 'settings = { batches = "9" }', "batches: expected an integer, found '9'"),
+        (BC + "settings = { batches = true }", "batches: expected an integer, found True"),
+        (
+            BC + "settings = { batches = 0 }",
+            r"methods\[0\] \(A\): batches: expected a number above",
+        ),
+        (BC + "settings = { threads = 0 }", "threads: expected at least 1, found 0"),
+        (BC.replace("bc", "bcc"), r"methods\[0\].algorithm: algorithm 'bcc' is unknown"),
+        (BC + 'preset = "slow"', r"methods\[0\] \(A\): preset 'slow' is unknown; bc has"),
+        (BC.replace('"A"', "7"), r"methods\[0\].name: expected a string, found 7"),
+        (BC.replace('"A"', '" "'), r"methods\[0\].name: expected 1 to 100 printable"),
+        ('[[methods]]\nname = "A"', r"methods\[0\]: expected algorithm, found name"),
+        (BC + BC, "methods: name: expected each once, found 'A' twice"),
+        (BC + BC.replace("A", "B"), "expected each run once, found the same settings twice"),
+        ('tasks = ["MoveToMoon"]\n' + BC, "tasks: .*MoveToMoon"),
+        ('tasks = ["FindDupe", "FindDupe"]\n' + BC, "tasks: expected each once"),
+        ("seeds = [0, 0]\n" + BC, "seeds: expected each once, found 0 twice"),
+        ("seeds = [-1]\n" + BC, "seeds: expected 0 to"),
+        ("seeds = 5\n" + BC, "seeds: expected a list, found 5"),
+        ("rollouts = 0\n" + BC, "rollouts: expected 1 to"),
+        ('variants = ["Weather"]\n' + BC, "variants: 'Weather' is not a variant"),
+        ('variants = ["CountPlus"]\ntasks = ["MoveToCorner"]\n' + BC, "MoveToCorner has none of"),
+        ("nudge = 1\n" + BC, "nudge: expected a number from 0 to"),
+        ('horizon = "long"\n' + BC, "horizon: expected a number of control steps, appendix or"),
+        ("num_demos = 30\n" + BC, "expert_demos: expected at least num_demos, 30, found 25"),
+        (
+            BC.replace('"bc"', '"wgail-gp"\nmulti_task = true'),
+            r"\(A\): wgail-gp: expected one task",
+        ),
+        (BC.replace('"bc"', '"al"\nmulti_task = true'), r"\(A\): al: expected one task"),
+    ],
+)
+def test_a_wrong_plan_is_refused_with_file_and_key(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(PlanError, match=message) as refused:
+        read_plan(write(tmp_path, text))
+    assert str(refused.value).startswith(f"{tmp_path / 'plan.toml'}: ")
+
+
+def test_a_wrong_plan_is_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", str(tmp_path / "missing.toml")]) == 2
+    assert "missing.toml: expected a plan in TOML, found none" in capsys.readouterr().err

@@ -1,0 +1,97 @@
+"""Plans on a local Ray cluster of two worker processes."""
+
+import signal
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("ray", reason="the extra ray is not installed")
+
+from magical.cli import main
+from magical.experiments.execution import Resources, execute
+from magical.experiments.plan import PlannedRun
+from magical.experiments.ray_cluster import RayExecutor, pack, unpack
+from magical.experiments.results import Results, opened
+from tests.experiments.processes import TIMEOUT, reached, running
+
+Planned = Callable[..., list[PlannedRun]]
+
+
+@pytest.fixture(autouse=True)
+def no_usage_statistics(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is sent anywhere."""
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+
+
+@pytest.fixture
+def scores(finished: Path) -> Callable[[Path], bool]:
+    """Whether a results folder has the scores of local execution."""
+
+    def equal(out: Path) -> bool:
+        names = [path.relative_to(finished) for path in finished.glob("runs/*/scores.csv")]
+        assert len(names) == 2
+        return all((out / name).read_bytes() == (finished / name).read_bytes() for name in names)
+
+    return equal
+
+
+def test_the_scores_are_those_of_local_processes(
+    planned: Planned, tmp_path: Path, scores: Callable[[Path], bool]
+) -> None:
+    out = tmp_path / "out"
+    assert execute(planned(), out, Resources(executor="ray", workers=2)).complete
+    assert scores(out)
+
+
+def test_without_a_shared_folder_runs_come_back_through_ray(
+    planned: Planned, finished: Path, tmp_path: Path, scores: Callable[[Path], bool]
+) -> None:
+    out, runs, demos = tmp_path / "out", planned(), finished / "demos" / "expert-3"
+    with opened(out, runs) as results:
+        elsewhere = Results(results.path, "the id of another folder")
+        executor = RayExecutor(runs, elsewhere, workers=2)
+        try:
+            started = [executor.start(run, demos) for run in runs]
+            outcomes = [future.result() for future in started]
+        finally:
+            executor.close()
+    assert [outcome.state for outcome in outcomes] == ["done", "done"]
+    assert scores(out)
+    assert (out / "runs" / runs[0].folder / "checkpoint.safetensors").is_file()
+
+
+def test_a_cluster_that_cannot_be_reached_is_named(
+    tiny: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        address = f"127.0.0.1:{server.getsockname()[1]}"
+    argv = ["run", str(tiny), "--out", str(tmp_path / "out"), "--executor", "ray"]
+    assert main([*argv, "--address", address]) == 1
+    message = capsys.readouterr().err
+    assert f"the Ray cluster at {address} cannot be reached" in message
+    assert "ray start --head" in message
+
+
+def test_sigterm_leaves_checkpoints(
+    tiny: Path, planned: Planned, tmp_path: Path, scores: Callable[[Path], bool]
+) -> None:
+    out = tmp_path / "out"
+    with running(tiny, out, "--executor", "ray") as process:
+        assert reached(out, 1)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(TIMEOUT) == 130
+    assert (out / "runs" / planned()[0].folder / "checkpoint.safetensors").is_file()
+    assert execute(planned(), out, Resources(executor="ray", workers=2)).complete
+    assert scores(out)
+
+
+def test_a_packed_folder_replaces_an_older_one(tmp_path: Path) -> None:
+    for name, text in (("a", "new"), ("b", "old")):
+        (tmp_path / name / "deep").mkdir(parents=True)
+        (tmp_path / name / "deep" / f"{text}.txt").write_text(text)
+        (tmp_path / name / ".lock").touch()
+    unpack(pack(tmp_path / "a"), tmp_path / "b")
+    found = sorted(path.relative_to(tmp_path / "b").as_posix() for path in tmp_path.glob("b/**/*"))
+    assert found == ["deep", "deep/new.txt"]

@@ -1,0 +1,49 @@
+"""Entries as `magical evaluate` writes them."""
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from magical.envs import EnvId
+from magical.envs.seeds import evaluation_seed
+from magical.evaluation import Entry, RolloutScore
+
+WriteEntry = Callable[..., Path]
+
+
+@pytest.fixture
+def write_entry(tmp_path: Path) -> WriteEntry:
+    """Write an entry and, with a training seed, the files of its run, below the test's folder.
+
+    The scores are by task and variant (`MakeLine-Demo`); the published code's rule gives half.
+    """
+
+    def write(
+        name: str,
+        method: str,
+        scores: Mapping[str, list[float]],
+        seed: int | None = None,
+        **fields: Any,
+    ) -> Path:
+        rows = [
+            RolloutScore(EnvId(*env.split("-")), i, evaluation_seed(i), score, score / 2)
+            for env, values in scores.items()
+            for i, score in enumerate(values)
+        ]
+        folder = tmp_path / name
+        Entry(method=method, scores=rows, **fields).write(folder)
+        if seed is not None:
+            tasks = list(dict.fromkeys(env.split("-")[0] for env in scores))
+            write_json(folder / "config.json", {"seed": seed, "tasks": tasks, "algorithm": "bc"})
+            write_json(folder / "run.json", {"versions": {"torch": "9.9"}})
+        return folder
+
+    return write
+
+
+def write_json(path: Path, data: Mapping[str, Any]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(data))

@@ -1,0 +1,106 @@
+"""Whether entries are what the protocol asks for."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from magical import __version__
+from magical.envs import EnvId
+from magical.evaluation import Entry, RolloutScore
+from magical.evaluation.rollouts import ROLLOUTS
+from magical.report.leaderboard.checks import NUDGE, check_entries, faults
+from magical.report.results import Result, Results, Skipped
+from magical.tasks import get_task
+
+
+def entry(score: float = 0.5, **fields: Any) -> Entry:
+    """An entry on one task with which nothing is wrong."""
+    rows = [
+        RolloutScore(EnvId("MoveToRegion", variant), i, i, score, score)
+        for variant in get_task("MoveToRegion").variants
+        for i in range(ROLLOUTS)
+    ]
+    right: dict[str, Any] = {
+        "method": "m",
+        "scores": rows,
+        "observation": "LoRes4E",
+        "nudge": NUDGE,
+        "version": __version__,
+        "details": {"learned_from": ["demonstrations"]},
+    }
+    return Entry(**(right | fields))
+
+
+def test_a_right_entry_has_no_faults() -> None:
+    assert faults(entry()) == []
+    assert faults(entry(details={"learned_from": []})) == []
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"horizon": "published"}, "horizon published, expected appendix"),
+        ({"horizon": "40"}, "horizon 40"),
+        ({"nudge": 0.0}, "nudge 0, expected 1e-09"),
+        ({"seed": 1}, "set 1 of fixed seeds"),
+        ({"details": {}}, "expected learned_from in the details"),
+        ({"details": {"learned_from": "demonstrations"}}, "expected learned_from"),
+        ({"details": {"learned_from": ["magic"]}}, "expected learned_from"),
+        ({"details": {"learned_from": [["deep"]]}}, "expected learned_from"),
+        ({"version": ""}, "made by version (not stated)"),
+        ({"version": "99.1.0"}, "made by version 99.1.0"),
+    ],
+)
+def test_every_fault_is_named(fields: dict[str, Any], message: str) -> None:
+    (found,) = faults(entry(**fields))
+    assert message in found
+
+
+def test_missing_variants_and_rollouts_are_named() -> None:
+    rows = [row for row in entry().scores if row.env_id.variant != "TestAll" and row.rollout < 10]
+    found = faults(entry(scores=rows))
+    assert found[0] == f"10 rollouts of each environment, expected {ROLLOUTS}"
+    assert found[1].startswith("MoveToRegion without All")
+
+
+def check(*entries: Entry) -> list[tuple[str, str]]:
+    """The folders of rejected entries, which are numbers, and the first reason of each."""
+    results = [Result(Path(str(number)), entry) for number, entry in enumerate(entries)]
+    accepted, rejected = check_entries(Results(results))
+    assert len(accepted) + len(rejected) == len(entries)
+    return [(item.folder, item.reasons[0]) for item in rejected]
+
+
+def test_runs_of_a_method_agree() -> None:
+    first = entry(0.1)
+    assert check(first, entry(0.2)) == []
+    for other, words in (
+        (entry(0.2, observation="LoRes4A"), "shown LoRes4A, but of the same method 0 LoRes4E"),
+        (entry(0.2, privileged=True), "privileged True"),
+        (entry(0.2, details={"learned_from": []}), "learned from nothing"),
+    ):
+        ((folder, reason),) = check(first, other)
+        assert folder == "1"
+        assert words in reason
+        assert check(first, replace(other, method="another")) == []
+
+
+def test_a_run_counts_once() -> None:
+    ((folder, reason),) = check(entry(), entry())
+    assert folder == "1"
+    assert reason == "the same scores as 0: each run counts once"
+    assert check(entry(), entry(method="another")) == []
+
+
+def test_a_rejected_entry_does_not_stand_against_others() -> None:
+    assert [folder for folder, _ in check(entry(horizon="published"), entry())] == ["0"]
+
+
+def test_damaged_entries_are_listed() -> None:
+    accepted, rejected = check_entries(Results([], [Skipped(Path("x"), "damaged")]))
+    assert accepted == []
+    assert [(item.folder, item.method, item.reasons) for item in rejected] == [
+        ("x", "", ["damaged"])
+    ]

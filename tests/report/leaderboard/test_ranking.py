@@ -1,0 +1,71 @@
+"""Methods in order."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from magical.envs import EnvId
+from magical.evaluation import Entry, RolloutScore
+from magical.report.leaderboard.ranking import ALL_TASKS, make_boards
+from magical.report.results import Result
+from magical.tasks import TASKS
+
+
+def run(
+    method: str, demo: float, test_all: float, tasks: Sequence[str] = ("MakeLine",), **fields: Any
+) -> Result:
+    scores = [
+        RolloutScore(EnvId(task, variant), 0, 0, score, 0.0)
+        for task in tasks
+        for variant, score in (("Demo", demo), ("TestAll", test_all))
+    ]
+    details = fields.pop("details", {"learned_from": ["demonstrations"]})
+    entry = Entry(method=method, scores=scores, nudge=1e-9, details=details, **fields)
+    return Result(Path(method), entry)
+
+
+def test_methods_are_ranked_by_test_all_and_by_gap() -> None:
+    results = [
+        run("low", 0.3, 0.2),
+        run("high", 0.9, 0.6),
+        run("flat", 0.5, 0.5),
+        run("high", 0.7, 0.6),
+    ]
+    everything, board = make_boards(results)
+    assert everything.name == ALL_TASKS
+    assert everything.standings == []
+    assert board.name == "MakeLine"
+    assert [(row.method, row.rank, row.gap_rank) for row in board.standings] == [
+        ("high", 1, 3),
+        ("flat", 2, 1),
+        ("low", 3, 2),
+    ]
+    high = board.standings[0]
+    # Two runs: the gaps 0.3 and 0.1 have the standard deviation 0.1 sqrt(2); t(1) = 12.706205.
+    assert high.gap == pytest.approx((0.2, -1.0, 1.0))
+    assert high.test_all == pytest.approx((0.6, 0.6, 0.6))
+    assert high.unit == "2 runs"
+    assert board.standings[1].unit == "rollouts of 1 run"
+
+
+def test_equal_scores_share_a_rank() -> None:
+    board = make_boards([run("b", 0.5, 0.5), run("a", 0.6, 0.5), run("c", 0.4, 0.4)])[1]
+    assert [(row.method, row.rank) for row in board.standings] == [("b", 1), ("a", 1), ("c", 3)]
+
+
+def test_methods_with_all_tasks_have_a_board_of_their_own() -> None:
+    single = [run("single", 0.9, 0.4, [task]) for task in TASKS]
+    boards = make_boards([*single, run("multi", 0.8, 0.5, list(TASKS)), run("part", 1.0, 1.0)])
+    assert [board.name for board in boards] == [ALL_TASKS, *TASKS]
+    assert [row.method for row in boards[0].standings] == ["multi", "single"]
+    assert boards[0].standings[1].gap.value == pytest.approx(0.5)
+    line = next(board for board in boards if board.name == "MakeLine")
+    assert [row.method for row in line.standings] == ["part", "multi", "single"]
+
+
+def test_what_was_used_is_what_was_learned_from_and_shown() -> None:
+    details = {"learned_from": ["extra data", "demonstrations"]}
+    board = make_boards([run("m", 1.0, 1.0, details=details, privileged=True)])[1]
+    assert board.standings[0].used == ("demonstrations", "extra data", "state")

@@ -1,0 +1,84 @@
+"""The leaderboard's pages."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from magical import __version__, cli
+from magical.evaluation import read_entry
+from magical.evaluation.rollouts import ROLLOUTS
+from magical.tasks import get_task
+
+pytest.importorskip("jinja2", reason="the report extra is not installed")
+pytest.importorskip("matplotlib", reason="the report extra is not installed")
+
+WriteEntry = Callable[..., Path]
+
+
+@pytest.fixture
+def entries(write_entry: WriteEntry, tmp_path: Path) -> Path:
+    scores = {f"MoveToRegion-{v}": [0.5] * ROLLOUTS for v in get_task("MoveToRegion").variants}
+    right = {
+        "nudge": 1e-9,
+        "version": __version__,
+        "details": {"learned_from": ["demonstrations"]},
+    }
+    write_entry("in/a", "<A> & b", scores, 0, **right)
+    better = {name: [1.0] * ROLLOUTS for name in scores}
+    write_entry("in/c", "C", better, **right | {"details": {"learned_from": []}})
+    write_entry("in/old", "old", scores, **right | {"version": "0.0.1"})
+    (write_entry("in/bad", "bad", scores, **right) / "entry.json").write_text("{")
+    return tmp_path / "in"
+
+
+def test_the_site_is_whole(
+    entries: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    site = tmp_path / "site"
+    assert cli.main(["leaderboard", str(entries), "--out", str(site)]) == 0
+    printed = capsys.readouterr().out
+    assert printed.index("C ") < printed.index("<A> & b")
+    assert "not ranked: " in printed
+    assert "made by version 0.0.1" in printed
+    text = (site / "index.html").read_text()
+    assert "&lt;A&gt; &amp; b" in text
+    assert "No method has entries on all tasks." in text
+    assert "expected JSON" in text
+    assert 'data-used="demonstrations"' in text
+    for page in site.rglob("*.html"):
+        found = re.findall(r'(?:src|href)="([^"]+)"', page.read_text())
+        assert found
+        for address in found:
+            assert not address.startswith(("http", "//"))
+            if not address.startswith(("#", "data:")):
+                target = (page.parent / address).resolve()
+                assert target.is_file()
+                assert target.is_relative_to(site.resolve())
+    methods = {read_entry(path.parent).method for path in site.rglob("entry.json")}
+    assert methods == {"<A> & b", "C"}
+
+
+def test_the_site_may_lie_among_the_entries(entries: Path) -> None:
+    site = entries / "site"
+    argv = ["leaderboard", str(entries), "--out", str(site)]
+    assert cli.main(argv) == 0
+    first = (site / "index.html").read_text()
+    assert cli.main(argv) == 0
+    assert (site / "index.html").read_text() == first
+
+
+def test_without_a_valid_entry_the_page_says_why(
+    write_entry: WriteEntry, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = write_entry("in", "m", {"MoveToRegion-Demo": [1.0]})
+    site = tmp_path / "site"
+    assert cli.main(["leaderboard", str(folder), "--out", str(site)]) == 0
+    assert "1 rollouts of each environment, expected 100" in capsys.readouterr().out
+    assert "all variants of a task are needed" in (site / "index.html").read_text()
+
+
+def test_a_missing_folder_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["leaderboard", str(tmp_path / "missing")]) == 1
+    assert f"{tmp_path / 'missing'}: expected a folder" in capsys.readouterr().err

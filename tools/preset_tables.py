@@ -1,0 +1,132 @@
+"""Write the tables of `docs/presets.md`: every setting of every algorithm, by preset.
+
+python -m tools.preset_tables [--check]
+
+With --check nothing is written; the exit status is 1 if the page is out of date.
+"""
+
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from magical.learning import Config, algorithm_names, find_algorithm
+from magical.learning.config import Option, options
+from tools import readme_tables
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "presets.md"
+
+# Values that the appendix states: its section B, Tables 3 and 4.
+SECTION_B: Mapping[str, Any] = {
+    "num_demos": 10,
+    "observation": "LoRes4E",
+    "network": "paper",
+    "pixel_range": "unit",
+    "borders": "mirror",
+}
+TABLE_3: Mapping[str, Any] = {
+    "batches": 20_000,
+    "batch_size": 32,
+    "optimizer": "sgd",
+    "learning_rate": 1e-3,
+    "momentum": 0.1,
+    "augment": "all",
+}
+TABLE_4: Mapping[str, Any] = {
+    "num_envs": 32,
+    "time_steps": 8,
+    "epochs": 12,
+    "minibatch_size": 64,
+    "learning_rate": 6e-5,
+    "anneal": True,
+    "discount": 0.8,
+    "gae_lambda": 0.8,
+    "entropy_bonus": 1e-5,
+    "clip": 0.01,
+    "max_grad_norm": 1.0,
+    "total_steps": 1_000_000,
+    "horizon": "appendix",
+}
+DISCRIMINATOR: Mapping[str, Any] = {  # of Table 4
+    "discriminator_batch_size": 24,
+    "discriminator_learning_rate": 2.5e-5,
+    "discriminator_steps": 12,
+    "augment": "all",
+    "action_input": "one-hot",
+    "reward_std": 0.1,
+    "penalty_weight": 100.0,
+}
+AUTOENCODER: Mapping[str, Any] = {  # of section B, "Apprenticeship learning baseline"
+    "pretraining_batches": 8192,
+    "pretraining_batch_size": 24,
+    "feature_samples": 512,
+    "reward_std": 0.1,
+    "action_input": "one-hot",
+}
+SOURCES = {
+    "bc": [TABLE_3],
+    "gail": [TABLE_4, DISCRIMINATOR],
+    "wgail-gp": [TABLE_4, DISCRIMINATOR],
+    "al": [TABLE_4, AUTOENCODER],
+}
+
+
+def appendix(kind: type[Config]) -> dict[str, Any]:
+    """What the appendix states for an algorithm, by field; nothing for those that it lacks."""
+    if kind.algorithm not in SOURCES:
+        return {}
+    merged: dict[str, Any] = {}
+    for source in (SECTION_B, *SOURCES[kind.algorithm]):
+        merged |= source
+    return {option.name: merged[option.name] for option in options(kind) if option.name in merged}
+
+
+def presets() -> str:
+    """A heading and a table for each algorithm."""
+    kinds = [find_algorithm(name).config for name in algorithm_names()]
+    return "\n\n".join(f"### `{kind.algorithm}`\n\n{settings(kind)}" for kind in kinds) + "\n"
+
+
+def settings(kind: type[Config]) -> str:
+    """A row for each setting, a column for each preset; what differs from `paper` is bold."""
+    stated = appendix(kind)
+    header = ["Setting", *(f"`{name}`" for name in columns(kind))]
+    header += ["Appendix"] if stated else []
+    rows = [
+        [*row(kind, option), *([shown(stated.get(option.name, ""))] if stated else [])]
+        for option in options(kind)
+        if not option.required
+    ]
+    return readme_tables.table(header, rows)
+
+
+def columns(kind: type[Config]) -> list[str]:
+    """The presets' names, `paper` first."""
+    return sorted(kind.presets, key=lambda name: (name != "paper", name))
+
+
+def row(kind: type[Config], option: Option) -> Iterator[str]:
+    """The setting's name and its value in each preset."""
+    yield f"`{option.flag}`"
+    paper = kind.presets["paper"].get(option.name, option.default)
+    for name in columns(kind):
+        value = kind.presets[name].get(option.name, option.default)
+        yield shown(value) if value == paper else f"**{shown(value)}**"
+
+
+def shown(value: Any) -> str:
+    """A value as text."""
+    if isinstance(value, bool) or value is None:
+        return {True: "yes", False: "no", None: "one per core"}[value]
+    if isinstance(value, tuple):
+        return " ".join(map(str, value))
+    return f"{value:,}" if isinstance(value, int) else str(value).replace("e-0", "e-")
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Write, or check."""
+    return readme_tables.main(arguments, PAGE, {"presets": presets})
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
