@@ -1,5 +1,7 @@
 """Fixtures for every room's tests."""
 
+import signal
+import threading
 from collections.abc import Generator
 from pathlib import Path
 
@@ -13,6 +15,19 @@ OUTSIDE = {
     "human_archive": SHARED / "human-demos",
     "human_trajectories": SHARED / "human-trajectories",
 }
+
+
+def pytest_configure() -> None:
+    """Let programs that tests start receive SIGINT and SIGHUP.
+
+    A test run in the background, or under nohup, ignores them, and programs inherit that. They do
+    not inherit handlers.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        return
+    for number in (signal.SIGINT, getattr(signal, "SIGHUP", signal.SIGINT)):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            signal.signal(number, lambda *_: None)
 
 
 @pytest.fixture(scope="session")
