@@ -2,7 +2,8 @@
 
 The parameters are sampled once per frame stack; the noise alone is sampled for every pixel and
 channel. Order: colour jitter, one combined rotation and translation, noise, clamp
-(docs/specification.md, section 10). Everything runs batched on the images' own device.
+(docs/specification.md, section 10). 8-bit images on a CPU are augmented by compiled code, all
+others batched on their own device by PyTorch, which is the reference of the former's tests.
 """
 
 import math
@@ -16,6 +17,8 @@ from torch.nn.functional import affine_grid, grid_sample
 
 from magical.learning.augmentations import Augmentations
 from magical.learning.colour import colour_jitter
+from magical.render.augmentation import add_noise, resample
+from magical.render.augmentation.resampling import Jitter
 
 NOISE_STD = 0.01  # of the range [0, 1]
 MAX_TRANSLATION = 0.05  # of the image's width and height
@@ -28,7 +31,7 @@ CPU_CHUNK = 4  # stacks at a time, so that intermediate results fit into a core'
 
 
 def augment(images: Tensor, which: Augmentations, rng: np.random.Generator) -> Tensor:
-    """Augment a batch of frame stacks.
+    """Augment a batch of frame stacks: on a CPU in compiled code, if they are uint8.
 
     Args:
         images: (B, 3 * frames, H, W), uint8 or float in [0, 1]. Not changed.
@@ -39,8 +42,32 @@ def augment(images: Tensor, which: Augmentations, rng: np.random.Generator) -> T
         (B, 3 * frames, H, W) float32 in [0, 1], in channels-last memory. Uint8 is scaled from
         [0, 255] whatever is switched on.
     """
-    parameters = _sample_parameters(len(images), which, rng)
-    generator = torch.Generator(images.device).manual_seed(int(rng.integers(2**63)))
+    parameters = Parameters.sample(len(images), which, rng)
+    if images.device.type == "cpu" and images.dtype == torch.uint8:
+        return resampled(images, which, parameters)
+    return augment_on_device(images, which, parameters)
+
+
+def resampled(images: Tensor, which: Augmentations, parameters: "Parameters") -> Tensor:
+    """`augment` in compiled code, for uint8 images on a CPU."""
+    batch, channels, height, width = images.shape
+    out = np.empty((batch, height, width, channels), np.float32)
+    inverses = None
+    if which.translation or which.rotation:
+        maps = inverse_maps(parameters.angles, parameters.shifts, height, width)
+        inverses = in_pixels(maps, height, width)
+    jitter = Jitter.none()
+    if which.colour:
+        jitter = Jitter.of(parameters.lightness, parameters.hues, which.linear_light)
+    resample(images.numpy(), inverses, jitter, which.borders == "mirror", out)
+    if which.noise:
+        add_noise(out, NOISE_STD, parameters.noise_seeds)
+    return torch.from_numpy(out).permute(0, 3, 1, 2)
+
+
+def augment_on_device(images: Tensor, which: Augmentations, parameters: "Parameters") -> Tensor:
+    """`augment` in PyTorch, on any device."""
+    generator = torch.Generator(images.device).manual_seed(parameters.seed)
     chunk = CPU_CHUNK if images.device.type == "cpu" else max(len(images), 1)
     out = torch.empty(images.shape, device=images.device, memory_format=torch.channels_last)
     for first in range(0, len(images), chunk):
@@ -86,33 +113,59 @@ def warp(
         (B, C, H, W), bilinearly interpolated.
     """
     height, width = images.shape[2:]
-    cos, sin = np.cos(angles), np.sin(angles)
-    # grid_sample wants the inverse map: from output to input coordinates, each from -1 to 1.
-    rotation = np.array([[cos, -sin * height / width], [sin * width / height, cos]])  # (2, 2, B)
-    rotation = np.moveaxis(rotation, 2, 0)
-    translation = -2.0 * np.einsum("bij,bj->bi", rotation, shifts)
-    inverse = np.concatenate([rotation, translation[:, :, None]], axis=2)  # (B, 2, 3)
+    inverse = inverse_maps(angles, shifts, height, width)
     theta = torch.from_numpy(inverse).to(images.device, images.dtype)
     grid = affine_grid(theta, list(images.shape), align_corners=False)
     return grid_sample(images, grid, padding_mode=PADDING_MODES[borders], align_corners=False)
 
 
+def inverse_maps(
+    angles: NDArray[np.float64], shifts: NDArray[np.float64], height: int, width: int
+) -> NDArray[np.float64]:
+    """The maps from places in the results to places in the images, as for `warp`: (B, 2, 3).
+
+    Both coordinates, right and down, go from -1 to 1.
+    """
+    cos, sin = np.cos(angles), np.sin(angles)
+    rotation = np.array([[cos, -sin * height / width], [sin * width / height, cos]])  # (2, 2, B)
+    rotation = np.moveaxis(rotation, 2, 0)
+    translation = -2.0 * np.einsum("bij,bj->bi", rotation, shifts)
+    return np.concatenate([rotation, translation[:, :, None]], axis=2)
+
+
+def in_pixels(maps: NDArray[np.float64], height: int, width: int) -> NDArray[np.float64]:
+    """The same maps (B, 2, 3) in columns and rows, whose centres are whole numbers."""
+    half = np.array([width / 2.0, height / 2.0])
+    linear = maps[:, :, :2] * half[:, None] / half
+    centre = half - 0.5
+    offset = maps[:, :, 2] * half + centre - linear @ centre
+    return np.concatenate([linear, offset[:, :, None]], axis=2)
+
+
 @dataclass(frozen=True, slots=True)
-class _Parameters:
+class Parameters:
     """Augmentation parameters, one row per stack."""
 
     lightness: NDArray[np.float64]  # (B,) factors
     hues: NDArray[np.float64]  # (B,) rotations in the (a, b) plane, rad
-    angles: NDArray[np.float64]  # (B,) rad
-    shifts: NDArray[np.float64]  # (B, 2), fractions of width and height
+    angles: NDArray[np.float64]  # (B,) rad, counter-clockwise as seen
+    shifts: NDArray[np.float64]  # (B, 2), right and down, fractions of width and height
+    seed: int  # of the noise
 
+    @classmethod
+    def sample(cls, count: int, which: Augmentations, rng: np.random.Generator) -> "Parameters":
+        """Sample all parameters whatever is switched on, so that ablations share random numbers."""
+        unit = rng.uniform(-1.0, 1.0, (count, 5))
+        return cls(
+            lightness=1.0 + MAX_LIGHTNESS_CHANGE * unit[:, 0],
+            hues=MAX_COLOUR_ROTATION * unit[:, 1],
+            angles=MAX_ROTATION * unit[:, 2] * which.rotation,
+            shifts=MAX_TRANSLATION * unit[:, 3:5] * which.translation,
+            seed=int(rng.integers(2**63)),
+        )
 
-def _sample_parameters(count: int, which: Augmentations, rng: np.random.Generator) -> _Parameters:
-    """Sample all parameters whatever is switched on, so that ablations share random numbers."""
-    unit = rng.uniform(-1.0, 1.0, (count, 5))
-    return _Parameters(
-        lightness=1.0 + MAX_LIGHTNESS_CHANGE * unit[:, 0],
-        hues=MAX_COLOUR_ROTATION * unit[:, 1],
-        angles=MAX_ROTATION * unit[:, 2] * which.rotation,
-        shifts=MAX_TRANSLATION * unit[:, 3:5] * which.translation,
-    )
+    @property
+    def noise_seeds(self) -> NDArray[np.uint64]:
+        """The seeds of each stack's noise: (B,)."""
+        rng = np.random.default_rng(self.seed)
+        return rng.integers(2**64, size=len(self.angles), dtype=np.uint64)

@@ -1,9 +1,6 @@
-"""CIE Lab colour jitter of image batches, fast.
+"""CIE Lab colour jitter of image batches in PyTorch, on any device (see `render.augmentation.lab`).
 
-In CIE 1976 Lab both lightness and the (a, b) plane are linear in the three cube roots of the
-normalised XYZ values, so scaling L and rotating (a, b) is one affine map of these roots: Lab itself
-is never computed. Powers are exp(c * log(x)), several times faster than `pow` on a CPU. Source:
-appendix B, "Colour jitter"; sRGB as in IEC 61966-2-1, white D65 for the 2 degree observer.
+Powers are exp(c * log(x)), several times faster than `pow` on a CPU.
 """
 
 import math
@@ -13,27 +10,18 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-# Linear sRGB to XYZ, and the white point it is divided by.
-SRGB_TO_XYZ = np.array(
-    [
-        [0.412453, 0.357580, 0.180423],
-        [0.212671, 0.715160, 0.072169],
-        [0.019334, 0.119193, 0.950227],
-    ]
+from magical.render.augmentation.lab import (
+    FROM_TRISTIMULUS,
+    GAMMA,
+    GAMMA_KNEE,
+    GAMMA_OFFSET,
+    GAMMA_SCALE,
+    GAMMA_SLOPE,
+    ROOT_KNEE,
+    ROOT_SLOPE,
+    TO_TRISTIMULUS,
+    root_maps,
 )
-WHITE = np.array([0.95047, 1.0, 1.08883])
-TO_TRISTIMULUS = SRGB_TO_XYZ / WHITE[:, None]  # linear sRGB to XYZ relative to white
-FROM_TRISTIMULUS = np.linalg.inv(TO_TRISTIMULUS)
-
-# L = 116 fy - 16, a = 500 (fx - fy), b = 200 (fy - fz), with f the (extended) cube roots.
-ROOTS_TO_LAB = np.array([[0.0, 116.0, 0.0], [500.0, -500.0, 0.0], [0.0, 200.0, -200.0]])
-LAB_OFFSET = np.array([-16.0, 0.0, 0.0])
-LAB_TO_ROOTS = np.linalg.inv(ROOTS_TO_LAB)
-
-# Near black, below these arguments, the power functions are replaced by straight lines.
-ROOT_KNEE, ROOT_SLOPE = 0.008856, 7.787
-GAMMA, GAMMA_SCALE, GAMMA_OFFSET = 2.4, 1.055, 0.055
-GAMMA_KNEE, GAMMA_SLOPE = 0.0031308, 12.92
 
 
 def colour_jitter(
@@ -63,19 +51,6 @@ def colour_jitter(
     linear = _mix(FROM_TRISTIMULUS, _from_roots(roots))
     out = _encode_gamma(linear) if linear_light else linear
     return out.clamp_(0.0, 1.0).reshape(images.shape)
-
-
-def root_maps(
-    scales: NDArray[np.float64], hues: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The affine maps of the cube roots that the jitter amounts to: (B, 3, 3) and (B, 3)."""
-    zero = np.zeros_like(scales)
-    cos, sin = np.cos(hues), np.sin(hues)
-    rows = [[scales, zero, zero], [zero, cos, -sin], [zero, sin, cos]]
-    in_lab = np.moveaxis(np.array(rows), 2, 0)  # (B, 3, 3)
-    matrices = LAB_TO_ROOTS @ in_lab @ ROOTS_TO_LAB
-    offsets = (in_lab @ LAB_OFFSET - LAB_OFFSET) @ LAB_TO_ROOTS.T
-    return matrices, offsets
 
 
 def _like(array: NDArray[np.float64], tensor: Tensor) -> Tensor:

@@ -7,7 +7,7 @@ settings. Nothing here needs PyTorch.
 
 import dataclasses
 import types
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
 
@@ -21,6 +21,7 @@ from magical.tasks import get_task
 DEVICES = ("auto", "cpu", "cuda")
 PRECISIONS = ("auto", "float32", "bfloat16")
 PIXEL_RANGES = {"unit": (0.0, 1.0), "symmetric": (-1.0, 1.0)}
+AUTO, RENDERING, RESAMPLING = "auto", "rendering", "resampling"  # how images are augmented
 LAST_LAYER_INITS = ("default", "normal")
 IMAGE_OBSERVATIONS = tuple(name for name, spec in PRESETS.items() if not spec.separate)
 
@@ -40,7 +41,7 @@ def option(
     default: Any,
     text: str,
     *,
-    choices: tuple[str, ...] = (),
+    choices: tuple[str, ...] | Callable[[], tuple[str, ...]] = (),
     metavar: str | None = None,
     added: bool = False,
 ) -> Any:
@@ -49,7 +50,7 @@ def option(
     Args:
         default: the published setting.
         text: a line of help for the command line.
-        choices: the allowed values, if there are only a few.
+        choices: the allowed values, if there are only a few, or a function that finds them.
         metavar: what stands for the value in the command line's help.
         added: older runs lack the field, and did what the default does.
     """
@@ -69,7 +70,7 @@ class Config:
     )
     observation: str = option("LoRes4E", "observation preset", choices=IMAGE_OBSERVATIONS)
     seed: int = option(0, "determines demonstrations, initialisation, minibatches and episodes")
-    network: str = option("paper", "network architecture", choices=network_names())
+    network: str = option("paper", "network architecture", choices=network_names)
     pixel_range: str = option(
         "unit",
         "of the networks' images: [0, 1] or [-1, 1]",
@@ -111,7 +112,7 @@ class Config:
 
     def _require_choices(self) -> None:
         for field in dataclasses.fields(self):
-            choices, value = field.metadata["choices"], getattr(self, field.name)
+            choices, value = _choices(field), getattr(self, field.name)
             if choices and value not in choices:
                 raise UnknownNameError(
                     f"{field.name} {value!r} is unknown; expected one of: {', '.join(choices)}"
@@ -272,12 +273,18 @@ def options(kind: type[Config]) -> list[Option]:
     return sorted(found, key=lambda option: not option.required)
 
 
+def _choices(field: "dataclasses.Field[Any]") -> tuple[str, ...]:
+    choices = field.metadata["choices"]
+    found: tuple[str, ...] = choices() if callable(choices) else choices
+    return found
+
+
 def _option(field: "dataclasses.Field[Any]", hint: Any) -> Option:
     several = get_origin(hint) is tuple
     if several or isinstance(hint, types.UnionType):  # tuple[str, ...] or int | None
         hint = next(kind for kind in get_args(hint) if kind not in (Ellipsis, types.NoneType))
     required = field.default is dataclasses.MISSING
     default = None if required else field.default
-    text, choices = field.metadata["help"], field.metadata["choices"]
+    text, choices = field.metadata["help"], _choices(field)
     metavar = None if choices else field.metadata["metavar"] or METAVARS[hint]
     return Option(field.name, hint, several, required, default, text, choices, metavar)

@@ -1,7 +1,8 @@
 """Demonstrations as training data: choosing them, and sampling frame stacks and actions.
 
 Every frame is stored once, uint8 and channels first; stacks are assembled when they are sampled.
-Ten demonstrations of a hundred steps take 28 MB that way and 110 MB as stacks.
+Ten demonstrations of a hundred steps take 28 MB that way and 110 MB as stacks. Where poses are
+known, frames can be rendered when they are sampled instead (`magical.learning.rendered_data`).
 """
 
 import hashlib
@@ -17,6 +18,8 @@ from torch import Tensor
 from magical.demos import Dataset, Trajectory
 from magical.demos.reader import TrajectorySource
 from magical.errors import DemonstrationsError
+from magical.learning.augment import augment
+from magical.learning.augmentations import Augmentations
 from magical.learning.config import ImitationConfig
 from magical.learning.streams import Purpose, stream
 from magical.observe import Component, ObservationSpec
@@ -126,23 +129,19 @@ class ExpertData:
         Raises:
             DemonstrationsError: no samples are left of a task.
         """
+        demonstrations = list(demonstrations)
         self.spec = spec
         self.task_names = tuple(task_names)
-        frames: list[list[NDArray[Any]]] = [[] for _ in spec.components]
+        self.device = device
+        self._load_frames([trajectory for _, trajectory in demonstrations])
         samples: list[_Samples] = []
         first = 0  # number of the trajectory's first frame
         for task, trajectory in demonstrations:
-            source, steps = TrajectorySource(trajectory), np.arange(len(trajectory))
-            for kept, component in zip(frames, spec.components, strict=True):
-                kept.append(component.read(source, steps))
             number = self.task_names.index(task)
             samples.append(_samples(trajectory, number, first, spec.components, remove_noops))
             first += len(trajectory)
-        self._frames = [torch.from_numpy(np.concatenate(kept)).to(device) for kept in frames]
-        self._stacks = [
-            torch.from_numpy(np.concatenate(parts)).to(device)
-            for parts in zip(*(s.stacks for s in samples), strict=True)
-        ]
+        parts = zip(*(s.stacks for s in samples), strict=True)
+        self._stacks = [torch.from_numpy(np.concatenate(part)).to(device) for part in parts]
         self.actions = torch.from_numpy(np.concatenate([s.actions for s in samples])).to(device)
         tasks = np.concatenate([s.tasks for s in samples])
         self.tasks = torch.from_numpy(tasks).to(device)
@@ -152,6 +151,15 @@ class ExpertData:
                 raise DemonstrationsError(
                     f"{name}: expected demonstrations with actions other than the no-op, found none"
                 )
+
+    def _load_frames(self, trajectories: Sequence[Trajectory]) -> None:
+        """Store all frames before actions, (F, ...) for each component of the observation."""
+        frames: list[list[NDArray[Any]]] = [[] for _ in self.spec.components]
+        for trajectory in trajectories:
+            source, steps = TrajectorySource(trajectory), np.arange(len(trajectory))
+            for kept, component in zip(frames, self.spec.components, strict=True):
+                kept.append(component.read(source, steps))
+        self._frames = [torch.from_numpy(np.concatenate(kept)).to(self.device) for kept in frames]
 
     def __len__(self) -> int:
         """The number of samples."""
@@ -168,6 +176,10 @@ class ExpertData:
             for frames, indices in zip(self._frames, self._stacks, strict=True)
         ]
         return stacks[0] if len(stacks) == 1 else torch.cat(stacks, dim=1)
+
+    def augmented(self, rows: Rows, which: Augmentations, rng: np.random.Generator) -> Tensor:
+        """Frame stacks of samples, augmented: (B, C, H, W) float32 in [0, 1]."""
+        return augment(self.images(rows), which, rng)
 
     def labels(self, rows: Rows) -> tuple[Tensor, Tensor]:
         """Actions and tasks of samples, each (B,) int64."""

@@ -12,18 +12,21 @@ from torch.optim import SGD, Adam, Optimizer
 
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
-from magical.learning.augment import augment
 from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
 from magical.learning.config import (
+    AUTO,
     IMAGE_OBSERVATIONS,
     PUBLISHED_CODE_IMAGES,
+    RENDERING,
+    RESAMPLING,
     ImitationConfig,
     option,
 )
 from magical.learning.devices import choose_device
-from magical.learning.expert_data import ExpertData, load_demonstrations
+from magical.learning.expert_data import ExpertData, TaskTrajectories, load_demonstrations
 from magical.learning.models import PolicyNetwork, Trunk, init_last_layers
 from magical.learning.prefetch import prefetch
+from magical.learning.rendered_data import expert_data_class
 from magical.learning.run import Run
 from magical.learning.streams import Purpose, seeded_init, stream
 from magical.observe import STATE
@@ -47,6 +50,7 @@ class BCConfig(ImitationConfig):
             "momentum": 0.9,
             "anneal": True,
             "augment": "noise+translation+rotation",
+            "augment_by": AUTO,
         },
         "published-code": PUBLISHED_CODE_IMAGES,
     }
@@ -60,6 +64,13 @@ class BCConfig(ImitationConfig):
     learning_rate: float = option(1e-3, "initial learning rate")
     momentum: float = option(0.1, "momentum; Adam's beta 1")
     anneal: bool = option(False, "anneal the learning rate linearly to 0")
+    augment_by: str = option(
+        RESAMPLING,
+        "augmented images are resampled, or rendered anew from the poses; auto: rendered where "
+        "all demonstrations have poses",
+        choices=(AUTO, RENDERING, RESAMPLING),
+        added=True,
+    )
     log_every: int = option(50, "batches between lines of metrics")
     checkpoint_every: int = option(500, "batches between checkpoints")
 
@@ -72,6 +83,11 @@ class BCConfig(ImitationConfig):
 
     def _check_state(self) -> None:
         """Raise `InvalidConfigError` for what state vectors cannot be learned with."""
+        if self.augment_by == RENDERING:
+            raise InvalidConfigError(
+                "augment_by: state vectors are not rendered, so auto or resampling is expected, "
+                f"found {self.augment_by}"
+            )
         if self.augment != "none":
             raise InvalidConfigError(
                 f"augment: expected none, as state vectors are not augmented, found {self.augment}"
@@ -101,14 +117,8 @@ class BCConfig(ImitationConfig):
 def train(config: BCConfig, run: Run) -> None:
     """Clone the demonstrations."""
     trainer = BCTrainer(config, run)
-    data = ExpertData(
-        load_demonstrations(config, run),
-        config.tasks,
-        config.observation_spec,
-        device=trainer.device,
-        remove_noops=True,
-    )
-    trainer.fit(data, config.batches)
+    demonstrations = load_demonstrations(config, run)
+    trainer.fit(trainer.expert_data(demonstrations, remove_noops=True), config.batches)
 
 
 class Batch(NamedTuple):
@@ -142,6 +152,24 @@ class BCTrainer:
         self.network = make_policy(self.config).to(self.device)
         self.optimizer = make_optimizer(self.config, self.network)
         self._forward = torch.compile(self.network) if self.config.compile else self.network
+
+    def expert_data(self, demonstrations: TaskTrajectories, remove_noops: bool) -> ExpertData:
+        """The samples of demonstrations, on the trainer's device.
+
+        Raises:
+            DemonstrationsError: see `expert_data_class` and `ExpertData`.
+        """
+        config = self.config
+        kind = ExpertData
+        if config.observation != STATE:
+            kind = expert_data_class(config.augment_by, demonstrations)
+        return kind(
+            demonstrations,
+            config.tasks,
+            config.observation_spec,
+            device=self.device,
+            remove_noops=remove_noops,
+        )
 
     def fit(
         self,
@@ -179,9 +207,10 @@ class BCTrainer:
         """Batch `number`: a function of the data, the seed and the number alone."""
         rng = stream(self.config.seed, Purpose.BATCHES, number)
         rows = data.sample(self.config.batch_size, rng)
-        images = data.images(rows)
-        if self.config.observation != STATE:
-            images = augment(images, self.config.augmentations, rng)
+        if self.config.observation == STATE:
+            images = data.images(rows)
+        else:
+            images = data.augmented(rows, self.config.augmentations, rng)
         return Batch(images, *data.labels(rows))
 
     def step(self, batch: Batch, learning_rate: float) -> tuple[Tensor, Tensor]:

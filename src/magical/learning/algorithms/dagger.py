@@ -27,7 +27,7 @@ from magical.experts import get_goals
 from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.bc import BCConfig, BCTrainer, make_policy
 from magical.learning.config import IMAGE_OBSERVATIONS, option
-from magical.learning.expert_data import ExpertData, TaskTrajectories, load_demonstrations
+from magical.learning.expert_data import TaskTrajectories, load_demonstrations
 from magical.learning.policy import NetworkPolicy
 from magical.learning.run import Run
 from magical.learning.streams import Purpose, stream
@@ -138,14 +138,8 @@ def train_round(
     aggregated: "AggregatedDataset",
 ) -> bool:
     """Train on everything labelled so far; true if the run stops in this round."""
-    labelled = [*demonstrations, *aggregated.labelled(number)]
-    data = ExpertData(
-        labelled,
-        config.tasks,
-        config.observation_spec,
-        device=trainer.device,
-        remove_noops=not config.keep_noops,
-    )
+    labelled = (*demonstrations, *aggregated.labelled(number))
+    data = trainer.expert_data(labelled, remove_noops=not config.keep_noops)
     metrics = {
         "round": number,
         "expert_share": config.beta(number),

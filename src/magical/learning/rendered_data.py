@@ -1,0 +1,149 @@
+"""Demonstrations whose frames are rendered when they are sampled, augmented as they are rendered.
+
+The camera is turned and shifted and the palette is changed in CIE Lab, so an augmented frame costs
+as much as a plain one, and pixels are never resampled. It needs the poses: demonstrations by
+scripted experts have them, and the published human ones as `magical demos import` reads them.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from magical.demos import Trajectory
+from magical.errors import DemonstrationsError
+from magical.learning.augment import NOISE_STD, Parameters
+from magical.learning.augmentations import SETS, Augmentations
+from magical.learning.colour import colour_jitter
+from magical.learning.config import AUTO, RENDERING
+from magical.learning.expert_data import ExpertData, Rows
+from magical.observe import PixelSpec
+from magical.render.augmentation import MovedCamera, add_noise
+from magical.scene import Scene
+
+
+def expert_data_class(
+    augment_by: str, demonstrations: Iterable[tuple[str, Trajectory]]
+) -> type[ExpertData]:
+    """`RenderedExpertData` or `ExpertData`: how the configuration's `augment_by` is done.
+
+    Raises:
+        DemonstrationsError: rendering was asked for and poses are unknown.
+    """
+    unknown = [trajectory.env_id for _, trajectory in demonstrations if trajectory.poses is None]
+    if augment_by == RENDERING and unknown:
+        raise DemonstrationsError(
+            f"augment_by: rendering needs poses, and {len(unknown)} demonstrations have recorded "
+            f"frames only (the first is of {unknown[0]}). Import the published files with "
+            "`magical demos import`, which recovers their poses, or use augment_by: resampling"
+        )
+    rendered = augment_by == RENDERING or (augment_by == AUTO and not unknown)
+    return RenderedExpertData if rendered else ExpertData
+
+
+class RenderedExpertData(ExpertData):
+    """Like `ExpertData`, without stored frames; only for observations of pixels."""
+
+    def _load_frames(self, trajectories: Sequence[Trajectory]) -> None:
+        """Store the poses before actions, by scene: scenes differ in bodies or regions."""
+        by_scene: dict[object, list[tuple[int, Trajectory]]] = {}
+        first = 0
+        for trajectory in trajectories:
+            by_scene.setdefault(_what_is_rendered(trajectory.scene), []).append((first, trajectory))
+            first += len(trajectory)
+        self._scene_of = np.empty(first, np.intp)  # by frame
+        self._row_of = np.empty(first, np.intp)
+        self._scenes: list[_SceneData] = []
+        for number, members in enumerate(by_scene.values()):
+            poses: list[NDArray[np.float64]] = []
+            row = 0
+            for start, trajectory in members:
+                frames = slice(start, start + len(trajectory))
+                self._scene_of[frames] = number
+                self._row_of[frames] = np.arange(row, row + len(trajectory))
+                row += len(trajectory)
+                assert trajectory.poses is not None
+                poses.append(trajectory.poses[:-1])
+            cameras = self._cameras(members[0][1].scene)
+            self._scenes.append(_SceneData(np.concatenate(poses), cameras))
+
+    def _cameras(self, scene: Scene) -> list[MovedCamera]:
+        assert isinstance(self.spec, PixelSpec)
+        parts = self.spec.components
+        return [MovedCamera(scene, part.view, part.size, part.samples) for part in parts]
+
+    def images(self, rows: Rows) -> Tensor:
+        """Frame stacks of samples as they are, (B, C, H, W) uint8."""
+        plain = self.augmented(rows, SETS["none"], np.random.default_rng(0))
+        return plain.mul(255.0).round_().to(torch.uint8).contiguous()
+
+    def augmented(self, rows: Rows, which: Augmentations, rng: np.random.Generator) -> Tensor:
+        """See `ExpertData`."""
+        channels, height, width = self.spec.network_shape
+        parameters = Parameters.sample(len(rows), which, rng)
+        out = np.empty((len(rows), height, width, channels), np.float32)
+        stacks = [stack.cpu().numpy()[rows] for stack in self._stacks]  # (B, K) each
+        scenes = self._scene_of[stacks[0][:, 0]]
+        for number in np.unique(scenes):
+            inside = np.flatnonzero(scenes == number)
+            self._scenes[number].render(
+                [self._row_of[stack[inside]] for stack in stacks], parameters, which, out, inside
+            )
+        if which.noise:
+            add_noise(out, NOISE_STD, parameters.noise_seeds)
+        return torch.from_numpy(out).permute(0, 3, 1, 2).to(self.device, non_blocking=True)
+
+
+class _SceneData(NamedTuple):
+    """What is needed to render the frames of one scene."""
+
+    poses: NDArray[np.float64]  # (F, bodies, 3)
+    cameras: list[MovedCamera]  # one for each component of the observation
+
+    def render(
+        self,
+        stacks: Sequence[NDArray[np.intp]],
+        parameters: Parameters,
+        which: Augmentations,
+        out: NDArray[np.float32],
+        rows: NDArray[np.intp],
+    ) -> None:
+        """Render stacks (B, K), one array for each camera, into `out[rows]`."""
+        channel = 0
+        for camera, frames in zip(self.cameras, stacks, strict=True):
+            camera.render(
+                self.poses[frames],
+                parameters.angles[rows],
+                parameters.shifts[rows],
+                _palettes(camera.palette, parameters, which, rows),
+                out,
+                rows,
+                channel,
+            )
+            channel += 3 * frames.shape[1]
+
+
+def _palettes(
+    palette: NDArray[np.uint8],
+    parameters: Parameters,
+    which: Augmentations,
+    rows: NDArray[np.intp],
+) -> NDArray[np.uint8]:
+    """The palette (n, 3) with each stack's colour jitter: (B, n, 3)."""
+    repeated = np.broadcast_to(palette, (len(rows), *palette.shape))
+    if not which.colour:
+        return repeated
+    images = torch.from_numpy(repeated.transpose(0, 2, 1)[:, :, None].copy())  # (B, 3, 1, n)
+    scales, hues = parameters.lightness[rows], parameters.hues[rows]
+    jittered = colour_jitter(images, scales, hues, which.linear_light)
+    rounded = jittered.mul_(255.0).round_().to(torch.uint8)
+    return rounded[:, :, 0].permute(0, 2, 1).numpy()
+
+
+def _what_is_rendered(scene: Scene) -> object:
+    """Equal for scenes of the same bodies, in the same order, and the same regions."""
+    blocks = tuple((block.shape, block.colour) for block in scene.blocks)
+    return blocks, scene.regions, scene.robot_first

@@ -1,0 +1,189 @@
+"""Frames from a turned and shifted camera, in other colours: augmentation without resampling."""
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical.errors import RenderError
+from magical.render.canvas import Canvas, blank, finish_bodies, finish_ground
+from magical.render.display import display_list
+from magical.render.frame import (
+    FAR,
+    Pixels,
+    body_frames,
+    render_bodies,
+    render_ground,
+    within_reach,
+)
+from magical.render.jit import inlined, nogil_entry_point
+from magical.render.polygons import MOST_SIDES, SUBSAMPLES, Floats, Ints
+from magical.render.renderer import default_samples
+from magical.scene.scene import Scene
+from magical.scene.vocabulary import View
+
+LEVELS = 255  # of 8-bit pixels
+CHANNELS = 3
+LANES = 16 * np.arange(CHANNELS)  # the lowest bits of a packed colour's lanes (`palette.lanes`)
+
+Floats32 = NDArray[np.float32]
+
+
+class MovedCamera:
+    """Renders frame stacks of one scene in one view, each stack with its own camera and colours.
+
+    The camera's rotation and shift move the whole picture, as `resample` does; beyond the frame's
+    borders stands what is there, and edges are as sharp as in any frame.
+
+    Args:
+        scene: which bodies and regions there are; its poses are not used, except the regions'.
+        view: of the camera.
+        size: height and width of the frames in pixels.
+        samples: as for `Renderer`.
+    """
+
+    def __init__(self, scene: Scene, view: View, size: int, samples: int | None = None) -> None:
+        self._size = size
+        self._samples = default_samples(size) if samples is None else samples
+        self._ego = view == View.EGO
+        self._display = display_list(scene)
+        packed = np.concatenate([self._display.items[:, 4], self._display.colours.ravel()])
+        self._palette, self._entries = np.unique(packed, return_inverse=True)
+
+    @property
+    def palette(self) -> NDArray[np.uint8]:
+        """The scene's colours: (n, 3), 8-bit RGB."""
+        return (self._palette[:, None] >> LANES).astype(np.uint8)
+
+    def render(
+        self,
+        bodies: Floats,
+        angles: Floats,
+        shifts: Floats,
+        palettes: NDArray[np.uint8],
+        out: Floats32,
+        rows: Ints,
+        channel: int,
+    ) -> None:
+        """Render B stacks of K frames into `out`.
+
+        Args:
+            bodies: (B, K, 5 + blocks, 3): x, y, angle in the rows of `Poses`.
+            angles: (B,) radians, counter-clockwise as seen.
+            shifts: (B, 2) to the right and down, as fractions of width and height.
+            palettes: (B, n, 3) the colours in place of `palette`.
+            out: (N, size, size, C) float32; frames are written with values in [0, 1].
+            rows: (B,) where in `out` each stack goes.
+            channel: the first of its 3 * K channels.
+
+        Raises:
+            RenderError: a pose is not finite.
+        """
+        lanes = palettes.astype(np.int64) << LANES  # (B, n, 3)
+        packed = lanes.sum(axis=2)[:, self._entries]  # (B, items + 2 * ground)
+        count = len(self._display.items)
+        moves = np.stack([np.cos(angles), np.sin(angles), shifts[:, 0], -shifts[:, 1]], axis=1)
+        good = compiled_render_moved(self._samples)(
+            np.ascontiguousarray(bodies),
+            moves,
+            self._display.vertices,
+            self._display.items,
+            np.ascontiguousarray(packed[:, :count]),
+            self._display.offsets,
+            self._display.ground,
+            packed[:, count:].reshape(len(bodies), -1, 2),
+            self._ego,
+            out,
+            rows,
+            channel,
+        )
+        if not good:
+            raise RenderError(f"expected finite poses within {FAR:g} units")
+
+
+@inlined
+def _move(frames: Floats, move: Floats, extent: float) -> None:
+    """Turn all frames (see `body_frames`) about the picture's centre, then shift them."""
+    cos, sin = move[0], move[1]
+    whole = SUBSAMPLES * extent
+    for i in range(len(frames)):
+        x, y = frames[i, 2] - whole / 2, frames[i, 3] - whole / 2
+        frames[i, 0], frames[i, 1] = (
+            cos * frames[i, 0] - sin * frames[i, 1],
+            sin * frames[i, 0] + cos * frames[i, 1],
+        )
+        frames[i, 2] = cos * x - sin * y + whole / 2 + move[2] * whole
+        frames[i, 3] = sin * x + cos * y + whole / 2 + move[3] * whole
+
+
+@inlined
+def _store(frames: Pixels, out: Floats32, channel: int) -> None:
+    """Write K frames (K, P), lowest row first, into 3 * K channels of `out` (H, W, C)."""
+    height, width = out.shape[0], out.shape[1]
+    scale = np.float32(1.0 / LEVELS)
+    for y in range(height):
+        first = (height - 1 - y) * width
+        for x in range(width):
+            target = out[y, x, channel:]
+            for k in range(len(frames)):
+                colour = frames[k, first + x]
+                target[CHANNELS * k] = (colour & 0xFF) * scale
+                target[CHANNELS * k + 1] = (colour >> 8 & 0xFF) * scale
+                target[CHANNELS * k + 2] = (colour >> 16 & 0xFF) * scale
+
+
+@cache
+def compiled_render_moved(samples: int) -> Callable[..., bool]:
+    """The entry point for samples x samples samples a pixel (1, 2 or 4 across)."""
+    empty = blank(samples)
+
+    @nogil_entry_point
+    def render_moved(
+        bodies: Floats,
+        moves: Floats,
+        vertices: Floats,
+        items: Ints,
+        item_colours: Ints,
+        offsets: Floats,
+        corners: Floats,
+        ground_colours: Ints,
+        ego: bool,
+        out: Floats32,
+        rows: Ints,
+        channel: int,
+    ) -> bool:
+        """Stacks (B, K, bodies, 3) into `out`; false for poses out of range.
+
+        `moves` (B, 4): cos, sin, and shifts to the right and up. Each stack has its own
+        `item_colours` (B, n) and `ground_colours` (B, 1 + R, 2).
+        """
+        size = out.shape[1]
+        extent, stacked, count = size * samples, bodies.shape[1], bodies.shape[2]
+        stack = np.empty((stacked, size * size), np.int32)
+        layers = len(corners) * size * size
+        tiles, owners = np.empty((layers, samples * samples), np.int64), np.empty(layers, np.int32)
+        body_pixels, counts = np.full(size * size, empty, np.int64), np.zeros(1, np.int64)
+        touched = np.empty((2, size), np.int64)
+        touched[0], touched[1] = size, 0
+        edges, spans = np.empty((3, MOST_SIDES + 1)), np.empty((2, extent + samples), np.int64)
+        frames, coloured = np.empty((count + 1, 4)), items.copy()
+        for b in range(len(bodies)):
+            coloured[:, 4] = item_colours[b]
+            for k in range(stacked):
+                if not within_reach(bodies[b, k]):
+                    return False
+                counts[0], pixels = 0, stack[k]
+                memory = pixels, tiles, owners, counts, body_pixels, touched, pixels
+                canvas = Canvas(*memory, size, samples)
+                body_frames(bodies[b, k], ego, extent, frames)
+                _move(frames, moves[b], extent)
+                ground = frames[count]
+                render_ground(canvas, corners, ground_colours[b], ground, ego, True, edges, spans)
+                render_bodies(canvas, vertices, coloured, offsets, frames, edges, spans)
+                finish_bodies(canvas)
+                finish_ground(canvas)
+            _store(stack, out[rows[b]], channel)
+        return True
+
+    return render_moved
