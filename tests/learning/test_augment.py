@@ -10,7 +10,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from magical.errors import UnknownNameError
-from magical.learning.augment import NOISE_STD, augment, warp
+from magical.learning.augment import (
+    NOISE_STD,
+    Parameters,
+    augment,
+    augment_on_device,
+    resampled,
+    warp,
+)
 from magical.learning.augmentations import NAMES, SETS, Augmentations, parse_augmentations
 
 NONE = SETS["none"]
@@ -175,3 +182,37 @@ def test_the_settings_of_borders_and_colours_are_used() -> None:
         for linear_light in (True, False)
     )
     assert 1e-3 < float((linear - plain).abs().max()) < 0.1
+
+
+@pytest.mark.parametrize("channels_last", [False, True])
+@pytest.mark.parametrize("names", ["colour", "translation+rotation", "all"])
+@pytest.mark.parametrize(("borders", "linear_light"), [("mirror", True), ("repeat", False)])
+def test_compiled_code_agrees_with_pytorch(
+    names: str, borders: str, linear_light: bool, channels_last: bool
+) -> None:
+    """The slow reference, on every colour and far beyond the borders."""
+    which = replace(parse_augmentations(names, borders, linear_light), noise=False)
+    images = torch.from_numpy(rng().integers(0, 256, (5, 12, 96, 96), dtype=np.uint8))
+    if channels_last:
+        images = images.contiguous(memory_format=torch.channels_last)
+    parameters = Parameters.sample(5, which, rng())
+    parameters = replace(parameters, shifts=4 * parameters.shifts, hues=4 * parameters.hues)
+    expected = augment_on_device(images, which, parameters)
+    torch.testing.assert_close(resampled(images, which, parameters), expected, atol=5e-5, rtol=0.0)
+
+
+def test_compiled_code_takes_other_shapes() -> None:
+    images = torch.from_numpy(rng().integers(0, 256, (2, 3, 20, 31), dtype=np.uint8))
+    which = replace(SETS["all"], noise=False)
+    parameters = Parameters.sample(2, which, rng())
+    expected = augment_on_device(images, which, parameters)
+    torch.testing.assert_close(resampled(images, which, parameters), expected, atol=5e-5, rtol=0.0)
+
+
+@pytest.mark.parametrize("way", [resampled, augment_on_device])
+def test_both_ways_add_normal_noise(way: Any) -> None:
+    grey = torch.full((4, 12, 96, 96), 102, dtype=torch.uint8)
+    which = only("noise")
+    noise = way(grey, which, Parameters.sample(4, which, rng())) - 0.4
+    assert abs(float(noise.std()) / NOISE_STD - 1.0) < 0.01
+    assert abs(float(noise.mean())) < 1e-4

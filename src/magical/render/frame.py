@@ -18,7 +18,7 @@ VIEW_WIDTH = 2.04  # units: both cameras show as much (docs/specification.md, se
 ROBOT_HEIGHT = 0.15  # of the frame: where the egocentric camera has the robot, from below
 FAR = 1e6  # units: poses beyond are rejected
 EGO, GROUND, ALLO = 0, 1, 2  # modes of the compiled `render`
-_BACKGROUND = lanes(OUTSIDE)
+BACKGROUND = lanes(OUTSIDE)
 
 Pixels = NDArray[np.int32]
 
@@ -49,6 +49,7 @@ def render_ground(
     canvas: Canvas,
     corners: Floats,
     colours: Ints,
+    background: int,
     workspace: Floats,
     ego: bool,
     whole: bool,
@@ -57,9 +58,9 @@ def render_ground(
 ) -> None:
     """Background, workspace and its edge, regions and their dashes."""
     extent = canvas.size * canvas.samples
-    background = pack(_BACKGROUND)
+    outside = pack(background)
     for pixel in range(canvas.size * canvas.size):
-        canvas.ground[pixel] = background
+        canvas.ground[pixel] = outside
     turned, placed, on_frame = np.empty((2, 4)), np.empty((2, 5)), np.empty((4, 2))
     counter = 0.0
     if ego:
@@ -164,7 +165,8 @@ def compiled_render(samples: int) -> Callable[..., int]:
         canvas = Canvas(ground, tiles, owners, counts, body_pixels, touched, pixels, size, samples)
         body_frames(bodies, mode == EGO, extent, frames)
         if mode != ALLO:
-            render_ground(canvas, corners, colours, frames[count], mode == EGO, whole, edges, spans)
+            areas = corners, colours, BACKGROUND
+            render_ground(canvas, *areas, frames[count], mode == EGO, whole, edges, spans)
         if mode != EGO:
             source = ground if mode == GROUND else kept
             for pixel in range(size * size):

@@ -10,6 +10,7 @@ from magical.errors import RenderError
 from magical.render.canvas import Canvas, blank, finish_bodies, finish_ground
 from magical.render.display import display_list
 from magical.render.frame import (
+    BACKGROUND,
     FAR,
     Pixels,
     body_frames,
@@ -48,7 +49,8 @@ class MovedCamera:
         self._samples = default_samples(size) if samples is None else samples
         self._ego = view == View.EGO
         self._display = display_list(scene)
-        packed = np.concatenate([self._display.items[:, 4], self._display.colours.ravel()])
+        colours = self._display.items[:, 4], self._display.colours.ravel(), [BACKGROUND]
+        packed = np.concatenate(colours)
         self._palette, self._entries = np.unique(packed, return_inverse=True)
 
     @property
@@ -81,7 +83,7 @@ class MovedCamera:
             RenderError: a pose is not finite.
         """
         lanes = palettes.astype(np.int64) << LANES  # (B, n, 3)
-        packed = lanes.sum(axis=2)[:, self._entries]  # (B, items + 2 * ground)
+        packed = lanes.sum(axis=2)[:, self._entries]  # (B, items + 2 * ground + 1)
         count = len(self._display.items)
         moves = np.stack([np.cos(angles), np.sin(angles), shifts[:, 0], -shifts[:, 1]], axis=1)
         good = compiled_render_moved(self._samples)(
@@ -92,7 +94,8 @@ class MovedCamera:
             np.ascontiguousarray(packed[:, :count]),
             self._display.offsets,
             self._display.ground,
-            packed[:, count:].reshape(len(bodies), -1, 2),
+            packed[:, count:-1].reshape(len(bodies), -1, 2),
+            np.ascontiguousarray(packed[:, -1]),
             self._ego,
             out,
             rows,
@@ -148,6 +151,7 @@ def compiled_render_moved(samples: int) -> Callable[..., bool]:
         offsets: Floats,
         corners: Floats,
         ground_colours: Ints,
+        backgrounds: Ints,
         ego: bool,
         out: Floats32,
         rows: Ints,
@@ -156,7 +160,7 @@ def compiled_render_moved(samples: int) -> Callable[..., bool]:
         """Stacks (B, K, bodies, 3) into `out`; false for poses out of range.
 
         `moves` (B, 4): cos, sin, and shifts to the right and up. Each stack has its own
-        `item_colours` (B, n) and `ground_colours` (B, 1 + R, 2).
+        `item_colours` (B, n), `ground_colours` (B, 1 + R, 2) and `backgrounds` (B,).
         """
         size = out.shape[1]
         extent, stacked, count = size * samples, bodies.shape[1], bodies.shape[2]
@@ -178,8 +182,8 @@ def compiled_render_moved(samples: int) -> Callable[..., bool]:
                 canvas = Canvas(*memory, size, samples)
                 body_frames(bodies[b, k], ego, extent, frames)
                 _move(frames, moves[b], extent)
-                ground = frames[count]
-                render_ground(canvas, corners, ground_colours[b], ground, ego, True, edges, spans)
+                areas = corners, ground_colours[b], backgrounds[b]
+                render_ground(canvas, *areas, frames[count], ego, True, edges, spans)
                 render_bodies(canvas, vertices, coloured, offsets, frames, edges, spans)
                 finish_bodies(canvas)
                 finish_ground(canvas)
