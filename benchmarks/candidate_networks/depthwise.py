@@ -1,4 +1,4 @@
-"""Depthwise separable convolutions (Howard et al., "MobileNets", 2017) behind a stem of stride 4."""
+"""Depthwise separable convolutions (Howard et al., "MobileNets", 2017) behind a stride of 4."""
 
 from torch import nn
 
