@@ -231,7 +231,7 @@ def improve_policy(
             minibatch = samples.select(rows)
             logits, values = network(minibatch.observations)
             clip = config.clip * left
-            loss, _ = ppo_loss(logits, values, minibatch, clip, config.entropy_bonus)
+            loss, _ = ppo_loss(logits, values, minibatch, torch.tensor(clip), config.entropy_bonus)
             optimizer.zero_grad()
             torch.autograd.backward(loss)
             nn.utils.clip_grad_norm_(network.parameters(), config.max_grad_norm)

@@ -14,8 +14,10 @@ from magical.learning.augment import (
     NOISE_STD,
     Parameters,
     augment,
+    augment_in_pytorch,
     augment_on_device,
     resampled,
+    sample_parameters,
     warp,
 )
 from magical.learning.augmentations import NAMES, SETS, Augmentations, parse_augmentations
@@ -184,6 +186,13 @@ def test_the_settings_of_borders_and_colours_are_used() -> None:
     assert 1e-3 < float((linear - plain).abs().max()) < 0.1
 
 
+SEEDS = np.arange(5, dtype=np.uint64)
+
+
+def in_pytorch(images: Tensor, which: Augmentations, parameters: Parameters[Any]) -> Tensor:
+    return augment_in_pytorch(images, which, parameters, torch.Generator().manual_seed(0))
+
+
 @pytest.mark.parametrize("channels_last", [False, True])
 @pytest.mark.parametrize("names", ["colour", "translation+rotation", "all"])
 @pytest.mark.parametrize(("borders", "linear_light"), [("mirror", True), ("repeat", False)])
@@ -195,24 +204,44 @@ def test_compiled_code_agrees_with_pytorch(
     images = torch.from_numpy(rng().integers(0, 256, (5, 12, 96, 96), dtype=np.uint8))
     if channels_last:
         images = images.contiguous(memory_format=torch.channels_last)
-    parameters = Parameters.sample(5, which, rng())
+    parameters = sample_parameters(5, which, rng())
     parameters = replace(parameters, shifts=4 * parameters.shifts, hues=4 * parameters.hues)
-    expected = augment_on_device(images, which, parameters)
-    torch.testing.assert_close(resampled(images, which, parameters), expected, atol=5e-5, rtol=0.0)
+    expected = in_pytorch(images, which, parameters)
+    found = resampled(images, which, parameters, SEEDS)
+    torch.testing.assert_close(found, expected, atol=5e-5, rtol=0.0)
 
 
 def test_compiled_code_takes_other_shapes() -> None:
     images = torch.from_numpy(rng().integers(0, 256, (2, 3, 20, 31), dtype=np.uint8))
     which = replace(SETS["all"], noise=False)
-    parameters = Parameters.sample(2, which, rng())
-    expected = augment_on_device(images, which, parameters)
-    torch.testing.assert_close(resampled(images, which, parameters), expected, atol=5e-5, rtol=0.0)
+    parameters = sample_parameters(2, which, rng())
+    expected = in_pytorch(images, which, parameters)
+    found = resampled(images, which, parameters, SEEDS[:2])
+    torch.testing.assert_close(found, expected, atol=5e-5, rtol=0.0)
 
 
-@pytest.mark.parametrize("way", [resampled, augment_on_device])
-def test_both_ways_add_normal_noise(way: Any) -> None:
+def test_both_ways_add_normal_noise() -> None:
     grey = torch.full((4, 12, 96, 96), 102, dtype=torch.uint8)
     which = only("noise")
-    noise = way(grey, which, Parameters.sample(4, which, rng())) - 0.4
-    assert abs(float(noise.std()) / NOISE_STD - 1.0) < 0.01
-    assert abs(float(noise.mean())) < 1e-4
+    parameters = sample_parameters(4, which, rng())
+    for changed in (
+        resampled(grey, which, parameters, SEEDS[:4]),
+        in_pytorch(grey, which, parameters),
+    ):
+        noise = changed - 0.4
+        assert abs(float(noise.std()) / NOISE_STD - 1.0) < 0.01
+        assert abs(float(noise.mean())) < 1e-4
+
+
+def test_random_numbers_of_the_device_give_the_same_distribution() -> None:
+    """A CPU stands in for the device: mean and spread of pixels over many stacks."""
+    images = smooth_stacks(200)[:, :3, ::4, ::4]
+    for names in ("translation", "rotation", "colour", "noise"):
+        which = only(names)
+        generator = torch.Generator().manual_seed(3)
+        found = augment_on_device(images, which, generator)
+        expected = augment(images, which, rng())
+        assert not torch.equal(found[0], found[1])
+        spread = expected.std(dim=0).mean()
+        assert abs(float(found.std(dim=0).mean() / spread) - 1.0) < 0.1
+        assert float((found.mean(dim=0) - expected.mean(dim=0)).abs().max()) < 0.6 * spread + 0.01

@@ -48,12 +48,12 @@ def test_loss_by_hand() -> None:
     values = torch.tensor([0.0, 3.0])  # squared errors 1 and 4
     entropy = -(0.8 * math.log(0.8) + 0.2 * math.log(0.2))
     gains = minibatch([0, 1], [half, half], [2.0, 5.0])
-    loss, parts = ppo_loss(logits, values, gains, clip=0.1, entropy_bonus=0.01)
+    loss, parts = ppo_loss(logits, values, gains, clip=torch.tensor(0.1), entropy_bonus=0.01)
     policy = -(1.1 * 2.0 + 0.4 * 5.0) / 2  # the minimum: clipped above, not below
     assert loss.item() == pytest.approx(policy + 0.5 * 2.5 - 0.01 * entropy, abs=1e-6)
     assert parts.tolist() == pytest.approx([policy, 1.25, entropy, 1.0], abs=1e-6)
     losses = minibatch([0, 1], [half, half], [-2.0, -5.0])
-    _, parts = ppo_loss(logits, values, losses, clip=0.1, entropy_bonus=0.0)
+    _, parts = ppo_loss(logits, values, losses, clip=torch.tensor(0.1), entropy_bonus=0.0)
     assert parts[0].item() == pytest.approx((1.6 * 2.0 + 0.9 * 5.0) / 2, abs=1e-6)
 
 

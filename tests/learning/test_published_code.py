@@ -20,6 +20,7 @@ from magical.learning.algorithms.ppo import PPOConfig
 from magical.learning.algorithms.wgail_gp import WGAILGPConfig, critic_loss, gradient_penalty
 from magical.learning.config import PUBLISHED_CODE_IMAGES, ImitationConfig
 from magical.learning.models import EMBEDDING, Trunk, make_actor_critic
+from magical.learning.randoms import Randoms
 from magical.learning.reinforcement import PUBLISHED_CODE
 from magical.learning.reward_normalisation import RewardNormaliser
 from magical.learning.rollouts import RolloutEnvs
@@ -249,7 +250,7 @@ def test_batch_norm_in_the_gradient_penalty(mode: str, forward_passes: int) -> N
     critic = make_discriminator(tiny(WGAILGPConfig, demos="", tasks=ONE))
     images, zeros = torch.rand(4, *IMAGE), torch.zeros(4, dtype=torch.int64)
     batch = DiscriminatorBatch(images, zeros, zeros)
-    critic_loss(critic, batch, np.random.default_rng(0), 1.0, mode)
+    critic_loss(critic, batch, Randoms("cpu", np.random.default_rng(0)), 1.0, mode)
     counts = [m.num_batches_tracked for m in critic.modules() if isinstance(m, nn.BatchNorm2d)]
     assert [int(count) for count in counts if count is not None] == [forward_passes] * 3
     assert critic.training

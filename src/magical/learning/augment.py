@@ -8,6 +8,7 @@ others batched on their own device by PyTorch, which is the reference of the for
 
 import math
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 import torch
@@ -28,6 +29,10 @@ MAX_COLOUR_ROTATION = 0.15  # rad in the (a, b) plane
 
 PADDING_MODES = {"mirror": "reflection", "repeat": "border"}  # PyTorch's names
 CPU_CHUNK = 4  # stacks at a time, so that intermediate results fit into a core's cache
+NUM_PARAMETERS = 5  # of a stack
+
+Floats = NDArray[np.float64]
+Values = TypeVar("Values", Floats, Tensor)
 
 
 def augment(images: Tensor, which: Augmentations, rng: np.random.Generator) -> Tensor:
@@ -42,32 +47,51 @@ def augment(images: Tensor, which: Augmentations, rng: np.random.Generator) -> T
         (B, 3 * frames, H, W) float32 in [0, 1], in channels-last memory. Uint8 is scaled from
         [0, 255] whatever is switched on.
     """
-    parameters = Parameters.sample(len(images), which, rng)
+    parameters = sample_parameters(len(images), which, rng)
     if images.device.type == "cpu" and images.dtype == torch.uint8:
-        return resampled(images, which, parameters)
-    return augment_on_device(images, which, parameters)
+        return resampled(images, which, parameters, noise_seeds(len(images), rng))
+    generator = torch.Generator(images.device).manual_seed(int(rng.integers(2**63)))
+    return augment_in_pytorch(images, which, parameters, generator)
 
 
-def resampled(images: Tensor, which: Augmentations, parameters: "Parameters") -> Tensor:
-    """`augment` in compiled code, for uint8 images on a CPU."""
+def augment_on_device(images: Tensor, which: Augmentations, generator: torch.Generator) -> Tensor:
+    """Like `augment`, with random numbers of the device's generator: nothing waits for the host."""
+    shape = len(images), NUM_PARAMETERS
+    uniform = torch.rand(shape, device=images.device, generator=generator)
+    parameters = Parameters.scaled(2.0 * uniform - 1.0, which)
+    return augment_in_pytorch(images, which, parameters, generator)
+
+
+def resampled(
+    images: Tensor,
+    which: Augmentations,
+    parameters: "Parameters[Floats]",
+    seeds: NDArray[np.uint64],
+) -> Tensor:
+    """`augment` in compiled code, for uint8 images on a CPU; a seed (B,) of noise for each."""
     batch, channels, height, width = images.shape
     out = np.empty((batch, height, width, channels), np.float32)
     inverses = None
     if which.translation or which.rotation:
-        maps = inverse_maps(parameters.angles, parameters.shifts, height, width)
-        inverses = in_pixels(maps, height, width)
+        angles = torch.from_numpy(parameters.angles)
+        maps = inverse_maps(angles, torch.from_numpy(parameters.shifts), height, width)
+        inverses = in_pixels(maps.numpy(), height, width)
     jitter = Jitter.none()
     if which.colour:
         jitter = Jitter.of(parameters.lightness, parameters.hues, which.linear_light)
     resample(images.numpy(), inverses, jitter, which.borders == "mirror", out)
     if which.noise:
-        add_noise(out, NOISE_STD, parameters.noise_seeds)
+        add_noise(out, NOISE_STD, seeds)
     return torch.from_numpy(out).permute(0, 3, 1, 2)
 
 
-def augment_on_device(images: Tensor, which: Augmentations, parameters: "Parameters") -> Tensor:
-    """`augment` in PyTorch, on any device."""
-    generator = torch.Generator(images.device).manual_seed(parameters.seed)
+def augment_in_pytorch(
+    images: Tensor,
+    which: Augmentations,
+    parameters: "Parameters[Floats] | Parameters[Tensor]",
+    generator: torch.Generator,
+) -> Tensor:
+    """`augment` in PyTorch, on any device; the generator is of the noise."""
     chunk = CPU_CHUNK if images.device.type == "cpu" else max(len(images), 1)
     out = torch.empty(images.shape, device=images.device, memory_format=torch.channels_last)
     for first in range(0, len(images), chunk):
@@ -95,10 +119,7 @@ def to_unit(observations: Tensor) -> Tensor:
 
 
 def warp(
-    images: Tensor,
-    angles: NDArray[np.float64],
-    shifts: NDArray[np.float64],
-    borders: str = "mirror",
+    images: Tensor, angles: Floats | Tensor, shifts: Floats | Tensor, borders: str = "mirror"
 ) -> Tensor:
     """Rotate each stack about its centre, then translate it.
 
@@ -113,27 +134,26 @@ def warp(
         (B, C, H, W), bilinearly interpolated.
     """
     height, width = images.shape[2:]
-    inverse = inverse_maps(angles, shifts, height, width)
-    theta = torch.from_numpy(inverse).to(images.device, images.dtype)
+    # grid_sample wants the inverse map: from output to input coordinates, each from -1 to 1.
+    turns, moves = (torch.as_tensor(v, device=images.device) for v in (angles, shifts))
+    theta = inverse_maps(turns, moves, height, width).to(images.dtype)
     grid = affine_grid(theta, list(images.shape), align_corners=False)
     return grid_sample(images, grid, padding_mode=PADDING_MODES[borders], align_corners=False)
 
 
-def inverse_maps(
-    angles: NDArray[np.float64], shifts: NDArray[np.float64], height: int, width: int
-) -> NDArray[np.float64]:
+def inverse_maps(angles: Tensor, shifts: Tensor, height: int, width: int) -> Tensor:
     """The maps from places in the results to places in the images, as for `warp`: (B, 2, 3).
 
     Both coordinates, right and down, go from -1 to 1.
     """
-    cos, sin = np.cos(angles), np.sin(angles)
-    rotation = np.array([[cos, -sin * height / width], [sin * width / height, cos]])  # (2, 2, B)
-    rotation = np.moveaxis(rotation, 2, 0)
-    translation = -2.0 * np.einsum("bij,bj->bi", rotation, shifts)
-    return np.concatenate([rotation, translation[:, :, None]], axis=2)
+    cos, sin = angles.cos(), angles.sin()
+    rows = [cos, -sin * (height / width), sin * (width / height), cos]
+    rotation = torch.stack(rows, dim=1).view(-1, 2, 2)
+    translation = -2.0 * (rotation @ shifts[:, :, None])
+    return torch.cat([rotation, translation], dim=2)
 
 
-def in_pixels(maps: NDArray[np.float64], height: int, width: int) -> NDArray[np.float64]:
+def in_pixels(maps: Floats, height: int, width: int) -> Floats:
     """The same maps (B, 2, 3) in columns and rows, whose centres are whole numbers."""
     half = np.array([width / 2.0, height / 2.0])
     linear = maps[:, :, :2] * half[:, None] / half
@@ -143,29 +163,35 @@ def in_pixels(maps: NDArray[np.float64], height: int, width: int) -> NDArray[np.
 
 
 @dataclass(frozen=True, slots=True)
-class Parameters:
-    """Augmentation parameters, one row per stack."""
+class Parameters(Generic[Values]):
+    """Augmentation parameters, one row per stack: arrays, or tensors on the images' device."""
 
-    lightness: NDArray[np.float64]  # (B,) factors
-    hues: NDArray[np.float64]  # (B,) rotations in the (a, b) plane, rad
-    angles: NDArray[np.float64]  # (B,) rad, counter-clockwise as seen
-    shifts: NDArray[np.float64]  # (B, 2), right and down, fractions of width and height
-    seed: int  # of the noise
+    lightness: Values  # (B,) factors
+    hues: Values  # (B,) rotations in the (a, b) plane, rad
+    angles: Values  # (B,) rad, counter-clockwise as seen
+    shifts: Values  # (B, 2), right and down, fractions of width and height
 
     @classmethod
-    def sample(cls, count: int, which: Augmentations, rng: np.random.Generator) -> "Parameters":
-        """Sample all parameters whatever is switched on, so that ablations share random numbers."""
-        unit = rng.uniform(-1.0, 1.0, (count, 5))
+    def scaled(cls, unit: Values, which: Augmentations) -> "Parameters[Values]":
+        """Parameters from random numbers (B, 5) in [-1, 1].
+
+        All are used whatever is switched on, so that ablations share random numbers.
+        """
         return cls(
             lightness=1.0 + MAX_LIGHTNESS_CHANGE * unit[:, 0],
             hues=MAX_COLOUR_ROTATION * unit[:, 1],
             angles=MAX_ROTATION * unit[:, 2] * which.rotation,
             shifts=MAX_TRANSLATION * unit[:, 3:5] * which.translation,
-            seed=int(rng.integers(2**63)),
         )
 
-    @property
-    def noise_seeds(self) -> NDArray[np.uint64]:
-        """The seeds of each stack's noise: (B,)."""
-        rng = np.random.default_rng(self.seed)
-        return rng.integers(2**64, size=len(self.angles), dtype=np.uint64)
+
+def sample_parameters(
+    count: int, which: Augmentations, rng: np.random.Generator
+) -> Parameters[Floats]:
+    """The parameters of a batch."""
+    return Parameters.scaled(rng.uniform(-1.0, 1.0, (count, NUM_PARAMETERS)), which)
+
+
+def noise_seeds(count: int, rng: np.random.Generator) -> NDArray[np.uint64]:
+    """A seed of noise for each stack of a batch: (B,)."""
+    return rng.integers(2**64, size=count, dtype=np.uint64)

@@ -181,18 +181,19 @@ def load_module(module: nn.Module, state: Mapping[str, Any], what: str) -> None:
 
 
 def optimizer_state(optimizer: Optimizer) -> StateDict:
-    """`optimizer.state_dict()` with string keys."""
+    """`optimizer.state_dict()` with string keys, and learning rates as numbers."""
     saved = optimizer.state_dict()
     return {
         "state": {str(index): values for index, values in saved["state"].items()},
-        "param_groups": saved["param_groups"],
+        "param_groups": [{**group, "lr": float(group["lr"])} for group in saved["param_groups"]],
     }
 
 
 def load_optimizer(optimizer: Optimizer, state: Mapping[str, Any]) -> None:
     """Load what `optimizer_state` returned.
 
-    Moments get the memory layout of their parameters, so that arithmetic stays bit-equal.
+    Moments get the memory layout of their parameters, so that arithmetic stays bit-equal. Learning
+    rates stay where they are; what depends on the device is not taken from another one.
     """
     parameters = [p for group in optimizer.param_groups for p in group["params"]]
     moments = {}
@@ -204,4 +205,9 @@ def load_optimizer(optimizer: Optimizer, state: Mapping[str, Any]) -> None:
             else value
             for name, value in values.items()
         }
-    optimizer.load_state_dict({"state": moments, "param_groups": state["param_groups"]})
+    groups = []
+    for own, saved in zip(optimizer.param_groups, state["param_groups"], strict=True):
+        rate = own["lr"].fill_(saved["lr"]) if isinstance(own["lr"], Tensor) else saved["lr"]
+        kept = {name: own[name] for name in ("fused", "capturable") if name in own}
+        groups.append({**saved, "lr": rate, **kept})
+    optimizer.load_state_dict({"state": moments, "param_groups": groups})

@@ -4,14 +4,16 @@ Powers are exp(c * log(x)), several times faster than `pow` on a CPU.
 """
 
 import math
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from magical.render.augmentation import lab
 from magical.render.augmentation.lab import (
-    FROM_TRISTIMULUS,
     GAMMA,
     GAMMA_KNEE,
     GAMMA_OFFSET,
@@ -19,23 +21,20 @@ from magical.render.augmentation.lab import (
     GAMMA_SLOPE,
     ROOT_KNEE,
     ROOT_SLOPE,
-    TO_TRISTIMULUS,
-    root_maps,
 )
+
+Values = NDArray[np.float64] | Tensor
 
 
 def colour_jitter(
-    images: Tensor,
-    scales: NDArray[np.float64],
-    hues: NDArray[np.float64],
-    linear_light: bool = True,
+    images: Tensor, scales: Values, hues: Values, linear_light: bool = True
 ) -> Tensor:
     """Scale the lightness and rotate the (a, b) plane of each stack of frames.
 
     Args:
         images: (B, 3 * frames, H, W) sRGB, uint8 or float in [0, 1].
-        scales: (B,) factors for L.
-        hues: (B,) angles in radians, from a towards b.
+        scales: (B,) factors for L, an array, or a tensor on the images' device.
+        hues: (B,) angles in radians, from a towards b, likewise.
         linear_light: decode sRGB to linear light before the conversion to XYZ, as its definition
             asks, and encode it afterwards.
 
@@ -45,20 +44,41 @@ def colour_jitter(
     batch, channels, height, width = images.shape
     linear = _decode_gamma(images) if linear_light else _to_float(images)
     linear = linear.reshape(batch, channels // 3, 3, height * width)
-    matrices, offsets = (_like(array, linear) for array in root_maps(scales, hues))
-    roots = _to_roots(_mix(TO_TRISTIMULUS, linear))  # (B, frames, 3, H * W)
+    constants = _constants(images.device, linear.dtype)
+    matrices, offsets = _root_maps(scales, hues, constants)
+    roots = _to_roots(torch.matmul(constants.to_tristimulus, linear))  # (B, frames, 3, H * W)
     roots = torch.matmul(matrices[:, None], roots).add_(offsets[:, None, :, None])
-    linear = _mix(FROM_TRISTIMULUS, _from_roots(roots))
+    linear = torch.matmul(constants.from_tristimulus, _from_roots(roots))
     out = _encode_gamma(linear) if linear_light else linear
     return out.clamp_(0.0, 1.0).reshape(images.shape)
 
 
-def _like(array: NDArray[np.float64], tensor: Tensor) -> Tensor:
-    return torch.from_numpy(array).to(tensor.device, tensor.dtype)
+class _Constants(NamedTuple):
+    """The constants of `lab`, (3, 3) and (3,), on a device."""
+
+    to_tristimulus: Tensor
+    from_tristimulus: Tensor
+    lightness: Tensor
+    cosine: Tensor
+    sine: Tensor
+    offset: Tensor
 
 
-def _mix(matrix: NDArray[np.float64], pixels: Tensor) -> Tensor:
-    return torch.matmul(_like(matrix, pixels), pixels)
+@cache
+def _constants(device: torch.device, dtype: torch.dtype) -> _Constants:
+    """Copied to the device once: a CUDA graph must not read the host's memory."""
+    arrays = lab.TO_TRISTIMULUS, lab.FROM_TRISTIMULUS, lab.LIGHTNESS, lab.COSINE, lab.SINE
+    return _Constants(*(torch.from_numpy(a).to(device, dtype) for a in (*arrays, lab.OFFSET)))
+
+
+def _root_maps(scales: Values, hues: Values, constants: _Constants) -> tuple[Tensor, Tensor]:
+    """`lab.root_maps` on a device."""
+    like = constants.offset
+    scale, hue = (torch.as_tensor(v).to(like.device, like.dtype)[:, None] for v in (scales, hues))
+    parts = constants.lightness, constants.cosine, constants.sine
+    factors = scale, hue.cos(), hue.sin()
+    matrices = sum(factor[:, None] * part for factor, part in zip(factors, parts, strict=True))
+    return torch.as_tensor(matrices), (scale - 1.0) * like
 
 
 def _to_float(images: Tensor) -> Tensor:

@@ -92,6 +92,12 @@ class Config:
     )
     threads: int = option(0, "CPU threads; 0: PyTorch's own number")
     compile: bool = option(False, "compile the networks (torch.compile)")
+    graphs: str = option(
+        "auto",
+        "record training steps as CUDA graphs; auto: on a GPU",
+        choices=("auto", "on", "off"),
+        added=True,
+    )
 
     def __post_init__(self) -> None:
         if isinstance(self.tasks, str):

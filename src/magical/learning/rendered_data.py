@@ -15,7 +15,13 @@ from torch import Tensor
 
 from magical.demos import Trajectory
 from magical.errors import DemonstrationsError
-from magical.learning.augment import NOISE_STD, Parameters
+from magical.learning.augment import (
+    NOISE_STD,
+    Floats,
+    Parameters,
+    noise_seeds,
+    sample_parameters,
+)
 from magical.learning.augmentations import SETS, Augmentations
 from magical.learning.colour import colour_jitter
 from magical.learning.config import AUTO, RENDERING
@@ -83,7 +89,7 @@ class RenderedExpertData(ExpertData):
     def augmented(self, rows: Rows, which: Augmentations, rng: np.random.Generator) -> Tensor:
         """See `ExpertData`."""
         channels, height, width = self.spec.network_shape
-        parameters = Parameters.sample(len(rows), which, rng)
+        parameters = sample_parameters(len(rows), which, rng)
         out = np.empty((len(rows), height, width, channels), np.float32)
         stacks = [stack.cpu().numpy()[rows] for stack in self._stacks]  # (B, K) each
         scenes = self._scene_of[stacks[0][:, 0]]
@@ -93,7 +99,7 @@ class RenderedExpertData(ExpertData):
                 [self._row_of[stack[inside]] for stack in stacks], parameters, which, out, inside
             )
         if which.noise:
-            add_noise(out, NOISE_STD, parameters.noise_seeds)
+            add_noise(out, NOISE_STD, noise_seeds(len(rows), rng))
         return torch.from_numpy(out).permute(0, 3, 1, 2).to(self.device, non_blocking=True)
 
 
@@ -106,7 +112,7 @@ class _SceneData(NamedTuple):
     def render(
         self,
         stacks: Sequence[NDArray[np.intp]],
-        parameters: Parameters,
+        parameters: Parameters[Floats],
         which: Augmentations,
         out: NDArray[np.float32],
         rows: NDArray[np.intp],
@@ -128,7 +134,7 @@ class _SceneData(NamedTuple):
 
 def _palettes(
     palette: NDArray[np.uint8],
-    parameters: Parameters,
+    parameters: Parameters[Floats],
     which: Augmentations,
     rows: NDArray[np.intp],
 ) -> NDArray[np.uint8]:

@@ -59,31 +59,40 @@ class ReplayBuffer:
         return self._observations[index], self._actions[index], tasks
 
     def state_dict(self) -> StateDict:
-        """The contents; images, which are mostly of uniform colour, are compressed."""
+        """The contents; images, which are mostly of uniform colour, are compressed on a CPU.
+
+        A GPU would wait for that longer than for the disk.
+        """
         assert self._observations is not None
         return {
             "count": self._count,
             "shape": list(self._observations.shape),
             "observations": _pack(self._observations),
+            "packed": _is_packed(self._observations),
             "actions": self._actions,
         }
 
     def load_state_dict(self, state: Mapping[str, Any], device: str) -> None:
         """Restore what `state_dict` returned."""
         self._count = state["count"]
-        self._observations = _unpack(state["observations"], state["shape"]).to(device)
+        observations = state["observations"]
+        if state["packed"]:
+            observations = _unpack(observations, state["shape"])
+        self._observations = observations.to(device)
         self._actions = state["actions"].to(device)
 
 
+def _is_packed(tensor: Tensor) -> bool:
+    return tensor.dtype == torch.uint8 and tensor.device.type == "cpu"
+
+
 def _pack(tensor: Tensor) -> Tensor:
-    if tensor.dtype != torch.uint8:
+    if not _is_packed(tensor):
         return tensor
     packed = zlib.compress(tensor.cpu().numpy().tobytes(), 1)
     return torch.frombuffer(bytearray(packed), dtype=torch.uint8)
 
 
 def _unpack(tensor: Tensor, shape: list[int]) -> Tensor:
-    if tensor.dtype != torch.uint8:
-        return tensor
     plain = bytearray(zlib.decompress(tensor.numpy().tobytes()))
     return torch.frombuffer(plain, dtype=torch.uint8).view(shape)

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
-from torch.optim import SGD, Adam, Optimizer
+from torch.optim import SGD, Optimizer
 
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
@@ -24,7 +24,9 @@ from magical.learning.config import (
 )
 from magical.learning.devices import choose_device
 from magical.learning.expert_data import ExpertData, TaskTrajectories, load_demonstrations
+from magical.learning.graphs import GraphedStep, use_graphs
 from magical.learning.models import PolicyNetwork, Trunk, init_last_layers
+from magical.learning.optimizers import make_adam, set_learning_rate
 from magical.learning.prefetch import prefetch
 from magical.learning.rendered_data import expert_data_class
 from magical.learning.run import Run
@@ -42,7 +44,7 @@ class BCConfig(ImitationConfig):
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {},
         "quick": {
-            "network": "small",
+            "network": "narrow",
             "batches": 2400,
             "precision": "auto",
             "optimizer": "adam",
@@ -152,6 +154,7 @@ class BCTrainer:
         self.network = make_policy(self.config).to(self.device)
         self.optimizer = make_optimizer(self.config, self.network)
         self._forward = torch.compile(self.network) if self.config.compile else self.network
+        self._graphed_step = GraphedStep(self._step, use_graphs(self.config.graphs, self.device))
 
     def expert_data(self, demonstrations: TaskTrajectories, remove_noops: bool) -> ExpertData:
         """The samples of demonstrations, on the trainer's device.
@@ -215,15 +218,18 @@ class BCTrainer:
 
     def step(self, batch: Batch, learning_rate: float) -> tuple[Tensor, Tensor]:
         """Take one step of the optimiser; returns the loss and the logits (B, 18)."""
-        for group in self.optimizer.param_groups:
-            group["lr"] = learning_rate
+        set_learning_rate(self.optimizer, learning_rate)
+        loss, logits = self._graphed_step(*batch)
+        return loss, logits
+
+    def _step(self, images: Tensor, actions: Tensor, tasks: Tensor) -> tuple[Tensor, Tensor]:
         with self.compute.autocast():
-            logits = self._forward(batch.images, batch.tasks)
-        loss = bc_loss(logits, batch.actions)
+            logits = self._forward(images, tasks)
+        loss = bc_loss(logits, actions)
         self.optimizer.zero_grad()
         torch.autograd.backward(loss)
         self.optimizer.step()
-        return loss, logits
+        return loss.detach(), logits.detach()
 
     def state_dict(self) -> StateDict:
         """The state of network and optimiser."""
@@ -246,10 +252,13 @@ def make_policy(config: BCConfig) -> PolicyNetwork:
 
 def make_optimizer(config: BCConfig, network: nn.Module) -> Optimizer:
     """The configured optimiser."""
-    rate, momentum = config.learning_rate, config.momentum
+    momentum = config.momentum
+    rate: Any = config.learning_rate
     if config.optimizer == "sgd":
+        if next(network.parameters()).is_cuda:
+            rate = torch.tensor(rate, device="cuda")
         return SGD(network.parameters(), rate, momentum, fused=True)
-    return Adam(network.parameters(), rate, (momentum, ADAM_BETA_2), fused=True)
+    return make_adam(network.parameters(), rate, (momentum, ADAM_BETA_2))
 
 
 class Averages:

@@ -21,18 +21,20 @@ import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
-from torch.optim import Adam
 
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.ppo import PPOTrainer
-from magical.learning.augment import augment, to_unit
+from magical.learning.augment import to_unit
 from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
 from magical.learning.config import option
 from magical.learning.devices import Compute
 from magical.learning.expert_data import ExpertData, load_demonstrations, split_evenly
+from magical.learning.graphs import GraphedStep, use_graphs
 from magical.learning.models import Discriminator, Trunk, init_last_layers, make_actor_critic
 from magical.learning.monitoring import Metrics
+from magical.learning.optimizers import make_adam
+from magical.learning.randoms import Randoms
 from magical.learning.reinforcement import PUBLISHED_CODE, QUICK, LearnedRewardConfig
 from magical.learning.replay_buffer import ReplayBuffer
 from magical.learning.reward_normalisation import RewardNormaliser
@@ -92,7 +94,7 @@ def train(config: GAILConfig, run: Run) -> None:
 class DiscriminatorBatch(NamedTuple):
     """B samples of the expert, followed by B of the novice."""
 
-    images: Tensor  # (2B, C, H, W) float32 in [0, 1]
+    images: Tensor  # (2B, C, H, W), as they are stored, or float32 in [0, 1]
     actions: Tensor  # (2B,) int64
     tasks: Tensor  # (2B,) int64
 
@@ -103,14 +105,12 @@ class DiscriminatorBatch(NamedTuple):
 
 
 # Discriminator, batch, random numbers -> the loss to be minimised, and what is logged beside it.
-Loss = Callable[
-    [Discriminator, DiscriminatorBatch, np.random.Generator], tuple[Tensor, dict[str, Tensor]]
-]
+Loss = Callable[[Discriminator, DiscriminatorBatch, Randoms], tuple[Tensor, dict[str, Tensor]]]
 Reward = Callable[[Tensor], Tensor]  # logits -> rewards of the same shape
 
 
 def gail_loss(
-    discriminator: Discriminator, batch: DiscriminatorBatch, rng: np.random.Generator
+    discriminator: Discriminator, batch: DiscriminatorBatch, randoms: Randoms
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """Mean binary cross-entropy of the logits, expert labelled 1, novice 0: to be minimised."""
     logits = discriminator(batch.images, batch.actions, batch.tasks).float()  # (2B,)
@@ -165,9 +165,7 @@ class DiscriminatorTrainer:
     ) -> None:
         self.config = config
         self.network = make_discriminator(config).to(compute.device)
-        self.optimizer = Adam(
-            self.network.parameters(), config.discriminator_learning_rate, fused=True
-        )
+        self.optimizer = make_adam(self.network.parameters(), config.discriminator_learning_rate)
         self._expert = expert
         self._replay_buffer = replay_buffer
         self._normaliser = RewardNormaliser(
@@ -176,6 +174,10 @@ class DiscriminatorTrainer:
         self._compute = compute
         self._loss = loss
         self._reward = reward
+        self._randoms = Randoms(compute.device)
+        self._logged: tuple[str, ...] = ()  # names of what a step returns
+        enabled = use_graphs(config.graphs, compute.device)
+        self._graphed_step = GraphedStep(self._step, enabled, self._randoms.generators)
 
     def rewards(self, rollout: Rollout) -> tuple[Tensor, Metrics]:
         """Normalised rewards (T, N) of a rollout, and mean and spread of the raw ones.
@@ -183,13 +185,18 @@ class DiscriminatorTrainer:
         Batch norm is in evaluation mode.
         """
         self.network.eval()
+        steps, envs = rollout.actions.shape
+        chunk = envs if self._compute.device == "cpu" else steps * envs
+        tasks = rollout.tasks.repeat(steps)
+        samples = rollout.observations.flatten(0, 1), rollout.actions.flatten(), tasks
+        chunks = zip(*(torch.split(part, chunk) for part in samples), strict=True)
         with torch.no_grad(), self._compute.autocast():
             logits = [
-                self.network(to_unit(observations), actions, rollout.tasks)
-                for observations, actions in zip(rollout.observations, rollout.actions, strict=True)
+                self.network(to_unit(images), actions, numbers)
+                for images, actions, numbers in chunks
             ]
         self.network.train()
-        raw = self._reward(torch.stack(logits).float())  # (T, N)
+        raw = self._reward(torch.cat(logits).float()).view(steps, envs)
         metrics: Metrics = {
             "raw_reward": raw.mean().item(),
             "raw_reward_std": raw.std(correction=0).item(),
@@ -199,20 +206,31 @@ class DiscriminatorTrainer:
     def train(self, rng: np.random.Generator) -> Metrics:
         """Take `discriminator_steps` optimiser steps; returns the means of what is logged."""
         steps = self.config.discriminator_steps
-        sums: dict[str, Tensor] = {}
+        sums: Tensor | None = None
         for _ in range(steps):
             batch = self.sample_batch(rng)
-            with self._compute.autocast():
-                loss, logged = self._loss(self.network, batch, rng)
-            self.optimizer.zero_grad()
-            torch.autograd.backward(loss)
-            self.optimizer.step()
-            for name, value in {"discriminator_loss": loss, **logged}.items():
-                sums[name] = sums.get(name, torch.zeros_like(loss)) + value.detach()
-        return {name: (total / steps).item() for name, total in sums.items()}
+            self._randoms.start(rng)
+            (logged,) = self._graphed_step(*batch)
+            sums = logged.clone() if sums is None else sums + logged
+        assert sums is not None
+        return dict(zip(self._logged, (sums / steps).tolist(), strict=True))
+
+    def _step(self, *inputs: Tensor) -> tuple[Tensor]:
+        """Take one step of the optimiser on a batch; returns what is logged, by `_logged`."""
+        images, actions, tasks = inputs
+        images = self._randoms.augment(images, self.config.augmentations)
+        with self._compute.autocast():
+            batch = DiscriminatorBatch(images, actions, tasks)
+            loss, logged = self._loss(self.network, batch, self._randoms)
+        self.optimizer.zero_grad()
+        torch.autograd.backward(loss)
+        self.optimizer.step()
+        logged = {"discriminator_loss": loss, **logged}
+        self._logged = tuple(logged)
+        return (torch.stack([value.detach() for value in logged.values()]),)
 
     def sample_batch(self, rng: np.random.Generator) -> DiscriminatorBatch:
-        """A batch, augmented; both halves are split between the tasks in the same way."""
+        """A batch as it is stored; both halves are split between the tasks in the same way."""
         half = self.config.discriminator_batch_size // 2
         counts = split_evenly(half, len(self.config.tasks), rng)
         rows = self._expert.sample_counts(counts, rng)
@@ -220,7 +238,7 @@ class DiscriminatorTrainer:
         novice_images, novice_actions, novice_tasks = self._replay_buffer.sample(counts, rng)
         images = torch.cat([self._expert.images(rows), novice_images])
         return DiscriminatorBatch(
-            augment(images, self.config.augmentations, rng),
+            images,
             torch.cat([expert_actions, novice_actions]),
             torch.cat([expert_tasks, novice_tasks]),
         )

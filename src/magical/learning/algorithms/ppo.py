@@ -17,7 +17,6 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.optim import Adam
 
 from magical.envs.env import Reward
 from magical.learning.algorithms import Algorithm
@@ -25,8 +24,10 @@ from magical.learning.augment import to_unit
 from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
 from magical.learning.config import IMAGE_OBSERVATIONS, option
 from magical.learning.devices import choose_device, one_thread
+from magical.learning.graphs import GraphedStep, use_graphs
 from magical.learning.models import make_actor_critic, sample_actions
 from magical.learning.monitoring import Metrics, Monitor, explained_variance
+from magical.learning.optimizers import make_adam, set_learning_rate
 from magical.learning.policy import demo_score
 from magical.learning.reinforcement import QUICK, ReinforcementConfig
 from magical.learning.rollouts import Rollout, RolloutBuffer, RolloutEnvs, shuffle_evenly
@@ -90,13 +91,14 @@ class PPOTrainer:
         self.config, self.run, self.previous_steps = config, run, previous_steps
         self.device = choose_device(config.device)
         self.network = make_actor_critic(config).to(self.device)
-        self.optimizer = Adam(self.network.parameters(), config.learning_rate, fused=True)
+        self.optimizer = make_adam(self.network.parameters(), config.learning_rate)
         vectors = len(config.input_shape) == 1
         # Positions need more digits than pixels.
         precision = "float32" if vectors and config.precision == "auto" else config.precision
         self.compute = run.compute(self.device, precision, config.threads)
         forward = self.network.logits_and_values
         self._forward = torch.compile(forward) if config.compile else forward
+        self._graphed_step = GraphedStep(self._step, use_graphs(config.graphs, self.device))
         self.monitor = Monitor()
         with ExitStack() as stack:
             if vectors:
@@ -137,22 +139,15 @@ class PPOTrainer:
             if self.compute.precision == "bfloat16":  # autocast would convert it in every epoch
                 samples = samples._replace(observations=samples.observations.bfloat16())
             left = 1.0 - update / config.updates if config.anneal else 1.0
-            for group in self.optimizer.param_groups:
-                group["lr"] = config.learning_rate * left
+            set_learning_rate(self.optimizer, config.learning_rate * left)
+            clip = torch.tensor(config.clip * left, device=self.device)
             rng = stream(config.seed, Purpose.MINIBATCHES, update)
             tasks = np.tile(self.envs.task_of, config.time_steps)  # (T * N,)
             sums = torch.zeros(len(LOSS_PARTS), device=self.device)
             for _ in range(config.epochs):
                 order = torch.from_numpy(shuffle_evenly(tasks, rng)).to(self.device)
                 for rows in torch.split(order, config.minibatch_size):
-                    minibatch = samples.select(rows)
-                    logits, values = self.forward(minibatch.observations, minibatch.tasks)
-                    clip, bonus = config.clip * left, config.entropy_bonus
-                    loss, parts = ppo_loss(logits, values, minibatch, clip, bonus)
-                    self.optimizer.zero_grad()
-                    torch.autograd.backward(loss)
-                    nn.utils.clip_grad_norm_(self.network.parameters(), config.max_grad_norm)
-                    self.optimizer.step()
+                    (parts,) = self._graphed_step(*samples, rows, clip)
                     sums += parts * len(rows)
             means = (sums / (config.epochs * len(tasks))).tolist()
         return {
@@ -161,6 +156,21 @@ class PPOTrainer:
             **dict(zip(LOSS_PARTS, means, strict=True)),
             "explained_variance": explained_variance(rollout.values.flatten(), samples.returns),
         }
+
+    def _step(self, *inputs: Tensor) -> tuple[Tensor]:
+        """Take one step of the optimiser on a minibatch; returns the loss's parts.
+
+        The inputs are all samples, the rows of the minibatch (B,), and the clip range.
+        """
+        *samples, rows, clip = inputs
+        minibatch = Samples(*samples).select(rows)
+        logits, values = self.forward(minibatch.observations, minibatch.tasks)
+        loss, parts = ppo_loss(logits, values, minibatch, clip, self.config.entropy_bonus)
+        self.optimizer.zero_grad()
+        torch.autograd.backward(loss)
+        nn.utils.clip_grad_norm_(self.network.parameters(), self.config.max_grad_norm)
+        self.optimizer.step()
+        return (parts,)
 
     def finish_update(
         self, update: int, metrics: Metrics, extra_state: Callable[[], StateDict] = dict
@@ -270,7 +280,7 @@ def compute_gae(rollout: Rollout, rewards: Tensor, discount: float, gae_lambda: 
 
 
 def ppo_loss(
-    logits: Tensor, values: Tensor, minibatch: Samples, clip: float, entropy_bonus: float
+    logits: Tensor, values: Tensor, minibatch: Samples, clip: Tensor, entropy_bonus: float
 ) -> tuple[Tensor, Tensor]:
     """The loss to be minimised, and its parts (4,) as in `LOSS_PARTS`.
 
@@ -284,7 +294,7 @@ def ppo_loss(
         logits: (B, 18) of the present policy pi.
         values: (B,) of the present value function V.
         minibatch: the samples.
-        clip: the clip range.
+        clip: (), the clip range.
         entropy_bonus: the weight of the entropy.
     """
     log_policy = logits.log_softmax(dim=1)  # (B, 18)

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -24,6 +23,7 @@ from magical.learning.algorithms.gail import (
 )
 from magical.learning.config import PIXEL_RANGES, option
 from magical.learning.models import Discriminator, make_actor_critic
+from magical.learning.randoms import Randoms
 from magical.learning.run import Run
 
 Critic = Callable[[Tensor, Tensor, Tensor], Tensor]  # images, actions, tasks -> logits (B,)
@@ -82,7 +82,7 @@ def critic_reward(logits: Tensor) -> Tensor:
 def critic_loss(
     critic: Discriminator,
     batch: DiscriminatorBatch,
-    rng: np.random.Generator,
+    randoms: Randoms,
     penalty_weight: float,
     penalty_batch_norm: str = "evaluation",
     pixel_range: str = "unit",
@@ -100,7 +100,7 @@ def critic_loss(
     expert, novice = logits[: batch.half], logits[batch.half :]
     distance = expert.mean() - novice.mean()
     critic.train(penalty_batch_norm == "training")
-    penalty = gradient_penalty(critic, *interpolate(batch, rng), pixel_range)
+    penalty = gradient_penalty(critic, *interpolate(batch, randoms), pixel_range)
     critic.train()
     threshold = (expert.mean() + novice.mean()) / 2
     accuracy = torch.cat([expert > threshold, novice < threshold]).float().mean()
@@ -111,16 +111,14 @@ def critic_loss(
     }
 
 
-def interpolate(
-    batch: DiscriminatorBatch, rng: np.random.Generator
-) -> tuple[Tensor, Tensor, Tensor]:
+def interpolate(batch: DiscriminatorBatch, randoms: Randoms) -> tuple[Tensor, Tensor, Tensor]:
     """Sample points uniformly between pairs of an expert and a novice image.
 
     Returns:
         Images (B, C, H, W), actions (B,) of the nearer image, tasks (B,).
     """
-    half, device = batch.half, batch.images.device
-    weight = torch.from_numpy(rng.random(half, np.float32)).to(device)  # of the expert's image
+    half = batch.half
+    weight = randoms.uniform(half)  # of the expert's image
     images = torch.lerp(batch.images[half:], batch.images[:half], weight[:, None, None, None])
     actions = torch.where(weight > 0.5, batch.actions[:half], batch.actions[half:])
     return images, actions, batch.tasks[:half]

@@ -34,6 +34,19 @@ GAMMA_KNEE, GAMMA_SLOPE = 0.0031308, 12.92
 Floats = NDArray[np.float64]
 
 
+def _of_roots(in_lab: Floats) -> Floats:
+    """A linear map of Lab colours (without the offset) as one of the cube roots: (3, 3)."""
+    return np.asarray(LAB_TO_ROOTS @ in_lab @ ROOTS_TO_LAB)
+
+
+# A jitter's map is a sum of these: scale * LIGHTNESS + cos(hue) * COSINE + sin(hue) * SINE, and
+# (scale - 1) * OFFSET is added.
+LIGHTNESS = _of_roots(np.diag([1.0, 0.0, 0.0]))
+COSINE = _of_roots(np.diag([0.0, 1.0, 1.0]))
+SINE = _of_roots(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
+OFFSET = LAB_TO_ROOTS @ LAB_OFFSET
+
+
 def root_maps(scales: Floats, hues: Floats) -> tuple[Floats, Floats]:
     """The affine maps of the cube roots that the jitter amounts to: (B, 3, 3) and (B, 3).
 
@@ -41,13 +54,8 @@ def root_maps(scales: Floats, hues: Floats) -> tuple[Floats, Floats]:
         scales: (B,) factors for L.
         hues: (B,) angles in radians, from a towards b.
     """
-    zero = np.zeros_like(scales)
-    cos, sin = np.cos(hues), np.sin(hues)
-    rows = [[scales, zero, zero], [zero, cos, -sin], [zero, sin, cos]]
-    in_lab = np.moveaxis(np.array(rows), 2, 0)  # (B, 3, 3)
-    matrices = LAB_TO_ROOTS @ in_lab @ ROOTS_TO_LAB
-    offsets = (in_lab @ LAB_OFFSET - LAB_OFFSET) @ LAB_TO_ROOTS.T
-    return matrices, offsets
+    scale, cos, sin = (v[:, None, None] for v in (scales, np.cos(hues), np.sin(hues)))
+    return scale * LIGHTNESS + cos * COSINE + sin * SINE, (scales[:, None] - 1.0) * OFFSET
 
 
 def decode_gamma(encoded: Floats) -> Floats:
