@@ -122,7 +122,7 @@ def measure(network: str, rounds: int, batch_size: int) -> None:
     for _ in range(rounds):
         times["plain"].append(seconds(plain, repeat(plain_batch, steps), device))
         times["ours"].append(seconds(ours, repeat(fixed, steps), device))
-        with prefetch(setup.batch, range(steps), device) as batches:
+        with prefetch(setup.batch, range(steps), True) as batches:
             times["whole"].append(seconds(ours, batches, device))
     median = {name: float(np.median(values)) for name, values in times.items()}
     speeds = "  ".join(f"{name} {batch_size / t:7.1f}" for name, t in median.items())

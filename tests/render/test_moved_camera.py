@@ -29,7 +29,7 @@ def moved(
     camera.render(
         bodies, np.array([angle]), np.array([shift]), camera.palette[None], out, np.zeros(1, int), 0
     )
-    return out[0] * 255.0
+    return np.asarray(out[0] * 255.0)
 
 
 def plain(case: Case, view: View, size: int = SIZE) -> NDArray[np.float64]:

@@ -1,6 +1,7 @@
 """Rollouts with fixed seeds: a policy, environments, scores."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -206,6 +207,51 @@ def _score_share(
     env_id, numbers = share
     with _Rollouts(setting, env_id.task_spec, [env_id], len(numbers), workers=0) as batch:
         return [score for part in batch.run(numbers) for score in part]
+
+
+class RepeatedEvaluation:
+    """An evaluation that is repeated, as during training: its environments are kept alive.
+
+    Args:
+        policy: see `Policy`; not one that runs in processes of its own.
+        env_ids: the environments.
+        rollouts: of each environment.
+        seed: as for `evaluate`, and so is
+        horizon:
+        workers: processes in all; each task has at least one, or with 0 none.
+    """
+
+    def __init__(
+        self,
+        policy: Policy,
+        env_ids: Sequence[EnvId],
+        *,
+        rollouts: int,
+        seed: int = 0,
+        horizon: Horizon = None,
+        workers: int | None = None,
+    ) -> None:
+        setting = _Setting(policy, None, horizon, 0.0, NUM_ENVS, seed)
+        groups = list(_by_task(env_ids))
+        total = available_cores() if workers is None else workers
+        each = -(-total // len(groups))
+        self._ids = list(env_ids)
+        self._numbers = range(rollouts)
+        with ExitStack() as stack:
+            self._batches = [
+                stack.enter_context(_Rollouts(setting, task, group, rollouts, each))
+                for task, group in groups
+            ]
+            self._stack = stack.pop_all()
+
+    def scores(self) -> list[RolloutScore]:
+        """The score of each rollout, as `evaluate` returns them."""
+        parts = (part for batch in self._batches for part in batch.run(self._numbers))
+        return _collect(parts, self._ids, None)
+
+    def close(self) -> None:
+        """End the environments."""
+        self._stack.close()
 
 
 class _Rollouts:

@@ -28,6 +28,7 @@ StateDict = dict[str, Any]  # dicts with string keys, lists, tensors, and what J
 
 _TENSOR = "__tensor__"
 _HEADER = "state"  # the key in the header
+DEVICE_OPTIONS = ("fused", "capturable")  # of optimisers
 
 # A file begins with the header's length and its JSON; the digest is the first entry in that.
 _LENGTH = 8  # bytes of the length, little-endian
@@ -205,9 +206,11 @@ def load_optimizer(optimizer: Optimizer, state: Mapping[str, Any]) -> None:
             else value
             for name, value in values.items()
         }
+    rates = [group["lr"] for group in optimizer.param_groups]
     groups = []
     for own, saved in zip(optimizer.param_groups, state["param_groups"], strict=True):
-        rate = own["lr"].fill_(saved["lr"]) if isinstance(own["lr"], Tensor) else saved["lr"]
-        kept = {name: own[name] for name in ("fused", "capturable") if name in own}
-        groups.append({**saved, "lr": rate, **kept})
+        groups.append({**saved, **{name: own[name] for name in DEVICE_OPTIONS if name in own}})
     optimizer.load_state_dict({"state": moments, "param_groups": groups})
+    for group, rate in zip(optimizer.param_groups, rates, strict=True):
+        if isinstance(rate, Tensor):
+            group["lr"] = rate.fill_(group["lr"])

@@ -34,6 +34,8 @@ PUBLISHED_CODE_IMAGES: Mapping[str, Any] = {
     "linear_light": False,
 }
 
+CHECKPOINT_SECONDS = 30  # between checkpoints, unless a number of steps is configured
+
 METAVARS = {int: "N", float: "X", str: "NAME", bool: None}
 
 

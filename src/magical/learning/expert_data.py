@@ -177,6 +177,11 @@ class ExpertData:
         ]
         return stacks[0] if len(stacks) == 1 else torch.cat(stacks, dim=1)
 
+    @property
+    def batches_on_host(self) -> bool:
+        """Whether batches are made by the host, so that another thread can make them ahead."""
+        return self.device == "cpu"
+
     def augmented(self, rows: Rows, which: Augmentations, rng: np.random.Generator) -> Tensor:
         """Frame stacks of samples, augmented: (B, C, H, W) float32 in [0, 1]."""
         return augment(self.images(rows), which, rng)

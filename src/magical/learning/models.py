@@ -142,8 +142,9 @@ class TaskLinear(nn.Module):
         self.linear = nn.Linear(inputs, outputs * num_tasks)
 
     def forward(self, features: Tensor, tasks: Tensor) -> Tensor:
-        """Outputs (B, outputs) of features (B, inputs) for each row's task (B,)."""
-        every: Tensor = self.linear(features)
+        """Outputs (B, outputs) of features (B, inputs) for each row's task (B,); float32."""
+        with torch.autocast(features.device.type, enabled=False):
+            every: Tensor = self.linear(features.float())
         if self.num_tasks == 1:
             return every
         every = every.view(len(features), self.num_tasks, -1)

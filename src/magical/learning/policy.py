@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -11,8 +11,8 @@ from torch import Tensor, nn
 
 from magical.envs import EnvId, parse_env_id
 from magical.errors import DivergedError, ObservationError, PolicyError, RunFolderError
-from magical.evaluation import evaluate
 from magical.evaluation.policy import Actions, Mask
+from magical.evaluation.rollouts import RepeatedEvaluation
 from magical.learning.algorithms import find_algorithm, read_config
 from magical.learning.augment import to_unit
 from magical.learning.checkpoints import load_module, load_newest_checkpoint
@@ -21,7 +21,7 @@ from magical.learning.reinforcement import ReinforcementConfig
 from magical.observe import ObservationSpec
 from magical.runs.folder import CHECKPOINT, CONFIG, RECORD, is_run, read_json
 
-EVALUATION_SEED = 1  # of `demo_score`; not the seed of reported results
+EVALUATION_SEED = 1  # of `DemoEvaluation`; not the seed of reported results
 
 
 class NetworkPolicy:
@@ -150,18 +150,44 @@ def load_policy(run: Path | str, device: str = "auto", greedy: bool = False) -> 
     )
 
 
-def demo_score(network: nn.Module, config: ReinforcementConfig, compute: Compute) -> float:
-    """The mean score of a network over its tasks' Demo variants, during training."""
-    policy = NetworkPolicy(
-        network, config.tasks, config.observation, config.observation_spec, compute
-    )
-    scores = evaluate(
-        policy,
-        [EnvId(task, "Demo") for task in config.tasks],
-        rollouts=config.evaluation_rollouts,
-        seed=EVALUATION_SEED,
-        horizon=config.env_horizon,
-        workers=config.workers,
-    )
-    network.train()
-    return float(np.mean([score.score for score in scores]))
+class DemoEvaluation:
+    """The score of a network over its tasks' Demo variants, again and again during training.
+
+    The environments are made for the first score and kept for the next ones.
+    """
+
+    def __init__(self, network: nn.Module, config: ReinforcementConfig, compute: Compute) -> None:
+        self._network, self._config, self._compute = network, config, compute
+        self._evaluation: RepeatedEvaluation | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._evaluation:
+            self._evaluation.close()
+
+    def score(self) -> float:
+        """The mean score of the present weights; the network is in training mode afterwards."""
+        self._evaluation = self._evaluation or self._start()
+        self._network.eval()
+        scores = self._evaluation.scores()
+        self._network.train()
+        return float(np.mean([score.score for score in scores]))
+
+    def _start(self) -> RepeatedEvaluation:
+        config = self._config
+        return RepeatedEvaluation(
+            NetworkPolicy(
+                self._network,
+                config.tasks,
+                config.observation,
+                config.observation_spec,
+                self._compute,
+            ),
+            [EnvId(task, "Demo") for task in config.tasks],
+            rollouts=config.evaluation_rollouts,
+            seed=EVALUATION_SEED,
+            horizon=config.env_horizon,
+            workers=config.workers,
+        )

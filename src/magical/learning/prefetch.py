@@ -16,14 +16,15 @@ PUT_TIMEOUT = 0.1  # s between checks whether the consumer has stopped
 
 @contextmanager
 def prefetch(
-    make: Callable[[int], T], numbers: Iterable[int], device: str
+    make: Callable[[int], T], numbers: Iterable[int], ahead: bool
 ) -> Iterator[Iterator[T]]:
     """Yield an iterator over the batches `make(number)`, in order.
 
-    On a CPU a thread makes them ahead of time. On a GPU they are made on demand: its kernels are
-    queued asynchronously anyway. The iterator raises what `make` raises.
+    A thread makes them `ahead` of time, which is for batches that the host makes. What a GPU makes
+    is made on demand: its kernels are queued asynchronously anyway. The iterator raises what `make`
+    raises.
     """
-    if device != "cpu":
+    if not ahead:
         yield map(make, numbers)
         return
     loader = _Loader(make, numbers)

@@ -9,7 +9,13 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 from magical.errors import InvalidConfigError
-from magical.learning.config import PUBLISHED_CODE_IMAGES, Config, ImitationConfig, option
+from magical.learning.config import (
+    CHECKPOINT_SECONDS,
+    PUBLISHED_CODE_IMAGES,
+    Config,
+    ImitationConfig,
+    option,
+)
 from magical.runs.sources import INTERACTION
 from magical.tasks import Horizon, have_two_horizons, require_two_horizons
 
@@ -34,7 +40,6 @@ QUICK: Mapping[str, Any] = {
     "normalise_advantages": True,
     "bootstrap": True,
     "evaluate_every": 50,
-    "checkpoint_every": 25,
 }
 
 # docs/specification.md, section 11; docs/presets.md.
@@ -76,17 +81,19 @@ class ReinforcementConfig(Config):
     normalise_advantages: bool = option(False, "to mean 0 and standard deviation 1 per update")
     bootstrap: bool = option(False, "bootstrap the value at the time limit instead of using 0")
     workers: int | None = option(None, "environment processes (default: one per core)")
-    checkpoint_every: int = option(50, "updates between checkpoints")
+    checkpoint_every: int = option(
+        0, f"updates between checkpoints; 0: one every {CHECKPOINT_SECONDS} s"
+    )
     evaluate_every: int = option(200, "updates between evaluations; 0: never")
     evaluation_rollouts: int = option(20, "rollouts of each task per evaluation")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self.require_positive("total_steps", "num_envs", "time_steps", "epochs", "minibatch_size")
-        self.require_positive("learning_rate", "clip", "max_grad_norm", "checkpoint_every")
+        self.require_positive("learning_rate", "clip", "max_grad_norm")
         self.require_positive("evaluation_rollouts")
         self.require_fraction("discount", "gae_lambda")
-        self.require_at_least_zero("entropy_bonus", "evaluate_every", "workers")
+        self.require_at_least_zero("entropy_bonus", "evaluate_every", "checkpoint_every", "workers")
         if self.num_envs < len(self.tasks):
             raise InvalidConfigError(
                 f"num_envs: expected at least one for each of {len(self.tasks)} tasks, "

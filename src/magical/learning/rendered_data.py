@@ -81,6 +81,11 @@ class RenderedExpertData(ExpertData):
         parts = self.spec.components
         return [MovedCamera(scene, part.view, part.size, part.samples) for part in parts]
 
+    @property
+    def batches_on_host(self) -> bool:
+        """See `ExpertData`: frames are always rendered by the host."""
+        return True
+
     def images(self, rows: Rows) -> Tensor:
         """Frame stacks of samples as they are, (B, C, H, W) uint8."""
         plain = self.augmented(rows, SETS["none"], np.random.default_rng(0))
@@ -90,7 +95,9 @@ class RenderedExpertData(ExpertData):
         """See `ExpertData`."""
         channels, height, width = self.spec.network_shape
         parameters = sample_parameters(len(rows), which, rng)
-        out = np.empty((len(rows), height, width, channels), np.float32)
+        pinned = self.device == "cuda"
+        images = torch.empty((len(rows), height, width, channels), pin_memory=pinned)
+        out = images.numpy()
         stacks = [stack.cpu().numpy()[rows] for stack in self._stacks]  # (B, K) each
         scenes = self._scene_of[stacks[0][:, 0]]
         for number in np.unique(scenes):
@@ -100,7 +107,7 @@ class RenderedExpertData(ExpertData):
             )
         if which.noise:
             add_noise(out, NOISE_STD, noise_seeds(len(rows), rng))
-        return torch.from_numpy(out).permute(0, 3, 1, 2).to(self.device, non_blocking=True)
+        return images.permute(0, 3, 1, 2).to(self.device, non_blocking=True)
 
 
 class _SceneData(NamedTuple):

@@ -15,6 +15,7 @@ from magical.envs.seeds import sample_training_seeds
 from magical.envs.vector import MagicalVectorEnv
 from magical.learning.checkpoints import StateDict
 from magical.learning.reinforcement import ReinforcementConfig
+from magical.learning.staging import Staging
 from magical.learning.streams import Purpose, stream
 from magical.observe import ObservationSpec
 from magical.scene import NUM_ACTIONS
@@ -55,6 +56,7 @@ class RolloutEnvs:
         task_of: (N,) int64, each environment's position in the configuration's tasks.
         tasks: the same on the device.
         device: where networks compute.
+        staging: copies observations there.
     """
 
     def __init__(self, config: ReinforcementConfig, device: str, reward: Reward = "none") -> None:
@@ -73,6 +75,7 @@ class RolloutEnvs:
         self._config = config
         self._spec: ObservationSpec = config.observation_spec
         self.device = device
+        self.staging = Staging(device)
         self._horizons = np.array(
             [get_task(name).resolve_horizon(config.env_horizon) for name in names]
         )
@@ -131,6 +134,7 @@ class RolloutBuffer:
 
     def __init__(self, time_steps: int, envs: RolloutEnvs) -> None:
         self._envs = envs
+        self._staging = envs.staging
         self.shape = time_steps, len(envs.tasks)  # T, N
         first = envs.observations()
         self._observations = torch.empty_strided(  # in the memory layout of the environments
@@ -149,7 +153,7 @@ class RolloutBuffer:
 
     def add_observations(self, t: int, observations: Tensor) -> Tensor:
         """Store observations (N, ...) of time t; returns them on the device."""
-        self._observations[t] = observations
+        self._staging.copy(observations, self._observations[t])
         return self._observations[t]
 
     def add(self, t: int, actions: Tensor, log_probs: Tensor, values: Tensor, step: Step) -> None:

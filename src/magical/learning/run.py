@@ -4,6 +4,7 @@ The folder's files are described in `magical.runs.folder`.
 """
 
 import math
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Self
@@ -12,6 +13,7 @@ import torch
 
 from magical.errors import DivergedError, RunFolderError
 from magical.learning.checkpoints import StateDict, load_newest_checkpoint, replace_checkpoint
+from magical.learning.config import CHECKPOINT_SECONDS
 from magical.learning.devices import Compute, choose_compute
 from magical.learning.interrupts import Interrupts
 from magical.runs.folder import CHECKPOINT, PREVIOUS, RECORD, TENSORBOARD, read_json, write_json
@@ -52,6 +54,7 @@ class Run:
         self.saved: StateDict | None = load_newest_checkpoint(folder) if begun else None
         self.step = int(self.saved["step"]) if self.saved else 0
         self._last = math.inf if stop_after is None else self.step + stop_after
+        self._saved_at = time.monotonic()
         self._metrics = MetricsWriter(folder, self.step)
         self._tensorboard = (
             _summary_writer(folder / TENSORBOARD, self.step) if tensorboard else None
@@ -106,6 +109,12 @@ class Run:
                     self._tensorboard.add_scalar(name, value, step)
         self._on_metrics(step, total, metrics)
 
+    def checkpoint_is_due(self, step: int, every: int) -> bool:
+        """Whether to save a checkpoint after `step` steps: by number, or with 0 by time."""
+        if every:
+            return step % every == 0
+        return time.monotonic() - self._saved_at >= CHECKPOINT_SECONDS
+
     def checkpoint(self, step: int, state: StateDict) -> None:
         """Save the state after `step` steps as the newest checkpoint; the one before is kept too.
 
@@ -114,6 +123,7 @@ class Run:
         self.require_finite(step, state)
         replace_checkpoint(self.folder, {**state, "step": step})
         self.step = step
+        self._saved_at = time.monotonic()
 
     def require_finite(self, step: int, state: Any) -> None:
         """Raise `DivergedError` if any number or tensor in nested dicts and lists is not finite."""

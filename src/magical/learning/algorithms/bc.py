@@ -3,6 +3,7 @@
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import torch
@@ -15,6 +16,7 @@ from magical.learning.algorithms import Algorithm
 from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
 from magical.learning.config import (
     AUTO,
+    CHECKPOINT_SECONDS,
     IMAGE_OBSERVATIONS,
     PUBLISHED_CODE_IMAGES,
     RENDERING,
@@ -74,12 +76,15 @@ class BCConfig(ImitationConfig):
         added=True,
     )
     log_every: int = option(50, "batches between lines of metrics")
-    checkpoint_every: int = option(500, "batches between checkpoints")
+    checkpoint_every: int = option(
+        0, f"batches between checkpoints; 0: one every {CHECKPOINT_SECONDS} s"
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self.require_positive("batches", "batch_size", "learning_rate")
-        self.require_positive("log_every", "checkpoint_every")
+        self.require_positive("log_every")
+        self.require_at_least_zero("checkpoint_every")
         if self.observation == STATE:
             self._check_state()
 
@@ -189,7 +194,8 @@ class BCTrainer:
         self.network.train()
         averages = Averages(self.device)
         numbers = range(run.step, until)
-        with prefetch(lambda n: self.sample_batch(data, n), numbers, self.device) as batches:
+        make, ahead = partial(self.sample_batch, data), data.batches_on_host
+        with prefetch(make, numbers, ahead) as batches:
             for number, batch in zip(numbers, batches, strict=False):
                 loss, logits = self.step(batch, config.learning_rate_at(number))
                 averages.add(loss, logits, batch.actions)
@@ -200,7 +206,7 @@ class BCTrainer:
                     metrics = averages.reset()
                     run.require_finite(done, metrics)
                     run.log(done, config.total, **(extra_metrics or {}), **metrics)
-                if last or done % config.checkpoint_every == 0:
+                if last or run.checkpoint_is_due(done, config.checkpoint_every):
                     run.checkpoint(done, {**self.state_dict(), **(extra_state or {})})
                 if stops:
                     return True

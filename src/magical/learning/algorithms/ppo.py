@@ -28,7 +28,7 @@ from magical.learning.graphs import GraphedStep, use_graphs
 from magical.learning.models import make_actor_critic, sample_actions
 from magical.learning.monitoring import Metrics, Monitor, explained_variance
 from magical.learning.optimizers import make_adam, set_learning_rate
-from magical.learning.policy import demo_score
+from magical.learning.policy import DemoEvaluation
 from magical.learning.reinforcement import QUICK, ReinforcementConfig
 from magical.learning.rollouts import Rollout, RolloutBuffer, RolloutEnvs, shuffle_evenly
 from magical.learning.run import Run
@@ -104,6 +104,9 @@ class PPOTrainer:
             if vectors:
                 stack.enter_context(one_thread())
             self.envs = stack.enter_context(RolloutEnvs(config, self.device, reward))
+            self._demo_evaluation = stack.enter_context(
+                DemoEvaluation(self.network, config, self.compute)
+            )
             self._start_or_resume()
             self._stack = stack.pop_all()
 
@@ -182,11 +185,11 @@ class PPOTrainer:
         metrics |= self.monitor.metrics()
         every = config.evaluate_every
         if every and (done % every == 0 or done == config.updates):
-            metrics["evaluation_score"] = demo_score(self.network, config, self.compute)
+            metrics["evaluation_score"] = self._demo_evaluation.score()
         steps: Metrics = {"environment_steps": done * config.steps_per_update}
         self.run.log(step, config.total, **self.monitor.warning(metrics), **steps, **metrics)
         self.run.require_finite(step, metrics)
-        if stops or done % config.checkpoint_every == 0:
+        if stops or self.run.checkpoint_is_due(done, config.checkpoint_every):
             self.run.checkpoint(step, {**self.state_dict(), **extra_state()})
         return stops
 

@@ -136,6 +136,17 @@ def _store(frames: Pixels, out: Floats32, channel: int) -> None:
                 target[CHANNELS * k + 2] = (colour >> 16 & 0xFF) * scale
 
 
+@inlined
+def _memory(size: int, samples: int, layers: int) -> tuple[Ints, Pixels, Ints, Ints, Ints]:
+    """Tiles, owners, counts, body pixels and touched: the arrays of a `Canvas` of this call."""
+    count = size * size
+    tiles = np.empty((layers * count, samples * samples), np.int64)
+    owners = np.empty(layers * count, np.int32)
+    touched = np.empty((2, size), np.int64)
+    touched[0], touched[1] = size, 0
+    return tiles, owners, np.zeros(1, np.int64), np.empty(count, np.int64), touched
+
+
 @cache
 def compiled_render_moved(samples: int) -> Callable[..., bool]:
     """The entry point for samples x samples samples a pixel (1, 2 or 4 across)."""
@@ -162,14 +173,10 @@ def compiled_render_moved(samples: int) -> Callable[..., bool]:
         `moves` (B, 4): cos, sin, and shifts to the right and up. Each stack has its own
         `item_colours` (B, n), `ground_colours` (B, 1 + R, 2) and `backgrounds` (B,).
         """
-        size = out.shape[1]
-        extent, stacked, count = size * samples, bodies.shape[1], bodies.shape[2]
-        stack = np.empty((stacked, size * size), np.int32)
-        layers = len(corners) * size * size
-        tiles, owners = np.empty((layers, samples * samples), np.int64), np.empty(layers, np.int32)
-        body_pixels, counts = np.full(size * size, empty, np.int64), np.zeros(1, np.int64)
-        touched = np.empty((2, size), np.int64)
-        touched[0], touched[1] = size, 0
+        size, stacked, count = out.shape[1], bodies.shape[1], bodies.shape[2]
+        extent, stack = size * samples, np.empty((stacked, size * size), np.int32)
+        tiles, owners, counts, body_pixels, touched = _memory(size, samples, len(corners))
+        body_pixels[:] = empty
         edges, spans = np.empty((3, MOST_SIDES + 1)), np.empty((2, extent + samples), np.int64)
         frames, coloured = np.empty((count + 1, 4)), items.copy()
         for b in range(len(bodies)):
