@@ -1,150 +1,155 @@
-"""Training speed of behavioural cloning beside plain PyTorch, in the same run, interleaved.
+"""Speed of behavioural cloning, whole: making batches and learning from them, before and after.
 
-- plain: the same layers, float32, channels first, one prepared batch again and again
-- ours: channels last and the faster precision, one prepared batch again and again
-- whole: ours with sampling and augmenting every batch, as `magical train bc` does
-- data: which share of a step sampling and augmenting take, (whole - ours) / whole
+    python benchmarks/learning.py
+    python benchmarks/learning.py --precision float32
+    ATEN_CPU_CAPABILITY=avx2 ONEDNN_MAX_CPU_ISA=AVX2 \\
+        python benchmarks/learning.py --precision float32
 
-python benchmarks/learning.py [--network paper|small] [--rounds 5] [--batch-size 32]
+The ways take turns in one run:
+
+- before: the network `small`, frames resampled by PyTorch
+- compiled: the same network, frames resampled by compiled code
+- resampling: `quick`'s network, the same
+- rendering: `quick`'s network, frames rendered from a moved camera
+
+For each: processor time of making a batch and of learning from it, on one thread; the share of
+making; and samples a second, batches made by a thread ahead of time as `magical train bc` does,
+with PyTorch's own number of threads.
 """
 
 import argparse
+import tempfile
 import time
-from collections.abc import Callable, Iterable
-from functools import partial
-from itertools import repeat
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
 
 import numpy as np
 import torch
-from torch import nn
-from torch.optim import SGD
+from torch import Tensor
 
-from magical.learning.algorithms.bc import Batch, BCConfig, bc_loss, make_optimizer, make_policy
-from magical.learning.augment import augment
-from magical.learning.devices import Compute, choose_compute, choose_device
-from magical.learning.networks import find_network
+from magical.demos.generate import generate
+from magical.envs import EnvId
+from magical.learning.algorithms.bc import Batch, BCConfig, BCTrainer
+from magical.learning.augment import augment_in_pytorch, sample_parameters
+from magical.learning.augmentations import Augmentations
+from magical.learning.devices import choose_compute
+from magical.learning.expert_data import ExpertData, Rows, sample_demonstrations
 from magical.learning.prefetch import prefetch
-from magical.scene import NUM_ACTIONS
+from magical.learning.run import Run
 
-FRAMES = 1000  # about ten demonstrations
-STEPS = {"paper": 6, "small": 30}  # in a round
-PRESETS = {"paper": "paper", "small": "quick"}
+TASK = "MoveToCorner"
+DEMOS = 25
+BATCHES = 30  # in a round
+WARM_UP = 5  # batches
+RATE = 1e-3
+WAYS = {
+    "before": ("small", "pytorch"),
+    "compiled": ("small", "resampling"),
+    "resampling": (None, "resampling"),
+    "rendering": (None, "rendering"),
+}
+
+
+class PyTorchData(ExpertData):
+    """Frames resampled by PyTorch."""
+
+    def augmented(self, rows: Rows, which: Augmentations, rng: np.random.Generator) -> Tensor:
+        parameters = sample_parameters(len(rows), which, rng)
+        generator = torch.Generator().manual_seed(int(rng.integers(2**63)))
+        return augment_in_pytorch(self.images(rows), which, parameters, generator)
 
 
 class Setup:
-    """One network's configuration, data and measured batches."""
+    """One way of cloning, and what has been measured of it."""
 
-    def __init__(self, network: str, batch_size: int, device: str) -> None:
+    def __init__(self, name: str, folder: Path, precision: str, batch_size: int) -> None:
+        network, way = WAYS[name]
+        changes = {} if network is None else {"network": network}
+        self.name = name
         self.config = BCConfig.preset(
-            PRESETS[network], tasks=("MoveToCorner",), demos="", batch_size=batch_size
+            "quick",
+            tasks=(TASK,),
+            demos=str(folder / "demos"),
+            num_demos=DEMOS,
+            batch_size=batch_size,
+            precision=precision,
+            device="cpu",
+            augment_by="rendering" if way == "rendering" else "resampling",
+            **changes,
         )
-        self.device = device
-        rng = np.random.default_rng(0)
-        frames = rng.integers(0, 256, (FRAMES, 3, 96, 96), dtype=np.uint8)
-        self.frames = torch.from_numpy(frames).to(device)
-        self.actions = torch.from_numpy(rng.integers(0, NUM_ACTIONS, batch_size)).to(device)
-        self.tasks = torch.zeros(batch_size, dtype=torch.int64, device=device)
+        (folder / name).mkdir()
+        self.trainer = BCTrainer(self.config, Run(folder / name))
+        self.trainer.network.train()
+        trajectories = sample_demonstrations(self.config.demos, (TASK,), DEMOS, 0).trajectories
+        self.data = self.trainer.expert_data(trajectories, remove_noops=True)
+        if way == "pytorch":
+            spec = self.config.observation_spec
+            self.data = PyTorchData(trajectories, (TASK,), spec, remove_noops=True)
+        self.making: list[float] = []
+        self.learning: list[float] = []
+        self.whole: list[float] = []
 
-    def batch(self, number: int) -> Batch:
-        """Sampled and augmented, as `ExpertData.images` and `augment` do it."""
-        rng = np.random.default_rng(number)
-        size = self.config.batch_size
-        moments = torch.from_numpy(rng.integers(0, FRAMES, size * 4)).to(self.device)
-        images = self.frames.index_select(0, moments).view(size, 12, 96, 96)
-        images = augment(images, self.config.augmentations, rng)
-        return Batch(images, self.actions, self.tasks)
+    def make(self, number: int) -> Batch:
+        return self.trainer.sample_batch(self.data, number)
 
+    def learn(self, batch: Batch) -> None:
+        self.trainer.step(batch, RATE)
 
-def our_step(setup: Setup, compute: Compute) -> Callable[[Batch], None]:
-    """The update of `bc.train`."""
-    network = make_policy(setup.config).to(setup.device)
-    optimizer = make_optimizer(setup.config, network)
-
-    def step(batch: Batch) -> None:
-        with compute.autocast():
-            logits = network(batch.images, batch.tasks)
-        loss = bc_loss(logits, batch.actions)
-        optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        optimizer.step()
-
-    return step
-
-
-def plain_step(setup: Setup) -> Callable[[Batch], None]:
-    """The same layers in plain PyTorch."""
-    layers: list[nn.Module] = []
-    architecture = find_network(setup.config.network)
-    channels = 12
-    for out, kernel, stride in architecture.CONVOLUTIONS:  # type: ignore[attr-defined]
-        convolution = nn.Conv2d(channels, out, kernel, stride, kernel // 2, bias=False)
-        layers += [convolution, nn.ReLU(), nn.BatchNorm2d(out)]
-        channels = out
-    layers.append(nn.Flatten())
-    inputs = nn.Sequential(*layers)(torch.zeros(2, 12, 96, 96)).shape[1]
-    for size in architecture.HIDDEN:
-        layers += [nn.Linear(inputs, size), nn.ReLU()]
-        inputs = size
-    network = nn.Sequential(*layers, nn.Linear(inputs, NUM_ACTIONS)).to(setup.device)
-    optimizer = SGD(network.parameters(), 1e-3, momentum=0.1)
-
-    def step(batch: Batch) -> None:
-        loss = nn.functional.cross_entropy(network(batch.images), batch.actions)
-        optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        optimizer.step()
-
-    return step
+    def measure(self, threads: int) -> None:
+        """One round of everything."""
+        torch.set_num_threads(1)
+        batch = self.make(0)
+        self.making.append(seconds(lambda: self.make(1), time.process_time))
+        self.learning.append(seconds(lambda: self.learn(batch), time.process_time))
+        torch.set_num_threads(threads)
+        with prefetch(self.make, range(WARM_UP + BATCHES), True) as batches:
+            for number, prepared in enumerate(batches):
+                if number == WARM_UP:
+                    start = time.perf_counter()
+                self.learn(prepared)
+        self.whole.append((time.perf_counter() - start) / BATCHES)
 
 
-def seconds(step: Callable[[Batch], None], batches: Iterable[Batch], device: str) -> float:
-    """Wall time of a step on average."""
-    start, count = time.perf_counter(), 0
-    for batch in batches:
-        step(batch)
-        count += 1
-    if device == "cuda":
-        torch.cuda.synchronize()
-    return (time.perf_counter() - start) / count
-
-
-def measure(network: str, rounds: int, batch_size: int) -> None:
-    """Print one network's figures."""
-    device, steps = choose_device("auto"), STEPS[network]
-    setup = Setup(network, batch_size, device)
-    fixed = setup.batch(0)
-    plain_batch = fixed._replace(images=fixed.images.contiguous())
-    compute = choose_compute(device, "auto", 0)
-    plain, ours = plain_step(setup), our_step(setup, compute)
-    for step, batch in ((plain, plain_batch), (ours, fixed)):
-        step(batch)  # warm-up
-    times: dict[str, list[float]] = {"plain": [], "ours": [], "whole": []}
-    for _ in range(rounds):
-        times["plain"].append(seconds(plain, repeat(plain_batch, steps), device))
-        times["ours"].append(seconds(ours, repeat(fixed, steps), device))
-        with prefetch(setup.batch, range(steps), True) as batches:
-            times["whole"].append(seconds(ours, batches, device))
-    median = {name: float(np.median(values)) for name, values in times.items()}
-    speeds = "  ".join(f"{name} {batch_size / t:7.1f}" for name, t in median.items())
-    share = 1.0 - median["ours"] / median["whole"]
-    print(
-        f"{network:6} {device} {compute.precision:9} samples/s: {speeds}  "
-        f"ours/plain {median['plain'] / median['ours']:.2f}  "
-        f"whole/plain {median['plain'] / median['whole']:.2f}  data {share:.0%}"
-    )
+def seconds(function: Callable[[], object], clock: Callable[[], float]) -> float:
+    """Of one call, on average."""
+    for _ in range(WARM_UP):
+        function()
+    start = clock()
+    for _ in range(BATCHES):
+        function()
+    return (clock() - start) / BATCHES
 
 
 def main() -> None:
-    """Measure the networks asked for."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--network", choices=tuple(PRESETS), action="append")
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--batch-size", type=int, default=32)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add = parser.add_argument
+    add("--way", nargs="+", choices=tuple(WAYS), default=list(WAYS))
+    add("--precision", default="auto", help="auto, float32 or bfloat16")
+    add("--rounds", type=int, default=5)
+    add("--batch-size", type=int, default=32)
     arguments = parser.parse_args()
-    print(f"torch {torch.__version__}, {torch.get_num_threads()} threads")
-    run = partial(measure, rounds=arguments.rounds, batch_size=arguments.batch_size)
-    for network in arguments.network or PRESETS:
-        run(network)
+    threads = torch.get_num_threads()
+    precision = choose_compute("cpu", arguments.precision, threads).precision
+    print(f"torch {torch.__version__}, {precision}, {torch.backends.cpu.get_cpu_capability()}")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        generate(EnvId(TASK, "Demo"), DEMOS, folder / "demos", seed=0, min_score=1.0)
+        size = arguments.batch_size
+        setups = [Setup(way, folder, arguments.precision, size) for way in arguments.way]
+        for _ in range(arguments.rounds):
+            for setup in setups:
+                setup.measure(threads)
+    first = median(setups[0].whole)
+    print("| way | network | making, ms | learning, ms | share | samples/s | ratio |")
+    for setup in setups:
+        making, learning, whole = map(median, (setup.making, setup.learning, setup.whole))
+        print(
+            f"| {setup.name} | {setup.config.network} | {1e3 * making:.1f} | {1e3 * learning:.1f} "
+            f"| {making / (making + learning):.0%} | {size / whole:.0f} | {first / whole:.2f} |"
+        )
 
 
 if __name__ == "__main__":
