@@ -1,8 +1,8 @@
-"""Speed of behavioural cloning, whole: making batches and learning from them, before and after.
+r"""Speed of behavioural cloning, whole: making batches and learning from them, before and after.
 
     python benchmarks/learning.py
     python benchmarks/learning.py --precision float32
-    ATEN_CPU_CAPABILITY=avx2 ONEDNN_MAX_CPU_ISA=AVX2 \\
+    ATEN_CPU_CAPABILITY=avx2 ONEDNN_MAX_CPU_ISA=AVX2 \
         python benchmarks/learning.py --precision float32
 
 The ways take turns in one run:

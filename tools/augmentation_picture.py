@@ -1,4 +1,7 @@
-"""Writes docs/images/augmentations.png: a frame, and what each augmentation makes of it.
+"""Writes two pictures of augmentations to docs/images.
+
+- augmentations.png: a frame, and what each augmentation makes of it
+- augment-by.png: the same augmentation of one frame, resampled and rendered
 
 python tools/augmentation_picture.py
 """
@@ -11,11 +14,16 @@ import torch
 from PIL import Image, ImageDraw
 
 import magical  # noqa: F401  (registers the environments)
+from magical.demos.generate import demonstrate
 from magical.learning.augment import augment
 from magical.learning.augmentations import NAMES, SETS, Augmentations, parse_augmentations
+from magical.learning.expert_data import ExpertData
+from magical.learning.rendered_data import RenderedExpertData
+from magical.observe import PRESETS
 
-OUT = Path(__file__).resolve().parents[1] / "docs" / "images" / "augmentations.png"
+IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
 SAMPLES = 4  # examples of each
+CHOSEN = np.array([1, 20, 40])  # steps of a demonstration
 TILE, GAP, LABEL = 144, 8, 110  # pixels
 
 
@@ -25,26 +33,55 @@ def rows() -> dict[str, Augmentations]:
     return {"original": SETS["none"], **alone, "all": SETS["all"]}
 
 
-def main() -> None:
-    """Make the picture."""
+def augmentations() -> Image.Image:
+    """Each augmentation by itself, and all together."""
     env = gymnasium.make("magical/MatchRegions-Demo-LoRes4E-v0")
     stack, _ = env.reset(seed=0)
     images = torch.from_numpy(np.tile(stack.transpose(2, 0, 1), (SAMPLES, 1, 1, 1)))
-    shown = rows()
-    size = (LABEL + SAMPLES * (TILE + GAP), len(shown) * (TILE + GAP))
+    rng = np.random.default_rng
+    shown = {name: augment(images, which, rng(1)) for name, which in rows().items()}
+    return table(shown, TILE)
+
+
+def ways() -> Image.Image:
+    """The same random numbers, resampled and rendered; noise would only hide the difference."""
+    pairs = [("MatchRegions", demonstrate("magical/MatchRegions-Demo-v0", seed=0))]
+    arguments = pairs, ["MatchRegions"], PRESETS["LoRes4E"]
+    resampled, rendered = ExpertData(*arguments), RenderedExpertData(*arguments)
+    which = parse_augmentations("translation+rotation+colour")
+    shown = {
+        name: data.augmented(CHOSEN, what, np.random.default_rng(4))
+        for name, data, what in (
+            ("original", resampled, SETS["none"]),
+            ("resampled", resampled, which),
+            ("rendered", rendered, which),
+        )
+    }
+    return table(shown, 3 * TILE // 2)
+
+
+def table(shown: dict[str, torch.Tensor], tile: int) -> Image.Image:
+    """The newest frames of stacks (B, C, H, W), a row for each name."""
+    columns = len(next(iter(shown.values())))
+    size = (LABEL + columns * (tile + GAP), len(shown) * (tile + GAP))
     picture = Image.new("RGB", size, "white")
     draw = ImageDraw.Draw(picture)
-    for row, (name, which) in enumerate(shown.items()):
-        top = row * (TILE + GAP)
-        draw.text((GAP, top + TILE // 2), name, fill="black", font_size=16)
-        changed = augment(images, which, np.random.default_rng(1))
+    for row, (name, changed) in enumerate(shown.items()):
+        top = row * (tile + GAP)
+        draw.text((GAP, top + tile // 2), name, fill="black", font_size=16)
         newest = (changed[:, -3:].permute(0, 2, 3, 1) * 255).round().byte().numpy()
         for column, frame in enumerate(newest):
-            tile = Image.fromarray(frame).resize((TILE, TILE), Image.Resampling.NEAREST)
-            picture.paste(tile, (LABEL + column * (TILE + GAP), top))
-    OUT.parent.mkdir(parents=True, exist_ok=True)
-    picture.save(OUT, optimize=True)
-    print(f"wrote {OUT}")
+            image = Image.fromarray(frame).resize((tile, tile), Image.Resampling.NEAREST)
+            picture.paste(image, (LABEL + column * (tile + GAP), top))
+    return picture
+
+
+def main() -> None:
+    """Make the pictures."""
+    IMAGES.mkdir(parents=True, exist_ok=True)
+    for name, make in (("augmentations", augmentations), ("augment-by", ways)):
+        make().save(IMAGES / f"{name}.png", optimize=True)
+        print(f"wrote {IMAGES / name}.png")
 
 
 if __name__ == "__main__":
