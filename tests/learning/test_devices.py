@@ -26,11 +26,20 @@ def test_a_processor_with_bfloat16_instructions_uses_them(
 ) -> None:
     abilities = {"amx_bf16": False, "avx512_bf16": False}
     monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: abilities)
+    monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: "AVX512")
     assert not has_bfloat16("cpu")
     assert choose_compute("cpu", "auto", 3) == Compute("cpu", "float32", 3)
     abilities[ability] = True
     assert choose_compute("cpu", "auto", 3) == Compute("cpu", "bfloat16", 3)
     assert choose_compute("cpu", "float32", 3) == Compute("cpu", "float32", 3)
+
+
+def test_newer_instructions_that_are_switched_off_are_not_used(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"amx_bf16": True})
+    monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: "AVX2")
+    assert not has_bfloat16("cpu")
 
 
 def test_threads_are_pytorchs_own_number_unless_given() -> None:

@@ -78,7 +78,9 @@ def run(args: argparse.Namespace) -> int:
             facts=facts,
         )
         page.write(path)
-    log(f"done in {sum(stopwatch.seconds.values()):.0f} s")
+    for name, spent in stopwatch.seconds.items():
+        log(f"{spent:6.0f} s  {name}")
+    log(f"{sum(stopwatch.seconds.values()):6.0f} s  in all")
     for table in tables:
         print_table((table.task, *table.variants), text_rows(table))
         print(table.note)

@@ -10,6 +10,9 @@ import torch
 from magical.errors import DeviceError
 
 
+OLDER_INSTRUCTIONS = ("DEFAULT", "NO AVX", "AVX2")  # PyTorch's names
+
+
 @dataclass(frozen=True, slots=True)
 class Compute:
     """A device, the precision of forward and backward passes, and the number of CPU threads.
@@ -68,9 +71,14 @@ def choose_compute(device: str, precision: str, threads: int) -> Compute:
 
 
 def has_bfloat16(device: str) -> bool:
-    """Whether `cpu` or `cuda` multiplies matrices of bfloat16 with instructions made for it."""
+    """Whether `cpu` or `cuda` multiplies matrices of bfloat16 with instructions made for it.
+
+    Not on a CPU whose newer instructions are switched off by `ATEN_CPU_CAPABILITY`.
+    """
     if device == "cuda":
         return bool(torch.cuda.is_bf16_supported(including_emulation=False))
+    if torch.backends.cpu.get_cpu_capability() in OLDER_INSTRUCTIONS:
+        return False
     # Not in every PyTorch that is supported.
     abilities: Mapping[str, Any] = getattr(torch.cpu, "get_capabilities", dict)()
     return bool(abilities.get("amx_bf16") or abilities.get("avx512_bf16"))
