@@ -7,7 +7,9 @@ import gymnasium
 import numpy as np
 import pytest
 
+from magical.envs import parse_env_id
 from magical.envs.seeds import evaluation_seed
+from magical.envs.vector import MagicalVectorEnv
 from magical.errors import PolicyError, UnknownNameError
 from magical.evaluation import (
     NoopPolicy,
@@ -17,6 +19,7 @@ from magical.evaluation import (
     load_policy,
 )
 from magical.evaluation.policy import Actions, Mask
+from magical.evaluation.rollouts import RepeatedEvaluation
 from magical.evaluation.seeds import rollout_stream
 from magical.scene import State
 from magical.tasks import TASKS
@@ -83,6 +86,26 @@ def test_results_do_not_depend_on_batch_workers_or_company(options: dict[str, An
     alone = evaluate(RandomPolicy(), [LAYOUT], rollouts=9, workers=0)
     together = evaluate(RandomPolicy(), [DEMO, LAYOUT], rollouts=9, **({"workers": 0} | options))
     assert [row for row in together if row.env_id == LAYOUT] == alone
+
+
+def test_a_repeated_evaluation_gives_the_same_scores_in_the_same_environments(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made = []
+
+    def recorded(*arguments: Any, **options: Any) -> MagicalVectorEnv:
+        made.append(MagicalVectorEnv(*arguments, **options))
+        return made[-1]
+
+    ids = [parse_env_id(DEMO), parse_env_id("magical/MoveToCorner-TestJitter-v0")]
+    expected = evaluate(RandomPolicy(), ids, rollouts=3, seed=1, workers=0)
+    monkeypatch.setattr("magical.evaluation.rollouts.MagicalVectorEnv", recorded)
+    evaluation = RepeatedEvaluation(RandomPolicy(), ids, rollouts=3, seed=1, workers=0)
+    assert evaluation.scores() == expected
+    assert evaluation.scores() == expected
+    assert len(made) == 2  # one for each task
+    evaluation.close()
+    assert all(env.closed for env in made)
 
 
 def test_another_seed_is_another_set_of_scenes() -> None:

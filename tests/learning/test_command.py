@@ -141,7 +141,7 @@ def test_help_lists_algorithms_and_settings(capsys: pytest.CaptureFixture[str]) 
     shown = capsys.readouterr().out
     for flag in ("--task", "--demos", "--preset", "--learning-rate", "--no-anneal", "--resume"):
         assert flag in shown
-    for values in ("{light,paper,small}", "{auto,cpu,cuda}", "{sgd,adam}", "--batches N"):
+    for values in ("{light,narrow,paper,small}", "{auto,cpu,cuda}", "{sgd,adam}", "--batches N"):
         assert values in " ".join(shown.split())
     assert not re.search(r" (STR|INT|FLOAT)\b", shown)
 

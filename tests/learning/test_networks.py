@@ -65,7 +65,7 @@ def test_paper_trunk_has_the_sizes_of_figure_11() -> None:
     assert kernels == [(5, 5), *[(3, 3)] * 4]
 
 
-@pytest.mark.parametrize("network", ["light", "paper", "small"])
+@pytest.mark.parametrize("network", ["light", "narrow", "paper", "small"])
 def test_batch_norm_follows_relu_and_replaces_the_bias(network: str) -> None:
     layers = list(find_network(network).make_convolutions(12, batch_norm=True).children())
     kinds = [type(layer) for layer in layers]

@@ -178,7 +178,7 @@ def test_folders_that_hold_no_usable_run_are_named(run: Path, tmp_path: Path) ->
     copy = tmp_path / "copy"
     shutil.copytree(run, copy)
     config = (copy / "config.json").read_text()
-    (copy / "config.json").write_text(config.replace('"small"', '"paper"'))
+    (copy / "config.json").write_text(config.replace('"narrow"', '"paper"'))
     with pytest.raises(CheckpointError, match="of another network"):
         load_policy(copy)
     (copy / "config.json").write_text(config)

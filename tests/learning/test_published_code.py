@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from magical.cli import main
 from magical.errors import UnknownNameError
 from magical.evaluation import evaluate
+from magical.evaluation.rollouts import RepeatedEvaluation
 from magical.learning import train
 from magical.learning.algorithms.bc import BCConfig, make_policy
 from magical.learning.algorithms.gail import DiscriminatorBatch, GAILConfig, make_discriminator
@@ -116,9 +117,9 @@ def test_the_monitoring_evaluation_has_the_configured_horizon(
 
     def recorded(*arguments: Any, **options: Any) -> Any:
         asked.append(options["horizon"])
-        return evaluate(*arguments, **{**options, "horizon": 1})
+        return RepeatedEvaluation(*arguments, **{**options, "horizon": 1})
 
-    monkeypatch.setattr("magical.learning.policy.evaluate", recorded)
+    monkeypatch.setattr("magical.learning.policy.RepeatedEvaluation", recorded)
     for horizon in ("appendix", "published"):
         config = tiny(
             PPOConfig,

@@ -12,7 +12,7 @@ import torch
 
 from magical.errors import DivergedError, InvalidConfigError, RunFolderError, UnknownNameError
 from magical.learning.algorithms.bc import BCConfig
-from magical.learning.config import options
+from magical.learning.config import CHECKPOINT_SECONDS, options
 from magical.learning.devices import restored_threads
 from magical.learning.run import Run
 from magical.runs import open_folder, read_metrics
@@ -87,6 +87,20 @@ def test_precision_and_threads_are_chosen_once_and_kept(
         assert torch.get_num_threads() == chosen.threads
 
 
+def test_checkpoints_are_due_by_number_or_by_time(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = 100.0
+    monkeypatch.setattr("magical.learning.run.time.monotonic", lambda: now)
+    with opened(folder) as run:
+        assert [run.checkpoint_is_due(step, 3) for step in (2, 3, 4, 6)] == [False, True] * 2
+        assert not run.checkpoint_is_due(3, 0)
+        now += CHECKPOINT_SECONDS
+        assert run.checkpoint_is_due(4, 0)
+        run.checkpoint(4, {})
+        assert not run.checkpoint_is_due(5, 0)
+
+
 def test_stop_after_counts_from_the_checkpoint(folder: Path) -> None:
     with opened(folder, stop_after=3) as run:
         assert [run.stops(step) for step in (2, 3)] == [False, True]
@@ -111,7 +125,7 @@ def test_configurations_are_checked() -> None:
         return BCConfig.preset("quick", **{"tasks": "MoveToCorner", "demos": "d", **fields})
 
     assert made().tasks == ("MoveToCorner",)
-    assert made().network == "small"
+    assert made().network == "narrow"
     for name, value in (("batches", 0), ("learning_rate", -1.0), ("seed", -1), ("num_demos", 0)):
         with pytest.raises(InvalidConfigError, match=name):
             made(**{name: value})

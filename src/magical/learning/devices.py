@@ -9,7 +9,6 @@ import torch
 
 from magical.errors import DeviceError
 
-
 OLDER_INSTRUCTIONS = ("DEFAULT", "NO AVX", "AVX2")  # PyTorch's names
 
 
