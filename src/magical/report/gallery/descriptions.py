@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from magical.scene import Scene
-from magical.tasks import CHANGES, Task
+from magical.tasks import CHANGES, Axis, Task
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +48,17 @@ def describe_task(task: Task) -> Description:
     )
 
 
-def axis_names(task: Task, variant: str) -> list[str]:
-    """The axes along which a variant differs from Demo, such as `layout` and `colour`."""
-    axes = task.axes_of(variant)
-    return [str(axis.name).lower() for axis in CHANGES if axis in axes]
+def describe_changes(task: Task, variant: str) -> str:
+    """What a variant changes: the meaning of its axis, or the names of its axes."""
+    axes = [axis for axis in CHANGES if axis in task.axes_of(variant)]
+    if not axes:
+        return "the scene of the demonstrations"
+    return CHANGES[axes[0]] if len(axes) == 1 else ", ".join(map(axis_name, axes))
+
+
+def axis_name(axis: Axis) -> str:
+    """Such as `layout`."""
+    return str(axis.name).lower()
 
 
 def describe_scene(scene: Scene) -> str:

@@ -8,7 +8,12 @@ from magical import __version__
 from magical.errors import SiteError
 from magical.evaluation.variants import short_variant
 from magical.files import is_partial, write_atomically
-from magical.report.gallery.descriptions import Description, axis_names, describe_task
+from magical.report.gallery.descriptions import (
+    Description,
+    axis_name,
+    describe_changes,
+    describe_task,
+)
 from magical.report.gallery.previews import IMAGE_FOLDERS, SIZE, SPEED, EnvPreview
 from magical.report.page import render_template
 from magical.scene.constants import CONTROL_RATE
@@ -32,9 +37,9 @@ class TaskSection:
         """An episode's duration at the control rate."""
         return self.task.horizon / CONTROL_RATE
 
-    def axes(self, variant: str) -> list[str]:
-        """The names of the axes that the variant changes."""
-        return axis_names(self.task, variant)
+    def changes(self, variant: str) -> str:
+        """What the variant changes, in words."""
+        return describe_changes(self.task, variant)
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +74,7 @@ class Gallery:
             sections=list(self._sections()),
             variants=VARIANTS,
             short_variant=short_variant,
-            changes={str(axis.name).lower(): text for axis, text in CHANGES.items()},
+            changes={axis_name(axis): text for axis, text in CHANGES.items()},
             count=len(self.previews),
             seed=self.seed,
             size=SIZE,
