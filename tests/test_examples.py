@@ -103,3 +103,39 @@ def test_the_readmes_training_block_runs(root: Path, tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert len(done.stdout.splitlines()) == 6
+
+
+def test_the_tutorial_runs(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("torch", reason="the learning extra is not installed")
+    from tools.run_notebook import read_notebook, run_notebook
+
+    notebook = read_notebook(root / "examples" / "tutorial.ipynb")
+    codes = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    stored = [kinds(cell) for cell in codes]
+    assert sum(kind == "image/png" for cell in stored for kind in cell) >= 4
+    settings = codes[0]["source"]
+    assert settings[0] == 'TASK = "MoveToRegion"\n'
+    # The same notebook with less of everything.
+    short = {"NUM_DEMOS = 10": "NUM_DEMOS = 2", "BATCHES = 100": "BATCHES = 3"}
+    for old, new in {**short, "ROLLOUTS = 10": "ROLLOUTS = 1"}.items():
+        (line,) = (i for i, text in enumerate(settings) if text.startswith(old))
+        settings[line] = settings[line].replace(old, new)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    run_notebook(notebook)
+    assert [kinds(cell) for cell in codes] == stored
+    table = "".join(codes[-2]["outputs"][0]["text"]).splitlines()
+    assert [line.split()[0] for line in table[1:]] == ["random", "expert", "BC", "BC"]
+
+
+def kinds(cell: dict[str, Any]) -> list[str]:
+    """What a cell's outputs are."""
+    return [next(iter(output.get("data", {"stdout": ""}))) for output in cell["outputs"]]
+
+
+def test_the_tutorial_is_a_valid_notebook(root: Path) -> None:
+    nbformat = pytest.importorskip("nbformat", reason="nbformat is not installed")
+    path = root / "examples" / "tutorial.ipynb"
+    nbformat.validate(nbformat.read(path, as_version=4))
+    assert path.stat().st_size < 1_000_000
+    assert str(Path.home()) not in path.read_text()

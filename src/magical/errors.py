@@ -133,6 +133,10 @@ class ClusterError(MagicalError, ConnectionError):
     """A Ray cluster that cannot be reached."""
 
 
+class SiteError(MagicalError, RuntimeError):
+    """A folder that a site cannot be written to, since it holds other files."""
+
+
 class RunFolderError(MagicalError, RuntimeError):
     """A run folder that is in use, missing, damaged or cannot be written to."""
 

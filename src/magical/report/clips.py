@@ -38,8 +38,11 @@ class Clip:
     every: int = 1  # control steps between frames
     shown: NDArray[np.uint8] | None = None  # what the policy got half-way, (H, W, 3)
 
-    def webp(self, rate: float = CONTROL_RATE, quality: int = 70) -> bytes:
-        """An animated WebP that loops, at `rate` control steps a second."""
+    def webp(self, rate: float = CONTROL_RATE, quality: int = 70, lossless: bool = False) -> bytes:
+        """An animated WebP that loops, at `rate` control steps a second.
+
+        If `lossless`, `quality` is the effort of compression.
+        """
         images = [Image.fromarray(frame) for frame in self.frames]
         step = round(1000 * self.every / rate)
         durations = [step] * (len(images) - 1) + [round(1000 * LAST_FRAME)]
@@ -52,6 +55,7 @@ class Clip:
             duration=durations,
             loop=0,
             quality=quality,
+            lossless=lossless,
             method=3,
         )
         return file.getvalue()

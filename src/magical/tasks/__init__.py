@@ -1,6 +1,6 @@
 """The tasks: Demo scenes, variants and scores. One file for each task; see `Task`."""
 
-from magical.tasks.axes import VARIANTS, Axis
+from magical.tasks.axes import CHANGES, VARIANTS, Axis
 from magical.tasks.checking import check_placement
 from magical.tasks.horizons import have_two_horizons, require_two_horizons
 from magical.tasks.placement import Placement
@@ -16,6 +16,7 @@ from magical.tasks.task import Horizon, Task
 from magical.tasks.validation import validate_scene
 
 __all__ = [
+    "CHANGES",
     "TASKS",
     "VARIANTS",
     "Axis",

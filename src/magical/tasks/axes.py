@@ -11,13 +11,24 @@ class Axis(Flag):
     Source: docs/specification.md, section 8.
     """
 
-    JITTER = auto()  # small changes of poses and region sizes
-    LAYOUT = auto()  # poses anywhere in the workspace, region sizes in their whole range
-    COLOUR = auto()  # colours of blocks and regions
-    SHAPE = auto()  # shapes of blocks
-    COUNT = auto()  # number of blocks; only together with LAYOUT, COLOUR and SHAPE
-    DYNAMICS = auto()  # friction and motor forces (docs/specification.md, section 5)
+    JITTER = auto()
+    LAYOUT = auto()
+    COLOUR = auto()
+    SHAPE = auto()
+    COUNT = auto()
+    DYNAMICS = auto()
 
+
+CHANGES: Mapping[Axis, str] = MappingProxyType(
+    {
+        Axis.JITTER: "small changes of poses and region sizes",
+        Axis.LAYOUT: "poses anywhere in the workspace, region sizes in their whole range",
+        Axis.COLOUR: "colours of blocks and regions",
+        Axis.SHAPE: "shapes of blocks",
+        Axis.COUNT: "number of blocks; only together with layout, colour and shape",
+        Axis.DYNAMICS: "friction and motor forces",  # docs/specification.md, section 5
+    }
+)
 
 NOTHING = Axis(0)
 EVERYTHING = ~NOTHING

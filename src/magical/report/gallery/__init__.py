@@ -1,0 +1,11 @@
+"""The gallery: a static site of all registered environments.
+
+- `descriptions`: a task's score rule and variation from its docstring, scenes in words.
+- `previews`: scenes and the scripted experts' rollouts as image files.
+- `site`: the page and its folder.
+"""
+
+from magical.report.gallery.previews import EnvPreview, make_previews
+from magical.report.gallery.site import Gallery, check_site
+
+__all__ = ["EnvPreview", "Gallery", "check_site", "make_previews"]

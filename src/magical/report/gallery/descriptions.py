@@ -1,0 +1,79 @@
+"""Tasks and scenes in words: what the registry's docstrings and scenes say."""
+
+import functools
+import inspect
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from magical.scene import Scene
+from magical.tasks import CHANGES, Axis, Task
+
+
+@dataclass(frozen=True, slots=True)
+class Paragraph:
+    """A paragraph of a docstring; an indented one is a formula."""
+
+    text: str
+    is_formula: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """What a task's docstring says."""
+
+    score_rule: Sequence[Paragraph]
+    variation: Mapping[str, str] = field(default_factory=dict)  # how axes change it, by their names
+
+
+def describe_task(task: Task) -> Description:
+    """The score rule of a task and how its variants vary the scene.
+
+    The docstring of the task's module has both if it begins with the task's name and is laid out
+    like those of `magical.tasks`: the score rule before `Horizon:`, the variation in the list
+    after it. Otherwise the score rule is the first paragraph of the score function's docstring.
+    """
+    score_fn = task.score_fn
+    while isinstance(score_fn, functools.partial):
+        score_fn = score_fn.func
+    module = inspect.getmodule(score_fn)
+    first, *paragraphs = (inspect.getdoc(module) or "").split("\n\n")
+    horizon = [i for i, text in enumerate(paragraphs) if text.startswith("Horizon: ")]
+    if not first.startswith(f"{task.name}: ") or not horizon:
+        return Description([_paragraph((inspect.getdoc(score_fn) or "").split("\n\n")[0])])
+    items = [text for text in paragraphs[horizon[0] :] if text.startswith("- ")]
+    return Description(
+        [_paragraph(text) for text in paragraphs[: horizon[0]]], _variation("\n".join(items))
+    )
+
+
+def describe_changes(task: Task, variant: str) -> str:
+    """What a variant changes: the meaning of its axis, or the names of its axes."""
+    axes = [axis for axis in CHANGES if axis in task.axes_of(variant)]
+    if not axes:
+        return "the scene of the demonstrations"
+    return CHANGES[axes[0]] if len(axes) == 1 else ", ".join(map(axis_name, axes))
+
+
+def axis_name(axis: Axis) -> str:
+    """Such as `layout`."""
+    return str(axis.name).lower()
+
+
+def describe_scene(scene: Scene) -> str:
+    """What is in a scene, such as `a robot, 1 blue goal region, 2 red squares`."""
+    kinds = [f"{region.colour} goal region" for region in scene.regions]
+    kinds += [f"{block.colour} {block.shape}" for block in scene.blocks]
+    counted = [f"{n} {kind}{'s' if n > 1 else ''}" for kind, n in Counter(kinds).items()]
+    return ", ".join(["a robot", *counted])
+
+
+def _paragraph(text: str) -> Paragraph:
+    return Paragraph(" ".join(text.replace("`", "").split()), is_formula=text.startswith(" "))
+
+
+def _variation(items: str) -> dict[str, str]:
+    """A list in Markdown by what stands before each item's colon."""
+    pairs = (item.partition(": ") for item in re.split(r"^- ", items, flags=re.MULTILINE)[1:])
+    return {name: _paragraph(text).text for name, _, text in pairs}

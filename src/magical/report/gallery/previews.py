@@ -1,0 +1,118 @@
+"""The scene of every environment and a rollout of its scripted expert, as image files."""
+
+import io
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from gymnasium.utils.seeding import np_random
+from numpy.typing import NDArray
+from PIL import Image
+
+from magical.demos.generate import demonstrate
+from magical.demos.reader import Frames
+from magical.envs import EnvId
+from magical.envs.vector.workers import defining_modules
+from magical.errors import NoExpertError
+from magical.experts import get_goals, modules_of
+from magical.processes import available_cores, map_in_processes
+from magical.render import render_frame
+from magical.report.clips import Clip
+from magical.report.gallery.descriptions import describe_scene
+from magical.scene import Poses, View
+from magical.scene.constants import CONTROL_RATE
+from magical.tasks import Task, load_tasks
+
+SIZE = 288  # pixels across
+SPEED = 2  # of animations, as a multiple of the benchmark's control rate
+EVERY = 2  # control steps between frames
+EFFORT = 50  # of lossless compression, 0 to 100
+STILLS, ROLLOUTS = IMAGE_FOLDERS = "scenes", "rollouts"  # folders of the site
+
+
+@dataclass(frozen=True, slots=True)
+class EnvPreview:
+    """One environment as it is shown."""
+
+    env_id: EnvId
+    scene: str  # in words
+    still: bytes  # the initial scene, a WebP file
+    animation: bytes = b""  # the expert's rollout, an animated WebP file; empty without an expert
+    score: float | None = None  # of the rollout; None without an expert
+
+    @property
+    def name(self) -> str:
+        """Such as `FindDupe-TestAll`: the id of its place on the page."""
+        return f"{self.env_id.task}-{self.env_id.variant}"
+
+    @property
+    def still_path(self) -> str:
+        """The address of the scene's image on the page."""
+        return f"{STILLS}/{self.name}.webp"
+
+    @property
+    def animation_path(self) -> str:
+        """The address of the rollout's image on the page."""
+        return f"{ROLLOUTS}/{self.name}.webp"
+
+
+def make_previews(
+    env_ids: Sequence[EnvId], seed: int = 0, workers: int | None = None
+) -> Iterator[EnvPreview]:
+    """Render the scene of `reset(seed=seed)` and the expert's rollout in each environment.
+
+    Args:
+        env_ids: of registered tasks; a task without a scripted expert has no rollouts.
+        seed: which scenes are sampled.
+        workers: processes; by default one for each core. The result does not depend on it.
+
+    Raises:
+        InvalidTaskError: worker processes could not import a task.
+        NoSolutionError: an expert's scene cannot be solved.
+    """
+    count = available_cores() if workers is None else workers
+    tasks = {env_id.task: env_id.task_spec for env_id in env_ids}
+    modules = sorted({m for task in tasks.values() for m in _modules(task)}) if count > 1 else []
+    return map_in_processes(partial(_make, modules, seed), env_ids, count)
+
+
+def _make(modules: Sequence[str], seed: int, env_id: EnvId) -> EnvPreview:
+    for module in modules:
+        load_tasks(module)
+    if not _has_expert(env_id.task):
+        scene, _ = env_id.task_spec.sample(env_id.variant, np_random(seed)[0])
+        frame = render_frame(scene, Poses.at_rest(scene), View.ALLO, SIZE)
+        return EnvPreview(env_id, describe_scene(scene), _webp(frame))
+    trajectory = demonstrate(env_id, seed)
+    last = len(trajectory)
+    frames = Frames(trajectory, View.ALLO, SIZE).take([*range(0, last, EVERY), last])
+    assert trajectory.score is not None  # its poses are known
+    clip = Clip(env_id, trajectory.score, frames, EVERY)
+    return EnvPreview(
+        env_id,
+        describe_scene(trajectory.scene),
+        _webp(frames[0]),
+        clip.webp(SPEED * CONTROL_RATE, EFFORT, lossless=True),
+        clip.score,
+    )
+
+
+def _has_expert(task: str) -> bool:
+    try:
+        get_goals(task)
+    except NoExpertError:
+        return False
+    return True
+
+
+def _modules(task: Task) -> list[str]:
+    """The modules from which a new process learns of the task and of its expert."""
+    return modules_of(task.name) if _has_expert(task.name) else defining_modules([task])
+
+
+def _webp(frame: NDArray[np.uint8]) -> bytes:
+    """An (H, W, 3) image as a lossless WebP file's contents."""
+    file = io.BytesIO()
+    Image.fromarray(frame).save(file, "WEBP", lossless=True, quality=EFFORT)
+    return file.getvalue()
