@@ -56,15 +56,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Listen, print the address, answer until interrupted."""
     from magical.envs import parse_env_id
-    from magical.web.security import new_token
-    from magical.web.server import (
-        PlaySettings,
-        create_app,
-        listen,
-        make_guard,
-        make_server,
-        page_url,
-    )
+    from magical.web.security import make_guard, new_token, page_url
+    from magical.web.server import PlaySettings, create_app, listen, make_server
 
     env_id = parse_env_id(args.env).without_preset
     token = new_token()

@@ -17,6 +17,8 @@ from magical.web.session import Session
 
 MESSAGE_RATE = 60.0  # messages a second; the page sends 8, and two for each tap of a key
 MESSAGE_BURST = 120.0  # messages
+COMMAND_RATE = 4.0  # messages a second that are no keys: these start episodes, or render anew
+COMMAND_BURST = 8.0  # messages
 MAX_UNSEEN = 4  # frames that the page has not confirmed, beyond which none is sent
 
 Save = Callable[[Session, Trajectory], asyncio.Task[None]]
@@ -72,7 +74,8 @@ class Connection:
         self._save = save
         self._clock = clock
         self._window = FrameWindow()
-        self._limit = RateLimit(MESSAGE_RATE, MESSAGE_BURST, clock())
+        self._messages = RateLimit(MESSAGE_RATE, MESSAGE_BURST, clock())
+        self._commands = RateLimit(COMMAND_RATE, COMMAND_BURST, clock())
         self._wake = asyncio.Event()  # there may be something to send
 
     async def run(self) -> Close | None:
@@ -97,8 +100,9 @@ class Connection:
                 event = await self._socket.receive()
                 if event["type"] == "websocket.disconnect":
                     return
-                if self._limit.allows(self._clock()):
+                if self._messages.allows(self._clock()):
                     self._handle(event.get("text"))
+                await asyncio.sleep(0)  # many messages at once must not stop the other players
 
     def _handle(self, text: str | None) -> None:
         try:
@@ -107,6 +111,8 @@ class Connection:
             return  # the page sends none such, and to answer each would help to flood
         if isinstance(message, Keys):
             self._window.note_seen(message.seen)
+        elif not self._commands.allows(self._clock()):
+            return
         try:
             self._session.handle(message, self._clock())
         except MagicalError as error:

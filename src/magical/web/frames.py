@@ -13,6 +13,7 @@ from magical.scene.constants import RAW_FRAME_SIZE
 
 SIZE = RAW_FRAME_SIZE  # pixels: height, and width of each view
 SAMPLES = 2  # across a pixel, for smooth edges
+GAP = 8  # white pixels between two views
 
 _LEVEL = 1  # of zlib: a fifth of the time of its default
 _RGB = (8, 2, 0, 0, 0)  # 8 bits a channel, true colour, the standard's only methods, not interlaced
@@ -28,13 +29,14 @@ class FrameEncoder:
 
     def __init__(self, scene: Scene, views: Sequence[View]) -> None:
         self._renderers = [Renderer(scene, view, SIZE, SAMPLES) for view in views]
-        self._pixels = np.empty((SIZE, SIZE * len(views), 3), np.uint8)
+        width = len(views) * (SIZE + GAP) - GAP
+        self._pixels = np.full((SIZE, width, 3), 255, np.uint8)
 
     def png(self, bodies: NDArray[np.float64]) -> bytes:
         """The frame as a PNG file; `bodies` as for `Renderer.render`."""
-        parts = np.split(self._pixels, len(self._renderers), axis=1)
-        for renderer, part in zip(self._renderers, parts, strict=True):
-            renderer.render(bodies, part)
+        for i, renderer in enumerate(self._renderers):
+            left = i * (SIZE + GAP)
+            renderer.render(bodies, self._pixels[:, left : left + SIZE])
         return encode_png(self._pixels)
 
 

@@ -3,6 +3,7 @@
 import hmac
 import ipaddress
 import secrets
+import socket
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from urllib.parse import SplitResult, urlsplit
@@ -73,6 +74,20 @@ class Guard:
             return not required
         parts = _split(origin)
         return parts.scheme in ("http", "https") and parts.netloc == headers.get("host", "")
+
+
+def make_guard(host: str, token: str, allowed: frozenset[str] = frozenset()) -> Guard:
+    """The guard of a server that is bound to `host` and may also be called by the allowed names."""
+    names = LOOPBACK | {host} | {name.lower() for name in allowed}
+    if host in LOOPBACK:
+        return Guard(token, names)
+    return Guard(token, names | {socket.gethostname().lower()}, any_address=True)
+
+
+def page_url(host: str, port: int, token: str) -> str:
+    """The page's address."""
+    name = socket.gethostname() if host in ("0.0.0.0", "::") else host
+    return f"http://{f'[{name}]' if ':' in name else name}:{port}/?token={token}"
 
 
 def _split(url: str) -> SplitResult:

@@ -31,7 +31,7 @@ from magical.web.connection import Clock, Close, Connection
 from magical.web.messages import MAX_BYTES
 from magical.web.players import Players
 from magical.web.recorder import Recorder
-from magical.web.security import HEADERS, LOOPBACK, Guard
+from magical.web.security import HEADERS, Guard
 from magical.web.session import Session
 
 PAGE = Path(__file__).parent / "page"
@@ -227,20 +227,6 @@ def listen(host: str, port: int) -> sockets.socket:
             f"cannot listen on {host}, port {port}: {error.strerror or error}; choose another "
             "--host or --port (0 takes a free port)"
         ) from error
-
-
-def make_guard(host: str, token: str, allowed: frozenset[str] = frozenset()) -> Guard:
-    """The guard of a server that is bound to `host` and may also be called by the allowed names."""
-    names = LOOPBACK | {host} | {name.lower() for name in allowed}
-    if host in LOOPBACK:
-        return Guard(token, names)
-    return Guard(token, names | {sockets.gethostname().lower()}, any_address=True)
-
-
-def page_url(host: str, port: int, token: str) -> str:
-    """The page's address."""
-    name = sockets.gethostname() if host in ("0.0.0.0", "::") else host
-    return f"http://{f'[{name}]' if ':' in name else name}:{port}/?token={token}"
 
 
 def make_server(app: Starlette) -> uvicorn.Server:

@@ -86,7 +86,7 @@ function showFrame(blob, shown) {
     const canvas = element("frame");
     if (canvas.width !== image.width) {
       canvas.width = image.width;
-      element("stage").parentElement.classList.toggle("wide", image.width > image.height);
+      document.body.classList.toggle("wide", image.width > image.height);
     }
     canvas.getContext("2d").drawImage(image, 0, 0);
     sendKeys(shown.number);
@@ -124,16 +124,15 @@ function showExecuted(executed) {
 }
 
 function showPhase({ phase, score, recording, seed }) {
-  const end = recording ? "Keep (K) or discard (D)?" : "R: again, N: another scene.";
+  const key = matchMedia("(pointer: coarse)").matches ? "button" : "key";
   const text = {
-    ready: `Seed ${seed}. Press a key to begin.`,
-    paused: "Paused. Press a key to go on.",
-    ended: `The end: score ${score.toFixed(2)}. ${end}`,
+    ready: `Seed ${seed}. Press a ${key} to begin.`,
+    paused: `Paused. Press a ${key} to go on.`,
+    ended: `The end: score ${score.toFixed(2)}.${recording ? " Keep this episode?" : ""}`,
     saving: "Saving…",
   }[phase];
   element("prompt").hidden = !text;
-  element("prompt").textContent = text ?? "";
-  element("prompt").setAttribute("role", "status");
+  element("prompt-text").textContent = text ?? "";
 }
 
 function showEnvironment() {
