@@ -21,27 +21,19 @@ def find_browser() -> str | None:
     return next(filter(None, map(shutil.which, NAMES)), None)
 
 
-class Tab:
-    """One tab of the browser."""
+class Browser:
+    """A running browser."""
 
     def __init__(self, socket: ClientConnection) -> None:
         self._socket = socket
         self._calls = 0
-        self._session: str | None = None
-        target = self.call("Target.createTarget", url="about:blank")["targetId"]
-        attached = self.call("Target.attachToTarget", targetId=target, flatten=True)
-        self._session = attached["sessionId"]
-        self.problems: list[str] = []  # what the page reports as errors
-        for domain in ("Page", "Runtime", "Log"):
-            self.call(f"{domain}.enable")
+        self.problems: list[str] = []  # what pages report as errors
 
-    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """Call one method of the protocol and wait for its result."""
+    def call(self, method: str, session: str | None = None, **parameters: Any) -> dict[str, Any]:
+        """Call one method of the protocol, in a tab or in the browser; returns its result."""
         self._calls += 1
         request = {"id": self._calls, "method": method, "params": parameters}
-        if self._session:
-            request["sessionId"] = self._session
-        self._socket.send(json.dumps(request))
+        self._socket.send(json.dumps(request | ({"sessionId": session} if session else {})))
         while True:
             answer = json.loads(self._socket.recv(timeout=TIMEOUT))
             if answer.get("method") in ("Runtime.exceptionThrown", "Log.entryAdded"):
@@ -50,6 +42,32 @@ class Tab:
                 assert "error" not in answer, answer
                 result: dict[str, Any] = answer["result"]
                 return result
+
+    @contextmanager
+    def open_tab(self) -> Iterator["Tab"]:
+        """A tab that shares nothing with others, closed with the block."""
+        context = self.call("Target.createBrowserContext")["browserContextId"]
+        target = self.call("Target.createTarget", url="about:blank", browserContextId=context)
+        attached = self.call("Target.attachToTarget", targetId=target["targetId"], flatten=True)
+        self.problems.clear()
+        try:
+            yield Tab(self, attached["sessionId"])
+        finally:
+            self.call("Target.disposeBrowserContext", browserContextId=context)
+
+
+class Tab:
+    """One tab of a browser."""
+
+    def __init__(self, browser: Browser, session: str) -> None:
+        self.browser = browser
+        self._session = session
+        for domain in ("Page", "Runtime", "Log"):
+            self.call(f"{domain}.enable")
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """Call one method of the protocol in this tab."""
+        return self.browser.call(method, self._session, **parameters)
 
     def evaluate(self, script: str) -> Any:
         """The value of a JavaScript expression; promises are awaited."""
@@ -88,9 +106,9 @@ class Tab:
 
 
 @contextmanager
-def open_tab(browser: str, folder: Path) -> Iterator[Tab]:
-    """A tab of a new browser that keeps its files in a folder; both end with the block."""
-    command = [browser, *FLAGS, f"--user-data-dir={folder}", "--remote-debugging-port=0"]
+def start_browser(program: str, folder: Path) -> Iterator[Browser]:
+    """A browser that keeps its files in a folder, ended with the block."""
+    command = [program, *FLAGS, f"--user-data-dir={folder}", "--remote-debugging-port=0"]
     environment = {**os.environ, "HOME": str(folder)}
     process = subprocess.Popen(
         command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
@@ -99,7 +117,7 @@ def open_tab(browser: str, folder: Path) -> Iterator[Tab]:
         assert process.stderr is not None
         line = next(line for line in process.stderr if "DevTools listening on" in line)
         with connect(line.split()[-1], max_size=None, ping_interval=None) as socket:
-            yield Tab(socket)
+            yield Browser(socket)
     finally:
         process.kill()
         process.communicate()

@@ -4,13 +4,14 @@ import http.client
 import json
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
+from magical.web.players import Players
 from magical.web.security import make_guard
 from magical.web.server import PlaySettings, create_app, listen, make_server
 
@@ -30,8 +31,9 @@ class Answer:
 class RunningServer:
     """A server in a thread of this process."""
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, players: Players) -> None:
         self.port = port
+        self.players = players
         self.host = f"127.0.0.1:{port}"
 
     def get(
@@ -104,23 +106,23 @@ class Player:
 
 def close_code(socket: ClientConnection) -> int:
     """The code that the server closes a socket with, whatever it sends before."""
-    try:
+    with suppress(ConnectionClosed):
         while True:
             socket.recv(timeout=TIMEOUT)
-    except ConnectionClosed as closed:
-        assert closed.rcvd is not None
-        return closed.rcvd.code
+    assert socket.close_code is not None
+    return socket.close_code
 
 
 @contextmanager
 def running(settings: PlaySettings) -> Iterator[RunningServer]:
     """A server on a free port of loopback."""
     with listen("127.0.0.1", 0) as listening:
-        server = make_server(create_app(settings, make_guard("127.0.0.1", TOKEN)))
+        app = create_app(settings, make_guard("127.0.0.1", TOKEN))
+        server = make_server(app)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
         thread.start()
         try:
-            yield RunningServer(listening.getsockname()[1])
+            yield RunningServer(listening.getsockname()[1], app.state.players)
         finally:
             server.should_exit = True
             thread.join()

@@ -3,7 +3,6 @@
 import errno
 import json
 import random
-import re
 import threading
 from pathlib import Path
 from typing import Any
@@ -54,13 +53,6 @@ def test_the_page_is_sent_with_headers_that_protect_it(server: RunningServer) ->
         assert {name.lower(): value for name, value in HEADERS.items()}.items() <= (
             answer.headers.items()
         )
-
-
-def test_the_page_loads_nothing_from_elsewhere() -> None:
-    for path in PAGE.iterdir():
-        text = path.read_text()
-        assert re.findall(r"(?:https?:)?//[\w.]+\.\w+", text) == []
-        assert not re.search(r"innerHTML|eval\(|<script>|\son\w+=\"", text)
 
 
 def test_environments_are_listed_from_the_registry(server: RunningServer) -> None:

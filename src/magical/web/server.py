@@ -195,17 +195,19 @@ class PlayServer:
 
 
 def create_app(settings: PlaySettings, guard: Guard, clock: Clock = time.monotonic) -> Starlette:
-    """The application, for any ASGI server.
+    """The application, for any ASGI server; `app.state.players` has the sessions.
 
     Raises:
         DatasetError: the folder to record in cannot be written.
     """
     server = PlayServer(settings, clock)
-    return Starlette(
+    app = Starlette(
         routes=server.routes(),
         lifespan=server.lifespan,
         middleware=[Middleware(GuardMiddleware, guard=guard)],
     )
+    app.state.players = server.players
+    return app
 
 
 def _page_file(name: str, media_type: str) -> Callable[[Request], Response]:
