@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import os
 import socket as sockets
 import time
 from collections.abc import AsyncIterator, Callable
@@ -222,8 +223,19 @@ def listen(host: str, port: int) -> sockets.socket:
         ServerError: the address is not this machine's, or in use.
     """
     try:
-        family = sockets.getaddrinfo(host, port, type=sockets.SOCK_STREAM)[0][0]
-        return sockets.create_server((host, port), family=family)
+        info = sockets.getaddrinfo(host, port, type=sockets.SOCK_STREAM, flags=sockets.AI_PASSIVE)
+        family, _, _, _, address = info[0]
+        # asyncio switches Nagle's algorithm off, but only where the protocol is said to be TCP.
+        listening = sockets.socket(family, sockets.SOCK_STREAM, sockets.IPPROTO_TCP)
+        try:
+            if os.name == "posix":  # elsewhere it would let others take the address
+                listening.setsockopt(sockets.SOL_SOCKET, sockets.SO_REUSEADDR, 1)
+            listening.bind(address)
+            listening.listen()
+        except BaseException:
+            listening.close()
+            raise
+        return listening
     except OSError as error:
         raise ServerError(
             f"cannot listen on {host}, port {port}: {error.strerror or error}; choose another "
