@@ -241,6 +241,12 @@ def test_a_lost_connection_can_be_resumed(server: RunningServer) -> None:
         player.wait_for(lambda status: status["steps"] > after["steps"])
 
 
+def test_a_session_that_is_gone_is_said_to_be(server: RunningServer) -> None:
+    with server.player("no such session") as player:
+        assert "not resumed in time" in player.status["notice"]
+        assert (player.status["phase"], player.status["steps"]) == ("ready", 0)
+
+
 def test_a_second_tab_takes_over(server: RunningServer) -> None:
     with server.player() as first, server.player(first.session) as second:
         assert close_code(first.socket) == 4001

@@ -24,7 +24,7 @@ from starlette.websockets import WebSocket
 
 from magical.demos.store.trajectory import Trajectory
 from magical.envs.ids import EnvId
-from magical.errors import ServerError, ServerFullError
+from magical.errors import MagicalError, ServerError
 from magical.render import warm_up
 from magical.tasks import TASKS
 from magical.web import frames
@@ -168,10 +168,12 @@ class PlayServer:
         try:
             key = socket.query_params.get("session")
             player = self.players.find_or_add(key, self._clock())
-        except ServerFullError as error:
+        except MagicalError as error:
             await socket.send_text(json.dumps({"type": "refused", "reason": str(error)}))
             await socket.close(Close.FULL)
             return
+        if key and key != player.key:
+            player.session.note_problem("Your former session was not resumed in time and is gone.")
         await socket.send_text(json.dumps({"type": "hello", "session": player.key}))
         connection = Connection(socket, player, self._save, self._clock)
         reason = await connection.run()

@@ -175,8 +175,9 @@ class Session:
             case Discard():
                 self._require(Phase.ENDED, "discard")
                 self._next_episode()
-        if not isinstance(message, Keys):
+        if not isinstance(message, Keys | Show):
             self.notice = ""
+        if not isinstance(message, Keys):
             self._changed()
 
     def note_problem(self, problem: str) -> None:

@@ -45,14 +45,13 @@ function receive(event) {
 }
 
 function greet(session) {
-  const former = sessionStorage.getItem("session");
-  const dropped = former && former !== session && lostSince !== null;
   sessionStorage.setItem("session", session);
   lostSince = null;
   wait = 0.25;
   sentHeld = "";
-  say(dropped ? "Connected again; the interrupted episode was dropped" : "Connected", "good");
-  if (localStorage.getItem("view")) send({ type: "view", view: localStorage.getItem("view") });
+  say("Connected", "good");
+  const view = localStorage.getItem("view");
+  if (view) send({ type: "view", view });
 }
 
 function lost(event) {
