@@ -242,7 +242,7 @@ def test_a_lost_connection_can_be_resumed(server: RunningServer) -> None:
 
 
 def test_a_session_that_is_gone_is_said_to_be(server: RunningServer) -> None:
-    with server.player("no such session") as player:
+    with server.player("no-such-session") as player:
         assert "not resumed in time" in player.status["notice"]
         assert (player.status["phase"], player.status["steps"]) == ("ready", 0)
 

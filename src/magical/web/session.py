@@ -152,11 +152,17 @@ class Session:
             MagicalError: an environment could not be started; the old one goes on.
         """
         self._heard_at = now
-        if not isinstance(message, Keys):
-            self._input_at = now
+        if isinstance(message, Keys):
+            self._hold(message.held, now)
+            return
+        self._input_at = now
+        self._follow(message)
+        if not isinstance(message, Show):
+            self.notice = ""
+        self._changed()
+
+    def _follow(self, message: Message) -> None:
         match message:
-            case Keys(held):
-                self._hold(held, now)
             case Start(env_id, seed):
                 self._require_decision()
                 self._begin(env_id, seed)
@@ -175,10 +181,6 @@ class Session:
             case Discard():
                 self._require(Phase.ENDED, "discard")
                 self._next_episode()
-        if not isinstance(message, Keys | Show):
-            self.notice = ""
-        if not isinstance(message, Keys):
-            self._changed()
 
     def note_problem(self, problem: str) -> None:
         """Tell the player what went wrong."""
