@@ -117,20 +117,17 @@ class PlayServer:
     Args:
         settings: what is offered.
         clock: the time in seconds.
-        rng: samples the seeds of scenes.
 
     Raises:
         DatasetError: the folder to record in cannot be written.
     """
 
-    def __init__(
-        self, settings: PlaySettings, clock: Clock, rng: np.random.Generator | None = None
-    ) -> None:
+    def __init__(self, settings: PlaySettings, clock: Clock) -> None:
         self.settings = settings
         self.recorder = Recorder(settings.record) if settings.record else None
         self.players = Players(self._new_session, settings.max_players)
         self._clock = clock
-        self._rng = rng or np.random.default_rng()
+        self._rng = np.random.default_rng()  # of the seeds of scenes
 
     def routes(self) -> list[BaseRoute]:
         """Every route. None takes a path from outside, so none can leave the page's folder."""

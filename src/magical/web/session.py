@@ -4,21 +4,18 @@ Time is passed in, in seconds of any steady clock; nothing here waits, reads a c
 sockets.
 """
 
-from collections.abc import Sequence
 from enum import StrEnum
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from magical.demos.record import recorded_trajectory
 from magical.demos.store.trajectory import Trajectory
-from magical.envs.env import MagicalEnv
 from magical.envs.ids import EnvId
-from magical.envs.keys import Control, action_of, controls_of
+from magical.envs.keys import Control, action_of
 from magical.envs.seeds import sample_training_seeds
 from magical.errors import MessageError
 from magical.scene.constants import CONTROL_RATE
+from magical.web.episode import PlayedEpisode
 from magical.web.frames import FrameEncoder
 from magical.web.messages import (
     VIEWS,
@@ -47,44 +44,6 @@ class Phase(StrEnum):
     SAVING = "saving"  # the disk
 
 
-class PlayedEpisode:
-    """An episode from its reset to its last step, with all poses."""
-
-    def __init__(self, env_id: EnvId, seed: int) -> None:
-        self.env_id = env_id
-        self.seed = seed
-        self.env = MagicalEnv(env_id.task, env_id.variant, observation="state")
-        self.env.reset(seed=seed)
-        self.poses: list[NDArray[np.float64]] = []
-        self.executed: Sequence[Control] | None = None  # in the last step; None: none yet
-        self._note_poses()
-
-    def step(self, action: int) -> bool:
-        """Step the environment; returns whether that was the last step."""
-        truncated = self.env.step(action)[3]
-        self.executed = controls_of(action)
-        self._note_poses()
-        return truncated
-
-    def _note_poses(self) -> None:
-        self.poses.append(self.env.state().poses.bodies.copy())
-
-    @property
-    def steps(self) -> int:
-        """Control steps so far."""
-        return len(self.poses) - 1
-
-    def trajectory(self, demonstrator: str, view: str) -> Trajectory:
-        """The episode as a demonstration by the person of that name, who saw that view last."""
-        return recorded_trajectory(
-            self.env,
-            self.poses,
-            seed=self.seed,
-            demonstrator=demonstrator,
-            metadata={"recorder": "magical play", "view": view},
-        )
-
-
 class Session:
     """One player's environment and episode, driven by messages and by the clock.
 
@@ -96,17 +55,10 @@ class Session:
         rng: samples the seeds of scenes.
         now: the time, in seconds.
         recording: whether episodes can be kept.
-        seed: of the first scene; `None` samples one.
     """
 
     def __init__(
-        self,
-        env_id: EnvId,
-        rng: np.random.Generator,
-        now: float,
-        *,
-        recording: bool = False,
-        seed: int | None = None,
+        self, env_id: EnvId, rng: np.random.Generator, now: float, *, recording: bool = False
     ) -> None:
         self.recording = recording
         self.phase = Phase.READY
@@ -120,9 +72,9 @@ class Session:
         self._step_at = now
         self._heard_at = now
         self._input_at = now
-        self._fixed_seed = seed is not None
+        self._fixed_seed = False  # whether the next episode has the same seed
         self._pending: Trajectory | None = None  # the episode that is to be stored
-        self._begin(env_id, seed)
+        self._begin(env_id, None)
 
     def joined(self, now: float) -> None:
         """Note that a page was connected: it holds no keys, and a running episode is paused."""
