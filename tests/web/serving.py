@@ -16,7 +16,7 @@ from magical.web.security import make_guard
 from magical.web.server import PlaySettings, create_app, listen, make_server
 
 TOKEN = "a-token-of-the-tests"
-TIMEOUT = 30.0  # s
+TIMEOUT = 60.0  # s
 
 
 @dataclass(frozen=True, slots=True)
