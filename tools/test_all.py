@@ -16,7 +16,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 VERSIONS = ("3.11", "3.12", "3.13")
-EXTRAS = "dev,report,video,window,minari,lerobot"
+EXTRAS = "dev,report,video,window,minari,lerobot,web"
 
 
 def candidates(version: str) -> Iterator[str]:

@@ -25,6 +25,7 @@ EXTRAS = {
     **dict.fromkeys(("imageio", "imageio_ffmpeg", "moviepy"), "video"),
     **dict.fromkeys(("h5py", "minari"), "minari"),
     **dict.fromkeys(("av", "pyarrow"), "lerobot"),
+    **dict.fromkeys(("starlette", "uvicorn", "websockets"), "web"),
     "pygame": "window",
     "ray": "ray",
     "stable_baselines3": "sb3",

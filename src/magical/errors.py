@@ -157,5 +157,17 @@ class DeviceError(MagicalError, RuntimeError):
     """A device that is not available."""
 
 
+class MessageError(MagicalError, ValueError):
+    """A message from a web page that is not in the documented format, or cannot be followed now."""
+
+
+class ServerFullError(MagicalError, RuntimeError):
+    """A server whose environments are all in use."""
+
+
+class ServerError(MagicalError, OSError):
+    """A server that cannot listen on the chosen address."""
+
+
 class RenderError(MagicalError, ValueError):
     """A frame that cannot be rendered: poses or an array that do not fit, or an impossible size."""

@@ -1,6 +1,6 @@
 """Recording the episodes of an environment, whatever chooses the actions."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -76,24 +76,52 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
         return result
 
     def _store(self) -> None:
-        saved, poses = self._inner.get_state(), np.stack(self._poses)
-        if len(poses) != len(saved["actions"]) + 1:
-            raise TrajectoryError("the episode was not recorded from its start; reset() first")
-        scores = self._inner.scores()
-        if self._min_score is not None and scores.score < self._min_score:
-            return
-        self._writer.append(
-            Trajectory(
-                env_id=self._inner.env_id,
-                scene=self._inner.state().scene,
-                dynamics=Dynamics.from_dict(saved["dynamics"]),
-                actions=np.array(saved["actions"]),
-                poses=poses,
-                score=scores.score,
-                published_code_score=scores.published_code,
-                seed=self._seed,
-                demonstrator=self._demonstrator,
-                metadata={**provenance(), **self._episode_metadata},
-            )
+        trajectory = recorded_trajectory(
+            self._inner,
+            self._poses,
+            seed=self._seed,
+            demonstrator=self._demonstrator,
+            metadata=self._episode_metadata,
         )
+        if self._min_score is not None and (trajectory.score or 0.0) < self._min_score:
+            return
+        self._writer.append(trajectory)
         self.recorded += 1
+
+
+def recorded_trajectory(
+    env: MagicalEnv,
+    poses: Sequence[NDArray[np.float64]],
+    *,
+    seed: int | None,
+    demonstrator: str,
+    metadata: Mapping[str, Any],
+) -> Trajectory:
+    """The trajectory of an environment's episode so far, scored in its present state.
+
+    Args:
+        env: in the state that the episode ends in.
+        poses: of all bodies, (5 + blocks, 3), after `reset` and after every step since.
+        seed: passed to `reset`, where known.
+        demonstrator: name of the person or policy that chose the actions.
+        metadata: plain JSON data, stored with date and versions.
+
+    Raises:
+        TrajectoryError: there are not as many poses as the episode has steps, and one.
+    """
+    saved = env.get_state()
+    if len(poses) != len(saved["actions"]) + 1:
+        raise TrajectoryError("the episode was not recorded from its start; reset() first")
+    scores = env.scores()
+    return Trajectory(
+        env_id=env.env_id,
+        scene=env.state().scene,
+        dynamics=Dynamics.from_dict(saved["dynamics"]),
+        actions=np.array(saved["actions"]),
+        poses=np.stack(poses),
+        score=scores.score,
+        published_code_score=scores.published_code,
+        seed=seed,
+        demonstrator=demonstrator,
+        metadata={**provenance(), **metadata},
+    )

@@ -1,14 +1,53 @@
-"""A key map for `gymnasium.utils.play`: w and s drive, a and d turn, space closes the fingers."""
+"""Keys that are held down, and the action they stand for.
 
-from magical.scene.actions import ACTIONS, Gripper, Longitudinal, Turn
+A person steers with five controls: forward, back, left, right and grip.
+"""
 
-_DRIVE = {Longitudinal.STOP: "", Longitudinal.FORWARD: "w", Longitudinal.BACK: "s"}
-_TURN = {Turn.STRAIGHT: "", Turn.LEFT: "a", Turn.RIGHT: "d"}
-_GRIP = {Gripper.OPEN: "", Gripper.CLOSED: " "}
+from collections.abc import Collection
+from enum import StrEnum
+
+from magical.scene.actions import ACTIONS, Action, Gripper, Longitudinal, Turn
+
+
+class Control(StrEnum):
+    """What a key, a touch button or a gamepad's button is for."""
+
+    FORWARD = "forward"
+    BACK = "back"
+    LEFT = "left"
+    RIGHT = "right"
+    GRIP = "grip"
+
+
+_DRIVE = {Control.FORWARD: Longitudinal.FORWARD, Control.BACK: Longitudinal.BACK}
+_TURN = {Control.LEFT: Turn.LEFT, Control.RIGHT: Turn.RIGHT}
+
+
+def action_of(held: Collection[Control]) -> int:
+    """The action while these controls are held; opposite ones cancel each other."""
+    drive = [value for control, value in _DRIVE.items() if control in held]
+    turn = [value for control, value in _TURN.items() if control in held]
+    return Action(
+        drive[0] if len(drive) == 1 else Longitudinal.STOP,
+        turn[0] if len(turn) == 1 else Turn.STRAIGHT,
+        Gripper.CLOSED if Control.GRIP in held else Gripper.OPEN,
+    ).id
+
+
+def controls_of(action: int) -> tuple[Control, ...]:
+    """The fewest controls that stand for an action: driving, turning, gripping."""
+    longitudinal, turn, gripper = ACTIONS[action]
+    drives = [control for control, value in _DRIVE.items() if value == longitudinal]
+    turns = [control for control, value in _TURN.items() if value == turn]
+    return (*drives, *turns, *([Control.GRIP] if gripper is Gripper.CLOSED else []))
+
+
+# The keys of `gymnasium.utils.play`: w and s drive, a and d turn, space closes the fingers.
+_KEYS = dict(zip(Control, ("w", "s", "a", "d", " "), strict=True))
 
 # Every combination of keys held down, each with its action; no keys, no-op.
 KEYS_TO_ACTION: dict[tuple[str, ...], int] = {
-    tuple(_DRIVE[a.longitudinal] + _TURN[a.turn] + _GRIP[a.gripper]): a.id
-    for a in ACTIONS
-    if a.id != 0
+    tuple(_KEYS[control] for control in controls_of(action.id)): action.id
+    for action in ACTIONS
+    if action.id != 0
 }

@@ -1,0 +1,70 @@
+"""Play and record in the browser.
+
+The first line of standard output is the page's address, with a token that it needs. On a server
+without a display, forward the port (`ssh -L 8000:127.0.0.1:8000 server`) and open that address.
+"""
+
+import argparse
+from pathlib import Path
+
+from magical.commands._common import log, non_negative_int, positive_int
+
+HELP = "play and record demonstrations in the browser"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Describe the command's arguments."""
+    parser.add_argument(
+        "--env",
+        default="magical/MoveToRegion-Demo-v0",
+        metavar="ID",
+        help="where players start; they can choose others (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--record", type=Path, metavar="DIR", help="the dataset that kept episodes are added to"
+    )
+    parser.add_argument(
+        "--host",
+        default="127.0.0.1",
+        metavar="ADDRESS",
+        help="to listen on; anything but the default is reachable from outside, without "
+        "encryption (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--port",
+        type=non_negative_int,
+        default=8000,
+        metavar="N",
+        help="default: 8000; 0: a free one",
+    )
+    parser.add_argument(
+        "--allow-host",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="another name under which browsers address this server; may be repeated",
+    )
+    parser.add_argument(
+        "--max-players",
+        type=positive_int,
+        default=16,
+        metavar="N",
+        help="environments at the same time (default: 16)",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Listen, print the address, answer until interrupted."""
+    from magical.envs import parse_env_id
+    from magical.web.security import make_guard, new_token, page_url
+    from magical.web.server import PlaySettings, create_app, listen, make_server
+
+    env_id = parse_env_id(args.env).without_preset
+    token = new_token()
+    settings = PlaySettings(env_id, args.record, args.max_players)
+    app = create_app(settings, make_guard(args.host, token, frozenset(args.allow_host)))
+    with listen(args.host, args.port) as listening:
+        print(page_url(args.host, listening.getsockname()[1], token), flush=True)
+        log(f"recording into {args.record}" if args.record else "not recording (see --record)")
+        make_server(app).run(sockets=[listening])
+    return 0

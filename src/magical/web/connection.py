@@ -1,0 +1,148 @@
+"""A session over one WebSocket: messages in, status and frames out, the clock between them."""
+
+import asyncio
+import json
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from enum import IntEnum
+
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from magical.demos.store.trajectory import Trajectory
+from magical.errors import MagicalError, MessageError
+from magical.web.messages import Keys, RateLimit, parse_message
+from magical.web.players import Player
+from magical.web.session import Session
+
+MESSAGE_RATE = 60.0  # messages a second; the page sends 8, and two for each tap of a key
+MESSAGE_BURST = 120.0  # messages
+COMMAND_RATE = 4.0  # messages a second that are no keys: these start episodes, or render anew
+COMMAND_BURST = 8.0  # messages
+MAX_UNSEEN = 4  # frames that the page has not confirmed, beyond which none is sent
+
+Save = Callable[[Session, Trajectory], asyncio.Task[None]]
+Clock = Callable[[], float]
+
+
+class Close(IntEnum):
+    """Why a connection is closed, as the WebSocket's close code."""
+
+    REPLACED = 4001  # the session was opened in another tab
+    IDLE = 4002
+    FULL = 4003
+
+
+class FrameWindow:
+    """Frames that were sent and that the page has not confirmed.
+
+    A page on a slow connection gets fewer frames, always the newest, rather than a growing queue.
+    """
+
+    def __init__(self) -> None:
+        self._unseen: deque[int] = deque()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether another frame may be sent."""
+        return len(self._unseen) < MAX_UNSEEN
+
+    def note_sent(self, number: int) -> None:
+        """Note that the frame of this number was sent."""
+        self._unseen.append(number)
+
+    def note_seen(self, number: int) -> None:
+        """Note that the page shows this frame; all earlier ones are settled too."""
+        while self._unseen and self._unseen[0] <= number:
+            self._unseen.popleft()
+
+
+class Connection:
+    """One WebSocket that a player's page has opened.
+
+    Args:
+        socket: accepted.
+        player: whose session is played.
+        save: starts to store a session's episode; the task ends when the session was told.
+        clock: the time in seconds.
+    """
+
+    def __init__(self, socket: WebSocket, player: Player, save: Save, clock: Clock) -> None:
+        self._socket = socket
+        self._player = player
+        self._session = player.session
+        self._save = save
+        self._clock = clock
+        self._window = FrameWindow()
+        self._messages = RateLimit(MESSAGE_RATE, MESSAGE_BURST, clock())
+        self._commands = RateLimit(COMMAND_RATE, COMMAND_BURST, clock())
+        self._wake = asyncio.Event()  # there may be something to send
+
+    async def run(self) -> Close | None:
+        """Play until the connection ends; returns why it should be closed, if it is still open."""
+        number = self._player.connect(self._clock())
+        tasks = [
+            asyncio.create_task(work)
+            for work in (self._receive(), self._send(), self._run_clock(number))
+        ]
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            self._player.disconnect(number, self._clock())
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+        return next((task.result() for task in done if task.result() is not None), None)
+
+    async def _receive(self) -> None:
+        with suppress(WebSocketDisconnect):
+            while True:
+                event = await self._socket.receive()
+                if event["type"] == "websocket.disconnect":
+                    return
+                if self._messages.allows(self._clock()):
+                    self._handle(event.get("text"))
+                await asyncio.sleep(0)  # many messages at once must not stop the other players
+
+    def _handle(self, text: str | None) -> None:
+        try:
+            message = parse_message(text or "")  # None: a binary message
+        except MessageError:
+            return  # the page sends none such, and to answer each would help to flood
+        if isinstance(message, Keys):
+            self._window.note_seen(message.seen)
+        elif not self._commands.allows(self._clock()):
+            return
+        try:
+            self._session.handle(message, self._clock())
+        except MagicalError as error:
+            self._session.note_problem(str(error))
+        if trajectory := self._session.take_pending():
+            self._save(self._session, trajectory).add_done_callback(lambda _: self._wake.set())
+        self._session.advance(self._clock())
+        self._wake.set()
+
+    async def _send(self) -> None:
+        shown = None
+        with suppress(WebSocketDisconnect):
+            while True:
+                session = self._session
+                if session.changes != shown and self._window.is_open:
+                    shown = session.changes
+                    status, frame = session.status(), session.frame()
+                    self._window.note_sent(shown)
+                    await self._socket.send_text(json.dumps(status))
+                    await self._socket.send_bytes(frame)
+                await self._wake.wait()
+                self._wake.clear()
+
+    async def _run_clock(self, number: int) -> Close:
+        while True:
+            await asyncio.sleep(max(0.0, self._session.next_step - self._clock()))
+            now = self._clock()
+            if not self._player.owned_by(number):
+                return Close.REPLACED
+            if self._session.idle(now):
+                return Close.IDLE
+            self._session.advance(now)
+            self._wake.set()

@@ -1,0 +1,263 @@
+"""The application: the page's files, a JSON API, and the socket that one plays over."""
+
+import asyncio
+import json
+import os
+import socket as sockets
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from urllib.parse import parse_qs
+
+import numpy as np
+import uvicorn
+from starlette.applications import Starlette
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.routing import BaseRoute, Route, WebSocketRoute
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.websockets import WebSocket
+
+from magical.demos.store.trajectory import Trajectory
+from magical.envs.ids import EnvId
+from magical.errors import MagicalError, ServerError
+from magical.render import warm_up
+from magical.tasks import TASKS
+from magical.web import frames
+from magical.web.connection import Clock, Close, Connection
+from magical.web.messages import MAX_BYTES
+from magical.web.players import Players
+from magical.web.recorder import Recorder
+from magical.web.security import HEADERS, Guard
+from magical.web.session import Session
+
+PAGE = Path(__file__).parent / "page"
+PAGE_FILES = {
+    "/": ("index.html", "text/html"),
+    "/play.js": ("play.js", "text/javascript"),
+    "/style.css": ("style.css", "text/css"),
+}
+SHUTDOWN_TIME = 2  # s that open connections get to end
+SWEEP_TIME = 5.0  # s between looking for sessions that were not resumed in time
+
+
+@dataclass(frozen=True, slots=True)
+class PlaySettings:
+    """What a server offers.
+
+    Args:
+        env_id: the environment that a new player starts in.
+        record: the dataset's folder; `None`: nothing is recorded.
+        max_players: the largest number of environments.
+    """
+
+    env_id: EnvId
+    record: Path | None = None
+    max_players: int = 16
+
+
+class GuardMiddleware:
+    """Answers only what the guard accepts, and adds the security headers to every answer."""
+
+    def __init__(self, app: ASGIApp, guard: Guard) -> None:
+        self._app = app
+        self._guard = guard
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle one request or socket."""
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+        elif problem := self._problem(scope):
+            await self._refuse(problem, scope, receive, send)
+        else:
+            await self._app(scope, receive, _with_headers(send))
+
+    def _problem(self, scope: Scope) -> str | None:
+        """Why a request is refused; `None`: it is not."""
+        headers, guard = Headers(scope=scope), self._guard
+        reading = scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
+        if not guard.accepts_host(headers):
+            return "the Host header does not name this server; see --allow-host"
+        if not guard.accepts_origin(headers, required=not reading):
+            return "the Origin header does not name this server"
+        if not (reading and scope["path"] in PAGE_FILES) and not guard.knows(_token(scope)):
+            return "the token is missing or wrong; open the address that the server printed"
+        return None
+
+    async def _refuse(self, problem: str, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "websocket":
+            await receive()  # the request to connect
+            await send({"type": "websocket.close", "code": 1008})  # before accepting: status 403
+        else:
+            answer = PlainTextResponse(f"refused: {problem}\n", status_code=403)
+            await answer(scope, receive, _with_headers(send))
+
+
+def _token(scope: Scope) -> str | None:
+    query: dict[str, list[str]] = parse_qs(scope["query_string"].decode("latin-1"))
+    return query["token"][0] if "token" in query else None
+
+
+def _with_headers(send: Send) -> Send:
+    async def wrapped(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            MutableHeaders(scope=message).update(HEADERS)
+        await send(message)
+
+    return wrapped
+
+
+class PlayServer:
+    """The routes of a server, and what they share.
+
+    Args:
+        settings: what is offered.
+        clock: the time in seconds.
+
+    Raises:
+        DatasetError: the folder to record in cannot be written.
+    """
+
+    def __init__(self, settings: PlaySettings, clock: Clock) -> None:
+        self.settings = settings
+        self.recorder = Recorder(settings.record) if settings.record else None
+        self.players = Players(self._new_session, settings.max_players)
+        self._clock = clock
+        self._rng = np.random.default_rng()  # of the seeds of scenes
+
+    def routes(self) -> list[BaseRoute]:
+        """Every route. None takes a path from outside, so none can leave the page's folder."""
+        return [
+            *(Route(path, _page_file(*file)) for path, file in PAGE_FILES.items()),
+            Route("/api/environments", self.environments),
+            WebSocketRoute("/socket", self.play),
+        ]
+
+    @asynccontextmanager
+    async def lifespan(self, _: Starlette) -> AsyncIterator[None]:
+        """Drop lost sessions in time; at the end, wait for what is being stored."""
+        sweep = asyncio.create_task(self._drop_expired())
+        yield
+        sweep.cancel()
+        if self.recorder:
+            await self.recorder.finish()
+
+    async def environments(self, _: Request) -> JSONResponse:
+        """The tasks with their variants, as JSON."""
+        tasks = [
+            {
+                "name": task.name,
+                "summary": task.summary,
+                "horizon": task.horizon,
+                "env_ids": {name: EnvId(task.name, name) for name in task.variants},
+            }
+            for task in TASKS.values()
+        ]
+        return JSONResponse({"tasks": tasks})
+
+    async def play(self, socket: WebSocket) -> None:
+        """Play over a socket; `session` in its address resumes the session of that key."""
+        await socket.accept()
+        try:
+            key = socket.query_params.get("session")
+            player = self.players.find_or_add(key, self._clock())
+        except MagicalError as error:
+            await socket.send_text(json.dumps({"type": "refused", "reason": str(error)}))
+            await socket.close(Close.FULL)
+            return
+        if key and key != player.key:
+            player.session.note_problem("Your former session was not resumed in time and is gone.")
+        await socket.send_text(json.dumps({"type": "hello", "session": player.key}))
+        connection = Connection(socket, player, self._save, self._clock)
+        reason = await connection.run()
+        if reason is Close.IDLE:
+            self.players.remove(player)
+        if reason is not None:
+            with suppress(RuntimeError):  # closed from the other side meanwhile
+                await socket.close(reason)
+
+    def _new_session(self, now: float) -> Session:
+        recording = self.recorder is not None
+        return Session(self.settings.env_id, self._rng, now, recording=recording)
+
+    def _save(self, session: Session, trajectory: Trajectory) -> asyncio.Task[None]:
+        assert self.recorder is not None  # otherwise a session does not offer to keep anything
+        return self.recorder.store(session, trajectory)
+
+    async def _drop_expired(self) -> None:
+        while True:
+            await asyncio.sleep(SWEEP_TIME)
+            self.players.drop_expired(self._clock())
+
+
+def create_app(settings: PlaySettings, guard: Guard, clock: Clock = time.monotonic) -> Starlette:
+    """The application, for any ASGI server; `app.state.players` has the sessions.
+
+    Raises:
+        DatasetError: the folder to record in cannot be written.
+    """
+    server = PlayServer(settings, clock)
+    app = Starlette(
+        routes=server.routes(),
+        lifespan=server.lifespan,
+        middleware=[Middleware(GuardMiddleware, guard=guard)],
+    )
+    app.state.players = server.players
+    return app
+
+
+def _page_file(name: str, media_type: str) -> Callable[[Request], Response]:
+    content = (PAGE / name).read_bytes()
+    return lambda _: Response(content, media_type=media_type)
+
+
+def listen(host: str, port: int) -> sockets.socket:
+    """A socket that listens on an address; port 0 takes a free one.
+
+    Raises:
+        ServerError: the address is not this machine's, or in use.
+    """
+    try:
+        info = sockets.getaddrinfo(host, port, type=sockets.SOCK_STREAM, flags=sockets.AI_PASSIVE)
+        family, _, _, _, address = info[0]
+        # asyncio switches Nagle's algorithm off, but only where the protocol is said to be TCP.
+        listening = sockets.socket(family, sockets.SOCK_STREAM, sockets.IPPROTO_TCP)
+        try:
+            if os.name == "posix":  # elsewhere it would let others take the address
+                listening.setsockopt(sockets.SOL_SOCKET, sockets.SO_REUSEADDR, 1)
+            listening.bind(address)
+            listening.listen()
+        except BaseException:
+            listening.close()
+            raise
+        return listening
+    except OSError as error:
+        raise ServerError(
+            f"cannot listen on {host}, port {port}: {error.strerror or error}; choose another "
+            "--host or --port (0 takes a free port)"
+        ) from error
+
+
+def make_server(app: Starlette) -> uvicorn.Server:
+    """The server for an application: `run(sockets=[listening])` answers until it is stopped.
+
+    The renderer is compiled, or loaded, here, so that the first player need not wait for it.
+    """
+    warm_up(frames.SAMPLES)
+    config = uvicorn.Config(
+        app,
+        lifespan="on",
+        log_level="warning",
+        access_log=False,  # it would show the token
+        server_header=False,
+        proxy_headers=False,
+        ws="websockets-sansio",
+        ws_max_size=MAX_BYTES,
+        ws_per_message_deflate=False,  # frames are compressed already
+        timeout_graceful_shutdown=SHUTDOWN_TIME,
+    )
+    return uvicorn.Server(config)

@@ -1,0 +1,64 @@
+"""`magical play`."""
+
+import json
+import re
+import signal
+import socket
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+from magical import cli
+from magical.demos import Dataset
+
+ADDRESS = re.compile(r"(http://127\.0\.0\.1:\d+/)\?token=([\w-]{22,})\n")
+
+
+def test_the_first_line_is_the_address_with_the_token(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "magical", "play", "--port", "0", "--record", "demos"]
+    process = subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    try:
+        assert process.stdout is not None
+        found = ADDRESS.fullmatch(process.stdout.readline())
+        assert found is not None
+        url, token = found.groups()
+        with urllib.request.urlopen(f"{url}api/environments?token={token}", timeout=60) as answer:
+            assert json.load(answer)["tasks"]
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            urllib.request.urlopen(f"{url}api/environments?token={token[:-1]}", timeout=60)
+        process.send_signal(signal.SIGINT)
+        out, errors = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert (process.returncode, out) == (130, "")
+    assert errors == "recording into demos\ninterrupted\n"
+    assert len(Dataset.open(tmp_path / "demos")) == 0
+
+
+def test_an_address_that_is_in_use_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        assert cli.main(["play", "--port", str(port)]) == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert f"cannot listen on 127.0.0.1, port {port}" in captured.err
+    assert "--port" in captured.err
+
+
+def test_a_folder_that_is_no_dataset_is_an_error(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    assert cli.main(["play", "--record", str(tmp_path / "file")]) == 1
+    assert str(tmp_path / "file") in capsys.readouterr().err
+
+
+def test_an_unknown_environment_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["play", "--env", "magical/MoveToMoon-Demo-v0"]) == 2
+    assert "MoveToMoon" in capsys.readouterr().err

@@ -1,0 +1,56 @@
+"""The page's files: nothing from elsewhere, colours that can be read."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+import magical
+
+PAGE = Path(magical.__file__).parent / "web" / "page"
+
+
+def test_the_page_loads_nothing_from_elsewhere() -> None:
+    for path in PAGE.iterdir():
+        text = path.read_text()
+        assert re.findall(r"(?:https?:)?//[\w.]+\.\w+", text) == []
+        assert not re.search(r"innerHTML|eval\(|<script>|\son\w+=\"", text)
+
+
+def contrast(first: tuple[int, ...], second: tuple[int, ...]) -> float:
+    """The ratio of two colours' luminances (WCAG 2.2)."""
+
+    def luminance(colour: tuple[int, ...]) -> float:
+        parts = [c / 255 for c in colour]
+        linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
+        return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+    lighter, darker = sorted((luminance(first), luminance(second)), reverse=True)
+    return (lighter + 0.05) / (darker + 0.05)
+
+
+def palettes() -> dict[str, dict[str, tuple[int, ...]]]:
+    """The colours of both palettes by name; what the second leaves out is as in the first."""
+    style = (PAGE / "style.css").read_text()
+    found = [
+        {
+            name: tuple(bytes.fromhex(code if len(code) == 6 else "".join(c + c for c in code)))
+            for name, code in re.findall(r"--(\w+): #(\w+);", block)
+        }
+        for block in re.findall(r"(?::root|\[data-palette=\"safe\"\]) \{(.*?)\}", style, re.DOTALL)
+    ]
+    default, safe = found
+    return {"default": default, "safe": default | safe}
+
+
+@pytest.mark.parametrize("palette", ["default", "safe"])
+def test_palettes_have_enough_contrast(palette: str) -> None:
+    colours = palettes()[palette]
+    assert {"ink", "faint", "link", "lit", "good", "bad", "paper"} <= colours.keys()
+    for name in colours.keys() - {"paper", "line"}:
+        assert contrast(colours[name], colours["paper"]) >= 4.5, name
+
+
+def test_the_safe_palette_is_another() -> None:
+    default, safe = palettes().values()
+    assert {name for name in default if default[name] != safe[name]} >= {"lit", "good", "bad"}
