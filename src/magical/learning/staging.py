@@ -1,4 +1,4 @@
-"""Copies from the host to a GPU that nobody waits for."""
+"""Asynchronous copies from the host to a GPU."""
 
 from collections.abc import Callable
 
