@@ -115,7 +115,7 @@ def test_rendering_of_state_vectors_is_an_error() -> None:
         )
 
 
-def test_training_renders_and_records_which_way_it_was(tmp_path: Path) -> None:
+def test_auto_trains_on_rendered_frames_and_resampling_on_others(tmp_path: Path) -> None:
     generate(EnvId("MoveToRegion", "Demo"), 2, tmp_path / "demos", seed=0)
     found = {}
     for way in ("auto", "rendering", "resampling"):

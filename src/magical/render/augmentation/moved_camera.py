@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.errors import RenderError
+from magical.render.augmentation.resampling import LEVELS
 from magical.render.canvas import Canvas, blank, finish_bodies, finish_ground
 from magical.render.display import display_list
 from magical.render.frame import (
@@ -19,13 +20,12 @@ from magical.render.frame import (
     within_reach,
 )
 from magical.render.jit import inlined, nogil_entry_point
+from magical.render.output import CHANNELS
 from magical.render.polygons import MOST_SIDES, SUBSAMPLES, Floats, Ints
 from magical.render.renderer import default_samples
 from magical.scene.scene import Scene
 from magical.scene.vocabulary import View
 
-LEVELS = 255  # of 8-bit pixels
-CHANNELS = 3
 LANES = 16 * np.arange(CHANNELS)  # the lowest bits of a packed colour's lanes (`palette.lanes`)
 
 Floats32 = NDArray[np.float32]

@@ -24,12 +24,12 @@ from magical.render.augmentation.lab import (
     root_maps,
 )
 from magical.render.jit import fused, inlined, nogil_entry_point
+from magical.render.output import CHANNELS
 
 LEVELS = 255  # of 8-bit pixels
 SLOTS = 2048  # of the table of jittered colours: frames have a few hundred colours
 MULTIPLIER = 2_654_435_761  # of the hash: 2^32 over the golden ratio
 ROOT_OF_KNEE = float(np.cbrt(ROOT_KNEE))
-CHANNELS = 3
 
 Floats = NDArray[np.float64]
 Floats32 = NDArray[np.float32]
