@@ -16,8 +16,9 @@ from magical.learning.algorithms.bc import BCConfig
 from magical.learning.augment import NOISE_STD
 from magical.learning.augmentations import SETS, parse_augmentations
 from magical.learning.expert_data import ExpertData
-from magical.learning.rendered_data import RenderedExpertData, expert_data_class
+from magical.learning.rendered_data import RenderedExpertData, choose_augment_by
 from magical.observe import PRESETS
+from magical.runs.folder import RECORD, read_json
 from tests.learning.conftest import picture_demo
 
 PIXELS = [name for name, spec in PRESETS.items() if not spec.separate]
@@ -93,15 +94,15 @@ def test_same_generator_same_batch(pairs: Pairs) -> None:
 
 def test_auto_renders_where_all_poses_are_known(pairs: Pairs) -> None:
     recorded = [("MoveToCorner", picture_demo("MoveToCorner", 0))]
-    assert expert_data_class("auto", pairs) is RenderedExpertData
-    assert expert_data_class("rendering", pairs) is RenderedExpertData
-    assert expert_data_class("resampling", pairs) is ExpertData
-    assert expert_data_class("auto", [*pairs, *recorded]) is ExpertData
+    assert choose_augment_by("auto", pairs) == "rendering"
+    assert choose_augment_by("rendering", pairs) == "rendering"
+    assert choose_augment_by("resampling", pairs) == "resampling"
+    assert choose_augment_by("auto", [*pairs, *recorded]) == "resampling"
     expected = (
         r"1 demonstrations have recorded frames only.*MoveToCorner-Demo.*magical demos import"
     )
     with pytest.raises(DemonstrationsError, match=f"{expected}.*augment_by: resampling"):
-        expert_data_class("rendering", [*pairs, *recorded])
+        choose_augment_by("rendering", [*pairs, *recorded])
 
 
 def test_rendering_of_state_vectors_is_an_error() -> None:
@@ -117,7 +118,7 @@ def test_rendering_of_state_vectors_is_an_error() -> None:
 
 def test_auto_trains_on_rendered_frames_and_resampling_on_others(tmp_path: Path) -> None:
     generate(EnvId("MoveToRegion", "Demo"), 2, tmp_path / "demos", seed=0)
-    found = {}
+    found, recorded = {}, {}
     for way in ("auto", "rendering", "resampling"):
         config = BCConfig.preset(
             "quick",
@@ -132,5 +133,7 @@ def test_auto_trains_on_rendered_frames_and_resampling_on_others(tmp_path: Path)
         )
         result = train(config, tmp_path / way)
         found[way] = result.metrics["loss"]
+        recorded[way] = read_json(tmp_path / way / RECORD)["augment_by"]
     assert found["auto"] == found["rendering"]
     assert found["auto"] != found["resampling"]
+    assert recorded == {"auto": "rendering", "rendering": "rendering", "resampling": "resampling"}

@@ -24,17 +24,18 @@ from magical.learning.augment import (
 )
 from magical.learning.augmentations import SETS, Augmentations
 from magical.learning.colour import colour_jitter
-from magical.learning.config import AUTO, RENDERING
+from magical.learning.config import AUTO, RENDERING, RESAMPLING
 from magical.learning.expert_data import ExpertData, Rows
 from magical.observe import PixelSpec
 from magical.render.augmentation import MovedCamera, add_noise
 from magical.scene import Scene
 
 
-def expert_data_class(
-    augment_by: str, demonstrations: Iterable[tuple[str, Trajectory]]
-) -> type[ExpertData]:
-    """`RenderedExpertData` or `ExpertData`: how the configuration's `augment_by` is done.
+def choose_augment_by(augment_by: str, demonstrations: Iterable[tuple[str, Trajectory]]) -> str:
+    """How images are augmented, where the configuration says `auto`: by rendering if possible.
+
+    Returns:
+        `rendering` or `resampling`.
 
     Raises:
         DemonstrationsError: rendering was asked for and poses are unknown.
@@ -46,8 +47,9 @@ def expert_data_class(
             f"frames only (the first is of {unknown[0]}). Import the published files with "
             "`magical demos import`, which recovers their poses, or use augment_by: resampling"
         )
-    rendered = augment_by == RENDERING or (augment_by == AUTO and not unknown)
-    return RenderedExpertData if rendered else ExpertData
+    if augment_by == AUTO:
+        return RESAMPLING if unknown else RENDERING
+    return augment_by
 
 
 class RenderedExpertData(ExpertData):

@@ -30,7 +30,7 @@ from magical.learning.graphs import GraphedStep, use_graphs
 from magical.learning.models import PolicyNetwork, Trunk, init_last_layers
 from magical.learning.optimizers import make_adam, set_learning_rate
 from magical.learning.prefetch import prefetch
-from magical.learning.rendered_data import expert_data_class
+from magical.learning.rendered_data import RenderedExpertData, choose_augment_by
 from magical.learning.run import Run
 from magical.learning.streams import Purpose, seeded_init, stream
 from magical.observe import STATE
@@ -164,13 +164,17 @@ class BCTrainer:
     def expert_data(self, demonstrations: TaskTrajectories, remove_noops: bool) -> ExpertData:
         """The samples of demonstrations, on the trainer's device.
 
+        How their images are augmented is recorded in `run.json`.
+
         Raises:
-            DemonstrationsError: see `expert_data_class` and `ExpertData`.
+            DemonstrationsError: see `choose_augment_by` and `ExpertData`.
         """
         config = self.config
         kind = ExpertData
         if config.observation != STATE:
-            kind = expert_data_class(config.augment_by, demonstrations)
+            augment_by = choose_augment_by(config.augment_by, demonstrations)
+            self.run.describe(augment_by=augment_by)
+            kind = RenderedExpertData if augment_by == RENDERING else ExpertData
         return kind(
             demonstrations,
             config.tasks,
