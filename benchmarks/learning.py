@@ -37,6 +37,7 @@ from magical.learning.devices import choose_compute
 from magical.learning.expert_data import ExpertData, Rows, sample_demonstrations
 from magical.learning.prefetch import prefetch
 from magical.learning.run import Run
+from magical.learning.transformations import StackTransformations
 
 TASK = "MoveToCorner"
 DEMOS = 25
@@ -54,7 +55,13 @@ WAYS = {
 class PyTorchData(ExpertData):
     """Frames resampled by PyTorch."""
 
-    def augmented(self, rows: Rows, which: Augmentations, rng: np.random.Generator) -> Tensor:
+    def augmented(
+        self,
+        rows: Rows,
+        which: Augmentations,
+        rng: np.random.Generator,
+        transformed: StackTransformations | None = None,
+    ) -> Tensor:
         parameters = sample_parameters(len(rows), which, rng)
         generator = torch.Generator().manual_seed(int(rng.integers(2**63)))
         return augment_in_pytorch(self.images(rows), which, parameters, generator)

@@ -1,11 +1,13 @@
-"""Writes two pictures of augmentations to docs/images.
+"""Writes three pictures of augmentations to docs/images.
 
 - augmentations.png: a frame, and what each augmentation makes of it
 - augment-by.png: the same augmentation of one frame, resampled and rendered
+- transformations.png: each transformation of three frames
 
 python tools/augmentation_picture.py
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import gymnasium
@@ -19,6 +21,7 @@ from magical.learning.augment import augment
 from magical.learning.augmentations import NAMES, SETS, Augmentations, parse_augmentations
 from magical.learning.expert_data import ExpertData
 from magical.learning.rendered_data import RenderedExpertData
+from magical.learning.transformations import StackTransformations
 from magical.observe import PRESETS
 
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
@@ -60,6 +63,25 @@ def ways() -> Image.Image:
     return table(shown, 3 * TILE // 2)
 
 
+def transformations() -> Image.Image:
+    """Each transformation of pictures by itself; `frames` cannot be seen in the newest one."""
+    pairs = [("MatchRegions", demonstrate("magical/MatchRegions-Demo-v0", seed=0))]
+    data = RenderedExpertData(pairs, ["MatchRegions"], PRESETS["LoRes4E"])
+    count, yes = len(CHOSEN), np.ones(len(CHOSEN), bool)
+    none = StackTransformations.none(count)
+    changed = {
+        "original": none,
+        "palette": replace(none, palettes=np.array([7, 16, 23])),
+        "mirror": replace(none, mirrored=yes),
+        "walls": replace(none, without_walls=yes),
+    }
+    shown = {
+        name: data.augmented(CHOSEN, SETS["none"], np.random.default_rng(0), transformed)
+        for name, transformed in changed.items()
+    }
+    return table(shown, TILE)
+
+
 def table(shown: dict[str, torch.Tensor], tile: int) -> Image.Image:
     """The newest frames of stacks (B, C, H, W), a row for each name."""
     columns = len(next(iter(shown.values())))
@@ -79,7 +101,11 @@ def table(shown: dict[str, torch.Tensor], tile: int) -> Image.Image:
 def main() -> None:
     """Make the pictures."""
     IMAGES.mkdir(parents=True, exist_ok=True)
-    for name, make in (("augmentations", augmentations), ("augment-by", ways)):
+    for name, make in (
+        ("augmentations", augmentations),
+        ("augment-by", ways),
+        ("transformations", transformations),
+    ):
         make().save(IMAGES / f"{name}.png", optimize=True)
         print(f"wrote {IMAGES / name}.png")
 

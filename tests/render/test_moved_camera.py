@@ -19,16 +19,22 @@ Case = tuple[Scene, Poses]
 
 
 def moved(
-    case: Case, view: View, angle: float = 0.0, shift: Any = (0.0, 0.0), size: int = SIZE
+    case: Case,
+    view: View,
+    angle: float = 0.0,
+    shift: Any = (0.0, 0.0),
+    size: int = SIZE,
+    palette: NDArray[np.uint8] | None = None,
+    without_walls: bool = False,
 ) -> NDArray[np.float32]:
     """One frame from a moved camera, (size, size, 3) in [0, 255]."""
     scene, poses = case
     camera = MovedCamera(scene, view, size)
     out = np.full((1, size, size, 3), np.nan, np.float32)
     bodies = np.asarray(poses.bodies)[None, None, :, :3]
-    camera.render(
-        bodies, np.array([angle]), np.array([shift]), camera.palette[None], out, np.zeros(1, int), 0
-    )
+    colours = camera.palette if palette is None else palette
+    moves, hidden = (np.array([angle]), np.array([shift])), np.array([without_walls])
+    camera.render(bodies, *moves, colours[None], hidden, out, np.zeros(1, int), 0)
     return np.asarray(out[0] * 255.0)
 
 
@@ -114,7 +120,7 @@ def test_every_stack_has_its_own_colours_row_and_channels(case: Case) -> None:
     out = np.zeros((3, SIZE, SIZE, 9), np.float32)
     palettes = np.stack([camera.palette, dark])
     rows = np.array([2, 0])
-    camera.render(bodies, np.zeros(2), np.zeros((2, 2)), palettes, out, rows, 3)
+    camera.render(bodies, np.zeros(2), np.zeros((2, 2)), palettes, np.zeros(2, bool), out, rows, 3)
     whole = plain(case, View.EGO) / 255.0
     for first in (3, 6):
         np.testing.assert_allclose(out[2, :, :, first : first + 3], whole, atol=1e-6)

@@ -180,8 +180,8 @@ class Parameters(Generic[Values]):
         return cls(
             lightness=1.0 + MAX_LIGHTNESS_CHANGE * unit[:, 0],
             hues=MAX_COLOUR_ROTATION * unit[:, 1],
-            angles=MAX_ROTATION * unit[:, 2] * which.rotation,
-            shifts=MAX_TRANSLATION * unit[:, 3:5] * which.translation,
+            angles=MAX_ROTATION * which.scale * unit[:, 2] * which.rotation,
+            shifts=MAX_TRANSLATION * which.scale * unit[:, 3:5] * which.translation,
         )
 
 

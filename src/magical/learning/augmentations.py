@@ -15,6 +15,7 @@ class Augmentations:
     colour: bool = True
     borders: str = "mirror"  # one of `BORDERS`: what is beyond a translated or rotated image
     linear_light: bool = True  # decode sRGB before the conversion to CIE Lab
+    scale: float = 1.0  # of the ranges that translations and rotations are sampled from
 
 
 NAMES = ("noise", "translation", "rotation", "colour")

@@ -22,6 +22,7 @@ from magical.learning.augment import augment
 from magical.learning.augmentations import Augmentations
 from magical.learning.config import ImitationConfig
 from magical.learning.streams import Purpose, stream
+from magical.learning.transformations import StackTransformations
 from magical.observe import Component, ObservationSpec
 from magical.observe.arrays import stack_indices
 from magical.scene import NOOP
@@ -165,16 +166,21 @@ class ExpertData:
         """The number of samples."""
         return len(self.actions)
 
-    def images(self, rows: Rows) -> Tensor:
+    def images(self, rows: Rows, newest_only: NDArray[np.bool_] | None = None) -> Tensor:
         """Frame stacks (B, C, H, W) uint8 of samples, in the observation's channel order.
 
-        State vectors are (B, size) float32.
+        State vectors are (B, size) float32. Stacks that `newest_only` (B,) names have the newest
+        frame in place of all earlier ones.
         """
         index = self._index(rows)
-        stacks = [
-            frames.index_select(0, indices[index].flatten()).view(len(rows), -1, *frames.shape[2:])
-            for frames, indices in zip(self._frames, self._stacks, strict=True)
-        ]
+        stacks = []
+        for frames, indices in zip(self._frames, self._stacks, strict=True):
+            chosen = indices[index]  # (B, K)
+            if newest_only is not None:
+                held = self._index(newest_only)[:, None]
+                chosen = torch.where(held, chosen[:, -1:], chosen)
+            found = frames.index_select(0, chosen.flatten())
+            stacks.append(found.view(len(rows), -1, *frames.shape[2:]))
         return stacks[0] if len(stacks) == 1 else torch.cat(stacks, dim=1)
 
     @property
@@ -182,9 +188,20 @@ class ExpertData:
         """Whether batches are made by the host, so that another thread can make them ahead."""
         return self.device == "cpu"
 
-    def augmented(self, rows: Rows, which: Augmentations, rng: np.random.Generator) -> Tensor:
-        """Frame stacks of samples, augmented: (B, C, H, W) float32 in [0, 1]."""
-        return augment(self.images(rows), which, rng)
+    def augmented(
+        self,
+        rows: Rows,
+        which: Augmentations,
+        rng: np.random.Generator,
+        transformed: StackTransformations | None = None,
+    ) -> Tensor:
+        """Frame stacks of samples, transformed and augmented: (B, C, H, W) float32 in [0, 1]."""
+        if transformed is None:
+            return augment(self.images(rows), which, rng)
+        images = self.images(rows, transformed.newest_only)
+        mirrored = self._index(transformed.mirrored)
+        images[mirrored] = images[mirrored].flip(-1)
+        return augment(images, which, rng)
 
     def labels(self, rows: Rows) -> tuple[Tensor, Tensor]:
         """Actions and tasks of samples, each (B,) int64."""
@@ -203,7 +220,7 @@ class ExpertData:
         sampled = [rng.choice(rows, n) for rows, n in zip(self._rows, counts, strict=True)]
         return np.concatenate(sampled).astype(np.int64)
 
-    def _index(self, rows: Rows) -> Tensor:
+    def _index(self, rows: NDArray[Any]) -> Tensor:
         return torch.from_numpy(rows).to(self.actions.device, non_blocking=True)
 
 

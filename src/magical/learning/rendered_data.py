@@ -6,6 +6,7 @@ scripted experts have them, and the published human ones as `magical demos impor
 """
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -26,8 +27,10 @@ from magical.learning.augmentations import SETS, Augmentations
 from magical.learning.colour import colour_jitter
 from magical.learning.config import AUTO, RENDERING, RESAMPLING
 from magical.learning.expert_data import ExpertData, Rows
+from magical.learning.transformations import PERMUTATIONS, StackTransformations
 from magical.observe import PixelSpec
 from magical.render.augmentation import MovedCamera, add_noise
+from magical.render.palette import permuted
 from magical.scene import Scene
 
 
@@ -76,7 +79,8 @@ class RenderedExpertData(ExpertData):
                 assert trajectory.poses is not None
                 poses.append(trajectory.poses[:-1])
             cameras = self._cameras(members[0][1].scene)
-            self._scenes.append(_SceneData(np.concatenate(poses), cameras))
+            palettes = [_permuted_palettes(camera.palette) for camera in cameras]
+            self._scenes.append(_SceneData(np.concatenate(poses), cameras, palettes))
 
     def _cameras(self, scene: Scene) -> list[MovedCamera]:
         assert isinstance(self.spec, PixelSpec)
@@ -88,25 +92,43 @@ class RenderedExpertData(ExpertData):
         """See `ExpertData`: frames are always rendered by the host."""
         return True
 
-    def images(self, rows: Rows) -> Tensor:
-        """Frame stacks of samples as they are, (B, C, H, W) uint8."""
-        plain = self.augmented(rows, SETS["none"], np.random.default_rng(0))
+    def images(self, rows: Rows, newest_only: NDArray[np.bool_] | None = None) -> Tensor:
+        """See `ExpertData`: the frames as they are."""
+        unchanged = StackTransformations.none(len(rows))
+        if newest_only is not None:
+            unchanged = replace(unchanged, newest_only=newest_only)
+        plain = self.augmented(rows, SETS["none"], np.random.default_rng(0), unchanged)
         return plain.mul(255.0).round_().to(torch.uint8).contiguous()
 
-    def augmented(self, rows: Rows, which: Augmentations, rng: np.random.Generator) -> Tensor:
+    def augmented(
+        self,
+        rows: Rows,
+        which: Augmentations,
+        rng: np.random.Generator,
+        transformed: StackTransformations | None = None,
+    ) -> Tensor:
         """See `ExpertData`."""
+        transformed = transformed or StackTransformations.none(len(rows))
         channels, height, width = self.spec.network_shape
         parameters = sample_parameters(len(rows), which, rng)
         pinned = self.device == "cuda"
         images = torch.empty((len(rows), height, width, channels), pin_memory=pinned)
         out = images.numpy()
         stacks = [stack.cpu().numpy()[rows] for stack in self._stacks]  # (B, K) each
+        for stack in stacks:
+            stack[transformed.newest_only] = stack[transformed.newest_only, -1:]
         scenes = self._scene_of[stacks[0][:, 0]]
         for number in np.unique(scenes):
             inside = np.flatnonzero(scenes == number)
             self._scenes[number].render(
-                [self._row_of[stack[inside]] for stack in stacks], parameters, which, out, inside
+                [self._row_of[stack[inside]] for stack in stacks],
+                parameters,
+                which,
+                transformed,
+                out,
+                inside,
             )
+        out[transformed.mirrored] = out[transformed.mirrored, :, ::-1]
         if which.noise:
             add_noise(out, NOISE_STD, noise_seeds(len(rows), rng))
         return images.permute(0, 3, 1, 2).to(self.device, non_blocking=True)
@@ -117,23 +139,27 @@ class _SceneData(NamedTuple):
 
     poses: NDArray[np.float64]  # (F, bodies, 3)
     cameras: list[MovedCamera]  # one for each component of the observation
+    palettes: list[NDArray[np.uint8]]  # of each camera: (24, n, 3), by number of `PERMUTATIONS`
 
     def render(
         self,
         stacks: Sequence[NDArray[np.intp]],
         parameters: Parameters[Floats],
         which: Augmentations,
+        transformed: StackTransformations,
         out: NDArray[np.float32],
         rows: NDArray[np.intp],
     ) -> None:
         """Render stacks (B, K), one array for each camera, into `out[rows]`."""
         channel = 0
-        for camera, frames in zip(self.cameras, stacks, strict=True):
+        views = zip(self.cameras, self.palettes, stacks, strict=True)
+        for camera, palettes, frames in views:
             camera.render(
                 self.poses[frames],
                 parameters.angles[rows],
                 parameters.shifts[rows],
-                _palettes(camera.palette, parameters, which, rows),
+                _jittered(palettes[transformed.palettes[rows]], parameters, which, rows),
+                transformed.without_walls[rows],
                 out,
                 rows,
                 channel,
@@ -141,17 +167,20 @@ class _SceneData(NamedTuple):
             channel += 3 * frames.shape[1]
 
 
-def _palettes(
-    palette: NDArray[np.uint8],
+def _permuted_palettes(palette: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.stack([permuted(palette, colours) for colours in PERMUTATIONS])
+
+
+def _jittered(
+    palettes: NDArray[np.uint8],
     parameters: Parameters[Floats],
     which: Augmentations,
     rows: NDArray[np.intp],
 ) -> NDArray[np.uint8]:
-    """The palette (n, 3) with each stack's colour jitter: (B, n, 3)."""
-    repeated = np.broadcast_to(palette, (len(rows), *palette.shape))
+    """Palettes (B, n, 3) with each stack's colour jitter."""
     if not which.colour:
-        return repeated
-    images = torch.from_numpy(repeated.transpose(0, 2, 1)[:, :, None].copy())  # (B, 3, 1, n)
+        return palettes
+    images = torch.from_numpy(palettes.transpose(0, 2, 1)[:, :, None].copy())  # (B, 3, 1, n)
     scales, hues = parameters.lightness[rows], parameters.hues[rows]
     jittered = colour_jitter(images, scales, hues, which.linear_light)
     rounded = jittered.mul_(255.0).round_().to(torch.uint8)

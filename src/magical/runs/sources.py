@@ -7,6 +7,7 @@ from typing import Any
 DEMONSTRATIONS = "demonstrations"
 INTERACTION = "interaction"
 SCORE = "score"
+RENDERED_STATES = "rendered states"
 EXPERT_LABELS = "expert labels"
 TEST_VARIANTS = "test variants"
 EXTRA_DATA = "extra data"
@@ -18,6 +19,7 @@ SOURCES: Mapping[str, str] = MappingProxyType(
         DEMONSTRATIONS: "demonstrations of the Demo variant",
         INTERACTION: "episodes in the Demo variant, without their scores",
         SCORE: "scores of episodes in the Demo variant",
+        RENDERED_STATES: "demonstrated states rendered in other colours or without walls",
         EXPERT_LABELS: "an expert asked for actions in states that the learner visits",
         TEST_VARIANTS: "test variants, seen before the final evaluation",
         EXTRA_DATA: "data from elsewhere, such as a pre-trained network",

@@ -72,6 +72,7 @@ TASK = Task(
     score_fn=score,
     max_blocks=1,
     max_regions=0,
+    mirror_symmetric=False,
     progress_fn=progress,
     validate_fn=validate,
 )

@@ -45,6 +45,7 @@ class Task:
     published_score_fn: ScoreFn | None = None  # the published code's, where different (section 9)
     max_blocks: int  # over all variants
     max_regions: int  # over all variants
+    mirror_symmetric: bool = True  # whether mirror images of its scenes are scenes of the task
     progress_fn: ScoreFn | None = None  # the dense reward is its increase; None: no dense reward
     validate_fn: ValidateFn = _accept  # the reason why a scene does not fit, or ""
 

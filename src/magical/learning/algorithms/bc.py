@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
@@ -10,9 +10,11 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 from torch.optim import SGD, Optimizer
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
+from magical.learning.augmentations import Augmentations
 from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
 from magical.learning.config import (
     AUTO,
@@ -33,7 +35,16 @@ from magical.learning.prefetch import prefetch
 from magical.learning.rendered_data import RenderedExpertData, choose_augment_by
 from magical.learning.run import Run
 from magical.learning.streams import Purpose, seeded_init, stream
+from magical.learning.transformations import (
+    NONE,
+    RENDERED,
+    TRANSFORMATIONS,
+    StackTransformations,
+    check_transformations,
+    parse_transformations,
+)
 from magical.observe import STATE
+from magical.runs.sources import RENDERED_STATES
 
 ADAM_BETA_2 = 0.999
 
@@ -75,6 +86,22 @@ class BCConfig(ImitationConfig):
         choices=(AUTO, RENDERING, RESAMPLING),
         added=True,
     )
+    augment_scale: float = option(
+        1.0, "factor of the ranges of the translation and the rotation", added=True
+    )
+    transform: str = option(
+        NONE,
+        f"transformations of the demonstrations: {NONE}, or names joined by +, of "
+        f"{', '.join(TRANSFORMATIONS)}",
+        metavar="NAMES",
+        added=True,
+    )
+    average_decay: float = option(
+        0.0,
+        "decay, at each batch, of the exponential moving average of the weights, which is then "
+        "the policy; 0: no average",
+        added=True,
+    )
     log_every: int = option(50, "batches between lines of metrics")
     checkpoint_every: int = option(
         0, f"batches between checkpoints; 0: one every {CHECKPOINT_SECONDS} s"
@@ -84,7 +111,14 @@ class BCConfig(ImitationConfig):
         super().__post_init__()
         self.require_positive("batches", "batch_size", "learning_rate")
         self.require_positive("log_every")
-        self.require_at_least_zero("checkpoint_every")
+        self.require_at_least_zero("checkpoint_every", "augment_scale")
+        self.require_fraction("average_decay")
+        check_transformations(self.transformations, self.tasks)
+        if self.augment_by == RESAMPLING and (found := self.transformations & set(RENDERED)):
+            raise InvalidConfigError(
+                f"transform: {' and '.join(sorted(found))} need rendered frames, so augment_by "
+                f"{RENDERING} or {AUTO} is expected, found {self.augment_by}"
+            )
         if self.observation == STATE:
             self._check_state()
 
@@ -99,11 +133,32 @@ class BCConfig(ImitationConfig):
             raise InvalidConfigError(
                 f"augment: expected none, as state vectors are not augmented, found {self.augment}"
             )
+        if self.transformations:
+            raise InvalidConfigError(
+                f"transform: expected none, as state vectors are not transformed, found "
+                f"{self.transform}"
+            )
         if len(self.tasks) > 1:
             raise InvalidConfigError(
                 "observation: state vectors differ between tasks, so one task is expected, found "
                 f"{', '.join(self.tasks)}; use a pixel observation, or a run for each task"
             )
+
+    @property
+    def augmentations(self) -> Augmentations:
+        """See `ImitationConfig`."""
+        return replace(super().augmentations, scale=self.augment_scale)
+
+    @property
+    def transformations(self) -> frozenset[str]:
+        """The names of the transformations."""
+        return parse_transformations(self.transform)
+
+    @property
+    def learned_from(self) -> tuple[str, ...]:
+        """See `Config`."""
+        rendered = (RENDERED_STATES,) if self.transformations & set(RENDERED) else ()
+        return (*super().learned_from, *rendered)
 
     @property
     def total(self) -> int:
@@ -151,7 +206,10 @@ class BCTrainer:
         self.reset()
         self.compute = run.compute(self.device, config.precision, config.threads)
         if run.saved:
-            load_module(self.network, run.saved["policy"], str(run.folder))
+            load_module(self.policy, run.saved["policy"], str(run.folder))
+            if self._average:
+                load_module(self.network, run.saved["network"], str(run.folder))
+                self._average.n_averaged.fill_(run.step)
             load_optimizer(self.optimizer, run.saved["optimizer"])
 
     def reset(self) -> None:
@@ -160,6 +218,13 @@ class BCTrainer:
         self.optimizer = make_optimizer(self.config, self.network)
         self._forward = torch.compile(self.network) if self.config.compile else self.network
         self._graphed_step = GraphedStep(self._step, use_graphs(self.config.graphs, self.device))
+        self._average = _weight_average(self.config, self.network)
+
+    @property
+    def policy(self) -> nn.Module:
+        """What is evaluated: the network, or with `average_decay` its average over the batches."""
+        module: nn.Module = self._average.module if self._average else self.network
+        return module
 
     def expert_data(self, demonstrations: TaskTrajectories, remove_noops: bool) -> ExpertData:
         """The samples of demonstrations, on the trainer's device.
@@ -221,15 +286,18 @@ class BCTrainer:
         rng = stream(self.config.seed, Purpose.BATCHES, number)
         rows = data.sample(self.config.batch_size, rng)
         if self.config.observation == STATE:
-            images = data.images(rows)
-        else:
-            images = data.augmented(rows, self.config.augmentations, rng)
-        return Batch(images, *data.labels(rows))
+            return Batch(data.images(rows), *data.labels(rows))
+        config, (actions, tasks) = self.config, data.labels(rows)
+        transformed = StackTransformations.sample(len(rows), config.transformations, rng)
+        images = data.augmented(rows, config.augmentations, rng, transformed)
+        return Batch(images, transformed.labels(actions), tasks)
 
     def step(self, batch: Batch, learning_rate: float) -> tuple[Tensor, Tensor]:
         """Take one step of the optimiser; returns the loss and the logits (B, 18)."""
         set_learning_rate(self.optimizer, learning_rate)
         loss, logits = self._graphed_step(*batch)
+        if self._average:
+            self._average.update_parameters(self.network)
         return loss, logits
 
     def _step(self, images: Tensor, actions: Tensor, tasks: Tensor) -> tuple[Tensor, Tensor]:
@@ -243,10 +311,11 @@ class BCTrainer:
 
     def state_dict(self) -> StateDict:
         """The state of network and optimiser."""
-        return {
-            "policy": self.network.state_dict(),
+        state = {
+            "policy": self.policy.state_dict(),
             "optimizer": optimizer_state(self.optimizer),
         }
+        return {**state, "network": self.network.state_dict()} if self._average else state
 
 
 def make_policy(config: BCConfig) -> PolicyNetwork:
@@ -258,6 +327,14 @@ def make_policy(config: BCConfig) -> PolicyNetwork:
         network = PolicyNetwork(trunk, len(config.tasks))
         init_last_layers(config, network.policy)
         return network
+
+
+def _weight_average(config: BCConfig, network: nn.Module) -> AveragedModel | None:
+    """The average of weights and of batch norm's statistics, if there is to be one."""
+    if not config.average_decay:
+        return None
+    average = get_ema_multi_avg_fn(config.average_decay)  # type: ignore[no-untyped-call]
+    return AveragedModel(network, multi_avg_fn=average, use_buffers=True)
 
 
 def make_optimizer(config: BCConfig, network: nn.Module) -> Optimizer:

@@ -154,7 +154,7 @@ def train_round(
 def make_network_policy(config: DAggerConfig, trainer: BCTrainer) -> NetworkPolicy:
     """The present network as a policy for the environments."""
     return NetworkPolicy(
-        trainer.network,
+        trainer.policy,
         config.tasks,
         config.observation,
         config.observation_spec,

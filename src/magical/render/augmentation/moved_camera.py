@@ -64,6 +64,7 @@ class MovedCamera:
         angles: Floats,
         shifts: Floats,
         palettes: NDArray[np.uint8],
+        without_walls: NDArray[np.bool_],
         out: Floats32,
         rows: Ints,
         channel: int,
@@ -75,6 +76,8 @@ class MovedCamera:
             angles: (B,) radians, counter-clockwise as seen.
             shifts: (B, 2) to the right and down, as fractions of width and height.
             palettes: (B, n, 3) the colours in place of `palette`.
+            without_walls: (B,) whether to give the workspace's edge, and what is beyond it, the
+                workspace's colour.
             out: (N, size, size, C) float32; frames are written with values in [0, 1].
             rows: (B,) where in `out` each stack goes.
             channel: the first of its 3 * K channels.
@@ -82,9 +85,7 @@ class MovedCamera:
         Raises:
             RenderError: a pose is not finite.
         """
-        lanes = palettes.astype(np.int64) << LANES  # (B, n, 3)
-        packed = lanes.sum(axis=2)[:, self._entries]  # (B, items + 2 * ground + 1)
-        count = len(self._display.items)
+        packed, count = self._colours(palettes, without_walls), len(self._display.items)
         moves = np.stack([np.cos(angles), np.sin(angles), shifts[:, 0], -shifts[:, 1]], axis=1)
         good = compiled_render_moved(self._samples)(
             np.ascontiguousarray(bodies),
@@ -103,6 +104,15 @@ class MovedCamera:
         )
         if not good:
             raise RenderError(f"expected finite poses within {FAR:g} units")
+
+    def _colours(self, palettes: NDArray[np.uint8], without_walls: NDArray[np.bool_]) -> Ints:
+        """The packed colours of items, ground and background: (B, items + 2 * ground + 1)."""
+        lanes = palettes.astype(np.int64) << LANES  # (B, n, 3)
+        packed: Ints = lanes.sum(axis=2)[:, self._entries]
+        inside = len(self._display.items)  # the workspace is the first on the ground
+        for place in (inside + 1, -1):  # its edge, and the background
+            packed[without_walls, place] = packed[without_walls, inside]
+        return packed
 
 
 @inlined
