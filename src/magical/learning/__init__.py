@@ -13,12 +13,14 @@ from magical.learning.config import Config
 from magical.runs import is_run
 
 if TYPE_CHECKING:
+    from magical.learning.ensemble import EnsemblePolicy
     from magical.learning.policy import NetworkPolicy, load_policy
     from magical.learning.training import TrainResult, train
 
 __all__ = [
     "Algorithm",
     "Config",
+    "EnsemblePolicy",
     "NetworkPolicy",
     "TrainResult",
     "algorithm_names",
@@ -30,6 +32,7 @@ __all__ = [
 ]
 
 _NEEDS_TORCH = {
+    "EnsemblePolicy": "ensemble",
     "NetworkPolicy": "policy",
     "load_policy": "policy",
     "TrainResult": "training",

@@ -64,10 +64,7 @@ class NetworkPolicy:
         if self.greedy:
             most_probable: Actions = probabilities.argmax(axis=1)
             return most_probable
-        cumulative = probabilities.cumsum(axis=1)  # (B, 18)
-        uniforms = rng.random(len(env_ids)) * cumulative[:, -1]
-        actions: Actions = (uniforms[:, None] >= cumulative).sum(axis=1)
-        return actions.clip(max=cumulative.shape[1] - 1)
+        return sample_actions(probabilities, rng)
 
     def reset(self, mask: Mask) -> None:
         """Does nothing: the only memory is the observation's frame stack."""
@@ -94,6 +91,14 @@ class NetworkPolicy:
                 )
             numbers[env_id] = self.tasks.index(task)
         return torch.tensor([numbers[env_id] for env_id in env_ids])
+
+
+def sample_actions(probabilities: NDArray[np.float64], rng: np.random.Generator) -> Actions:
+    """One action (B,) int64 from each of the distributions (B, 18)."""
+    cumulative = probabilities.cumsum(axis=1)
+    uniforms = rng.random(len(probabilities)) * cumulative[:, -1]
+    actions: Actions = (uniforms[:, None] >= cumulative).sum(axis=1)
+    return actions.clip(max=cumulative.shape[1] - 1)
 
 
 def _require_finite(logits: Tensor) -> None:

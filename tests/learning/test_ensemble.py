@@ -1,0 +1,64 @@
+"""Several networks as one policy."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from magical.demos.generate import generate
+from magical.envs import EnvId
+from magical.errors import PolicyError
+from magical.evaluation import Policy, environments, evaluate
+from magical.learning import EnsemblePolicy, load_policy, train
+from magical.learning.algorithms.bc import BCConfig
+from tests.learning.test_policy import IDS, fixed
+
+
+def test_actions_follow_the_mean_of_the_distributions() -> None:
+    logits = torch.full((2, 2, 18), -1e4)
+    logits[0, :, 2] = 0.0
+    logits[1, :, 17] = 0.0
+    policy = EnsemblePolicy([fixed(logits[0]), fixed(logits[1])])
+    assert isinstance(policy, Policy)
+    frames = np.zeros((2000, 96, 96, 12), np.uint8)
+    probabilities = policy.probabilities(frames, [IDS[0]] * 2000)
+    np.testing.assert_allclose(probabilities[0, [2, 17]], 0.5)
+    actions = policy.act(frames, [IDS[0]] * 2000, np.random.default_rng(0))
+    assert set(actions) == {2, 17}
+    assert abs((actions == 2).mean() - 0.5) < 0.04
+
+
+def test_one_member_acts_as_it_would_alone() -> None:
+    logits = torch.randn(2, 18, generator=torch.Generator().manual_seed(0))
+    frames = np.zeros((50, 96, 96, 12), np.uint8)
+    alone, ensemble = (
+        policy.act(frames, [IDS[1]] * 50, np.random.default_rng(3))
+        for policy in (fixed(logits), EnsemblePolicy([fixed(logits)]))
+    )
+    assert np.array_equal(alone, ensemble)
+
+
+def test_runs_are_loaded_and_evaluated(tmp_path: Path) -> None:
+    env_id = EnvId("MoveToRegion", "Demo")
+    generate(env_id, 1, tmp_path / "demos", seed=0)
+    for seed in (0, 1):
+        demos = {"demos": str(tmp_path / "demos"), "num_demos": 1}
+        config = BCConfig.preset(
+            "quick", tasks=(env_id.task,), network="light", batches=2, seed=seed, **demos
+        )
+        train(config, tmp_path / str(seed))
+    policy = EnsemblePolicy.load([tmp_path / "0", tmp_path / "1"])
+    assert len(evaluate(policy, environments(["MoveToRegion"], ["Demo"]), rollouts=2)) == 2
+    frames = np.zeros((1, 96, 96, 12), np.uint8)
+    single = [load_policy(tmp_path / seed).probabilities(frames, [str(env_id)]) for seed in "01"]
+    expected = (single[0] + single[1]) / 2
+    np.testing.assert_allclose(policy.probabilities(frames, [str(env_id)]), expected)
+
+
+def test_members_with_different_observations_are_an_error() -> None:
+    logits = torch.zeros(2, 18)
+    with pytest.raises(PolicyError, match="one observation, found LoRes4A, LoRes4E"):
+        EnsemblePolicy([fixed(logits), fixed(logits, "LoRes4A")])
+    with pytest.raises(PolicyError, match="found none"):
+        EnsemblePolicy([])
