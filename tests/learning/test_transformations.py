@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 import torch
 
-from magical.demos import Trajectory
+from magical.demos import DatasetWriter, Trajectory
 from magical.demos.generate import demonstrate, generate
 from magical.envs import EnvId
-from magical.errors import InvalidConfigError, UnknownNameError
+from magical.errors import DemonstrationsError, InvalidConfigError, UnknownNameError
 from magical.learning import load_policy, train
 from magical.learning.algorithms.bc import BCConfig
 from magical.learning.augmentations import SETS
 from magical.learning.checkpoints import load_newest_checkpoint
 from magical.learning.expert_data import ExpertData
+from magical.learning.palette import PERMUTATIONS
 from magical.learning.rendered_data import RenderedExpertData
 from magical.learning.transformations import (
     MIRRORED,
-    PERMUTATIONS,
     TRANSFORMATIONS,
     StackTransformations,
     parse_transformations,
@@ -30,6 +30,7 @@ from magical.render.palette import SHADES
 from magical.runs.sources import RENDERED_STATES
 from magical.scene import ACTION_NAMES
 from magical.scene.vocabulary import COLOURS
+from tests.learning.conftest import picture_demo
 
 TASK = "MatchRegions"
 ROWS = np.array([0, 7, 30, 61])
@@ -92,6 +93,33 @@ def test_palettes_are_permuted_in_whole_stacks(pairs: Any) -> None:
         assert (before != after).sum() < 0.02 * before.sum(), (colour, new)
 
 
+def test_palettes_of_recorded_frames_are_permuted_as_if_rendered(pairs: Any) -> None:
+    numbers = np.array([0, 7, 16, 23])
+    stored, rendered = (
+        images(kind, pairs, replace(NONE, palettes=numbers)) for kind in EXPERT_DATA
+    )
+    assert torch.equal(stored[0], images(ExpertData, pairs, None)[0])
+    channels = (stored - rendered).abs().view(len(ROWS), 4, 3, 96, 96) * 255
+    differences = channels.amax(dim=2)
+    assert (differences > 4).float().mean() < 0.02  # at edges
+    assert (differences > 40).float().mean() < 0.005
+
+
+def test_walls_cannot_be_removed_from_recorded_frames(tmp_path: Path) -> None:
+    writer = DatasetWriter(tmp_path / "demos")
+    writer.append(picture_demo("MoveToRegion", 0))
+    config = BCConfig.preset(
+        "quick",
+        tasks=("MoveToRegion",),
+        demos=str(tmp_path / "demos"),
+        num_demos=1,
+        batches=1,
+        transform="walls",
+    )
+    with pytest.raises(DemonstrationsError, match="walls needs demonstrations with poses"):
+        train(config, tmp_path / "run")
+
+
 def _pixels(stacks: torch.Tensor, colour: Any) -> torch.Tensor:
     """Which pixels have exactly the fill of a colour: (B, frames, H, W)."""
     frames = stacks.mul(255).round().view(len(stacks), -1, 3, *stacks.shape[2:])
@@ -134,7 +162,7 @@ def test_unknown_names_are_errors() -> None:
     ("changes", "expected"),
     [
         ({"tasks": ("MoveToCorner",), "transform": "mirror"}, "found MoveToCorner; leave out"),
-        ({"transform": "palette", "augment_by": "resampling"}, "palette need rendered frames"),
+        ({"transform": "walls", "augment_by": "resampling"}, "walls needs rendered frames"),
         (
             {"observation": "state", "augment": "none", "transform": "frames"},
             "state vectors are not transformed",
@@ -150,13 +178,14 @@ def test_what_cannot_be_is_an_error(changes: dict[str, Any], expected: str) -> N
 
 
 def test_rendered_states_are_declared() -> None:
-    def sources(transform: str) -> tuple[str, ...]:
-        config = BCConfig.preset("quick", tasks=(TASK,), demos="demos", transform=transform)
-        return config.learned_from
+    def sources(transform: str, **changes: str) -> tuple[str, ...]:
+        fields = {"tasks": (TASK,), "demos": "demos", "transform": transform, **changes}
+        return BCConfig.preset("quick", **fields).learned_from
 
     assert RENDERED_STATES in sources("palette")
     assert RENDERED_STATES in sources("mirror+walls")
     assert RENDERED_STATES not in sources("mirror+frames")
+    assert RENDERED_STATES not in sources("palette", augment_by="resampling")
 
 
 def config(tmp_path: Path, **changes: Any) -> BCConfig:

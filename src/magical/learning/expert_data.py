@@ -21,6 +21,7 @@ from magical.errors import DemonstrationsError
 from magical.learning.augment import augment
 from magical.learning.augmentations import Augmentations
 from magical.learning.config import ImitationConfig
+from magical.learning.palette import permute_palette
 from magical.learning.streams import Purpose, stream
 from magical.learning.transformations import StackTransformations
 from magical.observe import Component, ObservationSpec
@@ -201,6 +202,8 @@ class ExpertData:
         images = self.images(rows, transformed.newest_only)
         mirrored = self._index(transformed.mirrored)
         images[mirrored] = images[mirrored].flip(-1)
+        if transformed.palettes.any():
+            images = permute_palette(images, transformed.palettes)
         return augment(images, which, rng)
 
     def labels(self, rows: Rows) -> tuple[Tensor, Tensor]:

@@ -27,7 +27,8 @@ from magical.learning.augmentations import SETS, Augmentations
 from magical.learning.colour import colour_jitter
 from magical.learning.config import AUTO, RENDERING, RESAMPLING
 from magical.learning.expert_data import ExpertData, Rows
-from magical.learning.transformations import PERMUTATIONS, StackTransformations
+from magical.learning.palette import PERMUTATIONS
+from magical.learning.transformations import StackTransformations
 from magical.observe import PixelSpec
 from magical.render.augmentation import MovedCamera, add_noise
 from magical.render.palette import permuted

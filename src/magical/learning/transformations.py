@@ -5,7 +5,6 @@ answered in another scene. They are applied to whole stacks, before the paper's 
 """
 
 from dataclasses import dataclass
-from itertools import permutations
 from typing import Self
 
 import numpy as np
@@ -14,9 +13,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from magical.errors import InvalidConfigError, UnknownNameError
+from magical.learning.palette import PERMUTATIONS
 from magical.scene import ACTIONS
 from magical.scene.actions import Turn
-from magical.scene.vocabulary import COLOURS
 from magical.tasks import get_task
 
 NONE = "none"
@@ -27,9 +26,6 @@ TRANSFORMATIONS = {
     WALLS: "the workspace's edge and what is beyond it in the workspace's colour",
     FRAMES: "the newest frame in place of all earlier ones",
 }
-RENDERED = (PALETTE, WALLS)  # need frames that are rendered from poses
-
-PERMUTATIONS = tuple(permutations(COLOURS))  # of the palette; the first changes nothing
 
 
 def parse_transformations(text: str) -> frozenset[str]:

@@ -12,7 +12,7 @@ from torch.nn import functional
 from torch.optim import SGD, Optimizer
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from magical.errors import InvalidConfigError
+from magical.errors import DemonstrationsError, InvalidConfigError
 from magical.learning.algorithms import Algorithm
 from magical.learning.augmentations import Augmentations
 from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
@@ -37,8 +37,9 @@ from magical.learning.run import Run
 from magical.learning.streams import Purpose, seeded_init, stream
 from magical.learning.transformations import (
     NONE,
-    RENDERED,
+    PALETTE,
     TRANSFORMATIONS,
+    WALLS,
     StackTransformations,
     check_transformations,
     parse_transformations,
@@ -114,10 +115,10 @@ class BCConfig(ImitationConfig):
         self.require_at_least_zero("checkpoint_every", "augment_scale")
         self.require_fraction("average_decay")
         check_transformations(self.transformations, self.tasks)
-        if self.augment_by == RESAMPLING and (found := self.transformations & set(RENDERED)):
+        if self.augment_by == RESAMPLING and WALLS in self.transformations:
             raise InvalidConfigError(
-                f"transform: {' and '.join(sorted(found))} need rendered frames, so augment_by "
-                f"{RENDERING} or {AUTO} is expected, found {self.augment_by}"
+                f"transform: {WALLS} needs rendered frames, so augment_by {RENDERING} or {AUTO} is "
+                f"expected, found {self.augment_by}"
             )
         if self.observation == STATE:
             self._check_state()
@@ -157,8 +158,9 @@ class BCConfig(ImitationConfig):
     @property
     def learned_from(self) -> tuple[str, ...]:
         """See `Config`."""
-        rendered = (RENDERED_STATES,) if self.transformations & set(RENDERED) else ()
-        return (*super().learned_from, *rendered)
+        changes_scenery = self.transformations & {PALETTE, WALLS}
+        rendered = bool(changes_scenery) and self.augment_by != RESAMPLING
+        return (*super().learned_from, *([RENDERED_STATES] if rendered else []))
 
     @property
     def total(self) -> int:
@@ -232,12 +234,19 @@ class BCTrainer:
         How their images are augmented is recorded in `run.json`.
 
         Raises:
-            DemonstrationsError: see `choose_augment_by` and `ExpertData`.
+            DemonstrationsError: see `choose_augment_by` and `ExpertData`; or there are no poses
+                for a transformation that needs them.
         """
         config = self.config
         kind = ExpertData
         if config.observation != STATE:
             augment_by = choose_augment_by(config.augment_by, demonstrations)
+            if augment_by == RESAMPLING and WALLS in config.transformations:
+                raise DemonstrationsError(
+                    f"transform: {WALLS} needs demonstrations with poses, and some have recorded "
+                    "frames only. Import the published files with `magical demos import`, which "
+                    f"recovers their poses, or leave out {WALLS}"
+                )
             self.run.describe(augment_by=augment_by)
             kind = RenderedExpertData if augment_by == RENDERING else ExpertData
         return kind(
