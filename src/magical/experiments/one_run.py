@@ -13,7 +13,7 @@ from magical.evaluation import Entry, environments, evaluate
 from magical.evaluation.entry import ENTRY_FILE, POLICY, SCORES_FILE, THREADS
 from magical.evaluation.policy import is_privileged
 from magical.evaluation.rollouts import observation_for
-from magical.experiments.plan import EXPERT, PlannedRun
+from magical.experiments.plan import PlannedRun
 from magical.experiments.results import DONE, FAILED, RESULT, Outcome, is_out_of_space
 from magical.files import remove_partial_files
 from magical.learning import Config, TrainResult, is_run, load_policy, train
@@ -141,6 +141,5 @@ def _details(run: PlannedRun) -> dict[str, Any]:
         **provenance(),
     }
     if isinstance(run.config, ImitationConfig):
-        source = "dataset" if run.expert_demos is None else EXPERT
-        details["demonstrations"] = f"{run.config.num_demos} of each task ({source})"
+        details["demonstrations"] = f"{run.config.num_demos} of each task ({run.source})"
     return details
