@@ -84,6 +84,10 @@ def test_the_results_are_evaluated_as_the_published_scores_were(root: Path, name
         assert run.evaluation == Evaluation(rollouts=100, horizon="published", nudge=0.0)
         assert run.preset == ("paper" if name == "bc-human-paper" else "quick")
         assert run.config.threads == 1
+        if run.source.expert_demos is not None:
+            assert run.config.to_dict()["augment_by"] == (
+                "auto" if run.source.dataset else "resampling"
+            )
         assert run.method.split("), ")[0].removesuffix(")") + ")" in published_methods()
 
 
