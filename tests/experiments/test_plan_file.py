@@ -85,9 +85,7 @@ def test_the_results_are_evaluated_as_the_published_scores_were(root: Path, name
         assert run.preset == ("paper" if name == "bc-human-paper" else "quick")
         assert run.config.threads == 1
         if run.source.expert_demos is not None:
-            assert run.config.to_dict()["augment_by"] == (
-                "auto" if run.source.dataset else "resampling"
-            )
+            assert run.config.to_dict()["augment_by"] == "resampling"
         assert run.method.split("), ")[0].removesuffix(")") + ")" in published_methods()
 
 
