@@ -107,7 +107,7 @@ class Page:
         self.methods = [method for plan in self.plans for method in plan.methods]
         self.rows: list[Row] = [known[name] for name in self.methods if name in known]
         self.rejected += [
-            Rejected(str(root / "results"), name, ["a method of none of the plans"])
+            Rejected(str(root / "results"), name, [f"{name} is a method of none of the plans"])
             for name in known
             if name not in self.methods
         ]
