@@ -124,6 +124,15 @@ def test_entries_that_do_not_count_are_listed_by_reason(repository: Path) -> Non
     assert foreign == "- `results`: BC (ST), mine is a method of none of the plans"
 
 
+def test_the_leaderboards_evaluations_are_not_part_of_the_page(repository: Path) -> None:
+    folder = write_run(repository, "bc-human", "BC (ST)", "MoveToRegion", 0, 0.5)
+    before = made(repository)
+    (folder / "leaderboard").mkdir()
+    for file in ("scores.csv", "entry.json"):
+        shutil.copy(folder / file, folder / "leaderboard" / file)
+    assert made(repository) == before
+
+
 def test_the_check_finds_a_page_or_a_picture_that_is_out_of_date(repository: Path) -> None:
     made(repository)
     assert results_page.main(["--check"], repository) == 0

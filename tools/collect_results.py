@@ -1,6 +1,6 @@
 """Collect what a plan's runs scored into a folder of `results/`, without weights.
 
-python tools/collect_results.py RUNS [RUNS ...] --out results/NAME [--plan plans/NAME.toml]
+python tools/collect_results.py RUNS [RUNS ...] --out results/NAME [--plan FILE] [--leaderboard]
 
 RUNS are results folders of `magical run`, finished or not; several hold parts of one plan. What is
 collected already stays and is not read again, so the command can be repeated while runs go on.
@@ -9,6 +9,9 @@ Written are, as `magical report` and `magical leaderboard` read them:
 - `runs/FOLDER/scores.csv` and `entry.json`, and those of `runs/FOLDER/leaderboard` where they are
 - `plan.json`: the plan's runs
 - `collected.json`: the plan's digest, versions, demonstrations, and each run's seconds or error
+
+With --leaderboard each run that is done is first evaluated by the leaderboard's protocol, from its
+checkpoint, into a folder `leaderboard` in its own, unless that was done before.
 
 Runs of another version of the package than those before are refused (exit status 1).
 """
@@ -25,7 +28,8 @@ from magical.errors import MagicalError, ResultsError
 from magical.evaluation import read_entry
 from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
 from magical.experiments.demonstrations import DIGESTS
-from magical.experiments.plan import planned_runs
+from magical.experiments.one_run import evaluate_run
+from magical.experiments.plan import Evaluation, PlannedRun, planned_runs
 from magical.experiments.plan_file import read_plan
 from magical.experiments.results import (
     DONE,
@@ -39,6 +43,7 @@ from magical.experiments.results import (
     run_folders,
 )
 from magical.files import write_atomically
+from magical.report.leaderboard.checks import NUDGE
 from magical.runs.folder import read_json, write_json
 
 COLLECTED = "collected.json"
@@ -77,25 +82,36 @@ class Collected:
         write_json(folder / COLLECTED, {**head, **vars(self)})
 
 
-def collect(sources: Sequence[Path], out: Path, plan: Path) -> Iterator[str]:
+def collect(
+    sources: Sequence[Path], out: Path, plan: Path, leaderboard: bool = False
+) -> Iterator[str]:
     """Collect the plan's runs that are done; yields what is left out or missing, and why.
+
+    Args:
+        sources: results folders.
+        out: the folder to collect into.
+        plan: the plan's file.
+        leaderboard: evaluate each run by the leaderboard's protocol first.
 
     Raises:
         ResultsError: a source is no results folder; its runs are of another version, or learned
             from other demonstrations, than those collected before.
     """
-    planned = planned_runs(read_plan(plan))
+    planned = {run.folder: run for run in planned_runs(read_plan(plan))}
     collected = Collected.read(out)
     for source in sources:
         _require_same(source, collected, out)
         for folder in run_folders(source):
-            if folder.name not in {run.folder for run in planned}:
+            if folder.name not in planned:
                 yield f"left out: {folder}: not a run of {plan}"
-            elif why := _collect_run(folder, out / RUNS / folder.name, collected):
+                continue
+            if leaderboard and read_state(folder) == DONE:
+                evaluate_for_leaderboard(planned[folder.name], folder)
+            if why := _collect_run(folder, out / RUNS / folder.name, collected):
                 yield f"left out: {why}"
-    write_json(out / PLAN, {"runs": [listed(run) for run in planned]})
+    write_json(out / PLAN, {"runs": [listed(run) for run in planned.values()]})
     collected.write(out, plan)
-    for run in planned:
+    for run in planned.values():
         if run.folder not in collected.runs:
             yield f"missing: {run}: {collected.failed.get(run.folder, 'not done')}"
 
@@ -118,6 +134,12 @@ def _collect_run(folder: Path, target: Path, collected: Collected) -> str:
     except MagicalError as error:
         return str(error)
     return ""
+
+
+def evaluate_for_leaderboard(run: PlannedRun, folder: Path) -> None:
+    """Evaluate a run by the leaderboard's protocol, unless that was done before."""
+    if not (folder / LEADERBOARD / ENTRY_FILE).exists():
+        evaluate_run(run, folder, folder / LEADERBOARD, Evaluation(nudge=NUDGE))
 
 
 def _copy_entry(source: Path, target: Path, version: str) -> None:
@@ -156,10 +178,11 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("sources", nargs="+", type=Path, metavar="RUNS")
     parser.add_argument("--out", type=Path, required=True, metavar="results/NAME")
     parser.add_argument("--plan", type=Path, metavar="FILE", help="default: plans/NAME.toml")
+    parser.add_argument("--leaderboard", action="store_true", help="evaluate for it first")
     args = parser.parse_args(arguments)
     plan = args.plan or Path("plans") / f"{args.out.absolute().name}.toml"
     try:
-        for line in collect(args.sources, args.out, plan):
+        for line in collect(args.sources, args.out, plan, args.leaderboard):
             print(line)
         print(f"{args.out}: {len(Collected.read(args.out).runs)} runs collected")
     except MagicalError as error:

@@ -9,7 +9,7 @@ import hashlib
 import sys
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from magical.report.replication.cells import (
 from magical.report.replication.claims import CLAIMS, PARTS, VARIATIONS, Finding, find, order
 from magical.report.replication.picture import digest_of, write_picture
 from magical.report.replication.rows import Row, make_rows, published_row
-from magical.report.results import search_results
+from magical.report.results import Results, search_results
 from magical.report.tables import signed
 from magical.runs.folder import read_json
 from tools import readme_tables
@@ -48,6 +48,7 @@ PLANS = (
     "bc-mixed",
 )
 COLLECTED = "collected.json"  # of a folder of `results/` (tools/collect_results.py)
+LEADERBOARD = "leaderboard"  # in the folder of a run's entry
 NOT_RUN = "not run"
 NOTHING = f"Nothing yet: {NOT_RUN}."
 MAX_LISTED = 5  # entries with the same reason that are listed by name
@@ -102,7 +103,7 @@ class Page:
         self.root = root
         self.plans = [PlanResults.read(root, name) for name in PLANS]
         folders = [folder for name in PLANS if (folder := root / "results" / name).is_dir()]
-        found, self.rejected = make_rows(search_results(folders)) if folders else ([], [])
+        found, self.rejected = make_rows(_exact(search_results(folders))) if folders else ([], [])
         known = {row.method: row for row in found}
         self.methods = [method for plan in self.plans for method in plan.methods]
         self.rows: list[Row] = [known[name] for name in self.methods if name in known]
@@ -221,6 +222,12 @@ class Page:
             reasons.setdefault(shown, []).append(f"`{name}`")
         lines = [f"- {_listed(names)}: {reason}" for reason, names in reasons.items()]
         return "\n".join(lines) or "None."
+
+
+def _exact(results: Results) -> Results:
+    """Without the leaderboard's evaluations of the same policies (tools/collect_results.py)."""
+    kept = [result for result in results.found if result.folder.name != LEADERBOARD]
+    return replace(results, found=kept)
 
 
 def _within_header() -> list[str]:

@@ -3,12 +3,14 @@
 import json
 import shutil
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from magical.evaluation import environments, read_entry
 from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
-from magical.experiments.plan import PlannedRun
+from magical.experiments.plan import Evaluation, PlannedRun
 from magical.report.leaderboard import make_leaderboard
 from magical.report.results import search_results
 from tools import collect_results
@@ -87,17 +89,24 @@ def test_it_can_be_repeated_while_runs_go_on(
     assert files(out) == after
 
 
-def test_the_leaderboards_evaluation_is_collected_too(
-    copied: Path, tiny: Path, out: Path, planned: Planned
+def test_the_leaderboards_evaluation_is_made_once_and_collected(
+    copied: Path,
+    tiny: Path,
+    out: Path,
+    planned: Planned,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    collect(copied, out, tiny)
-    name = planned()[0].folder
-    run = copied / "runs" / name
-    for file in (SCORES_FILE, ENTRY_FILE):
-        (run / "leaderboard").mkdir(exist_ok=True)
-        shutil.copy(run / file, run / "leaderboard" / file)
-    assert collect(copied, out, tiny) == []
-    assert (out / "runs" / name / "leaderboard" / SCORES_FILE).is_file()
+    monkeypatch.setattr(collect_results, "Evaluation", partial(Evaluation, rollouts=2))
+    (planned_run, _) = planned()
+    (copied / "runs" / planned()[1].folder / "result.json").unlink()
+    assert collect(copied, out, tiny)  # first without
+    list(collect_results.collect([copied], out, tiny, leaderboard=True))
+    entry = read_entry(out / "runs" / planned_run.folder / "leaderboard")
+    assert (entry.method, entry.nudge, entry.horizon) == ("BC tiny", 1e-9, "appendix")
+    assert entry.details["policy"] == ".."
+    assert len(entry.scores) == 2 * len(environments(["MoveToRegion"]))
+    monkeypatch.setattr(collect_results, "evaluate_run", None)
+    list(collect_results.collect([copied], out, tiny, leaderboard=True))
 
 
 def test_what_cannot_be_used_is_left_out_with_its_reason(
