@@ -148,6 +148,9 @@ def test_the_check_finds_a_page_or_a_picture_that_is_out_of_date(repository: Pat
         assert image.width == 980
     picture.write_bytes(old)
     assert results_page.main(["--check"], repository) == 1
+    text = made(repository)
+    (repository / "docs" / "results.md").write_text(text.replace("1 of 40", "2 of 40"))
+    assert results_page.main(["--check"], repository) == 1
 
 
 def test_what_is_written_by_hand_stays(repository: Path) -> None:

@@ -28,8 +28,7 @@ SOURCES: Mapping[str, str] = MappingProxyType(
     }
 )
 
-# Classes of what learns from Demo demonstrations alone, or with more: each may use what those before
-# it may.
+# Of what learns from Demo demonstrations: each class may use what those before it may.
 CLASSES: Mapping[str, str] = MappingProxyType(
     {"P": DEMONSTRATIONS, "R": RENDERED_STATES, "X": SIMULATOR}
 )
@@ -43,7 +42,7 @@ def learning_class(names: Iterable[str]) -> str:
     used = set(names)
     if DEMONSTRATIONS not in used or not used <= set(CLASSES.values()):
         return ""
-    return next(name for name in reversed(CLASSES) if CLASSES[name] in used)
+    return [name for name, source in CLASSES.items() if source in used][-1]
 
 
 def learned_from(details: Mapping[str, Any]) -> tuple[str, ...]:
