@@ -321,7 +321,8 @@ def main(arguments: Sequence[str], root: Path = ROOT) -> int:
     outdated = readme_tables.main(arguments, root / "docs" / "results.md", page.sections())
     if "--check" in arguments:
         return int(outdated or digest_of(picture) != page.digest)
-    write_picture(picture, {m: c for m, c in page.cells.items() if c}, page.tasks, page.digest)
+    panels = {method: page.cells.get(method, ()) for method in page.methods}
+    write_picture(picture, panels, page.tasks, page.digest)
     return 0
 
 

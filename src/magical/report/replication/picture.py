@@ -30,7 +30,7 @@ def write_picture(
 
     Args:
         path: the file.
-        panels: the cells of each method.
+        panels: the cells of each method, at least one; empty for one that was not run.
         tasks: the panels' rows; those without cells are grey, as not run.
         digest: of all that is shown, kept in the file.
     """
@@ -58,17 +58,16 @@ def digest_of(path: Path) -> str:
 
 
 def _figure(panels: Mapping[str, Sequence[Cell]], tasks: Sequence[str]) -> Any:
-    lines = max(math.ceil(len(panels) / COLUMNS), 1)
+    lines = math.ceil(len(panels) / COLUMNS)
     figure = new_figure(PANEL[1] * lines + 0.8, PANEL[0] * COLUMNS)
     axes = figure.subplots(lines, COLUMNS, squeeze=False).ravel()
     for place, (method, cells) in zip(axes, panels.items(), strict=False):
         image = _draw(place, method, cells, tasks)
     for place in axes[len(panels) :]:
         place.set_axis_off()
-    if panels:
-        label = "our mean less the published one, in pooled standard deviations; grey: not run"
-        options = {"orientation": "horizontal", "aspect": 60, "label": label}
-        figure.colorbar(image, ax=list(axes), fraction=0.25 / lines, **options)
+    label = "our mean less the published one, in pooled standard deviations; grey: not run"
+    options = {"orientation": "horizontal", "aspect": 60, "label": label}
+    figure.colorbar(image, ax=list(axes), fraction=0.25 / lines, **options)
     return figure
 
 
