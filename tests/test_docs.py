@@ -113,6 +113,12 @@ def test_the_tables_of_presets_are_up_to_date() -> None:
     assert preset_tables.main(["--check"]) == 0, "run python -m tools.preset_tables"
 
 
+def test_the_results_are_up_to_date() -> None:
+    from tools import results_page
+
+    assert results_page.main(["--check"]) == 0, "run python -m tools.results_page"
+
+
 def test_paper_presets_have_what_the_appendix_states() -> None:
     pytest.importorskip("torch", reason="the learning extra is not installed")
     from magical.learning import find_algorithm

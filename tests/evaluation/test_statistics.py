@@ -293,3 +293,16 @@ def test_performance_profiles_agree_with_rliable() -> None:
     found = [interval.value for interval in stats.performance_profile(table, thresholds)]
     expected = [library.run_score_deviation(table, threshold) for threshold in thresholds]
     assert found == pytest.approx(expected)
+
+
+def test_a_contrast_weighs_methods() -> None:
+    first, second, third = np.array([[[0.5], [0.7]], [[0.1], [0.3]], [[0.2], [0.4]]])
+    value, low, high = stats.contrast([first, second, third], [1.0, 1.0, -2.0])
+    assert value == pytest.approx(0.6 + 0.2 - 2 * 0.3)
+    # Variances of the means 0.01, 0.01 and, of twice the third, 0.04, each with one degree of
+    # freedom: 0.06^2 / (0.0001 + 0.0001 + 0.0016) = 2.
+    half = scipy.stats.t.ppf(0.975, 2) * math.sqrt(0.06)
+    assert (low, high) == pytest.approx((value - half, value + half))
+    assert stats.contrast([first, second], [1.0, -1.0]) == stats.difference(first, second)
+    with pytest.raises(ValueError, match="in the same environments, found 1 and 2 columns"):
+        stats.contrast([first, np.full((2, 2), 0.5)], [1.0, -1.0])

@@ -6,6 +6,7 @@ import os
 import shutil
 import signal
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -247,6 +248,60 @@ def test_demonstrations_of_a_dataset(
     DatasetWriter(demos).append(Dataset.open(demos)[0])
     with pytest.raises(ResultsError, match="learned from other demonstrations of MoveToRegion"):
         execute(runs, out)
+
+
+def test_perturbed_experts(planned: Planned, inline: Started, out: Path) -> None:
+    (run, _) = runs = planned(("expert_demos = 3", "expert_demos = 3\nperturb = 0.5"))
+    execute(runs[:1], out)
+    demos = Dataset.open(out / "demos" / "expert-3-perturb-0.5")
+    assert [one.expert_actions is not None for one in demos] == [True] * 3
+    assert json.loads((out / "runs" / run.folder / "config.json").read_text())["demos"] == str(
+        demos.path
+    )
+    assert read_entry(out / "runs" / run.folder).details["demonstrations"] == (
+        "2 of each task (expert, perturb 0.5)"
+    )
+
+
+def test_the_experts_demonstrations_are_added_to_a_dataset(
+    planned: Planned, inline: Started, out: Path, finished: Path, tmp_path: Path
+) -> None:
+    theirs = Dataset.open(finished / "demos" / "expert-3")
+    writer = DatasetWriter(tmp_path / "human")
+    for one in (theirs[2], theirs[1]):
+        writer.append(replace(one, demonstrator="human"))
+    add = ("num_demos = 2", "num_demos = 5\nadd_expert = true")
+    runs = planned(add, demos=str(tmp_path / "human"))
+    execute(runs[:1], out)
+    pooled = Dataset.open(out / "demos" / "dataset-and-expert-3")
+    assert [e.demonstrator for e in pooled.entries] == ["human"] * 2 + ["expert"] * 3
+    expected = [theirs[i].actions.tolist() for i in (2, 1, 0, 1, 2)]
+    assert [one.actions.tolist() for one in pooled] == expected
+    details = read_entry(out / "runs" / runs[0].folder).details
+    assert details["demonstrations"] == "5 of each task (dataset and expert)"
+    execute(runs, out)
+    assert Dataset.open(pooled.path).entries == pooled.entries
+
+    more = ("num_demos = 2", "num_demos = 6\nadd_expert = true")
+    with pytest.raises(DemonstrationsError, match="at least 6 demonstrations of MoveToRegion"):
+        execute(planned(more, demos=str(tmp_path / "human")), tmp_path / "few")
+    elsewhere = planned(add, ('"MoveToRegion"', '"MoveToCorner"'), demos=str(tmp_path / "human"))
+    with pytest.raises(DemonstrationsError, match="at least 1 demonstrations of MoveToCorner"):
+        execute(elsewhere, tmp_path / "none")
+
+
+def test_pooling_that_was_interrupted_continues(
+    planned: Planned, inline: Started, finished: Path, tmp_path: Path
+) -> None:
+    from magical.experiments.demonstrations import _pool
+
+    theirs = Dataset.open(finished / "demos" / "expert-3")
+    _pool([theirs[:1]], ["MoveToRegion"], tmp_path / "part")
+    for folder in ("part", "whole"):
+        _pool([theirs, theirs[:2]], ["MoveToRegion"], tmp_path / folder)
+    part, whole = (Dataset.open(tmp_path / name) for name in ("part", "whole"))
+    assert len(whole) == 5
+    assert [e.sha256 for e in part.entries] == [e.sha256 for e in whole.entries]
 
 
 def test_interrupted_generation_gives_the_same_demonstrations(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from magical.cli import main
 from magical.errors import PlanError
 from magical.evaluation import published_methods, published_tasks
-from magical.experiments.plan import PlannedRun, planned_runs
+from magical.experiments.plan import Evaluation, PlannedRun, planned_runs
 from magical.experiments.plan_file import read_plan
 
 HEAD = 'tasks = ["MoveToCorner"]\npreset = "quick"\n'
@@ -60,7 +60,39 @@ def test_the_papers_rows_have_its_settings(
 def test_the_quick_plan_can_be_run(root: Path) -> None:
     runs = planned_runs(read_plan(root / "plans" / "quick.toml"))
     assert {run.config.algorithm for run in runs} == {"bc"}
-    assert {run.expert_demos for run in runs} == {25}
+    assert {str(run.source) for run in runs} == {"expert"}
+    assert {run.source.expert_demos for run in runs} == {25}
+
+
+RESULTS = {  # the plans of the benchmark's own results: number of runs, demonstrations
+    "bc-human": (8 * 5, "dataset"),
+    "bc-human-paper": (2 * 2, "dataset"),
+    "bc-multi-human": (3, "dataset"),
+    "bc-ablations-human": (3 * 8 * 3, "dataset"),
+    "adversarial-human": (3 * 3 * 3, "dataset"),
+    "bc-scripted": (8 * 5, "expert"),
+    "bc-perturbed": (8 * 5, "expert, perturb 0.2"),
+    "bc-mixed": (8 * 5, "dataset and expert"),
+}
+
+
+@pytest.mark.parametrize("name", RESULTS)
+def test_the_results_are_evaluated_as_the_published_scores_were(root: Path, name: str) -> None:
+    runs = planned_runs(read_plan(root / "plans" / f"{name}.toml"))
+    assert (len(runs), {str(run.source) for run in runs}) == (RESULTS[name][0], {RESULTS[name][1]})
+    for run in runs:
+        assert run.evaluation == Evaluation(rollouts=100, horizon="published", nudge=0.0)
+        assert run.preset == ("paper" if name == "bc-human-paper" else "quick")
+        assert run.config.threads == 1
+        if run.source.expert_demos is not None:
+            assert run.config.to_dict()["augment_by"] == "resampling"
+        assert run.method.split("), ")[0].removesuffix(")") + ")" in published_methods()
+
+
+def test_no_two_plans_of_the_results_share_a_row(root: Path) -> None:
+    plans = [read_plan(root / "plans" / f"{name}.toml") for name in RESULTS]
+    names = [method.name for plan in plans for method in plan.methods]
+    assert len(names) == len(set(names)) == 12
 
 
 def test_runs_are_methods_times_tasks_times_seeds(tmp_path: Path) -> None:
@@ -90,8 +122,11 @@ def test_a_run_is_identified_by_what_its_scores_depend_on(tmp_path: Path) -> Non
         "threads = 2\n",
         'demos = "human"\n',
         "expert_demos = 26\n",
+        "perturb = 0.2\n",
+        'demos = "human"\nadd_expert = true\n',
+        'demos = "human"\nadd_expert = true\nperturb = 0.2\n',
     )
-    assert len({folder(text) for text in ("", *changes, *more)}) == 10
+    assert len({folder(text) for text in ("", *changes, *more)}) == 13
 
 
 def test_settings_have_the_fields_types(tmp_path: Path) -> None:
@@ -135,6 +170,11 @@ def test_settings_have_the_fields_types(tmp_path: Path) -> None:
         ('variants = ["CountPlus"]\ntasks = ["MoveToCorner"]\n' + BC, "MoveToCorner has none of"),
         ("nudge = 1\n" + BC, "nudge: expected a number from 0 to"),
         ('horizon = "long"\n' + BC, "horizon: expected a number of control steps, appendix or"),
+        ("perturb = 2\n" + BC, "perturb: expected a number from 0 to 1, found 2"),
+        ('perturb = "much"\n' + BC, "perturb: expected a number, found 'much'"),
+        ('demos = "human"\nperturb = 0.2\n' + BC, "perturb: expected 0 for a dataset, found 0.2"),
+        ("add_expert = 1\n" + BC, "add_expert: expected true or false, found 1"),
+        ("add_expert = true\n" + BC, "add_expert: expected demos, or --demos, to be a folder"),
         ("num_demos = 30\n" + BC, "expert_demos: expected at least num_demos, 30, found 25"),
         (
             BC.replace('"bc"', '"wgail-gp"\nmulti_task = true'),

@@ -34,11 +34,21 @@ def run(args: argparse.Namespace) -> int:
                 interval_text(row.gap),
                 row.gap_rank,
                 row.unit,
+                row.learning_class or "–",
                 ", ".join(row.used) or "–",
             )
             for row in part.standings
         ]
-        header = ("rank", part.name, "TestAll", "gap", "rank by gap", "intervals over", "used")
+        header = (
+            "rank",
+            part.name,
+            "TestAll",
+            "gap",
+            "rank by gap",
+            "intervals over",
+            "class",
+            "used",
+        )
         print_table(header, rows)
         print()
     for entry in board.rejected:

@@ -194,15 +194,34 @@ def difference(first: ArrayLike, second: ArrayLike, confidence: float = CONFIDEN
     Both (runs, environments) with the same columns; the runs of the two are independent. Raises
     `ValueError` as `mean` does, or where the columns differ in number.
     """
-    tables = _two_tables(first, second)
-    size = tables[0].shape[1]
-    parts = [_contributions(table, np.full(size, 1 / size)) for table in tables]
-    strata = [
-        stratum
-        for table, part in zip(tables, parts, strict=True)
-        for stratum in _by_stratum(table, part)
-    ]
-    return t_interval(float(parts[0].sum() - parts[1].sum()), strata, confidence, (-1.0, 1.0))
+    return contrast(_two_tables(first, second), (1.0, -1.0), confidence)
+
+
+def contrast(
+    tables: Sequence[ArrayLike], weights: Sequence[float], confidence: float = CONFIDENCE
+) -> Interval:
+    """The weighted sum of several methods' means, with Welch's t interval over runs.
+
+    With weights 1 and -1 it is the difference of two.
+
+    Args:
+        tables: (runs, environments) of each method, with the same columns; their runs are
+            independent.
+        weights: of each method.
+        confidence: nominal coverage of the interval.
+
+    Raises:
+        ValueError: as for `mean`, or the columns differ in number.
+    """
+    checked = list(map(_table, tables))
+    _require_same_columns(checked)
+    size = checked[0].shape[1]
+    strata: list[Floats] = []
+    for table, weight in zip(checked, weights, strict=True):
+        strata += _by_stratum(table, _contributions(table, np.full(size, weight / size)))
+    value = float(sum(stratum.sum() for stratum in strata))
+    bounds = sum(w for w in weights if w < 0), sum(w for w in weights if w > 0)
+    return t_interval(value, strata, confidence, bounds)
 
 
 def probability_of_improvement(
@@ -262,11 +281,17 @@ def _table(scores: ArrayLike) -> Floats:
 
 def _two_tables(first: ArrayLike, second: ArrayLike) -> tuple[Floats, Floats]:
     a, b = _table(first), _table(second)
-    if a.shape[1] != b.shape[1]:
-        raise ValueError(
-            f"expected scores in the same environments, found {a.shape[1]} and {b.shape[1]} columns"
-        )
+    _require_same_columns([a, b])
     return a, b
+
+
+def _require_same_columns(tables: Sequence[Floats]) -> None:
+    columns = [table.shape[1] for table in tables]
+    if len(set(columns)) > 1:
+        raise ValueError(
+            f"expected scores in the same environments, found {' and '.join(map(str, columns))} "
+            "columns"
+        )
 
 
 def _weighted_means(table: Floats, weights: Floats, confidence: float) -> Interval:

@@ -1,16 +1,19 @@
-"""The demonstrations of an experiment: a dataset of the user's, or the scripted experts'."""
+"""The demonstrations of an experiment: a dataset of the user's, the scripted experts', or both."""
 
 import hashlib
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from itertools import chain, islice
 from pathlib import Path
 
 from magical.demos.generate import generate
 from magical.demos.store.dataset import Dataset
 from magical.demos.store.repair import repair
+from magical.demos.store.writer import DatasetWriter
 from magical.errors import DatasetError, DemonstrationsError, ResultsError
 from magical.evaluation import environments
-from magical.experiments.plan import PlannedRun
+from magical.experiments.plan import PlannedRun, Source
 from magical.experiments.results import DEMOS, EXPERIMENT, Results
 from magical.learning.config import ImitationConfig
 from magical.runs.folder import read_json, write_json
@@ -19,7 +22,13 @@ DIGESTS = "demonstrations"  # in `experiment.json`: task -> digest
 
 
 def generate_missing(
-    folder: Path, tasks: Iterable[str], count: int, *, seed: int = 0, workers: int | None = None
+    folder: Path,
+    tasks: Iterable[str],
+    count: int,
+    *,
+    seed: int = 0,
+    perturb: float = 0.0,
+    workers: int | None = None,
 ) -> None:
     """Generate those of `count` expert demonstrations of each task's Demo variant that are missing.
 
@@ -28,12 +37,13 @@ def generate_missing(
     Raises:
         DatasetError, NoExpertError: see `magical.demos.generate.generate`.
     """
-    existing = _counts(_repaired(folder)) if folder.exists() else Counter()
+    existing = _counts(folder)
     for task in tasks:
         first = existing[task]
         if first < count:
             (demo,) = environments([task], ["Demo"])
-            generate(demo, count - first, folder, seed=seed, first=first, workers=workers)
+            more = count - first
+            generate(demo, more, folder, seed=seed, first=first, perturb=perturb, workers=workers)
 
 
 def prepare_demonstrations(
@@ -49,36 +59,68 @@ def prepare_demonstrations(
     imitating = [(run, run.config) for run in runs if isinstance(run.config, ImitationConfig)]
     if not imitating:
         return None
-    first, config = imitating[0]
-    tasks = list(dict.fromkeys(task for run, _ in imitating for task in run.tasks))
-    count = first.expert_demos
-    if count is not None:
-        folder = results.path / DEMOS / f"expert-{count}"
-        generate_missing(folder, tasks, count, workers=workers)
-        return folder
-    folder = Path(config.demos).absolute()
-    dataset = Dataset.open(folder)
-    _require_enough(dataset, [config for _, config in imitating])
+    configs = [config for _, config in imitating]
+    tasks = list(dict.fromkeys(task for config in configs for task in config.tasks))
+    source = imitating[0][0].source  # the plan's, as is the folder in the configuration
+    if not source.dataset:
+        return _generated(source, tasks, results, workers)
+    dataset = Dataset.open(Path(configs[0].demos).absolute())
+    if source.expert_demos is None:
+        _require_enough(dataset, configs)
+        _require_same(dataset, tasks, results)
+        return dataset.path
+    _require_enough(dataset, [replace(config, num_demos=1) for config in configs])
     _require_same(dataset, tasks, results)
-    return folder
+    generated = Dataset.open(_generated(source, tasks, results, workers))
+    pooled = results.path / DEMOS / f"dataset-and-{generated.path.name}"
+    _pool([dataset, generated], tasks, pooled)
+    _require_enough(Dataset.open(pooled), configs)
+    return pooled
 
 
-def _repaired(folder: Path) -> Dataset:
-    """A generated dataset; a kill between writing a file and listing it is mended."""
+def _generated(source: Source, tasks: Iterable[str], results: Results, workers: int | None) -> Path:
+    """The folder of the scripted experts' demonstrations; what is missing is generated."""
+    count, perturb = source.expert_demos, source.perturb
+    assert count is not None
+    name = f"expert-{count}" + (f"-perturb-{perturb:g}" if perturb else "")
+    generate_missing(results.path / DEMOS / name, tasks, count, perturb=perturb, workers=workers)
+    return results.path / DEMOS / name
+
+
+def _pool(datasets: Sequence[Dataset], tasks: Iterable[str], folder: Path) -> None:
+    """Copy the Demo demonstrations of each task into one dataset, those of each dataset in turn.
+
+    What an interrupted call has copied is kept. Within a task the order is always the same, and so
+    is what a run samples.
+    """
+    copied = _counts(folder)
+    writer = DatasetWriter(folder)
+    for task in tasks:
+        all_of_task = chain.from_iterable(d.filter(task=task, variant="Demo") for d in datasets)
+        for trajectory in islice(all_of_task, copied[task], None):
+            writer.append(trajectory)
+
+
+def _counts(folder: Path) -> Counter[str]:
+    """The number of Demo demonstrations of each task in a dataset that need not exist.
+
+    A kill between writing a file and listing it is mended.
+    """
+    if not folder.exists():
+        return Counter()
     try:
-        return Dataset.open(folder)
+        return _demo_counts(Dataset.open(folder))
     except DatasetError:
         repair(folder)
-        return Dataset.open(folder)
+        return _demo_counts(Dataset.open(folder))
 
 
-def _counts(dataset: Dataset) -> Counter[str]:
-    """The number of demonstrations of each task's Demo variant."""
+def _demo_counts(dataset: Dataset) -> Counter[str]:
     return Counter(entry.task for entry in dataset.entries if entry.variant == "Demo")
 
 
 def _require_enough(dataset: Dataset, configs: Iterable[ImitationConfig]) -> None:
-    counts = _counts(dataset)
+    counts = _demo_counts(dataset)
     for config in configs:
         for task in config.tasks:
             if counts[task] < config.num_demos:

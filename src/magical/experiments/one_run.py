@@ -1,6 +1,7 @@
 """One run of a plan: training, evaluation, final record. Executed in a process of its own."""
 
 import dataclasses
+import os
 import time
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -13,7 +14,7 @@ from magical.evaluation import Entry, environments, evaluate
 from magical.evaluation.entry import ENTRY_FILE, POLICY, SCORES_FILE, THREADS
 from magical.evaluation.policy import is_privileged
 from magical.evaluation.rollouts import observation_for
-from magical.experiments.plan import EXPERT, PlannedRun
+from magical.experiments.plan import Evaluation, PlannedRun
 from magical.experiments.results import DONE, FAILED, RESULT, Outcome, is_out_of_space
 from magical.files import remove_partial_files
 from magical.learning import Config, TrainResult, is_run, load_policy, train
@@ -104,18 +105,30 @@ def _train(config: Config, folder: Path) -> TrainResult:
 
 
 def _evaluate(run: PlannedRun, folder: Path) -> None:
-    """Evaluate the trained policy, and write `scores.csv` and `entry.json`."""
+    """Evaluate the trained policy as the plan says."""
+    evaluate_run(run, folder, folder, run.evaluation)
+
+
+def evaluate_run(run: PlannedRun, folder: Path, out: Path, evaluation: Evaluation) -> None:
+    """Evaluate a run's trained policy, and write `scores.csv` and `entry.json`.
+
+    Args:
+        run: of a plan.
+        folder: its folder, with a checkpoint.
+        out: where the files are written: the folder, or one in it.
+        evaluation: how; it may differ from the run's.
+    """
     from magical.learning.devices import cpu_threads
 
     policy = load_policy(folder, device=run.config.device)
-    horizon = run.evaluation.horizon_of(run.tasks)
+    horizon = evaluation.horizon_of(run.tasks)
     with cpu_threads(run.config.threads):
         scores = evaluate(
             policy,
-            environments(run.tasks, run.evaluation.variants or None),
-            rollouts=run.evaluation.rollouts,
+            environments(run.tasks, evaluation.variants or None),
+            rollouts=evaluation.rollouts,
             horizon=horizon,
-            nudge=run.evaluation.nudge,
+            nudge=evaluation.nudge,
             workers=0 if run.config.threads == 1 else run.config.threads,
         )
     entry = Entry(
@@ -124,23 +137,21 @@ def _evaluate(run: PlannedRun, folder: Path) -> None:
         observation=str(observation_for(policy)),
         privileged=is_privileged(policy),
         horizon="appendix" if horizon is None else str(horizon),
-        nudge=run.evaluation.nudge,
+        nudge=evaluation.nudge,
         version=__version__,
-        details=_details(run),
+        details={**_details(run), POLICY: os.path.relpath(folder, out)},
     )
-    entry.write(folder)
+    entry.write(out)
 
 
 def _details(run: PlannedRun) -> dict[str, Any]:
     """How the run was made, for `entry.json`; all settings are in `result.json`."""
     details = {
-        POLICY: ".",
         THREADS: run.config.threads,
         "preset": run.preset,
         **training_details(run.config),
         **provenance(),
     }
     if isinstance(run.config, ImitationConfig):
-        source = "dataset" if run.expert_demos is None else EXPERT
-        details["demonstrations"] = f"{run.config.num_demos} of each task ({source})"
+        details["demonstrations"] = f"{run.config.num_demos} of each task ({run.source})"
     return details

@@ -19,6 +19,7 @@ from magical.learning.config import ImitationConfig, options
 from magical.tasks import Horizon, get_task
 
 EXPERT = "expert"  # as `demos`: the scripted experts' demonstrations, generated for the plan
+DATASET = "dataset"  # in records: demonstrations of a folder, whose path says nothing
 DIGITS = 10  # of a run's identity, hexadecimal
 MAX_SLUG = 40  # characters of a method's name in a folder's name
 
@@ -84,8 +85,10 @@ class Plan:
         tasks: the tasks' names.
         seeds: of training; each also chooses the run's demonstrations.
         demos: `expert`, or a folder with a dataset.
+        add_expert: add the scripted experts' demonstrations to the folder's.
         num_demos: demonstrations of each task that a run learns from.
-        expert_demos: with `expert`, the number generated of each task, to choose from.
+        expert_demos: the experts' demonstrations generated of each task, to choose from.
+        perturb: the share of control steps in which these have a random action.
         threads: CPU threads of each run. Scores are equal for the same number only, so it belongs
             to the plan, not to the machine.
         evaluation: of every run.
@@ -95,10 +98,42 @@ class Plan:
     tasks: tuple[str, ...]
     seeds: tuple[int, ...] = (0,)
     demos: str = EXPERT
+    add_expert: bool = False
     num_demos: int = 10
     expert_demos: int = 25
+    perturb: float = 0.0
     threads: int = 1
     evaluation: Evaluation = Evaluation()
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Where a run's demonstrations are sampled from; by default there are none.
+
+    Attributes:
+        dataset: whether from a dataset of the user's.
+        expert_demos: the number of the scripted experts' that are generated of each task; `None`
+            for none.
+        perturb: the share of control steps in which these have a random action.
+    """
+
+    dataset: bool = False
+    expert_demos: int | None = None
+    perturb: float = 0.0
+
+    @property
+    def kind(self) -> str:
+        """`dataset`, `expert`, or `dataset and expert`."""
+        return " and ".join([DATASET] * self.dataset + [EXPERT] * (self.expert_demos is not None))
+
+    def __str__(self) -> str:
+        """Such as `dataset`, or `expert, perturb 0.2`."""
+        return f"{self.kind}, perturb {self.perturb:g}" if self.perturb else self.kind
+
+    def settings(self) -> dict[str, Any]:
+        """What scores depend on besides the kind; `perturb` only where there is some."""
+        perturb = {"perturb": self.perturb} if self.perturb else {}
+        return {"expert_demos": self.expert_demos, **perturb}
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,14 +144,14 @@ class PlannedRun:
         method: the method's name.
         preset: the preset that `config` was made from.
         config: of training. `demos` is the plan's; the folder is known when the run is started.
-        expert_demos: the number generated of each task; `None` for other demonstrations.
+        source: of the demonstrations.
         evaluation: of the policy.
     """
 
     method: str
     preset: str
     config: Config
-    expert_demos: int | None
+    source: Source
     evaluation: Evaluation
 
     @property
@@ -150,10 +185,10 @@ class PlannedRun:
         """All that the scores depend on, as plain data for JSON; datasets without their paths."""
         config = self.config.to_dict()
         if "demos" in config:
-            config["demos"] = "dataset" if self.expert_demos is None else EXPERT
+            config["demos"] = self.source.kind
         evaluation = dataclasses.asdict(self.evaluation)
         evaluation["variants"] = list(self.evaluation.variants)
-        return {"config": config, "expert_demos": self.expert_demos, "evaluation": evaluation}
+        return {"config": config, **self.source.settings(), "evaluation": evaluation}
 
 
 def in_words(tasks: Sequence[str]) -> str:
@@ -197,16 +232,32 @@ def _planned_run(plan: Plan, method: Method, tasks: tuple[str, ...]) -> PlannedR
     if config.threads < 1:
         raise PlanError(f"threads: expected at least 1, found {config.threads}")
     environments(tasks, plan.evaluation.variants or None)  # raises for a task with none of them
-    generated = None
-    if isinstance(config, ImitationConfig) and plan.demos == EXPERT:
-        generated = plan.expert_demos
-        for task in tasks:
-            get_goals(task)  # raises for a task without an expert
-        if generated < config.num_demos:
+    source = _source(plan, config) if isinstance(config, ImitationConfig) else Source()
+    return PlannedRun(method.name, method.preset, config, source, plan.evaluation)
+
+
+def _source(plan: Plan, config: ImitationConfig) -> Source:
+    """Where the demonstrations of a run come from."""
+    dataset = plan.demos != EXPERT
+    if plan.add_expert and not dataset:
+        raise PlanError(
+            f"add_expert: expected demos, or --demos, to be a folder with a dataset, found {EXPERT}"
+        )
+    if dataset and not plan.add_expert:
+        if plan.perturb:
             raise PlanError(
-                f"expert_demos: expected at least num_demos, {config.num_demos}, found {generated}"
+                f"perturb: expected 0 for a dataset, found {plan.perturb}: only generated "
+                f'demonstrations (demos = "{EXPERT}", or add_expert) can be perturbed'
             )
-    return PlannedRun(method.name, method.preset, config, generated, plan.evaluation)
+        return Source(dataset=True)
+    for task in config.tasks:
+        get_goals(task)  # raises for a task without an expert
+    if not dataset and plan.expert_demos < config.num_demos:
+        raise PlanError(
+            f"expert_demos: expected at least num_demos, {config.num_demos}, "
+            f"found {plan.expert_demos}"
+        )
+    return Source(dataset, plan.expert_demos, plan.perturb)
 
 
 def _require_distinct(runs: Iterable[PlannedRun]) -> None:

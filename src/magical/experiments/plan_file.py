@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from magical.envs.episode import checked_nudge
-from magical.errors import MagicalError, MissingDependencyError, PlanError
+from magical.errors import InvalidConfigError, MagicalError, MissingDependencyError, PlanError
 from magical.evaluation.variants import full_variant
 from magical.experiments.plan import Evaluation, Method, Plan, planned_runs
+from magical.experts.perturbation import check_perturb
 from magical.learning import find_algorithm
 from magical.learning.config import Option, options
 from magical.messages import quoted
@@ -124,6 +125,10 @@ def _text(value: Any, key: str) -> Any:
     return _of_type(str, value, key)
 
 
+def _boolean(value: Any, key: str) -> Any:
+    return _of_type(bool, value, key)
+
+
 def _list(value: Any, key: str) -> list[Any]:
     """A list that is not empty."""
     items: list[Any] = _of_type(list, value, key)
@@ -187,6 +192,15 @@ def _nudge(value: Any, key: str) -> float:
         raise PlanError(f"{key}: {error}") from error
 
 
+def _perturb(value: Any, key: str) -> float:
+    share: float = _number_or_other(float, value, key)
+    try:
+        check_perturb(share)
+    except InvalidConfigError as error:
+        raise PlanError(str(error)) from error  # which names the key
+    return share
+
+
 def _distinct(values: Sequence[Any], key: str) -> tuple[Any, ...]:
     for value in values:
         if values.count(value) > 1:
@@ -219,8 +233,10 @@ _PLAN: Mapping[str, Reader] = {
     "tasks": _tasks,
     "seeds": _seeds,
     "demos": _text,
+    "add_expert": _boolean,
     "num_demos": _integer,
     "expert_demos": _integer,
+    "perturb": _perturb,
     "threads": _integer,
 }
 _EVALUATION: Mapping[str, Reader] = {
@@ -233,6 +249,6 @@ _METHOD: Mapping[str, Reader] = {
     "name": _name,
     "algorithm": _algorithm,
     "preset": _text,
-    "multi_task": lambda value, key: _of_type(bool, value, key),
+    "multi_task": _boolean,
     "settings": lambda value, key: _of_type(dict, value, key),
 }

@@ -224,11 +224,12 @@ def _opened(path: Path, runs: Sequence[PlannedRun]) -> Results:
     else:
         found = {"format": FORMAT, "id": uuid.uuid4().hex, "versions": versions()}
         write_json(path / EXPERIMENT, found)
-    write_json(path / PLAN, {"runs": [_listed(run) for run in runs]})
+    write_json(path / PLAN, {"runs": [listed(run) for run in runs]})
     return Results(path, str(_read(path / EXPERIMENT).get("id")))
 
 
-def _listed(run: PlannedRun) -> Mapping[str, Any]:
+def listed(run: PlannedRun) -> Mapping[str, Any]:
+    """A run as `plan.json` lists it."""
     return {
         "folder": run.folder,
         "method": run.method,

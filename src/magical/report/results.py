@@ -120,7 +120,8 @@ def search_results(folders: Iterable[Path | str], without: Path | None = None) -
                 found.append(Result(place, read_entry(place), _run_of(place, root)))
             except (ScoresError, OSError) as error:
                 skipped.append(Skipped(place, str(error)))
-    evaluated = {result.run for result in found} | {item.folder for item in skipped}
+    evaluated = {place for result in found for place in (result.run, result.folder)}
+    evaluated |= {item.folder for item in skipped}
     runs = [place for place in places if is_run(place) and place not in evaluated]
     return Results(found, skipped, runs, _planned(places, evaluated))
 

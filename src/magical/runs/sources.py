@@ -1,10 +1,12 @@
 """What an entry may have learned from: the words of `learned_from` in its details."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any
 
 DEMONSTRATIONS = "demonstrations"
+RENDERED_STATES = "rendered states"
+SIMULATOR = "simulator"
 INTERACTION = "interaction"
 SCORE = "score"
 RENDERED_STATES = "rendered states"
@@ -17,6 +19,8 @@ LEARNED_FROM = "learned_from"  # the field of an entry's details
 SOURCES: Mapping[str, str] = MappingProxyType(
     {
         DEMONSTRATIONS: "demonstrations of the Demo variant",
+        RENDERED_STATES: "stored Demo states rendered with other colours, shapes or walls",
+        SIMULATOR: "the simulator outside Demo, without scores, or pre-training on it",
         INTERACTION: "episodes in the Demo variant, without their scores",
         SCORE: "scores of episodes in the Demo variant",
         RENDERED_STATES: "demonstrated states rendered in other colours or without walls",
@@ -25,6 +29,22 @@ SOURCES: Mapping[str, str] = MappingProxyType(
         EXTRA_DATA: "data from elsewhere, such as a pre-trained network",
     }
 )
+
+# Of what learns from Demo demonstrations: each class may use what those before it may.
+CLASSES: Mapping[str, str] = MappingProxyType(
+    {"P": DEMONSTRATIONS, "R": RENDERED_STATES, "X": SIMULATOR}
+)
+
+
+def learning_class(names: Iterable[str]) -> str:
+    """`P`, `R` or `X`, by the furthest of `CLASSES` that was used; empty for all other entries.
+
+    Those learned from something besides, such as interaction, or without demonstrations.
+    """
+    used = set(names)
+    if DEMONSTRATIONS not in used or not used <= set(CLASSES.values()):
+        return ""
+    return [name for name, source in CLASSES.items() if source in used][-1]
 
 
 def learned_from(details: Mapping[str, Any]) -> tuple[str, ...]:

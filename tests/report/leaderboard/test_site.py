@@ -47,6 +47,8 @@ def test_the_site_is_whole(
     assert "No method has entries on all tasks." in text
     assert "expected JSON" in text
     assert 'data-used="demonstrations"' in text
+    assert re.findall("<td>(P|R|X|–)</td>", text) == ["–", "P"]
+    assert re.search(r"<A> & b .* P +demonstrations", printed)
     for page in site.rglob("*.html"):
         found = re.findall(r'(?:src|href)="([^"]+)"', page.read_text())
         assert found

@@ -45,26 +45,32 @@ def check_entries(results: Results) -> tuple[list[Result], list[Rejected]]:
 
 def faults(entry: Entry) -> list[str]:
     """What an entry by itself has that the protocol does not allow; empty if nothing."""
-    return [*_evaluation_faults(entry), *_coverage_faults(entry), *_statement_faults(entry)]
+    return [*_protocol_faults(entry), *incompleteness(entry), *_statement_faults(entry)]
 
 
-def _evaluation_faults(entry: Entry) -> Iterator[str]:
-    if entry.horizon != APPENDIX:
-        yield f"horizon {entry.horizon}, expected {APPENDIX}: evaluate without --horizon"
-    if entry.nudge != NUDGE:
-        yield f"nudge {entry.nudge:g}, expected {NUDGE:g}: evaluate with --nudge {NUDGE:g}"
+def incompleteness(entry: Entry) -> Iterator[str]:
+    """Why an entry's scores are not those of a whole evaluation by this version of the package."""
     if entry.seed != SEED:
         yield f"set {entry.seed} of fixed seeds, expected {SEED}: evaluate without --seed"
     rollouts = max(row.rollout for row in entry.scores) + 1
     if rollouts != ROLLOUTS:
         yield f"{rollouts} rollouts of each environment, expected {ROLLOUTS}"
-
-
-def _coverage_faults(entry: Entry) -> Iterator[str]:
     for task, cells in by_variant(entry.scores).items():
         names = map(short_variant, get_task(task).variants)
         if absent := [name for name in names if name not in cells]:
             yield f"{task} without {', '.join(absent)}: all variants of a task are needed"
+    if _series(entry.version) != _series(__version__):
+        yield (
+            f"made by version {entry.version or '(not stated)'} of this package, this is "
+            f"{__version__}: scores may differ; evaluate again"
+        )
+
+
+def _protocol_faults(entry: Entry) -> Iterator[str]:
+    if entry.horizon != APPENDIX:
+        yield f"horizon {entry.horizon}, expected {APPENDIX}: evaluate without --horizon"
+    if entry.nudge != NUDGE:
+        yield f"nudge {entry.nudge:g}, expected {NUDGE:g}: evaluate with --nudge {NUDGE:g}"
 
 
 def _statement_faults(entry: Entry) -> Iterator[str]:
@@ -72,11 +78,6 @@ def _statement_faults(entry: Entry) -> Iterator[str]:
         learned_from(entry.details)
     except ValueError as error:
         yield str(error)
-    if _series(entry.version) != _series(__version__):
-        yield (
-            f"made by version {entry.version or '(not stated)'} of this package, this is "
-            f"{__version__}: scores may differ; evaluate again"
-        )
 
 
 def _series(version: str) -> str:

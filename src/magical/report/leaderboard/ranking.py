@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from magical.evaluation.intervals import Interval
 from magical.report.methods import ComparedMethod, compared_methods
 from magical.report.results import Result
-from magical.runs.sources import learned_from
+from magical.runs.sources import learned_from, learning_class
 from magical.tasks import TASKS
 
 ALL_TASKS = "All tasks"
@@ -26,6 +26,11 @@ class Standing:
     used: tuple[str, ...]  # to learn from, and `state` for a privileged policy
     rank: int = 0  # by TestAll, 1 for the highest; the same for equal scores
     gap_rank: int = 0  # by the gap, 1 for the lowest
+
+    @property
+    def learning_class(self) -> str:
+        """`P`, `R`, `X` or nothing: `magical.runs.sources.learning_class`."""
+        return learning_class(self.used)
 
 
 @dataclass(frozen=True, slots=True)

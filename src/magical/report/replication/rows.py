@@ -1,0 +1,90 @@
+"""Which entries can be held against the published tables, and each method's published row."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from magical.envs import EnvId
+from magical.evaluation import environments, published_methods
+from magical.evaluation.intervals import Floats
+from magical.evaluation.statistics import by_environment, run_means
+from magical.report.differences import RULE, is_comparable
+from magical.report.leaderboard.checks import Rejected, incompleteness
+from magical.report.results import Result, Results
+from magical.tasks import get_task
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One method's runs, by the published code's rule.
+
+    Attributes:
+        method: the method's name.
+        published: the name of the published row; empty for none.
+        env_ids: the columns' environments, in the registry's order.
+        means: (runs, environments), each run's mean score; NaN where it was not evaluated.
+    """
+
+    method: str
+    published: str
+    env_ids: tuple[EnvId, ...]
+    means: Floats
+
+    def on(self, env_ids: Sequence[EnvId]) -> Floats:
+        """The means in some of the environments, of the runs that have any of them."""
+        table = self.means[:, [self.env_ids.index(env_id) for env_id in env_ids]]
+        chosen: Floats = table[~np.isnan(table).all(axis=1)]
+        return chosen
+
+    def runs_in(self, env_id: EnvId) -> Floats:
+        """(runs,), the means in one environment of the runs that were evaluated there."""
+        return self.on([env_id])[:, 0]
+
+
+def published_row(method: str) -> str:
+    """The published row that a method is held against; empty for none.
+
+    That of its name; `BC (ST), scripted experts` is held against `BC (ST)`.
+    """
+    names = (name for name in published_methods() if f"{method}, ".startswith(f"{name}, "))
+    return next(names, "")
+
+
+def make_rows(results: Results) -> tuple[list[Row], list[Rejected]]:
+    """A row for each method, and the entries that count nowhere, with the reasons."""
+    rejected = [Rejected(str(item.folder), "", [item.reason]) for item in results.skipped]
+    groups: dict[str, list[Result]] = {}
+    for result in results.found:
+        runs = groups.setdefault(result.entry.method, [])
+        if reasons := [*_faults(result), *_repetition(result, runs)]:
+            rejected.append(Rejected(str(result.folder), result.entry.method, reasons))
+        else:
+            runs.append(result)
+    return [_row(method, runs) for method, runs in groups.items() if runs], rejected
+
+
+def _faults(result: Result) -> Iterator[str]:
+    """Why an entry cannot be held against the published tables."""
+    entry = result.entry
+    if entry.nudge:
+        yield f"nudge {entry.nudge:g}, expected 0: published scores are of the exact scene"
+    for name in result.tasks:
+        task = get_task(name)
+        if not is_comparable(task, entry):
+            yield f"{name} with another horizon than {task.published_horizon} control steps"
+    yield from incompleteness(entry)
+
+
+def _repetition(result: Result, runs: Sequence[Result]) -> Iterator[str]:
+    """Why a run is none of its own, given others of its method; scores may well be equal."""
+    for other in runs:
+        if result.seed is not None and (result.seed, result.tasks) == (other.seed, other.tasks):
+            yield f"the training seed and tasks of {other.folder}: each run counts once"
+
+
+def _row(method: str, runs: Sequence[Result]) -> Row:
+    scores = [run.entry.scores for run in runs]
+    found = {env_id for run in scores for env_id in by_environment(run)}
+    env_ids = tuple(env_id for env_id in environments() if env_id in found)
+    return Row(method, published_row(method), env_ids, run_means(scores, env_ids, RULE))

@@ -1,0 +1,161 @@
+"""The page of results: made from `results/` alone, and honest about what is not there."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from magical import __version__
+from magical.envs.seeds import evaluation_seed
+from magical.evaluation import Entry, RolloutScore, environments, published_tasks
+from tools import results_page
+
+pytest.importorskip("matplotlib", reason="the report extra is not installed")
+
+
+@pytest.fixture
+def repository(tmp_path: Path, root: Path) -> Path:
+    """A repository with the plans, the page, and no results."""
+    shutil.copytree(root / "plans", tmp_path / "plans")
+    (tmp_path / "docs").mkdir()
+    shutil.copy(root / "docs" / "results.md", tmp_path / "docs" / "results.md")
+    return tmp_path
+
+
+def write_run(repository: Path, plan: str, method: str, task: str, seed: int, score: float) -> Path:
+    """An entry of a plan's run as collected, with the same score everywhere."""
+    rows = [
+        RolloutScore(env_id, i, evaluation_seed(i), score, score)
+        for env_id in environments([task])
+        for i in range(100)
+    ]
+    results = repository / "results" / plan
+    folder = results / "runs" / f"{task}-seed{seed}"
+    details = {"training_seed": seed}
+    Entry(method=method, scores=rows, version=__version__, details=details).write(folder)
+    listed = (
+        json.loads((results / "plan.json").read_text())
+        if results.joinpath("plan.json").exists()
+        else {"runs": []}
+    )
+    listed["runs"].append(
+        {"folder": folder.name, "method": method, "tasks": [task], "seed": seed, "total": 1}
+    )
+    (results / "plan.json").write_text(json.dumps(listed))
+    runs = {
+        run["folder"]: {"seconds": {"training": 90.0, "evaluation": 30.0}} for run in listed["runs"]
+    }
+    collected = {"version": __version__, "runs": runs, "failed": {"another": "no room"}}
+    (results / "collected.json").write_text(json.dumps(collected))
+    return folder
+
+
+def made(repository: Path) -> str:
+    assert results_page.main([], repository) == 0
+    return (repository / "docs" / "results.md").read_text()
+
+
+def section(text: str, name: str) -> str:
+    return text.partition(f"<!-- {name} -->\n")[2].partition("<!-- end -->")[0]
+
+
+def lines(text: str, name: str, start: str) -> list[list[str]]:
+    """The rows of a section's tables that begin with a text, as cells."""
+    rows = [line.strip("| ").split(" | ") for line in section(text, name).splitlines()]
+    return [row for row in rows if row[0].startswith(start)]
+
+
+def test_without_results_everything_is_not_run(repository: Path) -> None:
+    text = made(repository)
+    for plan in results_page.PLANS:
+        ((_, runs, *_, missing),) = lines(text, "runs", f"[{plan}](")
+        assert runs == f"0 of {missing.removesuffix(' not run')}"
+    assert lines(text, "counts", "BC (ST) ") == []
+    assert "BC (ST) | the same | not run |" in section(text, "counts")
+    for name in ("tasks", "far", "orders", "cells"):
+        assert section(text, name) == "Nothing yet: not run.\n"
+    assert section(text, "rejected") == "None.\n"
+    claims = lines(text, "claims", "augmentation helps BC")
+    assert [row[-1] for row in claims] == ["not run", "not run"]
+    assert claims[0][2].startswith("+0.09 [")
+
+
+def test_the_planned_runs_are_counted_without_reading_the_plans_methods(root: Path) -> None:
+    planned = {
+        name: results_page.PlanResults.read(root, name).planned for name in results_page.PLANS
+    }
+    assert planned["bc-human"] == 5 * len(published_tasks())
+    assert planned["bc-multi-human"] == 3
+    assert planned["bc-ablations-human"] == 3 * 3 * len(published_tasks())
+
+
+def test_cells_by_hand(repository: Path) -> None:
+    for seed, score in enumerate((0.9, 1.0)):
+        write_run(repository, "bc-human", "BC (ST)", "MoveToRegion", seed, score)
+    text = made(repository)
+    ((_, runs, hours, minutes, version, missing),) = lines(text, "runs", "[bc-human](")
+    assert (runs, hours, minutes) == ("2 of 40", "0.1", "2.0")
+    assert (version, missing) == (__version__, "1 failed, 37 not run")
+    # Demo: 0.95 less 0.89, over the root of (2 x 0.05^2 + 4 x 0.11^2) / 5.
+    distance = (0.95 - 0.89) / np.sqrt((2 * 0.05**2 + 4 * 0.11**2) / 5)
+    ((_, demo, *_),) = lines(text, "cells", "MoveToRegion (2 runs)")
+    assert demo == f"0.95 ± 0.07<br>0.89 ± 0.11<br>+{distance:.1f}"
+    ((_, published, cells, _, within_two, below, above),) = [
+        row for row in lines(text, "counts", "BC (ST)") if row[0] == "BC (ST)"
+    ]
+    assert (published, cells, below, above) == ("the same", "6", "0", "3")
+    assert within_two.startswith("3 (")
+    assert section(text, "far").startswith("- BC (ST), above: MoveToRegion All (+10.8), ")
+    assert lines(text, "tasks", "MoveToCorner") == [["MoveToCorner", "not run"]]
+
+
+def test_entries_that_do_not_count_are_listed_by_reason(repository: Path) -> None:
+    folder = write_run(repository, "bc-human", "BC (ST)", "MoveToRegion", 0, 0.5)
+    write_run(repository, "bc-human", "BC (ST), mine", "MoveToRegion", 1, 0.5)
+    entry = json.loads((folder / "entry.json").read_text())
+    (folder / "entry.json").write_text(json.dumps({**entry, "version": "9.0.0"}))
+    text = made(repository)
+    assert section(text, "cells") == "Nothing yet: not run.\n"
+    other, foreign = section(text, "rejected").splitlines()
+    assert other.startswith("- `results/bc-human/runs/MoveToRegion-seed0`: made by version 9.0.0")
+    assert foreign == "- `results`: BC (ST), mine is a method of none of the plans"
+
+
+def test_the_leaderboards_evaluations_are_not_part_of_the_page(repository: Path) -> None:
+    folder = write_run(repository, "bc-human", "BC (ST)", "MoveToRegion", 0, 0.5)
+    before = made(repository)
+    (folder / "leaderboard").mkdir()
+    for file in ("scores.csv", "entry.json"):
+        shutil.copy(folder / file, folder / "leaderboard" / file)
+    assert made(repository) == before
+
+
+def test_the_check_finds_a_page_or_a_picture_that_is_out_of_date(repository: Path) -> None:
+    made(repository)
+    assert results_page.main(["--check"], repository) == 0
+    write_run(repository, "bc-human", "BC (ST)", "MoveToRegion", 0, 0.5)
+    before = (repository / "docs" / "results.md").read_text()
+    assert results_page.main(["--check"], repository) == 1
+    assert (repository / "docs" / "results.md").read_text() == before
+    picture = repository / "docs" / "images" / "results.png"
+    old = picture.read_bytes()
+    made(repository)
+    assert results_page.main(["--check"], repository) == 0
+    with Image.open(picture) as image:
+        assert image.width == 980
+    picture.write_bytes(old)
+    assert results_page.main(["--check"], repository) == 1
+    text = made(repository)
+    (repository / "docs" / "results.md").write_text(text.replace("1 of 40", "2 of 40"))
+    assert results_page.main(["--check"], repository) == 1
+
+
+def test_what_is_written_by_hand_stays(repository: Path) -> None:
+    page = repository / "docs" / "results.md"
+    page.write_text(
+        page.read_text().replace("## Why cells differ\n", "## Why cells differ\n\nX.\n")
+    )
+    assert "\n\nX.\n" in made(repository)

@@ -1,0 +1,330 @@
+"""Write the generated parts of `docs/results.md`, and its picture, from `results/`.
+
+python -m tools.results_page [--check]
+
+With --check nothing is written; the exit status is 1 if the page or the picture is out of date.
+"""
+
+import hashlib
+import sys
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from magical.evaluation import published_tasks
+from magical.evaluation.intervals import Interval
+from magical.evaluation.variants import SHORT_VARIANTS
+from magical.report.leaderboard.checks import Rejected
+from magical.report.replication.cells import (
+    LIMITS,
+    Cell,
+    Count,
+    by_task,
+    count,
+    distance_text,
+    make_cells,
+)
+from magical.report.replication.claims import CLAIMS, PARTS, VARIATIONS, Finding, find, order
+from magical.report.replication.picture import digest_of, write_picture
+from magical.report.replication.rows import Row, make_rows, published_row
+from magical.report.results import Results, search_results
+from magical.report.tables import signed
+from magical.runs.folder import read_json
+from tools import readme_tables
+from tools.readme_tables import table
+
+ROOT = Path(__file__).resolve().parents[1]
+PLANS = (
+    "bc-human",
+    "bc-human-paper",
+    "bc-multi-human",
+    "bc-ablations-human",
+    "adversarial-human",
+    "bc-scripted",
+    "bc-perturbed",
+    "bc-mixed",
+)
+COLLECTED = "collected.json"  # of a folder of `results/` (tools/collect_results.py)
+LEADERBOARD = "leaderboard"  # in the folder of a run's entry
+NOT_RUN = "not run"
+NOTHING = f"Nothing yet: {NOT_RUN}."
+MAX_LISTED = 5  # entries with the same reason that are listed by name
+
+
+@dataclass(frozen=True)
+class PlanResults:
+    """A plan, and what of it is in `results/`."""
+
+    name: str
+    plan: Mapping[str, Any]  # of the TOML file
+    collected: Mapping[str, Any]  # empty where nothing is
+
+    @classmethod
+    def read(cls, root: Path, name: str) -> "PlanResults":
+        plan = tomllib.loads((root / "plans" / f"{name}.toml").read_text("utf-8"))
+        collected = root / "results" / name / COLLECTED
+        return cls(name, plan, read_json(collected) if collected.is_file() else {})
+
+    @property
+    def methods(self) -> list[str]:
+        return [method["name"] for method in self.plan["methods"]]
+
+    @property
+    def planned(self) -> int:
+        """The number of runs."""
+        tasks, seeds = len(self.plan["tasks"]), len(self.plan["seeds"])
+        groups = [1 if method.get("multi_task") else tasks for method in self.plan["methods"]]
+        return sum(groups) * seeds
+
+    def row(self) -> list[str]:
+        """The plan, its runs, the hours that they took, by which version, what is missing."""
+        runs = self.collected.get("runs", {})
+        seconds = sum(sum(run["seconds"].values()) for run in runs.values())
+        failed = len(self.collected.get("failed", {}))
+        left = self.planned - len(runs) - failed
+        state = [f"{failed} failed"] * bool(failed) + [f"{left} {NOT_RUN}"] * bool(left)
+        return [
+            f"[{self.name}](../plans/{self.name}.toml)",
+            f"{len(runs)} of {self.planned}",
+            f"{seconds / 3600:.1f}" if runs else "–",
+            f"{seconds / 60 / len(runs):.1f}" if runs else "–",
+            self.collected.get("version", "–"),
+            ", ".join(state) or "–",
+        ]
+
+
+class Page:
+    """All that the page shows, from the folders `plans` and `results` of a repository."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.plans = [PlanResults.read(root, name) for name in PLANS]
+        folders = [folder for name in PLANS if (folder := root / "results" / name).is_dir()]
+        found, self.rejected = make_rows(_exact(search_results(folders))) if folders else ([], [])
+        known = {row.method: row for row in found}
+        self.methods = [method for plan in self.plans for method in plan.methods]
+        self.rows: list[Row] = [known[name] for name in self.methods if name in known]
+        self.rejected += [
+            Rejected(str(root / "results"), name, [f"{name} is a method of none of the plans"])
+            for name in known
+            if name not in self.methods
+        ]
+        self.tasks = published_tasks()
+
+    @cached_property
+    def cells(self) -> dict[str, list[Cell]]:
+        """The cells of each method that has been run."""
+        return {row.method: make_cells(row) for row in self.rows}
+
+    @cached_property
+    def counts(self) -> dict[str, Count]:
+        """Of each method that has been run."""
+        return {method: count(cells) for method, cells in self.cells.items()}
+
+    @property
+    def digest(self) -> str:
+        """Of what the picture shows."""
+        shown = [
+            (cell.method, cell.task, cell.variant, f"{cell.distance:.2f}")
+            for cells in self.cells.values()
+            for cell in cells
+        ]
+        return hashlib.sha256(repr(shown).encode()).hexdigest()[:16]
+
+    def sections(self) -> dict[str, Callable[[], str]]:
+        """The generated parts, by name."""
+        return {
+            "runs": self.runs,
+            "counts": self.count_table,
+            "tasks": self.task_table,
+            "far": self.far_cells,
+            "claims": self.claim_table,
+            "variations": self.variation_table,
+            "orders": self.orders,
+            "cells": self.cell_tables,
+            "rejected": self.rejections,
+        }
+
+    def runs(self) -> str:
+        """A row for each plan."""
+        header = ("Plan", "Runs", "Hours", "Minutes a run", "Version", "Missing")
+        return table(header, (plan.row() for plan in self.plans))
+
+    def count_table(self) -> str:
+        """A row for each method: cells within one and two pooled standard deviations."""
+        header = ("Row", "Published", "Cells", *_within_header(), "Below", "Above")
+        return table(header, map(self._count_row, self.methods))
+
+    def _count_row(self, method: str) -> list[str]:
+        names = [method, "the same" if published_row(method) == method else published_row(method)]
+        if method not in self.counts:
+            return [*names, NOT_RUN, *[""] * (len(LIMITS) + 2)]
+        found = self.counts[method]
+        return [*names, *_count_cells(found)]
+
+    def task_table(self) -> str:
+        """Tasks by methods with the name of a published row: cells within two, mean distance."""
+        shown = {m: by_task(cells) for m, cells in self.cells.items() if published_row(m) == m}
+        rows = [
+            [task, *(_task_cell(tasks.get(task, ())) for tasks in shown.values())]
+            for task in self.tasks
+        ]
+        return table(("Task", *shown), rows) if shown else NOTHING
+
+    def far_cells(self) -> str:
+        """The cells beyond two pooled standard deviations, of each method."""
+        lines = []
+        for method, found in self.counts.items():
+            for side, cells in (("below", found.below), ("above", found.above)):
+                if cells:
+                    listed = ", ".join(
+                        f"{cell.task} {cell.variant} ({distance_text(cell.distance)})"
+                        for cell in cells
+                    )
+                    lines.append(f"- {method}, {side}: {listed}")
+        return "\n".join(lines) or ("None." if self.counts else NOTHING)
+
+    def claim_table(self) -> str:
+        """A row for each claim and part of the environments."""
+        header = ("Claim", "On", "Published, all tasks", "Published, our tasks", "Ours", "Verdict")
+        return table(header, (list(_claim_row(found)) for found in find(CLAIMS, self.rows)))
+
+    def variation_table(self) -> str:
+        """A row for each variation of BC and part of the environments."""
+        header = ("Change", "Difference", "On", "Tasks", "Mean difference", "Verdict")
+        return table(header, (list(_variation_row(found)) for found in find(VARIATIONS, self.rows)))
+
+    def orders(self) -> str:
+        """The methods' order by part: of those with all tasks, then of all on what they share."""
+        complete = [row for row in self.rows if self._is_complete(row)]
+        groups = [complete] if len(complete) == len(self.rows) else [complete, self.rows]
+        tables = [text for rows in groups for part in PARTS if (text := _order(rows, part))]
+        return "\n\n".join(tables) or NOTHING
+
+    def _is_complete(self, row: Row) -> bool:
+        return {env_id.task for env_id in row.env_ids} >= set(self.tasks)
+
+    def cell_tables(self) -> str:
+        """A table for each method that has been run: tasks by variants."""
+        parts = [_cell_table(method, cells) for method, cells in self.cells.items() if cells]
+        return "\n\n".join(parts) or NOTHING
+
+    def rejections(self) -> str:
+        """The entries that count nowhere, by reason."""
+        reasons: dict[str, list[str]] = {}
+        for entry in self.rejected:
+            folder = Path(entry.folder)
+            name = folder.relative_to(self.root) if folder.is_relative_to(self.root) else folder
+            shown = "; ".join(entry.reasons).replace(f"{self.root}/", "")
+            reasons.setdefault(shown, []).append(f"`{name}`")
+        lines = [f"- {_listed(names)}: {reason}" for reason, names in reasons.items()]
+        return "\n".join(lines) or "None."
+
+
+def _exact(results: Results) -> Results:
+    """Without the leaderboard's evaluations of the same policies (tools/collect_results.py)."""
+    kept = [result for result in results.found if result.folder.name != LEADERBOARD]
+    return replace(results, found=kept)
+
+
+def _within_header() -> list[str]:
+    return [f"Within {limit} (by chance)" for limit in LIMITS]
+
+
+def _count_cells(found: Count) -> list[str]:
+    pairs = zip(found.within, found.expected, strict=True)
+    within = [f"{number} ({expected:.0f})" for number, expected in pairs]
+    return [str(found.cells), *within, str(len(found.below)), str(len(found.above))]
+
+
+def _task_cell(cells: Sequence[Cell]) -> str:
+    if not cells:
+        return NOT_RUN
+    mean = sum(cell.distance for cell in cells) / len(cells)
+    return f"{count(cells).within[-1]} of {len(cells)} ({distance_text(mean)})"
+
+
+def _interval(interval: Interval | None) -> str:
+    return "–" if interval is None else signed(interval)
+
+
+def _claim_row(finding: Finding) -> Iterator[str]:
+    claim, ours = finding.claim, finding.ours
+    yield f"{claim.text}: {claim.formula}"
+    yield finding.part
+    yield _interval(finding.published)
+    yield _interval(finding.same)
+    yield NOT_RUN if ours is None else f"{signed(ours)}, {_tasks(finding.tasks)}"
+    yield finding.verdict
+
+
+def _variation_row(finding: Finding) -> Iterator[str]:
+    yield finding.claim.text
+    yield finding.claim.formula
+    yield finding.part
+    yield _tasks(finding.tasks) if finding.tasks else "–"
+    yield NOT_RUN if finding.ours is None else signed(finding.ours)
+    yield finding.verdict
+
+
+def _tasks(tasks: Sequence[str]) -> str:
+    return ", ".join(tasks) if len(tasks) < 3 else f"{len(tasks)} tasks"
+
+
+def _order(rows: Sequence[Row], part: str) -> str:
+    """A table of methods in the order of our means; empty for fewer than two."""
+    ordering = order(rows, part)
+    if len(ordering.places) < 2:
+        return ""
+    header = ("Rank", "Row", "Ours", "Published", "Published rank")
+    lines = (
+        (p.rank, p.method, _mean(p.ours), _mean(p.published), p.published_rank)
+        for p in ordering.places
+    )
+    return f"{part}, {_tasks(ordering.tasks)}:\n\n{table(header, lines)}"
+
+
+def _mean(interval: Interval) -> str:
+    return signed(interval).replace("+", "")
+
+
+def _cell_table(method: str, cells: Sequence[Cell]) -> str:
+    """A heading and a table; in each cell our mean, the published one, and the distance."""
+    rows = []
+    for task, of_task in by_task(cells).items():
+        texts = {cell.variant: _cell(cell) for cell in of_task}
+        runs = {len(cell.means) for cell in of_task}
+        name = f"{task} ({max(runs)} {'run' if runs == {1} else 'runs'})"
+        rows.append([name, *(texts.get(variant, "") for variant in SHORT_VARIANTS)])
+    return f"### {method}\n\n{table(('Task', *SHORT_VARIANTS), rows)}"
+
+
+def _cell(cell: Cell) -> str:
+    ours = f"{cell.mean:.2f}" + (f" ± {cell.std:.2f}" if len(cell.means) > 1 else "")
+    distance = distance_text(cell.distance)
+    shown = f"**{distance}**" if abs(cell.distance) > LIMITS[-1] else distance
+    return f"{ours}<br>{cell.published.mean:.2f} ± {cell.published.std:.2f}<br>{shown}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = len(names) - MAX_LISTED
+    return ", ".join(names[:MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
+
+
+def main(arguments: Sequence[str], root: Path = ROOT) -> int:
+    """Write, or check."""
+    page = Page(root)
+    picture = root / "docs" / "images" / "results.png"
+    outdated = readme_tables.main(arguments, root / "docs" / "results.md", page.sections())
+    if "--check" in arguments:
+        return int(outdated or digest_of(picture) != page.digest)
+    panels = {method: page.cells.get(method, ()) for method in page.methods}
+    write_picture(picture, panels, page.tasks, page.digest)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
