@@ -9,7 +9,6 @@ RENDERED_STATES = "rendered states"
 SIMULATOR = "simulator"
 INTERACTION = "interaction"
 SCORE = "score"
-RENDERED_STATES = "rendered states"
 EXPERT_LABELS = "expert labels"
 TEST_VARIANTS = "test variants"
 EXTRA_DATA = "extra data"
@@ -23,7 +22,6 @@ SOURCES: Mapping[str, str] = MappingProxyType(
         SIMULATOR: "the simulator outside Demo, without scores, or pre-training on it",
         INTERACTION: "episodes in the Demo variant, without their scores",
         SCORE: "scores of episodes in the Demo variant",
-        RENDERED_STATES: "demonstrated states rendered in other colours or without walls",
         EXPERT_LABELS: "an expert asked for actions in states that the learner visits",
         TEST_VARIANTS: "test variants, seen before the final evaluation",
         EXTRA_DATA: "data from elsewhere, such as a pre-trained network",
