@@ -24,6 +24,22 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--record", type=Path, metavar="DIR", help="the dataset that kept episodes are added to"
     )
     parser.add_argument(
+        "--datasets",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="DIR",
+        help="datasets to look at; that of --record is always among them",
+    )
+    parser.add_argument(
+        "--runs",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="DIR",
+        help="run folders, or folders with runs in them, whose policies can be watched",
+    )
+    parser.add_argument(
         "--host",
         default="127.0.0.1",
         metavar="ADDRESS",
@@ -56,12 +72,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Listen, print the address, answer until interrupted."""
     from magical.envs import parse_env_id
+    from magical.web.library.routes import LibrarySettings
     from magical.web.security import make_guard, new_token, page_url
     from magical.web.server import PlaySettings, create_app, listen, make_server
 
     env_id = parse_env_id(args.env).without_preset
     token = new_token()
-    settings = PlaySettings(env_id, args.record, args.max_players)
+    library = LibrarySettings(tuple(args.datasets), tuple(args.runs))
+    settings = PlaySettings(env_id, args.record, args.max_players, library)
     app = create_app(settings, make_guard(args.host, token, frozenset(args.allow_host)))
     with listen(args.host, args.port) as listening:
         print(page_url(args.host, listening.getsockname()[1], token), flush=True)

@@ -7,7 +7,7 @@ import socket as sockets
 import time
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import parse_qs
 
@@ -29,6 +29,7 @@ from magical.render import warm_up
 from magical.tasks import TASKS
 from magical.web import frames
 from magical.web.connection import Clock, Close, Connection
+from magical.web.library.routes import Library, LibrarySettings
 from magical.web.messages import MAX_BYTES
 from magical.web.players import Players
 from magical.web.recorder import Recorder
@@ -53,11 +54,13 @@ class PlaySettings:
         env_id: the environment that a new player starts in.
         record: the dataset's folder; `None`: nothing is recorded.
         max_players: the largest number of environments.
+        library: datasets and runs to look at; the dataset that is recorded is always listed.
     """
 
     env_id: EnvId
     record: Path | None = None
     max_players: int = 16
+    library: LibrarySettings = field(default_factory=LibrarySettings)
 
 
 class GuardMiddleware:
@@ -119,7 +122,8 @@ class PlayServer:
         clock: the time in seconds.
 
     Raises:
-        DatasetError: the folder to record in cannot be written.
+        DatasetError: the folder to record in cannot be written, or another one holds no dataset.
+        RunFolderError: a folder of runs does not exist.
     """
 
     def __init__(self, settings: PlaySettings, clock: Clock) -> None:
@@ -128,12 +132,14 @@ class PlayServer:
         self.players = Players(self._new_session, settings.max_players)
         self._clock = clock
         self._rng = np.random.default_rng()  # of the seeds of scenes
+        self._library = Library(_listed(settings), clock, self._rng)
 
     def routes(self) -> list[BaseRoute]:
         """Every route. None takes a path from outside, so none can leave the page's folder."""
         return [
             *(Route(path, _page_file(*file)) for path, file in PAGE_FILES.items()),
             Route("/api/environments", self.environments),
+            *self._library.routes(),
             WebSocketRoute("/socket", self.play),
         ]
 
@@ -143,6 +149,7 @@ class PlayServer:
         sweep = asyncio.create_task(self._drop_expired())
         yield
         sweep.cancel()
+        self._library.close()
         if self.recorder:
             await self.recorder.finish()
 
@@ -194,11 +201,19 @@ class PlayServer:
             self.players.drop_expired(self._clock())
 
 
+def _listed(settings: PlaySettings) -> LibrarySettings:
+    """What the library lists: the recorded dataset too, and each dataset once."""
+    recorded = [settings.record] if settings.record else []
+    folders = {path.resolve(): path for path in [*settings.library.datasets, *recorded]}
+    return LibrarySettings(tuple(folders.values()), settings.library.runs)
+
+
 def create_app(settings: PlaySettings, guard: Guard, clock: Clock = time.monotonic) -> Starlette:
     """The application, for any ASGI server; `app.state.players` has the sessions.
 
     Raises:
-        DatasetError: the folder to record in cannot be written.
+        DatasetError: the folder to record in cannot be written, or another one holds no dataset.
+        RunFolderError: a folder of runs does not exist.
     """
     server = PlayServer(settings, clock)
     app = Starlette(
