@@ -8,6 +8,7 @@ import numpy as np
 
 from magical.demos.store.trajectory import Actor
 from magical.envs.ids import EnvId
+from magical.errors import MagicalError, PolicyError
 from magical.evaluation.rollouts import observation_for
 from magical.evaluation.seeds import RolloutRng
 from magical.experts import EpisodeExpert, expert_for
@@ -76,10 +77,18 @@ class Driver:
         """
         with self._lock:
             if self._latest is None or self._latest[0] != seen.state.step:
-                if self._chooser is None:
-                    self._chooser = self._make_chooser()
-                self._latest = seen.state.step, self._chooser.choose(seen)
+                self._latest = seen.state.step, self._choose(seen)
             return self._latest[1]
+
+    def _choose(self, seen: Seen) -> Proposal:
+        try:
+            if self._chooser is None:
+                self._chooser = self._make_chooser()
+            return self._chooser.choose(seen)
+        except MagicalError:
+            raise
+        except Exception as error:  # a policy may fail in any way, and the session goes on
+            raise PolicyError(f"{self.name}: {type(error).__name__}: {error}") from error
 
     def _make_chooser(self) -> Chooser:
         if self.actor is Actor.EXPERT:

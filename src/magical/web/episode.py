@@ -23,6 +23,7 @@ class PlayedEpisode:
         self.env.reset(seed=seed)
         self.poses: list[NDArray[np.float64]] = []
         self.executed: Sequence[Control] | None = None  # in the last step; None: none yet
+        self.last_action: int | None = None
         self.actors: list[Actor] = []  # who chose each action
         self.policy_actions: list[int] = []  # of the policy that is watched, if any
         self._note_poses()
@@ -38,6 +39,7 @@ class PlayedEpisode:
         self.actors.append(actor)
         if chosen is not None:
             self.policy_actions.append(chosen)
+        self.last_action = action
         truncated = self.env.step(action)[3]
         self.executed = controls_of(action)
         self._note_poses()

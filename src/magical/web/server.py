@@ -6,8 +6,10 @@ import os
 import socket as sockets
 import time
 from collections.abc import AsyncIterator, Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from urllib.parse import parse_qs
 
@@ -29,6 +31,7 @@ from magical.render import warm_up
 from magical.tasks import TASKS
 from magical.web import frames
 from magical.web.connection import Clock, Close, Connection
+from magical.web.driver import Driver
 from magical.web.library.routes import Library, LibrarySettings
 from magical.web.messages import MAX_BYTES
 from magical.web.players import Players
@@ -43,6 +46,7 @@ PAGE_FILES = {
     "/style.css": ("style.css", "text/css"),
 }
 SHUTDOWN_TIME = 2  # s that open connections get to end
+DRIVING_THREADS = 2  # that policies which are watched are asked in
 SWEEP_TIME = 5.0  # s between looking for sessions that were not resumed in time
 
 
@@ -133,6 +137,7 @@ class PlayServer:
         self._clock = clock
         self._rng = np.random.default_rng()  # of the seeds of scenes
         self._library = Library(_listed(settings), clock, self._rng)
+        self._threads = ThreadPoolExecutor(DRIVING_THREADS, "driver")
 
     def routes(self) -> list[BaseRoute]:
         """Every route. None takes a path from outside, so none can leave the page's folder."""
@@ -150,6 +155,7 @@ class PlayServer:
         yield
         sweep.cancel()
         self._library.close()
+        self._threads.shutdown(wait=True, cancel_futures=True)
         if self.recorder:
             await self.recorder.finish()
 
@@ -179,7 +185,7 @@ class PlayServer:
         if key and key != player.key:
             player.session.note_problem("Your former session was not resumed in time and is gone.")
         await socket.send_text(json.dumps({"type": "hello", "session": player.key}))
-        connection = Connection(socket, player, self._save, self._clock)
+        connection = Connection(socket, player, self._save, self._clock, self._threads)
         reason = await connection.run()
         if reason is Close.IDLE:
             self.players.remove(player)
@@ -189,7 +195,10 @@ class PlayServer:
 
     def _new_session(self, now: float) -> Session:
         recording = self.recorder is not None
-        return Session(self.settings.env_id, self._rng, now, recording=recording)
+        make_driver = partial(Driver, self._library.policies)
+        return Session(
+            self.settings.env_id, self._rng, now, recording=recording, make_driver=make_driver
+        )
 
     def _save(self, session: Session, trajectory: Trajectory) -> asyncio.Task[None]:
         assert self.recorder is not None  # otherwise a session does not offer to keep anything

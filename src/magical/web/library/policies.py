@@ -2,6 +2,7 @@
 
 import threading
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,14 @@ from numpy.typing import NDArray
 from magical.demos.reader import ObservationReader
 from magical.demos.store.trajectory import Trajectory
 from magical.envs.ids import EnvId
-from magical.errors import MagicalError, NoExpertError, NotFoundError, PolicyError, RunFolderError
+from magical.errors import (
+    MagicalError,
+    MissingDependencyError,
+    NoExpertError,
+    NotFoundError,
+    PolicyError,
+    RunFolderError,
+)
 from magical.evaluation.loading import load_policy
 from magical.evaluation.policy import Policy
 from magical.experts import get_goals
@@ -65,6 +73,8 @@ class Policies:
         self._entries = [PolicyEntry(EXPERT_NAME, _tasks_with_expert())]
         self._loaded: dict[tuple[int, int], Policy] = {}  # by number, and time of the checkpoint
         self._lock = threading.Lock()
+        if folders:
+            _import_learning()
         self.refresh()
 
     def __len__(self) -> int:
@@ -105,6 +115,12 @@ class Policies:
                 for old in list(self._loaded)[:-MAX_LOADED]:
                     del self._loaded[old]
             return self._loaded[key]
+
+
+def _import_learning() -> None:
+    """Import PyTorch, where it is installed: later it would hold up all players for seconds."""
+    with suppress(MissingDependencyError):
+        pass
 
 
 def find_runs(root: Path) -> list[Path]:
