@@ -40,10 +40,11 @@ from magical.web.security import HEADERS, Guard
 from magical.web.session import Session
 
 PAGE = Path(__file__).parent / "page"
+SCRIPTS = ("chart", "common", "grid", "input", "look", "main", "pane", "play")
 PAGE_FILES = {
     "/": ("index.html", "text/html"),
-    "/play.js": ("play.js", "text/javascript"),
     "/style.css": ("style.css", "text/css"),
+    **{f"/{name}.js": (f"{name}.js", "text/javascript") for name in SCRIPTS},
 }
 SHUTDOWN_TIME = 2  # s that open connections get to end
 DRIVING_THREADS = 2  # that policies which are watched are asked in

@@ -69,7 +69,8 @@ class Policies:
         for folder in folders:
             if not folder.is_dir():
                 raise RunFolderError(f"{folder}: expected a folder with runs, found none")
-        self._folders = dict(zip(unique_names(folders), folders, strict=True))
+        names = unique_names(folders) if len(folders) > 1 else [""] * len(folders)
+        self._folders = dict(zip(names, folders, strict=True))
         self._entries = [PolicyEntry(EXPERT_NAME, _tasks_with_expert())]
         self._loaded: dict[tuple[int, int], Policy] = {}  # by number, and time of the checkpoint
         self._lock = threading.Lock()
@@ -132,7 +133,9 @@ def find_runs(root: Path) -> list[Path]:
 
 
 def _entry(name: str, root: Path, folder: Path) -> PolicyEntry:
-    shown = name if folder == root else f"{name}/{folder.relative_to(root).as_posix()}"
+    """The entry of a run below one of the given folders, whose name is empty if it is the only."""
+    parts = [name, *folder.relative_to(root).parts]
+    shown = "/".join(filter(None, parts)) or root.resolve().name
     try:
         config = read_json(folder / CONFIG)
         tasks = tuple(task for task in config["tasks"] if task in TASKS)
