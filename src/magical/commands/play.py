@@ -1,4 +1,4 @@
-"""Play and record in the browser.
+"""Play, record and look in the browser.
 
 The first line of standard output is the page's address, with a token that it needs. On a server
 without a display, forward the port (`ssh -L 8000:127.0.0.1:8000 server`) and open that address.
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from magical.commands._common import log, non_negative_int, positive_int
 
-HELP = "play and record demonstrations in the browser"
+HELP = "play, record and look at demonstrations and policies in the browser"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -39,6 +39,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="run folders, or folders with runs in them, whose policies can be watched",
     )
+    _configure_server(parser)
+
+
+def _configure_server(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--host",
         default="127.0.0.1",

@@ -43,6 +43,7 @@ export class Pane {
       parts.push("recorded frames only: no poses, so scores of single steps are unknown");
     }
     if (this.details.is_recovered) parts.push("poses recovered from frames");
+    this.part(".legend").hidden = !this.details.actors;
     this.part(".about").textContent = parts.filter(Boolean).join(" · ");
   }
 

@@ -131,7 +131,8 @@ function showPhase(message) {
     ready: `Seed ${seed}. Press a ${key} to begin.`,
     paused: policy ? `Paused. Hand back to let ${policy} go on; a ${key} takes over.`
       : `Paused. Press a ${key} to go on.`,
-    ended: `The end: score ${score.toFixed(2)}.${deciding() ? " Keep this episode?" : ""}`,
+    ended: `The end: score ${score.toFixed(2)}.${
+      deciding() ? " Keep this episode?" : " Start over, or take a new scene."}`,
     saving: "Saving…",
   }[phase];
   element("prompt").hidden = !text;
