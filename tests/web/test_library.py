@@ -103,7 +103,7 @@ def test_the_recorded_dataset_is_always_listed_and_grows(
     server: RunningServer, dataset: Path
 ) -> None:
     assert get(server, "/api/library")["sources"][0] == {"key": "d0", "name": "demos"}
-    listed = "/api/episodes?source=d0&skip=0"
+    listed = "/api/episodes?source=d0&task=&skip=0"
     assert get(server, listed) == {"total": 0, "episodes": []}
     DatasetWriter(dataset).append(demonstrate(REGION, 7))
     assert [entry["seed"] for entry in get(server, listed)["episodes"]] == [7]
@@ -113,13 +113,16 @@ def test_episodes_are_listed_newest_first_page_by_page(
     library: RunningServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(routes, "PAGE", 2)
-    first = get(library, "/api/episodes?source=d0&skip=0")
+    first = get(library, "/api/episodes?source=d0&task=&skip=0")
     assert first["total"] == 3
     assert [entry["number"] for entry in first["episodes"]] == [2, 1]
     human, expert = first["episodes"]
     assert (human["demonstrator"], human["score"]) == ("human", None)
     assert (expert["env_id"], expert["seed"], expert["length"]) == (REGION, 2, 40)
-    (last,) = get(library, "/api/episodes?source=d0&skip=2")["episodes"]
+    of_task = "/api/episodes?source=d0&task={}&skip=0"
+    assert get(library, of_task.format("MoveToRegion"))["total"] == 3
+    assert get(library, of_task.format("FindDupe")) == {"total": 0, "episodes": []}
+    (last,) = get(library, "/api/episodes?source=d0&task=&skip=2")["episodes"]
     assert last["number"] == 0
 
 
@@ -176,7 +179,7 @@ def test_the_expert_is_rolled_out(library: RunningServer) -> None:
     assert (status, made["source"]) == (200, "rollouts")
     shown = get(library, f"/api/episode?source=rollouts&episode={made['episode']}")
     assert (shown["seed"], shown["demonstrator"], shown["scores"][-1]) == (4, "expert", 1.0)
-    listed = get(library, "/api/episodes?source=rollouts&skip=0")["episodes"]
+    listed = get(library, "/api/episodes?source=rollouts&task=&skip=0")["episodes"]
     assert listed[0]["number"] == made["episode"]
 
 
@@ -205,7 +208,9 @@ def test_work_is_not_piled_up(library: RunningServer, monkeypatch: pytest.Monkey
     for thread in threads:
         thread.start()
     while len(answers) < 3:  # refused at once
-        assert get(library, "/api/episodes?source=d0&skip=0")["total"] == 3  # the rest goes on
+        assert (
+            get(library, "/api/episodes?source=d0&task=&skip=0")["total"] == 3
+        )  # the rest goes on
     release.set()
     for thread in threads:
         thread.join()
@@ -217,7 +222,7 @@ def test_work_is_not_piled_up(library: RunningServer, monkeypatch: pytest.Monkey
 
 PATHS = (
     "/api/library",
-    "/api/episodes?source=d0&skip=0",
+    "/api/episodes?source=d0&task=&skip=0",
     "/api/episode?source=d0&episode=0",
     "/api/frames?source=d0&episode=0&view=allo&first=0&count=1",
     "/api/probabilities?source=d0&episode=0&policy=1",
@@ -240,12 +245,13 @@ def test_every_route_needs_token_host_and_origin(library: RunningServer, path: s
     ("path", "status"),
     [
         ("/api/library?more=1", 400),
-        ("/api/episodes?source=d0", 400),
-        ("/api/episodes?source=d0&skip=-1", 400),
-        ("/api/episodes?source=d0&skip=0&skip=1", 400),
-        ("/api/episodes?source=../demos&skip=0", 404),
-        ("/api/episodes?source=d1&skip=0", 404),
-        (f"/api/episodes?source={'d' * 21}&skip=0", 400),
+        ("/api/episodes?source=d0&skip=0", 400),
+        ("/api/episodes?source=d0&task=MoveToMoon&skip=0", 400),
+        ("/api/episodes?source=d0&task=&skip=-1", 400),
+        ("/api/episodes?source=d0&task=&skip=0&skip=1", 400),
+        ("/api/episodes?source=../demos&task=&skip=0", 404),
+        ("/api/episodes?source=d1&task=&skip=0", 404),
+        (f"/api/episodes?source={'d' * 21}&task=&skip=0", 400),
         ("/api/episode?source=d0&episode=3", 404),
         ("/api/episode?source=d0&episode=../0", 400),
         ("/api/episode?source=d0&episode=1e1", 400),
@@ -301,4 +307,4 @@ def test_a_damaged_dataset_says_so(server: RunningServer, dataset: Path) -> None
     assert answer.status == 422
     assert "cut off" in json.loads(answer.body)["problem"]
     (dataset / "manifest.jsonl").write_text("nothing\n")
-    assert server.get("/api/episodes?source=d0&skip=0").status == 422
+    assert server.get("/api/episodes?source=d0&task=&skip=0").status == 422

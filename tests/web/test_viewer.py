@@ -1,5 +1,6 @@
 """Looking and watching in headless Chromium, up to a policy trained from what was played."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from magical.web.server import PlaySettings
 from tests.web.browser import Browser, Tab
 from tests.web.driving import names_and_focus, open_page, play_expert, text_of
 from tests.web.serving import RunningServer, running
+from tests.web.test_page import contrast
 
 
 def look(tab: Tab) -> None:
@@ -43,7 +45,16 @@ def test_everything_on_the_page_to_look_on_has_a_name_and_a_visible_focus(
     tab.evaluate("document.querySelector('#episodes .open').click()")
     tab.wait_for("panes[0]?.painted")
     seen = names_and_focus(tab, "look", 30)
-    expected = {"source", "open", "reload", "policy", "rollout-task", "rollout-seed", "close"}
+    expected = {
+        "source",
+        "shown-task",
+        "open",
+        "reload",
+        "policy",
+        "rollout-task",
+        "rollout-seed",
+        "close",
+    }
     assert expected | {"step", "first", "run", "last", "speed", "look-view", "palette"} <= seen
 
 
@@ -98,6 +109,31 @@ def test_two_episodes_are_compared_in_step(tab: Tab, dataset: Path) -> None:
     tab.evaluate("document.querySelector('.close').click()")
     assert tab.evaluate("panes.map((pane) => pane.details.task)") == ["MoveToCorner"]
     assert tab.evaluate("document.activeElement.className") == "close"
+
+
+@pytest.mark.parametrize("palette", ["", "safe"])
+def test_every_probability_can_be_read(tab: Tab, palette: str) -> None:
+    tab.evaluate(f"document.documentElement.dataset.palette = '{palette}'")
+    look(tab)
+    colours = tab.evaluate(
+        "import('/grid.js').then(({ showGrid }) => { const grid = document.createElement('div');"
+        " element('viewer').append(grid); const found = [];"
+        " for (let part = 0; part <= 100; part += 18) {"
+        " showGrid(grid, [...Array(18).keys()].map((i) => Math.min(1, (part + i) / 100)));"
+        " for (const cell of grid.querySelectorAll('[data-action]')) {"
+        " const { backgroundColor, color } = getComputedStyle(cell);"
+        " found.push([backgroundColor, color]) } }"
+        " return found })"
+    )
+    assert len(colours) == 6 * 18
+    for background, text in colours:
+        assert contrast(rgb(background), rgb(text)) >= 4.5, (background, text)
+
+
+def rgb(colour: str) -> tuple[int, ...]:
+    """The channels of a computed colour, `rgb(...)` of 255 or `color(srgb ...)` of 1."""
+    scale = 255 if colour.startswith("color") else 1
+    return tuple(round(scale * float(part)) for part in re.findall(r"[\d.]+", colour)[:3])
 
 
 def test_a_page_that_is_only_looked_on_takes_no_environment(

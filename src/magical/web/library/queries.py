@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 from magical.envs.ids import EnvId
 from magical.errors import MessageError
 from magical.messages import quoted
+from magical.tasks import TASKS
 from magical.web.messages import checked_env_id, checked_integer, checked_seed, checked_view, read
 
 MAX_KEY = 20  # characters of a source's key
@@ -21,6 +22,7 @@ class ListQuery:
     """Episodes of a source, newest first, `PAGE` of them after the first `skip`."""
 
     source: str
+    task: str  # empty: of all tasks
     skip: int
 
 
@@ -67,6 +69,12 @@ def _key(value: Any) -> str:
     return value
 
 
+def _task(value: Any) -> str:
+    if not isinstance(value, str) or value not in ("", *TASKS):
+        raise MessageError(f"task: expected one of {', '.join(TASKS)}, found {quoted(value)}")
+    return value
+
+
 def _number(name: str, most: int = MAX_NUMBER, least: int = 0) -> Callable[[Any], int]:
     def check(value: Any) -> int:
         digits = isinstance(value, str) and value.isascii() and value.isdigit()
@@ -81,7 +89,7 @@ def _number(name: str, most: int = MAX_NUMBER, least: int = 0) -> Callable[[Any]
 
 _EPISODE = {"source": _key, "episode": _number("episode")}
 _FIELDS: Mapping[type, Mapping[str, Callable[[Any], Any]]] = {
-    ListQuery: {"source": _key, "skip": _number("skip")},
+    ListQuery: {"source": _key, "task": _task, "skip": _number("skip")},
     EpisodeQuery: _EPISODE,
     FramesQuery: {
         **_EPISODE,

@@ -139,7 +139,8 @@ class Library:
     async def _list_episodes(self, request: Request) -> Response:
         query = parse_query(ListQuery, fields(request))
         source = self.sources.find(query.source)
-        summaries = await self._reader.run(source.summaries)
+        found = await self._reader.run(source.summaries)
+        summaries = [one for one in found if query.task in ("", one.env_id.task)]
         newest = summaries[::-1][query.skip : query.skip + PAGE]
         return JSONResponse(
             {"total": len(summaries), "episodes": [asdict(summary) for summary in newest]}

@@ -10,6 +10,12 @@ function number(row, column, fingers) {
   return offered.actions.findIndex((action) => action.name === `${row}-${column}-${fingers}`);
 }
 
+// How much of the colour a cell has. The middle is left out, where neither dark nor white numbers
+// could be read on it.
+function shade(value) {
+  return value > 0.45 ? 0.92 + 0.08 * value : 0.92 * Math.sqrt(value);
+}
+
 function percent(value) {
   return value < 0.005 ? "" : String(Math.round(100 * value));
 }
@@ -32,8 +38,8 @@ export function showGrid(parent, probabilities, executed = null) {
   for (const cell of parent.querySelectorAll("[data-action]")) {
     const action = Number(cell.dataset.action);
     cell.textContent = percent(probabilities[action]);
-    cell.style.setProperty("--share", Math.sqrt(probabilities[action]).toFixed(3));
-    cell.toggleAttribute("data-dark", probabilities[action] > 0.3);
+    cell.style.setProperty("--share", shade(probabilities[action]).toFixed(3));
+    cell.toggleAttribute("data-dark", probabilities[action] > 0.45);
     cell.toggleAttribute("data-executed", action === executed);
   }
 }

@@ -31,8 +31,9 @@ async function attempt(work) {
 
 async function list(skip) {
   const source = element("source").value;
-  const answer = await attempt(async () => (await ask("episodes", { source, skip })).json());
-  if (source !== element("source").value) return;
+  const task = element("shown-task").value;
+  const answer = await attempt(async () => (await ask("episodes", { source, task, skip })).json());
+  if (source !== element("source").value || task !== element("shown-task").value) return;
   if (!skip) element("episodes").replaceChildren();
   const { total = 0, episodes = [] } = answer ?? {};
   listed = skip + episodes.length;
@@ -200,11 +201,14 @@ async function rollOut(event) {
   });
   if (!made) return;
   element("source").value = made.source;
+  element("shown-task").value = "";
   await list(0);
   await open(made.source, made.episode, false);
 }
 
 function fillNames() {
+  const tasks = offered.tasks.map((task) => [task.name, task.name]);
+  fill(element("shown-task"), [["", "all"], ...tasks]);
   fill(element("source"), offered.sources.map(({ key, name }) => [key, name]));
   const named = offered.policies.map((policy) => [policy.number, policyName(policy)]);
   fill(element("policy"), named);
@@ -226,6 +230,7 @@ export async function refresh() {
 export function bind() {
   element("find").addEventListener("submit", (event) => event.preventDefault());
   element("source").addEventListener("change", () => list(0));
+  element("shown-task").addEventListener("change", () => list(0));
   element("more").addEventListener("click", () => list(listed));
   element("reload").addEventListener("click", refresh);
   element("policy").addEventListener("change", fillRollout);
