@@ -1,6 +1,10 @@
 """Datasets and runs to look at: what is listed, episodes step by step, what is refused."""
 
+import asyncio
+import dataclasses
 import json
+import random
+import string
 import struct
 import threading
 from collections.abc import Iterator
@@ -12,12 +16,20 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from magical.demos import Dataset, DatasetWriter
+from magical.demos import Dataset, DatasetWriter, Frames, Trajectory
 from magical.demos.generate import demonstrate
 from magical.envs import EnvId
+from magical.errors import MessageError
 from magical.scene import Poses
 from magical.tasks import TASKS
 from magical.web.library import routes
+from magical.web.library.queries import (
+    EpisodeQuery,
+    FramesQuery,
+    ListQuery,
+    ProbabilitiesQuery,
+    parse_query,
+)
 from magical.web.library.routes import MAX_WAITING_ROLLOUTS, LibrarySettings
 from magical.web.library.sources import RolloutSource, unique_names
 from magical.web.messages import RateLimit
@@ -38,9 +50,7 @@ def demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def frames_only(episode: Any) -> Any:
-    from magical.demos import Frames, Trajectory
-
+def frames_only(episode: Trajectory) -> Trajectory:
     times = range(len(episode) + 1)
     return Trajectory(
         env_id=episode.env_id,
@@ -290,6 +300,45 @@ def test_other_rollouts_are_refused(
     library: RunningServer, content: bytes | dict[str, Any], status: int
 ) -> None:
     assert post(library, content)[0] == status
+
+
+def test_a_body_is_read_no_further_than_is_allowed() -> None:
+    class Endless:
+        parts = 0
+
+        async def stream(self) -> Any:
+            while True:
+                self.parts += 1
+                yield b" " * 600
+
+    request: Any = Endless()
+    with pytest.raises(MessageError, match="at most 1024 bytes"):
+        asyncio.run(routes.body(request))
+    assert request.parts == 2
+
+
+GOOD = {"source": "d0", "task": "", "skip": "0", "episode": "0", "policy": "1"}
+GOOD |= {"view": "allo", "first": "0", "count": "1"}
+
+
+def test_a_thousand_malformed_queries_are_refused() -> None:
+    rng = random.Random(0)
+    kinds = (ListQuery, EpisodeQuery, FramesQuery, ProbabilitiesQuery)
+    for number in range(1000):
+        kind = kinds[number % len(kinds)]
+        given = {field.name: GOOD[field.name] for field in dataclasses.fields(kind)}
+        assert parse_query(kind, given)
+        name = rng.choice(list(given))
+        choice = rng.randrange(3)
+        if choice == 0:
+            del given[name]
+        elif choice == 1:
+            given[rng.choice(string.ascii_letters)] = given[name]
+        else:
+            given[name] = "\0" + "".join(rng.choices(string.printable, k=rng.randrange(60)))
+            given[name] *= 1 if name != "source" else 25  # any short key may be looked up
+        with pytest.raises(MessageError):
+            parse_query(kind, given)
 
 
 def test_requests_are_limited_in_rate(
