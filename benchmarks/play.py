@@ -2,13 +2,15 @@
 
 python benchmarks/play.py --players 1 4 16 --seconds 10
 python benchmarks/play.py --players 1 --delay 0.1
+python benchmarks/play.py --players 1 --rollouts
 
 Players connect over loopback, or with `--delay` through a proxy that holds back everything for so
 many seconds in each direction. Each holds keys, changes them at random times and confirms every
 frame, as the page does. The latency is from sending a change to the first frame after a step that
 executed it. The environment steps every 125 ms, so a key waits for 62 ms on average, whatever the
 server does; the second latency is without that wait: of messages that take effect at once, here
-changes of the view.
+changes of the view. With `--rollouts` the page is looked on meanwhile: the expert is rolled out
+without pause.
 """
 
 import argparse
@@ -16,10 +18,11 @@ import asyncio
 import json
 import subprocess
 import sys
+import threading
 import time
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
@@ -184,6 +187,30 @@ async def play_all(port: int, token: str, players: int, seconds: float, delay: f
     return total
 
 
+@contextmanager
+def rolling_out(port: int, token: str) -> Iterator[None]:
+    """Ask for one rollout of the expert after another, in a thread."""
+    ended = threading.Event()
+    body = json.dumps({"policy": 0, "env_id": ENV, "seed": None}).encode()
+    request = urllib.request.Request(
+        f"http://127.0.0.1:{port}/api/rollouts?token={token}",
+        body,
+        {"Origin": f"http://127.0.0.1:{port}"},
+    )
+
+    def ask() -> None:
+        while not ended.is_set():
+            urllib.request.urlopen(request, timeout=120).read()
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
 def percentiles(seconds: list[float]) -> str:
     """Median and 99th percentile in milliseconds."""
     median, high = 1000 * np.percentile(seconds, [50, 99])
@@ -198,6 +225,7 @@ def main() -> None:
     parser.add_argument("--players", type=int, nargs="+", default=[1, 4, 16], metavar="N")
     parser.add_argument("--seconds", type=float, default=10.0, help="for each (default: 10)")
     parser.add_argument("--delay", type=float, default=0.0, help="seconds, each way (default: 0)")
+    parser.add_argument("--rollouts", action="store_true", help="roll out the expert meanwhile")
     args = parser.parse_args()
     print("           key to frame   view to frame  between frames  frames/s   server, ms  kB")
     print("players    median    99 %  median    99 %  median    99 %  a player   a frame  a frame")
@@ -205,7 +233,8 @@ def main() -> None:
         with serve(players) as (process, port, token):
             wait_for(port)
             before = processor_time(process.pid)
-            found = asyncio.run(play_all(port, token, players, args.seconds, args.delay))
+            with rolling_out(port, token) if args.rollouts else nullcontext():
+                found = asyncio.run(play_all(port, token, players, args.seconds, args.delay))
             used = processor_time(process.pid) - before
         print(
             f"{players:7}    {percentiles(found.steps)} {percentiles(found.views)} "

@@ -161,6 +161,14 @@ class MessageError(MagicalError, ValueError):
     """A message from a web page that is not in the documented format, or cannot be followed now."""
 
 
+class NotFoundError(MagicalError, LookupError):
+    """Something that a web page asks for and that the server does not have, or not any more."""
+
+
+class BusyError(MagicalError, RuntimeError):
+    """A server that has too many requests to answer already."""
+
+
 class ServerFullError(MagicalError, RuntimeError):
     """A server whose environments are all in use."""
 

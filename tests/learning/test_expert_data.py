@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magical.demos import Dataset, Trajectory, observations
+from magical.demos import Actor, Dataset, Trajectory, observations
 from magical.errors import DemonstrationsError
 from magical.learning.expert_data import ExpertData, digest, sample_demonstrations, split_evenly
 from magical.observe import PRESETS
@@ -53,6 +53,21 @@ def test_labels_are_learned_not_what_was_executed() -> None:
     assert data.actions.tolist() == [5, 7]
     shown = np.asarray(observations(labelled, "LoRes4E")).transpose(0, 3, 1, 2)
     np.testing.assert_array_equal(data.images(np.arange(2)).numpy(), shown[[1, 2]])
+
+
+@pytest.mark.parametrize("remove_noops", [False, True])
+def test_the_own_steps_of_a_watched_policy_are_not_learned(remove_noops: bool) -> None:
+    executed = picture_demo("MoveToCorner", 0, actions=[3, 0, 4, 8])
+    watched = replace(executed, actors=np.array([Actor.POLICY, Actor.HUMAN, Actor.HUMAN, 0]))
+    data = ExpertData(
+        [("MoveToCorner", watched)],
+        ["MoveToCorner"],
+        PRESETS["LoRes4E"],
+        remove_noops=remove_noops,
+    )
+    assert data.actions.tolist() == ([4] if remove_noops else [0, 4])
+    shown = np.asarray(observations(watched, "LoRes4E")).transpose(0, 3, 1, 2)
+    np.testing.assert_array_equal(data.images(np.arange(len(data)))[-1].numpy(), shown[2])
 
 
 def test_nothing_but_noops_is_an_error() -> None:

@@ -10,11 +10,14 @@ import pytest
 from magical.envs import EnvId
 
 if TYPE_CHECKING:
+    from tests.web.browser import Browser, Tab
     from tests.web.serving import RunningServer
 
 # What needs the web extra cannot even be imported without it.
 INSTALLED = all(map(find_spec, ("starlette", "uvicorn", "websockets")))
-collect_ignore = [] if INSTALLED else ["test_browser.py", "test_command.py", "test_server.py"]
+collect_ignore = (
+    [] if INSTALLED else ["test_browser.py", "test_command.py", "test_library.py", "test_server.py"]
+)
 
 
 @pytest.fixture
@@ -32,3 +35,27 @@ def server(dataset: Path) -> Iterator["RunningServer"]:
     settings = PlaySettings(EnvId("MoveToRegion", "Demo"), record=dataset, max_players=3)
     with running(settings) as started:
         yield started
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator["Browser"]:
+    """Headless Chromium; tests that need it are skipped where it is not installed."""
+    from tests.web.browser import find_browser, start_browser
+
+    program = find_browser()
+    if program is None:
+        pytest.skip("no Chromium is installed")
+    with start_browser(program, tmp_path_factory.mktemp("browser")) as started:
+        yield started
+
+
+@pytest.fixture
+def tab(server: "RunningServer", browser: "Browser") -> Iterator["Tab"]:
+    """The page, ready to be played."""
+    from tests.web.driving import open_page
+
+    with browser.open_tab() as opened:
+        opened.resize(1280, 800)
+        open_page(opened, server)
+        opened.wait_for("latest?.phase === 'ready'")
+        yield opened

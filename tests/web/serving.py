@@ -37,12 +37,18 @@ class RunningServer:
         self.host = f"127.0.0.1:{port}"
 
     def get(
-        self, path: str, method: str = "GET", token: str | None = TOKEN, **headers: str
+        self,
+        path: str,
+        method: str = "GET",
+        token: str | None = TOKEN,
+        content: bytes | None = None,
+        **headers: str,
     ) -> Answer:
-        """Send one request; the path is sent as it is."""
+        """Send one request; the path, which may have a query, is sent as it is."""
         client = http.client.HTTPConnection("127.0.0.1", self.port, timeout=TIMEOUT)
-        target = path if token is None else f"{path}?token={token}"
-        client.request(method, target, headers={"Host": self.host, **headers})
+        joint = "&" if "?" in path else "?"
+        target = path if token is None else f"{path}{joint}token={token}"
+        client.request(method, target, content, {"Host": self.host, **headers})
         answer = client.getresponse()
         names = {name.lower(): value for name, value in answer.getheaders()}
         result = Answer(answer.status, names, answer.read())

@@ -1,81 +1,13 @@
-"""The page itself, in headless Chromium: keys, touch, recording, a lost connection."""
+"""Playing in headless Chromium: keys, touch, recording, a lost connection."""
 
-import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 from magical.demos import Dataset
 from magical.demos.replay import replay
-from magical.envs.keys import Control, controls_of
-from magical.experts import expert_for
-from magical.experts.rollout import EpisodeExpert
-from tests.web.browser import Browser, Tab, find_browser, start_browser
-from tests.web.serving import TOKEN, RunningServer
-
-BROWSER = find_browser()
-pytestmark = pytest.mark.skipif(BROWSER is None, reason="no Chromium is installed")
-
-KEYS = {
-    Control.FORWARD: "ArrowUp",
-    Control.BACK: "ArrowDown",
-    Control.LEFT: "ArrowLeft",
-    Control.RIGHT: "ArrowRight",
-    Control.GRIP: " ",
-}
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    assert BROWSER is not None
-    with start_browser(BROWSER, tmp_path_factory.mktemp("browser")) as started:
-        yield started
-
-
-@pytest.fixture
-def tab(server: RunningServer, browser: Browser) -> Iterator[Tab]:
-    """The page, ready to be played."""
-    with browser.open_tab() as opened:
-        opened.resize(1280, 800)
-        opened.call("Page.navigate", url=f"http://{server.host}/?token={TOKEN}")
-        opened.wait_for("document.readyState === 'complete' && latest?.phase === 'ready'")
-        yield opened
-
-
-def text_of(tab: Tab, name: str) -> str:
-    return str(tab.evaluate(f"document.getElementById('{name}').textContent"))
-
-
-class Keyboard:
-    """Holds the keys of controls, and no others."""
-
-    def __init__(self, tab: Tab) -> None:
-        self._tab = tab
-        self._held: set[Control] = set()
-
-    def hold(self, *controls: Control) -> None:
-        for control in self._held - set(controls):
-            self._tab.key(KEYS[control], down=False)
-        for control in set(controls) - self._held:
-            self._tab.key(KEYS[control], down=True)
-        self._held = set(controls)
-
-
-def play_expert(tab: Tab, server: RunningServer) -> None:
-    """Play the running episode to its end, pressing the keys that the expert would."""
-    (player,) = server.players
-    episode, keyboard = player.session.episode, Keyboard(tab)
-    expert = EpisodeExpert(expert_for(episode.env_id.task, seed=0))
-    while True:
-        state = episode.env.state()
-        keyboard.hold(*controls_of(expert.act(state)))
-        tab.wait_for(f"latest.steps > {state.step} || latest.phase === 'ended'")
-        if tab.evaluate("latest.phase") == "ended":
-            keyboard.hold()
-            return
-        expert.note_executed(episode.env.get_state()["actions"][state.step])
+from tests.web.browser import Tab
+from tests.web.driving import names_and_focus, play_expert, text_of
+from tests.web.serving import RunningServer
 
 
 def test_an_episode_is_played_with_keys_kept_and_found(
@@ -146,22 +78,7 @@ def test_a_lost_connection_is_resumed_where_it_was(tab: Tab) -> None:
     tab.wait_for("latest.phase === 'playing' && latest.steps > 3")
 
 
-def test_everything_has_a_name_and_a_visible_focus(tab: Tab) -> None:
-    names = tab.evaluate(
-        "[...document.querySelectorAll('button, input, select')].map((one) =>"
-        " one.getAttribute('aria-label') || one.labels?.[0]?.textContent || one.textContent)"
-    )
-    assert len(names) > 12
-    assert all(name.strip() for name in names), json.dumps(names)
-    seen = set()
-    for _ in range(20):
-        tab.tap("Tab")
-        name, style, width = tab.evaluate(
-            "(({ activeElement: one }) => { const style = getComputedStyle(one);"
-            " return [one.id || one.dataset.control || one.textContent,"
-            " style.outlineStyle, parseFloat(style.outlineWidth)]; })(document)"
-        )
-        if tab.evaluate("document.activeElement !== document.body"):
-            assert (style, width) == ("solid", 3), name
-            seen.add(name)
-    assert {"restart", "task", "variant", "seed", "view", "name", "palette", "grip"} <= seen
+def test_everything_on_the_page_to_play_on_has_a_name_and_a_visible_focus(tab: Tab) -> None:
+    seen = names_and_focus(tab, "play", 24)
+    expected = {"to-play", "to-look", "restart", "task", "variant", "seed", "who", "view", "name"}
+    assert expected | {"palette", "grip"} <= seen

@@ -62,3 +62,14 @@ def test_a_folder_that_is_no_dataset_is_an_error(
 def test_an_unknown_environment_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["play", "--env", "magical/MoveToMoon-Demo-v0"]) == 2
     assert "MoveToMoon" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--datasets", "--runs"])
+def test_a_folder_with_nothing_to_look_at_is_an_error(
+    option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    missing = tmp_path / "missing"
+    assert cli.main(["play", option, str(missing)]) == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert f"{missing}: expected a" in captured.err

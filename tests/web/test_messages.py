@@ -15,6 +15,7 @@ from magical.errors import MessageError
 from magical.web.messages import (
     MAX_BYTES,
     Discard,
+    HandBack,
     Keep,
     Keys,
     Pause,
@@ -22,6 +23,7 @@ from magical.web.messages import (
     Restart,
     Show,
     Start,
+    Watch,
     parse_message,
 )
 from magical.web.session import Session
@@ -38,6 +40,8 @@ VALID: dict[str, tuple[dict[str, Any], object]] = {
     "view": ({"view": "both"}, Show("both")),
     "keep": ({"demonstrator": " Ada "}, Keep("Ada")),
     "discard": ({}, Discard()),
+    "watch": ({"policy": 1}, Watch(1)),
+    "hand_back": ({}, HandBack()),
 }
 
 
@@ -73,6 +77,12 @@ def test_presets_are_left_out_and_seeds_may_be_missing() -> None:
         {"type": "keep", "demonstrator": "a" * 101},
         {"type": "keep", "demonstrator": "a\nb"},
         {"type": "pause", "seconds": 3},
+        {"type": "watch"},
+        {"type": "watch", "policy": "0"},
+        {"type": "watch", "policy": -1},
+        {"type": "watch", "policy": 10**7},
+        {"type": "watch", "policy": True},
+        {"type": "hand_back", "policy": 0},
         {"type": ["pause"]},
         {"type": "quit"},
         {},

@@ -1,4 +1,4 @@
-"""Play and record in the browser.
+"""Play, record and look in the browser.
 
 The first line of standard output is the page's address, with a token that it needs. On a server
 without a display, forward the port (`ssh -L 8000:127.0.0.1:8000 server`) and open that address.
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from magical.commands._common import log, non_negative_int, positive_int
 
-HELP = "play and record demonstrations in the browser"
+HELP = "play, record and look at demonstrations and policies in the browser"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -23,6 +23,26 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--record", type=Path, metavar="DIR", help="the dataset that kept episodes are added to"
     )
+    parser.add_argument(
+        "--datasets",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="DIR",
+        help="datasets to look at; that of --record is always among them",
+    )
+    parser.add_argument(
+        "--runs",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="DIR",
+        help="run folders, or folders with runs in them, whose policies can be watched",
+    )
+    _configure_server(parser)
+
+
+def _configure_server(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--host",
         default="127.0.0.1",
@@ -56,12 +76,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Listen, print the address, answer until interrupted."""
     from magical.envs import parse_env_id
+    from magical.web.library.routes import LibrarySettings
     from magical.web.security import make_guard, new_token, page_url
     from magical.web.server import PlaySettings, create_app, listen, make_server
 
     env_id = parse_env_id(args.env).without_preset
     token = new_token()
-    settings = PlaySettings(env_id, args.record, args.max_players)
+    library = LibrarySettings(tuple(args.datasets), tuple(args.runs))
+    settings = PlaySettings(env_id, args.record, args.max_players, library)
     app = create_app(settings, make_guard(args.host, token, frozenset(args.allow_host)))
     with listen(args.host, args.port) as listening:
         print(page_url(args.host, listening.getsockname()[1], token), flush=True)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from magical.demos.store.dataset import Dataset, Problem
 from magical.demos.store.manifest import ManifestEntry
-from magical.demos.store.trajectory import Trajectory
+from magical.demos.store.trajectory import Actor, Trajectory
 from magical.demos.store.writer import DatasetWriter
 
 if TYPE_CHECKING:
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from magical.demos.record import RecordTrajectories
 
 __all__ = [
+    "Actor",
     "Dataset",
     "DatasetWriter",
     "Frames",

@@ -188,6 +188,7 @@ def dataset_arrays(dataset: "Dataset", observation: Observation = "LoRes4E") -> 
         `observations` (N, *shape), or a dict of such: the observation before each action.
         `actions` (N,) int64: those that were executed.
         `labels` (N,) int64: those to imitate; others only where `Trajectory.expert_actions` are.
+        `is_demonstrated` (N,) bool: false where a policy that was watched acted by itself.
         `episodes` (N,) int64: index of the trajectory in the dataset.
         `steps` (N,) int64: index of the step in the trajectory.
         `env_ids`, `scores`, `published_code_scores`, `demonstrators`: one for each trajectory.
@@ -200,10 +201,12 @@ def dataset_arrays(dataset: "Dataset", observation: Observation = "LoRes4E") -> 
     total = sum(lengths)
     batch: Any = None
     actions, labels = np.empty(total, np.int64), np.empty(total, np.int64)
+    demonstrated = np.empty(total, np.bool_)
     start = 0
     for trajectory in dataset:
         rows = slice(start, start + len(trajectory))
         actions[rows], labels[rows] = trajectory.actions, trajectory.labels
+        demonstrated[rows] = trajectory.is_demonstrated
         reader = ObservationReader(trajectory, observation)
         batch = empty(reader.spec.fields, (total,)) if batch is None else batch
         _check_shape(batch, reader)
@@ -213,6 +216,7 @@ def dataset_arrays(dataset: "Dataset", observation: Observation = "LoRes4E") -> 
         "observations": batch,
         "actions": actions,
         "labels": labels,
+        "is_demonstrated": demonstrated,
         "episodes": np.repeat(np.arange(len(lengths)), lengths),
         "steps": _counted(lengths),
         "env_ids": np.array([str(entry.env_id) for entry in dataset.entries]),

@@ -129,7 +129,8 @@ class ExpertData:
             remove_noops: leave out samples whose action is the no-op.
 
         Raises:
-            DemonstrationsError: no samples are left of a task.
+            DemonstrationsError: no samples are left of a task: those of steps in which a policy
+                acted itself are always left out.
         """
         demonstrations = list(demonstrations)
         self.spec = spec
@@ -151,7 +152,8 @@ class ExpertData:
         for name, rows in zip(self.task_names, self._rows, strict=True):
             if not len(rows):
                 raise DemonstrationsError(
-                    f"{name}: expected demonstrations with actions other than the no-op, found none"
+                    f"{name}: expected demonstrations with actions other than the no-op, and not "
+                    "of a watched policy's own, found none"
                 )
 
     def _load_frames(self, trajectories: Sequence[Trajectory]) -> None:
@@ -255,8 +257,9 @@ def _samples(
     components: Sequence[Component],
     remove_noops: bool,
 ) -> _Samples:
-    steps = np.arange(len(trajectory))
+    kept = trajectory.is_demonstrated
     if remove_noops:
-        steps = np.flatnonzero(trajectory.labels != NOOP)
+        kept = kept & (trajectory.labels != NOOP)
+    steps = np.flatnonzero(kept)
     stacks = [first + stack_indices(steps, component.frames) for component in components]
     return _Samples(trajectory.labels[steps], np.full(len(steps), task), stacks)

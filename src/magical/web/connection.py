@@ -1,9 +1,14 @@
-"""A session over one WebSocket: messages in, status and frames out, the clock between them."""
+"""A session over one WebSocket: messages in, status and frames out, the clock between them.
+
+A policy that is watched is asked in a thread, so that its network or its planning does not hold up
+other players.
+"""
 
 import asyncio
 import json
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Executor
 from contextlib import suppress
 from enum import IntEnum
 
@@ -65,25 +70,30 @@ class Connection:
         player: whose session is played.
         save: starts to store a session's episode; the task ends when the session was told.
         clock: the time in seconds.
+        threads: that policies are asked in.
     """
 
-    def __init__(self, socket: WebSocket, player: Player, save: Save, clock: Clock) -> None:
+    def __init__(
+        self, socket: WebSocket, player: Player, save: Save, clock: Clock, threads: Executor
+    ) -> None:
         self._socket = socket
         self._player = player
         self._session = player.session
         self._save = save
         self._clock = clock
+        self._threads = threads
         self._window = FrameWindow()
         self._messages = RateLimit(MESSAGE_RATE, MESSAGE_BURST, clock())
         self._commands = RateLimit(COMMAND_RATE, COMMAND_BURST, clock())
         self._wake = asyncio.Event()  # there may be something to send
+        self._step = asyncio.Event()  # there may be something to ask the policy
 
     async def run(self) -> Close | None:
         """Play until the connection ends; returns why it should be closed, if it is still open."""
         number = self._player.connect(self._clock())
         tasks = [
             asyncio.create_task(work)
-            for work in (self._receive(), self._send(), self._run_clock(number))
+            for work in (self._receive(), self._send(), self._run_clock(number), self._ask())
         ]
         try:
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -118,9 +128,28 @@ class Connection:
         except MagicalError as error:
             self._session.note_problem(str(error))
         if trajectory := self._session.take_pending():
-            self._save(self._session, trajectory).add_done_callback(lambda _: self._wake.set())
+            self._save(self._session, trajectory).add_done_callback(lambda _: self._changed())
         self._session.advance(self._clock())
+        self._changed()
+
+    def _changed(self) -> None:
         self._wake.set()
+        self._step.set()
+
+    async def _ask(self) -> None:
+        loop, session = asyncio.get_running_loop(), self._session
+        while True:
+            if question := session.take_question():
+                try:
+                    proposal = await loop.run_in_executor(self._threads, question.answer)
+                except MagicalError as error:
+                    session.note_failure(question, str(error))
+                else:
+                    session.note_proposal(question, proposal)
+                self._wake.set()
+            else:
+                await self._step.wait()
+                self._step.clear()
 
     async def _send(self) -> None:
         shown = None
@@ -145,4 +174,4 @@ class Connection:
             if self._session.idle(now):
                 return Close.IDLE
             self._session.advance(now)
-            self._wake.set()
+            self._changed()

@@ -1,12 +1,13 @@
 """An episode that a person plays, with all that is needed to store it."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from magical.demos.record import recorded_trajectory
-from magical.demos.store.trajectory import Trajectory
+from magical.demos.store.trajectory import Actor, Trajectory
 from magical.envs.env import MagicalEnv
 from magical.envs.ids import EnvId
 from magical.envs.keys import Control, controls_of
@@ -22,10 +23,23 @@ class PlayedEpisode:
         self.env.reset(seed=seed)
         self.poses: list[NDArray[np.float64]] = []
         self.executed: Sequence[Control] | None = None  # in the last step; None: none yet
+        self.last_action: int | None = None
+        self.actors: list[Actor] = []  # who chose each action
+        self.policy_actions: list[int] = []  # of the policy that is watched, if any
         self._note_poses()
 
-    def step(self, action: int) -> bool:
-        """Step the environment; returns whether that was the last step."""
+    def step(self, action: int, actor: Actor = Actor.HUMAN, chosen: int | None = None) -> bool:
+        """Step the environment; returns whether that was the last step.
+
+        Args:
+            action: that is executed.
+            actor: who chose it.
+            chosen: what the policy that is watched chose, if one is.
+        """
+        self.actors.append(actor)
+        if chosen is not None:
+            self.policy_actions.append(chosen)
+        self.last_action = action
         truncated = self.env.step(action)[3]
         self.executed = controls_of(action)
         self._note_poses()
@@ -39,12 +53,31 @@ class PlayedEpisode:
         """Control steps so far."""
         return len(self.poses) - 1
 
-    def trajectory(self, demonstrator: str, view: str) -> Trajectory:
-        """The episode as a demonstration by the person of that name, who saw that view last."""
-        return recorded_trajectory(
+    @property
+    def is_demonstrated(self) -> bool:
+        """Whether a person acted in at least one step."""
+        return Actor.HUMAN in self.actors
+
+    def trajectory(self, demonstrator: str, view: str, policy: str | None = None) -> Trajectory:
+        """The episode as a demonstration.
+
+        Args:
+            demonstrator: the name of the person who acted.
+            view: what that person saw last.
+            policy: the name of the policy that was watched, if one was.
+        """
+        metadata = {"recorder": "magical play", "view": view}
+        trajectory = recorded_trajectory(
             self.env,
             self.poses,
             seed=self.seed,
             demonstrator=demonstrator,
-            metadata={"recorder": "magical play", "view": view},
+            metadata=metadata if policy is None else {**metadata, "policy": policy},
+        )
+        if policy is None:
+            return trajectory
+        return replace(
+            trajectory,
+            actors=np.array(self.actors, np.uint8),
+            policy_actions=np.array(self.policy_actions),
         )

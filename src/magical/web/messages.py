@@ -16,6 +16,7 @@ from magical.untrusted import check_plain
 
 MAX_BYTES = 1024  # of a message
 MAX_NAME = 100  # characters of a demonstrator's name
+MAX_POLICY = 10**6  # the number of a policy
 MAX_FRAME = 1 << 53  # the largest number of a frame: an integer that JavaScript can represent
 
 VIEWS: Mapping[str, tuple[View, ...]] = MappingProxyType(
@@ -72,7 +73,19 @@ class Discard:
     """Drop the episode that has ended."""
 
 
-Message = Keys | Start | Restart | Pause | Show | Keep | Discard
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """Start an episode in which a policy acts until a key is pressed; `None`: play without one."""
+
+    policy: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class HandBack:
+    """Let the policy go on that was taken over from, or paused."""
+
+
+Message = Keys | Start | Restart | Pause | Show | Keep | Discard | Watch | HandBack
 
 
 def parse_message(text: str) -> Message:
@@ -82,17 +95,23 @@ def parse_message(text: str) -> Message:
         MessageError: it is none: too long, no JSON object, of an unknown type, or with missing,
             additional or impossible fields.
     """
-    content = _json_object(text)
+    content = json_object(text)
     kind = content.pop("type", None)
     if not isinstance(kind, str) or kind not in _KINDS:
         raise MessageError(f"type: expected one of {', '.join(_KINDS)}, found {quoted(kind)}")
     make, checks = _KINDS[kind]
+    return make(**read(kind, content, checks))
+
+
+def read(kind: str, content: Mapping[str, Any], checks: "_Checks") -> dict[str, Any]:
+    """The checked fields of an object, which must be exactly those; raises `MessageError`."""
     if content.keys() != checks.keys():
         raise MessageError(f"{kind}: expected the fields {list(checks)}, found {quoted(content)}")
-    return make(**{name: check(content[name]) for name, check in checks.items()})
+    return {name: check(content[name]) for name, check in checks.items()}
 
 
-def _json_object(text: str) -> dict[str, Any]:
+def json_object(text: str) -> dict[str, Any]:
+    """A JSON object of at most `MAX_BYTES`; raises `MessageError`."""
     if len(text.encode(errors="replace")) > MAX_BYTES:
         raise MessageError(f"message: expected at most {MAX_BYTES} bytes, found {len(text)}")
     try:
@@ -115,10 +134,11 @@ def _held(value: Any) -> frozenset[Control]:
 
 
 def _seen(value: Any) -> int:
-    return _integer("seen", value, MAX_FRAME)
+    return checked_integer("seen", value, MAX_FRAME)
 
 
-def _env_id(value: Any) -> EnvId:
+def checked_env_id(value: Any) -> EnvId:
+    """An environment's id without a preset; raises `MessageError`."""
     if not isinstance(value, str):
         raise MessageError(f"env_id: expected an environment id, found {quoted(value)}")
     try:
@@ -127,15 +147,21 @@ def _env_id(value: Any) -> EnvId:
         raise MessageError(str(error)) from error
 
 
-def _seed(value: Any) -> int | None:
+def checked_seed(value: Any) -> int | None:
+    """A seed, or none; raises `MessageError`."""
     # Scenes of evaluation are not for demonstrations (docs/protocol.md).
-    return None if value is None else _integer("seed", value, FIRST_EVALUATION_SEED - 1)
+    return None if value is None else checked_integer("seed", value, FIRST_EVALUATION_SEED - 1)
 
 
-def _view(value: Any) -> str:
+def checked_view(value: Any) -> str:
+    """The name of one of `VIEWS`; raises `MessageError`."""
     if not isinstance(value, str) or value not in VIEWS:
         raise MessageError(f"view: expected one of {', '.join(VIEWS)}, found {quoted(value)}")
     return value
+
+
+def _policy(value: Any) -> int | None:
+    return None if value is None else checked_integer("policy", value, MAX_POLICY)
 
 
 def _demonstrator(value: Any) -> str:
@@ -148,7 +174,8 @@ def _demonstrator(value: Any) -> str:
     return value.strip()
 
 
-def _integer(name: str, value: Any, most: int) -> int:
+def checked_integer(name: str, value: Any, most: int) -> int:
+    """An integer from 0 to `most`; raises `MessageError`."""
     if type(value) is not int or not 0 <= value <= most:
         raise MessageError(f"{name}: expected an integer from 0 to {most}, found {quoted(value)}")
     return value
@@ -158,12 +185,14 @@ _Checks = Mapping[str, Callable[[Any], Any]]
 _KINDS: Mapping[str, tuple[Callable[..., Message], _Checks]] = MappingProxyType(
     {
         "keys": (Keys, {"held": _held, "seen": _seen}),
-        "start": (Start, {"env_id": _env_id, "seed": _seed}),
+        "start": (Start, {"env_id": checked_env_id, "seed": checked_seed}),
         "restart": (Restart, {}),
         "pause": (Pause, {}),
-        "view": (Show, {"view": _view}),
+        "view": (Show, {"view": checked_view}),
         "keep": (Keep, {"demonstrator": _demonstrator}),
         "discard": (Discard, {}),
+        "watch": (Watch, {"policy": _policy}),
+        "hand_back": (HandBack, {}),
     }
 )
 

@@ -6,8 +6,10 @@ import os
 import socket as sockets
 import time
 from collections.abc import AsyncIterator, Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from urllib.parse import parse_qs
 
@@ -29,6 +31,8 @@ from magical.render import warm_up
 from magical.tasks import TASKS
 from magical.web import frames
 from magical.web.connection import Clock, Close, Connection
+from magical.web.driver import Driver
+from magical.web.library.routes import Library, LibrarySettings
 from magical.web.messages import MAX_BYTES
 from magical.web.players import Players
 from magical.web.recorder import Recorder
@@ -36,12 +40,14 @@ from magical.web.security import HEADERS, Guard
 from magical.web.session import Session
 
 PAGE = Path(__file__).parent / "page"
+SCRIPTS = ("chart", "common", "grid", "input", "look", "main", "pane", "play")
 PAGE_FILES = {
     "/": ("index.html", "text/html"),
-    "/play.js": ("play.js", "text/javascript"),
     "/style.css": ("style.css", "text/css"),
+    **{f"/{name}.js": (f"{name}.js", "text/javascript") for name in SCRIPTS},
 }
 SHUTDOWN_TIME = 2  # s that open connections get to end
+DRIVING_THREADS = 2  # that policies which are watched are asked in
 SWEEP_TIME = 5.0  # s between looking for sessions that were not resumed in time
 
 
@@ -53,11 +59,13 @@ class PlaySettings:
         env_id: the environment that a new player starts in.
         record: the dataset's folder; `None`: nothing is recorded.
         max_players: the largest number of environments.
+        library: datasets and runs to look at; the dataset that is recorded is always listed.
     """
 
     env_id: EnvId
     record: Path | None = None
     max_players: int = 16
+    library: LibrarySettings = field(default_factory=LibrarySettings)
 
 
 class GuardMiddleware:
@@ -119,7 +127,8 @@ class PlayServer:
         clock: the time in seconds.
 
     Raises:
-        DatasetError: the folder to record in cannot be written.
+        DatasetError: the folder to record in cannot be written, or another one holds no dataset.
+        RunFolderError: a folder of runs does not exist.
     """
 
     def __init__(self, settings: PlaySettings, clock: Clock) -> None:
@@ -128,12 +137,15 @@ class PlayServer:
         self.players = Players(self._new_session, settings.max_players)
         self._clock = clock
         self._rng = np.random.default_rng()  # of the seeds of scenes
+        self._library = Library(_listed(settings), clock, self._rng)
+        self._threads = ThreadPoolExecutor(DRIVING_THREADS, "driver")
 
     def routes(self) -> list[BaseRoute]:
         """Every route. None takes a path from outside, so none can leave the page's folder."""
         return [
             *(Route(path, _page_file(*file)) for path, file in PAGE_FILES.items()),
             Route("/api/environments", self.environments),
+            *self._library.routes(),
             WebSocketRoute("/socket", self.play),
         ]
 
@@ -143,6 +155,8 @@ class PlayServer:
         sweep = asyncio.create_task(self._drop_expired())
         yield
         sweep.cancel()
+        self._library.close()
+        self._threads.shutdown(wait=True, cancel_futures=True)
         if self.recorder:
             await self.recorder.finish()
 
@@ -172,7 +186,7 @@ class PlayServer:
         if key and key != player.key:
             player.session.note_problem("Your former session was not resumed in time and is gone.")
         await socket.send_text(json.dumps({"type": "hello", "session": player.key}))
-        connection = Connection(socket, player, self._save, self._clock)
+        connection = Connection(socket, player, self._save, self._clock, self._threads)
         reason = await connection.run()
         if reason is Close.IDLE:
             self.players.remove(player)
@@ -182,7 +196,10 @@ class PlayServer:
 
     def _new_session(self, now: float) -> Session:
         recording = self.recorder is not None
-        return Session(self.settings.env_id, self._rng, now, recording=recording)
+        make_driver = partial(Driver, self._library.policies)
+        return Session(
+            self.settings.env_id, self._rng, now, recording=recording, make_driver=make_driver
+        )
 
     def _save(self, session: Session, trajectory: Trajectory) -> asyncio.Task[None]:
         assert self.recorder is not None  # otherwise a session does not offer to keep anything
@@ -194,11 +211,19 @@ class PlayServer:
             self.players.drop_expired(self._clock())
 
 
+def _listed(settings: PlaySettings) -> LibrarySettings:
+    """What the library lists: the recorded dataset too, and each dataset once."""
+    recorded = [settings.record] if settings.record else []
+    folders = {path.resolve(): path for path in [*settings.library.datasets, *recorded]}
+    return LibrarySettings(tuple(folders.values()), settings.library.runs)
+
+
 def create_app(settings: PlaySettings, guard: Guard, clock: Clock = time.monotonic) -> Starlette:
     """The application, for any ASGI server; `app.state.players` has the sessions.
 
     Raises:
-        DatasetError: the folder to record in cannot be written.
+        DatasetError: the folder to record in cannot be written, or another one holds no dataset.
+        RunFolderError: a folder of runs does not exist.
     """
     server = PlayServer(settings, clock)
     app = Starlette(

@@ -4,22 +4,27 @@ Time is passed in, in seconds of any steady clock; nothing here waits, reads a c
 sockets.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
-from magical.demos.store.trajectory import Trajectory
+from magical.demos.store.trajectory import Actor, Trajectory
 from magical.envs.ids import EnvId
-from magical.envs.keys import Control, action_of
+from magical.envs.keys import Control, action_of, controls_of
 from magical.envs.seeds import sample_training_seeds
-from magical.errors import MessageError
+from magical.errors import MessageError, NotFoundError
+from magical.scene import Poses, State
 from magical.scene.constants import CONTROL_RATE
+from magical.web.driver import Driver, Proposal, Seen
 from magical.web.episode import PlayedEpisode
 from magical.web.frames import FrameEncoder
 from magical.web.messages import (
     VIEWS,
     Discard,
+    HandBack,
     Keep,
     Keys,
     Message,
@@ -27,9 +32,11 @@ from magical.web.messages import (
     Restart,
     Show,
     Start,
+    Watch,
 )
 
 STEP_TIME = 1.0 / CONTROL_RATE  # s
+LOOK_TIME = STEP_TIME / 8  # s between looking whether a policy has chosen its action
 SILENCE_TIME = 2.0  # s without a message from the page, after which a running episode is paused
 IDLE_TIME = 600.0  # s without a key or a button, after which a session ends
 
@@ -44,21 +51,48 @@ class Phase(StrEnum):
     SAVING = "saving"  # the disk
 
 
+MakeDriver = Callable[[int, EnvId, int], Driver]
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What a policy chooses in the present state; to be answered in a thread."""
+
+    driver: Driver
+    seen: Seen
+
+    def answer(self) -> Proposal:
+        """Ask the policy; raises `MagicalError`."""
+        return self.driver.propose(self.seen)
+
+
 class Session:
     """One player's environment and episode, driven by messages and by the clock.
 
     The environment steps at 8 Hz from the first key to the horizon. A key that was pressed and let
     go between two steps counts for the next one.
 
+    Where a policy is watched, it acts from the start until a key is pressed, and again when it is
+    handed back to. It is asked in every state, whoever acts: take each `question`, and give its
+    answer to `note_proposal`.
+
     Args:
         env_id: the first environment.
         rng: samples the seeds of scenes.
         now: the time, in seconds.
         recording: whether episodes can be kept.
+        make_driver: makes the driver of an episode by the policy of a number; `None`: there is
+            none to watch.
     """
 
     def __init__(
-        self, env_id: EnvId, rng: np.random.Generator, now: float, *, recording: bool = False
+        self,
+        env_id: EnvId,
+        rng: np.random.Generator,
+        now: float,
+        *,
+        recording: bool = False,
+        make_driver: MakeDriver | None = None,
     ) -> None:
         self.recording = recording
         self.phase = Phase.READY
@@ -74,12 +108,18 @@ class Session:
         self._input_at = now
         self._fixed_seed = False  # whether the next episode has the same seed
         self._pending: Trajectory | None = None  # the episode that is to be stored
+        self._make_driver = make_driver
+        self._driver: Driver | None = None  # of the policy that is watched
+        self._is_handed = False  # whether the policy acts
+        self._proposal: Proposal | None = None  # what it chooses in the present state
+        self._asked = False  # for the proposal
         self._begin(env_id, None)
 
     def joined(self, now: float) -> None:
         """Note that a page was connected: it holds no keys, and a running episode is paused."""
         self._held = frozenset()
         self._heard_at = self._input_at = now
+        self._asked = False  # an answer may have been lost with the former connection
         self.pause()
         self._changed()
 
@@ -117,10 +157,11 @@ class Session:
         match message:
             case Start(env_id, seed):
                 self._require_decision()
-                self._begin(env_id, seed)
+                self._begin(env_id, seed, policy=self._policy)
             case Restart():
                 self._require_decision()
-                self._begin(self.episode.env_id, self.episode.seed, fixed=self._fixed_seed)
+                env_id, seed = self.episode.env_id, self.episode.seed
+                self._begin(env_id, seed, policy=self._policy, fixed=self._fixed_seed)
             case Pause():
                 self.pause()
             case Show(view):
@@ -128,11 +169,17 @@ class Session:
                 self._new_encoder()
             case Keep(demonstrator):
                 self._require(Phase.ENDED, "keep")
-                self._pending = self.episode.trajectory(demonstrator, self.view)
+                policy = self._driver.name if self._driver else None
+                self._pending = self.episode.trajectory(demonstrator, self.view, policy)
                 self.phase = Phase.SAVING
             case Discard():
                 self._require(Phase.ENDED, "discard")
-                self._next_episode()
+                self._next_episode(self._policy)
+            case Watch(policy):
+                self._require_decision()
+                self._next_episode(policy)
+            case HandBack():
+                self._hand_back()
 
     def note_problem(self, problem: str) -> None:
         """Tell the player what went wrong."""
@@ -145,19 +192,59 @@ class Session:
         self._pressed |= held - self._held
         started = bool(held - self._held)
         self._held = held
+        if started and self._is_handed:
+            self._is_handed = False
+            self._changed()
         if started and self.phase in (Phase.READY, Phase.PAUSED):
             self.phase = Phase.PLAYING
             self.notice = ""
             self._step_at = now
             self._changed()
 
+    def _hand_back(self) -> None:
+        if self._driver is None or self.phase in (Phase.ENDED, Phase.SAVING):
+            raise MessageError("hand back: there is no policy to hand back to")
+        self._is_handed = True
+        self._pressed = frozenset()
+        self.phase = Phase.PLAYING
+
+    @property
+    def can_keep(self) -> bool:
+        """Whether the episode, once it has ended, can be kept: a person has acted in it."""
+        return self.recording and self.episode.is_demonstrated
+
     def _require_decision(self) -> None:
-        if self.phase is Phase.SAVING or (self.phase is Phase.ENDED and self.recording):
+        if self.phase is Phase.SAVING or (self.phase is Phase.ENDED and self.can_keep):
             raise MessageError("keep or discard this episode first")
 
     def _require(self, phase: Phase, what: str) -> None:
-        if self.phase is not phase or not self.recording:
+        if self.phase is not phase or not self.can_keep:
             raise MessageError(f"{what}: there is no finished episode to {what}")
+
+    # The policy that is watched
+
+    def take_question(self) -> Question | None:
+        """What the policy is to be asked now, once for each state."""
+        if self._driver is None or self._asked or self.phase in (Phase.ENDED, Phase.SAVING):
+            return None
+        self._asked = True
+        state = self.episode.env.state()
+        poses = Poses(state.poses.bodies.copy())  # the episode goes on while the thread reads
+        copied = State(state.scene, poses, state.velocities.copy(), state.step, state.horizon)
+        return Question(self._driver, Seen(copied, self.episode.last_action))
+
+    def note_proposal(self, question: Question, proposal: Proposal) -> None:
+        """Note the answer to a question; one that comes too late has no effect."""
+        same_state = question.seen.state.step == self.episode.steps
+        if question.driver is self._driver and same_state:
+            self._proposal = proposal
+            self._changed()
+
+    def note_failure(self, question: Question, problem: str) -> None:
+        """Go on without a policy that has failed."""
+        if question.driver is self._driver:
+            self._begin(self.episode.env_id, self.episode.seed, fixed=self._fixed_seed)
+            self.note_problem(problem)
 
     # Storing
 
@@ -169,7 +256,7 @@ class Session:
     def stored(self) -> None:
         """The pending episode is in the dataset: go on with the next one."""
         self.kept += 1
-        self._next_episode()
+        self._next_episode(self._policy)
         self._changed()
 
     def not_stored(self, problem: str) -> None:
@@ -198,12 +285,24 @@ class Session:
             self.pause()
             self.note_problem("Paused: the page did not answer.")
             return
+        if self._driver is not None and self._proposal is None:
+            self._step_at = now + LOOK_TIME
+            return
         late = now - self._step_at > STEP_TIME
         self._step_at = STEP_TIME + (now if late else self._step_at)
-        held, self._pressed = self._held | self._pressed, frozenset()
-        if self.episode.step(action_of(held)):
-            self.phase = Phase.ENDED
+        self._step()
         self._changed()
+
+    def _step(self) -> None:
+        held, self._pressed = self._held | self._pressed, frozenset()
+        action, actor, chosen = action_of(held), Actor.HUMAN, None
+        if self._driver is not None and self._proposal is not None:
+            chosen = self._proposal.action
+            if self._is_handed:
+                action, actor = chosen, self._driver.actor
+        if self.episode.step(action, actor, chosen):
+            self.phase = Phase.ENDED
+        self._proposal, self._asked = None, False
 
     # What the page shows
 
@@ -211,6 +310,7 @@ class Session:
         """The session's state as plain JSON data."""
         episode, env = self.episode, self.episode.env
         return {
+            **self._watching(),
             "type": "status",
             "number": self.changes,
             "phase": self.phase,
@@ -225,26 +325,61 @@ class Session:
             "score": env.scores().score,
             "executed": episode.executed,
             "recording": self.recording,
+            "can_keep": self.can_keep,
             "kept": self.kept,
             "notice": self.notice,
+        }
+
+    def _watching(self) -> dict[str, Any]:
+        driver, proposal = self._driver, self._proposal
+        return {
+            "policy": driver.number if driver else None,
+            "policy_name": driver.name if driver else None,
+            "policy_acts": self._is_handed,
+            "proposed": controls_of(proposal.action) if proposal else None,
+            "probabilities": proposal.probabilities if proposal else None,
         }
 
     def frame(self) -> bytes:
         """The present frame as a PNG file."""
         return self._encoder.png(self.episode.poses[-1])
 
-    def _next_episode(self) -> None:
-        self._begin(self.episode.env_id, self.episode.seed if self._fixed_seed else None)
+    def _next_episode(self, policy: int | None) -> None:
+        seed = self.episode.seed if self._fixed_seed else None
+        self._begin(self.episode.env_id, seed, policy=policy)
 
-    def _begin(self, env_id: EnvId, seed: int | None, fixed: bool | None = None) -> None:
+    @property
+    def _policy(self) -> int | None:
+        return self._driver.number if self._driver else None
+
+    def _begin(
+        self,
+        env_id: EnvId,
+        seed: int | None,
+        *,
+        policy: int | None = None,
+        fixed: bool | None = None,
+    ) -> None:
+        """Begin an episode; with a policy that acts, at once, and otherwise with the first key."""
         chosen = sample_training_seeds(self._rng, 1)[0] if seed is None else seed
+        driver = self._new_driver(policy, env_id, chosen)
         episode = PlayedEpisode(env_id, chosen)
         self._fixed_seed = seed is not None if fixed is None else fixed
         self.episode = episode
+        self._driver = driver
+        self._is_handed = driver is not None
+        self._proposal, self._asked = None, False
         self._pending = None
-        self.phase = Phase.READY
+        self.phase = Phase.READY if driver is None else Phase.PLAYING
         self._pressed = frozenset()
         self._new_encoder()
+
+    def _new_driver(self, policy: int | None, env_id: EnvId, seed: int) -> Driver | None:
+        if policy is None:
+            return None
+        if self._make_driver is None:
+            raise NotFoundError("watch: this server has no policies")
+        return self._make_driver(policy, env_id, seed)
 
     def _new_encoder(self) -> None:
         scene = self.episode.env.state().scene

@@ -23,7 +23,8 @@ def assert_equal(a: Trajectory, b: Trajectory) -> None:
         assert getattr(a, field) == getattr(b, field), field
     assert (a.demonstrator, a.metadata) == (b.demonstrator, b.metadata)
     np.testing.assert_array_equal(a.actions, b.actions)
-    assert (a.expert_actions is None) == (b.expert_actions is None)
+    for name in ("expert_actions", "actors", "policy_actions"):
+        assert (getattr(a, name) is None) == (getattr(b, name) is None)
     np.testing.assert_array_equal(a.labels, b.labels)
     assert (a.poses is None) == (b.poses is None)
     if a.poses is not None and b.poses is not None:
@@ -41,7 +42,10 @@ def test_round_trip_is_exact(
         "magical/FixColour-TestAll-v0", metadata={"name": "me", "deep": [1, {}]}
     )
     labelled = make_trajectory(steps=4, expert_actions=[0, 17, 3, 3])
-    for trajectory in (posed, labelled, make_frames_trajectory()):
+    watched = make_trajectory(steps=3, actors=[0, 2, 1], policy_actions=[3, 0, 17])
+    np.testing.assert_array_equal(decode(encode(watched)).actors, [0, 2, 1])
+    np.testing.assert_array_equal(decode(encode(watched)).policy_actions, [3, 0, 17])
+    for trajectory in (posed, labelled, watched, make_frames_trajectory()):
         assert_equal(trajectory, decode(encode(trajectory)))
         assert encode(trajectory) == encode(decode(encode(trajectory)))
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magical.demos import Trajectory
+from magical.demos import Actor, Trajectory
 from magical.errors import TrajectoryError, UnknownNameError
 from magical.scene import Poses
 from magical.tasks import get_task
@@ -77,6 +77,10 @@ def test_preset_is_dropped_from_the_id() -> None:
         ({"poses": None, "frames": {"ego": FRAMES.astype(int)}}, "uint8"),
         ({"score": 1.5}, "score: expected a number from 0 to 1"),
         ({"score": None}, "from_poses"),
+        ({"policy_actions": np.array([1])}, "policy_actions: expected one for each of 2"),
+        ({"policy_actions": np.array([-1, 1])}, "policy_actions: expected numbers from 0 to 17"),
+        ({"actors": np.array([0])}, "actors: .* one for each of 2 actions"),
+        ({"actors": np.array([0, 3])}, "actors: expected numbers of policy, expert, human"),
         ({"published_code_score": None}, "published_code_score"),
         ({"published_code_score": float("nan")}, "nan"),
         ({"seed": -1}, "seed"),
@@ -89,6 +93,14 @@ def test_invalid_part_is_refused(change: dict[str, Any], message: str) -> None:
     Trajectory(**GOOD)
     with pytest.raises(TrajectoryError, match=message):
         Trajectory(**{**GOOD, **change})
+
+
+def test_a_policys_own_steps_are_not_demonstrated() -> None:
+    assert Trajectory(**GOOD).is_demonstrated.tolist() == [True, True]
+    actors = np.array([Actor.POLICY, Actor.HUMAN])
+    assert Trajectory(**GOOD, actors=actors).is_demonstrated.tolist() == [False, True]
+    relabelled = Trajectory(**GOOD, actors=actors, expert_actions=np.array([1, 2]))
+    assert relabelled.is_demonstrated.tolist() == [True, True]
 
 
 def test_unknown_environment() -> None:

@@ -1,8 +1,8 @@
 """The file format of a trajectory: an .npz archive, plain arrays that NumPy reads without pickle.
 
 Members: `header` (JSON as uint8), `actions` (T,) uint8, and `poses` (T + 1, 5 + blocks, 3) float64
-or `frames_allo` and `frames_ego` (T + 1, 96, 96, 3) uint8, or all of them; and `expert_actions`
-(T,) uint8 where the trajectory has them. Deflate already exploits the
+or `frames_allo` and `frames_ego` (T + 1, 96, 96, 3) uint8, or all of them; and `expert_actions`,
+`actors` and `policy_actions` (T,) uint8 where the trajectory has them. Deflate already exploits the
 repeated rows of blocks at rest and the similarity of successive frames: filters in front of it
 saved nothing.
 """
@@ -41,11 +41,12 @@ class _Member(NamedTuple):
     more_rows: int | None  # than there are actions; None: any number
 
 
+_BY_STEP = ("expert_actions", "actors", "policy_actions")  # one small number for each action
 _FRAMES = _Member("|u1", (FRAME_SIZE, FRAME_SIZE, 3), more_rows=1)
 _MEMBERS = {  # in the order of reading
     "header": _Member("|u1", (), more_rows=None),
     "actions": _Member("|u1", (), more_rows=None),
-    "expert_actions": _Member("|u1", (), more_rows=0),
+    **{name: _Member("|u1", (), more_rows=0) for name in _BY_STEP},
     "poses": _Member("<f8", (None, 3), more_rows=1),
     **{f"frames_{view}": _FRAMES for view in VIEWS},
 }
@@ -95,8 +96,9 @@ def encode(trajectory: Trajectory) -> bytes:
         "header": np.frombuffer(text, np.uint8),
         "actions": trajectory.actions.astype(np.uint8),
     }
-    if trajectory.expert_actions is not None:
-        arrays["expert_actions"] = trajectory.expert_actions.astype(np.uint8)
+    for name in _BY_STEP:
+        if (array := getattr(trajectory, name)) is not None:
+            arrays[name] = array.astype(np.uint8)
     if trajectory.poses is not None:
         arrays["poses"] = trajectory.poses
     for view, frames in (trajectory.frames or {}).items():
@@ -237,6 +239,8 @@ def _trajectory(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Traj
         poses=arrays.get("poses"),
         frames=frames or None,
         expert_actions=_expert_actions(header, arrays),
+        actors=arrays.get("actors"),
+        policy_actions=arrays.get("policy_actions"),
     )
 
 

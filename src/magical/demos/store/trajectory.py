@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,14 @@ RECOVERY = "recovery"  # in the metadata: how poses were recovered from frames
 MAX_NAME = 1000  # characters of an environment id or a demonstrator's name
 
 
+class Actor(IntEnum):
+    """Who chose an action that was executed, in an episode that several took part in."""
+
+    POLICY = 0
+    EXPERT = 1
+    HUMAN = 2
+
+
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Trajectory:
     """A recorded episode of T control steps, with T + 1 time steps from `reset` to its end.
@@ -32,6 +41,11 @@ class Trajectory:
     `actions` are those that were executed, which led from each pose to the next. Where others than
     the expert's were executed, in perturbed demonstrations and in DAgger's episodes,
     `expert_actions` has what the expert chose in each state. Imitation learners learn `labels`.
+
+    In an episode in which a person watched a policy and took over, `actors` says who acted in each
+    step, and `policy_actions` what the policy chose in each state, executed or not. Learners leave
+    out the steps that are not `is_demonstrated`, so that no policy learns its own mistakes (Kelly
+    et al., "HG-DAgger: interactive imitation learning with human experts", ICRA 2019).
 
     Raises:
         TrajectoryError: the parts do not match; the message names the one at fault.
@@ -48,14 +62,19 @@ class Trajectory:
     poses: NDArray[np.float64] | None = None  # (T + 1, 5 + blocks, 3), rows as in `Poses`
     frames: Mapping[str, NDArray[np.uint8]] | None = None  # view: (T + 1, 96, 96, 3)
     expert_actions: NDArray[np.int64] | None = None  # (T,); None: those that were executed
+    actors: NDArray[np.uint8] | None = None  # (T,), of `Actor`; None: the demonstrator, always
+    policy_actions: NDArray[np.int64] | None = None  # (T,), of the policy that was watched
     demonstrator: str = "unknown"  # the person or policy that chose the actions
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "env_id", parse_env_id(self.env_id).without_preset)
         object.__setattr__(self, "actions", checked_actions("actions", self.actions))
-        if self.expert_actions is not None:
-            object.__setattr__(self, "expert_actions", self._checked_labels(self.expert_actions))
+        for name in ("expert_actions", "policy_actions"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, self._checked_other(name, getattr(self, name)))
+        if self.actors is not None:
+            object.__setattr__(self, "actors", self._checked_actors(self.actors))
         if self.poses is None and self.frames is None:
             raise TrajectoryError("expected poses or frames, found none")
         if self.poses is not None:
@@ -103,6 +122,14 @@ class Trajectory:
         return self.actions if self.expert_actions is None else self.expert_actions
 
     @property
+    def is_demonstrated(self) -> NDArray[np.bool_]:
+        """Whether each label, (T,), is a demonstrator's and no policy's own action."""
+        if self.actors is None or self.expert_actions is not None:
+            return np.ones(len(self), np.bool_)
+        demonstrated: NDArray[np.bool_] = self.actors != Actor.POLICY
+        return demonstrated
+
+    @property
     def task(self) -> Task:
         """The task that was demonstrated."""
         return self.env_id.task_spec
@@ -117,14 +144,22 @@ class Trajectory:
         """Whether poses were recovered from frames: the simulation does not reproduce them."""
         return self.poses is not None and RECOVERY in self.metadata
 
-    def _checked_labels(self, labels: ArrayLike) -> NDArray[np.int64]:
-        array = checked_actions("expert_actions", labels)
+    def _checked_other(self, name: str, actions: ArrayLike) -> NDArray[np.int64]:
+        array = checked_actions(name, actions)
         if array.shape != self.actions.shape:
             raise TrajectoryError(
-                f"expert_actions: expected one for each of {len(self.actions)} actions, "
-                f"found {len(array)}"
+                f"{name}: expected one for each of {len(self.actions)} actions, found {len(array)}"
             )
         return array
+
+    def _checked_actors(self, actors: ArrayLike) -> NDArray[np.uint8]:
+        array = np.asarray(actors)
+        if array.shape != self.actions.shape or not np.isin(array, list(Actor)).all():
+            raise TrajectoryError(
+                f"actors: expected numbers of {', '.join(map(str.lower, Actor.__members__))}, one "
+                f"for each of {len(self.actions)} actions, found {array.dtype} {array.shape}"
+            )
+        return _frozen(array.astype(np.uint8))
 
     def _checked_poses(self, poses: ArrayLike) -> NDArray[np.float64]:
         expected = (len(self.actions) + 1, FIRST_BLOCK + len(self.scene.blocks), 3)

@@ -1,11 +1,11 @@
-// The page's side of playing: keys to the server, frames and status from it.
-"use strict";
+// Playing and watching: the connection, and frames and status from the server.
 
-const token = new URLSearchParams(location.search).get("token") ?? "";
-const element = (id) => document.getElementById(id);
-const KEYS = {
-  ArrowUp: "forward", ArrowDown: "back", ArrowLeft: "left", ArrowRight: "right", " ": "grip",
-};
+import {
+  element, envId, fill, fillTasks, fillVariants, inWords, offered, policyName, token,
+} from "./common.js";
+import { showGrid } from "./grid.js";
+import { forgetSent, sendKeys } from "./input.js";
+
 const CLOSED = {
   4001: "This session was opened in another tab.",
   4002: "The session ended because nothing was pressed for a long time. Reload to play again.",
@@ -14,18 +14,15 @@ const CLOSED = {
 const GIVE_UP = 90; // seconds without a connection; the server keeps an episode for 60
 const MAX_WAIT = 4; // seconds between two attempts to connect
 
-let socket = null;
+export let socket = null;
+export let latest = null; // the newest status from the server
 let lostSince = null;
 let wait = 0.25;
-let latest = null; // the newest status from the server
-let tasks = [];
 let decoding = Promise.resolve();
-const sources = { keys: new Set(), touch: new Set(), gamepad: new Set() };
-let sentHeld = "";
 
 // The connection
 
-function connect() {
+export function connect() {
   const scheme = location.protocol === "https:" ? "wss" : "ws";
   const query = new URLSearchParams({ token });
   const session = sessionStorage.getItem("session");
@@ -48,7 +45,7 @@ function greet(session) {
   sessionStorage.setItem("session", session);
   lostSince = null;
   wait = 0.25;
-  sentHeld = "";
+  forgetSent();
   say("Connected", "good");
   const view = localStorage.getItem("view");
   if (view) send({ type: "view", view });
@@ -68,11 +65,11 @@ function lost(event) {
   wait = Math.min(MAX_WAIT, 2 * wait);
 }
 
-function send(message) {
+export function send(message) {
   if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
 }
 
-function say(text, state) {
+export function say(text, state) {
   element("connection").textContent = text;
   element("connection").dataset.state = state;
 }
@@ -101,157 +98,110 @@ function showStatus(message) {
   element("score").toggleAttribute("data-good", message.score === 1);
   showExecuted(message.executed);
   element("notice").textContent = message.notice;
-  const deciding = message.phase === "ended" && message.recording;
-  element("decision").hidden = !deciding;
+  const choosing = deciding();
+  element("decision").hidden = !choosing;
   element("pause").disabled = message.phase !== "playing";
-  element("restart").disabled = element("new").disabled = deciding || message.phase === "saving";
+  element("restart").disabled = element("new").disabled = choosing || message.phase === "saving";
   element("name-label").hidden = !message.recording;
   element("view").value = message.view;
   if (message.recording) say(`Recording; ${message.kept} kept`, "good");
-  if (before?.phase !== message.phase) showPhase(message);
+  showPolicy(before, message);
+  const turned = before?.policy_acts !== message.policy_acts;
+  if (turned || before?.phase !== message.phase) showPhase(message);
   if (before?.env_id !== message.env_id) showEnvironment();
   const seen = `${message.task} ${message.variant}, seed ${message.seed}, ${message.phase}`;
   element("frame").setAttribute("aria-label", seen);
 }
 
+export function deciding() {
+  return latest?.phase === "ended" && latest.can_keep;
+}
+
 function showExecuted(executed) {
-  const names = executed?.length ? executed.join(" + ") : executed ? "none" : "–";
-  element("action").textContent = names;
+  element("action").textContent = inWords(executed);
   for (const button of document.querySelectorAll("[data-control]")) {
     button.toggleAttribute("data-lit", executed?.includes(button.dataset.control) ?? false);
   }
 }
 
-function showPhase({ phase, score, recording, seed }) {
+function showPhase(message) {
+  const { phase, score, seed, policy_name: policy } = message;
   const key = matchMedia("(pointer: coarse)").matches ? "button" : "key";
   const text = {
     ready: `Seed ${seed}. Press a ${key} to begin.`,
-    paused: `Paused. Press a ${key} to go on.`,
-    ended: `The end: score ${score.toFixed(2)}.${recording ? " Keep this episode?" : ""}`,
+    paused: policy ? `Paused. Hand back to let ${policy} go on; a ${key} takes over.`
+      : `Paused. Press a ${key} to go on.`,
+    ended: `The end: score ${score.toFixed(2)}.${
+      deciding() ? " Keep this episode?" : " Start over, or take a new scene."}`,
     saving: "Saving…",
   }[phase];
   element("prompt").hidden = !text;
   element("prompt-text").textContent = text ?? "";
 }
 
-function showEnvironment() {
-  if (!latest || !tasks.length) return;
-  const task = tasks.find((one) => one.name === latest.task);
+// The policy that is watched: who acts, what it would do.
+function showPolicy(before, message) {
+  const { policy, policy_name: name, policy_acts: acts, phase } = message;
+  element("watching").hidden = policy === null;
+  element("who").value = policy ?? "";
+  if (policy === null) return;
+  const going = phase === "playing" || phase === "paused";
+  element("hand-back").disabled = !going || (acts && phase === "playing");
+  if (before?.policy_acts !== acts || before?.policy !== policy) {
+    element("acting").textContent = acts ? `${name} acts. Any control takes over.`
+      : `You act, until you hand back to ${name}.`;
+    element("watching").toggleAttribute("data-human", !acts);
+  }
+  if (message.proposed) {
+    element("proposed").textContent = inWords(message.proposed);
+    showGrid(element("live-grid"), message.probabilities);
+  }
+}
+
+export function showEnvironment() {
+  if (!latest || !offered.tasks.length) return;
+  const task = offered.tasks.find((one) => one.name === latest.task);
   element("goal").textContent = task?.summary ?? latest.task;
-  element("task").value = latest.task;
-  fillVariants(latest.variant);
+  fillTasks(element("task"), undefined, latest.task);
+  fillVariants(element("variant"), latest.task, latest.variant);
+  fillWho();
 }
 
-function fill(select, names) {
-  select.replaceChildren(...names.map((name) => new Option(name, name)));
+// Who can act in this task.
+export function fillWho() {
+  const able = offered.policies.filter(({ tasks }) => tasks.includes(latest?.task));
+  const names = able.map((policy) => [policy.number, policyName(policy)]);
+  fill(element("who"), [["", "you"], ...names], latest?.policy ?? "");
 }
 
-function fillVariants(chosen) {
-  const task = tasks.find((one) => one.name === element("task").value);
-  const names = Object.keys(task?.env_ids ?? {});
-  fill(element("variant"), names);
-  element("variant").value = names.includes(chosen) ? chosen : names[0];
-}
+// What buttons and keys ask for
 
-// Keys, touch, gamepad: whatever holds a control
-
-function held() {
-  return [...new Set(Object.values(sources).flatMap((source) => [...source]))].sort();
-}
-
-function sendKeys(seen) {
-  const controls = held();
-  if (seen === undefined && controls.join() === sentHeld) return;
-  sentHeld = controls.join();
-  send({ type: "keys", held: controls, seen: seen ?? 0 });
-}
-
-function release() {
-  for (const source of Object.values(sources)) source.clear();
-  sendKeys();
-}
-
-function hold(source, control, down) {
-  if (down) sources[source].add(control);
-  else sources[source].delete(control);
-  sendKeys();
-}
-
-const COMMANDS = {
+export const COMMANDS = {
   r: () => send({ type: "restart" }),
   n: () => latest && send({ type: "start", env_id: latest.env_id, seed: null }),
   p: () => send({ type: "pause" }),
+  h: () => latest?.policy !== null && send({ type: "hand_back" }),
   k: () => deciding() && keep(),
   d: () => deciding() && send({ type: "discard" }),
 };
-
-function deciding() {
-  return latest?.phase === "ended" && latest.recording;
-}
 
 function keep() {
   send({ type: "keep", demonstrator: element("name").value.trim() || "player" });
 }
 
-function typing(target) {
-  return target.matches("input, select, button") && !target.matches("[type=checkbox]");
+function start(event) {
+  event.preventDefault();
+  const env_id = envId(element("task").value, element("variant").value);
+  const seed = element("seed").value === "" ? null : element("seed").valueAsNumber;
+  if (env_id) send({ type: "start", env_id, seed });
+  element("stage").focus();
 }
 
-function keyDown(event) {
-  if (event.ctrlKey || event.metaKey || event.altKey) return;
-  if (event.key === "Escape") return element("stage").focus();
-  if (typing(event.target)) return;
-  const control = KEYS[event.key];
-  if (control) {
-    event.preventDefault();
-    if (!event.repeat) hold("keys", control, true);
-  } else if (!event.repeat) {
-    COMMANDS[event.key.toLowerCase()]?.();
-  }
+function watch() {
+  const chosen = element("who").value;
+  send({ type: "watch", policy: chosen === "" ? null : Number(chosen) });
+  element("stage").focus();
 }
-
-function keyUp(event) {
-  if (event.key in KEYS) hold("keys", KEYS[event.key], false);
-}
-
-function bindPad(button) {
-  const control = button.dataset.control;
-  const press = (down) => hold("touch", control, down);
-  button.addEventListener("pointerdown", (event) => {
-    event.preventDefault();
-    button.setPointerCapture(event.pointerId);
-    press(true);
-  });
-  for (const name of ["pointerup", "pointercancel", "lostpointercapture", "blur"]) {
-    button.addEventListener(name, () => press(false));
-  }
-  for (const name of ["keydown", "keyup"]) {
-    button.addEventListener(name, (event) => {
-      if (event.key !== "Enter" && event.key !== " ") return;
-      event.preventDefault();
-      press(name === "keydown");
-    });
-  }
-  button.addEventListener("contextmenu", (event) => event.preventDefault());
-}
-
-function readGamepads() {
-  const pads = navigator.getGamepads().filter(Boolean);
-  const pressed = (index) => pads.some((pad) => pad.buttons[index]?.pressed);
-  const axis = (index, sign) => pads.some((pad) => sign * (pad.axes[index] ?? 0) > 0.5);
-  const states = {
-    forward: pressed(12) || axis(1, -1),
-    back: pressed(13) || axis(1, 1),
-    left: pressed(14) || axis(0, -1),
-    right: pressed(15) || axis(0, 1),
-    grip: pressed(0) || pressed(7),
-  };
-  sources.gamepad = new Set(Object.keys(states).filter((control) => states[control]));
-  sendKeys();
-  if (pads.length) requestAnimationFrame(readGamepads);
-}
-
-// The rest of the page
 
 function bindButton(id, act) {
   element(id).addEventListener("click", () => {
@@ -260,61 +210,28 @@ function bindButton(id, act) {
   });
 }
 
-function start(event) {
-  event.preventDefault();
-  const task = tasks.find((one) => one.name === element("task").value);
-  const env_id = task?.env_ids[element("variant").value];
-  const seed = element("seed").value === "" ? null : element("seed").valueAsNumber;
-  if (env_id) send({ type: "start", env_id, seed });
-  element("stage").focus();
+function remember(id, changed = () => {}) {
+  const kept = localStorage.getItem(id);
+  if (kept !== null && id === "name") element(id).value = kept;
+  element(id).addEventListener("change", () => {
+    localStorage.setItem(id, element(id).value);
+    changed();
+  });
 }
 
-function setPalette() {
-  const safe = element("palette").checked;
-  document.documentElement.dataset.palette = safe ? "safe" : "";
-  localStorage.setItem("palette", safe ? "safe" : "");
-}
-
-async function loadTasks() {
-  const answer = await fetch(`/api/environments?${new URLSearchParams({ token })}`);
-  if (!answer.ok) return say(await answer.text(), "lost");
-  tasks = (await answer.json()).tasks;
-  fill(element("task"), tasks.map((task) => task.name));
-  fillVariants();
-  showEnvironment();
-  connect();
-}
-
-function bind() {
-  document.addEventListener("keydown", keyDown);
-  document.addEventListener("keyup", keyUp);
-  window.addEventListener("blur", release);
-  document.addEventListener("focusin", (event) => typing(event.target) && release());
+export function bind() {
   document.addEventListener("visibilitychange", () => {
     if (document.hidden) send({ type: "pause" });
   });
-  window.addEventListener("gamepadconnected", () => requestAnimationFrame(readGamepads));
-  document.querySelectorAll("[data-control]").forEach(bindPad);
-  bindButton("restart", COMMANDS.r);
-  bindButton("new", COMMANDS.n);
-  bindButton("pause", COMMANDS.p);
-  bindButton("keep", keep);
-  bindButton("discard", () => send({ type: "discard" }));
+  for (const [id, key] of [["restart", "r"], ["new", "n"], ["pause", "p"], ["keep", "k"],
+    ["discard", "d"], ["hand-back", "h"]]) {
+    bindButton(id, COMMANDS[key]);
+  }
   element("choose").addEventListener("submit", start);
-  element("task").addEventListener("change", () => fillVariants(element("variant").value));
-  element("view").addEventListener("change", () => {
-    localStorage.setItem("view", element("view").value);
-    send({ type: "view", view: element("view").value });
+  element("task").addEventListener("change", () => {
+    fillVariants(element("variant"), element("task").value);
   });
-  element("name").value = localStorage.getItem("name") ?? "";
-  element("name").addEventListener("change", () => {
-    localStorage.setItem("name", element("name").value);
-  });
-  element("palette").checked = localStorage.getItem("palette") === "safe";
-  element("palette").addEventListener("change", setPalette);
-  setPalette();
-  element("stage").focus();
+  element("who").addEventListener("change", watch);
+  remember("view", () => send({ type: "view", view: element("view").value }));
+  remember("name");
 }
-
-bind();
-loadTasks().catch(() => say("The server does not answer. Reload to try again.", "lost"));

@@ -1,0 +1,115 @@
+"""An episode as the page shows it: what happened in each step, and its frames."""
+
+import struct
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical.demos.store.trajectory import Trajectory
+from magical.errors import NotFoundError, TrajectoryError
+from magical.scene import Poses
+from magical.web.frames import FrameEncoder, encode_png
+from magical.web.messages import VIEWS
+
+MAX_STEPS = 5000  # of an episode that can be looked at: ten minutes
+STORED_GAP = 2  # white pixels between two stored frames
+
+
+class ViewedEpisode:
+    """One episode, opened to be looked at. Not for several threads at once.
+
+    Raises:
+        TrajectoryError: it is longer than can be shown.
+    """
+
+    def __init__(self, trajectory: Trajectory) -> None:
+        if len(trajectory) > MAX_STEPS:
+            raise TrajectoryError(
+                f"expected an episode of at most {MAX_STEPS} steps, found {len(trajectory)}"
+            )
+        self.trajectory = trajectory
+        self._encoders: dict[str, FrameEncoder] = {}
+
+    @cached_property
+    def details(self) -> dict[str, Any]:
+        """Everything but the frames, as plain JSON data.
+
+        `scores` has the score of each of the T + 1 states, where poses are known.
+        """
+        episode = self.trajectory
+        return {
+            "env_id": episode.env_id,
+            "task": episode.env_id.task,
+            "seed": episode.seed,
+            "demonstrator": episode.demonstrator,
+            "steps": len(episode),
+            "views": self.views,
+            "has_poses": episode.poses is not None,
+            "is_recovered": episode.is_recovered,
+            "score": episode.score,
+            "published_code_score": episode.published_code_score,
+            "scores": self._scores(),
+            "actions": episode.actions.tolist(),
+            "expert_actions": _plain(episode.expert_actions),
+            "policy_actions": _plain(episode.policy_actions),
+            "actors": _plain(episode.actors),
+            "policy": str(episode.metadata.get("policy", "")),
+        }
+
+    @property
+    def views(self) -> list[str]:
+        """The names in `VIEWS` that frames can be had in."""
+        stored = self.trajectory.frames
+        if self.trajectory.poses is not None or stored is None:
+            return list(VIEWS)
+        return [name for name, views in VIEWS.items() if set(views) <= set(stored)]
+
+    def frames(self, view: str, first: int, count: int) -> bytes:
+        """Frames of the states from `first` on as PNG files, each after its size in four bytes.
+
+        Args:
+            view: one of `VIEWS`.
+            first: the first state, 0 to T.
+            count: at most so many; there are fewer at the end.
+
+        Raises:
+            NotFoundError: there is no such state, or it was not recorded in this view.
+        """
+        if first > len(self.trajectory) or view not in self.views:
+            raise NotFoundError(
+                f"frames: expected states 0 to {len(self.trajectory)} in one of the views "
+                f"{', '.join(self.views)}, found {first} and {view}"
+            )
+        last = min(first + count, len(self.trajectory) + 1)
+        files = [self._frame(view, time) for time in range(first, last)]
+        return b"".join(struct.pack(">I", len(file)) + file for file in files)
+
+    def _frame(self, view: str, time: int) -> bytes:
+        episode = self.trajectory
+        if episode.poses is None:
+            assert episode.frames is not None
+            return encode_png(_side_by_side([episode.frames[v][time] for v in VIEWS[view]]))
+        if view not in self._encoders:
+            self._encoders[view] = FrameEncoder(episode.scene, VIEWS[view])
+        return self._encoders[view].png(episode.poses[time])
+
+    def _scores(self) -> list[float] | None:
+        episode = self.trajectory
+        if episode.poses is None:
+            return None
+        return [
+            round(float(episode.task.score(episode.scene, Poses(bodies))), 4)
+            for bodies in episode.poses
+        ]
+
+
+def _plain(array: NDArray[Any] | None) -> list[int] | None:
+    return None if array is None else array.tolist()
+
+
+def _side_by_side(frames: list[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+    gap = np.full((len(frames[0]), STORED_GAP, 3), 255, np.uint8)
+    parts = [part for frame in frames for part in (gap, frame)]
+    return np.concatenate(parts[1:], axis=1)

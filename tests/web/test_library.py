@@ -1,0 +1,359 @@
+"""Datasets and runs to look at: what is listed, episodes step by step, what is refused."""
+
+import asyncio
+import dataclasses
+import json
+import random
+import string
+import struct
+import threading
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from magical.demos import Dataset, DatasetWriter, Frames, Trajectory
+from magical.demos.generate import demonstrate
+from magical.envs import EnvId
+from magical.errors import MessageError
+from magical.scene import Poses
+from magical.tasks import TASKS
+from magical.web.library import routes
+from magical.web.library.queries import (
+    EpisodeQuery,
+    FramesQuery,
+    ListQuery,
+    ProbabilitiesQuery,
+    parse_query,
+)
+from magical.web.library.routes import MAX_WAITING_ROLLOUTS, LibrarySettings
+from magical.web.library.sources import RolloutSource, unique_names
+from magical.web.messages import RateLimit
+from magical.web.server import PlaySettings
+from tests.web.serving import TOKEN, RunningServer, running
+
+REGION = "magical/MoveToRegion-Demo-v0"
+
+
+@pytest.fixture(scope="module")
+def demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two demonstrations with poses; and the first with nothing but its recorded frames."""
+    folder = tmp_path_factory.mktemp("library") / "demos"
+    writer = DatasetWriter(folder)
+    for seed in (1, 2):
+        writer.append(demonstrate(REGION, seed, perturb=0.2))
+    writer.append(frames_only(Dataset.open(folder)[0]))
+    return folder
+
+
+def frames_only(episode: Trajectory) -> Trajectory:
+    times = range(len(episode) + 1)
+    return Trajectory(
+        env_id=episode.env_id,
+        scene=episode.scene,
+        actions=episode.actions,
+        published_code_score=1.0,
+        frames={view: Frames(episode, view).take(times) for view in ("allo", "ego")},
+        demonstrator="human",
+    )
+
+
+@pytest.fixture(scope="module")
+def library(demos: Path) -> Iterator[RunningServer]:
+    settings = PlaySettings(
+        EnvId("MoveToRegion", "Demo"), library=LibrarySettings(datasets=(demos,))
+    )
+    with running(settings) as started:
+        yield started
+
+
+def get(server: RunningServer, path: str) -> Any:
+    answer = server.get(path)
+    assert answer.status == 200, answer.body
+    return json.loads(answer.body)
+
+
+def post(server: RunningServer, content: bytes | dict[str, Any]) -> tuple[int, Any]:
+    sent = content if isinstance(content, bytes) else json.dumps(content).encode()
+    origin = f"http://{server.host}"
+    answer = server.get("/api/rollouts", "POST", content=sent, Origin=origin)
+    return answer.status, json.loads(answer.body)
+
+
+def png_sizes(content: bytes) -> list[tuple[int, int]]:
+    sizes = []
+    while content:
+        (length,) = struct.unpack_from(">I", content)
+        sizes.append(Image.open(BytesIO(content[4 : 4 + length])).size)
+        content = content[4 + length :]
+    return sizes
+
+
+# What is listed
+
+
+def test_sources_policies_and_actions_are_listed(library: RunningServer) -> None:
+    found = get(library, "/api/library")
+    assert found["sources"] == [
+        {"key": "d0", "name": "demos"},
+        {"key": "rollouts", "name": "Rollouts of policies"},
+    ]
+    (expert,) = found["policies"]
+    assert (expert["number"], expert["name"], expert["algorithm"]) == (0, "expert", None)
+    assert set(expert["tasks"]) == set(TASKS)
+    assert found["actions"][1] == {"name": "forward-straight-open", "controls": ["forward"]}
+    assert found["actors"] == ["policy", "expert", "human"]
+
+
+def test_the_recorded_dataset_is_always_listed_and_grows(
+    server: RunningServer, dataset: Path
+) -> None:
+    assert get(server, "/api/library")["sources"][0] == {"key": "d0", "name": "demos"}
+    listed = "/api/episodes?source=d0&task=&skip=0"
+    assert get(server, listed) == {"total": 0, "episodes": []}
+    DatasetWriter(dataset).append(demonstrate(REGION, 7))
+    assert [entry["seed"] for entry in get(server, listed)["episodes"]] == [7]
+
+
+def test_episodes_are_listed_newest_first_page_by_page(
+    library: RunningServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(routes, "PAGE", 2)
+    first = get(library, "/api/episodes?source=d0&task=&skip=0")
+    assert first["total"] == 3
+    assert [entry["number"] for entry in first["episodes"]] == [2, 1]
+    human, expert = first["episodes"]
+    assert (human["demonstrator"], human["score"]) == ("human", None)
+    assert (expert["env_id"], expert["seed"], expert["length"]) == (REGION, 2, 40)
+    of_task = "/api/episodes?source=d0&task={}&skip=0"
+    assert get(library, of_task.format("MoveToRegion"))["total"] == 3
+    assert get(library, of_task.format("FindDupe")) == {"total": 0, "episodes": []}
+    (last,) = get(library, "/api/episodes?source=d0&task=&skip=2")["episodes"]
+    assert last["number"] == 0
+
+
+def test_folders_of_one_name_are_told_apart() -> None:
+    folders = [Path("a/demos"), Path("b/demos"), Path("c/demos"), Path("other")]
+    assert unique_names(folders) == ["demos", "demos (2)", "demos (3)", "other"]
+
+
+# Episodes
+
+
+def test_an_episode_has_actions_and_the_score_of_every_state(
+    library: RunningServer, demos: Path
+) -> None:
+    shown = get(library, "/api/episode?source=d0&episode=1")
+    stored = Dataset.open(demos)[1]
+    assert stored.poses is not None
+    assert shown["actions"] == stored.actions.tolist()
+    assert shown["expert_actions"] == stored.labels.tolist() != shown["actions"]
+    scores = [stored.task.score(stored.scene, Poses(bodies)) for bodies in stored.poses]
+    assert shown["scores"] == pytest.approx(scores, abs=1e-4)
+    assert len(shown["scores"]) == shown["steps"] + 1
+    assert shown["views"] == ["allo", "ego", "both"]
+
+
+def test_frames_are_rendered_where_poses_are_known(library: RunningServer) -> None:
+    path = "/api/frames?source=d0&episode=1&view={}&first={}&count={}"
+    assert png_sizes(library.get(path.format("both", 0, 3)).body) == [(776, 384)] * 3
+    assert png_sizes(library.get(path.format("ego", 39, 16)).body) == [(384, 384)] * 2
+    first, second = (library.get(path.format("allo", time, 1)).body for time in (0, 30))
+    assert first != second
+
+
+def test_without_poses_the_stored_frames_are_shown_and_no_scores(library: RunningServer) -> None:
+    shown = get(library, "/api/episode?source=d0&episode=2")
+    assert (shown["has_poses"], shown["scores"], shown["score"]) == (False, None, None)
+    path = "/api/frames?source=d0&episode=2&view={}&first=40&count=16"
+    assert png_sizes(library.get(path.format("both")).body) == [(194, 96)]
+    assert png_sizes(library.get(path.format("allo")).body) == [(96, 96)]
+
+
+def test_stored_frames_are_sent_as_they_are(library: RunningServer, demos: Path) -> None:
+    answer = library.get("/api/frames?source=d0&episode=2&view=ego&first=5&count=1").body
+    frames = Dataset.open(demos)[2].frames
+    assert frames is not None
+    np.testing.assert_array_equal(np.array(Image.open(BytesIO(answer[4:]))), frames["ego"][5])
+
+
+# Rollouts
+
+
+def test_the_expert_is_rolled_out(library: RunningServer) -> None:
+    status, made = post(library, {"policy": 0, "env_id": REGION, "seed": 4})
+    assert (status, made["source"]) == (200, "rollouts")
+    shown = get(library, f"/api/episode?source=rollouts&episode={made['episode']}")
+    assert (shown["seed"], shown["demonstrator"], shown["scores"][-1]) == (4, "expert", 1.0)
+    listed = get(library, "/api/episodes?source=rollouts&task=&skip=0")["episodes"]
+    assert listed[0]["number"] == made["episode"]
+
+
+def test_old_rollouts_are_dropped() -> None:
+    source = RolloutSource(limit=2)
+    episode = demonstrate(REGION, 1)
+    assert [source.add(episode) for _ in range(3)] == [0, 1, 2]
+    assert [summary.number for summary in source.summaries()] == [1, 2]
+
+
+def test_work_is_not_piled_up(library: RunningServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    release = threading.Event()
+    episode = demonstrate(REGION, 1)
+
+    def slow(*_: Any) -> Any:
+        assert release.wait(60)
+        return episode
+
+    monkeypatch.setattr(routes, "roll_out", slow)
+    answers: list[int] = []
+    wanted = {"policy": 0, "env_id": REGION, "seed": 1}
+    threads = [
+        threading.Thread(target=lambda: answers.append(post(library, wanted)[0]))
+        for _ in range(MAX_WAITING_ROLLOUTS + 3)
+    ]
+    for thread in threads:
+        thread.start()
+    while len(answers) < 3:  # refused at once
+        assert (
+            get(library, "/api/episodes?source=d0&task=&skip=0")["total"] == 3
+        )  # the rest goes on
+    release.set()
+    for thread in threads:
+        thread.join()
+    assert sorted(answers) == [200] * MAX_WAITING_ROLLOUTS + [503] * 3
+
+
+# What is refused
+
+
+PATHS = (
+    "/api/library",
+    "/api/episodes?source=d0&task=&skip=0",
+    "/api/episode?source=d0&episode=0",
+    "/api/frames?source=d0&episode=0&view=allo&first=0&count=1",
+    "/api/probabilities?source=d0&episode=0&policy=1",
+)
+
+
+@pytest.mark.parametrize("path", [*PATHS, "/api/rollouts"])
+def test_every_route_needs_token_host_and_origin(library: RunningServer, path: str) -> None:
+    method = "POST" if path == "/api/rollouts" else "GET"
+    origin = f"http://{library.host}"
+    for token in (None, "wrong", TOKEN[:-1]):
+        assert library.get(path, method, token=token, Origin=origin).status == 403
+    assert library.get(path, method, Host="evil.example", Origin=origin).status == 403
+    assert library.get(path, method, Origin="http://evil.example").status == 403
+    if method == "POST":
+        assert library.get(path, method).status == 403
+
+
+@pytest.mark.parametrize(
+    ("path", "status"),
+    [
+        ("/api/library?more=1", 400),
+        ("/api/episodes?source=d0&skip=0", 400),
+        ("/api/episodes?source=d0&task=MoveToMoon&skip=0", 400),
+        ("/api/episodes?source=d0&task=&skip=-1", 400),
+        ("/api/episodes?source=d0&task=&skip=0&skip=1", 400),
+        ("/api/episodes?source=../demos&task=&skip=0", 404),
+        ("/api/episodes?source=d1&task=&skip=0", 404),
+        (f"/api/episodes?source={'d' * 21}&task=&skip=0", 400),
+        ("/api/episode?source=d0&episode=3", 404),
+        ("/api/episode?source=d0&episode=../0", 400),
+        ("/api/episode?source=d0&episode=1e1", 400),
+        ("/api/episode?source=d0&episode=%C2%B2", 400),
+        ("/api/episode?source=rollouts&episode=99", 404),
+        ("/api/frames?source=d0&episode=0&view=side&first=0&count=1", 400),
+        ("/api/frames?source=d0&episode=0&view=allo&first=41&count=1", 404),
+        ("/api/frames?source=d0&episode=0&view=allo&first=0&count=17", 400),
+        ("/api/frames?source=d0&episode=0&view=allo&first=0&count=0", 400),
+        ("/api/probabilities?source=d0&episode=0&policy=7", 404),
+        ("/api/probabilities?source=d0&episode=0&policy=0", 422),
+    ],
+)
+def test_other_queries_are_refused_and_say_why(
+    library: RunningServer, path: str, status: int
+) -> None:
+    answer = library.get(path)
+    assert (answer.status, bool(json.loads(answer.body)["problem"])) == (status, True)
+
+
+@pytest.mark.parametrize(
+    ("content", "status"),
+    [
+        (b"", 400),
+        (b"[]", 400),
+        (b"{" * 500, 400),
+        (b" " * 5000, 400),
+        ({"policy": 0, "env_id": REGION}, 400),
+        ({"policy": "0", "env_id": REGION, "seed": 1}, 400),
+        ({"policy": 0, "env_id": "magical/MoveToMoon-Demo-v0", "seed": 1}, 400),
+        ({"policy": 0, "env_id": REGION, "seed": 10**9}, 400),
+        ({"policy": 9, "env_id": REGION, "seed": 1}, 404),
+    ],
+)
+def test_other_rollouts_are_refused(
+    library: RunningServer, content: bytes | dict[str, Any], status: int
+) -> None:
+    assert post(library, content)[0] == status
+
+
+def test_a_body_is_read_no_further_than_is_allowed() -> None:
+    class Endless:
+        parts = 0
+
+        async def stream(self) -> Any:
+            while True:
+                self.parts += 1
+                yield b" " * 600
+
+    request: Any = Endless()
+    with pytest.raises(MessageError, match="at most 1024 bytes"):
+        asyncio.run(routes.body(request))
+    assert request.parts == 2
+
+
+GOOD = {"source": "d0", "task": "", "skip": "0", "episode": "0", "policy": "1"}
+GOOD |= {"view": "allo", "first": "0", "count": "1"}
+
+
+def test_a_thousand_malformed_queries_are_refused() -> None:
+    rng = random.Random(0)
+    kinds = (ListQuery, EpisodeQuery, FramesQuery, ProbabilitiesQuery)
+    for number in range(1000):
+        kind = kinds[number % len(kinds)]
+        given = {field.name: GOOD[field.name] for field in dataclasses.fields(kind)}
+        assert parse_query(kind, given)
+        name = rng.choice(list(given))
+        choice = rng.randrange(3)
+        if choice == 0:
+            del given[name]
+        elif choice == 1:
+            given[rng.choice(string.ascii_letters)] = given[name]
+        else:
+            given[name] = "\0" + "".join(rng.choices(string.printable, k=rng.randrange(60)))
+            given[name] *= 1 if name != "source" else 25  # any short key may be looked up
+        with pytest.raises(MessageError):
+            parse_query(kind, given)
+
+
+def test_requests_are_limited_in_rate(
+    library: RunningServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(RateLimit, "allows", lambda *_: False)
+    assert library.get("/api/library").status == 429
+
+
+def test_a_damaged_dataset_says_so(server: RunningServer, dataset: Path) -> None:
+    DatasetWriter(dataset).append(demonstrate(REGION, 7))
+    (file,) = (dataset / "trajectories").iterdir()
+    file.write_bytes(file.read_bytes()[:-10])
+    answer = server.get("/api/episode?source=d0&episode=0")
+    assert answer.status == 422
+    assert "cut off" in json.loads(answer.body)["problem"]
+    (dataset / "manifest.jsonl").write_text("nothing\n")
+    assert server.get("/api/episodes?source=d0&task=&skip=0").status == 422

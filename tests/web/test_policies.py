@@ -1,0 +1,131 @@
+"""The policies that the page offers: which runs are found, and what they do in an episode."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from magical.demos import DatasetWriter
+from magical.demos.generate import demonstrate
+from magical.envs import EnvId
+from magical.errors import CheckpointError, NotFoundError, PolicyError, RunFolderError
+from magical.web.driver import Driver, Proposal, Seen
+from magical.web.episode import PlayedEpisode
+from magical.web.library.policies import EXPERT, Policies, episode_probabilities
+from magical.web.library.rollouts import roll_out
+
+ENV = EnvId("MoveToRegion", "Demo")
+
+
+def write_config(folder: Path, **content: object) -> None:
+    folder.mkdir(parents=True)
+    (folder / "config.json").write_text(json.dumps(content))
+
+
+def test_runs_are_found_below_a_folder_and_keep_their_numbers(tmp_path: Path) -> None:
+    write_config(tmp_path / "b", algorithm="bc", tasks=["MoveToRegion", "NoSuchTask"])
+    policies = Policies([tmp_path])
+    assert [entry.name for entry in policies.refresh()] == ["expert", "b"]
+    assert policies.find(1).tasks == ("MoveToRegion",)
+    write_config(tmp_path / "a" / "seed-0", algorithm="gail", tasks=["FindDupe"])
+    write_config(tmp_path / "too" / "deep" / "for" / "us", algorithm="bc", tasks=[])
+    found = policies.refresh()
+    assert [entry.name for entry in found] == ["expert", "b", "a/seed-0"]
+    assert found[2].algorithm == "gail"
+
+
+def test_runs_of_two_folders_are_told_apart(tmp_path: Path) -> None:
+    for folder in ("first/runs", "second/runs"):
+        write_config(tmp_path / folder / "bc", algorithm="bc", tasks=[])
+    policies = Policies([tmp_path / "first/runs", tmp_path / "second/runs"])
+    assert [entry.name for entry in policies.refresh()] == ["expert", "runs/bc", "runs (2)/bc"]
+
+
+def test_a_run_folder_itself_can_be_given(tmp_path: Path) -> None:
+    write_config(tmp_path / "mine", algorithm="bc", tasks=[])
+    assert Policies([tmp_path / "mine"]).find(1).name == "mine"
+
+
+def test_damaged_runs_are_listed_and_a_missing_folder_is_an_error(tmp_path: Path) -> None:
+    write_config(tmp_path / "odd", algorithm="bc", tasks=7)
+    (tmp_path / "text").mkdir()
+    (tmp_path / "text" / "config.json").write_text("{")
+    entries = Policies([tmp_path]).refresh()
+    assert [entry.name for entry in entries] == ["expert", "odd (damaged)", "text (damaged)"]
+    with pytest.raises(RunFolderError, match="no-such-folder"):
+        Policies([tmp_path / "no-such-folder"])
+
+
+def test_only_known_policies_act_and_only_in_their_tasks(tmp_path: Path) -> None:
+    write_config(tmp_path / "mine", algorithm="bc", tasks=["FindDupe"])
+    policies = Policies([tmp_path])
+    for number in (-1, 2):
+        with pytest.raises(NotFoundError, match=f"found number {number}"):
+            policies.find(number)
+    with pytest.raises(PolicyError, match="FindDupe; found magical/MoveToRegion-Demo-v0"):
+        roll_out(policies, 1, ENV, 0)
+    with pytest.raises(PolicyError, match="FindDupe"):
+        Driver(policies, 1, ENV, 0)
+    with pytest.raises(PolicyError, match="no action probabilities"):
+        policies.load(EXPERT)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Policies:
+    """A run of three batches, number 1."""
+    pytest.importorskip("torch")
+    from magical.learning import train
+    from magical.learning.algorithms.bc import BCConfig
+
+    folder = tmp_path_factory.mktemp("trained")
+    DatasetWriter(folder / "demos").append(demonstrate(ENV, 1))
+    config = BCConfig.preset(
+        "quick",
+        tasks=("MoveToRegion",),
+        demos=str(folder / "demos"),
+        num_demos=1,
+        batches=3,
+        network="small",
+        device="cpu",
+        threads=1,
+    )
+    train(config, folder / "runs" / "mine")
+    return Policies([folder / "runs"])
+
+
+def test_a_watched_run_acts_as_in_its_rollout_with_the_same_probabilities(
+    trained: Policies,
+) -> None:
+    seed = 11
+    alone = roll_out(trained, 1, ENV, seed)
+    judged = episode_probabilities(trained.load(1), alone)
+    assert judged.shape == (len(alone), 18)
+    np.testing.assert_allclose(judged.sum(axis=1), 1.0)
+    driver, episode = Driver(trained, 1, ENV, seed), PlayedEpisode(ENV, seed)
+    for action, row in zip(alone.actions.tolist(), judged, strict=True):
+        proposal = driver.propose(Seen(episode.env.state(), episode.last_action))
+        assert proposal.action == action
+        np.testing.assert_allclose(proposal.probabilities or (), row, atol=1e-3)
+        episode.step(proposal.action, driver.actor, proposal.action)
+    assert alone.demonstrator == "mine"
+
+
+def test_a_state_that_is_asked_for_twice_gets_one_answer(trained: Policies) -> None:
+    driver, episode = Driver(trained, 1, ENV, 11), PlayedEpisode(ENV, 11)
+    first = driver.propose(Seen(episode.env.state(), None))
+    assert isinstance(first, Proposal)
+    assert driver.propose(Seen(episode.env.state(), None)) is first
+
+
+def test_a_new_checkpoint_is_loaded(trained: Policies) -> None:
+    before = trained.load(1)
+    assert trained.load(1) is before
+    folder = trained.find(1).folder
+    assert folder is not None
+    checkpoint = folder / "checkpoint.safetensors"
+    checkpoint.touch()
+    assert trained.load(1) is not before
+    checkpoint.write_bytes(b"")
+    with pytest.raises(CheckpointError):
+        trained.load(1)

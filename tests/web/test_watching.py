@@ -1,0 +1,294 @@
+"""Watching a policy, taking over from it and handing back; what of it is recorded."""
+
+import json
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from magical.demos import Actor, Dataset
+from magical.demos.replay import replay
+from magical.demos.store.codec import decode, encode
+from magical.envs import EnvId
+from magical.envs.keys import Control, controls_of
+from magical.errors import MessageError, NotFoundError
+from magical.experts import rollout
+from magical.web import driver as driver_module
+from magical.web import session as session_module
+from magical.web.driver import Driver
+from magical.web.library.policies import Policies
+from magical.web.messages import (
+    Discard,
+    HandBack,
+    Keep,
+    Keys,
+    Message,
+    Pause,
+    Restart,
+    Start,
+    Watch,
+)
+from magical.web.session import IDLE_TIME, STEP_TIME, Phase, Session
+from tests.web.serving import RunningServer, close_code
+
+ENV = EnvId("MoveToRegion", "Demo")
+FORWARD, LEFT, GRIP = Control.FORWARD, Control.LEFT, Control.GRIP
+
+
+class Watched:
+    """A session that watches the expert, with a clock of its own; policies answer at once."""
+
+    def __init__(self, seed: int = 3, **options: Any) -> None:
+        self.now = 1000.0
+        policies = Policies()
+        self.session = Session(
+            ENV,
+            np.random.default_rng(0),
+            self.now,
+            make_driver=lambda *given: Driver(policies, *given),
+            **options,
+        )
+        self.session.joined(self.now)
+        self.send(Start(ENV, seed))
+        self.send(Watch(0))
+
+    def send(self, message: Message) -> None:
+        self.session.handle(message, self.now)
+        self.run()
+
+    def run(self) -> None:
+        if question := self.session.take_question():
+            self.session.note_proposal(question, question.answer())
+        self.session.advance(self.now)
+
+    def step(self, count: int, *held: Control) -> None:
+        for _ in range(count):
+            self.now += STEP_TIME
+            self.send(Keys(frozenset(held), 0))
+
+    @property
+    def status(self) -> dict[str, Any]:
+        return self.session.status()
+
+    def finish(self) -> None:
+        while self.session.phase is Phase.PLAYING:
+            self.step(1)
+
+
+def test_a_watched_policy_acts_from_the_start_as_it_would_alone() -> None:
+    watched = Watched(seed=3)
+    assert (watched.status["phase"], watched.status["policy_acts"]) == ("playing", True)
+    watched.finish()
+    actions = watched.session.episode.env.get_state()["actions"]
+    assert actions == rollout("MoveToRegion", "Demo", 3).actions.tolist()
+    assert watched.status["score"] == 1.0
+
+
+def test_a_key_takes_over_and_the_policy_goes_on_when_it_is_handed_back_to() -> None:
+    watched = Watched()
+    watched.step(3)
+    watched.step(4, LEFT)
+    assert watched.status["policy_acts"] is False
+    assert watched.status["executed"] == (LEFT,)
+    watched.step(2)  # no key: still the person's turn
+    assert watched.status["executed"] == ()
+    watched.send(HandBack())
+    assert watched.status["policy_acts"] is True
+    watched.finish()
+    actors = watched.session.episode.actors
+    taken = [step for step, actor in enumerate(actors) if actor is Actor.HUMAN]
+    assert taken == list(range(taken[0], taken[0] + 6))
+    assert set(actors) == {Actor.EXPERT, Actor.HUMAN}
+    assert watched.status["score"] == 1.0  # the expert recovered from where it was led
+
+
+def test_an_intervention_is_recorded_as_such() -> None:
+    watched = Watched(recording=True)
+    watched.step(3)
+    watched.step(5, LEFT, GRIP)
+    watched.send(HandBack())
+    watched.finish()
+    watched.send(Keep("Ada"))
+    found = watched.session.take_pending()
+    assert found is not None
+    stored = decode(encode(found))
+    assert stored.actors is not None
+    assert stored.policy_actions is not None
+    human = stored.actors == Actor.HUMAN
+    assert human.sum() == 5
+    assert {controls_of(action) for action in stored.actions[human].tolist()} == {(LEFT, GRIP)}
+    np.testing.assert_array_equal(stored.actions[~human], stored.policy_actions[~human])
+    assert (stored.actions[human] != stored.policy_actions[human]).any()
+    np.testing.assert_array_equal(stored.labels, stored.actions)
+    assert stored.is_demonstrated.all()  # the expert and the person are demonstrators both
+    assert (stored.demonstrator, stored.metadata["policy"]) == ("Ada", "expert")
+    assert replay(stored).departure == 0.0
+
+
+def test_only_episodes_in_which_a_person_acted_are_kept() -> None:
+    watched = Watched(recording=True)
+    watched.finish()
+    assert (watched.status["phase"], watched.status["can_keep"]) == ("ended", False)
+    for message in (Keep("Ada"), Discard()):
+        with pytest.raises(MessageError, match="no finished episode"):
+            watched.send(message)
+    watched.send(Restart())
+    assert (watched.status["phase"], watched.status["policy_acts"]) == ("playing", True)
+
+
+def test_a_paused_policy_goes_on_when_it_is_handed_back_to() -> None:
+    watched = Watched()
+    watched.step(2)
+    watched.send(Pause())
+    steps = watched.session.episode.steps
+    watched.step(3)
+    assert (watched.status["phase"], watched.session.episode.steps) == ("paused", steps)
+    watched.send(HandBack())
+    watched.step(3)
+    assert (watched.status["phase"], watched.status["policy_acts"]) == ("playing", True)
+    assert watched.session.episode.steps >= steps + 3
+
+
+def test_the_environment_waits_for_a_slow_policy_and_late_answers_have_no_effect() -> None:
+    watched = Watched()
+    session = watched.session
+    watched.step(2)
+    question = session.take_question()
+    assert question is not None
+    assert session.take_question() is None  # asked once for each state
+    steps = session.episode.steps
+    for _ in range(10):
+        watched.now += STEP_TIME
+        session.advance(watched.now)
+    assert session.episode.steps == steps
+    session.handle(Restart(), watched.now)
+    session.note_proposal(question, question.answer())
+    session.advance(watched.now + STEP_TIME)
+    assert session.episode.steps == 0
+
+
+def test_a_state_is_asked_for_again_after_a_lost_connection() -> None:
+    watched = Watched()
+    watched.step(2)
+    lost = watched.session.take_question()
+    assert lost is not None
+    watched.session.joined(watched.now)
+    again = watched.session.take_question()
+    assert again is not None
+    assert again.answer() == lost.answer()
+
+
+def test_playing_without_a_policy_again() -> None:
+    watched = Watched()
+    watched.send(Watch(None))
+    assert (watched.status["policy"], watched.status["phase"]) == (None, "ready")
+    with pytest.raises(MessageError, match="no policy to hand back to"):
+        watched.send(HandBack())
+
+
+def test_unknown_policies_change_nothing() -> None:
+    watched = Watched()
+    watched.step(2)
+    with pytest.raises(NotFoundError, match="policy"):
+        watched.send(Watch(1))
+    assert (watched.status["policy"], watched.session.episode.steps > 0) == (0, True)
+    with pytest.raises(NotFoundError, match="no policies"):
+        Session(ENV, np.random.default_rng(0), 0.0).handle(Watch(0), 0.0)
+
+
+def test_a_policy_that_fails_leaves_the_environment_to_the_person() -> None:
+    watched = Watched()
+    watched.session.joined(watched.now)
+    question = watched.session.take_question()
+    assert question is not None
+    watched.session.note_failure(question, "no checkpoint")
+    assert (watched.status["policy"], watched.status["phase"]) == (None, "ready")
+    assert (watched.status["notice"], watched.status["seed"]) == ("no checkpoint", 3)
+
+
+def test_watching_becomes_idle_like_playing() -> None:
+    watched = Watched()
+    while watched.now < 1000.0 + IDLE_TIME - 1.0:
+        watched.now += 1.0
+        watched.send(Keys(frozenset(), 0))
+    assert not watched.session.idle(watched.now)
+    assert watched.session.idle(watched.now + 2.0)
+
+
+# Over real connections
+
+
+@pytest.fixture
+def fast(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let an episode take a moment."""
+    monkeypatch.setattr(session_module, "STEP_TIME", 0.004)
+    monkeypatch.setattr(session_module, "LOOK_TIME", 0.001)
+
+
+@pytest.mark.usefixtures("fast")
+def test_taking_over_is_in_the_dataset(server: RunningServer, dataset: Path) -> None:
+    with server.player() as player:
+        player.send(type="watch", policy=0)
+        player.wait_for(lambda status: status["policy"] == 0 and status["steps"] > 4)
+        player.hold("left")
+        player.wait_for(lambda status: status["executed"] == ["left"])
+        player.hold()
+        player.send(type="hand_back")
+        status = player.wait_for(lambda status: status["phase"] == "ended")
+        assert (status["can_keep"], status["policy_name"]) == (True, "expert")
+        player.send(type="keep", demonstrator="Ada")
+        player.wait_for(lambda status: status["kept"] == 1)
+    (stored,) = Dataset.open(dataset)
+    assert stored.actors is not None
+    assert set(stored.actors.tolist()) == {Actor.EXPERT, Actor.HUMAN}
+    shown = json.loads(server.get("/api/episode?source=d0&episode=0").body)
+    assert shown["actors"] == stored.actors.tolist()
+    assert len(shown["policy_actions"]) == shown["steps"]
+
+
+def test_watching_counts_among_the_environments_and_ends_when_idle(
+    server: RunningServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with server.player() as first, server.player(), server.player():
+        first.send(type="watch", policy=0)
+        first.wait_for(lambda status: status["steps"] > 1)
+        with server.connect() as socket:
+            assert close_code(socket) == 4003
+        monkeypatch.setattr(session_module, "IDLE_TIME", 0.01)
+        assert close_code(first.socket) == 4002
+
+
+def test_a_policy_that_cannot_be_loaded_is_said(
+    server: RunningServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: Any, **__: Any) -> Any:
+        raise OSError("the weights are gone")
+
+    monkeypatch.setattr(driver_module, "expert_for", fail)
+    with server.player() as player:
+        player.send(type="watch", policy=0)
+        status = player.wait_for(lambda status: "the weights are gone" in status["notice"])
+        assert (status["policy"], status["phase"]) == (None, "ready")
+
+
+def test_a_slow_policy_does_not_hold_up_other_players(
+    server: RunningServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    release = threading.Event()
+    propose = Driver.propose
+
+    def slow(self: Driver, seen: Any) -> Any:
+        assert release.wait(60)
+        return propose(self, seen)
+
+    monkeypatch.setattr(Driver, "propose", slow)
+    with server.player() as watching, server.player() as playing:
+        watching.send(type="watch", policy=0)
+        watching.wait_for(lambda status: status["policy"] == 0)
+        playing.hold("forward")
+        playing.wait_for(lambda status: status["steps"] >= 5)
+        assert watching.status["steps"] == 0
+        release.set()
+        watching.wait_for(lambda status: status["steps"] >= 2)
