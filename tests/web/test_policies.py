@@ -1,6 +1,8 @@
 """The policies that the page offers: which runs are found, and what they do in an episode."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -129,3 +131,17 @@ def test_a_new_checkpoint_is_loaded(trained: Policies) -> None:
     checkpoint.write_bytes(b"")
     with pytest.raises(CheckpointError):
         trained.load(1)
+
+
+@pytest.mark.parametrize(("arguments", "imported"), [("", False), ("[Path.cwd()]", True)])
+def test_pytorch_is_imported_at_the_start_where_there_are_runs(
+    tmp_path: Path, arguments: str, imported: bool
+) -> None:
+    program = f"""
+import sys
+from pathlib import Path
+from magical.web.library.policies import Policies
+Policies({arguments})
+sys.exit(("torch" in sys.modules) is not {imported})
+"""
+    subprocess.run([sys.executable, "-c", program], cwd=tmp_path, check=True)

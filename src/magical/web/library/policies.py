@@ -1,5 +1,6 @@
 """The policies that the page offers: the scripted expert, and the runs in given folders."""
 
+import importlib
 import threading
 from collections.abc import Sequence
 from contextlib import suppress
@@ -120,8 +121,11 @@ class Policies:
 
 def _import_learning() -> None:
     """Import PyTorch, where it is installed: later it would hold up all players for seconds."""
+    from magical.learning.algorithms import require_torch
+
     with suppress(MissingDependencyError):
-        pass
+        require_torch()
+        importlib.import_module("magical.learning.policy")
 
 
 def find_runs(root: Path) -> list[Path]:
