@@ -129,7 +129,7 @@ class _Scene:
 
     def __init__(self, table: ObjectTable, targets: Tensor) -> None:
         self.table = table
-        rows = torch.arange(table.size)
+        rows = torch.arange(table.size, device=targets.device)
         robot = targets == ROBOT_TARGET
         block = targets.clamp(min=0)
         self.colour = table.colours[rows, block].masked_fill(robot, NO_KIND)
@@ -188,7 +188,8 @@ def _centre_distances(scene: _Scene, places: Tensor, mask: Tensor) -> Tensor:
 def _line_relations(scene: _Scene, places: Tensor) -> Iterator[Tensor]:
     """How far a place is from continuing a line of two other blocks, at a neighbour's distance."""
     blocks = scene.table.blocks
-    first, second = torch.triu_indices(blocks.shape[1], blocks.shape[1], 1)
+    count = blocks.shape[1]
+    first, second = torch.triu_indices(count, count, 1, device=blocks.device)
     start, end = blocks[:, first], blocks[:, second]  # (B, P, 2)
     pairs = scene.others[:, first] & scene.others[:, second]
     length = (end - start).norm(dim=2).clamp(min=1e-3)
@@ -213,7 +214,7 @@ def _share_relations(scene: _Scene, places: Tensor) -> Iterator[Tensor]:
     for kinds, own, count in groups:
         masks = [scene.others & (kinds == k) for k in range(count)]
         distances = torch.stack([_centre_distances(scene, places, m) for m in masks], dim=2)
-        mine = torch.arange(count) == own[:, None]  # (B, count)
+        mine = torch.arange(count, device=own.device) == own[:, None]  # (B, count)
         to_own, to_other = _nearest(distances, mine), _nearest(distances, ~mine)
         known = (to_own < UNKNOWN) & (to_other < UNKNOWN)
         share = to_own / (to_own + to_other + 1e-6)

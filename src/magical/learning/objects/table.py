@@ -62,4 +62,4 @@ def parse_table(newest: Pixels, previous: Pixels) -> ObjectTable:
 def to_tensor(array: NDArray[Any]) -> Tensor:
     """Floats as float32, integers as int64."""
     kind = np.float32 if array.dtype.kind == "f" else np.int64
-    return torch.from_numpy(np.ascontiguousarray(array, kind))
+    return torch.from_numpy(np.array(array, kind))

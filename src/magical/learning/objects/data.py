@@ -1,0 +1,107 @@
+"""Demonstrations as training data of the object-centred learner."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from magical.demos.reader import TrajectorySource
+from magical.demos.store.trajectory import Trajectory
+from magical.learning.expert_data import TaskTrajectories
+from magical.learning.objects.goals import relate_blocks
+from magical.learning.objects.hindsight import find_goals, track
+from magical.learning.objects.parser import ParsedFrames, parse_frames
+from magical.learning.objects.table import ObjectTable, to_tensor
+from magical.observe import Component
+
+CHUNK = 256  # frames or samples at a time
+
+Rows = NDArray[np.int64]
+
+
+class ObjectData:
+    """The S samples of demonstrations: parsed scenes, goals found in hindsight, actions.
+
+    Attributes:
+        table: S scenes.
+        relations: of every block where it lies, (S, N, R).
+        targets: (S,) int64.
+        destinations: (S, 2) float32.
+        actions: (S,) int64, the trajectories' labels.
+        tasks: (S,) int64, positions in the names of tasks.
+    """
+
+    def __init__(
+        self,
+        demonstrations: TaskTrajectories,
+        task_names: Sequence[str],
+        component: Component,
+        device: str = "cpu",
+    ) -> None:
+        """Parse all frames, read through the allocentric component of the observation."""
+        parts = [
+            _samples(trajectory, task_names.index(task), component)
+            for task, trajectory in demonstrations
+        ]
+        tables, targets, destinations, actions, tasks = zip(*parts, strict=True)
+        columns = zip(*tables, strict=True)
+        self.table = ObjectTable(*(torch.cat(column).to(device) for column in columns))
+        self.targets, self.destinations, self.actions, self.tasks = (
+            torch.cat(column).to(device) for column in (targets, destinations, actions, tasks)
+        )
+        starts = range(0, len(self.actions), CHUNK)
+        chunks = [relate_blocks(self.table.select(slice(k, k + CHUNK))) for k in starts]
+        self.relations = torch.cat(chunks)
+        numbers = self.tasks.cpu().numpy()
+        self._rows = [np.flatnonzero(numbers == k) for k in range(len(task_names))]
+
+    def __len__(self) -> int:
+        """The number of samples."""
+        return len(self.actions)
+
+    def sample(self, size: int, rng: np.random.Generator) -> Tensor:
+        """Sample rows with replacement, all alike."""
+        return self._index(rng.integers(len(self), size=size))
+
+    def sample_each(self, size: int, rng: np.random.Generator) -> Tensor:
+        """Sample `size` rows of each task with replacement."""
+        return self._index(np.concatenate([rng.choice(rows, size) for rows in self._rows]))
+
+    def _index(self, rows: Rows) -> Tensor:
+        return torch.from_numpy(rows).to(self.actions.device)
+
+
+def _samples(
+    trajectory: Trajectory, task: int, component: Component
+) -> tuple[ObjectTable, Tensor, Tensor, Tensor, Tensor]:
+    """One demonstration's scenes, targets, destinations, actions and task."""
+    parsed = track(_parse(trajectory, component))
+    goals = find_goals(parsed.robot, parsed.blocks)
+    count = len(trajectory)
+    before = np.maximum(np.arange(count) - 1, 0)
+    columns = (
+        parsed.robot[:-1],
+        parsed.fingers[:-1],
+        parsed.robot[before],
+        parsed.fingers[before],
+        *(column[:-1] for column in parsed[2:]),
+    )
+    return (
+        ObjectTable(*map(to_tensor, columns)),
+        to_tensor(goals.targets),
+        to_tensor(goals.destinations),
+        to_tensor(trajectory.labels),
+        torch.full((count,), task),
+    )
+
+
+def _parse(trajectory: Trajectory, component: Component) -> ParsedFrames:
+    """The objects of all time steps."""
+    source, steps = TrajectorySource(trajectory), np.arange(len(trajectory) + 1)
+    parts = []
+    for start in range(0, len(steps), CHUNK):
+        frames = component.read(source, steps[start : start + CHUNK])  # (B, 3, 96, 96)
+        parts.append(parse_frames(np.ascontiguousarray(frames.transpose(0, 2, 3, 1))))
+    return ParsedFrames(*map(np.concatenate, zip(*parts, strict=True)))

@@ -1,0 +1,176 @@
+"""Which block is moved next, and where to: sums of functions of single relations.
+
+Each relation has a piecewise linear function, learned for each task. The logit of a block is the sum
+over its relations where it lies; the logit of a destination the sum over the relations that the block
+would have there. A sum has no order, and each term is bound to one kind of object, so the model
+carries over to other counts, colours and layouts. It is trained by maximum likelihood of the goals
+found in hindsight.
+"""
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from magical.learning.objects.hindsight import ROBOT_TARGET
+from magical.learning.objects.relations import RELATIONS, UNKNOWN, Relation, relate
+from magical.learning.objects.table import ObjectTable
+
+GRIP_KNOTS = (0.04, 0.08, 0.14, 0.22, 0.32)  # units from the point between the fingers
+GRIP_PENALTY = 0.5
+NEARNESS = 1.0  # logits lost by a block for each unit from the fingers: breaks ties
+CANDIDATES = 64  # places that a destination is told apart from in training
+BORDER = 0.95  # units: destinations are within [-BORDER, BORDER]
+CELLS = 24  # of the grid of destinations, along each axis
+REFINE = 0.13  # units: cells this near the best one are averaged
+IMPOSSIBLE = -1e9
+
+_AXIS = (torch.arange(CELLS) + 0.5) / CELLS * 2 * BORDER - BORDER
+GRID = torch.cartesian_prod(_AXIS, _AXIS)  # (CELLS * CELLS, 2)
+
+
+class PiecewiseLinear(nn.Module):
+    """A piecewise linear function of each of R numbers, summed; one set of functions per row."""
+
+    knots: Tensor  # (R, Q + 1); the last one stands for UNKNOWN
+    penalties: Tensor  # (R, 1)
+
+    def __init__(self, knots: list[tuple[float, ...]], penalties: list[float], sets: int) -> None:
+        super().__init__()
+        table = torch.tensor([(*row, UNKNOWN) for row in knots])
+        self.register_buffer("knots", table, persistent=False)
+        self.register_buffer("penalties", torch.tensor(penalties)[:, None], persistent=False)
+        self.values = nn.Parameter(torch.zeros(sets, *table.shape))
+
+    def forward(self, numbers: Tensor, sets: Tensor) -> Tensor:
+        """The sum for each of (B, ..., R) numbers, with the functions of the sets (B,): (B, ...)."""
+        knots, count = self.knots, self.knots.shape[1]
+        flat = numbers.reshape(-1, len(knots)).T.contiguous()  # (R, P)
+        known = flat < UNKNOWN - 1.0
+        flat = torch.minimum(torch.maximum(flat, knots[:, :1]), knots[:, -2:-1])
+        above = torch.searchsorted(knots, flat).clamp(1, count - 2)
+        low, high = knots.gather(1, above - 1), knots.gather(1, above)
+        share = (flat - low) / (high - low)
+        above, share = above.masked_fill(~known, count - 1), share.masked_fill(~known, 1.0)
+        which = sets.repeat_interleave(flat.shape[1] // len(sets)) * count  # (P,)
+        values = self.values.transpose(0, 1).flatten(1)  # (R, sets * count)
+        upper, lower = values.gather(1, which + above), values.gather(1, which + above - 1)
+        return (upper * share + lower * (1.0 - share)).sum(dim=0).view(numbers.shape[:-1])
+
+    def penalty(self) -> Tensor:
+        """The weighted sum of squares."""
+        return (self.penalties * self.values**2).sum() / len(self.values)
+
+
+def _functions(relations: tuple[Relation, ...], fine: bool, sets: int) -> PiecewiseLinear:
+    penalties = [r.destination_penalty if fine else r.choice_penalty for r in relations]
+    return PiecewiseLinear([r.knots[fine] for r in relations], penalties, sets)
+
+
+class GoalModel(nn.Module):
+    """The likelihood of targets and destinations; see the module."""
+
+    def __init__(self, num_tasks: int) -> None:
+        super().__init__()
+        choice_knots = [*(r.knots[0] for r in RELATIONS), GRIP_KNOTS]
+        choice_penalties = [*(r.choice_penalty for r in RELATIONS), GRIP_PENALTY]
+        self.choice = PiecewiseLinear(choice_knots, choice_penalties, num_tasks)
+        self.finished = _functions((*RELATIONS, *RELATIONS), False, num_tasks)
+        self.finished_bias = nn.Parameter(torch.zeros(num_tasks))
+        self.block_destination = _functions(RELATIONS, True, num_tasks)
+        self.robot_destination = _functions(RELATIONS, True, num_tasks)
+
+    def target_logits(self, table: ObjectTable, relations: Tensor, tasks: Tensor) -> Tensor:
+        """Logits (B, N + 1): every block, and last that none is left to move.
+
+        Args:
+            table: B scenes.
+            relations: of every block where it lies, (B, N, R).
+            tasks: (B,).
+        """
+        to_grip = (table.blocks - table.grip[:, None]).norm(dim=2)  # (B, N)
+        logits = self.choice(torch.cat([relations, to_grip[..., None]], dim=2), tasks)
+        logits = (logits - NEARNESS * to_grip).masked_fill(~table.present, IMPOSSIBLE)
+        extremes = _extremes(relations, table.present)
+        finished = self.finished_bias[tasks] + self.finished(extremes, tasks)
+        return torch.cat([logits, finished[:, None]], dim=1)
+
+    def destination_logits(
+        self, table: ObjectTable, targets: Tensor, places: Tensor, tasks: Tensor
+    ) -> Tensor:
+        """Logits (B, K) of places (B, K, 2) as the destinations of targets (B,)."""
+        relations = relate(table, targets, places)
+        block = self.block_destination(relations, tasks)
+        robot = self.robot_destination(relations, tasks)
+        return torch.where((targets == ROBOT_TARGET)[:, None], robot, block)
+
+    def decide(self, table: ObjectTable, tasks: Tensor) -> tuple[Tensor, Tensor]:
+        """The targets (B,) and destinations (B, 2) to act on.
+
+        The robot itself is the target where it is more likely than not that no block is left.
+        """
+        logits = self.target_logits(table, relate_blocks(table), tasks)
+        finished = logits.softmax(dim=1)[:, -1] > 0.5
+        targets = logits[:, :-1].argmax(dim=1).masked_fill(finished, ROBOT_TARGET)
+        places = GRID.to(table.blocks.device).expand(table.size, -1, -1)
+        return targets, _peak(self.destination_logits(table, targets, places, tasks))
+
+    def penalty(self) -> Tensor:
+        """How far the functions are from 0, weighted by the prior."""
+        choice = self.choice.penalty() + self.finished.penalty()
+        return choice + 0.3 * (self.block_destination.penalty() + self.robot_destination.penalty())
+
+
+def goal_losses(
+    model: GoalModel,
+    table: ObjectTable,
+    relations: Tensor,
+    targets: Tensor,
+    destinations: Tensor,
+    tasks: Tensor,
+    candidates: Tensor,
+) -> tuple[Tensor, Tensor]:
+    """Negative log-likelihoods of targets, and of destinations among candidates.
+
+    Args:
+        model: the model.
+        table: B scenes.
+        relations: of every block, (B, N, R).
+        targets: (B,).
+        destinations: (B, 2).
+        tasks: (B,).
+        candidates: other places, (B, K, 2).
+    """
+    logits = model.target_logits(table, relations, tasks)
+    numbers = torch.where(targets == ROBOT_TARGET, logits.shape[1] - 1, targets)
+    target_loss = functional.cross_entropy(logits, numbers)
+    places = torch.cat([destinations[:, None], candidates], dim=1)
+    scores = model.destination_logits(table, targets, places, tasks)
+    return target_loss, functional.cross_entropy(scores, torch.zeros_like(targets))
+
+
+def relate_blocks(table: ObjectTable) -> Tensor:
+    """The relations of every block where it lies: (B, N, R)."""
+    count = table.blocks.shape[1]
+    device = table.blocks.device
+    repeated = table.select(torch.arange(table.size, device=device).repeat_interleave(count))
+    numbers = torch.arange(count, device=device).repeat(table.size)
+    places = table.blocks.reshape(-1, 1, 2)
+    return relate(repeated, numbers, places).view(table.size, count, -1)
+
+
+def _extremes(relations: Tensor, present: Tensor) -> Tensor:
+    """The largest and the least known value over all blocks, (B, 2 R)."""
+    known = (relations < UNKNOWN) & present[..., None]
+    none = ~known.any(dim=1)
+    largest = relations.masked_fill(~known, -UNKNOWN).amax(dim=1).masked_fill(none, UNKNOWN)
+    least = relations.masked_fill(~known, UNKNOWN).amin(dim=1)
+    return torch.cat([largest, least], dim=1)
+
+
+def _peak(logits: Tensor) -> Tensor:
+    """The mean place (B, 2) near each row's most likely cell of the grid."""
+    grid = GRID.to(logits.device)
+    best = grid[logits.argmax(dim=1)]
+    near = (grid - best[:, None]).norm(dim=2) < REFINE
+    weights = logits.masked_fill(~near, IMPOSSIBLE).softmax(dim=1)
+    return weights @ grid
