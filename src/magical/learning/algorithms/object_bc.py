@@ -41,7 +41,6 @@ WITHOUT_MEANING = (
     "network",
     "pixel_range",
     "last_layer_init",
-    "precision",
     "compile",
     "graphs",
     "borders",
@@ -54,7 +53,10 @@ class ObjectBCConfig(ImitationConfig):
     """Settings of object-centred behavioural cloning."""
 
     algorithm: ClassVar[str] = "object-bc"
-    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {"paper": {}, "quick": {"batches": 2000}}
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "paper": {},
+        "quick": {"batches": 2000, "precision": "auto"},
+    }
 
     observation: str = option(OBSERVATION, "observation preset", choices=(OBSERVATION,))
     augment: str = option("none", "objects are parsed from plain frames", choices=("none",))
@@ -121,11 +123,12 @@ class ObjectPolicy(nn.Module):
     def forward(self, observations: Tensor, tasks: Tensor) -> Tensor:
         """Logits (B, 18) of stacks (B, 12, 96, 96), float in [0, 1]."""
         latest = observations[:, (STACK - 2) * CHANNELS :].permute(0, 2, 3, 1)
-        frames = (latest.float() * 255.0).round().to(torch.uint8).cpu().numpy()
+        frames = latest.mul(255.0).round_().to(torch.uint8).contiguous().cpu().numpy()
         parsed = parse_table(frames[..., CHANNELS:], frames[..., :CHANNELS])
         table = ObjectTable(*(column.to(tasks.device) for column in parsed))
-        targets, destinations = self.goals.decide(table, tasks)
-        inputs = control_inputs(table, targets, destinations)
+        with torch.autocast(tasks.device.type, enabled=False):  # positions need float32
+            targets, destinations = self.goals.decide(table, tasks)
+            inputs = control_inputs(table, targets, destinations)
         logits: Tensor = self.controller(*inputs) / self.temperature
         return logits
 
@@ -155,7 +158,7 @@ class ObjectBCTrainer:
         """Create a new trainer, or resume from the run's checkpoint."""
         self.config, self.run, self.device = config, run, device
         self.policy = make_policy(config).to(device)
-        run.compute(device, config.precision, config.threads)
+        self.compute = run.compute(device, config.precision, config.threads)
         self.goal_optimizer = torch.optim.Adam(
             self.policy.goals.parameters(), config.goal_learning_rate
         )
@@ -203,7 +206,8 @@ class ObjectBCTrainer:
         inputs = control_inputs(
             data.table.select(rows), data.targets[rows], destinations, mirrored
         )
-        logits = self.policy.controller(*inputs)
+        with self.compute.autocast():
+            logits = self.policy.controller(*inputs).float()
         actions = data.actions[rows]
         actions = torch.where(mirrored, MIRRORED_ACTIONS.to(self.device)[actions], actions)
         loss = functional.cross_entropy(logits, actions)

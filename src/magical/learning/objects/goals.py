@@ -20,12 +20,15 @@ GRIP_PENALTY = 0.5
 NEARNESS = 1.0  # logits lost by a block for each unit from the fingers: breaks ties
 CANDIDATES = 64  # places that a destination is told apart from in training
 BORDER = 0.95  # units: destinations are within [-BORDER, BORDER]
-CELLS = 24  # of the grid of destinations, along each axis
-REFINE = 0.13  # units: cells this near the best one are averaged
+CELLS = 16  # of the grid of destinations, along each axis
+STEPS = 2  # finer places to either side of the best cell's centre
 IMPOSSIBLE = -1e9
 
-_AXIS = (torch.arange(CELLS) + 0.5) / CELLS * 2 * BORDER - BORDER
+CELL = 2 * BORDER / CELLS  # units
+_AXIS = (torch.arange(CELLS) + 0.5) * CELL - BORDER
 GRID = torch.cartesian_prod(_AXIS, _AXIS)  # (CELLS * CELLS, 2)
+_FINE_AXIS = torch.arange(-STEPS, STEPS + 1) * CELL / (STEPS + 1)
+FINE_GRID = torch.cartesian_prod(_FINE_AXIS, _FINE_AXIS)  # offsets from a cell's centre
 
 
 class PiecewiseLinear(nn.Module):
@@ -76,8 +79,7 @@ class GoalModel(nn.Module):
         self.choice = PiecewiseLinear(choice_knots, choice_penalties, num_tasks)
         self.finished = _functions((*RELATIONS, *RELATIONS), False, num_tasks)
         self.finished_bias = nn.Parameter(torch.zeros(num_tasks))
-        self.block_destination = _functions(RELATIONS, True, num_tasks)
-        self.robot_destination = _functions(RELATIONS, True, num_tasks)
+        self.destination = _functions(RELATIONS, True, 2 * num_tasks)  # of blocks, of the robot
 
     def target_logits(self, table: ObjectTable, relations: Tensor, tasks: Tensor) -> Tensor:
         """Logits (B, N + 1): every block, and last that none is left to move.
@@ -98,26 +100,32 @@ class GoalModel(nn.Module):
         self, table: ObjectTable, targets: Tensor, places: Tensor, tasks: Tensor
     ) -> Tensor:
         """Logits (B, K) of places (B, K, 2) as the destinations of targets (B,)."""
-        relations = relate(table, targets, places)
-        block = self.block_destination(relations, tasks)
-        robot = self.robot_destination(relations, tasks)
-        return torch.where((targets == ROBOT_TARGET)[:, None], robot, block)
+        sets = 2 * tasks + (targets == ROBOT_TARGET)
+        return self.destination(relate(table, targets, places), sets)
 
     def decide(self, table: ObjectTable, tasks: Tensor) -> tuple[Tensor, Tensor]:
         """The targets (B,) and destinations (B, 2) to act on.
 
         The robot itself is the target where it is more likely than not that no block is left.
         """
+        table = table.trimmed()
         logits = self.target_logits(table, relate_blocks(table), tasks)
         finished = logits.softmax(dim=1)[:, -1] > 0.5
         targets = logits[:, :-1].argmax(dim=1).masked_fill(finished, ROBOT_TARGET)
-        places = GRID.to(table.blocks.device).expand(table.size, -1, -1)
-        return targets, _peak(self.destination_logits(table, targets, places, tasks))
+        return targets, self._best_places(table, targets, tasks)
+
+    def _best_places(self, table: ObjectTable, targets: Tensor, tasks: Tensor) -> Tensor:
+        """The most likely destinations (B, 2): of a grid, then the mean of finer places around."""
+        places = GRID.to(targets.device).expand(table.size, -1, -1)
+        best = self.destination_logits(table, targets, places, tasks).argmax(dim=1)
+        places = GRID.to(targets.device)[best][:, None] + FINE_GRID.to(targets.device)
+        weights = self.destination_logits(table, targets, places, tasks).softmax(dim=1)
+        return (weights[..., None] * places).sum(dim=1)
 
     def penalty(self) -> Tensor:
         """How far the functions are from 0, weighted by the prior."""
         choice = self.choice.penalty() + self.finished.penalty()
-        return choice + 0.3 * (self.block_destination.penalty() + self.robot_destination.penalty())
+        return choice + 0.6 * self.destination.penalty()
 
 
 def goal_losses(
@@ -165,12 +173,3 @@ def _extremes(relations: Tensor, present: Tensor) -> Tensor:
     largest = relations.masked_fill(~known, -UNKNOWN).amax(dim=1).masked_fill(none, UNKNOWN)
     least = relations.masked_fill(~known, UNKNOWN).amin(dim=1)
     return torch.cat([largest, least], dim=1)
-
-
-def _peak(logits: Tensor) -> Tensor:
-    """The mean place (B, 2) near each row's most likely cell of the grid."""
-    grid = GRID.to(logits.device)
-    best = grid[logits.argmax(dim=1)]
-    near = (grid - best[:, None]).norm(dim=2) < REFINE
-    weights = logits.masked_fill(~near, IMPOSSIBLE).softmax(dim=1)
-    return weights @ grid

@@ -29,6 +29,14 @@ class ObjectTable(NamedTuple):
         """The scenes of an index."""
         return ObjectTable(*(column[rows] for column in self))
 
+    def trimmed(self) -> "ObjectTable":
+        """The same scenes without the columns in which no scene has a block (but two)."""
+        count = max(2, int(self.present.sum(dim=1).max()))
+        blocks, colours, shapes = self.blocks, self.colours, self.shapes
+        return self._replace(
+            blocks=blocks[:, :count], colours=colours[:, :count], shapes=shapes[:, :count]
+        )
+
     @property
     def size(self) -> int:
         """The number of scenes."""
