@@ -2,14 +2,15 @@
 
 python benchmarks/object_parser.py [--episodes 3] [--fit]
 
-Scripted experts act in every environment; every fourth frame is parsed and compared. With --fit the
-constants of the shape classifier and of the fingers are fitted on rendered initial scenes and printed
-instead.
+Scripted experts act in every environment; every fourth frame is parsed and compared. With --fit
+the constants of the shape classifier and of the fingers are fitted on rendered initial scenes and
+printed instead.
 """
 
 import argparse
 import time
 from collections import defaultdict
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +20,17 @@ from magical.demos.reader import TrajectorySource
 from magical.envs.ids import all_env_ids
 from magical.learning.objects import parser as p
 from magical.render import Renderer
-from magical.scene import Poses, View
+from magical.render.palette import SHADES
+from magical.scene import Poses, Scene, View
 from magical.scene.constants import FINGER_OPEN
 from magical.scene.poses import FIRST_BLOCK
+from magical.scene.scene import Block
 from magical.scene.vocabulary import COLOURS, SHAPES
 from magical.tasks import get_task
 
 SEED = 40_000
+Floats = NDArray[np.float64]
+
 NEAR = 0.08  # units: a parsed object is a true one's if it is nearer, and of the same colour
 STRIDE = 4  # frames
 
@@ -43,7 +48,9 @@ def main() -> None:
 
 def measure(episodes: int) -> None:
     """Print a row of figures for each variant."""
-    print("variant frames  ms  block mm  p95  robot mm  angle p95  finger  missed false shape regions")
+    print(
+        "variant frames  ms  block mm  p95  robot mm  angle p95  finger  missed false shape regions"
+    )
     by_variant = defaultdict(list)
     for env_id in all_env_ids():
         for k in range(episodes):
@@ -81,11 +88,15 @@ def compare(env_id: str, seed: int) -> dict[str, NDArray[np.float64]]:
     errors["shape"] = np.concatenate([row[1] for row in found])
     errors["missed"] = np.array([row[2] for row in found], float)
     errors["false"] = np.array([row[3] for row in found], float)
-    errors["regions"] = np.array([regions_right(scene, parsed, t) for t in range(len(times))], float)
+    errors["regions"] = np.array(
+        [regions_right(scene, parsed, t) for t in range(len(times))], float
+    )
     return errors
 
 
-def match(blocks, poses, parsed, t):  # type: ignore[no-untyped-def]
+def match(
+    blocks: Sequence[Block], poses: Floats, parsed: p.ParsedFrames, t: int
+) -> tuple[Floats, Floats, int, int]:
     """Distances and right shapes of the true blocks that were found; missed and false ones."""
     left = list(np.flatnonzero(parsed.colours[t] >= 0))
     distances, right = [], []
@@ -103,7 +114,7 @@ def match(blocks, poses, parsed, t):  # type: ignore[no-untyped-def]
     return np.array(distances), np.array(right), len(blocks) - len(distances), len(left)
 
 
-def regions_right(scene, parsed, t):  # type: ignore[no-untyped-def]
+def regions_right(scene: Scene, parsed: p.ParsedFrames, t: int) -> bool:
     """Whether all goal regions were found, every edge within 0.03 units, and no others."""
     found = parsed.region_colours[t] >= 0
     if found.sum() != len(scene.regions):
@@ -122,7 +133,8 @@ def show(variant: str, c: dict[str, NDArray[np.float64]]) -> None:
     true = len(c["block"]) + c["missed"].sum()
     print(
         f"{variant:14} {len(c['ms']):6} {c['ms'].mean():.2f} {block.mean():.4f} "
-        f"{np.quantile(block, 0.95):.4f} {c['robot'].mean():.4f} {np.quantile(c['angle'], 0.95):.3f} "
+        f"{np.quantile(block, 0.95):.4f} {c['robot'].mean():.4f} "
+        f"{np.quantile(c['angle'], 0.95):.3f} "
         f"{c['finger'].mean():.3f} {c['missed'].sum() / max(true, 1):.5f} "
         f"{c['false'].sum() / max(true, 1):.5f} {c['shape'].mean():.4f} {c['regions'].mean():.4f}"
     )
@@ -153,12 +165,12 @@ def fit() -> None:
     print("accuracy", ((np.array(features) @ weights.T).argmax(1) == shapes).mean())
 
 
-def block_features(frame, scene):  # type: ignore[no-untyped-def]
+def block_features(frame: NDArray[np.uint8], scene: Scene) -> tuple[list[Floats], list[int]]:
     """The features of a frame's blocks, and their shapes' numbers."""
     features, shapes = [], []
     for colour in COLOURS:
-        parts = p._components(p._codes(frame) == p._code(p.SHADES[colour].fill))
-        if parts.count:
+        parts = p._components(np.asarray(p._codes(frame) == p._code(SHADES[colour].fill)))
+        if parts.number:
             x, y = p._coordinates(parts.columns, parts.rows)
             centres = np.stack([parts.total(x), parts.total(y)], 1) / parts.total()[:, None]
             rows = p._shape_features(parts, centres, x, y)

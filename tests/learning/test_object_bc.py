@@ -82,6 +82,7 @@ def test_metrics_and_policy(whole: Path) -> None:
         {"weight_decay": 0.5},
         {"hidden": 8},
         {"mirror": False},
+        {"motion": True},
         {"destination_noise": 0.2},
         {"goal_every": 1},
         {"goal_batch_size": 3},
@@ -151,9 +152,7 @@ def test_mirrored_inputs_are_those_of_the_mirrored_scene() -> None:
     expected = control_inputs(image, targets, destinations * sign)
     torch.testing.assert_close(mirrored[0], expected[0], rtol=0, atol=1e-4)
     present = table.present
-    torch.testing.assert_close(
-        mirrored[1][present], expected[1][present], rtol=0, atol=1e-4
-    )
+    torch.testing.assert_close(mirrored[1][present], expected[1][present], rtol=0, atol=1e-4)
     swapped = {"left": "right", "right": "left"}
     for action, other in enumerate(MIRRORED_ACTIONS.tolist()):
         parts = ACTION_NAMES[action].split("-")

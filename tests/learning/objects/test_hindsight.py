@@ -20,15 +20,21 @@ def episode() -> tuple[np.ndarray, np.ndarray]:
 
 def test_the_target_is_the_block_that_is_moved_next_and_then_the_robot() -> None:
     robot, blocks = episode()
-    goals = find_goals(robot, blocks)
+    goals = find_goals(robot, blocks, np.ones(30, np.bool_))
     assert goals.targets.tolist() == [1] * 15 + [ROBOT_TARGET] * 15
     assert np.allclose(goals.destinations[:15], [0.5, 0.0])
     assert np.allclose(goals.destinations[15:], robot[-1, :2])
 
 
+def test_what_random_actions_move_is_no_goal() -> None:
+    robot, blocks = episode()
+    goals = find_goals(robot, blocks, np.arange(30) >= 15)
+    assert (goals.targets == ROBOT_TARGET).all()
+
+
 def test_without_blocks_the_target_is_the_robot() -> None:
     robot, _ = episode()
-    goals = find_goals(robot, np.full((31, MAX_BLOCKS, 2), FAR))
+    goals = find_goals(robot, np.full((31, MAX_BLOCKS, 2), FAR), np.ones(30, np.bool_))
     assert (goals.targets == ROBOT_TARGET).all()
 
 

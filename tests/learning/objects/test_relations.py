@@ -77,9 +77,7 @@ def test_relations_do_not_depend_on(change: str) -> None:
             table.blocks,
         )
         x, y, width, height = table.regions.unbind(dim=2)
-        other = table._replace(
-            blocks=turned, regions=torch.stack([-y, x, height, width], dim=2)
-        )
+        other = table._replace(blocks=turned, regions=torch.stack([-y, x, height, width], dim=2))
     expected, found = relate_blocks(table)[:, :5], relate_blocks(other)[:, :5]
     torch.testing.assert_close(found, expected, rtol=0, atol=1e-5)
 
@@ -95,7 +93,9 @@ def test_decisions_do_not_depend_on_the_order_of_blocks() -> None:
     tasks = torch.zeros(3, dtype=torch.int64)
     order = torch.tensor([3, 1, 4, 0, 2, 5, 6, 7, 8, 9])
     shuffled = table._replace(
-        blocks=table.blocks[:, order], colours=table.colours[:, order], shapes=table.shapes[:, order]
+        blocks=table.blocks[:, order],
+        colours=table.colours[:, order],
+        shapes=table.shapes[:, order],
     )
     targets, places = model.decide(table, tasks)
     other_targets, other_places = model.decide(shuffled, tasks)

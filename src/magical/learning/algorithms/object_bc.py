@@ -3,8 +3,8 @@
 1. Frames are parsed into objects (`magical.learning.objects.parser`).
 2. In hindsight every recorded state gets the goal that was reached from it: which block was moved
    next, and where to.
-3. A goal model learns the likelihood of those goals from relations between objects, and a controller
-   clones the demonstrator's actions given the goal, in the robot's frame.
+3. A goal model learns the likelihood of those goals from relations between objects, and a
+   controller clones the demonstrator's actions given the goal, in the robot's frame.
 
 The goal model has functions for each task, the controller is shared by all. There are no published
 settings.
@@ -65,6 +65,9 @@ class ObjectBCConfig(ImitationConfig):
     learning_rate: float = option(2e-3, "of the controller; annealed linearly to 0")
     weight_decay: float = option(1e-2, "of the controller")
     hidden: int = option(256, "units in the controller's layers")
+    motion: bool = option(
+        False, "show the controller how robot and fingers moved since the previous frame"
+    )
     mirror: bool = option(True, "exchange left and right in half of the controller's samples")
     destination_noise: float = option(
         0.03, "standard deviation of the noise on the controller's destinations, units"
@@ -114,11 +117,11 @@ class ObjectBCConfig(ImitationConfig):
 class ObjectPolicy(nn.Module):
     """Frame stacks to logits of the 18 actions, through objects and a goal."""
 
-    def __init__(self, num_tasks: int, hidden: int, temperature: float) -> None:
+    def __init__(self, config: ObjectBCConfig) -> None:
         super().__init__()
-        self.goals = GoalModel(num_tasks)
-        self.controller = Controller(hidden)
-        self.temperature = temperature
+        self.goals = GoalModel(len(config.tasks))
+        self.controller = Controller(config.hidden)
+        self.motion, self.temperature = config.motion, config.temperature
 
     def forward(self, observations: Tensor, tasks: Tensor) -> Tensor:
         """Logits (B, 18) of stacks (B, 12, 96, 96), float in [0, 1]."""
@@ -128,7 +131,7 @@ class ObjectPolicy(nn.Module):
         table = ObjectTable(*(column.to(tasks.device) for column in parsed))
         with torch.autocast(tasks.device.type, enabled=False):  # positions need float32
             targets, destinations = self.goals.decide(table, tasks)
-            inputs = control_inputs(table, targets, destinations)
+            inputs = control_inputs(table, targets, destinations, motion=self.motion)
         logits: Tensor = self.controller(*inputs) / self.temperature
         return logits
 
@@ -136,7 +139,7 @@ class ObjectPolicy(nn.Module):
 def make_policy(config: ObjectBCConfig) -> ObjectPolicy:
     """The policy, initialised from the seed."""
     with seeded_init(config.seed):
-        policy = ObjectPolicy(len(config.tasks), config.hidden, config.temperature)
+        policy = ObjectPolicy(config)
         blank = torch.zeros((1, *config.input_shape))
         policy(blank, torch.zeros(1, dtype=torch.int64))  # fixes the sizes of the lazy layers
         return policy
@@ -203,9 +206,8 @@ class ObjectBCTrainer:
         noise = rng.normal(0.0, config.destination_noise, (len(rows), 2)).astype(np.float32)
         destinations = data.destinations[rows] + torch.from_numpy(noise).to(self.device)
         mirrored = torch.from_numpy(rng.random(len(rows)) < 0.5 * config.mirror).to(self.device)
-        inputs = control_inputs(
-            data.table.select(rows), data.targets[rows], destinations, mirrored
-        )
+        table, targets = data.table.select(rows), data.targets[rows]
+        inputs = control_inputs(table, targets, destinations, mirrored, config.motion)
         with self.compute.autocast():
             logits = self.policy.controller(*inputs).float()
         actions = data.actions[rows]
@@ -217,7 +219,9 @@ class ObjectBCTrainer:
         accuracy = (logits.argmax(dim=1) == actions).float().mean()
         return {"loss": loss.item(), "accuracy": accuracy.item()}
 
-    def goal_step(self, data: ObjectData, number: int, rng: np.random.Generator) -> dict[str, float]:
+    def goal_step(
+        self, data: ObjectData, number: int, rng: np.random.Generator
+    ) -> dict[str, float]:
         """Increase the likelihood of a batch of goals."""
         config = self.config
         set_learning_rate(self.goal_optimizer, config.annealed(config.goal_learning_rate, number))

@@ -24,7 +24,11 @@ MIRRORED_ACTIONS = torch.tensor(
 
 
 def control_inputs(
-    table: ObjectTable, targets: Tensor, destinations: Tensor, mirrored: Tensor | None = None
+    table: ObjectTable,
+    targets: Tensor,
+    destinations: Tensor,
+    mirrored: Tensor | None = None,
+    motion: bool = True,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """What the controller sees.
 
@@ -33,6 +37,7 @@ def control_inputs(
         targets: (B,), a block's number or ROBOT_TARGET.
         destinations: (B, 2).
         mirrored: (B,) bool, the scenes whose left and right are exchanged.
+        motion: whether to show how robot and fingers moved since the previous frame.
 
     Returns:
         Inputs (B, F); inputs of every block (B, N, T); which blocks are near (B, N).
@@ -52,7 +57,8 @@ def control_inputs(
             _polar(end),
             _polar(end - target),
             _held(blocks, is_target, table.present),
-            view.motion(),
+            view.fingers(),
+            *([view.motion()] if motion else []),
             *(view.walls(place) for place in (table.robot[:, :2], start, destinations)),
         ],
         dim=1,
@@ -85,19 +91,26 @@ class _RobotView:
             right = torch.where(flipped, -right, right)
         return torch.stack([right, ahead], dim=-1)
 
+    def fingers(self) -> Tensor:
+        """How far both fingers are open, roughly of unit size: (B, 2)."""
+        return self._sides(3 * self._table.fingers)
+
     def motion(self) -> Tensor:
-        """Velocity, turning, fingers and their motion, roughly of unit size: (B, 7)."""
+        """Velocity, turning and the fingers' motion, roughly of unit size: (B, 5)."""
         table = self._table
         velocity = self.turn(table.robot[:, :2] - table.previous_robot[:, :2])
         turned = table.robot[:, 2:] - table.previous_robot[:, 2:]
         turned = torch.atan2(turned.sin(), turned.cos())
-        fingers, moved = table.fingers, table.fingers - table.previous_fingers
         if self._mirrored is not None:
-            flipped = self._mirrored[:, None]
-            turned = torch.where(flipped, -turned, turned)
-            fingers = torch.where(flipped, fingers.flip(1), fingers)
-            moved = torch.where(flipped, moved.flip(1), moved)
-        return torch.cat([10 * velocity, 5 * turned, 3 * fingers, 10 * moved], dim=1)
+            turned = torch.where(self._mirrored[:, None], -turned, turned)
+        moved = self._sides(table.fingers - table.previous_fingers)
+        return torch.cat([10 * velocity, 5 * turned, 10 * moved], dim=1)
+
+    def _sides(self, values: Tensor) -> Tensor:
+        """Values of the left and the right side (B, 2), exchanged where mirrored."""
+        if self._mirrored is None:
+            return values
+        return torch.where(self._mirrored[:, None], values.flip(1), values)
 
     def walls(self, places: Tensor) -> Tensor:
         """Direction and nearness of the two walls next to each place, nearer one first: (B, 6)."""
@@ -128,7 +141,8 @@ def _held(blocks: Tensor, is_target: Tensor, present: Tensor) -> Tensor:
     offsets = offsets.gather(1, nearest.expand(-1, -1, 2))
     length = offsets.norm(dim=2, keepdim=True).clamp(max=NEIGHBOURHOOD)
     parts = torch.cat([offsets, length, torch.ones_like(near), is_target.gather(1, nearest)], dim=2)
-    return (parts * near).flatten(1)
+    held: Tensor = (parts * near).flatten(1)
+    return held
 
 
 class Controller(nn.Module):

@@ -78,7 +78,7 @@ def _samples(
 ) -> tuple[ObjectTable, Tensor, Tensor, Tensor, Tensor]:
     """One demonstration's scenes, targets, destinations, actions and task."""
     parsed = track(_parse(trajectory, component))
-    goals = find_goals(parsed.robot, parsed.blocks)
+    goals = find_goals(parsed.robot, parsed.blocks, trajectory.labels == trajectory.actions)
     count = len(trajectory)
     before = np.maximum(np.arange(count) - 1, 0)
     columns = (

@@ -1,10 +1,10 @@
 """Which block is moved next, and where to: sums of functions of single relations.
 
-Each relation has a piecewise linear function, learned for each task. The logit of a block is the sum
-over its relations where it lies; the logit of a destination the sum over the relations that the block
-would have there. A sum has no order, and each term is bound to one kind of object, so the model
-carries over to other counts, colours and layouts. It is trained by maximum likelihood of the goals
-found in hindsight.
+Each relation has a piecewise linear function, learned for each task. The logit of a block is the
+sum over its relations where it lies; the logit of a destination the sum over the relations that the
+block would have there. A sum has no order, and each term is bound to one kind of object, so the
+model carries over to other counts, colours and layouts. It is trained by maximum likelihood of the
+goals found in hindsight.
 """
 
 import torch
@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from magical.learning.objects.hindsight import ROBOT_TARGET
-from magical.learning.objects.relations import RELATIONS, UNKNOWN, Relation, relate
+from magical.learning.objects.relations import RELATIONS, UNKNOWN, relate
 from magical.learning.objects.table import ObjectTable
 
 GRIP_KNOTS = (0.04, 0.08, 0.14, 0.22, 0.32)  # units from the point between the fingers
@@ -45,7 +45,7 @@ class PiecewiseLinear(nn.Module):
         self.values = nn.Parameter(torch.zeros(sets, *table.shape))
 
     def forward(self, numbers: Tensor, sets: Tensor) -> Tensor:
-        """The sum for each of (B, ..., R) numbers, with the functions of the sets (B,): (B, ...)."""
+        """The sums (B, ...) of numbers (B, ..., R), with the functions of the sets (B,)."""
         knots, count = self.knots, self.knots.shape[1]
         flat = numbers.reshape(-1, len(knots)).T.contiguous()  # (R, P)
         known = flat < UNKNOWN - 1.0
@@ -64,11 +64,6 @@ class PiecewiseLinear(nn.Module):
         return (self.penalties * self.values**2).sum() / len(self.values)
 
 
-def _functions(relations: tuple[Relation, ...], fine: bool, sets: int) -> PiecewiseLinear:
-    penalties = [r.destination_penalty if fine else r.choice_penalty for r in relations]
-    return PiecewiseLinear([r.knots[fine] for r in relations], penalties, sets)
-
-
 class GoalModel(nn.Module):
     """The likelihood of targets and destinations; see the module."""
 
@@ -77,9 +72,15 @@ class GoalModel(nn.Module):
         choice_knots = [*(r.knots[0] for r in RELATIONS), GRIP_KNOTS]
         choice_penalties = [*(r.choice_penalty for r in RELATIONS), GRIP_PENALTY]
         self.choice = PiecewiseLinear(choice_knots, choice_penalties, num_tasks)
-        self.finished = _functions((*RELATIONS, *RELATIONS), False, num_tasks)
+        finished_knots = [r.knots[1] for r in (*RELATIONS, *RELATIONS)]
+        finished_penalties = [r.choice_penalty for r in (*RELATIONS, *RELATIONS)]
+        self.finished = PiecewiseLinear(finished_knots, finished_penalties, num_tasks)
         self.finished_bias = nn.Parameter(torch.zeros(num_tasks))
-        self.destination = _functions(RELATIONS, True, 2 * num_tasks)  # of blocks, of the robot
+        destination_knots = [r.knots[1] for r in RELATIONS]
+        destination_penalties = [r.destination_penalty for r in RELATIONS]
+        self.destination = PiecewiseLinear(  # of blocks and of the robot
+            destination_knots, destination_penalties, 2 * num_tasks
+        )
 
     def target_logits(self, table: ObjectTable, relations: Tensor, tasks: Tensor) -> Tensor:
         """Logits (B, N + 1): every block, and last that none is left to move.
@@ -101,7 +102,8 @@ class GoalModel(nn.Module):
     ) -> Tensor:
         """Logits (B, K) of places (B, K, 2) as the destinations of targets (B,)."""
         sets = 2 * tasks + (targets == ROBOT_TARGET)
-        return self.destination(relate(table, targets, places), sets)
+        logits: Tensor = self.destination(relate(table, targets, places), sets)
+        return logits
 
     def decide(self, table: ObjectTable, tasks: Tensor) -> tuple[Tensor, Tensor]:
         """The targets (B,) and destinations (B, 2) to act on.

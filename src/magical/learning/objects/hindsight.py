@@ -1,10 +1,10 @@
 """What a demonstration did, from its recorded frames alone: which block was moved, and where to.
 
 A demonstration is cut into carries: spans in which one block moves in or at the gripper. Before and
-during a carry the target is its block, and the destination is where that block lay at its end. After
-the last carry the target is the robot, and the destination is where the robot stops. So every recorded
-state gets the goal that was reached from it (Andrychowicz et al., "Hindsight experience replay",
-NeurIPS 2017, relabel in the same way).
+during a carry the target is its block, and the destination is where that block lay at its end.
+After the last carry the target is the robot, and the destination is where the robot stops. So every
+recorded state gets the goal that was reached from it (Andrychowicz et al., "Hindsight experience
+replay", NeurIPS 2017, relabel in the same way).
 """
 
 from typing import NamedTuple
@@ -55,27 +55,32 @@ def track(parsed: ParsedFrames) -> ParsedFrames:
     return parsed._replace(blocks=blocks, colours=colours, shapes=shapes)
 
 
-def find_goals(robot: Floats, blocks: Floats) -> Goals:
+def find_goals(robot: Floats, blocks: Floats, intended: NDArray[np.bool_]) -> Goals:
     """The goals of a tracked episode of T steps.
 
     Args:
         robot: (T + 1, 3) poses.
         blocks: (T + 1, N, 2) positions; absent ones never move.
+        intended: (T,), where the demonstrator's own action was executed: what random actions move
+            was no goal.
     """
     steps = len(robot) - 1
     targets = np.full(steps, ROBOT_TARGET, np.int64)
     destinations = np.repeat(robot[-1:, :2], steps, axis=0)
     first = 0
-    for block, _, last in _carries(robot, blocks):
+    for block, _, last in _carries(robot, blocks, intended):
         targets[first : last + 1] = block
         destinations[first : last + 1] = blocks[last + 1, block]
         first = last + 1
     return Goals(targets, destinations)
 
 
-def _carries(robot: Floats, blocks: Floats) -> list[tuple[int, int, int]]:
+def _carries(
+    robot: Floats, blocks: Floats, intended: NDArray[np.bool_]
+) -> list[tuple[int, int, int]]:
     """Block, first and last step of each carry, in order."""
     moved = np.linalg.norm(np.diff(blocks, axis=0), axis=2) > MOVED  # (T, N)
+    moved &= intended[:, None]
     angle = robot[:-1, 2]
     grip = robot[:-1, :2] + GRIP * np.stack([-np.sin(angle), np.cos(angle)], axis=1)
     far = np.where(moved, np.linalg.norm(blocks[:-1] - grip[:, None], axis=2), np.inf)

@@ -100,25 +100,27 @@ def _codes(frames: Pixels) -> Codes:
 
 def _coordinates(columns: NDArray[np.intp], rows: NDArray[np.intp]) -> tuple[Floats, Floats]:
     """The centres of pixels in the workspace."""
-    return (columns + 0.5) * PIXEL - VIEW_HALF, VIEW_HALF - (rows + 0.5) * PIXEL
+    x: Floats = (columns + 0.5) * PIXEL - VIEW_HALF
+    y: Floats = VIEW_HALF - (rows + 0.5) * PIXEL
+    return x, y
 
 
 class _Components(NamedTuple):
     """The connected components of a mask (B, 96, 96), and their pixels."""
 
-    count: int
+    number: int
     labels: NDArray[np.intp]  # (P,) the component of each pixel
     frames: NDArray[np.intp]  # (P,)
     rows: NDArray[np.intp]  # (P,)
     columns: NDArray[np.intp]  # (P,)
 
     def total(self, values: Floats | None = None) -> Floats:
-        """The sum of pixels' values (P,) over each component, or its area: (count,)."""
-        return np.bincount(self.labels, values, self.count).astype(np.float64)
+        """The sum of pixels' values (P,) over each component, or its area: (number,)."""
+        return np.bincount(self.labels, values, self.number).astype(np.float64)
 
     def frame_of(self) -> Ints:
-        """The frame of each component (count,)."""
-        of = np.zeros(self.count, np.int64)
+        """The frame of each component (number,)."""
+        of = np.zeros(self.number, np.int64)
         of[self.labels] = self.frames
         return of
 
@@ -240,7 +242,7 @@ def _parse_blocks(codes: Codes) -> tuple[Floats, Ints, Ints]:
     used = np.zeros(count, np.int64)
     for number, colour in enumerate(COLOURS):
         parts = _components(codes == _code(SHADES[colour].fill))
-        if not parts.count:
+        if not parts.number:
             continue
         areas = parts.total()
         x, y = _coordinates(parts.columns, parts.rows)
@@ -257,7 +259,7 @@ def _parse_blocks(codes: Codes) -> tuple[Floats, Ints, Ints]:
 
 
 def _shape_features(parts: _Components, centres: Floats, x: Floats, y: Floats) -> Floats:
-    """Area, moments and the strength of four- and five-fold symmetry of components: (count, 9)."""
+    """Area, moments and the strength of four- and five-fold symmetry of components: (number, 9)."""
     dx, dy = (x - centres[parts.labels, 0]) / PIXEL, (y - centres[parts.labels, 1]) / PIXEL
     squares, directions = dx * dx + dy * dy, np.arctan2(dy, dx)
     area, second = parts.total(), np.maximum(parts.total(squares), 1e-9)
@@ -272,7 +274,7 @@ def _shape_features(parts: _Components, centres: Floats, x: Floats, y: Floats) -
         for k in (4, 5)
     )
     spread = 100 * (second / area**2 - 0.16)
-    one = np.ones(parts.count)
+    one = np.ones(parts.number)
     columns = area / 60, spread, four, five, 100 * fourth / area**3, five**2, four**2, spread**2
     return np.stack([*columns, one], axis=1)
 
@@ -284,7 +286,7 @@ def _parse_regions(codes: Codes) -> tuple[Floats, Ints]:
     used = np.zeros(len(codes), np.int64)
     for number, colour in enumerate(COLOURS):
         parts = _components(codes == _code(SHADES[colour].region))
-        if not parts.count:
+        if not parts.number:
             continue
         boxes, frame_of = _bounding_boxes(parts), parts.frame_of()
         for frame in np.unique(frame_of):
@@ -297,8 +299,8 @@ def _parse_regions(codes: Codes) -> tuple[Floats, Ints]:
 
 
 def _bounding_boxes(parts: _Components) -> Ints:
-    """First and last row, first and last column, and area of components: (count, 5)."""
-    boxes = np.zeros((parts.count, 5), np.int64)
+    """First and last row, first and last column, and area of components: (number, 5)."""
+    boxes = np.zeros((parts.number, 5), np.int64)
     boxes[:, [0, 2]] = FRAME_SIZE
     np.minimum.at(boxes[:, 0], parts.labels, parts.rows)
     np.maximum.at(boxes[:, 1], parts.labels, parts.rows)
@@ -309,7 +311,7 @@ def _bounding_boxes(parts: _Components) -> Ints:
 
 
 def _merged(boxes: Ints, codes: Codes) -> list[Ints]:
-    """Boxes with those joined that robot or blocks have split: the workspace lies not between them."""
+    """Boxes with those joined that robot or blocks have split: no workspace lies between."""
     left = list(boxes[np.argsort(-boxes[:, 4])])
     done: list[Ints] = []
     while left:

@@ -1,9 +1,9 @@
 """How a block, at a place, relates to the other objects of its scene.
 
-A relation is a number: a distance to the nearest object of some kind, such as the nearest other block
-of the same colour. Absolute colours, shapes, directions and (unless a block has no other object to
-relate to) positions do not occur, so whatever is learned from relations is the same for permuted
-colours and shapes, and for scenes that are moved, turned or mirrored.
+A relation is a number: a distance to the nearest object of some kind, such as the nearest other
+block of the same colour. Absolute colours, shapes, directions and (unless a block has no other
+object to relate to) positions do not occur, so whatever is learned from relations is the same for
+permuted colours and shapes, and for scenes that are turned or mirrored.
 """
 
 from collections.abc import Iterator
@@ -182,7 +182,8 @@ def _centre_distances(scene: _Scene, places: Tensor, mask: Tensor) -> Tensor:
     blocks = scene.table.blocks
     total = weights.sum(dim=1)
     centre = (blocks * weights[..., None]).sum(dim=1) / total.clamp(min=1.0)[:, None]
-    return (places - centre[:, None]).norm(dim=2).masked_fill((total == 0)[:, None], UNKNOWN)
+    distances: Tensor = (places - centre[:, None]).norm(dim=2)
+    return distances.masked_fill((total == 0)[:, None], UNKNOWN)
 
 
 def _line_relations(scene: _Scene, places: Tensor) -> Iterator[Tensor]:
