@@ -202,7 +202,7 @@ class ObjectBCTrainer:
         """Clone a batch of actions, given the goals of hindsight."""
         config = self.config
         set_learning_rate(self.optimizer, config.annealed(config.learning_rate, number))
-        rows = data.sample(config.batch_size, rng)
+        rows = data.sample_eventful(config.batch_size, rng)
         noise = rng.normal(0.0, config.destination_noise, (len(rows), 2)).astype(np.float32)
         destinations = data.destinations[rows] + torch.from_numpy(noise).to(self.device)
         mirrored = torch.from_numpy(rng.random(len(rows)) < 0.5 * config.mirror).to(self.device)

@@ -11,12 +11,13 @@ from magical.demos.reader import TrajectorySource
 from magical.demos.store.trajectory import Trajectory
 from magical.learning.expert_data import TaskTrajectories
 from magical.learning.objects.goals import relate_blocks
-from magical.learning.objects.hindsight import find_goals, track
+from magical.learning.objects.hindsight import ROBOT_TARGET, find_goals, track
 from magical.learning.objects.parser import ParsedFrames, parse_frames
 from magical.learning.objects.table import ObjectTable, to_tensor
 from magical.observe import Component
 
 CHUNK = 256  # frames or samples at a time
+STILL, STILL_FINGERS = 0.004, 0.02  # units or rad in a step, rad: more is motion
 
 Rows = NDArray[np.int64]
 
@@ -45,7 +46,7 @@ class ObjectData:
             _samples(trajectory, task_names.index(task), component)
             for task, trajectory in demonstrations
         ]
-        tables, targets, destinations, actions, tasks = zip(*parts, strict=True)
+        tables, targets, destinations, actions, tasks, eventful = zip(*parts, strict=True)
         columns = zip(*tables, strict=True)
         self.table = ObjectTable(*(torch.cat(column).to(device) for column in columns))
         self.targets, self.destinations, self.actions, self.tasks = (
@@ -56,14 +57,18 @@ class ObjectData:
         self.relations = torch.cat(chunks)
         numbers = self.tasks.cpu().numpy()
         self._rows = [np.flatnonzero(numbers == k) for k in range(len(task_names))]
+        self._eventful = np.flatnonzero(torch.cat(eventful).numpy())
 
     def __len__(self) -> int:
         """The number of samples."""
         return len(self.actions)
 
-    def sample(self, size: int, rng: np.random.Generator) -> Tensor:
-        """Sample rows with replacement, all alike."""
-        return self._index(rng.integers(len(self), size=size))
+    def sample_eventful(self, size: int, rng: np.random.Generator) -> Tensor:
+        """Sample rows with replacement, without those that wait while a block is the target.
+
+        Whoever clones waiting may wait forever: what is seen does not change.
+        """
+        return self._index(rng.choice(self._eventful, size))
 
     def sample_each(self, size: int, rng: np.random.Generator) -> Tensor:
         """Sample `size` rows of each task with replacement."""
@@ -75,8 +80,8 @@ class ObjectData:
 
 def _samples(
     trajectory: Trajectory, task: int, component: Component
-) -> tuple[ObjectTable, Tensor, Tensor, Tensor, Tensor]:
-    """One demonstration's scenes, targets, destinations, actions and task."""
+) -> tuple[ObjectTable, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """One demonstration's scenes, targets, destinations, actions, task; what is no waiting."""
     parsed = track(_parse(trajectory, component))
     goals = find_goals(parsed.robot, parsed.blocks, trajectory.labels == trajectory.actions)
     count = len(trajectory)
@@ -94,7 +99,17 @@ def _samples(
         to_tensor(goals.destinations),
         to_tensor(trajectory.labels),
         torch.full((count,), task),
+        torch.from_numpy(_moves(parsed) | (goals.targets == ROBOT_TARGET)),
     )
+
+
+def _moves(parsed: ParsedFrames) -> NDArray[np.bool_]:
+    """Whether robot, fingers or a block move in each step, (T,)."""
+    robot = np.abs(np.diff(parsed.robot, axis=0)).max(axis=1) > STILL
+    fingers = np.abs(np.diff(parsed.fingers, axis=0)).max(axis=1) > STILL_FINGERS
+    blocks = np.abs(np.diff(parsed.blocks, axis=0)).max(axis=(1, 2)) > STILL
+    moves: NDArray[np.bool_] = robot | fingers | blocks
+    return moves
 
 
 def _parse(trajectory: Trajectory, component: Component) -> ParsedFrames:

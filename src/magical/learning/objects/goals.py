@@ -23,6 +23,8 @@ BORDER = 0.95  # units: destinations are within [-BORDER, BORDER]
 CELLS = 16  # of the grid of destinations, along each axis
 STEPS = 2  # finer places to either side of the best cell's centre
 IMPOSSIBLE = -1e9
+ALTERNATIVES = 2  # other targets that are tried in place of blocks at their destinations
+AT_PLACE, OUT_OF_GRIP = 0.06, 0.1  # units: less than any carry; from the point between the fingers
 
 CELL = 2 * BORDER / CELLS  # units
 _AXIS = (torch.arange(CELLS) + 0.5) * CELL - BORDER
@@ -108,13 +110,24 @@ class GoalModel(nn.Module):
     def decide(self, table: ObjectTable, tasks: Tensor) -> tuple[Tensor, Tensor]:
         """The targets (B,) and destinations (B, 2) to act on.
 
-        The robot itself is the target where it is more likely than not that no block is left.
+        The robot itself is the target where it is more likely than not that no block is left. A
+        block that lies at its destination, out of the gripper, gives way to the next likely one.
         """
         table = table.trimmed()
         logits = self.target_logits(table, relate_blocks(table), tasks)
         finished = logits.softmax(dim=1)[:, -1] > 0.5
-        targets = logits[:, :-1].argmax(dim=1).masked_fill(finished, ROBOT_TARGET)
-        return targets, self._best_places(table, targets, tasks)
+        blocks = logits[:, :-1]
+        targets = blocks.argmax(dim=1).masked_fill(finished, ROBOT_TARGET)
+        places = self._best_places(table, targets, tasks)
+        for _ in range(ALTERNATIVES):
+            rows = _already_there(table, targets, places).nonzero()[:, 0]
+            if not len(rows):
+                break
+            blocks = blocks.index_put((rows, targets[rows]), blocks.new_tensor(IMPOSSIBLE))
+            targets = targets.index_put((rows,), blocks[rows].argmax(dim=1))
+            some = self._best_places(table.select(rows), targets[rows], tasks[rows])
+            places = places.index_put((rows,), some)
+        return targets, places
 
     def _best_places(self, table: ObjectTable, targets: Tensor, tasks: Tensor) -> Tensor:
         """The most likely destinations (B, 2): of a grid, then the mean of finer places around."""
@@ -166,6 +179,14 @@ def relate_blocks(table: ObjectTable) -> Tensor:
     numbers = torch.arange(count, device=device).repeat(table.size)
     places = table.blocks.reshape(-1, 1, 2)
     return relate(repeated, numbers, places).view(table.size, count, -1)
+
+
+def _already_there(table: ObjectTable, targets: Tensor, places: Tensor) -> Tensor:
+    """Which targets are blocks at their destinations and out of the gripper: (B,) bool."""
+    rows = torch.arange(table.size, device=targets.device)
+    block = table.blocks[rows, targets.clamp(min=0)]
+    near = (block - places).norm(dim=1) < AT_PLACE
+    return near & ((block - table.grip).norm(dim=1) > OUT_OF_GRIP) & (targets != ROBOT_TARGET)
 
 
 def _extremes(relations: Tensor, present: Tensor) -> Tensor:
