@@ -69,9 +69,9 @@ def compare(env_id: str, seed: int) -> dict[str, NDArray[np.float64]]:
     view = source.frames(View.ALLO, 96, None)
     for frame, step in zip(frames, times.tolist(), strict=True):
         view.render(step, frame)
-    start = time.perf_counter()
+    start = time.process_time()
     parsed = p.parse_frames(frames)
-    spent = (time.perf_counter() - start) / len(times) * 1e3
+    spent = (time.process_time() - start) / len(times) * 1e3
     assert trajectory.poses is not None
     poses = trajectory.poses[times]
     turned = (parsed.robot[:, 2] - poses[:, 0, 2] + np.pi) % (2 * np.pi) - np.pi

@@ -186,7 +186,9 @@ def _already_there(table: ObjectTable, targets: Tensor, places: Tensor) -> Tenso
     rows = torch.arange(table.size, device=targets.device)
     block = table.blocks[rows, targets.clamp(min=0)]
     near = (block - places).norm(dim=1) < AT_PLACE
-    return near & ((block - table.grip).norm(dim=1) > OUT_OF_GRIP) & (targets != ROBOT_TARGET)
+    released = (block - table.grip).norm(dim=1) > OUT_OF_GRIP
+    found: Tensor = near & released & (targets != ROBOT_TARGET)
+    return found
 
 
 def _extremes(relations: Tensor, present: Tensor) -> Tensor:

@@ -100,9 +100,8 @@ def _codes(frames: Pixels) -> Codes:
 
 def _coordinates(columns: NDArray[np.intp], rows: NDArray[np.intp]) -> tuple[Floats, Floats]:
     """The centres of pixels in the workspace."""
-    x: Floats = (columns + 0.5) * PIXEL - VIEW_HALF
-    y: Floats = VIEW_HALF - (rows + 0.5) * PIXEL
-    return x, y
+    x, y = columns.astype(np.float64) + 0.5, rows.astype(np.float64) + 0.5
+    return x * PIXEL - VIEW_HALF, VIEW_HALF - y * PIXEL
 
 
 class _Components(NamedTuple):
