@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from magical.learning.objects.data import _moves
 from magical.learning.objects.hindsight import ROBOT_TARGET, find_goals, track
 from magical.learning.objects.parser import FAR, MAX_BLOCKS, ParsedFrames
 
@@ -53,3 +54,13 @@ def test_tracking_keeps_numbers_when_blocks_are_found_in_another_order_or_not_at
     assert np.allclose(tracked.blocks[:, 0], [[0.0, 0.0], [0.01, 0.0], [0.02, 0.0]])
     assert np.allclose(tracked.blocks[:, 1], [[0.5, 0.5], [0.52, 0.5], [0.52, 0.5]])
     assert tracked.colours[:, :2].tolist() == [[2, 1]] * 3
+
+
+def test_waiting_is_told_from_moving() -> None:
+    robot, blocks = episode()
+    still = np.zeros((31, 2))
+    parsed = ParsedFrames(
+        robot, still, blocks, still.astype(int), still.astype(int), np.zeros((31, 3, 4)),
+        np.full((31, 3), -1),
+    )  # fmt: skip
+    assert np.flatnonzero(_moves(parsed)).tolist() == [*range(5, 15), 18, 19, *range(22, 30)]

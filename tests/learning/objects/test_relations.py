@@ -101,3 +101,23 @@ def test_decisions_do_not_depend_on_the_order_of_blocks() -> None:
     other_targets, other_places = model.decide(shuffled, tasks)
     assert order[other_targets].tolist() == targets.tolist()
     torch.testing.assert_close(other_places, places)
+
+
+def test_blocks_at_their_destinations_give_way_unless_they_are_gripped() -> None:
+    table = make_table(count=2).select(slice(0, 1))
+    blocks = table.blocks.clone()
+    blocks[0, :2] = torch.tensor([[-0.6, -0.6], [0.6, 0.6]])
+    table = table._replace(blocks=blocks, robot=torch.zeros(1, 3))
+    model = GoalModel(1)
+    with torch.no_grad():
+        model.finished_bias.fill_(-100.0)
+    nearest = int((blocks[0, :2] - table.grip).norm(dim=1).argmin())
+    tasks = torch.zeros(1, dtype=torch.int64)
+    assert model.decide(table, tasks)[0].tolist() == [nearest]
+    stay = NAMES.index("own place now")
+    with torch.no_grad():
+        model.destination.values[:, stay, 0] = 50.0  # every block's best place is its own
+    assert model.decide(table, tasks)[0].tolist() == [ROBOT_TARGET]
+    gripped = table._replace(blocks=blocks.clone())
+    gripped.blocks[0, nearest] = table.grip[0]
+    assert model.decide(gripped, tasks)[0].tolist() == [nearest]

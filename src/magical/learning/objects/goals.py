@@ -111,7 +111,8 @@ class GoalModel(nn.Module):
         """The targets (B,) and destinations (B, 2) to act on.
 
         The robot itself is the target where it is more likely than not that no block is left. A
-        block that lies at its destination, out of the gripper, gives way to the next likely one.
+        block that lies at its destination, out of the gripper, gives way to the next likely one, and
+        the last one to the robot.
         """
         table = table.trimmed()
         logits = self.target_logits(table, relate_blocks(table), tasks)
@@ -124,7 +125,9 @@ class GoalModel(nn.Module):
             if not len(rows):
                 break
             blocks = blocks.index_put((rows, targets[rows]), blocks.new_tensor(IMPOSSIBLE))
-            targets = targets.index_put((rows,), blocks[rows].argmax(dim=1))
+            best, numbers = blocks[rows].max(dim=1)
+            numbers = numbers.masked_fill(best == IMPOSSIBLE, ROBOT_TARGET)
+            targets = targets.index_put((rows,), numbers)
             some = self._best_places(table.select(rows), targets[rows], tasks[rows])
             places = places.index_put((rows,), some)
         return targets, places
