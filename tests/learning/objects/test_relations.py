@@ -116,7 +116,8 @@ def test_blocks_at_their_destinations_give_way_unless_they_are_gripped() -> None
     assert model.decide(table, tasks)[0].tolist() == [nearest]
     stay = NAMES.index("own place now")
     with torch.no_grad():
-        model.destination.values[:, stay, 0] = 50.0  # every block's best place is its own
+        # every block's best place is its own
+        model.destination.values[:, stay, :9] = torch.linspace(400.0, 0.0, 9)
     assert model.decide(table, tasks)[0].tolist() == [ROBOT_TARGET]
     gripped = table._replace(blocks=blocks.clone())
     gripped.blocks[0, nearest] = table.grip[0]

@@ -111,8 +111,8 @@ class GoalModel(nn.Module):
         """The targets (B,) and destinations (B, 2) to act on.
 
         The robot itself is the target where it is more likely than not that no block is left. A
-        block that lies at its destination, out of the gripper, gives way to the next likely one, and
-        the last one to the robot.
+        block that lies at its destination, out of the gripper, gives way to the next likely one,
+        and the last one to the robot.
         """
         table = table.trimmed()
         logits = self.target_logits(table, relate_blocks(table), tasks)
