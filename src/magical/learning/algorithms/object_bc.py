@@ -34,6 +34,7 @@ from magical.learning.optimizers import set_learning_rate
 from magical.learning.run import Run
 from magical.learning.streams import Purpose, seeded_init, stream
 from magical.observe.pixels import CHANNELS, STACK
+from magical.runs.sources import EXTRA_DATA
 
 OBSERVATION = "LoRes4A"  # the allocentric camera sees every object
 # Settings of the other algorithms that have no meaning here.
@@ -98,6 +99,11 @@ class ObjectBCConfig(ImitationConfig):
                     f"{name}: object-bc has no such setting; expected the default {default!r}, "
                     f"found {getattr(self, name)!r}"
                 )
+
+    @property
+    def learned_from(self) -> tuple[str, ...]:
+        """See `Config`; the parser's constants were fitted on rendered scenes."""
+        return (*super().learned_from, EXTRA_DATA)
 
     @property
     def total(self) -> int:
