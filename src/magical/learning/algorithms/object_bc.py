@@ -1,0 +1,279 @@
+"""Object-centred behavioural cloning: parse objects, choose a goal, act towards it.
+
+1. Frames are parsed into objects (`magical.learning.objects.parser`).
+2. In hindsight every recorded state gets the goal that was reached from it: which block was moved
+   next, and where to.
+3. A goal model learns the likelihood of those goals from relations between objects, and a
+   controller clones the demonstrator's actions given the goal, in the robot's frame.
+
+The goal model has functions for each task, the controller is shared by all. There are no published
+settings.
+"""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from magical.errors import InvalidConfigError
+from magical.learning.algorithms import Algorithm
+from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
+from magical.learning.config import CHECKPOINT_SECONDS, ImitationConfig, option
+from magical.learning.devices import choose_device
+from magical.learning.expert_data import load_demonstrations
+from magical.learning.objects.control import MIRRORED_ACTIONS, Controller, control_inputs
+from magical.learning.objects.data import ObjectData
+from magical.learning.objects.goals import BORDER, CANDIDATES, GoalModel, goal_losses
+from magical.learning.objects.table import ObjectTable, parse_table
+from magical.learning.optimizers import set_learning_rate
+from magical.learning.run import Run
+from magical.learning.streams import Purpose, seeded_init, stream
+from magical.observe.pixels import CHANNELS, STACK
+from magical.runs.sources import EXTRA_DATA
+
+OBSERVATION = "LoRes4A"  # the allocentric camera sees every object
+# Settings of the other algorithms that have no meaning here.
+WITHOUT_MEANING = (
+    "network",
+    "pixel_range",
+    "last_layer_init",
+    "compile",
+    "graphs",
+    "borders",
+    "linear_light",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectBCConfig(ImitationConfig):
+    """Settings of object-centred behavioural cloning."""
+
+    algorithm: ClassVar[str] = "object-bc"
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "paper": {},
+        "quick": {"batches": 2000, "precision": "auto"},
+    }
+
+    observation: str = option(OBSERVATION, "observation preset", choices=(OBSERVATION,))
+    augment: str = option("none", "objects are parsed from plain frames", choices=("none",))
+    batches: int = option(4000, "batches in all")
+    batch_size: int = option(256, "samples per batch of the controller")
+    learning_rate: float = option(2e-3, "of the controller; annealed linearly to 0")
+    weight_decay: float = option(1e-2, "of the controller")
+    hidden: int = option(256, "units in the controller's layers")
+    motion: bool = option(
+        False, "show the controller how robot and fingers moved since the previous frame"
+    )
+    mirror: bool = option(True, "exchange left and right in half of the controller's samples")
+    destination_noise: float = option(
+        0.03, "standard deviation of the noise on the controller's destinations, units"
+    )
+    goal_every: int = option(8, "batches between updates of the goal model")
+    goal_batch_size: int = option(64, "samples of each task in an update of the goal model")
+    goal_learning_rate: float = option(0.05, "of the goal model; annealed linearly to 0")
+    goal_penalty: float = option(1e-3, "weight of the goal model's penalty")
+    temperature: float = option(1.0, "of the distribution that actions are sampled from")
+    log_every: int = option(50, "batches between lines of metrics")
+    checkpoint_every: int = option(
+        0, f"batches between checkpoints; 0: one every {CHECKPOINT_SECONDS} s"
+    )
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.require_positive(
+            "batches", "batch_size", "learning_rate", "hidden", "goal_every", "goal_batch_size"
+        )
+        self.require_positive("goal_learning_rate", "temperature", "log_every")
+        self.require_at_least_zero(
+            "weight_decay", "destination_noise", "goal_penalty", "checkpoint_every"
+        )
+        for name in WITHOUT_MEANING:
+            default = type(self).__dataclass_fields__[name].default
+            if getattr(self, name) != default:
+                raise InvalidConfigError(
+                    f"{name}: object-bc has no such setting; expected the default {default!r}, "
+                    f"found {getattr(self, name)!r}"
+                )
+
+    @property
+    def learned_from(self) -> tuple[str, ...]:
+        """See `Config`; the parser's constants were fitted on rendered scenes."""
+        return (*super().learned_from, EXTRA_DATA)
+
+    @property
+    def total(self) -> int:
+        """All batches."""
+        return self.batches
+
+    @property
+    def training_samples(self) -> int:
+        """The samples of all the controller's batches."""
+        return self.total * self.batch_size
+
+    def annealed(self, learning_rate: float, batch: int) -> float:
+        """A learning rate in a batch: annealed linearly to 0."""
+        return learning_rate * (1.0 - batch / self.batches)
+
+
+class ObjectPolicy(nn.Module):
+    """Frame stacks to logits of the 18 actions, through objects and a goal."""
+
+    def __init__(self, config: ObjectBCConfig) -> None:
+        super().__init__()
+        self.goals = GoalModel(len(config.tasks))
+        self.controller = Controller(config.hidden)
+        self.motion, self.temperature = config.motion, config.temperature
+
+    def forward(self, observations: Tensor, tasks: Tensor) -> Tensor:
+        """Logits (B, 18) of stacks (B, 12, 96, 96), float in [0, 1]."""
+        latest = observations[:, (STACK - 2) * CHANNELS :].permute(0, 2, 3, 1)
+        frames = latest.mul(255.0).round_().to(torch.uint8).contiguous().cpu().numpy()
+        parsed = parse_table(frames[..., CHANNELS:], frames[..., :CHANNELS])
+        table = ObjectTable(*(column.to(tasks.device) for column in parsed))
+        with torch.autocast(tasks.device.type, enabled=False):  # positions need float32
+            targets, destinations = self.goals.decide(table, tasks)
+            inputs = control_inputs(table, targets, destinations, motion=self.motion)
+        logits: Tensor = self.controller(*inputs) / self.temperature
+        return logits
+
+
+def make_policy(config: ObjectBCConfig) -> ObjectPolicy:
+    """The policy, initialised from the seed."""
+    with seeded_init(config.seed):
+        policy = ObjectPolicy(config)
+        blank = torch.zeros((1, *config.input_shape))
+        policy(blank, torch.zeros(1, dtype=torch.int64))  # fixes the sizes of the lazy layers
+        return policy
+
+
+def train(config: ObjectBCConfig, run: Run) -> None:
+    """Learn from the demonstrations."""
+    device = choose_device(config.device)
+    trainer = ObjectBCTrainer(config, run, device)
+    demonstrations = load_demonstrations(config, run)
+    component = config.observation_spec.components[0]
+    trainer.fit(ObjectData(demonstrations, config.tasks, component, device))
+
+
+class ObjectBCTrainer:
+    """Goal model and controller, each with its optimiser."""
+
+    def __init__(self, config: ObjectBCConfig, run: Run, device: str) -> None:
+        """Create a new trainer, or resume from the run's checkpoint."""
+        self.config, self.run, self.device = config, run, device
+        self.policy = make_policy(config).to(device)
+        self.compute = run.compute(device, config.precision, config.threads)
+        self.goal_optimizer = torch.optim.Adam(
+            self.policy.goals.parameters(), config.goal_learning_rate
+        )
+        self.optimizer = torch.optim.AdamW(
+            self.policy.controller.parameters(),
+            config.learning_rate,
+            weight_decay=config.weight_decay,
+        )
+        if run.saved:
+            load_module(self.policy, run.saved["policy"], str(run.folder))
+            load_optimizer(self.optimizer, run.saved["optimizer"])
+            load_optimizer(self.goal_optimizer, run.saved["goal_optimizer"])
+
+    def fit(self, data: ObjectData) -> None:
+        """Train from the run's step to the last batch, or until the run stops."""
+        config, run = self.config, self.run
+        metrics = _Metrics()
+        for number in range(run.step, config.batches):
+            rng = stream(config.seed, Purpose.BATCHES, number)
+            metrics.add(config.batch_size, **self.control_step(data, number, rng))
+            if number % config.goal_every == 0:
+                metrics.add(0, **self.goal_step(data, number, rng))
+            done = number + 1
+            stops = run.stops(done)
+            last = stops or done == config.batches
+            if last or done % config.log_every == 0:
+                means = metrics.reset()
+                run.require_finite(done, means)
+                run.log(done, config.total, **means)
+            if last or run.checkpoint_is_due(done, config.checkpoint_every):
+                run.checkpoint(done, self.state_dict())
+            if stops:
+                return
+
+    def control_step(
+        self, data: ObjectData, number: int, rng: np.random.Generator
+    ) -> dict[str, float]:
+        """Clone a batch of actions, given the goals of hindsight."""
+        config = self.config
+        set_learning_rate(self.optimizer, config.annealed(config.learning_rate, number))
+        rows = data.sample_eventful(config.batch_size, rng)
+        noise = rng.normal(0.0, config.destination_noise, (len(rows), 2)).astype(np.float32)
+        destinations = data.destinations[rows] + torch.from_numpy(noise).to(self.device)
+        mirrored = torch.from_numpy(rng.random(len(rows)) < 0.5 * config.mirror).to(self.device)
+        table, targets = data.table.select(rows), data.targets[rows]
+        inputs = control_inputs(table, targets, destinations, mirrored, config.motion)
+        with self.compute.autocast():
+            logits = self.policy.controller(*inputs).float()
+        actions = data.actions[rows]
+        actions = torch.where(mirrored, MIRRORED_ACTIONS.to(self.device)[actions], actions)
+        loss = functional.cross_entropy(logits, actions)
+        self.optimizer.zero_grad()
+        torch.autograd.backward(loss)
+        self.optimizer.step()
+        accuracy = (logits.argmax(dim=1) == actions).float().mean()
+        return {"loss": loss.item(), "accuracy": accuracy.item()}
+
+    def goal_step(
+        self, data: ObjectData, number: int, rng: np.random.Generator
+    ) -> dict[str, float]:
+        """Increase the likelihood of a batch of goals."""
+        config = self.config
+        set_learning_rate(self.goal_optimizer, config.annealed(config.goal_learning_rate, number))
+        rows = data.sample_each(config.goal_batch_size, rng)
+        places = rng.uniform(-BORDER, BORDER, (len(rows), CANDIDATES, 2)).astype(np.float32)
+        target_loss, destination_loss = goal_losses(
+            self.policy.goals,
+            data.table.select(rows),
+            data.relations[rows],
+            data.targets[rows],
+            data.destinations[rows],
+            data.tasks[rows],
+            torch.from_numpy(places).to(self.device),
+        )
+        penalty = config.goal_penalty * self.policy.goals.penalty()
+        self.goal_optimizer.zero_grad()
+        torch.autograd.backward(target_loss + destination_loss + penalty)
+        self.goal_optimizer.step()
+        return {"target_loss": target_loss.item(), "destination_loss": destination_loss.item()}
+
+    def state_dict(self) -> StateDict:
+        """The state of the policy and both optimisers."""
+        return {
+            "policy": self.policy.state_dict(),
+            "optimizer": optimizer_state(self.optimizer),
+            "goal_optimizer": optimizer_state(self.goal_optimizer),
+        }
+
+
+class _Metrics:
+    """Means of metrics since the last reset, and samples per second."""
+
+    def __init__(self) -> None:
+        self._values: dict[str, list[float]] = {}
+        self._samples, self._start = 0, time.perf_counter()
+
+    def add(self, samples: int, **values: float) -> None:
+        self._samples += samples
+        for name, value in values.items():
+            self._values.setdefault(name, []).append(value)
+
+    def reset(self) -> dict[str, float]:
+        means = {name: float(np.mean(values)) for name, values in self._values.items()}
+        means["samples_per_second"] = self._samples / (time.perf_counter() - self._start)
+        self.__init__()  # type: ignore[misc]
+        return means
+
+
+ALGORITHM = Algorithm(ObjectBCConfig, train, make_policy)

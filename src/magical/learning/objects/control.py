@@ -1,0 +1,168 @@
+"""The network that moves a target to its destination: actions from what the robot sees of it.
+
+Its inputs are in the robot's frame and know neither task, colours nor shapes: target, destination,
+fingers, own motion, the nearest walls, and the blocks around. So it is the same for all tasks, and
+left and right are interchangeable.
+"""
+
+import torch
+from torch import Tensor, nn
+
+from magical.learning.objects.hindsight import ROBOT_TARGET
+from magical.learning.objects.table import GRIP, ObjectTable
+from magical.scene import ACTIONS, NUM_ACTIONS
+from magical.scene.actions import Action, Turn
+
+NEIGHBOURHOOD = 1.0  # units: blocks farther from the robot are not seen
+FOCUS = 0.15  # units: the scale on which nearness is told apart
+HELD = 2  # blocks nearest to the fingers, which have inputs of their own
+
+_MIRRORED = {Turn.STRAIGHT: Turn.STRAIGHT, Turn.LEFT: Turn.RIGHT, Turn.RIGHT: Turn.LEFT}
+MIRRORED_ACTIONS = torch.tensor(
+    [Action(a.longitudinal, _MIRRORED[a.turn], a.gripper).id for a in ACTIONS]
+)
+
+
+def control_inputs(
+    table: ObjectTable,
+    targets: Tensor,
+    destinations: Tensor,
+    mirrored: Tensor | None = None,
+    motion: bool = True,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """What the controller sees.
+
+    Args:
+        table: B scenes.
+        targets: (B,), a block's number or ROBOT_TARGET.
+        destinations: (B, 2).
+        mirrored: (B,) bool, the scenes whose left and right are exchanged.
+        motion: whether to show how robot and fingers moved since the previous frame.
+
+    Returns:
+        Inputs (B, F); inputs of every block (B, N, T); which blocks are near (B, N).
+    """
+    view = _RobotView(table, mirrored)
+    robot = targets == ROBOT_TARGET
+    rows = torch.arange(table.size, device=targets.device)
+    start = torch.where(robot[:, None], destinations, table.blocks[rows, targets.clamp(min=0)])
+    target, end = view.see(start), view.see(destinations)
+    blocks = view.see(table.blocks)
+    numbers = torch.arange(blocks.shape[1], device=blocks.device)
+    is_target = (numbers == targets[:, None])[..., None].float()
+    own = torch.cat(
+        [
+            robot[:, None].float(),
+            _polar(target),
+            _polar(end),
+            _polar(end - target),
+            _held(blocks, is_target, table.present),
+            view.fingers(),
+            *([view.motion()] if motion else []),
+            *(view.walls(place) for place in (table.robot[:, :2], start, destinations)),
+        ],
+        dim=1,
+    )
+    parts = _polar(blocks), _polar(blocks - end[:, None]), _polar(blocks - target[:, None])
+    near = table.present & (blocks.norm(dim=2) < NEIGHBOURHOOD)
+    return own, torch.cat([*parts, is_target], dim=2), near
+
+
+class _RobotView:
+    """Workspace coordinates to the robot's frame (x to the right, y ahead), mirrored or not."""
+
+    def __init__(self, table: ObjectTable, mirrored: Tensor | None) -> None:
+        self._table, self._mirrored = table, mirrored
+        self._angle = table.robot[:, 2]
+
+    def see(self, places: Tensor) -> Tensor:
+        """Places (B, 2) or (B, K, 2) as seen from the robot."""
+        origin = self._table.robot[:, :2]
+        return self.turn(places - (origin if places.dim() == 2 else origin[:, None]))
+
+    def turn(self, vectors: Tensor) -> Tensor:
+        """Vectors (B, 2) or (B, K, 2) in the robot's frame."""
+        angle = self._angle if vectors.dim() == 2 else self._angle[:, None]
+        cos, sin = angle.cos(), angle.sin()
+        right = vectors[..., 0] * cos + vectors[..., 1] * sin
+        ahead = vectors[..., 1] * cos - vectors[..., 0] * sin
+        if self._mirrored is not None:
+            flipped = self._mirrored if vectors.dim() == 2 else self._mirrored[:, None]
+            right = torch.where(flipped, -right, right)
+        return torch.stack([right, ahead], dim=-1)
+
+    def fingers(self) -> Tensor:
+        """How far both fingers are open, roughly of unit size: (B, 2)."""
+        return self._sides(3 * self._table.fingers)
+
+    def motion(self) -> Tensor:
+        """Velocity, turning and the fingers' motion, roughly of unit size: (B, 5)."""
+        table = self._table
+        velocity = self.turn(table.robot[:, :2] - table.previous_robot[:, :2])
+        turned = table.robot[:, 2:] - table.previous_robot[:, 2:]
+        turned = torch.atan2(turned.sin(), turned.cos())
+        if self._mirrored is not None:
+            turned = torch.where(self._mirrored[:, None], -turned, turned)
+        moved = self._sides(table.fingers - table.previous_fingers)
+        return torch.cat([10 * velocity, 5 * turned, 10 * moved], dim=1)
+
+    def _sides(self, values: Tensor) -> Tensor:
+        """Values of the left and the right side (B, 2), exchanged where mirrored."""
+        if self._mirrored is None:
+            return values
+        return torch.where(self._mirrored[:, None], values.flip(1), values)
+
+    def walls(self, places: Tensor) -> Tensor:
+        """Direction and nearness of the two walls next to each place, nearer one first: (B, 6)."""
+        across = torch.where(places > 0, 1.0 - places, -1.0 - places)  # (B, 2)
+        vectors = self.turn(torch.diag_embed(across))  # (B, 2, 2)
+        distances = vectors.norm(dim=2)
+        order = distances.argsort(dim=1)
+        vectors = vectors.gather(1, order[..., None].expand(-1, -1, 2))
+        distances = distances.gather(1, order)[..., None]
+        nearness = torch.exp(-distances / (2 * FOCUS))
+        return torch.cat([vectors / (distances + 0.05) * nearness, nearness], dim=2).flatten(1)
+
+
+def _polar(vectors: Tensor) -> Tensor:
+    """Vectors (..., 2) with length, direction and nearness: (..., 6)."""
+    length = vectors.norm(dim=-1, keepdim=True)
+    return torch.cat(
+        [vectors, length, vectors / (length + 0.05), torch.exp(-length / FOCUS)], dim=-1
+    )
+
+
+def _held(blocks: Tensor, is_target: Tensor, present: Tensor) -> Tensor:
+    """The blocks nearest to the fingers: (B, HELD * 5)."""
+    offsets = blocks - torch.tensor([0.0, GRIP], device=blocks.device)
+    distances = offsets.norm(dim=2).masked_fill(~present, NEIGHBOURHOOD)
+    nearest = distances.argsort(dim=1)[:, :HELD, None]
+    near = (distances[..., None].gather(1, nearest) < NEIGHBOURHOOD).float()
+    offsets = offsets.gather(1, nearest.expand(-1, -1, 2))
+    length = offsets.norm(dim=2, keepdim=True).clamp(max=NEIGHBOURHOOD)
+    parts = torch.cat([offsets, length, torch.ones_like(near), is_target.gather(1, nearest)], dim=2)
+    held: Tensor = (parts * near).flatten(1)
+    return held
+
+
+class Controller(nn.Module):
+    """Logits of the 18 actions; blocks are pooled by their maximum, so their order is no matter."""
+
+    def __init__(self, hidden: int) -> None:
+        super().__init__()
+        self.block = nn.Sequential(nn.LazyLinear(64), nn.ReLU(), nn.Linear(64, 64), nn.ReLU())
+        self.layers = nn.Sequential(
+            nn.LazyLinear(hidden),
+            nn.ReLU(),
+            nn.Linear(hidden, hidden),
+            nn.ReLU(),
+            nn.Linear(hidden, hidden),
+            nn.ReLU(),
+            nn.Linear(hidden, NUM_ACTIONS),
+        )
+
+    def forward(self, own: Tensor, blocks: Tensor, near: Tensor) -> Tensor:
+        """Logits (B, 18) of what `control_inputs` returns."""
+        pooled = (self.block(blocks) * near[..., None]).amax(dim=1)
+        logits: Tensor = self.layers(torch.cat([own, pooled], dim=1))
+        return logits

@@ -1,0 +1,122 @@
+"""Demonstrations as training data of the object-centred learner."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from magical.demos.reader import TrajectorySource
+from magical.demos.store.trajectory import Trajectory
+from magical.learning.expert_data import TaskTrajectories
+from magical.learning.objects.goals import relate_blocks
+from magical.learning.objects.hindsight import ROBOT_TARGET, find_goals, track
+from magical.learning.objects.parser import ParsedFrames, parse_frames
+from magical.learning.objects.table import ObjectTable, to_tensor
+from magical.observe import Component
+
+CHUNK = 256  # frames or samples at a time
+STILL, STILL_FINGERS = 0.004, 0.02  # units or rad in a step, rad: more is motion
+
+Rows = NDArray[np.int64]
+
+
+class ObjectData:
+    """The S samples of demonstrations: parsed scenes, goals found in hindsight, actions.
+
+    Attributes:
+        table: S scenes.
+        relations: of every block where it lies, (S, N, R).
+        targets: (S,) int64.
+        destinations: (S, 2) float32.
+        actions: (S,) int64, the trajectories' labels.
+        tasks: (S,) int64, positions in the names of tasks.
+    """
+
+    def __init__(
+        self,
+        demonstrations: TaskTrajectories,
+        task_names: Sequence[str],
+        component: Component,
+        device: str = "cpu",
+    ) -> None:
+        """Parse all frames, read through the allocentric component of the observation."""
+        parts = [
+            _samples(trajectory, task_names.index(task), component)
+            for task, trajectory in demonstrations
+        ]
+        tables, targets, destinations, actions, tasks, eventful = zip(*parts, strict=True)
+        columns = zip(*tables, strict=True)
+        self.table = ObjectTable(*(torch.cat(column).to(device) for column in columns))
+        self.targets, self.destinations, self.actions, self.tasks = (
+            torch.cat(column).to(device) for column in (targets, destinations, actions, tasks)
+        )
+        starts = range(0, len(self.actions), CHUNK)
+        chunks = [relate_blocks(self.table.select(slice(k, k + CHUNK))) for k in starts]
+        self.relations = torch.cat(chunks)
+        numbers = self.tasks.cpu().numpy()
+        self._rows = [np.flatnonzero(numbers == k) for k in range(len(task_names))]
+        self._eventful = np.flatnonzero(torch.cat(eventful).numpy())
+
+    def __len__(self) -> int:
+        """The number of samples."""
+        return len(self.actions)
+
+    def sample_eventful(self, size: int, rng: np.random.Generator) -> Tensor:
+        """Sample rows with replacement, without those that wait while a block is the target.
+
+        Whoever clones waiting may wait forever: what is seen does not change.
+        """
+        return self._index(rng.choice(self._eventful, size))
+
+    def sample_each(self, size: int, rng: np.random.Generator) -> Tensor:
+        """Sample `size` rows of each task with replacement."""
+        return self._index(np.concatenate([rng.choice(rows, size) for rows in self._rows]))
+
+    def _index(self, rows: Rows) -> Tensor:
+        return torch.from_numpy(rows).to(self.actions.device)
+
+
+def _samples(
+    trajectory: Trajectory, task: int, component: Component
+) -> tuple[ObjectTable, Tensor, Tensor, Tensor, Tensor, Tensor]:
+    """One demonstration's scenes, targets, destinations, actions, task; what is no waiting."""
+    parsed = track(_parse(trajectory, component))
+    goals = find_goals(parsed.robot, parsed.blocks, trajectory.labels == trajectory.actions)
+    count = len(trajectory)
+    before = np.maximum(np.arange(count) - 1, 0)
+    columns = (
+        parsed.robot[:-1],
+        parsed.fingers[:-1],
+        parsed.robot[before],
+        parsed.fingers[before],
+        *(column[:-1] for column in parsed[2:]),
+    )
+    return (
+        ObjectTable(*map(to_tensor, columns)),
+        to_tensor(goals.targets),
+        to_tensor(goals.destinations),
+        to_tensor(trajectory.labels),
+        torch.full((count,), task),
+        torch.from_numpy(_moves(parsed) | (goals.targets == ROBOT_TARGET)),
+    )
+
+
+def _moves(parsed: ParsedFrames) -> NDArray[np.bool_]:
+    """Whether robot, fingers or a block move in each step, (T,)."""
+    robot = np.abs(np.diff(parsed.robot, axis=0)).max(axis=1) > STILL
+    fingers = np.abs(np.diff(parsed.fingers, axis=0)).max(axis=1) > STILL_FINGERS
+    blocks = np.abs(np.diff(parsed.blocks, axis=0)).max(axis=(1, 2)) > STILL
+    moves: NDArray[np.bool_] = robot | fingers | blocks
+    return moves
+
+
+def _parse(trajectory: Trajectory, component: Component) -> ParsedFrames:
+    """The objects of all time steps."""
+    source, steps = TrajectorySource(trajectory), np.arange(len(trajectory) + 1)
+    parts = []
+    for start in range(0, len(steps), CHUNK):
+        frames = component.read(source, steps[start : start + CHUNK])  # (B, 3, 96, 96)
+        parts.append(parse_frames(np.ascontiguousarray(frames.transpose(0, 2, 3, 1))))
+    return ParsedFrames(*map(np.concatenate, zip(*parts, strict=True)))

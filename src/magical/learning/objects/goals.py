@@ -1,0 +1,203 @@
+"""Which block is moved next, and where to: sums of functions of single relations.
+
+Each relation has a piecewise linear function, learned for each task. The logit of a block is the
+sum over its relations where it lies; the logit of a destination the sum over the relations that the
+block would have there. A sum has no order, and each term is bound to one kind of object, so the
+model carries over to other counts, colours and layouts. It is trained by maximum likelihood of the
+goals found in hindsight.
+"""
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from magical.learning.objects.hindsight import ROBOT_TARGET
+from magical.learning.objects.relations import RELATIONS, UNKNOWN, relate
+from magical.learning.objects.table import ObjectTable
+
+GRIP_KNOTS = (0.04, 0.08, 0.14, 0.22, 0.32)  # units from the point between the fingers
+GRIP_PENALTY = 0.5
+NEARNESS = 1.0  # logits lost by a block for each unit from the fingers: breaks ties
+CANDIDATES = 64  # places that a destination is told apart from in training
+BORDER = 0.95  # units: destinations are within [-BORDER, BORDER]
+CELLS = 16  # of the grid of destinations, along each axis
+STEPS = 2  # finer places to either side of the best cell's centre
+IMPOSSIBLE = -1e9
+ALTERNATIVES = 2  # other targets that are tried in place of blocks at their destinations
+AT_PLACE, OUT_OF_GRIP = 0.06, 0.1  # units: less than any carry; from the point between the fingers
+
+CELL = 2 * BORDER / CELLS  # units
+_AXIS = (torch.arange(CELLS) + 0.5) * CELL - BORDER
+GRID = torch.cartesian_prod(_AXIS, _AXIS)  # (CELLS * CELLS, 2)
+_FINE_AXIS = torch.arange(-STEPS, STEPS + 1) * CELL / (STEPS + 1)
+FINE_GRID = torch.cartesian_prod(_FINE_AXIS, _FINE_AXIS)  # offsets from a cell's centre
+
+
+class PiecewiseLinear(nn.Module):
+    """A piecewise linear function of each of R numbers, summed; one set of functions per row."""
+
+    knots: Tensor  # (R, Q + 1); the last one stands for UNKNOWN
+    penalties: Tensor  # (R, 1)
+
+    def __init__(self, knots: list[tuple[float, ...]], penalties: list[float], sets: int) -> None:
+        super().__init__()
+        table = torch.tensor([(*row, UNKNOWN) for row in knots])
+        self.register_buffer("knots", table, persistent=False)
+        self.register_buffer("penalties", torch.tensor(penalties)[:, None], persistent=False)
+        self.values = nn.Parameter(torch.zeros(sets, *table.shape))
+
+    def forward(self, numbers: Tensor, sets: Tensor) -> Tensor:
+        """The sums (B, ...) of numbers (B, ..., R), with the functions of the sets (B,)."""
+        knots, count = self.knots, self.knots.shape[1]
+        flat = numbers.reshape(-1, len(knots)).T.contiguous()  # (R, P)
+        known = flat < UNKNOWN - 1.0
+        flat = torch.minimum(torch.maximum(flat, knots[:, :1]), knots[:, -2:-1])
+        above = torch.searchsorted(knots, flat).clamp(1, count - 2)
+        low, high = knots.gather(1, above - 1), knots.gather(1, above)
+        share = (flat - low) / (high - low)
+        above, share = above.masked_fill(~known, count - 1), share.masked_fill(~known, 1.0)
+        which = sets.repeat_interleave(flat.shape[1] // len(sets)) * count  # (P,)
+        values = self.values.transpose(0, 1).flatten(1)  # (R, sets * count)
+        upper, lower = values.gather(1, which + above), values.gather(1, which + above - 1)
+        return (upper * share + lower * (1.0 - share)).sum(dim=0).view(numbers.shape[:-1])
+
+    def penalty(self) -> Tensor:
+        """The weighted sum of squares."""
+        return (self.penalties * self.values**2).sum() / len(self.values)
+
+
+class GoalModel(nn.Module):
+    """The likelihood of targets and destinations; see the module."""
+
+    def __init__(self, num_tasks: int) -> None:
+        super().__init__()
+        choice_knots = [*(r.knots[0] for r in RELATIONS), GRIP_KNOTS]
+        choice_penalties = [*(r.choice_penalty for r in RELATIONS), GRIP_PENALTY]
+        self.choice = PiecewiseLinear(choice_knots, choice_penalties, num_tasks)
+        finished_knots = [r.knots[1] for r in (*RELATIONS, *RELATIONS)]
+        finished_penalties = [r.choice_penalty for r in (*RELATIONS, *RELATIONS)]
+        self.finished = PiecewiseLinear(finished_knots, finished_penalties, num_tasks)
+        self.finished_bias = nn.Parameter(torch.zeros(num_tasks))
+        destination_knots = [r.knots[1] for r in RELATIONS]
+        destination_penalties = [r.destination_penalty for r in RELATIONS]
+        self.destination = PiecewiseLinear(  # of blocks and of the robot
+            destination_knots, destination_penalties, 2 * num_tasks
+        )
+
+    def target_logits(self, table: ObjectTable, relations: Tensor, tasks: Tensor) -> Tensor:
+        """Logits (B, N + 1): every block, and last that none is left to move.
+
+        Args:
+            table: B scenes.
+            relations: of every block where it lies, (B, N, R).
+            tasks: (B,).
+        """
+        to_grip = (table.blocks - table.grip[:, None]).norm(dim=2)  # (B, N)
+        logits = self.choice(torch.cat([relations, to_grip[..., None]], dim=2), tasks)
+        logits = (logits - NEARNESS * to_grip).masked_fill(~table.present, IMPOSSIBLE)
+        extremes = _extremes(relations, table.present)
+        finished = self.finished_bias[tasks] + self.finished(extremes, tasks)
+        return torch.cat([logits, finished[:, None]], dim=1)
+
+    def destination_logits(
+        self, table: ObjectTable, targets: Tensor, places: Tensor, tasks: Tensor
+    ) -> Tensor:
+        """Logits (B, K) of places (B, K, 2) as the destinations of targets (B,)."""
+        sets = 2 * tasks + (targets == ROBOT_TARGET)
+        logits: Tensor = self.destination(relate(table, targets, places), sets)
+        return logits
+
+    def decide(self, table: ObjectTable, tasks: Tensor) -> tuple[Tensor, Tensor]:
+        """The targets (B,) and destinations (B, 2) to act on.
+
+        The robot itself is the target where it is more likely than not that no block is left. A
+        block that lies at its destination, out of the gripper, gives way to the next likely one,
+        and the last one to the robot.
+        """
+        table = table.trimmed()
+        logits = self.target_logits(table, relate_blocks(table), tasks)
+        finished = logits.softmax(dim=1)[:, -1] > 0.5
+        blocks = logits[:, :-1]
+        targets = blocks.argmax(dim=1).masked_fill(finished, ROBOT_TARGET)
+        places = self._best_places(table, targets, tasks)
+        for _ in range(ALTERNATIVES):
+            rows = _already_there(table, targets, places).nonzero()[:, 0]
+            if not len(rows):
+                break
+            blocks = blocks.index_put((rows, targets[rows]), blocks.new_tensor(IMPOSSIBLE))
+            best, numbers = blocks[rows].max(dim=1)
+            numbers = numbers.masked_fill(best == IMPOSSIBLE, ROBOT_TARGET)
+            targets = targets.index_put((rows,), numbers)
+            some = self._best_places(table.select(rows), targets[rows], tasks[rows])
+            places = places.index_put((rows,), some)
+        return targets, places
+
+    def _best_places(self, table: ObjectTable, targets: Tensor, tasks: Tensor) -> Tensor:
+        """The most likely destinations (B, 2): of a grid, then the mean of finer places around."""
+        places = GRID.to(targets.device).expand(table.size, -1, -1)
+        best = self.destination_logits(table, targets, places, tasks).argmax(dim=1)
+        places = GRID.to(targets.device)[best][:, None] + FINE_GRID.to(targets.device)
+        weights = self.destination_logits(table, targets, places, tasks).softmax(dim=1)
+        return (weights[..., None] * places).sum(dim=1)
+
+    def penalty(self) -> Tensor:
+        """How far the functions are from 0, weighted by the prior."""
+        choice = self.choice.penalty() + self.finished.penalty()
+        return choice + 0.6 * self.destination.penalty()
+
+
+def goal_losses(
+    model: GoalModel,
+    table: ObjectTable,
+    relations: Tensor,
+    targets: Tensor,
+    destinations: Tensor,
+    tasks: Tensor,
+    candidates: Tensor,
+) -> tuple[Tensor, Tensor]:
+    """Negative log-likelihoods of targets, and of destinations among candidates.
+
+    Args:
+        model: the model.
+        table: B scenes.
+        relations: of every block, (B, N, R).
+        targets: (B,).
+        destinations: (B, 2).
+        tasks: (B,).
+        candidates: other places, (B, K, 2).
+    """
+    logits = model.target_logits(table, relations, tasks)
+    numbers = torch.where(targets == ROBOT_TARGET, logits.shape[1] - 1, targets)
+    target_loss = functional.cross_entropy(logits, numbers)
+    places = torch.cat([destinations[:, None], candidates], dim=1)
+    scores = model.destination_logits(table, targets, places, tasks)
+    return target_loss, functional.cross_entropy(scores, torch.zeros_like(targets))
+
+
+def relate_blocks(table: ObjectTable) -> Tensor:
+    """The relations of every block where it lies: (B, N, R)."""
+    count = table.blocks.shape[1]
+    device = table.blocks.device
+    repeated = table.select(torch.arange(table.size, device=device).repeat_interleave(count))
+    numbers = torch.arange(count, device=device).repeat(table.size)
+    places = table.blocks.reshape(-1, 1, 2)
+    return relate(repeated, numbers, places).view(table.size, count, -1)
+
+
+def _already_there(table: ObjectTable, targets: Tensor, places: Tensor) -> Tensor:
+    """Which targets are blocks at their destinations and out of the gripper: (B,) bool."""
+    rows = torch.arange(table.size, device=targets.device)
+    block = table.blocks[rows, targets.clamp(min=0)]
+    near = (block - places).norm(dim=1) < AT_PLACE
+    released = (block - table.grip).norm(dim=1) > OUT_OF_GRIP
+    found: Tensor = near & released & (targets != ROBOT_TARGET)
+    return found
+
+
+def _extremes(relations: Tensor, present: Tensor) -> Tensor:
+    """The largest and the least known value over all blocks, (B, 2 R)."""
+    known = (relations < UNKNOWN) & present[..., None]
+    none = ~known.any(dim=1)
+    largest = relations.masked_fill(~known, -UNKNOWN).amax(dim=1).masked_fill(none, UNKNOWN)
+    least = relations.masked_fill(~known, UNKNOWN).amin(dim=1)
+    return torch.cat([largest, least], dim=1)

@@ -1,0 +1,105 @@
+"""What a demonstration did, from its recorded frames alone: which block was moved, and where to.
+
+A demonstration is cut into carries: spans in which one block moves in or at the gripper. Before and
+during a carry the target is its block, and the destination is where that block lay at its end.
+After the last carry the target is the robot, and the destination is where the robot stops. So every
+recorded state gets the goal that was reached from it (Andrychowicz et al., "Hindsight experience
+replay", NeurIPS 2017, relabel in the same way).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from magical.learning.objects.parser import ABSENT, MAX_BLOCKS, ParsedFrames
+from magical.learning.objects.table import GRIP
+
+ROBOT_TARGET = -1  # instead of a block's number
+MOVED = 0.005  # units in a control step: a block that moves; still ones are parsed alike
+MIN_CARRY = 0.08  # units: a block that is moved by less was only touched
+OTHER_COLOUR, OTHER_SHAPE = 2.0, 0.05  # the cost, in units, of tracking a block as one of another
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+class Goals(NamedTuple):
+    """For each of T states the goal that was reached from it."""
+
+    targets: Ints  # (T,) a block's number, or ROBOT_TARGET
+    destinations: Floats  # (T, 2)
+
+
+def track(parsed: ParsedFrames) -> ParsedFrames:
+    """The same frames with blocks numbered as in the first frame.
+
+    A block that is not found keeps its last position; surplus ones are left out.
+    """
+    count = int((parsed.colours[0] != ABSENT).sum())
+    blocks, colours = parsed.blocks.copy(), np.repeat(parsed.colours[:1], len(parsed.robot), axis=0)
+    shapes = np.repeat(parsed.shapes[:1], len(parsed.robot), axis=0)
+    blocks[:, count:] = parsed.blocks[0, count:]
+    for t in range(1, len(blocks)):
+        found = np.flatnonzero(parsed.colours[t] != ABSENT)
+        new = parsed.blocks[t, found]
+        cost = np.linalg.norm(blocks[t - 1, :count, None] - new[None], axis=2)
+        cost += OTHER_COLOUR * (colours[0, :count, None] != parsed.colours[t, found])
+        cost += OTHER_SHAPE * (shapes[0, :count, None] != parsed.shapes[t, found])
+        rows, columns = linear_sum_assignment(cost)
+        blocks[t, :count] = blocks[t - 1, :count]
+        for row, column in zip(rows, columns, strict=True):
+            if cost[row, column] < OTHER_COLOUR:
+                blocks[t, row] = new[column]
+    return parsed._replace(blocks=blocks, colours=colours, shapes=shapes)
+
+
+def find_goals(robot: Floats, blocks: Floats, intended: NDArray[np.bool_]) -> Goals:
+    """The goals of a tracked episode of T steps.
+
+    Args:
+        robot: (T + 1, 3) poses.
+        blocks: (T + 1, N, 2) positions; absent ones never move.
+        intended: (T,), where the demonstrator's own action was executed: what random actions move
+            was no goal.
+    """
+    steps = len(robot) - 1
+    targets = np.full(steps, ROBOT_TARGET, np.int64)
+    destinations = np.repeat(robot[-1:, :2], steps, axis=0)
+    first = 0
+    for block, _, last in _carries(robot, blocks, intended):
+        targets[first : last + 1] = block
+        destinations[first : last + 1] = blocks[last + 1, block]
+        first = last + 1
+    return Goals(targets, destinations)
+
+
+def _carries(
+    robot: Floats, blocks: Floats, intended: NDArray[np.bool_]
+) -> list[tuple[int, int, int]]:
+    """Block, first and last step of each carry, in order."""
+    moved = np.linalg.norm(np.diff(blocks, axis=0), axis=2) > MOVED  # (T, N)
+    moved &= intended[:, None]
+    angle = robot[:-1, 2]
+    grip = robot[:-1, :2] + GRIP * np.stack([-np.sin(angle), np.cos(angle)], axis=1)
+    far = np.where(moved, np.linalg.norm(blocks[:-1] - grip[:, None], axis=2), np.inf)
+    carried = np.where(moved.any(axis=1), far.argmin(axis=1), MAX_BLOCKS)  # MAX_BLOCKS: none
+    while True:
+        spans = _spans(carried)
+        lengths = [np.linalg.norm(blocks[e + 1, b] - blocks[s, b]) for b, s, e in spans]
+        if not spans or min(lengths) >= MIN_CARRY:
+            return spans
+        _, start, end = spans[int(np.argmin(lengths))]
+        carried[start : end + 1] = MAX_BLOCKS
+
+
+def _spans(carried: Ints) -> list[tuple[int, int, int]]:
+    """Spans of one block each, across steps at which none moves."""
+    spans: list[tuple[int, int, int]] = []
+    for step in np.flatnonzero(carried < MAX_BLOCKS).tolist():
+        block, start = int(carried[step]), step
+        if spans and spans[-1][0] == block:
+            start = spans.pop()[1]
+        spans.append((block, start, step))
+    return spans

@@ -1,0 +1,73 @@
+"""A batch of parsed scenes as tensors."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from magical.learning.objects.parser import Pixels, parse_frames, parse_robot
+
+GRIP = 0.28  # units ahead of the robot's centre: where a gripped block's centre lies
+
+
+class ObjectTable(NamedTuple):
+    """The objects of B scenes, N blocks and M regions at most; float32 unless stated."""
+
+    robot: Tensor  # (B, 3) x, y, angle
+    fingers: Tensor  # (B, 2) how far the left and the right finger are open, rad
+    previous_robot: Tensor  # (B, 3) one control step earlier
+    previous_fingers: Tensor  # (B, 2)
+    blocks: Tensor  # (B, N, 2); far away where absent
+    colours: Tensor  # (B, N) int64, ABSENT (-1) where absent
+    shapes: Tensor  # (B, N) int64
+    regions: Tensor  # (B, M, 4) centre x and y, half the width and the height
+    region_colours: Tensor  # (B, M) int64
+
+    def select(self, rows: Tensor | slice) -> "ObjectTable":
+        """The scenes of an index."""
+        return ObjectTable(*(column[rows] for column in self))
+
+    def trimmed(self) -> "ObjectTable":
+        """The same scenes without the columns in which no scene has a block (but two)."""
+        count = max(2, int(self.present.sum(dim=1).max()))
+        blocks, colours, shapes = self.blocks, self.colours, self.shapes
+        return self._replace(
+            blocks=blocks[:, :count], colours=colours[:, :count], shapes=shapes[:, :count]
+        )
+
+    @property
+    def size(self) -> int:
+        """The number of scenes."""
+        return len(self.robot)
+
+    @property
+    def present(self) -> Tensor:
+        """Which blocks there are, (B, N) bool."""
+        return self.colours >= 0
+
+    @property
+    def grip(self) -> Tensor:
+        """The point between the fingers, (B, 2)."""
+        angle = self.robot[:, 2]
+        return self.robot[:, :2] + GRIP * torch.stack([-angle.sin(), angle.cos()], dim=1)
+
+
+def parse_table(newest: Pixels, previous: Pixels) -> ObjectTable:
+    """The objects of B newest frames and the robot's motion since the previous ones.
+
+    Args:
+        newest: (B, 96, 96, 3), allocentric.
+        previous: the same, one control step earlier.
+    """
+    parsed = parse_frames(newest)
+    robot, fingers = parse_robot(previous)
+    columns = parsed.robot, parsed.fingers, robot, fingers, *parsed[2:]
+    return ObjectTable(*map(to_tensor, columns))
+
+
+def to_tensor(array: NDArray[Any]) -> Tensor:
+    """Floats as float32, integers as int64."""
+    kind = np.float32 if array.dtype.kind == "f" else np.int64
+    return torch.from_numpy(np.array(array, kind))

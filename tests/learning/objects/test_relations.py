@@ -1,0 +1,124 @@
+"""Relations: their values in a small scene, and what they do not depend on."""
+
+import pytest
+import torch
+
+from magical.learning.objects.goals import GoalModel, relate_blocks
+from magical.learning.objects.hindsight import ROBOT_TARGET
+from magical.learning.objects.parser import FAR
+from magical.learning.objects.relations import RELATIONS, UNKNOWN, relate
+from magical.learning.objects.table import ObjectTable
+
+NAMES = [relation.name for relation in RELATIONS]
+
+
+def make_table(seed: int = 0, count: int = 5) -> ObjectTable:
+    """Three random scenes of `count` blocks and two regions."""
+    generator = torch.Generator().manual_seed(seed)
+    blocks = torch.full((3, 10, 2), FAR)
+    blocks[:, :count] = torch.rand((3, count, 2), generator=generator) * 1.8 - 0.9
+    kinds = torch.full((2, 3, 10), -1)
+    kinds[:, :, :count] = torch.randint(0, 4, (2, 3, count), generator=generator)
+    regions = torch.tensor([[-0.5, 0.5, 0.3, 0.3], [0.5, -0.4, 0.3, 0.2], [0.0, 0.0, 0.0, 0.0]])
+    robot = torch.rand((3, 3), generator=generator)
+    return ObjectTable(
+        robot, torch.zeros(3, 2), robot, torch.zeros(3, 2), blocks, kinds[0], kinds[1],
+        regions.expand(3, 3, 4), torch.tensor([[0, 1, -1]]).expand(3, 3),
+    )  # fmt: skip
+
+
+def value(relations: torch.Tensor, name: str) -> float:
+    return float(relations[..., NAMES.index(name)])
+
+
+def test_values_in_a_scene_made_by_hand() -> None:
+    table = make_table(count=3).select(slice(0, 1))
+    blocks = table.blocks.clone()
+    blocks[0, :3] = torch.tensor([[0.0, 0.0], [0.3, 0.4], [-0.5, 0.4]])
+    table = table._replace(
+        blocks=blocks,
+        colours=torch.tensor([[0, 0, 1, *[-1] * 7]]),
+        shapes=torch.tensor([[2, 3, 2, *[-1] * 7]]),
+    )
+    found = relate(table, torch.tensor([0]), table.blocks[:, :1])[0, 0]
+    assert value(found, "region of the same colour") == pytest.approx(0.2)
+    assert value(found, "block of the same colour alone, in none") == pytest.approx(0.5)
+    assert value(found, "block of the same colour alone, in a region") == UNKNOWN
+    assert value(found, "block of the same shape alone, in a region") == pytest.approx(0.41**0.5)
+    assert value(found, "block of the same colour and shape, in none") == UNKNOWN
+    assert value(found, "wall") == pytest.approx(1.0)
+    assert value(found, "own place now") == pytest.approx(0.0)
+    assert value(found, "x, where there is nothing else") == UNKNOWN
+    robot = relate(table, torch.tensor([ROBOT_TARGET]), table.blocks[:, :1])[0, 0]
+    assert value(robot, "region of the same colour") == UNKNOWN
+    assert value(robot, "any region") == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("change", ["colours", "shapes", "mirrored", "turned"])
+def test_relations_do_not_depend_on(change: str) -> None:
+    table = make_table()
+    permutation = torch.tensor([2, 0, 3, 1, -1])  # the last stands for absent ones
+    if change == "colours":
+        other = table._replace(
+            colours=permutation[table.colours], region_colours=permutation[table.region_colours]
+        )
+    elif change == "shapes":
+        other = table._replace(shapes=permutation[table.shapes])
+    elif change == "mirrored":
+        sign = torch.tensor([-1.0, 1.0])
+        other = table._replace(
+            blocks=torch.where(table.present[..., None], table.blocks * sign, table.blocks),
+            regions=table.regions * torch.tensor([-1.0, 1.0, 1.0, 1.0]),
+        )
+    else:
+        turned = torch.where(
+            table.present[..., None],
+            torch.stack([-table.blocks[..., 1], table.blocks[..., 0]], dim=2),
+            table.blocks,
+        )
+        x, y, width, height = table.regions.unbind(dim=2)
+        other = table._replace(blocks=turned, regions=torch.stack([-y, x, height, width], dim=2))
+    expected, found = relate_blocks(table)[:, :5], relate_blocks(other)[:, :5]
+    torch.testing.assert_close(found, expected, rtol=0, atol=1e-5)
+
+
+def test_decisions_do_not_depend_on_the_order_of_blocks() -> None:
+    table = make_table()
+    model = GoalModel(1)
+    generator = torch.Generator().manual_seed(1)
+    with torch.no_grad():
+        for values in model.parameters():
+            values.copy_(torch.randn(values.shape, generator=generator))
+        model.finished_bias.fill_(-100.0)
+    tasks = torch.zeros(3, dtype=torch.int64)
+    order = torch.tensor([3, 1, 4, 0, 2, 5, 6, 7, 8, 9])
+    shuffled = table._replace(
+        blocks=table.blocks[:, order],
+        colours=table.colours[:, order],
+        shapes=table.shapes[:, order],
+    )
+    targets, places = model.decide(table, tasks)
+    other_targets, other_places = model.decide(shuffled, tasks)
+    assert order[other_targets].tolist() == targets.tolist()
+    torch.testing.assert_close(other_places, places)
+
+
+def test_blocks_at_their_destinations_give_way_unless_they_are_gripped() -> None:
+    table = make_table(count=2).select(slice(0, 1))
+    blocks = table.blocks.clone()
+    blocks[0, :2] = torch.tensor([[-0.6, -0.6], [0.6, 0.6]])
+    table = table._replace(blocks=blocks, robot=torch.zeros(1, 3))
+    model = GoalModel(1)
+    with torch.no_grad():
+        model.finished_bias.fill_(-100.0)
+    nearest = int((blocks[0, :2] - table.grip).norm(dim=1).argmin())
+    tasks = torch.zeros(1, dtype=torch.int64)
+    assert model.decide(table, tasks)[0].tolist() == [nearest]
+    stay = NAMES.index("own place now")
+    with torch.no_grad():
+        # every block's best place is its own
+        model.destination.values[:, stay, :9] = torch.linspace(400.0, 0.0, 9)
+    assert model.decide(table, tasks)[0].tolist() == [ROBOT_TARGET]
+    gripped = table._replace(blocks=blocks.clone())
+    gripped.blocks[0, nearest] = table.grip[0]
+    assert model.decide(gripped, tasks)[0].tolist() == [nearest]

@@ -1,0 +1,159 @@
+"""Object-centred behavioural cloning from beginning to end, in the smallest runs."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from magical.demos import DatasetWriter, ObservationReader
+from magical.demos.generate import demonstrate
+from magical.envs import EnvId
+from magical.errors import InvalidConfigError
+from magical.evaluation import evaluate
+from magical.learning import load_policy, train
+from magical.learning.algorithms.object_bc import WITHOUT_MEANING, ObjectBCConfig, make_policy
+from magical.learning.objects.control import MIRRORED_ACTIONS, control_inputs
+from magical.learning.objects.table import ObjectTable, parse_table
+from magical.runs import read_metrics
+from magical.scene import ACTION_NAMES
+from tests.learning.reinforcement import assert_same, checkpoint
+
+TASKS = ("MoveToRegion", "FixColour")
+
+
+@pytest.fixture(scope="module")
+def expert_demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("expert") / "demos"
+    writer = DatasetWriter(folder)
+    for task in TASKS:
+        for seed in range(2):
+            writer.append(demonstrate(EnvId(task, "Demo"), seed=seed))
+    return folder
+
+
+def tiny(demos: Path, **fields: Any) -> ObjectBCConfig:
+    settings = {
+        "tasks": TASKS,
+        "demos": str(demos),
+        "num_demos": 2,
+        "batches": 6,
+        "batch_size": 8,
+        "goal_every": 2,
+        "goal_batch_size": 4,
+        "log_every": 2,
+        "checkpoint_every": 2,
+        "device": "cpu",
+    }
+    return ObjectBCConfig.preset("paper", **{**settings, **fields})
+
+
+@pytest.fixture(scope="module")
+def whole(expert_demos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that was never stopped."""
+    folder = tmp_path_factory.mktemp("object-bc") / "run"
+    assert train(tiny(expert_demos), folder).finished
+    return folder
+
+
+def test_a_resumed_run_is_bit_equal(whole: Path, expert_demos: Path, tmp_path: Path) -> None:
+    config = tiny(expert_demos)
+    assert train(config, tmp_path / "run", stop_after=3).step == 3
+    assert train(config, tmp_path / "run", resume=True).finished
+    assert_same(checkpoint(tmp_path / "run"), checkpoint(whole))
+
+
+def test_metrics_and_policy(whole: Path) -> None:
+    newest = read_metrics(whole)[-1]
+    assert {"loss", "accuracy", "target_loss", "destination_loss"} < newest.keys()
+    policy = load_policy(whole)
+    scores = evaluate(policy, ["magical/FixColour-TestAll-v0"], rollouts=2, workers=0)
+    assert len(scores) == 2
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"seed": 1},
+        {"num_demos": 1},
+        {"batch_size": 9},
+        {"learning_rate": 1e-3},
+        {"weight_decay": 0.5},
+        {"hidden": 8},
+        {"mirror": False},
+        {"motion": True},
+        {"destination_noise": 0.2},
+        {"goal_every": 1},
+        {"goal_batch_size": 3},
+        {"goal_learning_rate": 0.5},
+        {"goal_penalty": 1.0},
+    ],
+    ids=lambda fields: next(iter(fields)),
+)
+def test_every_setting_changes_the_weights(
+    fields: dict[str, Any], whole: Path, expert_demos: Path, tmp_path: Path
+) -> None:
+    train(tiny(expert_demos, **fields), tmp_path / "run")
+    with pytest.raises(AssertionError):
+        assert_same(checkpoint(tmp_path / "run")["policy"], checkpoint(whole)["policy"])
+
+
+def test_temperature_scales_the_logits(expert_demos: Path) -> None:
+    stacks = torch.from_numpy(_stacks()).float() / 255.0
+    tasks = torch.ones(len(stacks), dtype=torch.int64)
+    warm, cold = (make_policy(tiny(expert_demos, temperature=t)) for t in (1.0, 0.5))
+    with torch.no_grad():
+        torch.testing.assert_close(cold(stacks, tasks), 2.0 * warm(stacks, tasks))
+
+
+@pytest.mark.parametrize("name", WITHOUT_MEANING)
+def test_settings_without_meaning_are_refused(name: str, expert_demos: Path) -> None:
+    other = {
+        "network": "narrow",
+        "pixel_range": "symmetric",
+        "last_layer_init": "normal",
+        "compile": True,
+        "graphs": "off",
+        "borders": "repeat",
+        "linear_light": False,
+    }
+    with pytest.raises(InvalidConfigError, match=f"{name}: object-bc has no such setting"):
+        tiny(expert_demos, **{name: other[name]})
+
+
+def _stacks() -> np.ndarray:
+    trajectory = demonstrate("magical/FixColour-Demo-v0", seed=3)
+    stacks = ObservationReader(trajectory, "LoRes4A").read(np.arange(4, 20, 3))
+    return np.ascontiguousarray(stacks.transpose(0, 3, 1, 2))
+
+
+def _table() -> ObjectTable:
+    frames = _stacks().transpose(0, 2, 3, 1)
+    return parse_table(
+        np.ascontiguousarray(frames[..., 9:]), np.ascontiguousarray(frames[..., 6:9])
+    )
+
+
+def test_mirrored_inputs_are_those_of_the_mirrored_scene() -> None:
+    table = _table()
+    count = table.size
+    targets, destinations = torch.full((count,), 2), torch.rand((count, 2)) - 0.5
+    sign = torch.tensor([-1.0, 1.0])
+    turn = torch.tensor([-1.0, 1.0, -1.0])
+    image = table._replace(
+        robot=table.robot * turn,
+        previous_robot=table.previous_robot * turn,
+        fingers=table.fingers.flip(1),
+        previous_fingers=table.previous_fingers.flip(1),
+        blocks=torch.where(table.present[..., None], table.blocks * sign, table.blocks),
+    )
+    mirrored = control_inputs(table, targets, destinations, torch.ones(count, dtype=torch.bool))
+    expected = control_inputs(image, targets, destinations * sign)
+    torch.testing.assert_close(mirrored[0], expected[0], rtol=0, atol=1e-4)
+    present = table.present
+    torch.testing.assert_close(mirrored[1][present], expected[1][present], rtol=0, atol=1e-4)
+    swapped = {"left": "right", "right": "left"}
+    for action, other in enumerate(MIRRORED_ACTIONS.tolist()):
+        parts = ACTION_NAMES[action].split("-")
+        assert ACTION_NAMES[other].split("-") == [swapped.get(part, part) for part in parts]
