@@ -14,10 +14,11 @@ from magical.errors import InvalidConfigError
 from magical.evaluation import evaluate
 from magical.learning import load_policy, train
 from magical.learning.algorithms.object_bc import WITHOUT_MEANING, ObjectBCConfig, make_policy
-from magical.learning.objects.control import MIRRORED_ACTIONS, control_inputs
+from magical.learning.objects.control import control_inputs
 from magical.learning.objects.table import ObjectTable, parse_table
 from magical.runs import read_metrics
 from magical.scene import ACTION_NAMES
+from magical.scene.actions import MIRRORED_ACTIONS
 from tests.learning.reinforcement import assert_same, checkpoint
 
 TASKS = ("MoveToRegion", "FixColour")
@@ -154,6 +155,6 @@ def test_mirrored_inputs_are_those_of_the_mirrored_scene() -> None:
     present = table.present
     torch.testing.assert_close(mirrored[1][present], expected[1][present], rtol=0, atol=1e-4)
     swapped = {"left": "right", "right": "left"}
-    for action, other in enumerate(MIRRORED_ACTIONS.tolist()):
+    for action, other in enumerate(MIRRORED_ACTIONS):
         parts = ACTION_NAMES[action].split("-")
         assert ACTION_NAMES[other].split("-") == [swapped.get(part, part) for part in parts]

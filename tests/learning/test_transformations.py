@@ -20,7 +20,6 @@ from magical.learning.expert_data import ExpertData
 from magical.learning.palette import PERMUTATIONS
 from magical.learning.rendered_data import RenderedExpertData
 from magical.learning.transformations import (
-    MIRRORED,
     TRANSFORMATIONS,
     StackTransformations,
     parse_transformations,
@@ -29,6 +28,7 @@ from magical.observe import PRESETS
 from magical.render.palette import SHADES
 from magical.runs.sources import RENDERED_STATES
 from magical.scene import ACTION_NAMES
+from magical.scene.actions import MIRRORED_ACTIONS
 from magical.scene.vocabulary import COLOURS
 from tests.learning.conftest import picture_demo
 
@@ -53,7 +53,7 @@ def images(
 
 
 def test_mirrored_actions_turn_the_other_way() -> None:
-    for action, mirrored in enumerate(MIRRORED.tolist()):
+    for action, mirrored in enumerate(MIRRORED_ACTIONS):
         words = ACTION_NAMES[action].split("-")
         words[1] = {"left": "right", "right": "left"}.get(words[1], words[1])
         assert ACTION_NAMES[mirrored] == "-".join(words)

@@ -14,8 +14,7 @@ from torch import Tensor
 
 from magical.errors import InvalidConfigError, UnknownNameError
 from magical.learning.palette import PERMUTATIONS
-from magical.scene import ACTIONS
-from magical.scene.actions import Turn
+from magical.scene.actions import MIRRORED_ACTIONS
 from magical.tasks import get_task
 
 NONE = "none"
@@ -89,12 +88,5 @@ class StackTransformations:
     def labels(self, actions: Tensor) -> Tensor:
         """The actions (B,) int64 of the transformed stacks."""
         mirrored = torch.from_numpy(self.mirrored).to(actions.device)
-        return torch.where(mirrored, MIRRORED.to(actions.device)[actions], actions)
-
-
-def _mirrored_actions() -> Tensor:
-    exchanged = {Turn.LEFT: Turn.RIGHT, Turn.RIGHT: Turn.LEFT, Turn.STRAIGHT: Turn.STRAIGHT}
-    return torch.tensor([action._replace(turn=exchanged[action.turn]).id for action in ACTIONS])
-
-
-MIRRORED = _mirrored_actions()  # (18,): each action with left and right exchanged
+        exchanged = torch.tensor(MIRRORED_ACTIONS, device=actions.device)
+        return torch.where(mirrored, exchanged[actions], actions)

@@ -26,7 +26,7 @@ from magical.learning.checkpoints import StateDict, load_module, load_optimizer,
 from magical.learning.config import CHECKPOINT_SECONDS, ImitationConfig, option
 from magical.learning.devices import choose_device
 from magical.learning.expert_data import load_demonstrations
-from magical.learning.objects.control import MIRRORED_ACTIONS, Controller, control_inputs
+from magical.learning.objects.control import Controller, control_inputs
 from magical.learning.objects.data import ObjectData
 from magical.learning.objects.goals import BORDER, CANDIDATES, GoalModel, goal_losses
 from magical.learning.objects.table import ObjectTable, parse_table
@@ -35,6 +35,7 @@ from magical.learning.run import Run
 from magical.learning.streams import Purpose, seeded_init, stream
 from magical.observe.pixels import CHANNELS, STACK
 from magical.runs.sources import EXTRA_DATA
+from magical.scene.actions import MIRRORED_ACTIONS
 
 OBSERVATION = "LoRes4A"  # the allocentric camera sees every object
 # Settings of the other algorithms that have no meaning here.
@@ -217,7 +218,8 @@ class ObjectBCTrainer:
         with self.compute.autocast():
             logits = self.policy.controller(*inputs).float()
         actions = data.actions[rows]
-        actions = torch.where(mirrored, MIRRORED_ACTIONS.to(self.device)[actions], actions)
+        exchanged = torch.tensor(MIRRORED_ACTIONS, device=self.device)
+        actions = torch.where(mirrored, exchanged[actions], actions)
         loss = functional.cross_entropy(logits, actions)
         self.optimizer.zero_grad()
         torch.autograd.backward(loss)

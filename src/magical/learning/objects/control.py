@@ -10,17 +10,11 @@ from torch import Tensor, nn
 
 from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.objects.table import GRIP, ObjectTable
-from magical.scene import ACTIONS, NUM_ACTIONS
-from magical.scene.actions import Action, Turn
+from magical.scene import NUM_ACTIONS
 
 NEIGHBOURHOOD = 1.0  # units: blocks farther from the robot are not seen
 FOCUS = 0.15  # units: the scale on which nearness is told apart
 HELD = 2  # blocks nearest to the fingers, which have inputs of their own
-
-_MIRRORED = {Turn.STRAIGHT: Turn.STRAIGHT, Turn.LEFT: Turn.RIGHT, Turn.RIGHT: Turn.LEFT}
-MIRRORED_ACTIONS = torch.tensor(
-    [Action(a.longitudinal, _MIRRORED[a.turn], a.gripper).id for a in ACTIONS]
-)
 
 
 def control_inputs(
