@@ -12,6 +12,7 @@ SCORE = "score"
 EXPERT_LABELS = "expert labels"
 TEST_VARIANTS = "test variants"
 EXTRA_DATA = "extra data"
+OBJECT_PARSER = "object parser"
 
 LEARNED_FROM = "learned_from"  # the field of an entry's details
 
@@ -25,6 +26,7 @@ SOURCES: Mapping[str, str] = MappingProxyType(
         EXPERT_LABELS: "an expert asked for actions in states that the learner visits",
         TEST_VARIANTS: "test variants, seen before the final evaluation",
         EXTRA_DATA: "data from elsewhere, such as a pre-trained network",
+        OBJECT_PARSER: "a parser made for the known palette, or fitted on rendered scenes",
     }
 )
 
@@ -37,9 +39,10 @@ CLASSES: Mapping[str, str] = MappingProxyType(
 def learning_class(names: Iterable[str]) -> str:
     """`P`, `R` or `X`, by the furthest of `CLASSES` that was used; empty for all other entries.
 
-    Those learned from something besides, such as interaction, or without demonstrations.
+    Those learned from something besides, such as interaction, or without demonstrations. A parser
+    of frames is declared and changes no class.
     """
-    used = set(names)
+    used = set(names) - {OBJECT_PARSER}
     if DEMONSTRATIONS not in used or not used <= set(CLASSES.values()):
         return ""
     return [name for name, source in CLASSES.items() if source in used][-1]

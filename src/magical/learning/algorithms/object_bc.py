@@ -34,7 +34,7 @@ from magical.learning.optimizers import set_learning_rate
 from magical.learning.run import Run
 from magical.learning.streams import Purpose, seeded_init, stream
 from magical.observe.pixels import CHANNELS, STACK
-from magical.runs.sources import EXTRA_DATA
+from magical.runs.sources import OBJECT_PARSER
 from magical.scene.actions import MIRRORED_ACTIONS
 
 OBSERVATION = "LoRes4A"  # the allocentric camera sees every object
@@ -103,8 +103,8 @@ class ObjectBCConfig(ImitationConfig):
 
     @property
     def learned_from(self) -> tuple[str, ...]:
-        """See `Config`; the parser's constants were fitted on rendered scenes."""
-        return (*super().learned_from, EXTRA_DATA)
+        """See `Config`; the parser was made for the palette, and fitted on rendered scenes."""
+        return (*super().learned_from, OBJECT_PARSER)
 
     @property
     def total(self) -> int:
