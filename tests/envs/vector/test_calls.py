@@ -194,14 +194,16 @@ def test_workers_with_a_hanging_task_end_with_their_parent(misbehave: Misbehave)
     )
     assert process.stdout is not None
     assert process.stderr is not None
-    workers = [int(word) for word in process.stdout.readline().split()]
-    assert len(workers) == 2
-    assert process.stderr.readline() == "hangs\n"  # what workers print goes to standard error
+    workers: list[int] = []
     try:
+        workers += map(int, process.stdout.readline().split())
+        assert len(workers) == 2
+        assert "hangs" in process.stderr.readline()  # what workers print, both at once
         process.kill()
         process.wait()
         assert gone(workers)
     finally:
+        process.kill()
         for worker in filter(alive, workers):
             os.kill(worker, signal.SIGKILL)
         process.stdout.close()
