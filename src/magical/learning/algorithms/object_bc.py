@@ -263,6 +263,9 @@ class _Metrics:
     """Means of metrics since the last reset, and samples per second."""
 
     def __init__(self) -> None:
+        self._clear()
+
+    def _clear(self) -> None:
         self._values: dict[str, list[float]] = {}
         self._samples, self._start = 0, time.perf_counter()
 
@@ -274,7 +277,7 @@ class _Metrics:
     def reset(self) -> dict[str, float]:
         means = {name: float(np.mean(values)) for name, values in self._values.items()}
         means["samples_per_second"] = self._samples / (time.perf_counter() - self._start)
-        self.__init__()  # type: ignore[misc]
+        self._clear()
         return means
 
 

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from magical.demos.reader import TrajectorySource
 from magical.demos.store.trajectory import Trajectory
+from magical.errors import DemonstrationsError
 from magical.learning.expert_data import TaskTrajectories
 from magical.learning.objects.goals import relate_blocks
 from magical.learning.objects.hindsight import ROBOT_TARGET, find_goals, track
@@ -41,12 +42,19 @@ class ObjectData:
         component: Component,
         device: str = "cpu",
     ) -> None:
-        """Parse all frames, read through the allocentric component of the observation."""
+        """Parse all frames, read through the allocentric component of the observation.
+
+        Steps in which a watched policy acted by itself are never sampled.
+
+        Raises:
+            DemonstrationsError: no samples are left of a task.
+        """
         parts = [
             _samples(trajectory, task_names.index(task), component)
             for task, trajectory in demonstrations
         ]
         tables, targets, destinations, actions, tasks, eventful = zip(*parts, strict=True)
+        demonstrated = np.concatenate([t.is_demonstrated for _, t in demonstrations])
         columns = zip(*tables, strict=True)
         self.table = ObjectTable(*(torch.cat(column).to(device) for column in columns))
         self.targets, self.destinations, self.actions, self.tasks = (
@@ -56,8 +64,14 @@ class ObjectData:
         chunks = [relate_blocks(self.table.select(slice(k, k + CHUNK))) for k in starts]
         self.relations = torch.cat(chunks)
         numbers = self.tasks.cpu().numpy()
-        self._rows = [np.flatnonzero(numbers == k) for k in range(len(task_names))]
-        self._eventful = np.flatnonzero(torch.cat(eventful).numpy())
+        self._rows = [np.flatnonzero((numbers == k) & demonstrated) for k in range(len(task_names))]
+        self._eventful = np.flatnonzero(torch.cat(eventful).numpy() & demonstrated)
+        for name, rows in zip(task_names, self._rows, strict=True):
+            if not len(rows):
+                raise DemonstrationsError(
+                    f"{name}: expected steps that were demonstrated, found only those of a watched "
+                    "policy"
+                )
 
     def __len__(self) -> int:
         """The number of samples."""
@@ -83,7 +97,8 @@ def _samples(
 ) -> tuple[ObjectTable, Tensor, Tensor, Tensor, Tensor, Tensor]:
     """One demonstration's scenes, targets, destinations, actions, task; what is no waiting."""
     parsed = track(_parse(trajectory, component))
-    goals = find_goals(parsed.robot, parsed.blocks, trajectory.labels == trajectory.actions)
+    intended = trajectory.is_demonstrated & (trajectory.labels == trajectory.actions)
+    goals = find_goals(parsed.robot, parsed.blocks, intended)
     count = len(trajectory)
     before = np.maximum(np.arange(count) - 1, 0)
     columns = (
