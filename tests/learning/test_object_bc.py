@@ -83,12 +83,12 @@ def test_metrics_and_policy(whole: Path) -> None:
         {"weight_decay": 0.5},
         {"hidden": 8},
         {"mirror": False},
-        {"motion": True},
         {"destination_noise": 0.2},
         {"goal_every": 1},
         {"goal_batch_size": 3},
         {"goal_learning_rate": 0.5},
-        {"goal_penalty": 1.0},
+        {"goal_sparsity": 1.0},
+        {"goal_smoothness": 1.0},
     ],
     ids=lambda fields: next(iter(fields)),
 )
@@ -100,12 +100,20 @@ def test_every_setting_changes_the_weights(
         assert_same(checkpoint(tmp_path / "run")["policy"], checkpoint(whole)["policy"])
 
 
-def test_temperature_scales_the_logits(expert_demos: Path) -> None:
+def test_a_robot_that_stands_still_acts_more_randomly(expert_demos: Path) -> None:
     stacks = torch.from_numpy(_stacks()).float() / 255.0
+    stacks[0] = stacks[0, 9:].repeat(4, 1, 1)
+    policies = {
+        name: make_policy(tiny(expert_demos, temperature=cool, stuck_temperature=hot))
+        for name, cool, hot in (("one", 1.0, 1.0), ("two", 0.5, 4.0))
+    }
     tasks = torch.ones(len(stacks), dtype=torch.int64)
-    warm, cold = (make_policy(tiny(expert_demos, temperature=t)) for t in (1.0, 0.5))
+    for policy in policies.values():
+        policy.goals.finished_bias.data.fill_(-100.0)  # a block is the target
     with torch.no_grad():
-        torch.testing.assert_close(cold(stacks, tasks), 2.0 * warm(stacks, tasks))
+        one, two = (policy(stacks, tasks) for policy in policies.values())
+    torch.testing.assert_close(two[0], one[0] / 4.0)
+    torch.testing.assert_close(two[1:], one[1:] * 2.0)
 
 
 @pytest.mark.parametrize("name", WITHOUT_MEANING)
@@ -130,10 +138,7 @@ def _stacks() -> np.ndarray:
 
 
 def _table() -> ObjectTable:
-    frames = _stacks().transpose(0, 2, 3, 1)
-    return parse_table(
-        np.ascontiguousarray(frames[..., 9:]), np.ascontiguousarray(frames[..., 6:9])
-    )
+    return parse_table(np.ascontiguousarray(_stacks().transpose(0, 2, 3, 1)[..., 9:]))
 
 
 def test_mirrored_inputs_are_those_of_the_mirrored_scene() -> None:
@@ -144,9 +149,7 @@ def test_mirrored_inputs_are_those_of_the_mirrored_scene() -> None:
     turn = torch.tensor([-1.0, 1.0, -1.0])
     image = table._replace(
         robot=table.robot * turn,
-        previous_robot=table.previous_robot * turn,
         fingers=table.fingers.flip(1),
-        previous_fingers=table.previous_fingers.flip(1),
         blocks=torch.where(table.present[..., None], table.blocks * sign, table.blocks),
     )
     mirrored = control_inputs(table, targets, destinations, torch.ones(count, dtype=torch.bool))

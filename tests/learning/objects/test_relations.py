@@ -3,7 +3,8 @@
 import pytest
 import torch
 
-from magical.learning.objects.goals import GoalModel, relate_blocks
+from magical.learning.objects import goals
+from magical.learning.objects.goals import GoalModel, PiecewiseLinear, relate_blocks
 from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.objects.parser import FAR
 from magical.learning.objects.relations import RELATIONS, UNKNOWN, relate
@@ -22,7 +23,7 @@ def make_table(seed: int = 0, count: int = 5) -> ObjectTable:
     regions = torch.tensor([[-0.5, 0.5, 0.3, 0.3], [0.5, -0.4, 0.3, 0.2], [0.0, 0.0, 0.0, 0.0]])
     robot = torch.rand((3, 3), generator=generator)
     return ObjectTable(
-        robot, torch.zeros(3, 2), robot, torch.zeros(3, 2), blocks, kinds[0], kinds[1],
+        robot, torch.zeros(3, 2), blocks, kinds[0], kinds[1],
         regions.expand(3, 3, 4), torch.tensor([[0, 1, -1]]).expand(3, 3),
     )  # fmt: skip
 
@@ -47,7 +48,6 @@ def test_values_in_a_scene_made_by_hand() -> None:
     assert value(found, "block of the same shape alone, in a region") == pytest.approx(0.41**0.5)
     assert value(found, "block of the same colour and shape, in none") == UNKNOWN
     assert value(found, "wall") == pytest.approx(1.0)
-    assert value(found, "own place now") == pytest.approx(0.0)
     assert value(found, "x, where there is nothing else") == UNKNOWN
     robot = relate(table, torch.tensor([ROBOT_TARGET]), table.blocks[:, :1])[0, 0]
     assert value(robot, "region of the same colour") == UNKNOWN
@@ -103,7 +103,9 @@ def test_decisions_do_not_depend_on_the_order_of_blocks() -> None:
     torch.testing.assert_close(other_places, places)
 
 
-def test_blocks_at_their_destinations_give_way_unless_they_are_gripped() -> None:
+def test_blocks_at_their_destinations_give_way_unless_they_are_gripped(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     table = make_table(count=2).select(slice(0, 1))
     blocks = table.blocks.clone()
     blocks[0, :2] = torch.tensor([[-0.6, -0.6], [0.6, 0.6]])
@@ -114,11 +116,26 @@ def test_blocks_at_their_destinations_give_way_unless_they_are_gripped() -> None
     nearest = int((blocks[0, :2] - table.grip).norm(dim=1).argmin())
     tasks = torch.zeros(1, dtype=torch.int64)
     assert model.decide(table, tasks)[0].tolist() == [nearest]
-    stay = NAMES.index("own place now")
-    with torch.no_grad():
-        # every block's best place is its own
-        model.destination.values[:, stay, :9] = torch.linspace(400.0, 0.0, 9)
+    monkeypatch.setattr(goals, "NEARNESS", 400.0)  # every block's best place is its own
     assert model.decide(table, tasks)[0].tolist() == [ROBOT_TARGET]
     gripped = table._replace(blocks=blocks.clone())
     gripped.blocks[0, nearest] = table.grip[0]
     assert model.decide(gripped, tasks)[0].tolist() == [nearest]
+
+
+def test_relations_that_explain_nothing_are_left_out() -> None:
+    torch.manual_seed(0)
+    functions = PiecewiseLinear([(0.0, 0.5, 1.0)] * 3, [1.0] * 3, sets=1)
+    optimizer = torch.optim.Adam(functions.parameters(), 0.05)
+    numbers = torch.rand(500, 3)
+    sets = torch.zeros(500, dtype=torch.int64)
+    for _ in range(300):
+        loss = ((functions(numbers, sets) - 2.0 * numbers[:, 1]) ** 2).mean()
+        optimizer.zero_grad()
+        torch.autograd.backward(loss + functions.penalty(sparsity=0.05, smoothness=0.01))
+        optimizer.step()
+    functions.leave_out(0.25)
+    assert functions.used[0, :, 0].tolist() == [0.0, 1.0, 0.0]
+    changed = numbers.clone()
+    changed[:, 0] = UNKNOWN
+    torch.testing.assert_close(functions(changed, sets), functions(numbers, sets))

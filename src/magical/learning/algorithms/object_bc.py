@@ -24,11 +24,19 @@ from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
 from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
 from magical.learning.config import CHECKPOINT_SECONDS, ImitationConfig, option
-from magical.learning.devices import choose_device
+from magical.learning.devices import choose_device, one_thread
 from magical.learning.expert_data import load_demonstrations
 from magical.learning.objects.control import Controller, control_inputs
 from magical.learning.objects.data import ObjectData
-from magical.learning.objects.goals import BORDER, CANDIDATES, GoalModel, goal_losses
+from magical.learning.objects.goals import (
+    BORDER,
+    CANDIDATES,
+    REFITTED,
+    GoalModel,
+    goal_losses,
+)
+from magical.learning.objects.hindsight import ROBOT_TARGET
+from magical.learning.objects.parser import Pixels, parse_robot
 from magical.learning.objects.table import ObjectTable, parse_table
 from magical.learning.optimizers import set_learning_rate
 from magical.learning.run import Run
@@ -37,6 +45,7 @@ from magical.observe.pixels import CHANNELS, STACK
 from magical.runs.sources import OBJECT_PARSER
 from magical.scene.actions import MIRRORED_ACTIONS
 
+STANDS, STANDS_ANGLE = 0.01, 0.05  # units, rad: less in the time of a stack is no motion
 OBSERVATION = "LoRes4A"  # the allocentric camera sees every object
 # Settings of the other algorithms that have no meaning here.
 WITHOUT_MEANING = (
@@ -57,19 +66,16 @@ class ObjectBCConfig(ImitationConfig):
     algorithm: ClassVar[str] = "object-bc"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {},
-        "quick": {"batches": 2000, "precision": "auto"},
+        "quick": {"batches": 3000, "precision": "auto"},
     }
 
     observation: str = option(OBSERVATION, "observation preset", choices=(OBSERVATION,))
     augment: str = option("none", "objects are parsed from plain frames", choices=("none",))
-    batches: int = option(4000, "batches in all")
+    batches: int = option(6000, "batches in all")
     batch_size: int = option(256, "samples per batch of the controller")
     learning_rate: float = option(2e-3, "of the controller; annealed linearly to 0")
     weight_decay: float = option(1e-2, "of the controller")
     hidden: int = option(256, "units in the controller's layers")
-    motion: bool = option(
-        False, "show the controller how robot and fingers moved since the previous frame"
-    )
     mirror: bool = option(True, "exchange left and right in half of the controller's samples")
     destination_noise: float = option(
         0.03, "standard deviation of the noise on the controller's destinations, units"
@@ -77,8 +83,14 @@ class ObjectBCConfig(ImitationConfig):
     goal_every: int = option(8, "batches between updates of the goal model")
     goal_batch_size: int = option(64, "samples of each task in an update of the goal model")
     goal_learning_rate: float = option(0.05, "of the goal model; annealed linearly to 0")
-    goal_penalty: float = option(1e-3, "weight of the goal model's penalty")
-    temperature: float = option(1.0, "of the distribution that actions are sampled from")
+    goal_sparsity: float = option(
+        0.01, "weight of the goal model's group lasso; a fifth of it in the second half"
+    )
+    goal_smoothness: float = option(0.01, "weight of its squared second differences")
+    temperature: float = option(0.7, "of the distribution that actions are sampled from")
+    stuck_temperature: float = option(
+        4.0, "the same where a block is the target and the robot has not moved"
+    )
     log_every: int = option(50, "batches between lines of metrics")
     checkpoint_every: int = option(
         0, f"batches between checkpoints; 0: one every {CHECKPOINT_SECONDS} s"
@@ -89,10 +101,9 @@ class ObjectBCConfig(ImitationConfig):
         self.require_positive(
             "batches", "batch_size", "learning_rate", "hidden", "goal_every", "goal_batch_size"
         )
-        self.require_positive("goal_learning_rate", "temperature", "log_every")
-        self.require_at_least_zero(
-            "weight_decay", "destination_noise", "goal_penalty", "checkpoint_every"
-        )
+        self.require_positive("goal_learning_rate", "temperature", "stuck_temperature", "log_every")
+        self.require_at_least_zero("weight_decay", "destination_noise", "checkpoint_every")
+        self.require_at_least_zero("goal_sparsity", "goal_smoothness")
         for name in WITHOUT_MEANING:
             default = type(self).__dataclass_fields__[name].default
             if getattr(self, name) != default:
@@ -128,19 +139,44 @@ class ObjectPolicy(nn.Module):
         super().__init__()
         self.goals = GoalModel(len(config.tasks))
         self.controller = Controller(config.hidden)
-        self.motion, self.temperature = config.motion, config.temperature
+        self.temperature, self.stuck_temperature = config.temperature, config.stuck_temperature
 
     def forward(self, observations: Tensor, tasks: Tensor) -> Tensor:
         """Logits (B, 18) of stacks (B, 12, 96, 96), float in [0, 1]."""
-        latest = observations[:, (STACK - 2) * CHANNELS :].permute(0, 2, 3, 1)
-        frames = latest.mul(255.0).round_().to(torch.uint8).contiguous().cpu().numpy()
-        parsed = parse_table(frames[..., CHANNELS:], frames[..., :CHANNELS])
-        table = ObjectTable(*(column.to(tasks.device) for column in parsed))
-        with torch.autocast(tasks.device.type, enabled=False):  # positions need float32
+        newest, oldest = (_frames(observations, k) for k in (STACK - 1, 0))
+        table = ObjectTable(*(column.to(tasks.device) for column in parse_table(newest)))
+        before = torch.from_numpy(parse_robot(oldest)[0]).to(table.robot)
+        with one_thread(), torch.autocast(tasks.device.type, enabled=False):  # float32: positions
             targets, destinations = self.goals.decide(table, tasks)
-            inputs = control_inputs(table, targets, destinations, motion=self.motion)
-        logits: Tensor = self.controller(*inputs) / self.temperature
-        return logits
+        return self.control(table, before, targets, destinations)
+
+    def control(
+        self, table: ObjectTable, before: Tensor, targets: Tensor, destinations: Tensor
+    ) -> Tensor:
+        """Logits (B, 18) of the actions that bring targets (B,) to destinations (B, 2).
+
+        A robot that has not moved since its pose before (B, 3) acts more randomly: it is stuck.
+        """
+        with torch.autocast(table.robot.device.type, enabled=False):
+            inputs = control_inputs(table, targets, destinations)
+        logits: Tensor = self.controller(*inputs)
+        stuck = _stands(table.robot, before) & (targets != ROBOT_TARGET)
+        hot, cool = (logits.new_tensor(t) for t in (self.stuck_temperature, self.temperature))
+        return logits / torch.where(stuck, hot, cool)[:, None]
+
+
+def _frames(observations: Tensor, number: int) -> Pixels:
+    """Frames (B, 96, 96, 3) of the stacks (B, 12, 96, 96), by their number from the oldest."""
+    frames = observations[:, number * CHANNELS : (number + 1) * CHANNELS].permute(0, 2, 3, 1)
+    pixels: Pixels = frames.mul(255.0).round_().to(torch.uint8).contiguous().cpu().numpy()
+    return pixels
+
+
+def _stands(robot: Tensor, before: Tensor) -> Tensor:
+    """Which robots (B, 3) stand where they stood before: (B,) bool."""
+    moved = robot - before
+    turned = torch.atan2(moved[:, 2].sin(), moved[:, 2].cos()).abs()
+    return (moved[:, :2].abs().amax(dim=1) < STANDS) & (turned < STANDS_ANGLE)
 
 
 def make_policy(config: ObjectBCConfig) -> ObjectPolicy:
@@ -214,7 +250,7 @@ class ObjectBCTrainer:
         destinations = data.destinations[rows] + torch.from_numpy(noise).to(self.device)
         mirrored = torch.from_numpy(rng.random(len(rows)) < 0.5 * config.mirror).to(self.device)
         table, targets = data.table.select(rows), data.targets[rows]
-        inputs = control_inputs(table, targets, destinations, mirrored, config.motion)
+        inputs = control_inputs(table, targets, destinations, mirrored)
         with self.compute.autocast():
             logits = self.policy.controller(*inputs).float()
         actions = data.actions[rows]
@@ -231,12 +267,15 @@ class ObjectBCTrainer:
         self, data: ObjectData, number: int, rng: np.random.Generator
     ) -> dict[str, float]:
         """Increase the likelihood of a batch of goals."""
-        config = self.config
+        config, goals = self.config, self.policy.goals
+        steps_of_refit = number - config.batches // 2
+        if 0 <= steps_of_refit < config.goal_every:  # the first of them
+            goals.leave_out()
         set_learning_rate(self.goal_optimizer, config.annealed(config.goal_learning_rate, number))
         rows = data.sample_each(config.goal_batch_size, rng)
         places = rng.uniform(-BORDER, BORDER, (len(rows), CANDIDATES, 2)).astype(np.float32)
         target_loss, destination_loss = goal_losses(
-            self.policy.goals,
+            goals,
             data.table.select(rows),
             data.relations[rows],
             data.targets[rows],
@@ -244,7 +283,8 @@ class ObjectBCTrainer:
             data.tasks[rows],
             torch.from_numpy(places).to(self.device),
         )
-        penalty = config.goal_penalty * self.policy.goals.penalty()
+        sparsity = config.goal_sparsity * (REFITTED if steps_of_refit >= 0 else 1.0)
+        penalty = goals.penalty(sparsity, config.goal_smoothness)
         self.goal_optimizer.zero_grad()
         torch.autograd.backward(target_loss + destination_loss + penalty)
         self.goal_optimizer.step()

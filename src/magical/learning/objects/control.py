@@ -1,7 +1,7 @@
 """The network that moves a target to its destination: actions from what the robot sees of it.
 
 Its inputs are in the robot's frame and know neither task, colours nor shapes: target, destination,
-fingers, own motion, the nearest walls, and the blocks around. So it is the same for all tasks, and
+fingers, the nearest walls, and the blocks around. So it is the same for all tasks, and
 left and right are interchangeable.
 """
 
@@ -22,7 +22,6 @@ def control_inputs(
     targets: Tensor,
     destinations: Tensor,
     mirrored: Tensor | None = None,
-    motion: bool = True,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """What the controller sees.
 
@@ -31,7 +30,6 @@ def control_inputs(
         targets: (B,), a block's number or ROBOT_TARGET.
         destinations: (B, 2).
         mirrored: (B,) bool, the scenes whose left and right are exchanged.
-        motion: whether to show how robot and fingers moved since the previous frame.
 
     Returns:
         Inputs (B, F); inputs of every block (B, N, T); which blocks are near (B, N).
@@ -52,7 +50,6 @@ def control_inputs(
             _polar(end - target),
             _held(blocks, is_target, table.present),
             view.fingers(),
-            *([view.motion()] if motion else []),
             *(view.walls(place) for place in (table.robot[:, :2], start, destinations)),
         ],
         dim=1,
@@ -88,17 +85,6 @@ class _RobotView:
     def fingers(self) -> Tensor:
         """How far both fingers are open, roughly of unit size: (B, 2)."""
         return self._sides(3 * self._table.fingers)
-
-    def motion(self) -> Tensor:
-        """Velocity, turning and the fingers' motion, roughly of unit size: (B, 5)."""
-        table = self._table
-        velocity = self.turn(table.robot[:, :2] - table.previous_robot[:, :2])
-        turned = table.robot[:, 2:] - table.previous_robot[:, 2:]
-        turned = torch.atan2(turned.sin(), turned.cos())
-        if self._mirrored is not None:
-            turned = torch.where(self._mirrored[:, None], -turned, turned)
-        moved = self._sides(table.fingers - table.previous_fingers)
-        return torch.cat([10 * velocity, 5 * turned, 10 * moved], dim=1)
 
     def _sides(self, values: Tensor) -> Tensor:
         """Values of the left and the right side (B, 2), exchanged where mirrored."""

@@ -100,16 +100,8 @@ def _samples(
     intended = trajectory.is_demonstrated & (trajectory.labels == trajectory.actions)
     goals = find_goals(parsed.robot, parsed.blocks, intended)
     count = len(trajectory)
-    before = np.maximum(np.arange(count) - 1, 0)
-    columns = (
-        parsed.robot[:-1],
-        parsed.fingers[:-1],
-        parsed.robot[before],
-        parsed.fingers[before],
-        *(column[:-1] for column in parsed[2:]),
-    )
     return (
-        ObjectTable(*map(to_tensor, columns)),
+        ObjectTable(*(to_tensor(column[:-1]) for column in parsed)),
         to_tensor(goals.targets),
         to_tensor(goals.destinations),
         to_tensor(trajectory.labels),

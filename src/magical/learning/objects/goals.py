@@ -3,8 +3,9 @@
 Each relation has a piecewise linear function, learned for each task. The logit of a block is the
 sum over its relations where it lies; the logit of a destination the sum over the relations that the
 block would have there. A sum has no order, and each term is bound to one kind of object, so the
-model carries over to other counts, colours and layouts. It is trained by maximum likelihood of the
-goals found in hindsight.
+model carries over to other counts, colours and layouts. Nothing is left to do once no block's
+relations ask for a move. The model is trained by maximum likelihood of the goals found in
+hindsight, with a group lasso: few and simple relations have to explain all demonstrations.
 """
 
 import torch
@@ -17,12 +18,18 @@ from magical.learning.objects.table import ObjectTable
 
 GRIP_KNOTS = (0.04, 0.08, 0.14, 0.22, 0.32)  # units from the point between the fingers
 GRIP_PENALTY = 0.5
-NEARNESS = 1.0  # logits lost by a block for each unit from the fingers: breaks ties
+NEARNESS = 1.0  # logits lost by each unit from fingers to block, from block to place: breaks ties
+TINY = 1e-4  # added to a squared norm
 CANDIDATES = 64  # places that a destination is told apart from in training
 BORDER = 0.95  # units: destinations are within [-BORDER, BORDER]
 CELLS = 16  # of the grid of destinations, along each axis
 STEPS = 2  # finer places to either side of the best cell's centre
 IMPOSSIBLE = -1e9
+SURE = 0.8  # probability of having finished at which to stop: too late costs less than too soon
+LARGE = 30.0  # logits: an urge is not below its negative
+DESTINATION = 2.0  # times the sparsity of the choice of a block
+LEFT_OUT = 0.25  # norm of a function's values below which its relation is left out
+REFITTED = 0.2  # share of the sparsity after that
 ALTERNATIVES = 2  # other targets that are tried in place of blocks at their destinations
 AT_PLACE, OUT_OF_GRIP = 0.06, 0.1  # units: less than any carry; from the point between the fingers
 
@@ -37,13 +44,15 @@ class PiecewiseLinear(nn.Module):
     """A piecewise linear function of each of R numbers, summed; one set of functions per row."""
 
     knots: Tensor  # (R, Q + 1); the last one stands for UNKNOWN
-    penalties: Tensor  # (R, 1)
+    weights: Tensor  # (R,) of the penalty, the prior against each relation
+    used: Tensor  # (sets, R, 1) 1, or 0 for relations that were left out
 
     def __init__(self, knots: list[tuple[float, ...]], penalties: list[float], sets: int) -> None:
         super().__init__()
         table = torch.tensor([(*row, UNKNOWN) for row in knots])
         self.register_buffer("knots", table, persistent=False)
-        self.register_buffer("penalties", torch.tensor(penalties)[:, None], persistent=False)
+        self.register_buffer("weights", torch.tensor(penalties), persistent=False)
+        self.register_buffer("used", torch.ones(sets, len(table), 1))
         self.values = nn.Parameter(torch.zeros(sets, *table.shape))
 
     def forward(self, numbers: Tensor, sets: Tensor) -> Tensor:
@@ -57,13 +66,25 @@ class PiecewiseLinear(nn.Module):
         share = (flat - low) / (high - low)
         above, share = above.masked_fill(~known, count - 1), share.masked_fill(~known, 1.0)
         which = sets.repeat_interleave(flat.shape[1] // len(sets)) * count  # (P,)
-        values = self.values.transpose(0, 1).flatten(1)  # (R, sets * count)
+        values = (self.values * self.used).transpose(0, 1).flatten(1)  # (R, sets * count)
         upper, lower = values.gather(1, which + above), values.gather(1, which + above - 1)
         return (upper * share + lower * (1.0 - share)).sum(dim=0).view(numbers.shape[:-1])
 
-    def penalty(self) -> Tensor:
-        """The weighted sum of squares."""
-        return (self.penalties * self.values**2).sum() / len(self.values)
+    def penalty(self, sparsity: float, smoothness: float) -> Tensor:
+        """A group lasso on the functions, which leaves few of them, and squared second differences.
+
+        Yuan and Lin, "Model selection and estimation in regression with grouped variables" (2006).
+        """
+        norms = ((self.values * self.used) ** 2).sum(dim=2).add(TINY).sqrt()  # (sets, R)
+        known = self.values[..., :-1]
+        bends = known[..., 2:] - 2 * known[..., 1:-1] + known[..., :-2]
+        sparse = (self.weights * norms).sum()
+        return sparsity * sparse + smoothness * (bends**2).sum()
+
+    @torch.no_grad()
+    def leave_out(self, norm: float) -> None:
+        """Leave out, for good, the functions whose values have a smaller norm than this."""
+        self.used.mul_(self.values.norm(dim=2, keepdim=True) >= norm)
 
 
 class GoalModel(nn.Module):
@@ -71,13 +92,12 @@ class GoalModel(nn.Module):
 
     def __init__(self, num_tasks: int) -> None:
         super().__init__()
-        choice_knots = [*(r.knots[0] for r in RELATIONS), GRIP_KNOTS]
-        choice_penalties = [*(r.choice_penalty for r in RELATIONS), GRIP_PENALTY]
+        choice_knots = [r.knots[0] for r in RELATIONS]
+        choice_penalties = [r.choice_penalty for r in RELATIONS]
         self.choice = PiecewiseLinear(choice_knots, choice_penalties, num_tasks)
-        finished_knots = [r.knots[1] for r in (*RELATIONS, *RELATIONS)]
-        finished_penalties = [r.choice_penalty for r in (*RELATIONS, *RELATIONS)]
-        self.finished = PiecewiseLinear(finished_knots, finished_penalties, num_tasks)
+        self.grip = PiecewiseLinear([GRIP_KNOTS], [GRIP_PENALTY], num_tasks)
         self.finished_bias = nn.Parameter(torch.zeros(num_tasks))
+        self.finished_slope = nn.Parameter(torch.ones(num_tasks))
         destination_knots = [r.knots[1] for r in RELATIONS]
         destination_penalties = [r.destination_penalty for r in RELATIONS]
         self.destination = PiecewiseLinear(  # of blocks and of the robot
@@ -92,11 +112,11 @@ class GoalModel(nn.Module):
             relations: of every block where it lies, (B, N, R).
             tasks: (B,).
         """
-        to_grip = (table.blocks - table.grip[:, None]).norm(dim=2)  # (B, N)
-        logits = self.choice(torch.cat([relations, to_grip[..., None]], dim=2), tasks)
-        logits = (logits - NEARNESS * to_grip).masked_fill(~table.present, IMPOSSIBLE)
-        extremes = _extremes(relations, table.present)
-        finished = self.finished_bias[tasks] + self.finished(extremes, tasks)
+        urge = self.choice(relations, tasks).masked_fill(~table.present, IMPOSSIBLE)  # (B, N)
+        to_grip = (table.blocks - table.grip[:, None]).norm(dim=2)
+        logits = urge + self.grip(to_grip[..., None], tasks) - NEARNESS * to_grip
+        largest = urge.amax(dim=1).clamp(min=-LARGE)
+        finished = self.finished_bias[tasks] - self.finished_slope[tasks] * largest
         return torch.cat([logits, finished[:, None]], dim=1)
 
     def destination_logits(
@@ -105,18 +125,22 @@ class GoalModel(nn.Module):
         """Logits (B, K) of places (B, K, 2) as the destinations of targets (B,)."""
         sets = 2 * tasks + (targets == ROBOT_TARGET)
         logits: Tensor = self.destination(relate(table, targets, places), sets)
-        return logits
+        rows = torch.arange(table.size, device=targets.device)
+        robot = (targets == ROBOT_TARGET)[:, None]
+        now = torch.where(robot, table.robot[:, :2], table.blocks[rows, targets.clamp(min=0)])
+        far: Tensor = NEARNESS * (places - now[:, None]).norm(dim=2)
+        return logits - far
 
     def decide(self, table: ObjectTable, tasks: Tensor) -> tuple[Tensor, Tensor]:
         """The targets (B,) and destinations (B, 2) to act on.
 
-        The robot itself is the target where it is more likely than not that no block is left. A
-        block that lies at its destination, out of the gripper, gives way to the next likely one,
-        and the last one to the robot.
+        The robot itself is the target where it is likely enough that no block is left. A block
+        that lies at its destination, out of the gripper, gives way to the next likely one, and the
+        last one to the robot.
         """
         table = table.trimmed()
         logits = self.target_logits(table, relate_blocks(table), tasks)
-        finished = logits.softmax(dim=1)[:, -1] > 0.5
+        finished = logits.softmax(dim=1)[:, -1] > SURE
         blocks = logits[:, :-1]
         targets = blocks.argmax(dim=1).masked_fill(finished, ROBOT_TARGET)
         places = self._best_places(table, targets, tasks)
@@ -133,17 +157,32 @@ class GoalModel(nn.Module):
         return targets, places
 
     def _best_places(self, table: ObjectTable, targets: Tensor, tasks: Tensor) -> Tensor:
-        """The most likely destinations (B, 2): of a grid, then the mean of finer places around."""
+        """The best destinations (B, 2): of a grid, then the mean of finer places around.
+
+        A cell counts by the likelihood of its neighbourhood, as no block is set down exactly.
+        """
         places = GRID.to(targets.device).expand(table.size, -1, -1)
-        best = self.destination_logits(table, targets, places, tasks).argmax(dim=1)
+        likelihoods = self.destination_logits(table, targets, places, tasks).softmax(dim=1)
+        around = functional.avg_pool2d(likelihoods.view(-1, 1, CELLS, CELLS), 3, 1, 1)
+        best = around.flatten(1).argmax(dim=1)
         places = GRID.to(targets.device)[best][:, None] + FINE_GRID.to(targets.device)
         weights = self.destination_logits(table, targets, places, tasks).softmax(dim=1)
         return (weights[..., None] * places).sum(dim=1)
 
-    def penalty(self) -> Tensor:
-        """How far the functions are from 0, weighted by the prior."""
-        choice = self.choice.penalty() + self.finished.penalty()
-        return choice + 0.6 * self.destination.penalty()
+    def penalty(self, sparsity: float, smoothness: float) -> Tensor:
+        """The functions' penalties, a mean over tasks."""
+        choice = self.choice.penalty(sparsity, smoothness) + self.grip.penalty(sparsity, smoothness)
+        destination = self.destination.penalty(DESTINATION * sparsity, smoothness)
+        return (choice + destination) / len(self.finished_bias)
+
+    def leave_out(self) -> None:
+        """Leave out, for good, the functions whose values have a smaller norm than LEFT_OUT."""
+        for part in self._parts:
+            part.leave_out(LEFT_OUT)
+
+    @property
+    def _parts(self) -> tuple[PiecewiseLinear, ...]:
+        return self.choice, self.grip, self.destination
 
 
 def goal_losses(
@@ -192,12 +231,3 @@ def _already_there(table: ObjectTable, targets: Tensor, places: Tensor) -> Tenso
     released = (block - table.grip).norm(dim=1) > OUT_OF_GRIP
     found: Tensor = near & released & (targets != ROBOT_TARGET)
     return found
-
-
-def _extremes(relations: Tensor, present: Tensor) -> Tensor:
-    """The largest and the least known value over all blocks, (B, 2 R)."""
-    known = (relations < UNKNOWN) & present[..., None]
-    none = ~known.any(dim=1)
-    largest = relations.masked_fill(~known, -UNKNOWN).amax(dim=1).masked_fill(none, UNKNOWN)
-    least = relations.masked_fill(~known, UNKNOWN).amin(dim=1)
-    return torch.cat([largest, least], dim=1)

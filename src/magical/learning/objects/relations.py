@@ -66,9 +66,9 @@ class Relation(NamedTuple):
 
 
 RELATIONS = (
-    Relation("region of the same colour", EDGE, 1, 1),
-    Relation("region of another colour", EDGE, 1, 1),
-    Relation("any region", EDGE, 2, 1),
+    Relation("region of the same colour", EDGE, 1.5, 1.5),
+    Relation("region of another colour", EDGE, 1.5, 1.5),
+    Relation("any region", EDGE, 1, 1),
     Relation("block of the same colour and shape, in a region", CONTACT, 2, 2),
     Relation("block of the same colour and shape, in none", CONTACT, 2, 2),
     Relation("block of the same colour alone, in a region", CONTACT, 2, 2),
@@ -82,14 +82,13 @@ RELATIONS = (
     Relation("block of another colour", CONTACT, 8, 4),
     Relation("block of another shape", CONTACT, 8, 4),
     Relation("any other block", CONTACT, 8, 2),
-    Relation("line of two other blocks", LINE, 4, 2),
+    Relation("line of two other blocks", LINE, 4, 3),
     Relation("line of two other blocks side by side", LINE, 8, 2),
     Relation("share of the own colour's distance", SHARE, 4, 2),
     Relation("share of the own shape's distance", SHARE, 4, 2),
-    Relation("wall", WALL, 30, 2),
-    Relation("x, where there is nothing else", PLACE, 30, 1),
-    Relation("y, where there is nothing else", PLACE, 30, 1),
-    Relation("own place now", GROUP, 1, 1),
+    Relation("wall", WALL, 8, 2),
+    Relation("x, where there is nothing else", PLACE, 1, 1),
+    Relation("y, where there is nothing else", PLACE, 1, 1),
     Relation("region that it is in now", EDGE, 1, 1),
 )
 
@@ -118,7 +117,6 @@ def relate(table: ObjectTable, targets: Tensor, places: Tensor) -> Tensor:
         *_share_relations(scene, places),
         1.0 - places.abs().amax(dim=2),
         *(places[..., k].masked_fill(~scene.alone[:, None], UNKNOWN) for k in (0, 1)),
-        (places - scene.now[:, None]).norm(dim=2),
         _nearest(to_regions, scene.around),
     ]
     return torch.stack(values, dim=2)

@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from magical.learning.objects.parser import Pixels, parse_frames, parse_robot
+from magical.learning.objects.parser import Pixels, parse_frames
 
 GRIP = 0.28  # units ahead of the robot's centre: where a gripped block's centre lies
 
@@ -17,8 +17,6 @@ class ObjectTable(NamedTuple):
 
     robot: Tensor  # (B, 3) x, y, angle
     fingers: Tensor  # (B, 2) how far the left and the right finger are open, rad
-    previous_robot: Tensor  # (B, 3) one control step earlier
-    previous_fingers: Tensor  # (B, 2)
     blocks: Tensor  # (B, N, 2); far away where absent
     colours: Tensor  # (B, N) int64, ABSENT (-1) where absent
     shapes: Tensor  # (B, N) int64
@@ -54,17 +52,9 @@ class ObjectTable(NamedTuple):
         return self.robot[:, :2] + GRIP * torch.stack([-angle.sin(), angle.cos()], dim=1)
 
 
-def parse_table(newest: Pixels, previous: Pixels) -> ObjectTable:
-    """The objects of B newest frames and the robot's motion since the previous ones.
-
-    Args:
-        newest: (B, 96, 96, 3), allocentric.
-        previous: the same, one control step earlier.
-    """
-    parsed = parse_frames(newest)
-    robot, fingers = parse_robot(previous)
-    columns = parsed.robot, parsed.fingers, robot, fingers, *parsed[2:]
-    return ObjectTable(*map(to_tensor, columns))
+def parse_table(frames: Pixels) -> ObjectTable:
+    """The objects of B allocentric frames (B, 96, 96, 3)."""
+    return ObjectTable(*map(to_tensor, parse_frames(frames)))
 
 
 def to_tensor(array: NDArray[Any]) -> Tensor:
