@@ -75,7 +75,11 @@ def test_without_results_everything_is_not_run(repository: Path) -> None:
         assert runs == f"0 of {missing.removesuffix(' not run')}"
     assert lines(text, "counts", "BC (ST) ") == []
     assert "BC (ST) | the same | not run |" in section(text, "counts")
-    for name in ("tasks", "far", "orders", "cells"):
+    assert [row[0] for row in lines(text, "gaps", "")[2:]] == [
+        "BC (ST), published",
+        "GAIL (ST), published",
+    ]
+    for name in ("tasks", "far", "orders", "cells", "others"):
         assert section(text, name) == "Nothing yet: not run.\n"
     assert section(text, "rejected") == "None.\n"
     claims = lines(text, "claims", "augmentation helps BC")
@@ -110,6 +114,17 @@ def test_cells_by_hand(repository: Path) -> None:
     assert within_two.startswith("3 (")
     assert section(text, "far").startswith("- BC (ST), above: MoveToRegion All (+10.8), ")
     assert lines(text, "tasks", "MoveToCorner") == [["MoveToCorner", "not run"]]
+
+
+def test_a_row_that_was_not_published_has_a_table_of_its_own(repository: Path) -> None:
+    for seed, score in enumerate((0.9, 1.0)):
+        write_run(repository, "object-bc", "object-bc (ST)", "MoveToRegion", seed, score)
+    text = made(repository)
+    assert section(text, "others").startswith("### object-bc (ST)\n")
+    ((_, demo, *_),) = lines(text, "others", "MoveToRegion")
+    assert demo == "0.95 ± 0.07"
+    assert section(text, "cells") == "Nothing yet: not run.\n"
+    assert "object-bc" not in section(text, "counts")
 
 
 def test_entries_that_do_not_count_are_listed_by_reason(repository: Path) -> None:

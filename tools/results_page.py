@@ -16,7 +16,7 @@ from typing import Any
 
 from magical.evaluation import published_tasks
 from magical.evaluation.intervals import Interval
-from magical.evaluation.variants import SHORT_VARIANTS
+from magical.evaluation.variants import SHORT_VARIANTS, short_variant
 from magical.report.leaderboard.checks import Rejected
 from magical.report.replication.cells import (
     LIMITS,
@@ -28,6 +28,7 @@ from magical.report.replication.cells import (
     make_cells,
 )
 from magical.report.replication.claims import CLAIMS, PARTS, VARIATIONS, Finding, find, order
+from magical.report.replication.generalisation import find_drops
 from magical.report.replication.picture import digest_of, write_picture
 from magical.report.replication.rows import Row, make_rows, published_row
 from magical.report.results import Results, search_results
@@ -46,7 +47,9 @@ PLANS = (
     "bc-scripted",
     "bc-perturbed",
     "bc-mixed",
+    "object-bc",
 )
+EXPERT = "expert"  # the folder of the scripted experts' entry, which is no run of a plan
 COLLECTED = "collected.json"  # of a folder of `results/` (tools/collect_results.py)
 LEADERBOARD = "leaderboard"  # in the folder of a run's entry
 NOT_RUN = "not run"
@@ -102,15 +105,19 @@ class Page:
     def __init__(self, root: Path) -> None:
         self.root = root
         self.plans = [PlanResults.read(root, name) for name in PLANS]
-        folders = [folder for name in PLANS if (folder := root / "results" / name).is_dir()]
+        names = (*PLANS, EXPERT)
+        folders = [folder for name in names if (folder := root / "results" / name).is_dir()]
         found, self.rejected = make_rows(_exact(search_results(folders))) if folders else ([], [])
         known = {row.method: row for row in found}
-        self.methods = [method for plan in self.plans for method in plan.methods]
+        planned = [method for plan in self.plans for method in plan.methods]
+        self.methods = [method for method in planned if published_row(method)]
         self.rows: list[Row] = [known[name] for name in self.methods if name in known]
+        others = [method for method in (*planned, EXPERT) if method not in self.methods]
+        self.others = [known[name] for name in others if name in known]
         self.rejected += [
             Rejected(str(root / "results"), name, [f"{name} is a method of none of the plans"])
             for name in known
-            if name not in self.methods
+            if name not in (*self.methods, *others)
         ]
         self.tasks = published_tasks()
 
@@ -144,6 +151,8 @@ class Page:
             "claims": self.claim_table,
             "variations": self.variation_table,
             "orders": self.orders,
+            "gaps": self.gap_table,
+            "others": self.other_tables,
             "cells": self.cell_tables,
             "rejected": self.rejections,
         }
@@ -211,6 +220,24 @@ class Page:
         """A table for each method that has been run: tasks by variants."""
         parts = [_cell_table(method, cells) for method, cells in self.cells.items() if cells]
         return "\n\n".join(parts) or NOTHING
+
+    def gap_table(self) -> str:
+        """Demo, TestAll and the gap of the published methods, and of those with all tasks."""
+        header = ("Row", "Class", "Demonstrations", "Demo", "TestAll", "Gap")
+        rows = (
+            [
+                drop.method,
+                drop.learning_class or "–",
+                drop.demonstrations or "–",
+                *(_mean(drop.demo), _mean(drop.test_all), signed(drop.gap)),
+            ]
+            for drop in find_drops([*self.rows, *self.others])
+        )
+        return table(header, rows)
+
+    def other_tables(self) -> str:
+        """A table for each row without a published counterpart: tasks by variants."""
+        return "\n\n".join(map(_score_table, self.others)) or NOTHING
 
     def rejections(self) -> str:
         """The entries that count nowhere, by reason."""
@@ -300,6 +327,21 @@ def _cell_table(method: str, cells: Sequence[Cell]) -> str:
         name = f"{task} ({max(runs)} {'run' if runs == {1} else 'runs'})"
         rows.append([name, *(texts.get(variant, "") for variant in SHORT_VARIANTS)])
     return f"### {method}\n\n{table(('Task', *SHORT_VARIANTS), rows)}"
+
+
+def _score_table(row: Row) -> str:
+    """A heading and a table: means and standard deviations over runs."""
+    tasks: dict[str, dict[str, str]] = {}
+    for env_id in row.env_ids:
+        means = row.runs_in(env_id)
+        spread = f" ± {means.std(ddof=1):.2f}" if len(means) > 1 else ""
+        cells = tasks.setdefault(env_id.task, {})
+        cells[short_variant(env_id.variant)] = f"{means.mean():.2f}{spread}"
+    lines = [
+        [task, *(cells.get(variant, "") for variant in SHORT_VARIANTS)]
+        for task, cells in tasks.items()
+    ]
+    return f"### {row.method}\n\n{table(('Task', *SHORT_VARIANTS), lines)}"
 
 
 def _cell(cell: Cell) -> str:

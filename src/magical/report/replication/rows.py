@@ -12,6 +12,7 @@ from magical.evaluation.statistics import by_environment, run_means
 from magical.report.differences import RULE, is_comparable
 from magical.report.leaderboard.checks import Rejected, incompleteness
 from magical.report.results import Result, Results
+from magical.runs.sources import LEARNED_FROM, learning_class
 from magical.tasks import get_task
 
 
@@ -24,12 +25,16 @@ class Row:
         published: the name of the published row; empty for none.
         env_ids: the columns' environments, in the registry's order.
         means: (runs, environments), each run's mean score; NaN where it was not evaluated.
+        learning_class: `P`, `R` or `X`, or empty (`magical.runs.sources`).
+        demonstrations: how many and whose, as the first run's entry says.
     """
 
     method: str
     published: str
     env_ids: tuple[EnvId, ...]
     means: Floats
+    learning_class: str = ""
+    demonstrations: str = ""
 
     def on(self, env_ids: Sequence[EnvId]) -> Floats:
         """The means in some of the environments, of the runs that have any of them."""
@@ -87,4 +92,8 @@ def _row(method: str, runs: Sequence[Result]) -> Row:
     scores = [run.entry.scores for run in runs]
     found = {env_id for run in scores for env_id in by_environment(run)}
     env_ids = tuple(env_id for env_id in environments() if env_id in found)
-    return Row(method, published_row(method), env_ids, run_means(scores, env_ids, RULE))
+    details = runs[0].entry.details
+    named = str(details.get("demonstrations", ""))
+    sources = details.get(LEARNED_FROM, ())
+    means = run_means(scores, env_ids, RULE)
+    return Row(method, published_row(method), env_ids, means, learning_class(sources), named)
