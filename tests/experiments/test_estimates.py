@@ -38,6 +38,11 @@ def test_behavioural_cloning() -> None:
     assert gpu == pytest.approx(samples * 1500 / 12.8e6 + ROLLOUT_STEPS * 3e-4)
 
 
+def test_a_learner_without_a_network_of_the_registry_states_its_own_cost() -> None:
+    here, _ = seconds("object-bc")
+    assert here == pytest.approx(6000 * 256 * 1.5e-4 + ROLLOUT_STEPS * 2e-3 + ROLLOUT_STEPS / 7_500)
+
+
 @pytest.mark.parametrize(
     ("algorithm", "more"),
     [

@@ -59,10 +59,12 @@ def _estimate(run: PlannedRun, speed: float) -> Estimate:
         steps += config.updates * config.steps_per_update
     elif isinstance(config, ImitationConfig):
         prepared = samples
+    here = (samples + FORWARD * steps) / speed + prepared * SECONDS_PER_PREPARED_SAMPLE
+    if config.seconds_each:
+        per_sample, per_action = config.seconds_each
+        here = samples * per_sample + steps * per_action
     return Estimate(
-        here=(samples + FORWARD * steps) / speed
-        + prepared * SECONDS_PER_PREPARED_SAMPLE
-        + steps * SECONDS_PER_STEP,
+        here=here + steps * SECONDS_PER_STEP,
         gpu=samples * GPU_SECONDS_PER_SAMPLE + steps * GPU_SECONDS_PER_STEP,
     )
 

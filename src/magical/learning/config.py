@@ -66,6 +66,9 @@ class Config:
 
     algorithm: ClassVar[str]
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {"paper": {}}
+    # Seconds of a core for a sample in training and for an action, where no network of the
+    # registry decides on them; only to estimate the time of a run.
+    seconds_each: ClassVar[tuple[float, float] | None] = None
 
     tasks: tuple[str, ...] = option(
         dataclasses.MISSING, "tasks to learn, one or several", metavar="TASK"
