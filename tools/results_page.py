@@ -47,6 +47,7 @@ PLANS = (
     "bc-scripted",
     "bc-perturbed",
     "bc-mixed",
+    "training-time",
     "object-bc",
 )
 EXPERT = "expert"  # the folder of the scripted experts' entry, which is no run of a plan

@@ -73,6 +73,7 @@ RESULTS = {  # the plans of the benchmark's own results: number of runs, demonst
     "bc-scripted": (8 * 5, "expert"),
     "bc-perturbed": (8 * 5, "expert, perturb 0.2"),
     "bc-mixed": (8 * 5, "dataset and expert"),
+    "training-time": (2 * 3 * 3, "dataset"),
 }
 
 
@@ -92,7 +93,15 @@ def test_the_results_are_evaluated_as_the_published_scores_were(root: Path, name
 def test_no_two_plans_of_the_results_share_a_row(root: Path) -> None:
     plans = [read_plan(root / "plans" / f"{name}.toml") for name in RESULTS]
     names = [method.name for plan in plans for method in plan.methods]
-    assert len(names) == len(set(names)) == 12
+    assert len(names) == len(set(names)) == 14
+
+
+def test_the_object_centred_learner_is_evaluated_in_the_same_way(root: Path) -> None:
+    runs = planned_runs(read_plan(root / "plans" / "object-bc.toml"))
+    assert len(runs) == 3 + 3 * 8
+    for run in runs:
+        assert run.evaluation == Evaluation(rollouts=100, horizon="published", nudge=0.0)
+        assert (str(run.source), run.config.to_dict()["num_demos"]) == ("dataset", 100)
 
 
 def test_runs_are_methods_times_tasks_times_seeds(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from magical.report.replication.rows import Row
 DEMO, TESTS = "Demo", "test variants"
 PARTS = (DEMO, TESTS)
 BC, NO_AUG, NO_TRANS_ROT = "BC (ST)", "BC (ST, no aug.)", "BC (ST, no trans./rot. aug.)"
+ALLO, LONGER = "BC (ST, allo.)", "four times the batches"
 PAPER, SCRIPTED = "BC (ST), paper settings", "BC (ST), scripted experts"
 PERTURBED, MIXED = "BC (ST), perturbed experts", "BC (ST), human and scripted"
 
@@ -53,7 +54,7 @@ CLAIMS = (
         "translation and rotation matter more than the other augmentations",
         MappingProxyType({BC: 1.0, NO_AUG: 1.0, NO_TRANS_ROT: -2.0}),
     ),
-    _claim("the egocentric view is better than the allocentric one, for BC", BC, "BC (ST, allo.)"),
+    _claim("the egocentric view is better than the allocentric one, for BC", BC, ALLO),
     _claim("multi-task training helps BC", "BC (MT)", BC),
     _claim("GAIL is better than BC", "GAIL (ST)", BC),
 )
@@ -64,6 +65,8 @@ VARIATIONS = (
     _claim("perturbed experts instead of unperturbed ones", PERTURBED, SCRIPTED),
     _claim("human and scripted together instead of human alone", MIXED, BC),
     _claim("human and scripted together instead of scripted alone", MIXED, SCRIPTED),
+    _claim("four times the batches, without augmentation", f"{NO_AUG}, {LONGER}", NO_AUG),
+    _claim("four times the batches, allocentric", f"{ALLO}, {LONGER}", ALLO),
 )
 
 
