@@ -49,6 +49,7 @@ PLANS = (
     "bc-mixed",
     "training-time",
     "object-bc",
+    "object-bc-human",
 )
 EXPERT = "expert"  # the folder of the scripted experts' entry, which is no run of a plan
 COLLECTED = "collected.json"  # of a folder of `results/` (tools/collect_results.py)

@@ -96,12 +96,15 @@ def test_no_two_plans_of_the_results_share_a_row(root: Path) -> None:
     assert len(names) == len(set(names)) == 14
 
 
-def test_the_object_centred_learner_is_evaluated_in_the_same_way(root: Path) -> None:
-    runs = planned_runs(read_plan(root / "plans" / "object-bc.toml"))
+@pytest.mark.parametrize(("name", "num_demos"), [("object-bc", 100), ("object-bc-human", 10)])
+def test_the_object_centred_learner_is_evaluated_in_the_same_way(
+    root: Path, name: str, num_demos: int
+) -> None:
+    runs = planned_runs(read_plan(root / "plans" / f"{name}.toml"))
     assert len(runs) == 3 + 3 * 8
     for run in runs:
         assert run.evaluation == Evaluation(rollouts=100, horizon="published", nudge=0.0)
-        assert (str(run.source), run.config.to_dict()["num_demos"]) == ("dataset", 100)
+        assert (str(run.source), run.config.to_dict()["num_demos"]) == ("dataset", num_demos)
 
 
 def test_runs_are_methods_times_tasks_times_seeds(tmp_path: Path) -> None:
