@@ -1,6 +1,7 @@
 """Collect what a plan's runs scored into a folder of `results/`, without weights.
 
 python tools/collect_results.py RUNS [RUNS ...] --out results/NAME [--plan FILE] [--leaderboard]
+    [--looks N]
 
 RUNS are results folders of `magical run`, finished or not; several hold parts of one plan. What is
 collected already stays and is not read again, so the command can be repeated while runs go on.
@@ -11,7 +12,8 @@ Written are, as `magical report` and `magical leaderboard` read them:
 - `collected.json`: the plan's digest, versions, demonstrations, and each run's seconds or error
 
 With --leaderboard each run that is done is first evaluated by the leaderboard's protocol, from its
-checkpoint, into a folder `leaderboard` in its own, unless that was done before.
+checkpoint, into a folder `leaderboard` in its own, unless that was done before. --looks states in
+the details of newly collected entries how often TestAll had been evaluated before.
 
 Runs of another version of the package than those before are refused (exit status 1).
 """
@@ -48,6 +50,7 @@ from magical.runs.folder import read_json, write_json
 
 COLLECTED = "collected.json"
 LEADERBOARD = "leaderboard"  # in a run's folder: its evaluation by the leaderboard's protocol
+LOOKS = "looks"  # in an entry's details (docs/protocol.md)
 FORMAT = 1
 
 
@@ -83,7 +86,11 @@ class Collected:
 
 
 def collect(
-    sources: Sequence[Path], out: Path, plan: Path, leaderboard: bool = False
+    sources: Sequence[Path],
+    out: Path,
+    plan: Path,
+    leaderboard: bool = False,
+    looks: int | None = None,
 ) -> Iterator[str]:
     """Collect the plan's runs that are done; yields what is left out or missing, and why.
 
@@ -92,6 +99,7 @@ def collect(
         out: the folder to collect into.
         plan: the plan's file.
         leaderboard: evaluate each run by the leaderboard's protocol first.
+        looks: what new entries state as `looks`; None: nothing.
 
     Raises:
         ResultsError: a source is no results folder; its runs are of another version, or learned
@@ -107,7 +115,7 @@ def collect(
                 continue
             if leaderboard and read_state(folder) == DONE:
                 evaluate_for_leaderboard(planned[folder.name], folder)
-            if why := _collect_run(folder, out / RUNS / folder.name, collected):
+            if why := _collect_run(folder, out / RUNS / folder.name, collected, looks):
                 yield f"left out: {why}"
     write_json(out / PLAN, {"runs": [listed(run) for run in planned.values()]})
     collected.write(out, plan)
@@ -116,21 +124,21 @@ def collect(
             yield f"missing: {run}: {collected.failed.get(run.folder, 'not done')}"
 
 
-def _collect_run(folder: Path, target: Path, collected: Collected) -> str:
+def _collect_run(folder: Path, target: Path, collected: Collected, looks: int | None) -> str:
     """Collect a run if it is done and new, and its evaluation for the leaderboard; says why not."""
     name = folder.name
     try:
         if name not in collected.runs and (state := read_state(folder)):
             record = read_json(folder / RESULT)
             if state == DONE:
-                _copy_entry(folder, target, collected.version)
+                _copy_entry(folder, target, collected.version, looks)
                 collected.failed.pop(name, None)
                 seconds = {part: round(float(s), 1) for part, s in record["seconds"].items()}
                 collected.runs[name] = {"seconds": seconds, "finished": record["finished"]}
             else:
                 collected.failed[name] = str(record["error"])
         if name in collected.runs and (folder / LEADERBOARD / ENTRY_FILE).exists():
-            _copy_entry(folder / LEADERBOARD, target / LEADERBOARD, collected.version)
+            _copy_entry(folder / LEADERBOARD, target / LEADERBOARD, collected.version, looks)
     except MagicalError as error:
         return str(error)
     return ""
@@ -142,14 +150,17 @@ def evaluate_for_leaderboard(run: PlannedRun, folder: Path) -> None:
         evaluate_run(run, folder, folder / LEADERBOARD, Evaluation(nudge=NUDGE))
 
 
-def _copy_entry(source: Path, target: Path, version: str) -> None:
-    """Copy an entry's files as they are, if they can be read."""
+def _copy_entry(source: Path, target: Path, version: str, looks: int | None) -> None:
+    """Copy an entry's files, if they can be read; as they are but for `looks`."""
     found = read_entry(source).version
     if found != version:
         raise ResultsError(f"{source}: expected an entry made by {version}, found {found}")
     for name in (SCORES_FILE, ENTRY_FILE):
         with write_atomically(target / name) as file:
             file.write((source / name).read_bytes())
+    if looks is not None:
+        entry = read_json(target / ENTRY_FILE)
+        write_json(target / ENTRY_FILE, {**entry, "details": {**entry["details"], LOOKS: looks}})
 
 
 def _require_same(source: Path, collected: Collected, out: Path) -> None:
@@ -179,10 +190,11 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--out", type=Path, required=True, metavar="results/NAME")
     parser.add_argument("--plan", type=Path, metavar="FILE", help="default: plans/NAME.toml")
     parser.add_argument("--leaderboard", action="store_true", help="evaluate for it first")
+    parser.add_argument("--looks", type=int, metavar="N", help="how often TestAll was evaluated")
     args = parser.parse_args(arguments)
     plan = args.plan or Path("plans") / f"{args.out.absolute().name}.toml"
     try:
-        for line in collect(args.sources, args.out, plan, args.leaderboard):
+        for line in collect(args.sources, args.out, plan, args.leaderboard, args.looks):
             print(line)
         print(f"{args.out}: {len(Collected.read(args.out).runs)} runs collected")
     except MagicalError as error:

@@ -225,12 +225,13 @@ class Page:
 
     def gap_table(self) -> str:
         """Demo, TestAll and the gap of the published methods, and of those with all tasks."""
-        header = ("Row", "Class", "Demonstrations", "Demo", "TestAll", "Gap")
+        header = ("Row", "Class", "Demonstrations", "Looks", "Demo", "TestAll", "Gap")
         rows = (
             [
                 drop.method,
                 drop.learning_class or "–",
                 drop.demonstrations or "–",
+                drop.looks or "–",
                 *(_mean(drop.demo), _mean(drop.test_all), signed(drop.gap)),
             ]
             for drop in find_drops([*self.rows, *self.others])

@@ -60,6 +60,17 @@ def test_scores_are_collected_and_weights_are_not(
     assert all(run["seconds"]["training"] > 0 for run in found["runs"].values())
 
 
+def test_looks_are_stated_in_the_entries(
+    finished: Path, tiny: Path, out: Path, planned: Planned
+) -> None:
+    list(collect_results.collect([finished], out, tiny, looks=3))
+    for run in planned():
+        entry = json.loads((out / "runs" / run.folder / ENTRY_FILE).read_text())
+        original = json.loads((finished / "runs" / run.folder / ENTRY_FILE).read_text())
+        assert entry["details"].pop("looks") == 3
+        assert entry == original
+
+
 def test_reports_and_the_leaderboard_read_it(
     finished: Path, tiny: Path, out: Path, planned: Planned
 ) -> None:

@@ -21,6 +21,7 @@ class Drop(NamedTuple):
         method: the method's name.
         learning_class: `P`, `R` or `X`, or empty.
         demonstrations: how many and whose.
+        looks: how often TestAll was evaluated before; empty where that is not stated.
         demo: mean over tasks.
         test_all: mean over tasks.
         gap: their difference.
@@ -29,6 +30,7 @@ class Drop(NamedTuple):
     method: str
     learning_class: str
     demonstrations: str
+    looks: str
     demo: Interval
     test_all: Interval
     gap: Interval
@@ -48,6 +50,7 @@ def _drop(row: Row, env_ids: list[EnvId]) -> Drop:
         row.method,
         row.learning_class,
         row.demonstrations,
+        row.looks,
         mean(row.on(demo)),
         mean(row.on(test_all)),
         generalisation_gap(row.on(env_ids), env_ids),
@@ -63,7 +66,7 @@ def _published(method: str) -> Drop:
     )
     means = (Interval(value, math.nan, math.nan) for value in (demo, test_all, demo - test_all))
     learning_class = "P" if method.startswith("BC") else ""
-    return Drop(f"{method}, published", learning_class, "10 of humans", *means)
+    return Drop(f"{method}, published", learning_class, "10 of humans", "", *means)
 
 
 def _score(task: str, method: str, variant: str) -> float:

@@ -27,6 +27,7 @@ class Row:
         means: (runs, environments), each run's mean score; NaN where it was not evaluated.
         learning_class: `P`, `R` or `X`, or empty (`magical.runs.sources`).
         demonstrations: how many and whose, as the first run's entry says.
+        looks: how often TestAll was evaluated before, as it says; empty if it does not.
     """
 
     method: str
@@ -35,6 +36,7 @@ class Row:
     means: Floats
     learning_class: str = ""
     demonstrations: str = ""
+    looks: str = ""
 
     def on(self, env_ids: Sequence[EnvId]) -> Floats:
         """The means in some of the environments, of the runs that have any of them."""
@@ -93,7 +95,12 @@ def _row(method: str, runs: Sequence[Result]) -> Row:
     found = {env_id for run in scores for env_id in by_environment(run)}
     env_ids = tuple(env_id for env_id in environments() if env_id in found)
     details = runs[0].entry.details
-    named = str(details.get("demonstrations", ""))
-    sources = details.get(LEARNED_FROM, ())
-    means = run_means(scores, env_ids, RULE)
-    return Row(method, published_row(method), env_ids, means, learning_class(sources), named)
+    return Row(
+        method,
+        published_row(method),
+        env_ids,
+        run_means(scores, env_ids, RULE),
+        learning_class(details.get(LEARNED_FROM, ())),
+        str(details.get("demonstrations", "")),
+        str(details.get("looks", "")),
+    )
