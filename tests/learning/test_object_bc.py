@@ -58,11 +58,20 @@ def whole(expert_demos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_resumed_run_is_bit_equal(whole: Path, expert_demos: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("stop", [3, 5])  # before and after relations are left out
+def test_a_resumed_run_is_bit_equal(
+    stop: int, whole: Path, expert_demos: Path, tmp_path: Path
+) -> None:
     config = tiny(expert_demos)
-    assert train(config, tmp_path / "run", stop_after=3).step == 3
+    assert train(config, tmp_path / "run", stop_after=stop).step == stop
     assert train(config, tmp_path / "run", resume=True).finished
     assert_same(checkpoint(tmp_path / "run"), checkpoint(whole))
+
+
+def test_relations_are_left_out_halfway(whole: Path, expert_demos: Path, tmp_path: Path) -> None:
+    assert not checkpoint(whole)["policy"]["goals.choice.used"].all()
+    train(tiny(expert_demos, goal_sparsity=0.0), tmp_path / "run")
+    assert checkpoint(tmp_path / "run")["policy"]["goals.choice.used"].all()
 
 
 def test_metrics_and_policy(whole: Path) -> None:

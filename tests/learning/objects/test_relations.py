@@ -1,5 +1,7 @@
 """Relations: their values in a small scene, and what they do not depend on."""
 
+import math
+
 import pytest
 import torch
 
@@ -103,24 +105,70 @@ def test_decisions_do_not_depend_on_the_order_of_blocks() -> None:
     torch.testing.assert_close(other_places, places)
 
 
-def test_blocks_at_their_destinations_give_way_unless_they_are_gripped(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    table = make_table(count=2).select(slice(0, 1))
+def one_scene(count: int = 2) -> ObjectTable:
+    """A scene of blocks far from one another and from the gripper."""
+    table = make_table(count=count).select(slice(0, 1))
     blocks = table.blocks.clone()
-    blocks[0, :2] = torch.tensor([[-0.6, -0.6], [0.6, 0.6]])
-    table = table._replace(blocks=blocks, robot=torch.zeros(1, 3))
-    model = GoalModel(1)
+    blocks[0, :count] = torch.tensor([[-0.6, -0.6], [0.6, 0.6], [-0.6, 0.6]])[:count]
+    return table._replace(blocks=blocks, robot=torch.zeros(1, 3))
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_blocks_at_their_destinations_give_way_unless_they_are_gripped(
+    count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table, model, tasks = one_scene(count), GoalModel(1), torch.zeros(1, dtype=torch.int64)
     with torch.no_grad():
         model.finished_bias.fill_(-100.0)
-    nearest = int((blocks[0, :2] - table.grip).norm(dim=1).argmin())
-    tasks = torch.zeros(1, dtype=torch.int64)
+    nearest = int((table.blocks[0, :count] - table.grip).norm(dim=1).argmin())
     assert model.decide(table, tasks)[0].tolist() == [nearest]
     monkeypatch.setattr(goals, "NEARNESS", 400.0)  # every block's best place is its own
     assert model.decide(table, tasks)[0].tolist() == [ROBOT_TARGET]
-    gripped = table._replace(blocks=blocks.clone())
+    gripped = table._replace(blocks=table.blocks.clone())
     gripped.blocks[0, nearest] = table.grip[0]
     assert model.decide(gripped, tasks)[0].tolist() == [nearest]
+
+
+@pytest.mark.parametrize(("probability", "stops"), [(0.75, False), (0.85, True)])
+def test_it_stops_only_where_it_is_sure(probability: float, stops: bool) -> None:
+    table, model, tasks = one_scene(), GoalModel(1), torch.zeros(1, dtype=torch.int64)
+    blocks = model.target_logits(table, relate_blocks(table), tasks)[:, :-1]
+    odds = math.log(probability / (1 - probability))
+    with torch.no_grad():
+        model.finished_bias.fill_(blocks.logsumexp(dim=1).item() + odds)
+    assert (model.decide(table, tasks)[0].item() == ROBOT_TARGET) is stops
+
+
+def test_nothing_is_left_to_do_where_no_block_has_an_urge() -> None:
+    table, model, tasks = one_scene(), GoalModel(1), torch.zeros(1, dtype=torch.int64)
+    with torch.no_grad():
+        model.finished_bias.fill_(0.5)
+        model.finished_slope.fill_(2.0)
+        model.choice.values[:, NAMES.index("any region")] = 3.0
+    logits = model.target_logits(table, relate_blocks(table), tasks)
+    assert logits[0, -1].item() == pytest.approx(0.5 - 2.0 * 3.0)
+    empty = table._replace(colours=torch.full_like(table.colours, -1))
+    logits = model.target_logits(empty, relate_blocks(empty), tasks)
+    assert logits[0, -1].item() == pytest.approx(0.5 + 2.0 * goals.LARGE)
+
+
+@pytest.mark.parametrize("height", [0.0, 5.0])
+def test_a_broad_place_is_better_than_a_narrow_one(
+    height: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plateau, peak = torch.tensor([-0.4, -0.4]), torch.tensor([0.653, 0.653])
+
+    def logits(model: GoalModel, *arguments: torch.Tensor) -> torch.Tensor:
+        places = arguments[2]
+        narrow = 5.5 * ((places - peak).norm(dim=-1) < 0.06)
+        broad: torch.Tensor = height * ((places - plateau).abs().amax(-1) < 0.2)
+        return narrow + broad
+
+    monkeypatch.setattr(GoalModel, "destination_logits", logits)
+    model, tasks = GoalModel(1), torch.zeros(1, dtype=torch.int64)
+    (place,) = model.decide(one_scene(), tasks)[1]
+    expected = plateau if height else peak
+    assert (place - expected).norm().item() < (0.2 if height else 0.05)
 
 
 def test_relations_that_explain_nothing_are_left_out() -> None:

@@ -45,7 +45,7 @@ from magical.observe.pixels import CHANNELS, STACK
 from magical.runs.sources import OBJECT_PARSER
 from magical.scene.actions import MIRRORED_ACTIONS
 
-STANDS, STANDS_ANGLE = 0.01, 0.05  # units, rad: less in the time of a stack is no motion
+STANDS, STANDS_ANGLE = 0.01, 0.05  # units, rad: who moved less during the stack stands
 OBSERVATION = "LoRes4A"  # the allocentric camera sees every object
 # Settings of the other algorithms that have no meaning here.
 WITHOUT_MEANING = (
@@ -147,7 +147,10 @@ class ObjectPolicy(nn.Module):
         newest, oldest = (_frames(observations, k) for k in (STACK - 1, 0))
         table = ObjectTable(*(column.to(tasks.device) for column in parse_table(newest)))
         before = torch.from_numpy(parse_robot(oldest)[0]).to(table.robot)
-        with one_thread(), torch.autocast(tasks.device.type, enabled=False):  # float32: positions
+        with (
+            one_thread(),
+            torch.autocast(tasks.device.type, enabled=False),
+        ):  # positions need float32
             targets, destinations = self.goals.decide(table, tasks)
         return self.control(table, before, targets, destinations)
 
@@ -160,7 +163,7 @@ class ObjectPolicy(nn.Module):
         """
         with torch.autocast(table.robot.device.type, enabled=False):
             inputs = control_inputs(table, targets, destinations)
-        logits: Tensor = self.controller(*inputs)
+        logits: Tensor = self.controller(*inputs).float()
         stuck = _stands(table.robot, before) & (targets != ROBOT_TARGET)
         hot, cool = (logits.new_tensor(t) for t in (self.stuck_temperature, self.temperature))
         return logits / torch.where(stuck, hot, cool)[:, None]
@@ -269,8 +272,8 @@ class ObjectBCTrainer:
     ) -> dict[str, float]:
         """Increase the likelihood of a batch of goals."""
         config, goals = self.config, self.policy.goals
-        steps_of_refit = number - config.batches // 2
-        if 0 <= steps_of_refit < config.goal_every:  # the first of them
+        refit = number - config.batches // 2
+        if config.goal_sparsity and 0 <= refit < config.goal_every:  # its first step
             goals.leave_out()
         set_learning_rate(self.goal_optimizer, config.annealed(config.goal_learning_rate, number))
         rows = data.sample_each(config.goal_batch_size, rng)
@@ -284,7 +287,7 @@ class ObjectBCTrainer:
             data.tasks[rows],
             torch.from_numpy(places).to(self.device),
         )
-        sparsity = config.goal_sparsity * (REFITTED if steps_of_refit >= 0 else 1.0)
+        sparsity = config.goal_sparsity * (REFITTED if refit >= 0 else 1.0)
         penalty = goals.penalty(sparsity, config.goal_smoothness)
         self.goal_optimizer.zero_grad()
         torch.autograd.backward(target_loss + destination_loss + penalty)

@@ -19,23 +19,24 @@ from magical.learning.objects.table import ObjectTable
 GRIP_KNOTS = (0.04, 0.08, 0.14, 0.22, 0.32)  # units from the point between the fingers
 GRIP_PENALTY = 0.5
 NEARNESS = 1.0  # logits lost by each unit from fingers to block, from block to place: breaks ties
-TINY = 1e-4  # added to a squared norm
+TINY = 1e-4  # added to a squared norm, which keeps the norm differentiable at 0
 CANDIDATES = 64  # places that a destination is told apart from in training
-BORDER = 0.95  # units: destinations are within [-BORDER, BORDER]
+BORDER = 0.95  # units: the cells of destinations are within [-BORDER, BORDER]
 CELLS = 16  # of the grid of destinations, along each axis
 STEPS = 2  # finer places to either side of the best cell's centre
 IMPOSSIBLE = -1e9
 SURE = 0.8  # probability of having finished at which to stop: too late costs less than too soon
-LARGE = 30.0  # logits: an urge is not below its negative
-DESTINATION = 2.0  # times the sparsity of the choice of a block
+LARGE = 30.0  # logits: where there is no block, the largest urge counts as its negative
+DESTINATION = 2.0  # sparsity of the destinations' functions, times that of the others
 LEFT_OUT = 0.25  # norm of a function's values below which its relation is left out
-REFITTED = 0.2  # share of the sparsity after that
-ALTERNATIVES = 2  # other targets that are tried in place of blocks at their destinations
+REFITTED = 0.2  # share of the sparsity that is kept after that
 AT_PLACE, OUT_OF_GRIP = 0.06, 0.1  # units: less than any carry; from the point between the fingers
 
 CELL = 2 * BORDER / CELLS  # units
 _AXIS = (torch.arange(CELLS) + 0.5) * CELL - BORDER
 GRID = torch.cartesian_prod(_AXIS, _AXIS)  # (CELLS * CELLS, 2)
+_WEIGHTS = torch.tensor([1.0, 2.0, 1.0]) / 4  # of a cell and its neighbours, along each axis
+KERNEL = torch.outer(_WEIGHTS, _WEIGHTS)[None, None]
 _FINE_AXIS = torch.arange(-STEPS, STEPS + 1) * CELL / (STEPS + 1)
 FINE_GRID = torch.cartesian_prod(_FINE_AXIS, _FINE_AXIS)  # offsets from a cell's centre
 
@@ -76,7 +77,7 @@ class PiecewiseLinear(nn.Module):
         Yuan and Lin, "Model selection and estimation in regression with grouped variables" (2006).
         """
         norms = ((self.values * self.used) ** 2).sum(dim=2).add(TINY).sqrt()  # (sets, R)
-        known = self.values[..., :-1]
+        known = (self.values * self.used)[..., :-1]
         bends = known[..., 2:] - 2 * known[..., 1:-1] + known[..., :-2]
         sparse = (self.weights * norms).sum()
         return sparsity * sparse + smoothness * (bends**2).sum()
@@ -115,6 +116,7 @@ class GoalModel(nn.Module):
         urge = self.choice(relations, tasks).masked_fill(~table.present, IMPOSSIBLE)  # (B, N)
         to_grip = (table.blocks - table.grip[:, None]).norm(dim=2)
         logits = urge + self.grip(to_grip[..., None], tasks) - NEARNESS * to_grip
+        logits = logits.masked_fill(~table.present, IMPOSSIBLE)
         largest = urge.amax(dim=1).clamp(min=-LARGE)
         finished = self.finished_bias[tasks] - self.finished_slope[tasks] * largest
         return torch.cat([logits, finished[:, None]], dim=1)
@@ -144,26 +146,27 @@ class GoalModel(nn.Module):
         blocks = logits[:, :-1]
         targets = blocks.argmax(dim=1).masked_fill(finished, ROBOT_TARGET)
         places = self._best_places(table, targets, tasks)
-        for _ in range(ALTERNATIVES):
+        for _ in range(blocks.shape[1]):
             rows = _already_there(table, targets, places).nonzero()[:, 0]
             if not len(rows):
                 break
             blocks = blocks.index_put((rows, targets[rows]), blocks.new_tensor(IMPOSSIBLE))
             best, numbers = blocks[rows].max(dim=1)
-            numbers = numbers.masked_fill(best == IMPOSSIBLE, ROBOT_TARGET)
+            numbers = numbers.masked_fill(best <= IMPOSSIBLE / 2, ROBOT_TARGET)
             targets = targets.index_put((rows,), numbers)
             some = self._best_places(table.select(rows), targets[rows], tasks[rows])
             places = places.index_put((rows,), some)
         return targets, places
 
     def _best_places(self, table: ObjectTable, targets: Tensor, tasks: Tensor) -> Tensor:
-        """The best destinations (B, 2): of a grid, then the mean of finer places around.
+        """The best destinations (B, 2): the best cell of a grid, then the mean of places in it.
 
-        A cell counts by the likelihood of its neighbourhood, as no block is set down exactly.
+        A cell is judged by the likelihood of its neighbourhood, as no block is set down exactly.
         """
         places = GRID.to(targets.device).expand(table.size, -1, -1)
         likelihoods = self.destination_logits(table, targets, places, tasks).softmax(dim=1)
-        around = functional.avg_pool2d(likelihoods.view(-1, 1, CELLS, CELLS), 3, 1, 1)
+        cells = likelihoods.view(-1, 1, CELLS, CELLS)
+        around = functional.conv2d(cells, KERNEL.to(cells), padding=1)
         best = around.flatten(1).argmax(dim=1)
         places = GRID.to(targets.device)[best][:, None] + FINE_GRID.to(targets.device)
         weights = self.destination_logits(table, targets, places, tasks).softmax(dim=1)
@@ -177,12 +180,8 @@ class GoalModel(nn.Module):
 
     def leave_out(self) -> None:
         """Leave out, for good, the functions whose values have a smaller norm than LEFT_OUT."""
-        for part in self._parts:
+        for part in (self.choice, self.grip, self.destination):
             part.leave_out(LEFT_OUT)
-
-    @property
-    def _parts(self) -> tuple[PiecewiseLinear, ...]:
-        return self.choice, self.grip, self.destination
 
 
 def goal_losses(

@@ -1,7 +1,7 @@
 """How a block, at a place, relates to the other objects of its scene.
 
-A relation is a number: a distance to the nearest object of some kind, such as the nearest other
-block of the same colour. Absolute colours, shapes, directions and (unless a block has no other
+A relation is a number: mostly a distance to the nearest object of some kind, such as the nearest
+other block of the same colour. Absolute colours, shapes, directions and (unless a block has no other
 object to relate to) positions do not occur, so whatever is learned from relations is the same for
 permuted colours and shapes, and for scenes that are turned or mirrored.
 """
@@ -20,8 +20,8 @@ UNKNOWN = 9.0  # the value of a relation to something that is not there
 NO_KIND = -5  # the colour and shape of the robot: like those of no block
 
 # Knots of the piecewise linear functions of a relation (see `goals`): a few for the choice of a
-# block, more for its destination. Values beyond the last but one are all alike, because far away
-# only the kind of object should matter; UNKNOWN has the last knot for itself.
+# block, more for its destination. Values beyond the last are all alike, because far away only
+# the kind of object should matter; UNKNOWN has a knot of its own.
 EDGE = (
     (-0.12, -0.04, 0.0, 0.05, 0.15),
     (-0.3, -0.25, -0.2, -0.15, -0.1, -0.05, 0.0, 0.03, 0.06, 0.1, 0.15, 0.2, 0.25, 0.3),
@@ -53,10 +53,10 @@ PLACE = (
 
 
 class Relation(NamedTuple):
-    """A relation's knots, and how strongly its weights are held at 0.
+    """A relation's knots, and how strongly its functions are held at 0.
 
-    The penalties are the prior: which region and which of its own kind a block is with comes first,
-    distances to walls and to other kinds come last.
+    The penalties are the prior: for the choice of a block, which region and which of its own kind
+    it is with comes first, distances to walls and to other kinds come last.
     """
 
     name: str
