@@ -2,15 +2,14 @@
 
 python benchmarks/failure_strips.py RUN --out failures.png [--entry DIR] [--rollouts 3]
 
-RUN is a run folder with weights. Its rollouts with the lowest scores, the first of these, are taken
-from the entry (default: in RUN), and run again with the entry's seeds, horizon and nudge.
+RUN is a run folder with weights. The rollouts with the lowest scores, the first among equals, are
+taken from the entry (default: the one in RUN) and run again with its seeds, horizon and nudge.
 """
 
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from magical.evaluation import Entry, RolloutScore, read_entry
@@ -42,6 +41,8 @@ def main() -> None:
     clips: list[tuple[RolloutScore, Clip]] = []
     for task in dict.fromkeys(row.env_id.task for row in entry.scores):
         worst = worst_rollouts(entry, task, full_variant(args.variant), args.rollouts)
+        if not worst:
+            continue
         recorded = record_rollouts(
             policy,
             [(row.env_id, row.rollout) for row in worst],
@@ -50,10 +51,12 @@ def main() -> None:
             nudge=entry.nudge,
             size=args.size,
         )
-        clips += zip(worst, recorded, strict=True)
-        for row, clip in clips[-len(worst) :]:
+        for row, clip in zip(worst, recorded, strict=True):
+            clips.append((row, clip))
             print(f"{row.env_id} rollout {row.rollout}: {row.score:.2f}, again {clip.score:.2f}")
-    picture(clips, args.frames, args.rollouts).save(args.out, optimize=True)
+    if not clips:
+        raise SystemExit(f"{args.run}: expected rollouts of {args.variant}, found none")
+    picture(clips, args.frames).save(args.out, optimize=True)
 
 
 def worst_rollouts(entry: Entry, task: str, variant: str, count: int) -> list[RolloutScore]:
@@ -62,19 +65,20 @@ def worst_rollouts(entry: Entry, task: str, variant: str, count: int) -> list[Ro
     return sorted(rows, key=lambda row: row.score)[:count]
 
 
-def picture(clips: Sequence[tuple[RolloutScore, Clip]], frames: int, together: int) -> Image.Image:
+def picture(clips: Sequence[tuple[RolloutScore, Clip]], frames: int) -> Image.Image:
     """Strips below one another, each with its task, rollout and score."""
     font = ImageFont.load_default(FONT_SIZE)
     strips = [Image.fromarray(clip.strip(frames)) for _, clip in clips]
     width, height = strips[0].size
     left = MARGIN * 2 + round(max(font.getlength(row.env_id.task) for row, _ in clips))
-    gaps = MARGIN * (np.arange(len(clips)) // together) * 2
+    tasks = list(dict.fromkeys(row.env_id.task for row, _ in clips))
+    gaps = [2 * MARGIN * tasks.index(row.env_id.task) for row, _ in clips]
     sheet = Image.new(
-        "RGB", (left + width + MARGIN, int(gaps[-1]) + (height + MARGIN) * len(clips)), PAPER
+        "RGB", (left + width + MARGIN, gaps[-1] + (height + MARGIN) * len(clips)), PAPER
     )
     pen = ImageDraw.Draw(sheet)
     for number, ((row, clip), strip) in enumerate(zip(clips, strips, strict=True)):
-        top = (height + MARGIN) * number + int(gaps[number])
+        top = (height + MARGIN) * number + gaps[number]
         text = f"{row.env_id.task}\nrollout {row.rollout}\nscore {clip.score:.2f}"
         pen.multiline_text((MARGIN, top + MARGIN), text, INK, font)
         sheet.paste(strip, (left, top))

@@ -29,7 +29,7 @@ from magical.learning.algorithms.object_bc import ObjectPolicy
 from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.objects.parser import FAR, MAX_BLOCKS, MAX_REGIONS
 from magical.learning.objects.table import ObjectTable, parse_table, to_tensor
-from magical.learning.policy import load_policy, sample_actions
+from magical.learning.policy import NetworkPolicy, load_policy, sample_actions
 from magical.observe.pixels import STACK
 from magical.render import Renderer
 from magical.scene import State, View
@@ -38,6 +38,7 @@ from magical.scene.poses import FINGERS, FIRST_BLOCK
 from magical.scene.vocabulary import COLOURS, SHAPES
 
 PARTS = ("perception", "goals", "control")
+NOTHING = "nothing"
 TOLERANCE = 0.03  # units: where the expert's skills leave a block
 SAME_PLACE = 0.05  # units: a destination that moved by less is the same move
 
@@ -51,19 +52,21 @@ def main() -> None:
     parser.add_argument("--variants", nargs="+", default=["Demo", "All"])
     parser.add_argument("--rollouts", type=int, default=30)
     parser.add_argument("--seed", type=int, default=0, help="which set of fixed seeds")
-    parser.add_argument("--truths", nargs="+", help="such as none goals+control; default: all")
+    parser.add_argument("--truths", nargs="+", help="such as nothing goals+control; default: all")
     args = parser.parse_args()
     torch.set_num_threads(1)
     subsets = [set(c) for n in range(len(PARTS) + 1) for c in combinations(PARTS, n)]
     if args.truths:
-        subsets = [set(text.split("+")) & set(PARTS) for text in args.truths]
-    policy = load_policy(args.run)
+        subsets = [set(text.split("+")) - {NOTHING} for text in args.truths]
+    if unknown := set().union(*subsets) - set(PARTS):
+        parser.error(f"--truths: expected {', '.join((NOTHING, *PARTS))}, found {sorted(unknown)}")
+    policy = load_policy(args.run, device="cpu")
     tasks = args.tasks or policy.tasks
     print("| True | Variant | " + " | ".join(tasks) + " | mean |")
     print("| --- " * (len(tasks) + 3) + "|")
     for truths in subsets:
         for variant in args.variants:
-            show(PartlyTruePolicy(args.run, truths), tasks, variant, args)
+            show(PartlyTruePolicy(policy, truths), tasks, variant, args)
 
 
 def show(
@@ -80,7 +83,7 @@ def show(
     )
     means = [np.mean([s.score for s in scores if s.env_id.task == task]) for task in tasks]
     cells = " | ".join(f"{mean:.2f}" for mean in (*means, np.mean(means)))
-    print(f"| {' + '.join(sorted(policy.truths)) or 'nothing'} | {variant} | {cells} |", flush=True)
+    print(f"| {' + '.join(sorted(policy.truths)) or NOTHING} | {variant} | {cells} |", flush=True)
 
 
 class PartlyTruePolicy:
@@ -88,13 +91,12 @@ class PartlyTruePolicy:
 
     privileged = True
 
-    def __init__(self, run: str, truths: Iterable[str]) -> None:
+    def __init__(self, policy: NetworkPolicy, truths: Iterable[str]) -> None:
         self.truths = set(truths)
-        policy = load_policy(run)
         self.tasks = policy.tasks
         network = policy.network
         if not isinstance(network, ObjectPolicy):
-            raise SystemExit(f"{run}: expected a run of object-bc")
+            raise SystemExit("expected a run of object-bc")
         self._network = network
         self._episodes: list[_Episode | None] = []
 
@@ -123,6 +125,8 @@ class PartlyTruePolicy:
             for frame, episode, state in zip(frames, episodes, observations, strict=True):
                 episode.renderer.render(state.poses.bodies, frame)
             table = parse_table(frames)
+        for episode, pose in zip(episodes, table.robot.double().numpy(), strict=True):
+            episode.note_pose(pose)
         targets, destinations = self._network.goals.decide(table, tasks)
         shadows = [e.shadow(state) for e, state in zip(episodes, observations, strict=True)]
         if "goals" in self.truths:
@@ -162,8 +166,11 @@ class _Episode:
     def shadow(self, state: State) -> int:
         """The expert's own action."""
         action, self._memory = self._expert.act(state, self._memory)
-        self._poses = [*self._poses[1 - STACK :], state.poses.bodies[0].copy()]
         return action
+
+    def note_pose(self, pose: NDArray[np.float64]) -> None:
+        """Record the robot's pose in the newest frame, true or as the policy sees it."""
+        self._poses = [*self._poses[1 - STACK :], pose]
 
     @property
     def pose_before(self) -> NDArray[np.float64]:

@@ -51,7 +51,7 @@ PLANS = (
     "object-bc",
     "object-bc-human",
 )
-EXPERT = "expert"  # the folder of the scripted experts' entry, which is no run of a plan
+EXPERT = "expert"  # folder and method of the scripted experts' entry, which is no run of a plan
 COLLECTED = "collected.json"  # of a folder of `results/` (tools/collect_results.py)
 LEADERBOARD = "leaderboard"  # in the folder of a run's entry
 NOT_RUN = "not run"
@@ -210,8 +210,9 @@ class Page:
 
     def orders(self) -> str:
         """The methods' order by part: of those with all tasks, then of all on what they share."""
-        complete = [row for row in self.rows if self._is_complete(row)]
-        groups = [complete] if len(complete) == len(self.rows) else [complete, self.rows]
+        named = [row for row in self.rows if row.published == row.method]
+        complete = [row for row in named if self._is_complete(row)]
+        groups = [complete] if len(complete) == len(named) else [complete, named]
         tables = [text for rows in groups for part in PARTS if (text := _order(rows, part))]
         return "\n\n".join(tables) or NOTHING
 

@@ -25,7 +25,7 @@ GPU_SECONDS_PER_STEP = 5 * 60 / 1e6
 
 SOURCES = (
     "here: from the training speed of the networks, measured just now on this machine, for a core "
-    "that a run has to itself",
+    "that a run has to itself; for a learner without such a network, from what it took elsewhere",
     "one GPU: an estimate for a data-centre GPU of its own, derived and not measured "
     "(docs/benchmarks.md)",
 )
@@ -59,10 +59,11 @@ def _estimate(run: PlannedRun, speed: float) -> Estimate:
         steps += config.updates * config.steps_per_update
     elif isinstance(config, ImitationConfig):
         prepared = samples
-    here = (samples + FORWARD * steps) / speed + prepared * SECONDS_PER_PREPARED_SAMPLE
     if config.seconds_each:
         per_sample, per_action = config.seconds_each
         here = samples * per_sample + steps * per_action
+    else:
+        here = (samples + FORWARD * steps) / speed + prepared * SECONDS_PER_PREPARED_SAMPLE
     return Estimate(
         here=here + steps * SECONDS_PER_STEP,
         gpu=samples * GPU_SECONDS_PER_SAMPLE + steps * GPU_SECONDS_PER_STEP,

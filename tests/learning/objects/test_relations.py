@@ -160,7 +160,7 @@ def test_a_broad_place_is_better_than_a_narrow_one(
 
     def logits(model: GoalModel, *arguments: torch.Tensor) -> torch.Tensor:
         places = arguments[2]
-        narrow = 5.5 * ((places - peak).norm(dim=-1) < 0.06)
+        narrow: torch.Tensor = 5.5 * ((places - peak).norm(dim=-1) < 0.06)
         broad: torch.Tensor = height * ((places - plateau).abs().amax(-1) < 0.2)
         return narrow + broad
 

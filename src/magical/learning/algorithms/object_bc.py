@@ -68,7 +68,7 @@ class ObjectBCConfig(ImitationConfig):
         "paper": {},
         "quick": {"batches": 3000, "precision": "auto"},
     }
-    seconds_each: ClassVar[tuple[float, float] | None] = 1.5e-4, 2e-3  # docs/benchmarks.md
+    seconds_each: ClassVar[tuple[float, float] | None] = 1.5e-4, 2e-3  # measured
 
     observation: str = option(OBSERVATION, "observation preset", choices=(OBSERVATION,))
     augment: str = option("none", "objects are parsed from plain frames", choices=("none",))

@@ -1,8 +1,8 @@
 """The network that moves a target to its destination: actions from what the robot sees of it.
 
 Its inputs are in the robot's frame and know neither task, colours nor shapes: target, destination,
-fingers, the nearest walls, and the blocks around. So it is the same for all tasks, and
-left and right are interchangeable.
+fingers, the nearest walls, and the blocks around. So it is the same for all tasks, and left and
+right are interchangeable.
 """
 
 import torch
@@ -126,7 +126,7 @@ def _held(blocks: Tensor, is_target: Tensor, present: Tensor) -> Tensor:
 
 
 class Controller(nn.Module):
-    """Logits of the 18 actions; blocks are pooled by their maximum, so their order is no matter."""
+    """Logits of the 18 actions; pooling blocks by their maximum makes their order irrelevant."""
 
     def __init__(self, hidden: int) -> None:
         super().__init__()

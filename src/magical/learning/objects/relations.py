@@ -1,9 +1,9 @@
 """How a block, at a place, relates to the other objects of its scene.
 
 A relation is a number: mostly a distance to the nearest object of some kind, such as the nearest
-other block of the same colour. Absolute colours, shapes, directions and (unless a block has no other
-object to relate to) positions do not occur, so whatever is learned from relations is the same for
-permuted colours and shapes, and for scenes that are turned or mirrored.
+other block of the same colour. Absolute colours, shapes, directions and (unless a block has no
+other object to relate to) positions do not occur, so whatever is learned from relations is the same
+for permuted colours and shapes, and for scenes that are turned or mirrored.
 """
 
 from collections.abc import Iterator

@@ -65,8 +65,12 @@ VARIATIONS = (
     _claim("perturbed experts instead of unperturbed ones", PERTURBED, SCRIPTED),
     _claim("human and scripted together instead of human alone", MIXED, BC),
     _claim("human and scripted together instead of scripted alone", MIXED, SCRIPTED),
-    _claim("four times the batches, without augmentation", f"{NO_AUG}, {LONGER}", NO_AUG),
-    _claim("four times the batches, allocentric", f"{ALLO}, {LONGER}", ALLO),
+    _claim(
+        "four times the batches of `quick`, without augmentation", f"{NO_AUG}, {LONGER}", NO_AUG
+    ),
+    _claim(
+        "four times the batches of `quick`, with the allocentric view", f"{ALLO}, {LONGER}", ALLO
+    ),
 )
 
 

@@ -1,4 +1,4 @@
-"""What methods lose between Demo and TestAll: means over the eight tasks, and their difference."""
+"""What methods lose between Demo and TestAll: means over the published tasks."""
 
 import math
 from collections.abc import Iterable
@@ -37,7 +37,7 @@ class Drop(NamedTuple):
 
 
 def find_drops(rows: Iterable[Row]) -> list[Drop]:
-    """The published methods' and those of the rows that have all published tasks."""
+    """The published methods, then the rows that have Demo and TestAll of all published tasks."""
     pairs = [(EnvId(task, VARIANTS[0]), EnvId(task, VARIANTS[1])) for task in published_tasks()]
     env_ids = [env_id for pair in pairs for env_id in pair]
     ours = [_drop(row, env_ids) for row in rows if set(env_ids) <= set(row.env_ids)]
@@ -66,7 +66,7 @@ def _published(method: str) -> Drop:
     )
     means = (Interval(value, math.nan, math.nan) for value in (demo, test_all, demo - test_all))
     learning_class = "P" if method.startswith("BC") else ""
-    return Drop(f"{method}, published", learning_class, "10 of humans", "", *means)
+    return Drop(f"{method}, published", learning_class, "10 of each task (humans)", "", *means)
 
 
 def _score(task: str, method: str, variant: str) -> float:
