@@ -171,6 +171,25 @@ def test_a_broad_place_is_better_than_a_narrow_one(
     assert (place - expected).norm().item() < (0.2 if height else 0.05)
 
 
+def test_decisions_do_not_need_the_relations_that_were_left_out() -> None:
+    table, model, tasks = make_table(), GoalModel(2), torch.tensor([0, 1, 0])
+    with torch.no_grad():
+        model.finished_bias.fill_(-100.0)
+        for part in (model.choice, model.destination):
+            part.values.normal_(generator=torch.Generator().manual_seed(0))
+            part.used.bernoulli_(0.2, generator=torch.Generator().manual_seed(1))
+            assert 0 < len(part.wanted(tasks)) < len(NAMES)
+    found = model.decide(table, tasks)
+    with torch.no_grad():
+        for part in (model.choice, model.destination):
+            part.values.mul_(part.used)
+            part.used.fill_(1.0)
+            assert len(part.wanted(tasks)) == len(NAMES)
+    expected = model.decide(table, tasks)
+    assert found[0].tolist() == expected[0].tolist()
+    torch.testing.assert_close(found[1], expected[1])
+
+
 def test_relations_that_explain_nothing_are_left_out() -> None:
     torch.manual_seed(0)
     functions = PiecewiseLinear([(0.0, 0.5, 1.0)] * 3, [1.0] * 3, sets=1)

@@ -56,9 +56,20 @@ class PiecewiseLinear(nn.Module):
         self.register_buffer("used", torch.ones(sets, len(table), 1))
         self.values = nn.Parameter(torch.zeros(sets, *table.shape))
 
-    def forward(self, numbers: Tensor, sets: Tensor) -> Tensor:
-        """The sums (B, ...) of numbers (B, ..., R), with the functions of the sets (B,)."""
-        knots, count = self.knots, self.knots.shape[1]
+    def wanted(self, sets: Tensor) -> list[int]:
+        """The numbers that any of the sets uses; at least one."""
+        found: list[int] = self.used[sets, :, 0].any(dim=0).nonzero()[:, 0].tolist()
+        return found or [0]
+
+    def forward(self, numbers: Tensor, sets: Tensor, which: list[int] | None = None) -> Tensor:
+        """The sums (B, ...) of numbers (B, ..., R), with the functions of the sets (B,).
+
+        If only some of the numbers are given, `which` says which.
+        """
+        knots, values = self.knots, (self.values * self.used).transpose(0, 1)
+        if which is not None:
+            knots, values = knots[which], values[which]
+        count = knots.shape[1]
         flat = numbers.reshape(-1, len(knots)).T.contiguous()  # (R, P)
         known = flat < UNKNOWN - 1.0
         flat = torch.minimum(torch.maximum(flat, knots[:, :1]), knots[:, -2:-1])
@@ -66,9 +77,9 @@ class PiecewiseLinear(nn.Module):
         low, high = knots.gather(1, above - 1), knots.gather(1, above)
         share = (flat - low) / (high - low)
         above, share = above.masked_fill(~known, count - 1), share.masked_fill(~known, 1.0)
-        which = sets.repeat_interleave(flat.shape[1] // len(sets)) * count  # (P,)
-        values = (self.values * self.used).transpose(0, 1).flatten(1)  # (R, sets * count)
-        upper, lower = values.gather(1, which + above), values.gather(1, which + above - 1)
+        first = sets.repeat_interleave(flat.shape[1] // len(sets)) * count  # (P,)
+        values = values.flatten(1)  # (R, sets * count)
+        upper, lower = values.gather(1, first + above), values.gather(1, first + above - 1)
         return (upper * share + lower * (1.0 - share)).sum(dim=0).view(numbers.shape[:-1])
 
     def penalty(self, sparsity: float, smoothness: float) -> Tensor:
@@ -105,15 +116,24 @@ class GoalModel(nn.Module):
             destination_knots, destination_penalties, 2 * num_tasks
         )
 
-    def target_logits(self, table: ObjectTable, relations: Tensor, tasks: Tensor) -> Tensor:
+    def target_logits(
+        self,
+        table: ObjectTable,
+        relations: Tensor,
+        tasks: Tensor,
+        which: list[int] | None = None,
+    ) -> Tensor:
         """Logits (B, N + 1): every block, and last that none is left to move.
 
         Args:
             table: B scenes.
             relations: of every block where it lies, (B, N, R).
             tasks: (B,).
+            which: the relations that are given; None: all.
         """
-        urge = self.choice(relations, tasks).masked_fill(~table.present, IMPOSSIBLE)  # (B, N)
+        urge = self.choice(relations, tasks, which).masked_fill(
+            ~table.present, IMPOSSIBLE
+        )  # (B, N)
         to_grip = (table.blocks - table.grip[:, None]).norm(dim=2)
         logits = urge + self.grip(to_grip[..., None], tasks) - NEARNESS * to_grip
         logits = logits.masked_fill(~table.present, IMPOSSIBLE)
@@ -126,7 +146,8 @@ class GoalModel(nn.Module):
     ) -> Tensor:
         """Logits (B, K) of places (B, K, 2) as the destinations of targets (B,)."""
         sets = 2 * tasks + (targets == ROBOT_TARGET)
-        logits: Tensor = self.destination(relate(table, targets, places), sets)
+        which = self.destination.wanted(sets)
+        logits: Tensor = self.destination(relate(table, targets, places, which), sets, which)
         rows = torch.arange(table.size, device=targets.device)
         robot = (targets == ROBOT_TARGET)[:, None]
         now = torch.where(robot, table.robot[:, :2], table.blocks[rows, targets.clamp(min=0)])
@@ -141,7 +162,8 @@ class GoalModel(nn.Module):
         last one to the robot.
         """
         table = table.trimmed()
-        logits = self.target_logits(table, relate_blocks(table), tasks)
+        which = self.choice.wanted(tasks)
+        logits = self.target_logits(table, relate_blocks(table, which), tasks, which)
         finished = logits.softmax(dim=1)[:, -1] > SURE
         blocks = logits[:, :-1]
         targets = blocks.argmax(dim=1).masked_fill(finished, ROBOT_TARGET)
@@ -212,14 +234,14 @@ def goal_losses(
     return target_loss, functional.cross_entropy(scores, torch.zeros_like(targets))
 
 
-def relate_blocks(table: ObjectTable) -> Tensor:
-    """The relations of every block where it lies: (B, N, R)."""
+def relate_blocks(table: ObjectTable, which: list[int] | None = None) -> Tensor:
+    """The relations of every block where it lies: (B, N, R), or those wanted."""
     count = table.blocks.shape[1]
     device = table.blocks.device
     repeated = table.select(torch.arange(table.size, device=device).repeat_interleave(count))
     numbers = torch.arange(count, device=device).repeat(table.size)
     places = table.blocks.reshape(-1, 1, 2)
-    return relate(repeated, numbers, places).view(table.size, count, -1)
+    return relate(repeated, numbers, places, which).view(table.size, count, -1)
 
 
 def _already_there(table: ObjectTable, targets: Tensor, places: Tensor) -> Tensor:

@@ -6,7 +6,9 @@ other object to relate to) positions do not occur, so whatever is learned from r
 for permuted colours and shapes, and for scenes that are turned or mirrored.
 """
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Sequence
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import torch
@@ -18,6 +20,9 @@ from magical.scene.vocabulary import COLOURS, SHAPES
 
 UNKNOWN = 9.0  # the value of a relation to something that is not there
 NO_KIND = -5  # the colour and shape of the robot: like those of no block
+
+SIDE_BY_SIDE = 0.6  # units between the centres of two blocks
+LINE_GAP, LINE_OVERLAP = 0.4, 0.2  # units: neighbours in a line are not farther, nor nearer
 
 # Knots of the piecewise linear functions of a relation (see `goals`): a few for the choice of a
 # block, more for its destination. Values beyond the last are all alike, because far away only
@@ -53,80 +58,24 @@ PLACE = (
 
 
 class Relation(NamedTuple):
-    """A relation's knots, and how strongly its functions are held at 0.
+    """How a number is computed, its knots, and how strongly its functions are held at 0.
 
     The penalties are the prior: for the choice of a block, which region and which of its own kind
     it is with comes first, distances to walls and to other kinds come last.
     """
 
     name: str
+    measure: Callable[["_Scene"], Tensor]  # gives (B, K)
     knots: tuple[tuple[float, ...], tuple[float, ...]]
     choice_penalty: float
     destination_penalty: float
 
 
-RELATIONS = (
-    Relation("region of the same colour", EDGE, 1.5, 1.5),
-    Relation("region of another colour", EDGE, 1.5, 1.5),
-    Relation("any region", EDGE, 1, 1),
-    Relation("block of the same colour and shape, in a region", CONTACT, 2, 2),
-    Relation("block of the same colour and shape, in none", CONTACT, 2, 2),
-    Relation("block of the same colour alone, in a region", CONTACT, 2, 2),
-    Relation("block of the same colour alone, in none", CONTACT, 2, 2),
-    Relation("block of the same shape alone, in a region", CONTACT, 2, 2),
-    Relation("block of the same shape alone, in none", CONTACT, 2, 2),
-    Relation("block of another colour and shape, in a region", CONTACT, 8, 4),
-    Relation("block of another colour and shape, in none", CONTACT, 8, 4),
-    Relation("centre of the other blocks of the same colour", GROUP, 4, 2),
-    Relation("centre of the other blocks of the same shape", GROUP, 4, 2),
-    Relation("block of another colour", CONTACT, 8, 4),
-    Relation("block of another shape", CONTACT, 8, 4),
-    Relation("any other block", CONTACT, 8, 2),
-    Relation("line of two other blocks", LINE, 4, 3),
-    Relation("line of two other blocks side by side", LINE, 8, 2),
-    Relation("share of the own colour's distance", SHARE, 4, 2),
-    Relation("share of the own shape's distance", SHARE, 4, 2),
-    Relation("wall", WALL, 8, 2),
-    Relation("x, where there is nothing else", PLACE, 1, 1),
-    Relation("y, where there is nothing else", PLACE, 1, 1),
-    Relation("region that it is in now", EDGE, 1, 1),
-)
-
-SIDE_BY_SIDE = 0.6  # units between the centres of two blocks
-LINE_GAP, LINE_OVERLAP = 0.4, 0.2  # units: neighbours in a line are not farther, nor nearer
-
-
-def relate(table: ObjectTable, targets: Tensor, places: Tensor) -> Tensor:
-    """The relations of a target in each scene, if it were at each of K places.
-
-    Args:
-        table: B scenes.
-        targets: (B,) int64, a block's number or ROBOT_TARGET.
-        places: (B, K, 2).
-
-    Returns:
-        (B, K, R) float32, R the number of `RELATIONS`.
-    """
-    scene = _Scene(table, targets)
-    to_regions = _edge_distances(places, table.regions)  # (B, K, M)
-    to_blocks = torch.cdist(places, table.blocks)  # (B, K, N)
-    values = [
-        *_region_relations(scene, to_regions),
-        *_block_relations(scene, places, to_blocks),
-        *_line_relations(scene, places),
-        *_share_relations(scene, places),
-        1.0 - places.abs().amax(dim=2),
-        *(places[..., k].masked_fill(~scene.alone[:, None], UNKNOWN) for k in (0, 1)),
-        _nearest(to_regions, scene.around),
-    ]
-    return torch.stack(values, dim=2)
-
-
 class _Scene:
-    """Which objects of each scene are of which kind for its target; masks (B, N) or (B, M)."""
+    """A target at K places in each scene; masks of the objects (B, N) or (B, M), distances."""
 
-    def __init__(self, table: ObjectTable, targets: Tensor) -> None:
-        self.table = table
+    def __init__(self, table: ObjectTable, targets: Tensor, places: Tensor) -> None:
+        self.table, self.places = table, places
         rows = torch.arange(table.size, device=targets.device)
         robot = targets == ROBOT_TARGET
         block = targets.clamp(min=0)
@@ -139,11 +88,68 @@ class _Scene:
         self.same_shape = table.shapes == self.shape[:, None]
         self.regions = table.region_colours >= 0
         self.same_region = table.region_colours == self.colour[:, None]
-        inside = _edge_distances(table.blocks, table.regions) <= 0.0  # (B, N, M)
-        self.in_region = (inside & self.regions[:, None]).any(dim=2)
-        own = _edge_distances(self.now[:, None], table.regions)[:, 0]
-        self.around = (own <= 0.02) & self.regions
-        self.alone = ~self.regions.any(dim=1) & ~self.others.any(dim=1)
+
+    @cached_property
+    def to_regions(self) -> Tensor:
+        """Distances of the places to the regions' edges, (B, K, M)."""
+        return _edge_distances(self.places, self.table.regions)
+
+    @cached_property
+    def to_blocks(self) -> Tensor:
+        """Distances of the places to the blocks, (B, K, N)."""
+        return torch.cdist(self.places, self.table.blocks)
+
+    @cached_property
+    def in_region(self) -> Tensor:
+        """Which blocks lie in a region."""
+        inside = _edge_distances(self.table.blocks, self.table.regions) <= 0.0  # (B, N, M)
+        return (inside & self.regions[:, None]).any(dim=2)
+
+    @cached_property
+    def around(self) -> Tensor:
+        """Which regions the target is in now."""
+        own = _edge_distances(self.now[:, None], self.table.regions)[:, 0]
+        return (own <= 0.02) & self.regions
+
+    @cached_property
+    def line_residuals(self) -> tuple[Tensor, Tensor, Tensor]:
+        """How far places are from continuing each pair's line, (B, K, P); which pairs; lengths.
+
+        The place is to be at a neighbour's distance from one of the two blocks.
+        """
+        blocks = self.table.blocks
+        count = blocks.shape[1]
+        first, second = torch.triu_indices(count, count, 1, device=blocks.device)
+        start, end = blocks[:, first], blocks[:, second]  # (B, P, 2)
+        length = (end - start).norm(dim=2).clamp(min=1e-3)
+        direction = (end - start) / length[..., None]
+        offset = self.places[:, :, None] - start[:, None]  # (B, K, P, 2)
+        along = (offset * direction[:, None]).sum(dim=3)
+        across = offset[..., 0] * direction[:, None, :, 1]
+        across = across - offset[..., 1] * direction[:, None, :, 0]
+        gap = torch.minimum(along.abs(), (along - length[:, None]).abs())
+        beyond, within = (gap - LINE_GAP).clamp(min=0.0), (LINE_OVERLAP - gap).clamp(min=0.0)
+        residual = (across**2 + beyond**2 + 4.0 * within**2).sqrt()
+        return residual, self.others[:, first] & self.others[:, second], length
+
+
+def relate(
+    table: ObjectTable, targets: Tensor, places: Tensor, which: Sequence[int] | None = None
+) -> Tensor:
+    """The relations of a target in each scene, if it were at each of K places.
+
+    Args:
+        table: B scenes.
+        targets: (B,) int64, a block's number or ROBOT_TARGET.
+        places: (B, K, 2).
+        which: the positions in `RELATIONS` of those wanted; None: all.
+
+    Returns:
+        (B, K, R) float32, R the number of relations wanted.
+    """
+    scene = _Scene(table, targets, places)
+    chosen = RELATIONS if which is None else [RELATIONS[k] for k in which]
+    return torch.stack([relation.measure(scene) for relation in chosen], dim=2)
 
 
 def _edge_distances(places: Tensor, regions: Tensor) -> Tensor:
@@ -157,64 +163,123 @@ def _nearest(distances: Tensor, mask: Tensor) -> Tensor:
     return distances.masked_fill(~mask[:, None], UNKNOWN).amin(dim=2)
 
 
-def _region_relations(scene: _Scene, distances: Tensor) -> Iterator[Tensor]:
-    for mask in (scene.same_region, ~scene.same_region, scene.regions):
-        yield _nearest(distances, mask & scene.regions)
+def _nearest_block(
+    scene: _Scene, colour: bool | None, shape: bool | None, in_region: bool | None = None
+) -> Tensor:
+    """The distance to the nearest other block; None: whether or not it is so."""
+    mask = scene.others
+    for wanted, is_so in ((colour, scene.same_colour), (shape, scene.same_shape)):
+        if wanted is not None:
+            mask = mask & (is_so == wanted)
+    if in_region is not None:
+        mask = mask & (scene.in_region == in_region)
+    return _nearest(scene.to_blocks, mask)
 
 
-def _block_relations(scene: _Scene, places: Tensor, distances: Tensor) -> Iterator[Tensor]:
-    colour, shape, others = scene.same_colour, scene.same_shape, scene.others
-    for kind in (colour & shape, colour & ~shape, ~colour & shape, ~colour & ~shape):
-        yield _nearest(distances, others & kind & scene.in_region)
-        yield _nearest(distances, others & kind & ~scene.in_region)
-    for kind in (colour, shape):
-        yield _centre_distances(scene, places, others & kind)
-    yield _nearest(distances, others & ~colour)
-    yield _nearest(distances, others & ~shape)
-    yield _nearest(distances, others)
-
-
-def _centre_distances(scene: _Scene, places: Tensor, mask: Tensor) -> Tensor:
+def _centre_distances(scene: _Scene, mask: Tensor) -> Tensor:
     """Distances (B, K) to the mean position of a mask's blocks."""
     weights = mask.float()
-    blocks = scene.table.blocks
     total = weights.sum(dim=1)
-    centre = (blocks * weights[..., None]).sum(dim=1) / total.clamp(min=1.0)[:, None]
-    distances: Tensor = (places - centre[:, None]).norm(dim=2)
+    centre = (scene.table.blocks * weights[..., None]).sum(dim=1) / total.clamp(min=1.0)[:, None]
+    distances: Tensor = (scene.places - centre[:, None]).norm(dim=2)
     return distances.masked_fill((total == 0)[:, None], UNKNOWN)
 
 
-def _line_relations(scene: _Scene, places: Tensor) -> Iterator[Tensor]:
-    """How far a place is from continuing a line of two other blocks, at a neighbour's distance."""
-    blocks = scene.table.blocks
-    count = blocks.shape[1]
-    first, second = torch.triu_indices(count, count, 1, device=blocks.device)
-    start, end = blocks[:, first], blocks[:, second]  # (B, P, 2)
-    pairs = scene.others[:, first] & scene.others[:, second]
-    length = (end - start).norm(dim=2).clamp(min=1e-3)
-    direction = (end - start) / length[..., None]
-    offset = places[:, :, None] - start[:, None]  # (B, K, P, 2)
-    along = (offset * direction[:, None]).sum(dim=3)
-    across = offset[..., 0] * direction[:, None, :, 1] - offset[..., 1] * direction[:, None, :, 0]
-    gap = torch.minimum(along.abs(), (along - length[:, None]).abs())
-    beyond, within = (gap - LINE_GAP).clamp(min=0.0), (LINE_OVERLAP - gap).clamp(min=0.0)
-    residual = (across**2 + beyond**2 + 4.0 * within**2).sqrt()
-    yield _nearest(residual, pairs)
-    yield _nearest(residual, pairs & (length < SIDE_BY_SIDE))
+def _line(scene: _Scene, longest: float) -> Tensor:
+    """How far from continuing a line of two other blocks that are not farther apart."""
+    residual, pairs, length = scene.line_residuals
+    return _nearest(residual, pairs & (length < longest))
 
 
-def _share_relations(scene: _Scene, places: Tensor) -> Iterator[Tensor]:
+def _share(scene: _Scene, kinds: Tensor, own: Tensor, count: int) -> Tensor:
     """The distance to the own group's centre, as a share of it and the nearest other group's."""
-    table = scene.table
-    groups = (
-        (table.colours, scene.colour, len(COLOURS)),
-        (table.shapes, scene.shape, len(SHAPES)),
-    )
-    for kinds, own, count in groups:
-        masks = [scene.others & (kinds == k) for k in range(count)]
-        distances = torch.stack([_centre_distances(scene, places, m) for m in masks], dim=2)
-        mine = torch.arange(count, device=own.device) == own[:, None]  # (B, count)
-        to_own, to_other = _nearest(distances, mine), _nearest(distances, ~mine)
-        known = (to_own < UNKNOWN) & (to_other < UNKNOWN)
-        share = to_own / (to_own + to_other + 1e-6)
-        yield share.masked_fill(~known, UNKNOWN)
+    masks = [scene.others & (kinds == k) for k in range(count)]
+    distances = torch.stack([_centre_distances(scene, mask) for mask in masks], dim=2)
+    mine = torch.arange(count, device=own.device) == own[:, None]  # (B, count)
+    to_own, to_other = _nearest(distances, mine), _nearest(distances, ~mine)
+    known = (to_own < UNKNOWN) & (to_other < UNKNOWN)
+    return (to_own / (to_own + to_other + 1e-6)).masked_fill(~known, UNKNOWN)
+
+
+def _coordinate(scene: _Scene, axis: int) -> Tensor:
+    """A place's coordinate, where there is nothing but the target."""
+    alone = ~scene.regions.any(dim=1) & ~scene.others.any(dim=1)
+    return scene.places[..., axis].masked_fill(~alone[:, None], UNKNOWN)
+
+
+def _block_relation(
+    name: str,
+    colour: bool | None,
+    shape: bool | None,
+    in_region: bool | None,
+    choice_penalty: float,
+    destination_penalty: float,
+) -> Relation:
+    measure = partial(_nearest_block, colour=colour, shape=shape, in_region=in_region)
+    return Relation(name, measure, CONTACT, choice_penalty, destination_penalty)
+
+
+RELATIONS = (
+    Relation(
+        "region of the same colour",
+        lambda s: _nearest(s.to_regions, s.same_region & s.regions),
+        EDGE,
+        1.5,
+        1.5,
+    ),
+    Relation(
+        "region of another colour",
+        lambda s: _nearest(s.to_regions, ~s.same_region & s.regions),
+        EDGE,
+        1.5,
+        1.5,
+    ),
+    Relation("any region", lambda s: _nearest(s.to_regions, s.regions), EDGE, 1, 1),
+    _block_relation("block of the same colour and shape, in a region", True, True, True, 2, 2),
+    _block_relation("block of the same colour and shape, in none", True, True, False, 2, 2),
+    _block_relation("block of the same colour alone, in a region", True, False, True, 2, 2),
+    _block_relation("block of the same colour alone, in none", True, False, False, 2, 2),
+    _block_relation("block of the same shape alone, in a region", False, True, True, 2, 2),
+    _block_relation("block of the same shape alone, in none", False, True, False, 2, 2),
+    _block_relation("block of another colour and shape, in a region", False, False, True, 8, 4),
+    _block_relation("block of another colour and shape, in none", False, False, False, 8, 4),
+    Relation(
+        "centre of the other blocks of the same colour",
+        lambda s: _centre_distances(s, s.others & s.same_colour),
+        GROUP,
+        4,
+        2,
+    ),
+    Relation(
+        "centre of the other blocks of the same shape",
+        lambda s: _centre_distances(s, s.others & s.same_shape),
+        GROUP,
+        4,
+        2,
+    ),
+    _block_relation("block of another colour", False, None, None, 8, 4),
+    _block_relation("block of another shape", None, False, None, 8, 4),
+    _block_relation("any other block", None, None, None, 8, 2),
+    Relation("line of two other blocks", partial(_line, longest=math.inf), LINE, 4, 3),
+    Relation(
+        "line of two other blocks side by side", partial(_line, longest=SIDE_BY_SIDE), LINE, 8, 2
+    ),
+    Relation(
+        "share of the own colour's distance",
+        lambda s: _share(s, s.table.colours, s.colour, len(COLOURS)),
+        SHARE,
+        4,
+        2,
+    ),
+    Relation(
+        "share of the own shape's distance",
+        lambda s: _share(s, s.table.shapes, s.shape, len(SHAPES)),
+        SHARE,
+        4,
+        2,
+    ),
+    Relation("wall", lambda s: 1.0 - s.places.abs().amax(dim=2), WALL, 8, 2),
+    Relation("x, where there is nothing else", partial(_coordinate, axis=0), PLACE, 1, 1),
+    Relation("y, where there is nothing else", partial(_coordinate, axis=1), PLACE, 1, 1),
+    Relation("region that it is in now", lambda s: _nearest(s.to_regions, s.around), EDGE, 1, 1),
+)
