@@ -147,12 +147,11 @@ class ObjectPolicy(nn.Module):
         newest, oldest = (_frames(observations, k) for k in (STACK - 1, 0))
         table = ObjectTable(*(column.to(tasks.device) for column in parse_table(newest)))
         before = torch.from_numpy(parse_robot(oldest)[0]).to(table.robot)
-        with (
-            one_thread(),
-            torch.autocast(tasks.device.type, enabled=False),
-        ):  # positions need float32
-            targets, destinations = self.goals.decide(table, tasks)
-        return self.control(table, before, targets, destinations)
+        plain = torch.autocast(tasks.device.type, enabled=False)  # positions need float32
+        with one_thread():
+            with plain:
+                targets, destinations = self.goals.decide(table, tasks)
+            return self.control(table, before, targets, destinations)
 
     def control(
         self, table: ObjectTable, before: Tensor, targets: Tensor, destinations: Tensor
