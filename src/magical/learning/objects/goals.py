@@ -131,12 +131,11 @@ class GoalModel(nn.Module):
             tasks: (B,).
             which: the relations that are given; None: all.
         """
-        urge = self.choice(relations, tasks, which).masked_fill(
-            ~table.present, IMPOSSIBLE
-        )  # (B, N)
+        absent = ~table.present  # (B, N)
+        urge = self.choice(relations, tasks, which).masked_fill(absent, IMPOSSIBLE)
         to_grip = (table.blocks - table.grip[:, None]).norm(dim=2)
         logits = urge + self.grip(to_grip[..., None], tasks) - NEARNESS * to_grip
-        logits = logits.masked_fill(~table.present, IMPOSSIBLE)
+        logits = logits.masked_fill(absent, IMPOSSIBLE)
         largest = urge.amax(dim=1).clamp(min=-LARGE)
         finished = self.finished_bias[tasks] - self.finished_slope[tasks] * largest
         return torch.cat([logits, finished[:, None]], dim=1)
