@@ -154,7 +154,7 @@ def fit() -> None:
             bodies[1:3, 2] = bodies[0, 2] + open_ * (1, -1)
             frame = np.empty((1, 96, 96, 3), np.uint8)
             Renderer(scene, View.ALLO, 96).render(bodies, frame[0])
-            directions += ((p.parse_robot(frame)[1][0] - offset) / slope).tolist()
+            directions += ((p.parse_frames(frame).fingers[0] - offset) / slope).tolist()
             angles += open_.tolist()
             found, which = block_features(frame, scene)
             features += found

@@ -146,7 +146,7 @@ class ObjectPolicy(nn.Module):
         """Logits (B, 18) of stacks (B, 12, 96, 96), float in [0, 1]."""
         newest, oldest = (_frames(observations, k) for k in (STACK - 1, 0))
         table = ObjectTable(*(column.to(tasks.device) for column in parse_table(newest)))
-        before = torch.from_numpy(parse_robot(oldest)[0]).to(table.robot)
+        before = torch.from_numpy(parse_robot(oldest)).to(table.robot)
         plain = torch.autocast(tasks.device.type, enabled=False)  # positions need float32
         with one_thread():
             with plain:

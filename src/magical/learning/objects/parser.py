@@ -50,6 +50,16 @@ FINGER_REACH = 0.42  # units from the robot's centre to beyond the fingertips
 FINGER_WINDOW = 23  # pixels to either side of the robot's centre
 BODY_WINDOW = 11
 
+
+def _code(colour: RGB) -> int:
+    return colour[0] | colour[1] << 8 | colour[2] << 16
+
+
+FILLS, REGIONS = (
+    np.array([_code(getattr(SHADES[colour], part)) for colour in COLOURS])
+    for part in ("fill", "region")
+)
+
 _IN_FRAME = np.zeros((3, 3, 3), np.bool_)  # neighbours within a frame of a batch, none between
 _IN_FRAME[1] = ndimage.generate_binary_structure(2, 1)
 
@@ -69,14 +79,15 @@ class ParsedFrames(NamedTuple):
 def parse_frames(frames: Pixels) -> ParsedFrames:
     """Parse allocentric frames (B, 96, 96, 3)."""
     codes = _codes(frames)
-    robot, fingers = parse_robot(frames, codes)
+    robot = parse_robot(frames, codes)
+    fingers = _finger_angles(frames, robot)
     blocks, colours, shapes = _parse_blocks(codes)
     regions, region_colours = _parse_regions(codes)
     return ParsedFrames(robot, fingers, blocks, colours, shapes, regions, region_colours)
 
 
-def parse_robot(frames: Pixels, codes: Codes | None = None) -> tuple[Floats, Floats]:
-    """The robot's pose (B, 3) and how far its fingers are open (B, 2)."""
+def parse_robot(frames: Pixels, codes: Codes | None = None) -> Floats:
+    """The robot's pose (B, 3)."""
     grey = (_codes(frames) if codes is None else codes) == _code(GREY)
     body = _Window.around(_largest_components(grey), BODY_WINDOW)
     filled = ndimage.binary_fill_holes(body.values, _IN_FRAME)
@@ -84,17 +95,14 @@ def parse_robot(frames: Pixels, codes: Codes | None = None) -> tuple[Floats, Flo
     pixels = body.cut(frames).astype(np.int16)
     contrast = _largest(np.abs(pixels - np.array(GREY, np.int16)))
     eyes = (filled & ~body.values) * np.clip(contrast / 60.0, 0.0, 1.0)  # 60: half in an eye
-    robot = np.concatenate([centre, _heading(body, eyes, centre)[:, None]], axis=1)
-    return robot, _finger_angles(frames, robot)
-
-
-def _code(colour: RGB) -> int:
-    return colour[0] << 16 | colour[1] << 8 | colour[2]
+    return np.concatenate([centre, _heading(body, eyes, centre)[:, None]], axis=1)
 
 
 def _codes(frames: Pixels) -> Codes:
-    red, green, blue = (frames[..., k].astype(np.int32) for k in range(3))
-    codes: Codes = red << 16 | green << 8 | blue
+    channels = np.zeros((*frames.shape[:-1], 4), np.uint8)
+    for k in range(3):
+        channels[..., k] = frames[..., k]
+    codes: Codes = channels.view("<i4")[..., 0]
     return codes
 
 
@@ -126,9 +134,23 @@ class _Components(NamedTuple):
 
 def _components(mask: NDArray[np.bool_]) -> _Components:
     labelled, count = ndimage.label(mask, _IN_FRAME)
-    pixels = np.flatnonzero(labelled)
+    pixels = np.flatnonzero(mask)
     frames, rows, columns = np.unravel_index(pixels, mask.shape)
     return _Components(int(count), labelled.ravel()[pixels] - 1, frames, rows, columns)
+
+
+def _coloured_components(codes: Codes, colours: Ints) -> tuple[_Components, Ints]:
+    """The components of all colours together, and each one's position in the colours' codes.
+
+    Pixels of two of the colours must not touch.
+    """
+    mask = codes == colours[0]
+    for colour in colours[1:]:
+        mask |= codes == colour
+    parts = _components(mask)
+    found = np.zeros(parts.number, np.int64)
+    found[parts.labels] = codes[mask]
+    return parts, (found[:, None] == colours).argmax(axis=1)
 
 
 def _largest_components(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -212,48 +234,44 @@ def _finger_angles(frames: Pixels, robot: Floats) -> Floats:
     """How far the fingers are open (B, 2), from the mean direction of their pixels."""
     row, column = (VIEW_HALF - robot[:, 1]) / PIXEL - 0.5, (robot[:, 0] + VIEW_HALF) / PIXEL - 0.5
     window = _Window.at(frames, row, column, FINGER_WINDOW)
-    pixels = window.values.astype(np.int16)
-    brightest, darkest = _largest(pixels), -_largest(-pixels)  # (B, W, W)
-    x, y = window.x[:, None, :], window.y[:, :, None]
-    dx, dy = x - robot[:, 0, None, None], y - robot[:, 1, None, None]
-    cos, sin = np.cos(robot[:, 2])[:, None, None], np.sin(robot[:, 2])[:, None, None]
+    channels = window.values[..., 0], window.values[..., 1], window.values[..., 2]
+    brightest = np.maximum(np.maximum(*channels[:2]), channels[2])
+    darkest = np.minimum(np.minimum(*channels[:2]), channels[2])
+    number, rows, columns = np.nonzero((brightest - darkest <= 16) & (brightest < 247))
+    x, y, pose = window.x[number, columns], window.y[number, rows], robot[number]
+    dx, dy = x - pose[:, 0], y - pose[:, 1]
+    cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     across, ahead = dx * cos + dy * sin, dy * cos - dx * sin  # in the robot's frame
     reach = np.hypot(across, ahead)
     near = (reach > ROBOT_RADIUS + 0.015) & (reach < FINGER_REACH) & (ahead > 0.2)
     inside = (np.abs(x) < 0.98) & (np.abs(y) < 0.98)  # the workspace's edge is grey as well
-    grey = near & inside & (brightest - darkest <= 16) & (brightest < 247)
-    weights = grey * np.clip((250 - brightest) / 45.0, 0.0, 1.0)
+    darkness = (250.0 - brightest[number, rows, columns]) / 45.0
+    weights = (near & inside) * np.clip(darkness, 0.0, 1.0)
     angles = np.empty((len(frames), 2))
     for k, side in enumerate(SIDES):
         own = weights * (across * side > -0.015)
         directions = np.arctan2(across * side - FINGER_ROOT_X, ahead - FINGER_ROOT_Y)
-        mean = (own * directions).sum(axis=(1, 2)) / (own.sum(axis=(1, 2)) + 1e-6)
-        angles[:, k] = FINGER_SLOPE * mean + FINGER_OFFSET
+        total, weight = (np.bincount(number, w, len(frames)) for w in (own * directions, own))
+        angles[:, k] = FINGER_SLOPE * total / (weight + 1e-6) + FINGER_OFFSET
     return angles
 
 
 def _parse_blocks(codes: Codes) -> tuple[Floats, Ints, Ints]:
     """Positions, colours and shapes of each frame's blocks."""
-    count = len(codes)
-    blocks = np.full((count, MAX_BLOCKS, 2), FAR)
-    colours = np.full((count, MAX_BLOCKS), ABSENT, np.int64)
-    shapes = np.full((count, MAX_BLOCKS), ABSENT, np.int64)
-    used = np.zeros(count, np.int64)
-    for number, colour in enumerate(COLOURS):
-        parts = _components(codes == _code(SHADES[colour].fill))
-        if not parts.number:
-            continue
-        areas = parts.total()
-        x, y = _coordinates(parts.columns, parts.rows)
-        centres = np.stack([parts.total(x), parts.total(y)], axis=1) / areas[:, None]
-        kinds = (_shape_features(parts, centres, x, y) @ SHAPE_WEIGHTS.T).argmax(axis=1)
-        frame_of = parts.frame_of()
-        for part in np.flatnonzero(areas >= MIN_BLOCK_PIXELS):
-            frame = frame_of[part]
-            if used[frame] < MAX_BLOCKS:
-                place = frame, used[frame]
-                blocks[place], colours[place], shapes[place] = centres[part], number, kinds[part]
-                used[frame] += 1
+    parts, numbers = _coloured_components(codes, FILLS)
+    areas = parts.total()
+    x, y = _coordinates(parts.columns, parts.rows)
+    centres = np.stack([parts.total(x), parts.total(y)], axis=1) / areas[:, None]
+    kinds = (_shape_features(parts, centres, x, y) @ SHAPE_WEIGHTS.T).argmax(axis=1)
+    frame_of = parts.frame_of()
+    large = np.flatnonzero(areas >= MIN_BLOCK_PIXELS)
+    large = large[np.argsort(frame_of[large], kind="stable")]
+    places = np.arange(len(large)) - np.searchsorted(frame_of[large], frame_of[large])
+    large, places = large[places < MAX_BLOCKS], places[places < MAX_BLOCKS]
+    at = frame_of[large], places
+    blocks = np.full((len(codes), MAX_BLOCKS, 2), FAR)
+    colours, shapes = (np.full((len(codes), MAX_BLOCKS), ABSENT, np.int64) for _ in range(2))
+    blocks[at], colours[at], shapes[at] = centres[large], numbers[large], kinds[large]
     return blocks, colours, shapes
 
 
@@ -282,18 +300,17 @@ def _parse_regions(codes: Codes) -> tuple[Floats, Ints]:
     """Rectangles and colours of each frame's goal regions."""
     regions = np.zeros((len(codes), MAX_REGIONS, 4))
     colours = np.full((len(codes), MAX_REGIONS), ABSENT, np.int64)
+    parts, numbers = _coloured_components(codes, REGIONS)
+    boxes = _bounding_boxes(parts)
+    groups = parts.frame_of() * len(REGIONS) + numbers
     used = np.zeros(len(codes), np.int64)
-    for number, colour in enumerate(COLOURS):
-        parts = _components(codes == _code(SHADES[colour].region))
-        if not parts.number:
-            continue
-        boxes, frame_of = _bounding_boxes(parts), parts.frame_of()
-        for frame in np.unique(frame_of):
-            for box in _merged(boxes[frame_of == frame], codes[frame]):
-                if box[4] >= MIN_REGION_PIXELS and used[frame] < MAX_REGIONS:
-                    regions[frame, used[frame]] = _rectangle(box)
-                    colours[frame, used[frame]] = number
-                    used[frame] += 1
+    for group in np.unique(groups):
+        frame, number = divmod(int(group), len(REGIONS))
+        for box in _merged(boxes[groups == group], codes[frame]):
+            if box[4] >= MIN_REGION_PIXELS and used[frame] < MAX_REGIONS:
+                regions[frame, used[frame]] = _rectangle(box)
+                colours[frame, used[frame]] = number
+                used[frame] += 1
     return regions, colours
 
 
