@@ -7,6 +7,7 @@ import shutil
 import signal
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ import pytest
 import magical
 from magical.cli import main
 from magical.demos import Dataset, DatasetWriter
+from magical.envs.seeds import episode_seed
 from magical.errors import DatasetError, DemonstrationsError, PlacementError, ResultsError
 from magical.evaluation import read_entry
 from magical.evaluation.verification import is_same_machine
@@ -251,15 +253,17 @@ def test_demonstrations_of_a_dataset(
 
 
 def test_perturbed_experts(planned: Planned, inline: Started, out: Path) -> None:
-    (run, _) = runs = planned(("expert_demos = 3", "expert_demos = 3\nperturb = 0.5"))
+    (run, _) = runs = planned(
+        ("expert_demos = 3", "expert_demos = 3\nperturb = 0.5\nmin_score = 0.5")
+    )
     execute(runs[:1], out)
-    demos = Dataset.open(out / "demos" / "expert-3-perturb-0.5")
+    demos = Dataset.open(out / "demos" / "expert-3-perturb-0.5-min-score-0.5")
     assert [one.expert_actions is not None for one in demos] == [True] * 3
     assert json.loads((out / "runs" / run.folder / "config.json").read_text())["demos"] == str(
         demos.path
     )
     assert read_entry(out / "runs" / run.folder).details["demonstrations"] == (
-        "2 of each task (expert, perturb 0.5)"
+        "2 of each task (expert, perturb 0.5, min_score 0.5)"
     )
 
 
@@ -304,14 +308,21 @@ def test_pooling_that_was_interrupted_continues(
     assert [e.sha256 for e in part.entries] == [e.sha256 for e in whole.entries]
 
 
-def test_interrupted_generation_gives_the_same_demonstrations(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("perturb", "min_score"), [(0.0, 0.0), (0.9, 0.9)])
+def test_interrupted_generation_gives_the_same_demonstrations(
+    tmp_path: Path, perturb: float, min_score: float
+) -> None:
     from magical.experiments.demonstrations import generate_missing
 
+    generate = partial(generate_missing, perturb=perturb, min_score=min_score, workers=1)
     for counts in ((3,), (1, 3)):
         for count in counts:
-            generate_missing(tmp_path / str(counts), ["MoveToRegion"], count, workers=1)
+            generate(tmp_path / str(counts), ["MoveToRegion"], count)
     whole, parts = (Dataset.open(tmp_path / str(counts)) for counts in ((3,), (1, 3)))
     assert [one.actions.tolist() for one in whole] == [one.actions.tolist() for one in parts]
+    assert all(one.final_score >= min_score for one in whole.entries)
+    attempts = [episode_seed(0, k) for k in range(3)]
+    assert ([one.seed for one in whole] == attempts) == (min_score == 0.0)
 
 
 def test_status_and_dry_run_on_the_command_line(

@@ -71,7 +71,7 @@ RESULTS = {  # the plans of the benchmark's own results: number of runs, demonst
     "bc-ablations-human": (3 * 8 * 3, "dataset"),
     "adversarial-human": (3 * 3 * 3, "dataset"),
     "bc-scripted": (8 * 5, "expert"),
-    "bc-perturbed": (8 * 5, "expert, perturb 0.2"),
+    "bc-perturbed": (8 * 5, "expert, perturb 0.2, min_score 1"),
     "bc-mixed": (8 * 5, "dataset and expert"),
     "training-time": (2 * 3 * 3, "dataset"),
 }
@@ -96,15 +96,18 @@ def test_no_two_plans_of_the_results_share_a_row(root: Path) -> None:
     assert len(names) == len(set(names)) == 14
 
 
-@pytest.mark.parametrize(("name", "num_demos"), [("object-bc", 100), ("object-bc-human", 10)])
+@pytest.mark.parametrize(
+    ("name", "source", "num_demos"),
+    [("object-bc", "expert, perturb 0.2, min_score 1", 100), ("object-bc-human", "dataset", 10)],
+)
 def test_the_object_centred_learner_is_evaluated_in_the_same_way(
-    root: Path, name: str, num_demos: int
+    root: Path, name: str, source: str, num_demos: int
 ) -> None:
     runs = planned_runs(read_plan(root / "plans" / f"{name}.toml"))
     assert len(runs) == 3 + 3 * 8
     for run in runs:
         assert run.evaluation == Evaluation(rollouts=100, horizon="published", nudge=0.0)
-        assert (str(run.source), run.config.to_dict()["num_demos"]) == ("dataset", num_demos)
+        assert (str(run.source), run.config.to_dict()["num_demos"]) == (source, num_demos)
 
 
 def test_runs_are_methods_times_tasks_times_seeds(tmp_path: Path) -> None:
@@ -135,10 +138,11 @@ def test_a_run_is_identified_by_what_its_scores_depend_on(tmp_path: Path) -> Non
         'demos = "human"\n',
         "expert_demos = 26\n",
         "perturb = 0.2\n",
+        "min_score = 0.5\n",
         'demos = "human"\nadd_expert = true\n',
         'demos = "human"\nadd_expert = true\nperturb = 0.2\n',
     )
-    assert len({folder(text) for text in ("", *changes, *more)}) == 13
+    assert len({folder(text) for text in ("", *changes, *more)}) == 14
 
 
 def test_settings_have_the_fields_types(tmp_path: Path) -> None:
@@ -185,6 +189,8 @@ def test_settings_have_the_fields_types(tmp_path: Path) -> None:
         ("perturb = 2\n" + BC, "perturb: expected a number from 0 to 1, found 2"),
         ('perturb = "much"\n' + BC, "perturb: expected a number, found 'much'"),
         ('demos = "human"\nperturb = 0.2\n' + BC, "perturb: expected 0 for a dataset, found 0.2"),
+        ("min_score = 1.5\n" + BC, "min_score: expected a score from 0 to 1, found 1.5"),
+        ('demos = "human"\nmin_score = 1\n' + BC, "min_score: expected 0 for a dataset, found 1"),
         ("add_expert = 1\n" + BC, "add_expert: expected true or false, found 1"),
         ("add_expert = true\n" + BC, "add_expert: expected demos, or --demos, to be a folder"),
         ("num_demos = 30\n" + BC, "expert_demos: expected at least num_demos, 30, found 25"),

@@ -7,10 +7,12 @@ from dataclasses import replace
 from itertools import chain, islice
 from pathlib import Path
 
-from magical.demos.generate import generate
+from magical.demos.generate import MAX_DROPPED, generate
 from magical.demos.store.dataset import Dataset
+from magical.demos.store.manifest import ManifestEntry
 from magical.demos.store.repair import repair
 from magical.demos.store.writer import DatasetWriter
+from magical.envs.seeds import episode_seed
 from magical.errors import DatasetError, DemonstrationsError, ResultsError
 from magical.evaluation import environments
 from magical.experiments.plan import PlannedRun, Source
@@ -28,6 +30,7 @@ def generate_missing(
     *,
     seed: int = 0,
     perturb: float = 0.0,
+    min_score: float = 0.0,
     workers: int | None = None,
 ) -> None:
     """Generate those of `count` expert demonstrations of each task's Demo variant that are missing.
@@ -37,13 +40,30 @@ def generate_missing(
     Raises:
         DatasetError, NoExpertError: see `magical.demos.generate.generate`.
     """
-    existing = _counts(folder)
+    existing = _kept(folder)
     for task in tasks:
-        first = existing[task]
-        if first < count:
+        seeds = [entry.seed for entry in existing if entry.task == task]
+        if len(seeds) < count:
             (demo,) = environments([task], ["Demo"])
-            more = count - first
-            generate(demo, more, folder, seed=seed, first=first, perturb=perturb, workers=workers)
+            generate(
+                demo,
+                count - len(seeds),
+                folder,
+                seed=seed,
+                first=_next_attempt(seeds, seed),
+                perturb=perturb,
+                min_score=min_score,
+                workers=workers,
+            )
+
+
+def _next_attempt(seeds: Sequence[int | None], seed: int) -> int:
+    """The number of the attempt after the last of those that gave demonstrations."""
+    if not seeds:
+        return 0
+    attempts = range((MAX_DROPPED + 1) * len(seeds) + 1)
+    last = (k for k in attempts if episode_seed(seed, k) == seeds[-1])
+    return next(last, len(seeds) - 1) + 1
 
 
 def prepare_demonstrations(
@@ -80,11 +100,18 @@ def prepare_demonstrations(
 
 def _generated(source: Source, tasks: Iterable[str], results: Results, workers: int | None) -> Path:
     """The folder of the scripted experts' demonstrations; what is missing is generated."""
-    count, perturb = source.expert_demos, source.perturb
-    assert count is not None
-    name = f"expert-{count}" + (f"-perturb-{perturb:g}" if perturb else "")
-    generate_missing(results.path / DEMOS / name, tasks, count, perturb=perturb, workers=workers)
-    return results.path / DEMOS / name
+    assert source.expert_demos is not None
+    parts = (f"{name.replace('_', '-')}-{value:g}" for name, value in source.generation.items())
+    folder = results.path / DEMOS / "-".join([f"expert-{source.expert_demos}", *parts])
+    generate_missing(
+        folder,
+        tasks,
+        source.expert_demos,
+        perturb=source.perturb,
+        min_score=source.min_score,
+        workers=workers,
+    )
+    return folder
 
 
 def _pool(datasets: Sequence[Dataset], tasks: Iterable[str], folder: Path) -> None:
@@ -93,7 +120,7 @@ def _pool(datasets: Sequence[Dataset], tasks: Iterable[str], folder: Path) -> No
     What an interrupted call has copied is kept. Within a task the order is always the same, and so
     is what a run samples.
     """
-    copied = _counts(folder)
+    copied = Counter(entry.task for entry in _kept(folder))
     writer = DatasetWriter(folder)
     for task in tasks:
         all_of_task = chain.from_iterable(d.filter(task=task, variant="Demo") for d in datasets)
@@ -101,26 +128,26 @@ def _pool(datasets: Sequence[Dataset], tasks: Iterable[str], folder: Path) -> No
             writer.append(trajectory)
 
 
-def _counts(folder: Path) -> Counter[str]:
-    """The number of Demo demonstrations of each task in a dataset that need not exist.
+def _kept(folder: Path) -> list[ManifestEntry]:
+    """The Demo demonstrations of a dataset that need not exist.
 
     A kill between writing a file and listing it is mended.
     """
     if not folder.exists():
-        return Counter()
+        return []
     try:
-        return _demo_counts(Dataset.open(folder))
+        return _demos(Dataset.open(folder))
     except DatasetError:
         repair(folder)
-        return _demo_counts(Dataset.open(folder))
+        return _demos(Dataset.open(folder))
 
 
-def _demo_counts(dataset: Dataset) -> Counter[str]:
-    return Counter(entry.task for entry in dataset.entries if entry.variant == "Demo")
+def _demos(dataset: Dataset) -> list[ManifestEntry]:
+    return [entry for entry in dataset.entries if entry.variant == "Demo"]
 
 
 def _require_enough(dataset: Dataset, configs: Iterable[ImitationConfig]) -> None:
-    counts = _demo_counts(dataset)
+    counts = Counter(entry.task for entry in _demos(dataset))
     for config in configs:
         for task in config.tasks:
             if counts[task] < config.num_demos:
@@ -147,5 +174,5 @@ def _require_same(dataset: Dataset, tasks: Iterable[str], results: Results) -> N
 
 
 def _digest(dataset: Dataset, task: str) -> str:
-    sums = [e.sha256 for e in dataset.entries if e.task == task and e.variant == "Demo"]
+    sums = [entry.sha256 for entry in _demos(dataset) if entry.task == task]
     return hashlib.sha256("\n".join(sums).encode()).hexdigest()

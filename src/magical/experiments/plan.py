@@ -89,6 +89,7 @@ class Plan:
         num_demos: demonstrations of each task that a run learns from.
         expert_demos: the experts' demonstrations generated of each task, to choose from.
         perturb: the share of control steps in which these have a random action.
+        min_score: those that score less are dropped, and others generated.
         threads: CPU threads of each run. Scores are equal for the same number only, so it belongs
             to the plan, not to the machine.
         evaluation: of every run.
@@ -102,6 +103,7 @@ class Plan:
     num_demos: int = 10
     expert_demos: int = 25
     perturb: float = 0.0
+    min_score: float = 0.0
     threads: int = 1
     evaluation: Evaluation = Evaluation()
 
@@ -115,25 +117,33 @@ class Source:
         expert_demos: the number of the scripted experts' that are generated of each task; `None`
             for none.
         perturb: the share of control steps in which these have a random action.
+        min_score: the least score of these.
     """
 
     dataset: bool = False
     expert_demos: int | None = None
     perturb: float = 0.0
+    min_score: float = 0.0
 
     @property
     def kind(self) -> str:
         """`dataset`, `expert`, or `dataset and expert`."""
         return " and ".join([DATASET] * self.dataset + [EXPERT] * (self.expert_demos is not None))
 
+    @property
+    def generation(self) -> dict[str, float]:
+        """How the experts' are generated, where it is not the default."""
+        how = {"perturb": self.perturb, "min_score": self.min_score}
+        return {name: value for name, value in how.items() if value}
+
     def __str__(self) -> str:
         """Such as `dataset`, or `expert, perturb 0.2`."""
-        return f"{self.kind}, perturb {self.perturb:g}" if self.perturb else self.kind
+        how = (f"{name} {value:g}" for name, value in self.generation.items())
+        return ", ".join([self.kind, *how])
 
     def settings(self) -> dict[str, Any]:
-        """What scores depend on besides the kind; `perturb` only where there is some."""
-        perturb = {"perturb": self.perturb} if self.perturb else {}
-        return {"expert_demos": self.expert_demos, **perturb}
+        """What scores depend on besides the kind."""
+        return {"expert_demos": self.expert_demos, **self.generation}
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,11 +254,12 @@ def _source(plan: Plan, config: ImitationConfig) -> Source:
             f"add_expert: expected demos, or --demos, to be a folder with a dataset, found {EXPERT}"
         )
     if dataset and not plan.add_expert:
-        if plan.perturb:
-            raise PlanError(
-                f"perturb: expected 0 for a dataset, found {plan.perturb}: only generated "
-                f'demonstrations (demos = "{EXPERT}", or add_expert) can be perturbed'
-            )
+        for name in ("perturb", "min_score"):
+            if getattr(plan, name):
+                raise PlanError(
+                    f"{name}: expected 0 for a dataset, found {getattr(plan, name)}: it is for "
+                    f'generated demonstrations (demos = "{EXPERT}", or add_expert)'
+                )
         return Source(dataset=True)
     for task in config.tasks:
         get_goals(task)  # raises for a task without an expert
@@ -257,7 +268,7 @@ def _source(plan: Plan, config: ImitationConfig) -> Source:
             f"expert_demos: expected at least num_demos, {config.num_demos}, "
             f"found {plan.expert_demos}"
         )
-    return Source(dataset, plan.expert_demos, plan.perturb)
+    return Source(dataset, plan.expert_demos, plan.perturb, plan.min_score)
 
 
 def _require_distinct(runs: Iterable[PlannedRun]) -> None:

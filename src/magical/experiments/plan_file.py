@@ -201,6 +201,13 @@ def _perturb(value: Any, key: str) -> float:
     return share
 
 
+def _min_score(value: Any, key: str) -> float:
+    score: float = _number_or_other(float, value, key)
+    if not 0.0 <= score <= 1.0:
+        raise PlanError(f"{key}: expected a score from 0 to 1, found {quoted(value)}")
+    return score
+
+
 def _distinct(values: Sequence[Any], key: str) -> tuple[Any, ...]:
     for value in values:
         if values.count(value) > 1:
@@ -237,6 +244,7 @@ _PLAN: Mapping[str, Reader] = {
     "num_demos": _integer,
     "expert_demos": _integer,
     "perturb": _perturb,
+    "min_score": _min_score,
     "threads": _integer,
 }
 _EVALUATION: Mapping[str, Reader] = {
