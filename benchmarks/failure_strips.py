@@ -2,7 +2,7 @@
 
 python benchmarks/failure_strips.py RUN --out failures.png [--entry DIR] [--rollouts 3]
 
-RUN is a run folder with weights. The rollouts with the lowest scores, the first among equals, are
+RUN is a run folder with weights. The rollouts with the lowest scores, of equals the first, are
 taken from the entry (default: the one in RUN) and run again with its seeds, horizon and nudge.
 """
 
@@ -55,13 +55,16 @@ def main() -> None:
             clips.append((row, clip))
             print(f"{row.env_id} rollout {row.rollout}: {row.score:.2f}, again {clip.score:.2f}")
     if not clips:
-        raise SystemExit(f"{args.run}: expected rollouts of {args.variant}, found none")
+        raise SystemExit(
+            f"{args.run}: expected rollouts of {args.variant} with a score below 1, found none"
+        )
     picture(clips, args.frames).save(args.out, optimize=True)
 
 
 def worst_rollouts(entry: Entry, task: str, variant: str, count: int) -> list[RolloutScore]:
-    """The rollouts with the lowest scores by the appendix's rule, the first of equal ones."""
-    rows = [r for r in entry.scores if (r.env_id.task, r.env_id.variant) == (task, variant)]
+    """The rollouts with the lowest scores below 1 by the appendix's rule, the first of equals."""
+    own = [r for r in entry.scores if (r.env_id.task, r.env_id.variant) == (task, variant)]
+    rows = [row for row in own if row.score < 1.0]
     return sorted(rows, key=lambda row: row.score)[:count]
 
 
