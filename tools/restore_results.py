@@ -1,6 +1,6 @@
 """Make a results folder of what was collected, so that `magical run` does the other runs only.
 
-python tools/restore_results.py results/NAME --out RUNS
+python -m tools.restore_results results/NAME --out RUNS
 
 RUNS is a folder that does not exist yet. The collected runs count as done in it. They have scores
 and no weights, so they can be reported and not evaluated again. Then
