@@ -204,11 +204,9 @@ class _Window(NamedTuple):
         return np.stack([x, y], axis=1)
 
 
-def _largest(pixels: NDArray[np.int16]) -> NDArray[np.int16]:
+def _largest(pixels: NDArray[Any]) -> NDArray[Any]:
     """The largest channel of pixels (..., 3); three times as fast as `max`."""
-    largest: NDArray[np.int16] = np.maximum(
-        np.maximum(pixels[..., 0], pixels[..., 1]), pixels[..., 2]
-    )
+    largest: NDArray[Any] = np.maximum(np.maximum(pixels[..., 0], pixels[..., 1]), pixels[..., 2])
     return largest
 
 
@@ -234,9 +232,7 @@ def _finger_angles(frames: Pixels, robot: Floats) -> Floats:
     """How far the fingers are open (B, 2), from the mean direction of their pixels."""
     row, column = (VIEW_HALF - robot[:, 1]) / PIXEL - 0.5, (robot[:, 0] + VIEW_HALF) / PIXEL - 0.5
     window = _Window.at(frames, row, column, FINGER_WINDOW)
-    channels = window.values[..., 0], window.values[..., 1], window.values[..., 2]
-    brightest = np.maximum(np.maximum(*channels[:2]), channels[2])
-    darkest = np.minimum(np.minimum(*channels[:2]), channels[2])
+    brightest, darkest = _largest(window.values), ~_largest(~window.values)  # ~x is 255 - x
     number, rows, columns = np.nonzero((brightest - darkest <= 16) & (brightest < 247))
     x, y, pose = window.x[number, columns], window.y[number, rows], robot[number]
     dx, dy = x - pose[:, 0], y - pose[:, 1]
