@@ -1,5 +1,7 @@
 """Objects parsed from rendered frames, against the scenes that were rendered."""
 
+from itertools import combinations_with_replacement
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -7,7 +9,7 @@ from numpy.typing import NDArray
 from magical.learning.objects.parser import parse_frames
 from magical.render import Renderer
 from magical.scene import Poses, Scene, View
-from magical.scene.constants import FINGER_OPEN
+from magical.scene.constants import FINGER_OPEN, SQUARE_SIDE
 from magical.scene.poses import FINGERS, FIRST_BLOCK, ROBOT
 from magical.scene.scene import Block, Pose, Region
 from magical.scene.vocabulary import COLOURS, SHAPES, Colour, Shape
@@ -51,12 +53,28 @@ def test_objects_of_random_scenes(task: str) -> None:
             assert COLOURS[parsed.region_colours[t, nearest]] == region.colour
 
 
-def test_touching_blocks_of_one_colour_are_kept_apart() -> None:
-    blocks = tuple(Block(Shape.SQUARE, Colour.BLUE, Pose(x, 0.0, 0.0)) for x in (-0.1065, 0.1065))
-    scene = Scene(Pose(0.0, -0.6, 0.0), blocks)
-    parsed = parse_frames(render(scene, Poses.at_rest(scene).bodies)[None])
-    assert sorted(parsed.blocks[0, :2, 0]) == pytest.approx([-0.1065, 0.1065], abs=0.02)
-    assert (parsed.colours[0] >= 0).sum() == 2
+@pytest.mark.parametrize("colours", list(combinations_with_replacement(Colour, 2)))
+def test_touching_blocks_are_kept_apart(colours: tuple[Colour, Colour]) -> None:
+    rng = np.random.default_rng(2)
+    scenes = [touching_squares(colours, *rng.uniform(-0.3, 0.3, 3)) for _ in range(16)]
+    parsed = parse_frames(
+        np.stack([render(scene, Poses.at_rest(scene).bodies) for scene in scenes])
+    )
+    assert ((parsed.colours >= 0).sum(axis=1) == 2).all()
+    for t, scene in enumerate(scenes):
+        for block in scene.blocks:
+            offsets = parsed.blocks[t, :2] - (block.pose.x, block.pose.y)
+            nearest = np.hypot(*offsets.T).argmin()
+            assert offsets[nearest] == pytest.approx([0.0, 0.0], abs=0.02)
+            assert COLOURS[parsed.colours[t, nearest]] == block.colour
+
+
+def touching_squares(colours: tuple[Colour, Colour], x: float, y: float, angle: float) -> Scene:
+    """Two squares side by side without a gap, turned by an angle together."""
+    half = SQUARE_SIDE / 2 * np.array([np.cos(angle), np.sin(angle)])
+    poses = Pose(x - half[0], y - half[1], angle), Pose(x + half[0], y + half[1], angle)
+    blocks = (Block(Shape.SQUARE, colours[k], poses[k]) for k in range(2))
+    return Scene(Pose(0.0, -0.8, 0.0), tuple(blocks))
 
 
 def test_a_region_split_by_the_robot_is_one_region() -> None:
