@@ -51,6 +51,7 @@ PLANS = (
     "object-bc",
     "object-bc-human",
 )
+STUDIES = ("object-bc-ablations", "bc-transformations")  # their rows are shown on other pages
 EXPERT = "expert"  # folder and method of the scripted experts' entry, which is no run of a plan
 COLLECTED = "collected.json"  # of a folder of `results/` (tools/collect_results.py)
 LEADERBOARD = "leaderboard"  # in the folder of a run's entry
@@ -162,7 +163,8 @@ class Page:
     def runs(self) -> str:
         """A row for each plan."""
         header = ("Plan", "Runs", "Hours", "Minutes a run", "Version", "Missing")
-        return table(header, (plan.row() for plan in self.plans))
+        studies = (PlanResults.read(self.root, name) for name in STUDIES)
+        return table(header, (plan.row() for plan in (*self.plans, *studies)))
 
     def count_table(self) -> str:
         """A row for each method: cells within one and two pooled standard deviations."""
@@ -226,7 +228,7 @@ class Page:
 
     def gap_table(self) -> str:
         """Demo, TestAll and the gap of the published methods, and of those with all tasks."""
-        header = ("Row", "Class", "Demonstrations", "Looks", "Demo", "TestAll", "Gap")
+        header = ("Row", "Class", "Demonstrations", "Earlier looks", "Demo", "TestAll", "Gap")
         rows = (
             [
                 drop.method,

@@ -13,7 +13,7 @@ from magical.envs import EnvId
 from magical.errors import InvalidConfigError
 from magical.evaluation import evaluate
 from magical.learning import load_policy, train
-from magical.learning.algorithms.object_bc import WITHOUT_MEANING, ObjectBCConfig, make_policy
+from magical.learning.algorithms.object_bc import ObjectBCConfig, make_policy
 from magical.learning.objects.control import control_inputs
 from magical.learning.objects.table import ObjectTable, parse_table
 from magical.runs import read_metrics
@@ -125,7 +125,7 @@ def test_a_robot_that_stands_still_acts_more_randomly(expert_demos: Path) -> Non
     torch.testing.assert_close(two[1:], one[1:] * 2.0)
 
 
-@pytest.mark.parametrize("name", WITHOUT_MEANING)
+@pytest.mark.parametrize("name", ObjectBCConfig.without)
 def test_settings_without_meaning_are_refused(name: str, expert_demos: Path) -> None:
     other = {
         "network": "narrow",

@@ -69,6 +69,8 @@ class Config:
     # Seconds of a core for a sample in training and for an action, where no network of the
     # registry decides on them; only to estimate the time of a run.
     seconds_each: ClassVar[tuple[float, float] | None] = None
+    # Fields of this class and others above that mean nothing to an algorithm: no options of it.
+    without: ClassVar[tuple[str, ...]] = ()
 
     tasks: tuple[str, ...] = option(
         dataclasses.MISSING, "tasks to learn, one or several", metavar="TASK"
@@ -115,6 +117,13 @@ class Config:
             raise InvalidConfigError(f"seed: expected at least 0, found {self.seed}")
         self.require_at_least_zero("threads")
         self._require_choices()
+        for name in self.without:
+            default = type(self).__dataclass_fields__[name].default
+            if getattr(self, name) != default:
+                raise InvalidConfigError(
+                    f"{name}: {self.algorithm} has no such setting; expected the default "
+                    f"{default!r}, found {getattr(self, name)!r}"
+                )
 
     @property
     def learned_from(self) -> tuple[str, ...]:
@@ -280,7 +289,8 @@ class Option:
 def options(kind: type[Config]) -> list[Option]:
     """The options of a configuration class: required ones first, then in the fields' order."""
     hints = get_type_hints(kind)
-    found = [_option(field, hints[field.name]) for field in dataclasses.fields(kind)]
+    fields = (field for field in dataclasses.fields(kind) if field.name not in kind.without)
+    found = [_option(field, hints[field.name]) for field in fields]
     return sorted(found, key=lambda option: not option.required)
 
 

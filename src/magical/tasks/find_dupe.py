@@ -102,7 +102,7 @@ def validate(scene: Scene) -> str:
 
 TASK = Task(
     name="FindDupe",
-    summary="Push a duplicate of the query block in the goal region into the region.",
+    summary="Push a duplicate of the query block, which is in the goal region, into that region.",
     section="A.2.5",
     horizon=100,
     demo=DEMO,

@@ -13,7 +13,7 @@ from magical.learning.objects.table import GRIP, ObjectTable
 from magical.scene import NUM_ACTIONS
 
 NEIGHBOURHOOD = 1.0  # units: blocks farther from the robot are not seen
-FOCUS = 0.15  # units: the scale on which nearness is told apart
+FOCUS = 0.15  # units: the length scale of nearness
 HELD = 2  # blocks nearest to the fingers, which have inputs of their own
 
 

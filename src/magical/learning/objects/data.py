@@ -78,9 +78,9 @@ class ObjectData:
         return len(self.actions)
 
     def sample_eventful(self, size: int, rng: np.random.Generator) -> Tensor:
-        """Sample rows with replacement, without those that wait while a block is the target.
+        """Sample rows with replacement, without idle ones while a block is the target.
 
-        Whoever clones waiting may wait forever: what is seen does not change.
+        A memoryless policy that clones idling may idle forever, since its input does not change.
         """
         return self._index(rng.choice(self._eventful, size))
 
@@ -95,7 +95,7 @@ class ObjectData:
 def _samples(
     trajectory: Trajectory, task: int, component: Component
 ) -> tuple[ObjectTable, Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """One demonstration's scenes, targets, destinations, actions, task; what is no waiting."""
+    """One demonstration's scenes, targets, destinations, actions, task, and which are not idle."""
     parsed = track(_parse(trajectory, component))
     intended = trajectory.is_demonstrated & (trajectory.labels == trajectory.actions)
     goals = find_goals(parsed.robot, parsed.blocks, intended)

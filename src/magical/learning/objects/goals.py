@@ -3,8 +3,8 @@
 Each relation has a piecewise linear function, learned for each task. The logit of a block is the
 sum over its relations where it lies; the logit of a destination the sum over the relations that the
 block would have there. A sum has no order, and each term is bound to one kind of object, so the
-model carries over to other counts, colours and layouts. Nothing is left to do once no block's
-relations ask for a move. The model is trained by maximum likelihood of the goals found in
+model carries over to other counts, colours and layouts. Nothing is left to do once no block
+has a high score. The model is trained by maximum likelihood of the goals found in
 hindsight, with a group lasso: few and simple relations have to explain all demonstrations.
 """
 
@@ -20,17 +20,17 @@ GRIP_KNOTS = (0.04, 0.08, 0.14, 0.22, 0.32)  # units from the point between the 
 GRIP_PENALTY = 0.5
 NEARNESS = 1.0  # logits lost by each unit from fingers to block, from block to place: breaks ties
 TINY = 1e-4  # added to a squared norm, which keeps the norm differentiable at 0
-CANDIDATES = 64  # places that a destination is told apart from in training
+CANDIDATES = 64  # random places beside each destination in training, the negatives
 BORDER = 0.95  # units: the cells of destinations are within [-BORDER, BORDER]
 CELLS = 16  # of the grid of destinations, along each axis
 STEPS = 2  # finer places to either side of the best cell's centre
 IMPOSSIBLE = -1e9
 SURE = 0.8  # probability of having finished at which to stop: too late costs less than too soon
-LARGE = 30.0  # logits: where there is no block, the largest urge counts as its negative
+LARGE = 30.0  # logits: where there is no block, the highest score counts as its negative
 DESTINATION = 2.0  # sparsity of the destinations' functions, times that of the others
 LEFT_OUT = 0.25  # norm of a function's values below which its relation is left out
 REFITTED = 0.2  # share of the sparsity that is kept after that
-AT_PLACE, OUT_OF_GRIP = 0.06, 0.1  # units: less than any carry; from the point between the fingers
+AT_PLACE, OUT_OF_GRIP = 0.06, 0.1  # units: less than any move; from the point between the fingers
 
 CELL = 2 * BORDER / CELLS  # units
 _AXIS = (torch.arange(CELLS) + 0.5) * CELL - BORDER
@@ -132,12 +132,12 @@ class GoalModel(nn.Module):
             which: the relations that are given; None: all.
         """
         absent = ~table.present  # (B, N)
-        urge = self.choice(relations, tasks, which).masked_fill(absent, IMPOSSIBLE)
+        scores = self.choice(relations, tasks, which).masked_fill(absent, IMPOSSIBLE)
         to_grip = (table.blocks - table.grip[:, None]).norm(dim=2)
-        logits = urge + self.grip(to_grip[..., None], tasks) - NEARNESS * to_grip
+        logits = scores + self.grip(to_grip[..., None], tasks) - NEARNESS * to_grip
         logits = logits.masked_fill(absent, IMPOSSIBLE)
-        largest = urge.amax(dim=1).clamp(min=-LARGE)
-        finished = self.finished_bias[tasks] - self.finished_slope[tasks] * largest
+        highest = scores.amax(dim=1).clamp(min=-LARGE)
+        finished = self.finished_bias[tasks] - self.finished_slope[tasks] * highest
         return torch.cat([logits, finished[:, None]], dim=1)
 
     def destination_logits(

@@ -1,10 +1,10 @@
 """What a demonstration did, from its recorded frames alone: which block was moved, and where to.
 
-A demonstration is cut into carries: spans in which one block moves in or at the gripper. Before and
-during a carry the target is its block, and the destination is where that block lay at its end.
-After the last carry the target is the robot, and the destination is where the robot stops. So every
-recorded state gets the goal that was reached from it (Andrychowicz et al., "Hindsight experience
-replay", NeurIPS 2017, relabel in the same way).
+A demonstration is cut into carries: spans in which one block moves, the one nearest to the gripper.
+Before and during a carry the target is its block, and the destination is where that block lay at
+its end. After the last carry the target is the robot, and the destination is where the robot stops.
+So every recorded state gets the goal that was reached from it (Andrychowicz et al., "Hindsight
+experience replay", NeurIPS 2017, relabel in the same way).
 """
 
 from typing import NamedTuple

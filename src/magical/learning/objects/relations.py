@@ -3,7 +3,7 @@
 A relation is a number: mostly a distance to the nearest object of some kind, such as the nearest
 other block of the same colour. Absolute colours, shapes, directions and (unless a block has no
 other object to relate to) positions do not occur, so whatever is learned from relations is the same
-for permuted colours and shapes, and for scenes that are turned or mirrored.
+for permuted colours and shapes, and for scenes that are mirrored or rotated by quarter turns.
 """
 
 import math
