@@ -6,7 +6,7 @@ import pytest
 
 from magical.envs import EnvId
 from magical.evaluation import Entry, RolloutScore
-from magical.report.aggregate import aggregate_header, aggregate_rows, aggregates
+from magical.report.aggregate import aggregate_header, aggregate_rows, aggregates, interval_text
 
 LINE, LINE_ALL = EnvId("MakeLine", "Demo"), EnvId("MakeLine", "TestAll")
 DUPE, DUPE_ALL = EnvId("FindDupe", "Demo"), EnvId("FindDupe", "TestAll")
@@ -102,7 +102,19 @@ def test_only_environments_that_all_runs_on_a_task_have_count() -> None:
     rows, note = aggregates(runs)
     assert note.startswith("Over 2 environments.")
     assert rows[0].mean.value == pytest.approx((1.0 + 0.4) / 2)
-    assert rows[0].unit == "rollouts"  # two runs on one task, one on the other
+    assert rows[0].unit == "1 to 2 runs"  # two runs on one task, one on the other
+    assert math.isnan(rows[0].mean.low)
+    assert interval_text(rows[0].mean) == "0.70"
+
+
+def test_a_run_without_one_task_takes_the_interval_away() -> None:
+    whole = [entry("a", line=[p], dupe=[p]) for p in (0.2, 0.5, 0.8)]
+    (row,), note = aggregates([*whole, entry("a", line=[0.9])])
+    assert row.unit == "3 to 4 runs"
+    assert math.isnan(row.mean.low)
+    assert "there is no interval" in note
+    (row,), _ = aggregates(whole)
+    assert row.mean.high - row.mean.low > 0.5
 
 
 def test_rows_and_header_fit() -> None:

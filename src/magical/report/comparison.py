@@ -1,5 +1,6 @@
-"""Two methods held against each other: a page of its own."""
+"""Two methods compared: a page of its own."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -107,6 +108,8 @@ def _headline(first: ComparedMethod, second: ComparedMethod) -> str:
         f"{abs(found.value):.2f} {'higher' if found.value >= 0 else 'lower'} than that of "
         f"{second.name} ({signed(found)})."
     )
+    if math.isnan(found.low):
+        return f"{text} There are too few runs for an interval."
     if found.low <= 0.0 <= found.high:
         return f"{text} The interval contains 0: this does not show which of them is better."
     return text

@@ -1,11 +1,11 @@
 """The methods among some entries, on the environments that they have in common."""
 
-import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magical.envs import EnvId
 from magical.evaluation import Entry
@@ -32,20 +32,22 @@ class ComparedMethod:
 
     @property
     def several(self) -> bool:
-        """Whether there are enough runs for intervals over runs."""
-        return not math.isnan(mean(self.means).low)
+        """Whether any environment has several runs."""
+        return bool(self._counts.max() > 1)
 
     @property
     def unit(self) -> str:
         """What intervals are over, in words."""
-        counts = (~np.isnan(self.means)).sum(axis=0)
         if not self.several:
-            return "rollouts of 1 run" if counts.max() == 1 else "rollouts"
-        fewest, most = counts.min(), counts.max()
+            return "rollouts of 1 run"
+        fewest, most = self._counts.min(), self._counts.max()
         return f"{fewest} runs" if fewest == most else f"{fewest} to {most} runs"
 
     def mean(self) -> Interval:
-        """Over runs, or over rollouts where there is one run."""
+        """Over runs, or over rollouts where every environment has one run.
+
+        Without bounds where a run is the only one of its environments, and others have several.
+        """
         if self.several:
             return mean(self.means)
         return self._over_rollouts(np.full(len(self.env_ids), 1 / len(self.env_ids)))
@@ -69,6 +71,11 @@ class ComparedMethod:
     def on(self, env_ids: Sequence[EnvId]) -> "ComparedMethod":
         """The same method on some of its environments."""
         return _method(self.name, self.runs, env_ids)
+
+    @property
+    def _counts(self) -> NDArray[np.int64]:
+        """The runs of each environment, (environments,)."""
+        return (~np.isnan(self.means)).sum(axis=0)
 
     def _over_rollouts(self, weights: Floats) -> Interval:
         return over_rollouts([run.scores for run in self.runs], self.env_ids, weights)
