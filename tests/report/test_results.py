@@ -116,3 +116,23 @@ def test_a_plan_says_which_runs_are_missing(write_entry: WriteEntry, tmp_path: P
         ("a", "MoveToRegion", "seed 2: not finished"),
         ("a", "MoveToRegion", "seed 3: not run"),
     ]
+
+
+def test_a_training_run_counts_once_in_a_row(write_entry: WriteEntry, tmp_path: Path) -> None:
+    write_entry("a", "bc", LINE, seed=0)
+    write_entry("another-set-of-seeds", "bc", {"MakeLine-Demo": [0.0, 0.0]}, seed=0)
+    write_entry("b", "bc", LINE, seed=1)  # equal scores, another run
+    write_entry("nudged", "bc", LINE, seed=0, nudge=1e-9)  # another row
+    write_entry("third", "mine", LINE)
+    write_entry("third-copy", "mine", LINE)
+    results = find_results([tmp_path])
+    assert [r.folder.name for r in results.found] == ["a", "b", "nudged", "third"]
+    assert [item.folder.name for item in results.skipped] == ["another-set-of-seeds", "third-copy"]
+    assert results.skipped[0].reason.endswith("a: each run counts once in a row")
+
+
+def test_runs_of_other_settings_are_other_runs(write_entry: WriteEntry, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        folder = write_entry(name, "bc", LINE, seed=0)
+        write_json(folder / "config.json", {"seed": 0, "tasks": ["MakeLine"], "augment": name})
+    assert len(find_results([tmp_path]).found) == 2

@@ -75,7 +75,8 @@ class ComparedMethod:
     @property
     def _counts(self) -> NDArray[np.int64]:
         """The runs of each environment, (environments,)."""
-        return (~np.isnan(self.means)).sum(axis=0)
+        counts: NDArray[np.int64] = (~np.isnan(self.means)).sum(axis=0)
+        return counts
 
     def _over_rollouts(self, weights: Floats) -> Interval:
         return over_rollouts([run.scores for run in self.runs], self.env_ids, weights)

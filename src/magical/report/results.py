@@ -2,12 +2,12 @@
 
 import os
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from magical.errors import RunFolderError, ScoresError
-from magical.evaluation import Entry, by_variant, read_entry
+from magical.evaluation import Entry, RolloutScore, by_variant, read_entry
 from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
 from magical.runs import is_run, read_json
 from magical.runs.folder import CONFIG, RECORD
@@ -85,8 +85,34 @@ class Results:
         return [result.entry for result in self.found]
 
 
+def same_run(result: Result, others: Iterable[Result]) -> Result | None:
+    """The first of some results that evaluates the same training run of a method, if any does.
+
+    That is decided by the seeds of training and by the configurations, as far as they are known;
+    where a seed is not, by equal scores on the tasks that both have.
+    """
+    for other in others:
+        shared = set(result.tasks) & set(other.tasks)
+        if result.entry.method != other.entry.method or not shared:
+            continue
+        if result.seed is None or other.seed is None:
+            if _scores_on(shared, result) == _scores_on(shared, other):
+                return other
+        elif result.seed == other.seed and not _differ(result.config, other.config):
+            return other
+    return None
+
+
+def _scores_on(tasks: Iterable[str], result: Result) -> set[RolloutScore]:
+    return {row for row in result.entry.scores if row.env_id.task in tasks}
+
+
+def _differ(first: dict[str, Any], second: dict[str, Any]) -> bool:
+    return bool(first and second) and first != second
+
+
 def find_results(folders: Iterable[Path | str]) -> Results:
-    """As `search_results`, with at least one entry.
+    """As `search_results`, with at least one entry, and each training run once in a row.
 
     Raises:
         ScoresError: there is no entry that can be read; says why the first one cannot.
@@ -95,7 +121,18 @@ def find_results(folders: Iterable[Path | str]) -> Results:
     if not results.found:
         reasons = [item.reason for item in results.skipped]
         raise ScoresError(reasons[0] if reasons else "expected folders, found none")
-    return results
+    rows: dict[str, list[Result]] = {}
+    repeated = []
+    for result in results.found:
+        row = rows.setdefault(result.entry.row, [])
+        if other := same_run(result, row):
+            reason = f"the same run as {other.folder}: each run counts once in a row"
+            repeated.append(Skipped(result.folder, reason))
+        else:
+            row.append(result)
+    dropped = {item.folder for item in repeated}
+    found = [result for result in results.found if result.folder not in dropped]
+    return replace(results, found=found, skipped=[*results.skipped, *repeated])
 
 
 def search_results(folders: Iterable[Path | str], without: Path | None = None) -> Results:

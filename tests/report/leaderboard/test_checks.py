@@ -90,8 +90,19 @@ def test_runs_of_a_method_agree() -> None:
 def test_a_run_counts_once() -> None:
     ((folder, reason),) = check(entry(), entry())
     assert folder == "1"
-    assert reason == "the same scores as 0: each run counts once"
+    assert reason.startswith("the same run as 0")
+    backwards = replace(entry(), scores=list(reversed(entry().scores)))
+    assert [folder for folder, _ in check(entry(), backwards)] == ["1"]
     assert check(entry(), entry(method="another")) == []
+
+
+def test_a_training_seed_counts_once() -> None:
+    def seeded(score: float, seed: int) -> Entry:
+        first = entry(score)
+        return replace(first, details={**first.details, "training_seed": seed})
+
+    assert check(seeded(1.0, 0), seeded(1.0, 1)) == []  # both always succeed
+    assert [folder for folder, _ in check(seeded(1.0, 0), seeded(0.5, 0))] == ["1"]
 
 
 def test_a_rejected_entry_does_not_stand_against_others() -> None:

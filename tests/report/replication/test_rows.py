@@ -64,7 +64,7 @@ def test_runs_of_a_method_are_a_row_by_the_published_rule(
         ({"horizon": "300"}, "MoveToRegion with another horizon than 40 control steps"),
         ({"rollouts": 3}, "3 rollouts of each environment, expected 100"),
         ({"without": "TestAll"}, "MoveToRegion without All: all variants of a task are needed"),
-        ({"seed": 1}, "the training seed and tasks of .*good: each run counts once"),
+        ({"seed": 1}, "the same run as .*good: each run counts once"),
     ],
 )
 def test_an_entry_that_cannot_count_is_listed_with_its_reason(

@@ -8,7 +8,7 @@ from magical.evaluation import Entry, by_variant
 from magical.evaluation.entry import APPENDIX
 from magical.evaluation.rollouts import ROLLOUTS
 from magical.evaluation.variants import short_variant
-from magical.report.results import Result, Results
+from magical.report.results import Result, Results, same_run
 from magical.runs.sources import learned_from
 from magical.tasks import get_task
 
@@ -89,10 +89,13 @@ def _series(version: str) -> str:
 def _conflicts(result: Result, accepted: Sequence[Result]) -> Iterator[str]:
     """Why a run cannot be one of its method's, given those before it."""
     entry = result.entry
+    if other := same_run(result, accepted):
+        yield (
+            f"the same run as {other.folder}, by its training_seed or, where an entry does not "
+            "state that, by its scores: each run counts once"
+        )
+        return
     for other in (run for run in accepted if run.entry.method == entry.method):
-        if list(other.entry.scores) == list(entry.scores):
-            yield f"the same scores as {other.folder}: each run counts once"
-            return
         for what, value, expected in (
             ("shown", entry.observation, other.entry.observation),
             ("privileged", entry.privileged, other.entry.privileged),

@@ -1,6 +1,6 @@
 """Which entries can be held against the published tables, and each method's published row."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from magical.evaluation.intervals import Floats
 from magical.evaluation.statistics import by_environment, run_means
 from magical.report.differences import RULE, is_comparable
 from magical.report.leaderboard.checks import Rejected, incompleteness
-from magical.report.results import Result, Results
+from magical.report.results import Result, Results, same_run
 from magical.runs.sources import LEARNED_FROM, learning_class
 from magical.tasks import get_task
 
@@ -64,30 +64,27 @@ def make_rows(results: Results) -> tuple[list[Row], list[Rejected]]:
     groups: dict[str, list[Result]] = {}
     for result in results.found:
         runs = groups.setdefault(result.entry.method, [])
-        if reasons := [*_faults(result), *_repetition(result, runs)]:
+        reasons = _faults(result)
+        if other := same_run(result, runs):
+            reasons.append(f"the same run as {other.folder}: each run counts once")
+        if reasons:
             rejected.append(Rejected(str(result.folder), result.entry.method, reasons))
         else:
             runs.append(result)
     return [_row(method, runs) for method, runs in groups.items() if runs], rejected
 
 
-def _faults(result: Result) -> Iterator[str]:
-    """Why an entry cannot be held against the published tables."""
-    entry = result.entry
+def _faults(result: Result) -> list[str]:
+    """Why an entry cannot be compared with the published tables."""
+    entry, faults = result.entry, []
     if entry.nudge:
-        yield f"nudge {entry.nudge:g}, expected 0: published scores are of the exact scene"
+        faults.append(f"nudge {entry.nudge:g}, expected 0: published scores are of the exact scene")
     for name in result.tasks:
         task = get_task(name)
         if not is_comparable(task, entry):
-            yield f"{name} with another horizon than {task.published_horizon} control steps"
-    yield from incompleteness(entry)
-
-
-def _repetition(result: Result, runs: Sequence[Result]) -> Iterator[str]:
-    """Why a run is none of its own, given others of its method; scores may well be equal."""
-    for other in runs:
-        if result.seed is not None and (result.seed, result.tasks) == (other.seed, other.tasks):
-            yield f"the training seed and tasks of {other.folder}: each run counts once"
+            steps = task.published_horizon
+            faults.append(f"{name} with another horizon than {steps} control steps")
+    return [*faults, *incompleteness(entry)]
 
 
 def _row(method: str, runs: Sequence[Result]) -> Row:
