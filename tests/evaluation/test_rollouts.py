@@ -176,6 +176,12 @@ def test_a_wrong_horizon_is_named(horizon: Any) -> None:
         evaluate(NoopPolicy(), [DEMO], rollouts=1, horizon=horizon, workers=0)
 
 
+def test_an_environment_given_twice_counts_once() -> None:
+    name = "magical/MoveToRegion-Demo-v0"
+    ids = [name, name, "magical/MoveToRegion-Demo-LoRes4A-v0"]
+    assert len(evaluate(NoopPolicy(), ids, rollouts=2, workers=0)) == 2
+
+
 def test_no_rollouts_are_refused() -> None:
     with pytest.raises(ValueError, match="at least 1, found 0"):
         evaluate(NoopPolicy(), [DEMO], rollouts=0)

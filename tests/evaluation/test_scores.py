@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -61,6 +62,7 @@ def test_summary_of_several_tasks_is_nested() -> None:
         (f"{{}}{DEMO},1,2\n", "line 2: expected env_id"),
         (f"{{}}{DEMO},1,2,x,0.0\n", "line 2"),
         ("{}a,1,2,0.5,0.5\n", "line 2: expected env_id"),
+        ("{}magical/MakeLine-Demo-LoRes4E-v0,1,2,0.5,0.5\n", "line 2: expected env_id"),
         (f"{{}}{DEMO},1,2,0.5,0.5\n{DEMO},1,2,1.5,0.0\n", "line 3: expected scores from 0 to 1"),
         (f"{{}}{DEMO},1,2,nan,0.0\n", "line 2: expected scores from 0 to 1"),
     ],
@@ -83,6 +85,33 @@ def test_entries_are_read_back_and_keep_what_their_authors_added(tmp_path: Path)
     again = read_entry(tmp_path)
     assert again.details == {"labels": 10, "note": "again"}
     assert again.scores == SCORES[:1]
+
+
+def test_details_of_another_policy_are_not_kept(tmp_path: Path) -> None:
+    Entry(method="mine", scores=SCORES, details={"policy": "noop", "learned_from": []}).write(
+        tmp_path
+    )
+    Entry(method="mine", scores=SCORES, details={"policy": "a.py:p"}).write(tmp_path)
+    assert read_entry(tmp_path).details == {"policy": "a.py:p"}
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [{"method": "x" * 201}, {"nudge": 5.0}, {"horizon": "soon"}, {"details": {"n": np.int64(3)}}],
+)
+def test_what_could_not_be_read_back_is_not_written(tmp_path: Path, fields: dict[str, Any]) -> None:
+    Entry(method="mine", scores=SCORES).write(tmp_path)
+    entry = Entry(**{"method": "mine", "scores": SCORES[:1], **fields})
+    with pytest.raises((ScoresError, TypeError)):
+        entry.check_writable(tmp_path)
+    with pytest.raises((ScoresError, TypeError)):
+        entry.write(tmp_path)
+    assert read_entry(tmp_path).scores == SCORES
+
+
+def test_an_integer_nudge_is_read(tmp_path: Path) -> None:
+    Entry(method="mine", scores=SCORES, nudge=0).write(tmp_path)
+    assert read_entry(tmp_path).nudge == 0.0
 
 
 @pytest.mark.parametrize("missing", ["scores.csv", "entry.json"])
@@ -158,6 +187,7 @@ def test_an_entry_that_breaks_the_protocol_is_refused(
         {"method": "m", "seed": -1},
         {"method": "m", "seed": True},
         {"method": "m", "details": []},
+        {"method": "m", "nudge": 5.0},
     ],
 )
 def test_fields_of_an_entry_are_checked(tmp_path: Path, fields: dict[str, object]) -> None:

@@ -184,6 +184,12 @@ def test_probability_of_improvement_counts_ties_half() -> None:
     assert found.value == pytest.approx((3 + 1 + 1) / 6)
 
 
+def test_rounding_does_not_break_a_tie() -> None:
+    one, other = 0.54, 0.5399999999999999
+    assert one > other
+    assert stats.probability_of_improvement([[one]], [[other]]).value == 0.5
+
+
 def test_probability_of_improvement_weighs_environments_equally() -> None:
     assert stats.probability_of_improvement([[1.0, 0.0]], [[0.0, 1.0]]).value == 0.5
 

@@ -1,5 +1,6 @@
 """Running a sample of an entry's rollouts again."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -66,6 +67,24 @@ def test_the_scores_of_the_same_policy_are_confirmed(entry: Entry) -> None:
     assert set(found.by_environment()) == set(IDS)
     everything = verify(entry, RandomPolicy(), rounds=99, rng=rng, workers=0)
     assert sorted(everything.again) == sorted(entry.scores)
+
+
+class Undecided:
+    """Acts by what it sees, and has no observation of its own."""
+
+    def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
+        actions: Actions = observations.reshape(len(env_ids), -1).astype(np.int64).sum(axis=1) % 18
+        return actions
+
+    def reset(self, mask: Any) -> None:
+        pass
+
+
+def test_a_policy_is_shown_again_what_it_was_shown() -> None:
+    shown = evaluate(Undecided(), IDS, rollouts=2, observation="LoRes4A", workers=0)
+    made = Entry(method="m", scores=shown, observation="LoRes4A")
+    rng = np.random.default_rng(0)
+    assert verify(made, Undecided(), rng=rng, same_machine=True, workers=0).confirmed
 
 
 def test_the_scores_of_another_policy_are_not(entry: Entry) -> None:
@@ -156,6 +175,10 @@ def test_code_that_an_entry_names_is_not_run(
 @pytest.mark.parametrize("horizon", ["soon", "0", "-1", "1e3", "9" * 9, ""])
 def test_an_impossible_horizon_is_refused(tmp_path: Path, horizon: str) -> None:
     scores = evaluate(NoopPolicy(), IDS[:1], rollouts=1, workers=0)
-    Entry(method="m", scores=scores, horizon=horizon).write(tmp_path)
+    with pytest.raises(ScoresError, match="horizon: expected"):
+        Entry(method="m", scores=scores, horizon=horizon).write(tmp_path)
+    Entry(method="m", scores=scores).write(tmp_path)
+    file = tmp_path / "entry.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), "horizon": horizon}))
     with pytest.raises(ScoresError, match="horizon: expected"):
         read_entry(tmp_path)

@@ -46,6 +46,16 @@ def test_csv_has_every_number(results: Path, tmp_path: Path) -> None:
     assert (odd["published"], odd["difference"]) == ("", "")
 
 
+def test_scores_with_another_horizon_stand_beside_no_published_ones(
+    write_entry: WriteEntry, tmp_path: Path
+) -> None:
+    write_entry("in/a", BC, {"FindDupe-Demo": [1.0, 0.0]}, horizon="400")
+    out = tmp_path / "table.csv"
+    assert cli.main(["report", str(tmp_path / "in"), "--out", str(out)]) == 0
+    (row,) = csv.DictReader(out.read_text().splitlines())
+    assert (row["published"], row["published_std"]) == ("", "")
+
+
 def test_markdown_cells_are_escaped(results: Path, tmp_path: Path) -> None:
     out = tmp_path / "table.md"
     cli.main(["report", str(results), "--out", str(out)])

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from magical.errors import ScoresError
+from magical.report.folders import evaluated_page
 from magical.report.missing import find_missing
 from magical.report.results import find_results
 
@@ -136,3 +137,27 @@ def test_runs_of_other_settings_are_other_runs(write_entry: WriteEntry, tmp_path
         folder = write_entry(name, "bc", LINE, seed=0)
         write_json(folder / "config.json", {"seed": 0, "tasks": ["MakeLine"], "augment": name})
     assert len(find_results([tmp_path]).found) == 2
+
+
+def test_a_policy_in_the_package_has_no_training_run(
+    write_entry: WriteEntry, tmp_path: Path
+) -> None:
+    write_entry("par", "random", LINE, details={"policy": "random"})
+    write_entry("par/bc", "bc", LINE, seed=7)
+    found = {result.entry.method: result for result in find_results([tmp_path]).found}
+    assert (found["random"].run, found["random"].seed) == (None, None)
+    assert found["bc"].seed == 7
+
+
+@pytest.mark.parametrize(
+    "text", ["[" * 100_000, '{"demonstrations": 5}', '{"steps": ' + "9" * 400 + "}", '"\\ud800"']
+)
+def test_a_damaged_record_of_a_run_does_not_stop_a_page(
+    write_entry: WriteEntry, tmp_path: Path, text: str
+) -> None:
+    folder = write_entry("a", "bc", LINE, seed=1, details={"authors": "\ud800"})
+    for name in ("run.json", "result.json", "metrics.jsonl"):
+        (folder / name).write_text(text + "\n")
+    site = tmp_path / "page.html"
+    evaluated_page("a", find_results([tmp_path]), out=site).write(site)
+    assert "bc" in site.read_text("utf-8")

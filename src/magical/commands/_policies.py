@@ -24,7 +24,7 @@ def evaluation_details(policy: str, out: Path) -> dict[str, Any]:
     from magical.runs.provenance import provenance
     from magical.runs.sources import LEARNED_FROM
 
-    if Path(policy).is_dir():
+    if policy not in BUILT_IN and Path(policy).is_dir():
         from magical.learning import read_config
         from magical.learning.description import training_details
         from magical.learning.devices import num_threads
@@ -55,6 +55,8 @@ def policy_of(folder: Path, entry: "Entry", run: Path | None = None) -> "Policy"
     from magical.runs import is_run
 
     name = entry.details.get(POLICY)
+    if isinstance(name, str) and name in BUILT_IN:
+        return load_policy(name)
     recorded = [folder / name] if isinstance(name, str) else []
     for place in (*recorded, run or folder):
         if is_run(place):
@@ -62,8 +64,6 @@ def policy_of(folder: Path, entry: "Entry", run: Path | None = None) -> "Policy"
 
             policy: Policy = load_run(place)
             return policy
-    if name in BUILT_IN:
-        return load_policy(str(name))
     raise PolicyError(
         f"{folder}: expected a run folder or one of {', '.join(BUILT_IN)} as the policy "
         f"that was evaluated, found {name!r}"

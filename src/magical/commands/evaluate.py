@@ -6,6 +6,7 @@ POLICY is a run folder, `random`, `noop`, `expert`, or a policy of your own as `
 
 import argparse
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -104,6 +105,9 @@ def run(args: argparse.Namespace) -> int:
 
     policy = load_policy(args.policy)
     env_ids = environments(args.task or getattr(policy, "tasks", None), args.variants)
+    if args.out:
+        entry = make_entry(args, policy)
+        entry.check_writable(args.out)
     with progress_bar("rollouts", len(env_ids) * args.rollouts) as advance:
         scores = evaluate(
             policy,
@@ -118,17 +122,15 @@ def run(args: argparse.Namespace) -> int:
         )
     print_scores(scores)
     if args.out:
-        make_entry(args, policy, scores).write(args.out)
+        replace(entry, scores=scores).write(args.out)
         log(f"wrote scores.csv and entry.json to {args.out}")
     if args.json:
         print_json(summarise(scores))
     return 0
 
 
-def make_entry(
-    args: argparse.Namespace, policy: "Policy", scores: "Sequence[RolloutScore]"
-) -> "Entry":
-    """The evaluation as it is kept on disk."""
+def make_entry(args: argparse.Namespace, policy: "Policy") -> "Entry":
+    """The evaluation as it is kept on disk, but for the scores."""
     from magical import __version__
     from magical.evaluation import Entry
     from magical.evaluation.policy import is_privileged
@@ -136,7 +138,7 @@ def make_entry(
 
     return Entry(
         method=args.method or Path(args.policy).absolute().name,  # of "." too
-        scores=scores,
+        scores=(),
         observation=str(observation_for(policy, args.observation)),
         privileged=is_privileged(policy),
         horizon="appendix" if args.horizon is None else str(args.horizon),

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from magical.envs.episode import MAX_NUDGE
 from magical.errors import ScoresError
 from magical.evaluation.scores import RolloutScore, check_protocol, read_scores, write_scores
 from magical.files import write_atomically
@@ -49,15 +50,41 @@ class Entry:
         return "published" if self.horizon == PUBLISHED else int(self.horizon)
 
     def write(self, folder: Path | str) -> None:
-        """Write both files; details that `entry.json` already holds and `self` lacks are kept."""
-        target = Path(folder) / ENTRY_FILE
+        """Write both files.
+
+        Of an entry of the same method and policy that the folder already holds, the details that
+        this one lacks are kept. Raises what `check_writable` raises, before anything is written.
+        """
+        text = self._json(Path(folder) / ENTRY_FILE)
+        write_scores(self.scores, Path(folder) / SCORES_FILE)
+        with write_atomically(Path(folder) / ENTRY_FILE) as file:
+            file.write(text.encode())
+
+    def check_writable(self, folder: Path | str) -> None:
+        """Check, before scores are computed, that `write` will not be refused.
+
+        Raises:
+            ScoresError: a field that `read_entry` would refuse, or a damaged entry in the folder.
+            TypeError: details that are not JSON.
+        """
+        self._json(Path(folder) / ENTRY_FILE)
+
+    def _kept(self, target: Path) -> dict[str, Any]:
+        """The details of an earlier entry of the same method and policy."""
+        old = _read_json(target) if target.exists() else {}
+        details = old.get("details")
+        if not isinstance(details, dict) or old.get("method") != self.method:
+            return {}
+        policies = {str(d[POLICY]) for d in (details, self.details) if POLICY in d}
+        return details if len(policies) < 2 else {}
+
+    def _json(self, target: Path) -> str:
         names = [field.name for field in fields(self) if field.name != "scores"]
         data: dict[str, Any] = {name: getattr(self, name) for name in names}
-        if target.exists():
-            data["details"] = _read_json(target).get("details", {}) | self.details
-        write_scores(self.scores, Path(folder) / SCORES_FILE)
-        with write_atomically(target) as file:
-            file.write((json.dumps(data, indent=2) + "\n").encode())
+        data["details"] = self._kept(target) | self.details
+        text = json.dumps(data, indent=2) + "\n"
+        _check_fields(target, _parse(target, text))
+        return text
 
 
 def read_entry(folder: Path | str) -> Entry:
@@ -82,7 +109,6 @@ def read_entry(folder: Path | str) -> Entry:
             f"found {sorted(data)}; put everything else into details"
         )
     _check_fields(source / ENTRY_FILE, data)
-    _check_horizon(source / ENTRY_FILE, data.get("horizon", APPENDIX))
     scores = read_scores(source / SCORES_FILE)
     try:
         check_protocol(scores, data.get("seed", 0))
@@ -92,31 +118,34 @@ def read_entry(folder: Path | str) -> Entry:
 
 
 _TYPES = {
-    "method": str,
-    "observation": str,
-    "privileged": bool,
-    "horizon": str,
-    "nudge": float,
-    "seed": int,
-    "version": str,
-    "details": dict,
+    "method": (str,),
+    "observation": (str,),
+    "privileged": (bool,),
+    "horizon": (str,),
+    "nudge": (float, int),
+    "seed": (int,),
+    "version": (str,),
+    "details": (dict,),
 }
 MAX_TEXT = 200  # characters of a text field
 
 
 def _check_fields(path: Path, data: dict[str, Any]) -> None:
-    """Raise `ScoresError` for a field of another type, or text that cannot be printed."""
+    """Raise `ScoresError` for a field of another type or range, or text that cannot be printed."""
     for name, value in data.items():
         expected = _TYPES[name]
-        if type(value) is not expected or (isinstance(value, int | float) and not value >= 0):
+        if type(value) not in expected or (isinstance(value, int | float) and not value >= 0):
             raise ScoresError(
-                f"{path}: {name}: expected {expected.__name__}, found {type(value).__name__}"
+                f"{path}: {name}: expected {expected[0].__name__}, found {type(value).__name__}"
             )
         if isinstance(value, str) and (len(value) > MAX_TEXT or not value.isprintable()):
             raise ScoresError(
                 f"{path}: {name}: expected at most {MAX_TEXT} printable characters, found "
                 f"{value!r:.{MAX_TEXT}}"
             )
+    if not data.get("nudge", 0.0) <= MAX_NUDGE:
+        raise ScoresError(f"{path}: nudge: expected at most {MAX_NUDGE}, found {data['nudge']}")
+    _check_horizon(path, data.get("horizon", APPENDIX))
 
 
 def _check_horizon(path: Path, horizon: str) -> None:
@@ -128,8 +157,12 @@ def _check_horizon(path: Path, horizon: str) -> None:
 
 
 def _read_json(path: Path) -> dict[str, Any]:
+    return _parse(path, path.read_bytes())
+
+
+def _parse(path: Path, text: str | bytes) -> dict[str, Any]:
     try:
-        data = json.loads(path.read_bytes())
+        data = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise ScoresError(f"{path}: expected JSON, found none: {error}") from error
     if not isinstance(data, dict):

@@ -19,7 +19,7 @@ from magical.evaluation.policy import Mask, Policy, checked_actions, is_privileg
 from magical.evaluation.scores import RolloutScore
 from magical.evaluation.seeds import RolloutRng
 from magical.evaluation.variants import variants_of
-from magical.observe import Observation
+from magical.observe import NAMED, PRESETS, Observation
 from magical.processes import available_cores, map_in_processes
 from magical.tasks import (
     TASKS,
@@ -73,7 +73,8 @@ def evaluate(
 
     Args:
         policy: see `Policy`; `load_policy` makes one from a name.
-        env_ids: by default all variants of the policy's own tasks, or of all tasks.
+        env_ids: by default all variants of the policy's own tasks, or of all tasks; those that
+            are given twice count once.
         rollouts: of each environment.
         seed: which set of fixed seeds; results are reported for 0.
         observation: by default the policy's own, or `LoRes4E`; states for a privileged policy.
@@ -95,7 +96,7 @@ def evaluate(
         ValueError: a nudge out of range, or less than one rollout.
     """
     default = environments(getattr(policy, "tasks", None)) if env_ids is None else env_ids
-    ids = [parse_env_id(env_id).without_preset for env_id in default]
+    ids = list(dict.fromkeys(parse_env_id(env_id).without_preset for env_id in default))
     _check_horizon(horizon, ids)
     if rollouts < 1:
         raise ValueError(f"rollouts: expected at least 1, found {rollouts}")
@@ -331,6 +332,15 @@ def observation_for(policy: Policy, observation: Observation = None) -> Observat
         return "state"
     own: Observation = getattr(policy, "observation", None) if observation is None else observation
     return DEFAULT_OBSERVATION if own is None else own
+
+
+def observation_again(policy: Policy, recorded: str) -> Observation:
+    """The observation for a policy whose evaluation was recorded, as `observation_for` takes it.
+
+    The recorded name where the policy has no observation of its own, otherwise `None`.
+    """
+    own = getattr(policy, "observation", None)
+    return recorded if own is None and recorded in (*PRESETS, *NAMED) else None
 
 
 def _by_task(env_ids: Sequence[EnvId]) -> Iterator[tuple[Task, list[EnvId]]]:

@@ -59,7 +59,7 @@ def _parse(
 ) -> RolloutScore:
     try:
         text, rollout, seed, score, published = line
-        env_id = env_ids.get(text) or env_ids.setdefault(text, parse_env_id(text))
+        env_id = env_ids.get(text) or env_ids.setdefault(text, _parse_env_id(text))
         row = RolloutScore(env_id, int(rollout), int(seed), float(score), float(published))
     except ValueError as error:
         raise ScoresError(
@@ -70,6 +70,13 @@ def _parse(
             f"{path}, line {number}: expected scores from 0 to 1, found {repr(line[3:])[:SHOWN]}"
         )
     return row
+
+
+def _parse_env_id(text: str) -> EnvId:
+    env_id = parse_env_id(text)
+    if env_id.preset is not None:
+        raise ValueError(f"expected an environment id without preset, found {text}")
+    return env_id
 
 
 def check_protocol(scores: Iterable[RolloutScore], seed: int) -> None:

@@ -33,6 +33,8 @@ from magical.evaluation.intervals import (
 from magical.evaluation.scores import RolloutScore
 from magical.evaluation.variants import full_variant
 
+ROUNDING = 1e-12  # means that differ by less are equal
+
 
 class Spread(NamedTuple):
     """A mean and a standard deviation."""
@@ -318,7 +320,8 @@ def _by_stratum(table: Floats, contributions: Floats) -> list[Floats]:
 
 
 def _share_won(first: Floats, second: Floats) -> float:
-    signs = np.sign(first[:, None] - second)  # (n, m)
+    differences = first[:, None] - second  # (n, m)
+    signs = np.sign(np.where(np.abs(differences) < ROUNDING, 0.0, differences))
     return float((signs.mean() + 1.0) / 2.0)
 
 

@@ -11,7 +11,7 @@ from magical.errors import PolicyError
 from magical.evaluation.entry import Entry
 from magical.evaluation.intervals import CONFIDENCE, Interval, t_interval
 from magical.evaluation.policy import Policy, is_privileged
-from magical.evaluation.rollouts import evaluate_round, observation_for
+from magical.evaluation.rollouts import evaluate_round, observation_again, observation_for
 from magical.evaluation.scores import RolloutScore
 
 TOLERANCE = 1e-9  # between scores that are the same
@@ -117,6 +117,7 @@ def verify(
                 seed=entry.seed,
                 horizon=entry.steps,
                 nudge=entry.nudge,
+                observation=observation_again(policy, entry.observation),
                 workers=workers,
             )
             done |= {row.rollout for row in scores}
@@ -137,7 +138,7 @@ def is_same_machine(
 
 def _check_policy(entry: Entry, policy: Policy) -> None:
     """Raise `PolicyError` where the policy is not shown what the entry says."""
-    shown = str(observation_for(policy))
+    shown = str(observation_for(policy, observation_again(policy, entry.observation)))
     if is_privileged(policy) != entry.privileged:
         words = {True: "privileged", False: "not privileged"}
         raise PolicyError(

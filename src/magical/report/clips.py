@@ -17,7 +17,7 @@ from magical.envs.vector import MagicalVectorEnv
 from magical.evaluation.policy import Policy, checked_actions, is_privileged
 from magical.evaluation.rollouts import observation_for
 from magical.evaluation.seeds import RolloutRng
-from magical.observe import ObservationSpec
+from magical.observe import Observation, ObservationSpec
 from magical.observe.arrays import select
 from magical.observe.presets import make_spec
 from magical.render import Renderer
@@ -84,6 +84,7 @@ def record_rollouts(
     seed: int = 0,
     horizon: int | None = None,
     nudge: float = 0.0,
+    observation: Observation = None,
     size: int = SIZE,
     every: int = 1,
 ) -> list[Clip]:
@@ -94,7 +95,8 @@ def record_rollouts(
         rollouts: the environment and the number of each.
         seed: which set of fixed seeds.
         horizon: control steps; by default the task's.
-        nudge: as for `magical.evaluation.evaluate`.
+        nudge: as for `magical.evaluation.evaluate`, and so is
+        observation: what the policy is shown.
         size: pixels across a frame.
         every: control steps between frames; the last step is always shown.
 
@@ -103,7 +105,7 @@ def record_rollouts(
     """
     env_ids = [env_id for env_id, _ in rollouts]
     seeds = [evaluation_seed(number, seed) for _, number in rollouts]
-    observation = observation_for(policy)
+    observation = observation_for(policy, observation)
     with closing(
         MagicalVectorEnv(env_ids, workers=0, observation=observation, horizon=horizon)
     ) as envs:

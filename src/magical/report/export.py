@@ -176,8 +176,8 @@ def _figures(
     several = len(cells) > 1
     interval = mean(means) if several else rollout_mean([row.score for row in cells[0]])
     rule = [np.mean([getattr(row, RULE) for row in cell]) for cell in cells]
-    spread = published_score(task, theirs, variant) if theirs else None
     found = differences(get_task(task), runs, theirs).get(variant) if theirs else None
+    spread = published_score(task, theirs, variant) if theirs and found else None
     return (
         len(cells),
         "runs" if several else "rollouts",

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from magical import __version__
+from magical.evaluation import Entry
 from magical.evaluation.statistics import interquartile_mean
 from magical.processes import available_cores
 from magical.report.aggregate import aggregate_header, aggregate_rows, aggregates
@@ -54,7 +55,7 @@ def evaluated_page(
         title=title,
         subtitle=_subtitle(results, len(skipped)),
         tables=report_tables(entries, published),
-        rollouts=max(row.rollout for entry in entries for row in entry.scores) + 1,
+        rollouts=_rollouts(entries),
         aggregate=[aggregate_header(lines), *aggregate_rows(lines)] if lines else (),
         aggregate_note=note,
         aggregate_figures=_figures(methods) if methods else (),
@@ -68,6 +69,12 @@ def evaluated_page(
         facts=_facts(results.found),
         methods=describe_methods(results.found, out),
     )
+
+
+def _rollouts(entries: Sequence[Entry]) -> str:
+    """The number of rollouts on each variant, or the fewest and the most."""
+    counts = {max(row.rollout for row in entry.scores) + 1 for entry in entries}
+    return " to ".join(map(str, sorted({min(counts), max(counts)})))
 
 
 def _subtitle(results: Results, skipped: int) -> str:

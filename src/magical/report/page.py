@@ -31,7 +31,7 @@ class Page:
     title: str
     subtitle: str
     tables: Sequence[Table]
-    rollouts: int  # on each variant
+    rollouts: int | str  # on each variant, "3 to 100" where they differ
     aggregate: Sequence[Sequence[str]] = ()  # a header and a row for each method
     aggregate_note: str = ""
     aggregate_figures: Sequence[Figure] = ()
@@ -79,9 +79,12 @@ def render_template(name: str, **values: Any) -> str:
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write a text file atomically, in UTF-8; raises `OSError` where that is not possible."""
+    """Write a text file atomically, in UTF-8; raises `OSError` where that is not possible.
+
+    What UTF-8 cannot encode, such as bytes of a file's name that are no text, is escaped.
+    """
     with write_atomically(path) as file:
-        file.write(text.encode())
+        file.write(text.encode(errors="backslashreplace"))
 
 
 def _reel(title: str, clips: Sequence[Clip]) -> Reel:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from magical.envs import EnvId
 from magical.errors import MagicalError
 from magical.evaluation import Entry, Policy, RolloutScore, by_variant
+from magical.evaluation.rollouts import observation_again
 from magical.evaluation.variants import short_variant
 from magical.report.clips import Clip, data_uri, png, record_rollouts
 from magical.report.differences import steps
@@ -128,6 +129,7 @@ def _recorded(
         seed=entry.seed,
         horizon=horizon,
         nudge=entry.nudge,
+        observation=observation_again(policy, entry.observation),
         size=SIZE,
         every=-(-horizon // MOST_FRAMES),
     )

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from magical.errors import RunFolderError, ScoresError
-from magical.evaluation import Entry, RolloutScore, by_variant, read_entry
-from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
+from magical.evaluation import BUILT_IN, Entry, RolloutScore, by_variant, read_entry
+from magical.evaluation.entry import ENTRY_FILE, POLICY, SCORES_FILE
 from magical.runs import is_run, read_json
 from magical.runs.folder import CONFIG, RECORD
 
@@ -154,7 +154,9 @@ def search_results(folders: Iterable[Path | str], without: Path | None = None) -
                 skipped.append(Skipped(place, "not a run of the plan, but of an earlier one"))
                 continue
             try:
-                found.append(Result(place, read_entry(place), _run_of(place, root)))
+                entry = read_entry(place)
+                built_in = entry.details.get(POLICY) in list(BUILT_IN)
+                found.append(Result(place, entry, None if built_in else _run_of(place, root)))
             except (ScoresError, OSError) as error:
                 skipped.append(Skipped(place, str(error)))
     evaluated = {place for result in found for place in (result.run, result.folder)}

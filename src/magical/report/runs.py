@@ -78,6 +78,7 @@ def _facts(result: Result) -> dict[str, str]:
     """All that is recorded about a run, flat, as text."""
     entry, record = result.entry, result.record
     demonstrations = record.pop("demonstrations", [])
+    used = len(demonstrations) if isinstance(demonstrations, list) else 0
     groups: Mapping[str, Any] = {
         "tasks": result.tasks,
         "observation": entry.observation,
@@ -89,7 +90,7 @@ def _facts(result: Result) -> dict[str, str]:
         "": entry.details,
         "training": result.config,
         "recorded": record,
-        "demonstrations used": len(demonstrations) if demonstrations else "",
+        "demonstrations used": used or "",
     }
     return {name: text for name, value in groups.items() for name, text in _flat(name, value)}
 

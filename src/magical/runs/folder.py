@@ -29,6 +29,7 @@ from magical.files import (
     remove_partial_files,
     write_atomically,
 )
+from magical.untrusted import check_plain
 
 CONFIG = "config.json"
 RECORD = "run.json"
@@ -173,7 +174,8 @@ def read_json(path: Path) -> dict[str, Any]:
     """Read a JSON object; raises `RunFolderError` if it is missing or damaged."""
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        check_plain(data)
+    except (OSError, ValueError, RecursionError) as error:
         raise RunFolderError(f"{path}: expected a file of a run, found {error}") from error
     if not isinstance(data, dict):
         raise RunFolderError(f"{path}: expected a JSON object, found {type(data).__name__}")

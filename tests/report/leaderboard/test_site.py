@@ -1,14 +1,17 @@
 """The leaderboard's pages."""
 
 import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from magical import __version__, cli
+from magical.errors import SiteError
 from magical.evaluation import read_entry
 from magical.evaluation.rollouts import ROLLOUTS
+from magical.report.leaderboard import make_leaderboard
 from magical.tasks import get_task
 
 pytest.importorskip("jinja2", reason="the report extra is not installed")
@@ -84,3 +87,20 @@ def test_without_a_valid_entry_the_page_says_why(
 def test_a_missing_folder_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["leaderboard", str(tmp_path / "missing")]) == 1
     assert f"{tmp_path / 'missing'}: expected a folder" in capsys.readouterr().err
+
+
+def test_what_is_no_longer_ranked_is_removed(entries: Path, tmp_path: Path) -> None:
+    site = tmp_path / "site"
+    make_leaderboard([entries], site).write(site)
+    assert len(list((site / "methods").iterdir())) == 2
+    shutil.rmtree(entries / "a")
+    make_leaderboard([entries], site).write(site)
+    assert [path.name for path in (site / "methods").iterdir()] == ["001-c.html"]
+    assert [path.name for path in (site / "entries").iterdir()] == ["001-c-1"]
+
+
+def test_a_page_of_something_else_is_not_overwritten(entries: Path, tmp_path: Path) -> None:
+    (tmp_path / "index.html").write_text("mine")
+    with pytest.raises(SiteError, match="expected no page or a leaderboard"):
+        make_leaderboard([entries]).write(tmp_path)
+    assert (tmp_path / "index.html").read_text() == "mine"

@@ -1,12 +1,13 @@
 """The leaderboard's pages: an index, and a report of each method with its entries."""
 
 import re
+import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from magical import __version__
-from magical.errors import ScoresError
+from magical.errors import ScoresError, SiteError
 from magical.evaluation.rollouts import ROLLOUTS
 from magical.files import write_atomically
 from magical.report.differences import matching_methods
@@ -20,6 +21,8 @@ from magical.runs.sources import SOURCES
 
 INDEX = "index.html"
 METHODS, ENTRIES = "methods", "entries"  # folders of the site
+NUMBER = "[0-9][0-9][0-9]"  # before a method's name in a file's name
+MARK = b"<h1>MAGICAL leaderboard</h1>"  # in the index page
 MAX_NAME = 40  # characters of a method's name in a file's name
 
 
@@ -34,18 +37,26 @@ class Leaderboard:
     def write(self, site: Path) -> None:
         """Write the pages, and copies of the entries that they link to, so that they stay together.
 
+        Pages and copies of an earlier leaderboard in the folder are removed.
+
         Raises:
+            SiteError: the folder has an index page that is no leaderboard's.
             OSError: the folder cannot be written to.
         """
+        index = site / INDEX
+        if index.exists() and MARK not in index.read_bytes():
+            raise SiteError(f"{index}: expected no page or a leaderboard; choose another folder")
         groups: dict[str, list[Result]] = {}
         for result in self.accepted:
             groups.setdefault(result.entry.method, []).append(result)
-        pages = {}
+        pages: dict[str, str] = {}
+        copies: set[str] = set()
         for number, (method, results) in enumerate(groups.items(), 1):
             name = f"{number:03d}-{_file_name(method)}"
             pages[method] = f"{METHODS}/{name}.html"
-            _write_method(site, method, results, name)
-        write_text(site / INDEX, self._html(pages))
+            copies |= _write_method(site, method, results, name)
+        write_text(index, self._html(pages))
+        _remove_others(site, {Path(page).name for page in pages.values()}, copies)
 
     def _html(self, pages: dict[str, str]) -> str:
         used = {name for board in self.boards for row in board.standings for name in row.used}
@@ -75,8 +86,8 @@ def make_leaderboard(folders: Iterable[Path | str], site: Path | None = None) ->
     return Leaderboard(make_boards(accepted), accepted, rejected)
 
 
-def _write_method(site: Path, method: str, results: Sequence[Result], name: str) -> None:
-    """The report of one method's runs, and copies of their files."""
+def _write_method(site: Path, method: str, results: Sequence[Result], name: str) -> set[str]:
+    """Write the report of one method's runs and copies of their files, whose folders are named."""
     copied = []
     for number, result in enumerate(results, 1):
         folder = site / ENTRIES / f"{name}-{number}"
@@ -87,6 +98,17 @@ def _write_method(site: Path, method: str, results: Sequence[Result], name: str)
     page = site / METHODS / f"{name}.html"
     published = matching_methods(result.entry for result in results)
     evaluated_page(method, Results(copied), published, out=page).write(page)
+    return {result.folder.name for result in copied}
+
+
+def _remove_others(site: Path, pages: set[str], copies: set[str]) -> None:
+    """Remove methods' pages and copies of entries that are none of these, by name."""
+    for page in (site / METHODS).glob(f"{NUMBER}-*.html"):
+        if page.name not in pages:
+            page.unlink()
+    for folder in (site / ENTRIES).glob(f"{NUMBER}-*"):
+        if folder.name not in copies:
+            shutil.rmtree(folder)
 
 
 def _file_name(method: str) -> str:
