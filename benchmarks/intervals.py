@@ -283,6 +283,9 @@ ROLLOUT_SCORES = {
         0.985,
         lambda rng: np.where(rng.random(ROLLOUTS) < 0.97, 1.0, rng.random(ROLLOUTS)),
     ),
+    "1 in 97%, else 0.5": (0.985, lambda rng: np.where(rng.random(ROLLOUTS) < 0.97, 1.0, 0.5)),
+    "0.5 in 98%, else 0": (0.49, lambda rng: np.where(rng.random(ROLLOUTS) < 0.98, 0.5, 0.0)),
+    "0 in 90%, else 1/3": (1 / 30, lambda rng: np.where(rng.random(ROLLOUTS) < 0.9, 0.0, 1 / 3)),
 }
 
 

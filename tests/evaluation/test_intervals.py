@@ -27,13 +27,23 @@ def test_rollouts_have_wilson_s_interval(
 
 
 def test_scores_between_0_and_1_vary_less_than_successes() -> None:
-    assert rollout_mean([0.5] * 10) == pytest.approx((0.5, 0.5, 0.5))
-    # p (1 - p) - 0.09 is the variance: (p - 0.5)^2 = z^2 / 4 (0.25 - (p - 0.5)^2 - 0.09).
-    ratio = 1.959964**2 / 4
-    half = math.sqrt(ratio * 0.16 / (1 + ratio))
+    # A variance of 0.16 is worth 4 x 0.25 / 0.16 = 6.25 successes and failures.
+    ratio = 1.959964**2 / 6.25
+    half = math.sqrt(ratio * 0.25 / (1 + ratio))
     assert rollout_mean([0.1, 0.9, 0.1, 0.9]) == approximately(
         Interval(0.5, 0.5 - half, 0.5 + half)
     )
+
+
+def test_equal_scores_have_the_interval_of_as_many_successes_and_failures() -> None:
+    found = rollout_mean([0.5] * 10)
+    assert found == approximately(rollout_mean([0.0, 1.0] * 5))
+    assert rollout_mean([1 / 3] * 10).low < 1 / 3 < rollout_mean([1 / 3] * 10).high
+
+
+def test_a_mean_near_the_ceiling_can_lie_above_its_estimate() -> None:
+    scores = [1.0] * 98 + [0.5] * 2  # of infinitely many with a mean of 0.995
+    assert rollout_mean(scores).high > 0.995
 
 
 def test_square_and_add_gives_newcombe_s_example() -> None:

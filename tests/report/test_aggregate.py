@@ -141,7 +141,12 @@ def test_rows_and_header_fit() -> None:
         "–",
         "–",
     )
-    assert aggregate_rows(rows)[1][1:5] == ("rollouts of 1 run", even, "0.50", "0.50")
+    assert aggregate_rows(rows)[1][1:5] == (
+        "rollouts of 1 run",
+        "0.50 [0.19, 0.81]",
+        "0.50",
+        "0.50",
+    )
     assert {len(row) for row in aggregate_rows(rows)} == {8}
 
 
@@ -149,5 +154,5 @@ def test_one_method_has_no_comparisons() -> None:
     rows, _ = aggregates([entry("a", line=[0.5])])
     assert aggregate_header(rows)[-1] == "generalisation gap"
     assert aggregate_rows(rows) == [
-        ("a", "rollouts of 1 run", "0.50 [0.50, 0.50]", "0.50", "0.50", "–")
+        ("a", "rollouts of 1 run", "0.50 [0.05, 0.95]", "0.50", "0.50", "–")
     ]

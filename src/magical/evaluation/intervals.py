@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 Floats = NDArray[np.float64]
 
 CONFIDENCE = 0.95
+TINY = 1e-12  # a variance that is only rounding
 
 
 class Interval(NamedTuple):
@@ -54,20 +55,17 @@ def t_interval(
     return Interval(value, max(value - half, bounds[0]), min(value + half, bounds[1]))
 
 
-def wilson_interval(
-    value: float, count: float, confidence: float = CONFIDENCE, excess: float = 0.0
-) -> Interval:
-    """Wilson's score interval: all p with count (value - p)^2 <= z^2 (p (1 - p) - excess).
+def wilson_interval(value: float, count: float, confidence: float = CONFIDENCE) -> Interval:
+    """Wilson's score interval: all p with count (value - p)^2 <= z^2 p (1 - p).
 
     Args:
         value: the mean of values from 0 to 1.
-        count: how many independent values it is the mean of.
+        count: how many independent zeros and ones it is worth as much as.
         confidence: nominal coverage.
-        excess: by how much the variance of the values is below p (1 - p), that of zeros and ones.
     """
     ratio = NormalDist().inv_cdf((1.0 + confidence) / 2.0) ** 2 / count
     centre = value + ratio / 2.0
-    root = math.sqrt(max(centre**2 - (1.0 + ratio) * (value**2 + ratio * excess), 0.0))
+    root = math.sqrt(max(centre**2 - (1.0 + ratio) * value**2, 0.0))
     low, high = (centre - root) / (1.0 + ratio), (centre + root) / (1.0 + ratio)
     # The value is always inside; rounding must not put it outside.
     return Interval(value, max(min(low, value), 0.0), min(max(high, value), 1.0))
@@ -77,8 +75,9 @@ def rollout_mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     """The mean of one policy's rollouts in one environment, with a Wilson interval.
 
     It does not include the spread between training runs. For scores of 0 and 1 it is Wilson's
-    interval (1927). In general scores in [0, 1] with mean p have the variance p (1 - p) less the
-    mean of x (1 - x), which is estimated from the rollouts.
+    interval (1927). In general it is that for the number of zeros and ones whose mean would vary as
+    much: rollouts x p (1 - p) / variance, as in surveys (Korn and Graubard, 1998). Where all scores
+    are equal, it is that for as many zeros and ones as there are rollouts.
 
     Args:
         scores: (rollouts,), each from 0 to 1.
@@ -91,9 +90,9 @@ def rollout_mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     if rollouts.ndim != 1 or not rollouts.size:
         raise ValueError(f"scores: expected shape (rollouts,), found {rollouts.shape}")
     check_range(rollouts)
-    value = float(rollouts.mean())
-    excess = float((rollouts * (1.0 - rollouts)).mean())
-    return wilson_interval(value, len(rollouts), confidence, excess)
+    value, variance = float(rollouts.mean()), float(rollouts.var())
+    worth = value * (1.0 - value) / variance if variance > TINY else 1.0
+    return wilson_interval(value, len(rollouts) * worth, confidence)
 
 
 def weighted_sum(intervals: Sequence[Interval], weights: ArrayLike) -> Interval:

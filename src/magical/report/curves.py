@@ -27,6 +27,7 @@ PANELS = ("loss", "accuracy", "score")  # of `learning_curves`, where the metric
 SMOOTHING = 50  # rows of metrics that a curve is averaged over, at most a tenth of all
 MOST_POINTS = 200  # of a curve
 LONGEST = 30  # characters of a name in the legend
+LARGEST = 1e300  # number that is plotted
 NOT_PLOTTED = ("step", "environment_steps", "warning")
 COLUMNS = 4  # of `save_learning_curves`
 
@@ -112,7 +113,7 @@ def _points(rows: Rows, key: str) -> list[tuple[float, float]]:
 
 
 def _is_finite(number: object) -> bool:
-    return isinstance(number, int | float) and math.isfinite(number)
+    return isinstance(number, int | float) and abs(number) < LARGEST
 
 
 def _svg(runs: Mapping[str, Rows], panels: Sequence[str]) -> str:
@@ -124,7 +125,7 @@ def _svg(runs: Mapping[str, Rows], panels: Sequence[str]) -> str:
     for axes, key in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
         lines = []
         for rows in runs.values():
-            points = [(row["step"], row[key]) for row in rows if row.get(key) is not None]
+            points = _points(rows, key)
             lines += axes.plot(*_smooth(points), linewidth=1.4)
         axes.set_title(key, fontsize=11)
         axes.set_xlabel("step")
