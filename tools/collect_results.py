@@ -21,6 +21,7 @@ Runs of another version of the package than those before are refused (exit statu
 import argparse
 import hashlib
 import sys
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,7 +30,7 @@ from typing import Any
 from magical.errors import MagicalError, ResultsError
 from magical.evaluation import read_entry
 from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
-from magical.experiments.demonstrations import DIGESTS
+from magical.experiments.demonstrations import DIGESTS, GENERATED
 from magical.experiments.one_run import evaluate_run
 from magical.experiments.plan import Evaluation, PlannedRun, planned_runs
 from magical.experiments.plan_file import read_plan
@@ -61,6 +62,7 @@ class Collected:
     Attributes:
         version: of the package that all runs were made with; empty before the first.
         demonstrations: digests by task, of a dataset of the user's.
+        generated: digests by folder and task, of generated ones.
         runs: seconds of training and evaluation, and the time of the end, by the run's folder.
         failed: the error of each run that failed.
     """
@@ -69,6 +71,7 @@ class Collected:
     demonstrations: dict[str, str] = field(default_factory=dict)
     runs: dict[str, dict[str, Any]] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
+    generated: dict[str, str] = field(default_factory=dict)
 
     @classmethod
     def read(cls, folder: Path) -> "Collected":
@@ -76,7 +79,9 @@ class Collected:
         if not (folder / COLLECTED).exists():
             return cls()
         found = read_json(folder / COLLECTED)
-        return cls(*(found[name] for name in ("version", "demonstrations", "runs", "failed")))
+        names = ("version", "demonstrations", "runs", "failed")
+        known = {name: found[name] for name in names}
+        return cls(**known, generated=found.get("generated", {}))
 
     def write(self, folder: Path, plan: Path) -> None:
         """Write it, with the plan's digest."""
@@ -113,21 +118,32 @@ def collect(
             if folder.name not in planned:
                 yield f"left out: {folder}: not a run of {plan}"
                 continue
-            if leaderboard and read_state(folder) == DONE:
-                evaluate_for_leaderboard(planned[folder.name], folder)
-            if why := _collect_run(folder, out / RUNS / folder.name, collected, looks):
+            run = planned[folder.name] if leaderboard else None
+            if why := _collect_run(run, folder, out / RUNS / folder.name, collected, looks):
                 yield f"left out: {why}"
     write_json(out / PLAN, {"runs": [listed(run) for run in planned.values()]})
     collected.write(out, plan)
+    commits = Counter(map(_commit, (out / RUNS / name for name in collected.runs)))
+    if len(commits) > 1:
+        shown = ", ".join(f"{count} of {commit:.7}" for commit, count in commits.items())
+        yield f"note: runs of several commits: {shown}"
     for run in planned.values():
         if run.folder not in collected.runs:
             yield f"missing: {run}: {collected.failed.get(run.folder, 'not done')}"
 
 
-def _collect_run(folder: Path, target: Path, collected: Collected, looks: int | None) -> str:
-    """Collect a run if it is done and new, and its evaluation for the leaderboard; says why not."""
+def _collect_run(
+    run: PlannedRun | None, folder: Path, target: Path, collected: Collected, looks: int | None
+) -> str:
+    """Collect a run if it is done and new, and its evaluation for the leaderboard; says why not.
+
+    If the run itself is given, it is evaluated for the leaderboard first.
+    """
     name = folder.name
+    new = not (target / LEADERBOARD / ENTRY_FILE).exists()
     try:
+        if run and new and read_state(folder) == DONE:
+            evaluate_for_leaderboard(run, folder)
         if name not in collected.runs and (state := read_state(folder)):
             record = read_json(folder / RESULT)
             if state == DONE:
@@ -137,7 +153,7 @@ def _collect_run(folder: Path, target: Path, collected: Collected, looks: int | 
                 collected.runs[name] = {"seconds": seconds, "finished": record["finished"]}
             else:
                 collected.failed[name] = str(record["error"])
-        if name in collected.runs and (folder / LEADERBOARD / ENTRY_FILE).exists():
+        if new and name in collected.runs and (folder / LEADERBOARD / ENTRY_FILE).exists():
             _copy_entry(folder / LEADERBOARD, target / LEADERBOARD, collected.version, looks)
     except MagicalError as error:
         return str(error)
@@ -148,6 +164,11 @@ def evaluate_for_leaderboard(run: PlannedRun, folder: Path) -> None:
     """Evaluate a run by the leaderboard's protocol, unless that was done before."""
     if not (folder / LEADERBOARD / ENTRY_FILE).exists():
         evaluate_run(run, folder, folder / LEADERBOARD, Evaluation(nudge=NUDGE))
+
+
+def _commit(folder: Path) -> str:
+    """The commit of the package that a collected run was made with."""
+    return str(read_json(folder / ENTRY_FILE).get("details", {}).get("commit") or "unknown")
 
 
 def _copy_entry(source: Path, target: Path, version: str, looks: int | None) -> None:
@@ -174,12 +195,13 @@ def _require_same(source: Path, collected: Collected, out: Path) -> None:
             f"{source}: expected runs of magical {collected.version}, as in {out}, found {version}"
         )
     collected.version = version
-    for task, digest in found.get(DIGESTS, {}).items():
-        if collected.demonstrations.setdefault(task, digest) != digest:
-            raise ResultsError(
-                f"{source}: expected the demonstrations of {task} that runs in {out} learned from, "
-                "found others"
-            )
+    for name, known in ((DIGESTS, collected.demonstrations), (GENERATED, collected.generated)):
+        for task, digest in found.get(name, {}).items():
+            if known.setdefault(task, digest) != digest:
+                raise ResultsError(
+                    f"{source}: expected the demonstrations of {task} that runs in {out} learned "
+                    "from, found others"
+                )
 
 
 def main(arguments: Sequence[str]) -> int:

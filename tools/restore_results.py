@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from magical.errors import MagicalError, ResultsError
-from magical.experiments.demonstrations import DIGESTS
+from magical.experiments.demonstrations import DIGESTS, GENERATED
 from magical.experiments.results import DONE, EXPERIMENT, FORMAT, PLAN, RESULT, RUNS
 from magical.runs.folder import write_json
 from tools.collect_results import Collected
@@ -42,7 +42,8 @@ def restore(source: Path, out: Path) -> int:
     shutil.copy(source / PLAN, out / PLAN)
     versions = {"magical": collected.version}
     found = {"format": FORMAT, "id": uuid.uuid4().hex, "versions": versions}
-    write_json(out / EXPERIMENT, {**found, DIGESTS: collected.demonstrations})
+    digests = {DIGESTS: collected.demonstrations, GENERATED: collected.generated}
+    write_json(out / EXPERIMENT, {**found, **digests})
     return len(collected.runs)
 
 

@@ -71,6 +71,27 @@ def test_looks_are_stated_in_the_entries(
         assert entry == original
 
 
+def test_looks_stay_when_collecting_is_repeated(
+    copied: Path, tiny: Path, out: Path, planned: Planned, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(collect_results, "Evaluation", partial(Evaluation, rollouts=1))
+    list(collect_results.collect([copied], out, tiny, leaderboard=True, looks=3))
+    before = files(out)
+    assert list(collect_results.collect([copied], out, tiny, looks=9)) == []
+    assert files(out) == before
+    entry = read_entry(out / "runs" / planned()[0].folder / "leaderboard")
+    assert entry.details["looks"] == 3
+
+
+def test_runs_of_several_commits_are_named(copied: Path, tiny: Path, out: Path) -> None:
+    for number, path in enumerate(sorted(copied.glob(f"runs/*/{ENTRY_FILE}"))):
+        entry = json.loads(path.read_text())
+        entry["details"]["commit"] = f"{number}bcdef0123"
+        path.write_text(json.dumps(entry))
+    (note,) = collect(copied, out, tiny)
+    assert note == "note: runs of several commits: 1 of 0bcdef0, 1 of 1bcdef0"
+
+
 def test_reports_and_the_leaderboard_read_it(
     finished: Path, tiny: Path, out: Path, planned: Planned
 ) -> None:

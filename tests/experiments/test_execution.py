@@ -6,6 +6,7 @@ import os
 import shutil
 import signal
 from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,12 +17,14 @@ import pytest
 import magical
 from magical.cli import main
 from magical.demos import Dataset, DatasetWriter
+from magical.demos.generate import generate
 from magical.envs.seeds import episode_seed
 from magical.errors import DatasetError, DemonstrationsError, PlacementError, ResultsError
 from magical.evaluation import read_entry
 from magical.evaluation.verification import is_same_machine
 from magical.experiments import one_run, results
-from magical.experiments.execution import execute
+from magical.experiments.demonstrations import _next_attempt, _pool, generate_missing
+from magical.experiments.execution import _outcome, execute
 from magical.experiments.plan import PlannedRun
 from magical.experiments.status import read_status
 from magical.files import lock_now
@@ -248,8 +251,51 @@ def test_demonstrations_of_a_dataset(
     execute(runs[:1], out)
     assert read_entry(out / "runs" / runs[0].folder).details["demonstrations"].endswith("(dataset)")
     DatasetWriter(demos).append(Dataset.open(demos)[0])
+    for some in (runs, runs[:1]):  # one waits; all are done
+        with pytest.raises(ResultsError, match="learned from other demonstrations of MoveToRegion"):
+            execute(some, out)
+    shutil.rmtree(demos)
+    assert execute(runs[:1], out).complete
+
+
+def test_generated_demonstrations_are_not_replaced(
+    planned: Planned, inline: Started, out: Path
+) -> None:
+    runs = planned()
+    execute(runs[:1], out)
+    shutil.rmtree(out / "demos")
+    shutil.copytree(out, out.with_name("again"))
+    execute(runs, out)  # they are generated again, and are the same
+    generate("magical/MoveToRegion-Demo-v0", 3, out.with_name("again") / "demos/expert-3", seed=9)
     with pytest.raises(ResultsError, match="learned from other demonstrations of MoveToRegion"):
-        execute(runs, out)
+        execute(runs, out.with_name("again"))
+
+
+def test_a_signal_ends_the_generation_of_demonstrations(
+    planned: Planned, inline: Started, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def signal_then_generate(*args: Any, **kwargs: Any) -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+        generate_missing(*args, **kwargs)
+
+    monkeypatch.setattr("magical.experiments.demonstrations.generate_missing", signal_then_generate)
+    summary = execute(planned(), out)
+    assert (summary.interrupted, inline) == (True, [])
+    assert len(Dataset.open(out / "demos" / "expert-3")) == 1
+    monkeypatch.undo()
+
+
+def test_the_series_of_demonstrations_goes_on_after_many_that_were_dropped() -> None:
+    assert _next_attempt([episode_seed(0, 40)], 0, 3) == 41
+    with pytest.raises(DatasetError, match="expected demonstrations generated with seed 0"):
+        _next_attempt([episode_seed(1, 0)], 0, 3)
+
+
+def test_an_error_of_a_full_disk_ends_everything(planned: Planned, finished: Path) -> None:
+    future: Future[results.Outcome] = Future()
+    future.set_exception(OSError(errno.ENOSPC, "No space left on device"))
+    outcome = _outcome(planned()[0], future, results.Results(finished, "x"), stopping=False)
+    assert outcome.state == "no space"
 
 
 def test_perturbed_experts(planned: Planned, inline: Started, out: Path) -> None:
@@ -297,8 +343,6 @@ def test_the_experts_demonstrations_are_added_to_a_dataset(
 def test_pooling_that_was_interrupted_continues(
     planned: Planned, inline: Started, finished: Path, tmp_path: Path
 ) -> None:
-    from magical.experiments.demonstrations import _pool
-
     theirs = Dataset.open(finished / "demos" / "expert-3")
     _pool([theirs[:1]], ["MoveToRegion"], tmp_path / "part")
     for folder in ("part", "whole"):
@@ -312,8 +356,6 @@ def test_pooling_that_was_interrupted_continues(
 def test_interrupted_generation_gives_the_same_demonstrations(
     tmp_path: Path, perturb: float, min_score: float
 ) -> None:
-    from magical.experiments.demonstrations import generate_missing
-
     generate = partial(generate_missing, perturb=perturb, min_score=min_score, workers=1)
     for counts in ((3,), (1, 3)):
         for count in counts:

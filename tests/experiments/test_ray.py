@@ -87,6 +87,17 @@ def test_sigterm_leaves_checkpoints(
     assert scores(out)
 
 
+def test_one_file_of_a_packed_folder_leaves_the_others(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "result.json").write_text(name)
+    (tmp_path / "b" / "checkpoint").write_text("kept")
+    unpack(pack(tmp_path / "a"), tmp_path / "b", "result.json")
+    found = {path.name: path.read_text() for path in (tmp_path / "b").iterdir()}
+    assert found == {"result.json": "a", "checkpoint": "kept"}
+    assert {path.name for path in tmp_path.iterdir()} == {"a", "b"}
+
+
 def test_a_packed_folder_replaces_an_older_one(tmp_path: Path) -> None:
     for name, text in (("a", "new"), ("b", "old")):
         (tmp_path / name / "deep").mkdir(parents=True)

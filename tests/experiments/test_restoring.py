@@ -49,6 +49,17 @@ def test_a_plan_goes_on_where_it_was_collected(
         assert (again / file).read_bytes() == (finished / file).read_bytes()
 
 
+def test_restored_runs_cannot_be_evaluated_and_stop_nothing(
+    finished: Path, tiny: Path, tmp_path: Path
+) -> None:
+    out, again = tmp_path / "results" / "tiny", tmp_path / "again"
+    list(collect_results.collect([finished], out, tiny))
+    restore_results.restore(out, again)
+    lines = list(collect_results.collect([again], out, tiny, leaderboard=True))
+    assert len(lines) == 2
+    assert all(line.startswith("left out: ") for line in lines)
+
+
 @pytest.mark.parametrize("exists", [False, True])
 def test_what_cannot_be_restored_is_refused(
     finished: Path, tiny: Path, tmp_path: Path, exists: bool, capsys: pytest.CaptureFixture[str]

@@ -10,6 +10,7 @@ import torch
 
 from magical.cli import main
 from magical.demos import Dataset, DatasetWriter, Trajectory
+from magical.demos.store import manifest
 from magical.demos.store.repair import check
 from magical.errors import (
     DatasetError,
@@ -131,6 +132,28 @@ def test_a_round_that_was_cut_short_while_stored_is_completed(
     assert train(config, tmp_path / "run", resume=True).finished
     train(config, tmp_path / "whole")
     assert_same_run(tmp_path / "run", tmp_path / "whole")
+
+
+def test_an_episode_that_was_stored_and_not_listed_is_kept(demos: Path, tmp_path: Path) -> None:
+    config, folder = tiny(demos), tmp_path / "run"
+    train(config, folder, stop_after=3)
+    listed = folder / AGGREGATE / manifest.NAME
+    listed.write_text("".join(listed.read_text().splitlines(keepends=True)[:-1]))
+    with pytest.raises(DatasetError):
+        aggregate(folder)
+    assert train(config, folder, resume=True).finished
+
+
+def test_a_new_run_that_fails_at_once_leaves_nothing(
+    demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*args: Any) -> None:
+        raise InvalidConfigError("device: expected a GPU, found none")
+
+    monkeypatch.setattr("magical.learning.algorithms.dagger.BCTrainer", fail)
+    with pytest.raises(InvalidConfigError):
+        train(tiny(demos), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 def test_the_previous_checkpoint_may_be_of_an_earlier_round_than_the_episodes(

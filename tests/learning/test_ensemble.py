@@ -62,3 +62,12 @@ def test_members_with_different_observations_are_an_error() -> None:
         EnsemblePolicy([fixed(logits), fixed(logits, "LoRes4A")])
     with pytest.raises(PolicyError, match="found none"):
         EnsemblePolicy([])
+
+
+def test_the_tasks_are_those_of_all_members() -> None:
+    members = [fixed(torch.zeros(2, 18)) for _ in range(2)]
+    members[1].tasks = ("MakeLine", *members[0].tasks[:1])
+    assert EnsemblePolicy(members).tasks == members[0].tasks[:1]
+    members[1].tasks = ("MakeLine",)
+    with pytest.raises(PolicyError, match="a task in common"):
+        EnsemblePolicy(members)

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain, islice
 from pathlib import Path
@@ -10,7 +10,7 @@ from pathlib import Path
 from magical.demos.generate import MAX_DROPPED, generate
 from magical.demos.store.dataset import Dataset
 from magical.demos.store.manifest import ManifestEntry
-from magical.demos.store.repair import repair
+from magical.demos.store.repair import open_mended
 from magical.demos.store.writer import DatasetWriter
 from magical.envs.seeds import episode_seed
 from magical.errors import DatasetError, DemonstrationsError, ResultsError
@@ -20,7 +20,10 @@ from magical.experiments.results import DEMOS, EXPERIMENT, Results
 from magical.learning.config import ImitationConfig
 from magical.runs.folder import read_json, write_json
 
-DIGESTS = "demonstrations"  # in `experiment.json`: task -> digest
+DIGESTS = "demonstrations"  # in `experiment.json`: task -> digest of the user's dataset
+GENERATED = "generated_demonstrations"  # in `experiment.json`: folder/task -> digest
+
+Progress = Callable[[int], None]
 
 
 def generate_missing(
@@ -32,10 +35,12 @@ def generate_missing(
     perturb: float = 0.0,
     min_score: float = 0.0,
     workers: int | None = None,
+    progress: Progress | None = None,
 ) -> None:
     """Generate those of `count` expert demonstrations of each task's Demo variant that are missing.
 
-    They are the same whether or not an earlier call was interrupted.
+    They are the same whether or not an earlier call was interrupted. `progress` is called after
+    each.
 
     Raises:
         DatasetError, NoExpertError: see `magical.demos.generate.generate`.
@@ -50,26 +55,51 @@ def generate_missing(
                 count - len(seeds),
                 folder,
                 seed=seed,
-                first=_next_attempt(seeds, seed),
+                first=_next_attempt(seeds, seed, count) if seeds else 0,
                 perturb=perturb,
                 min_score=min_score,
                 workers=workers,
+                progress=progress,
             )
 
 
-def _next_attempt(seeds: Sequence[int | None], seed: int) -> int:
-    """The number of the attempt after the last of those that gave demonstrations."""
-    if not seeds:
-        return 0
-    attempts = range((MAX_DROPPED + 1) * len(seeds) + 1)
-    last = (k for k in attempts if episode_seed(seed, k) == seeds[-1])
-    return next(last, len(seeds) - 1) + 1
+def _next_attempt(seeds: Sequence[int | None], seed: int, count: int) -> int:
+    """The number of the attempt after the last of those that gave some of `count` demonstrations.
+
+    Raises `DatasetError` where the last one's scene is none of the series.
+    """
+    # Every call may drop MAX_DROPPED for each demonstration that it has to generate.
+    for number in range((MAX_DROPPED + 1) * count * len(seeds) + 1):
+        if episode_seed(seed, number) == seeds[-1]:
+            return number + 1
+    raise DatasetError(
+        f"expected demonstrations generated with seed {seed}, found one of scene {seeds[-1]}; "
+        "remove the folder or choose another"
+    )
+
+
+def require_same_demonstrations(runs: Sequence[PlannedRun], results: Results) -> None:
+    """Check that runs that are done learned from the dataset that the plan names now.
+
+    Raises:
+        DatasetError: the dataset is damaged. A missing one is not read.
+        ResultsError: they learned from others.
+    """
+    for config in [run.config for run in runs if run.source.dataset][:1]:
+        if isinstance(config, ImitationConfig) and Path(config.demos).exists():
+            known = read_json(results.path / EXPERIMENT).get(DIGESTS, {})
+            _require_same(Dataset.open(Path(config.demos)), known, results)
 
 
 def prepare_demonstrations(
-    runs: Sequence[PlannedRun], results: Results, workers: int | None = None
+    runs: Sequence[PlannedRun],
+    results: Results,
+    workers: int | None = None,
+    progress: Progress | None = None,
 ) -> Path | None:
     """The dataset that the runs of a plan learn from; `None` if they learn from none.
+
+    `progress` is called after each demonstration that is generated.
 
     Raises:
         DatasetError: there is no dataset, or a damaged one.
@@ -83,7 +113,7 @@ def prepare_demonstrations(
     tasks = list(dict.fromkeys(task for config in configs for task in config.tasks))
     source = imitating[0][0].source  # the plan's, as is the folder in the configuration
     if not source.dataset:
-        return _generated(source, tasks, results, workers)
+        return _generated(source, tasks, results, workers, progress)
     dataset = Dataset.open(Path(configs[0].demos).absolute())
     if source.expert_demos is None:
         _require_enough(dataset, configs)
@@ -91,14 +121,20 @@ def prepare_demonstrations(
         return dataset.path
     _require_enough(dataset, [replace(config, num_demos=1) for config in configs])
     _require_same(dataset, tasks, results)
-    generated = Dataset.open(_generated(source, tasks, results, workers))
+    generated = Dataset.open(_generated(source, tasks, results, workers, progress))
     pooled = results.path / DEMOS / f"dataset-and-{generated.path.name}"
     _pool([dataset, generated], tasks, pooled)
     _require_enough(Dataset.open(pooled), configs)
     return pooled
 
 
-def _generated(source: Source, tasks: Iterable[str], results: Results, workers: int | None) -> Path:
+def _generated(
+    source: Source,
+    tasks: Iterable[str],
+    results: Results,
+    workers: int | None,
+    progress: Progress | None,
+) -> Path:
     """The folder of the scripted experts' demonstrations; what is missing is generated."""
     assert source.expert_demos is not None
     parts = (f"{name.replace('_', '-')}-{value:g}" for name, value in source.generation.items())
@@ -110,6 +146,14 @@ def _generated(source: Source, tasks: Iterable[str], results: Results, workers: 
         perturb=source.perturb,
         min_score=source.min_score,
         workers=workers,
+        progress=progress,
+    )
+    dataset = Dataset.open(folder)
+    _require_known(
+        {f"{folder.name}/{task}": _digest_of_actions(dataset, task) for task in tasks},
+        dataset,
+        results,
+        GENERATED,
     )
     return folder
 
@@ -133,13 +177,7 @@ def _kept(folder: Path) -> list[ManifestEntry]:
 
     A kill between writing a file and listing it is mended.
     """
-    if not folder.exists():
-        return []
-    try:
-        return _demos(Dataset.open(folder))
-    except DatasetError:
-        repair(folder)
-        return _demos(Dataset.open(folder))
+    return _demos(open_mended(folder)) if folder.exists() else []
 
 
 def _demos(dataset: Dataset) -> list[ManifestEntry]:
@@ -159,20 +197,36 @@ def _require_enough(dataset: Dataset, configs: Iterable[ImitationConfig]) -> Non
 
 
 def _require_same(dataset: Dataset, tasks: Iterable[str], results: Results) -> None:
-    """Record a dataset's digests, which must be those of earlier runs in the folder."""
+    """Record digests of the user's dataset, which must be those of earlier runs in the folder."""
+    _require_known({task: _digest(dataset, task) for task in tasks}, dataset, results, DIGESTS)
+
+
+def _require_known(
+    found: Mapping[str, str], dataset: Dataset, results: Results, field: str
+) -> None:
+    """Record digests in a field of `experiment.json`; those that are there must be the same."""
     experiment = read_json(results.path / EXPERIMENT)
-    known = experiment.get(DIGESTS, {})
-    found = {task: _digest(dataset, task) for task in tasks}
-    for task, digest in found.items():
-        if known.get(task, digest) != digest:
+    known = experiment.get(field, {})
+    for name, digest in found.items():
+        if known.get(name, digest) != digest:
             raise ResultsError(
-                f"{results.path} holds runs that learned from other demonstrations of {task} than "
-                f"those in {dataset.path}; choose another folder (--out)"
+                f"{results.path} holds runs that learned from other demonstrations of "
+                f"{name.rpartition('/')[2]} than those in {dataset.path}; choose another folder "
+                "(--out)"
             )
     if not found.keys() <= known.keys():
-        write_json(results.path / EXPERIMENT, {**experiment, DIGESTS: {**known, **found}})
+        write_json(results.path / EXPERIMENT, {**experiment, field: {**known, **found}})
 
 
 def _digest(dataset: Dataset, task: str) -> str:
     sums = [entry.sha256 for entry in _demos(dataset) if entry.task == task]
     return hashlib.sha256("\n".join(sums).encode()).hexdigest()
+
+
+def _digest_of_actions(dataset: Dataset, task: str) -> str:
+    """The same for generated ones, whose files differ in the time of recording."""
+    digest = hashlib.sha256()
+    for trajectory in dataset.filter(task=task, variant="Demo"):
+        for column in (trajectory.actions, trajectory.labels):
+            digest.update(column.astype("<i8").tobytes())
+    return digest.hexdigest()

@@ -4,17 +4,26 @@ import shlex
 from collections import Counter, deque
 from collections.abc import Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
 from magical.errors import UnknownNameError
-from magical.experiments.demonstrations import prepare_demonstrations
+from magical.experiments.demonstrations import prepare_demonstrations, require_same_demonstrations
 from magical.experiments.display import Display
 from magical.experiments.one_run import record_failure
 from magical.experiments.plan import PlannedRun
-from magical.experiments.results import DONE, FAILED, Outcome, Results, no_space, opened
+from magical.experiments.results import (
+    DONE,
+    FAILED,
+    Outcome,
+    Results,
+    is_out_of_space,
+    no_space,
+    opened,
+)
 from magical.learning.interrupts import Interrupts
 
 POLL = 1.0  # seconds between checks for signals, and between refreshes of the display
@@ -127,16 +136,30 @@ def execute(
     """
     with Interrupts() as stop, opened(out, runs) as results:
         states = {run: results.state(run) for run in runs}
+        require_same_demonstrations([run for run in runs if states[run] == DONE], results)
         again = (None, FAILED) if retry_failed else (None,)
         waiting = [run for run in runs if states[run] in again]
         if waiting:
             with closing(_executor(waiting, results, resources)) as executor:
-                demos = prepare_demonstrations(waiting, results, resources.workers)
-                with Display(results.path) as display:
-                    _finish_all(waiting, demos, results, executor, display, stop)
+                with suppress(_Interrupted):
+                    demos = prepare_demonstrations(
+                        waiting, results, resources.workers, partial(_go_on, stop)
+                    )
+                    with Display(results.path) as display:
+                        _finish_all(waiting, demos, results, executor, display, stop)
         return Summary(
             results.path, Counter(filter(None, map(results.state, runs))), len(runs), stop.seen
         )
+
+
+class _Interrupted(Exception):
+    """A signal came while demonstrations were generated; what was generated is kept."""
+
+
+def _go_on(stop: Interrupts, _: int) -> None:
+    """Raise `_Interrupted` after a signal."""
+    if stop.seen:
+        raise _Interrupted
 
 
 def _finish_all(
@@ -179,6 +202,8 @@ def _outcome(run: PlannedRun, future: Future[Outcome], results: Results, stoppin
         return Outcome("interrupted")
     if not isinstance(error, Exception):
         raise error
+    if is_out_of_space(error):
+        return Outcome("no space", error=str(error))
     return Outcome("failed", error=record_failure(run, results.folder(run), error))
 
 

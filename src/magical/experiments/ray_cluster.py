@@ -18,9 +18,9 @@ import ray
 from magical.errors import ClusterError, RunFolderError
 from magical.experiments.one_run import finish
 from magical.experiments.plan import PlannedRun
-from magical.experiments.results import EXPERIMENT, RESULT, Outcome, Results
+from magical.experiments.results import DONE, EXPERIMENT, RESULT, Outcome, Results
 from magical.learning.interrupts import SIGNALS
-from magical.runs.folder import LOCK, read_json
+from magical.runs.folder import CHECKPOINT, LOCK, read_json
 
 RETRIES = 3  # after the end of a node or of a process on it
 TIMEOUT = 10.0  # seconds to reach a cluster's port
@@ -108,7 +108,8 @@ class RayExecutor:
         try:
             result, packed = ended.result()
             if packed is not None:
-                unpack(packed, folder)
+                begun_here = result.state != DONE and (folder / CHECKPOINT).is_file()
+                unpack(packed, folder, RESULT if begun_here else None)
             outcome.set_result(result)
         except Exception as error:
             outcome.set_exception(error)
@@ -122,17 +123,23 @@ def pack(folder: Path) -> bytes:
     return buffer.getvalue()
 
 
-def unpack(packed: bytes, folder: Path) -> None:
+def unpack(packed: bytes, folder: Path, only: str | None = None) -> None:
     """Write what `pack` has packed; a folder that is there already is replaced.
 
-    The final record is written last of all.
+    With the name of a file in it, only this one is written or replaced.
     """
     temporary = folder.with_name(f".{folder.name}.part")
     shutil.rmtree(temporary, ignore_errors=True)
-    with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
-        archive.extractall(temporary, filter="data")
-    shutil.rmtree(folder, ignore_errors=True)
-    temporary.replace(folder)
+    try:
+        with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
+            archive.extractall(temporary, filter="data")
+        if only is None:
+            shutil.rmtree(folder, ignore_errors=True)
+            temporary.replace(folder)
+        else:
+            (temporary / only).replace(folder / only)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def _connect(address: str | None, cores: int | None) -> None:

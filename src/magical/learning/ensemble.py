@@ -16,10 +16,10 @@ class EnsemblePolicy:
     """Samples actions from the mean of several policies' distributions.
 
     Args:
-        members: policies of the same observation.
+        members: policies of the same observation. The ensemble's tasks are those of all of them.
 
     Raises:
-        PolicyError: no members, or members with different observations.
+        PolicyError: no members, members with different observations, or without a task in common.
     """
 
     def __init__(self, members: Sequence[NetworkPolicy]) -> None:
@@ -31,6 +31,9 @@ class EnsemblePolicy:
             )
         self.members = tuple(members)
         self.observation = members[0].observation
+        self.tasks = tuple(t for t in members[0].tasks if all(t in m.tasks for m in members))
+        if not self.tasks:
+            raise PolicyError("ensemble: expected policies with a task in common, found none")
 
     @classmethod
     def load(cls, runs: Sequence[Path | str], device: str = "auto") -> Self:

@@ -55,6 +55,18 @@ def repair(path: Path | str) -> list[Problem]:
     return problems
 
 
+def open_mended(path: Path | str) -> Dataset:
+    """Open a dataset; a damaged one is repaired, as after a kill between a file and its entry.
+
+    Raises what `repair` raises.
+    """
+    try:
+        return Dataset.open(path)
+    except DatasetError:
+        repair(path)
+        return Dataset.open(path)
+
+
 def _set_aside(file: Path, damaged: Path) -> None:
     """Move a damaged file to the folder `damaged`, under a name that is free there."""
     if damaged.is_symlink():

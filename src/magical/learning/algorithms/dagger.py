@@ -19,6 +19,7 @@ from statistics import fmean
 from typing import Any, ClassVar
 
 from magical.demos import Dataset, DatasetWriter, Trajectory
+from magical.demos.store.repair import open_mended
 from magical.envs import EnvId
 from magical.errors import InvalidConfigError, RunFolderError
 from magical.evaluation import environments
@@ -113,8 +114,8 @@ class DAggerConfig(BCConfig):
 def train(config: DAggerConfig, run: Run) -> None:
     """Alternate between collecting labelled episodes and behavioural cloning."""
     demonstrations = load_demonstrations(config, run)
-    aggregated = AggregatedDataset(config, run)
     trainer = BCTrainer(config, run)
+    aggregated = AggregatedDataset(config, run)
     if run.step == config.total:
         return
     with LabelledEpisodes(config.env_ids, config.observation, config.workers) as episodes:
@@ -174,6 +175,8 @@ class AggregatedDataset:
         self._config = config
         self._per_round = len(config.env_ids)
         self.folder = run.folder / AGGREGATE
+        if self.folder.exists():
+            open_mended(self.folder)
         self._writer = DatasetWriter(self.folder)
         self._dataset = Dataset.open(self.folder)
         expected = run.saved["aggregate"] if run.saved else []
