@@ -49,6 +49,17 @@ def test_without_perturbation_everything_stays_as_it_is() -> None:
     assert np.array_equal(plain.actions, plain.expert_actions)
 
 
+def test_perturbations_do_not_depend_on_the_experts_strategy() -> None:
+    """On Demo the scene takes no random numbers, so both were once sampled from the same ones."""
+    begun = []  # the first number of the strategy where a perturbation begins in the first step
+    for seed in range(120):
+        episode = rollout("MoveToRegion", seed=seed, perturb=0.2)
+        if episode.actions[0] != episode.expert_actions[0]:
+            begun.append(np.random.default_rng(seed).random())
+    assert len(begun) > 3
+    assert max(begun) > 0.2
+
+
 def test_labels_are_those_of_an_expert_that_observes_what_is_executed() -> None:
     episode = rollout("MoveToCorner", "TestAll", 5, perturb=0.4)
     assert 0.2 < (episode.actions != episode.expert_actions).mean() < 0.6
