@@ -118,3 +118,19 @@ def test_scene_without_solution_is_an_error(
     assert main([*command, "--out", str(tmp_path / "d")]) == 1
     assert "there is no duplicate" in capsys.readouterr().err
     assert len(Dataset.open(tmp_path / "d")) == 0
+
+
+def test_repeated_demonstrations_are_reported_and_a_series_can_go_on(
+    tmp_path: Path, run: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ("generate", "--env", ENV, "-n", 2, "--workers", 1, "--out")
+    run(*arguments, tmp_path / "d")
+    capsys.readouterr()
+    argv = ["demos", *map(str, arguments), str(tmp_path / "d")]
+    assert main([*argv, "--first", "2"]) == 0
+    assert "equal earlier ones" not in capsys.readouterr().err
+    assert [e.seed for e in Dataset.open(tmp_path / "d").entries] == [
+        episode_seed(0, k) for k in range(4)
+    ]
+    assert main(argv) == 0
+    assert "2 demonstrations equal earlier ones of the dataset" in capsys.readouterr().err

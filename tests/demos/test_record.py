@@ -75,6 +75,16 @@ def test_set_state_in_an_episode_is_refused(tmp_path: Path) -> None:
         roll_on(env)
 
 
+def test_set_state_after_reset_is_refused(tmp_path: Path) -> None:
+    env = RecordTrajectories(make(), tmp_path / "d", demonstrator="x")
+    env.reset(seed=0)
+    saved = env.unwrapped.get_state()  # type: ignore[attr-defined]
+    env.reset(seed=1)
+    env.unwrapped.set_state(saved)  # type: ignore[attr-defined]
+    with pytest.raises(TrajectoryError, match="not recorded from its start"):
+        roll_on(env)
+
+
 def roll_on(env: gymnasium.Env[Any, Any]) -> None:
     for _ in range(6):
         env.step(0)

@@ -148,6 +148,18 @@ def test_workers_refuse_damaged_states_as_well() -> None:
     envs.close()
 
 
+@pytest.mark.parametrize("workers", [0, 1])
+def test_the_next_episode_has_the_environments_own_horizon(workers: int) -> None:
+    env = MagicalEnv(TASK, VARIANT, observation="state", horizon=5)
+    env.reset(seed=0)
+    envs = MagicalVectorEnv([f"{TASK}-{VARIANT}-v0"], workers, observation="state", horizon=7)
+    envs.set_state(0, env.get_state())
+    assert envs.states()[0].horizon == 5
+    envs.reset(seed=0)
+    assert envs.states()[0].horizon == 7
+    envs.close()
+
+
 NESTED, DOUBLED = nested(100_000), doubled(60)
 VALUES: tuple[Callable[[], Any], ...] = (
     lambda: None,

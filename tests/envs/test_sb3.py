@@ -83,6 +83,16 @@ def test_another_autoreset_mode_is_refused() -> None:
         adapter(autoreset_mode="NextStep")
 
 
+def test_observations_that_are_overwritten_are_refused() -> None:
+    with pytest.raises(ValueError, match="expected copy=True"):
+        adapter(copy=False)
+
+
+def test_videos_have_the_environments_frame_rate() -> None:
+    envs = adapter()
+    assert envs.metadata["render_fps"] == envs.envs.metadata["render_fps"] == 8
+
+
 @pytest.mark.parametrize("observation", ["LoRes4E", "LoResCHW4E", "LoResStack"])
 def test_networks_get_channels_first(observation: str) -> None:
     envs = adapter(observation)

@@ -13,7 +13,7 @@ from magical.demos.store.trajectory import Trajectory
 from magical.demos.store.writer import DatasetWriter
 from magical.envs.env import MagicalEnv
 from magical.errors import TrajectoryError
-from magical.scene import Dynamics
+from magical.scene import Dynamics, Scene
 
 
 class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
@@ -55,6 +55,7 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
         self._min_score = min_score
         self._episode_metadata = dict(metadata or {})
         self._poses: list[NDArray[np.float64]] = []
+        self._scene: Scene | None = None
         self._seed: int | None = None
         self.recorded = 0  # episodes stored so far
 
@@ -64,13 +65,17 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
         """Reset the environment, and start recording an episode."""
         result = super().reset(seed=seed, options=options)
         self._seed = seed
-        self._poses = [self._inner.state().poses.bodies.copy()]
+        state = self._inner.state()
+        self._scene, self._poses = state.scene, [state.poses.bodies.copy()]
         return result
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Step the environment; at the end of the episode, store it."""
         result = super().step(action)
-        self._poses.append(self._inner.state().poses.bodies.copy())
+        state = self._inner.state()
+        if state.scene is not self._scene:  # `set_state` makes another, even of the same episode
+            raise TrajectoryError("the episode was not recorded from its start; reset() first")
+        self._poses.append(state.poses.bodies.copy())
         if result[2] or result[3]:
             self._store()
         return result

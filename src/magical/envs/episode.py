@@ -55,7 +55,7 @@ class Episode:
         check_options(task, horizon, reward)
         self.task = task
         self.variant = variant
-        self.horizon = task.resolve_horizon(horizon)
+        self.horizon = self._own_horizon = task.resolve_horizon(horizon)
         self.reward = reward
         self.observer = spec.observer(out)
         self._frames = spec.frames
@@ -74,6 +74,7 @@ class Episode:
             InvalidSceneError: an impossible scene.
             ValueError: unknown options, or a nudge that is not from 0 to `MAX_NUDGE`.
         """
+        self.horizon = self._own_horizon  # a restored episode may have had another
         scene, dynamics = self.task.sample(self.variant, rng)
         chosen = options or {}
         unknown = set(chosen) - set(RESET_OPTIONS)
@@ -144,7 +145,7 @@ class Episode:
         ).to_dict()
 
     def restore(self, state: SavedState) -> None:
-        """Continue from a saved state, by simulating its actions again.
+        """Continue from a saved state, by simulating its actions again, to the state's horizon.
 
         Raises `InvalidStateError` if this episode's observation cannot show its scene.
         """

@@ -38,7 +38,8 @@ class MagicalSB3VecEnv(VecEnv):
         envs: made with `autoreset_mode="SameStep"`, and with `reward="score"` or `"dense"` if
             a policy is to be trained on rewards.
 
-    Raises `ValueError` for another autoreset mode.
+    Raises `ValueError` for another autoreset mode, and for `copy=False`: Stable-Baselines3 keeps
+    observations beyond the next step.
     """
 
     def __init__(self, envs: MagicalVectorEnv) -> None:
@@ -47,9 +48,15 @@ class MagicalSB3VecEnv(VecEnv):
                 "Stable-Baselines3 expects autoreset_mode='SameStep', found "
                 f"{envs.autoreset_mode.value!r}; make the vector environment with that"
             )
+        if not envs.copy:
+            raise ValueError(
+                "Stable-Baselines3 keeps observations: expected copy=True, found copy=False; make "
+                "the vector environment with that"
+            )
         self.envs = envs
         self._actions: Any = None
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
+        self.metadata = {**self.metadata, "render_fps": envs.metadata["render_fps"]}
 
     def reset(self) -> Any:
         """Start an episode in every sub-environment, with the seeds and options set before."""

@@ -88,15 +88,19 @@ class Child:
 
 def _lifeline() -> tuple[int, int]:
     """A pipe, not at descriptors 0 to 2 even if they are free: a child has others there."""
-    ends = os.pipe()
-    if sys.platform == "win32" or min(ends) > 2:
-        return ends
+    read_end, write_end = os.pipe()
+    return above_standard(read_end), above_standard(write_end)
+
+
+def above_standard(descriptor: int) -> int:
+    """The same file at a descriptor above 2; the given one is closed if it is another."""
+    if sys.platform == "win32" or descriptor > 2:
+        return descriptor
     import fcntl
 
-    above = [fcntl.fcntl(end, fcntl.F_DUPFD_CLOEXEC, 3) for end in ends]
-    for end in ends:
-        os.close(end)
-    return above[0], above[1]
+    above = fcntl.fcntl(descriptor, fcntl.F_DUPFD_CLOEXEC, 3)
+    os.close(descriptor)
+    return above
 
 
 def _start(

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from magical.demos import Dataset, DatasetWriter, Trajectory, observations
+from magical.demos import Dataset, DatasetWriter, RecordTrajectories, Trajectory, observations
+from magical.envs.env import MagicalEnv
 from magical.errors import DatasetError, TrajectoryError
 from magical.observe import PRESETS
 
@@ -90,3 +91,24 @@ def test_refused_minari_export_leaves_no_files(mixed: Path, tmp_path: Path) -> N
 def test_recorded_frames_lack_the_raw_observation(mixed: Path) -> None:
     with pytest.raises(TrajectoryError):
         Dataset.open(mixed).arrays(preset="raw")
+
+
+def test_the_environment_has_the_horizon_of_the_episodes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    minari = pytest.importorskip("minari", reason=MISSING)
+    from magical.demos.export.minari import export_minari
+
+    env = RecordTrajectories(
+        MagicalEnv("MoveToRegion", "Demo", observation="state", horizon=3),
+        tmp_path / "d",
+        demonstrator="x",
+    )
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(0)
+    (name,) = export_minari(Dataset.open(tmp_path / "d"), name="short", root=tmp_path / "minari")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    recovered = minari.load_dataset(name).recover_environment()
+    recovered.reset(seed=0)
+    assert [recovered.step(0)[3] for _ in range(3)] == [False, False, True]

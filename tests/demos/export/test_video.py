@@ -56,3 +56,16 @@ def test_video_has_both_views_and_the_score(make_frames_trajectory: MakeTrajecto
 @pytest.mark.parametrize("change", [["--out", "video.avi"], ["--out", "f.webp", "--index", "9"]])
 def test_invalid_video_options(mixed: Path, change: list[str]) -> None:
     assert main(["demos", "video", str(mixed), *change]) in (1, 2)
+
+
+def test_a_webp_of_too_many_frames_is_refused(
+    mixed: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr("magical.demos.export.video.MAX_WEBP_FRAMES", 3)
+    out = tmp_path / "video.webp"
+    assert main(["demos", "video", str(mixed), "--out", str(out)]) == 1
+    assert "write .mp4" in capsys.readouterr().err
+    assert not out.exists()

@@ -16,7 +16,7 @@ from magical.demos import Dataset, DatasetWriter, Trajectory
 from magical.demos.store.codec import decode
 from magical.demos.store.manifest import ManifestEntry
 from magical.demos.store.repair import check, repair
-from magical.errors import DatasetError
+from magical.errors import DatasetError, UnknownNameError
 from magical.files import write_atomically
 
 MakeTrajectory = Callable[..., Trajectory]
@@ -100,6 +100,34 @@ def test_repair_moves_damaged_files(small_dataset: Path) -> None:
     assert (small_dataset / "damaged" / second.name).exists()
     with pytest.raises(DatasetError, match="expected a dataset"):
         repair(small_dataset / "missing")
+
+
+def test_listed_files_are_kept_unread(small_dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Such as those of a task that is not registered in this process."""
+    before = Dataset.open(small_dataset).entries
+
+    def unknown(raw: bytes) -> Trajectory:
+        raise DatasetError("another file") from UnknownNameError("unknown task 'Mine'")
+
+    monkeypatch.setattr("magical.demos.store.repair.decode", unknown)
+    assert repair(small_dataset) == []
+    assert Dataset.open(small_dataset).entries == before
+    (small_dataset / "manifest.jsonl").unlink()
+    with pytest.raises(DatasetError, match="unknown task 'Mine'; import the module"):
+        repair(small_dataset)
+    assert not (small_dataset / "damaged").exists()
+
+
+def test_files_that_cannot_be_read_now_are_not_set_aside(
+    small_dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unreadable(path: Path) -> bytes:
+        raise DatasetError(f"{path}: cannot be read") from OSError(5, "Input/output error")
+
+    monkeypatch.setattr("magical.demos.store.repair.read_file", unreadable)
+    with pytest.raises(DatasetError, match="cannot be read"):
+        repair(small_dataset)
+    assert not (small_dataset / "damaged").exists()
 
 
 def test_manifest_cannot_point_elsewhere(small_dataset: Path) -> None:

@@ -6,6 +6,7 @@ from dataclasses import asdict
 from magical.commands._common import (
     add_json,
     fraction,
+    log,
     non_negative_int,
     positive_int,
     print_json,
@@ -35,6 +36,13 @@ def add_commands(subparsers: Subparsers) -> None:
     add_out(parser)
     parser.add_argument("--seed", type=non_negative_int, default=0, metavar="S", help="default: 0")
     parser.add_argument(
+        "--first",
+        type=non_negative_int,
+        default=0,
+        metavar="K",
+        help="number of the first attempt, to continue a series (default: 0)",
+    )
+    parser.add_argument(
         "--min-score", type=float, default=0.0, metavar="X", help="drop those that score less"
     )
     parser.add_argument(
@@ -54,7 +62,9 @@ def add_commands(subparsers: Subparsers) -> None:
 
 def run_generate(args: argparse.Namespace) -> int:
     """`magical demos generate`."""
+    from magical.demos import Dataset
     from magical.demos.generate import generate
+    from magical.demos.store.summary import find_duplicates
     from magical.envs import parse_env_id
     from magical.progress import progress_bar
 
@@ -67,6 +77,7 @@ def run_generate(args: argparse.Namespace) -> int:
                 args.n,
                 args.out,
                 seed=args.seed,
+                first=args.first,
                 skill=args.skill,
                 perturb=args.perturb,
                 min_score=args.min_score,
@@ -78,6 +89,11 @@ def run_generate(args: argparse.Namespace) -> int:
         ("environment", "kept", "dropped", "mean score"),
         [(r.env_id, r.kept, r.dropped, f"{sum(r.scores) / r.kept:.3f}") for r in reports],
     )
+    if copies := len(find_duplicates(Dataset.open(args.out).entries)):
+        log(
+            f"warning: {args.out}: {copies} demonstrations equal earlier ones of the dataset; "
+            "give another --seed, or continue the series with --first"
+        )
     if args.json:
         print_json({"out": str(args.out), "environments": [asdict(report) for report in reports]})
     return 0

@@ -3,6 +3,7 @@
 Needs the `minari` extra.
 """
 
+import copy
 import os
 import tempfile
 import warnings
@@ -54,9 +55,18 @@ def export_minari(
         with_preset = EnvId(env_id.task, env_id.variant, preset)
         minari_id = f"magical/{env_id.task}-{env_id.variant}-{preset}/{name}-v0"
         with _moved_when_complete(minari_id, root):
-            _create(minari_id, gym.spec(with_preset), part, preset)
+            _create(minari_id, _env_spec(with_preset, part), part, preset)
         made.append(minari_id)
     return made
+
+
+def _env_spec(env_id: EnvId, part: Dataset) -> Any:
+    """The environment's specification, with the horizon of the episodes where all share one."""
+    spec = copy.deepcopy(gym.spec(env_id))
+    lengths = {entry.length for entry in part.entries}
+    if len(lengths) == 1 and lengths != {env_id.task_spec.horizon}:
+        spec.kwargs["horizon"] = lengths.pop()
+    return spec
 
 
 def _create(minari_id: str, spec: Any, part: Dataset, preset: str) -> None:

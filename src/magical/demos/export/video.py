@@ -1,6 +1,7 @@
 """Videos of demonstrations: both views side by side, with the score."""
 
 from collections.abc import Iterable, Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from magical.demos.reader import Frames
 from magical.demos.store.trajectory import VIEWS, Trajectory
-from magical.errors import UnknownNameError
+from magical.errors import DatasetError, UnknownNameError
 from magical.files import write_atomically
 from magical.messages import printable
 from magical.scene import Poses
@@ -17,6 +18,7 @@ from magical.scene.constants import CONTROL_RATE, FRAME_SIZE, RAW_FRAME_SIZE
 
 SIZE = RAW_FRAME_SIZE  # pixels across of each view
 BANNER = 32  # pixels high, above the frames
+MAX_WEBP_FRAMES = 2000  # of about 1 MB each, all in memory
 LAST_FRAME_REPEATS = 12  # of the final frame of a demonstration
 SUFFIXES = (".mp4", ".webp")
 _BACKGROUND, _TEXT = (255, 255, 255), (60, 60, 70)
@@ -32,6 +34,7 @@ def write_video(trajectories: Iterable[Trajectory], path: Path, rate: float = CO
     Raises:
         UnknownNameError: the suffix is another one.
         ModuleNotFoundError: the extra is not installed.
+        DatasetError: more than `MAX_WEBP_FRAMES` frames for `.webp`.
         OSError: the file cannot be written; no partial file remains.
     """
     if path.suffix not in SUFFIXES:
@@ -123,7 +126,12 @@ def _write_mp4(frames: Iterable[Image], path: Path, rate: float) -> int:
 def _write_webp(frames: Iterable[Image], path: Path, rate: float) -> int:
     import PIL.Image
 
-    images = [PIL.Image.fromarray(frame) for frame in frames]
+    images = [PIL.Image.fromarray(frame) for frame in islice(frames, MAX_WEBP_FRAMES + 1)]
+    if len(images) > MAX_WEBP_FRAMES:
+        raise DatasetError(
+            f"{path}: expected at most {MAX_WEBP_FRAMES} frames for .webp, which are all kept in "
+            "memory; select fewer demonstrations, or write .mp4"
+        )
     duration = round(1000 / rate)
     with write_atomically(path) as file:
         images[0].save(

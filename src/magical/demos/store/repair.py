@@ -1,11 +1,12 @@
 """Checking a dataset, and rebuilding the manifest of a damaged one."""
 
+import hashlib
 import itertools
 import os
 from pathlib import Path
 
 from magical.demos.store import manifest
-from magical.demos.store.codec import decode
+from magical.demos.store.codec import MAX_FILE, decode
 from magical.demos.store.dataset import (
     MAX_MESSAGE,
     Dataset,
@@ -15,7 +16,7 @@ from magical.demos.store.dataset import (
     stored_files,
 )
 from magical.demos.store.manifest import ManifestEntry
-from magical.errors import DatasetError
+from magical.errors import DatasetError, UnknownNameError
 from magical.files import locked, write_atomically
 from magical.messages import printable
 
@@ -28,10 +29,12 @@ def check(path: Path | str) -> list[Problem]:
 def repair(path: Path | str) -> list[Problem]:
     """Rebuild the manifest from the intact trajectory files; returns the problems found.
 
-    Damaged trajectory files are moved to the folder `damaged`.
+    Damaged trajectory files are moved to the folder `damaged`. Files that are as the manifest lists
+    them are kept unread.
 
     Raises:
-        DatasetError: there is no dataset.
+        DatasetError: there is no dataset; a file cannot be read, or is of a task that is not
+            registered, and is not listed. Nothing is changed then.
         OSError: it cannot be written.
     """
     folder = Path(path)
@@ -42,14 +45,21 @@ def repair(path: Path | str) -> list[Problem]:
             entries, problems = read_manifest(folder)
         except DatasetError as error:
             entries, problems = [], [Problem(str(folder / manifest.NAME), str(error))]
-        sums = {entry.file: entry.sha256 for entry in entries}
-        kept = []
+        listed = {entry.file: entry for entry in entries}
+        kept, damaged = [], []
         for file in stored_files(folder):
+            raw = _read(file)
             try:
-                kept.append(_recovered(folder, file, sums))
+                kept.append(_recovered(folder, file, raw, listed))
             except DatasetError as error:
+                if isinstance(error.__cause__, UnknownNameError):
+                    raise DatasetError(
+                        f"{file}: {error.__cause__}; import the module that registers its task"
+                    ) from error
                 problems.append(Problem(printable(str(file), MAX_MESSAGE), str(error)))
-                _set_aside(file, folder / "damaged")
+                damaged.append(file)
+        for file in damaged:
+            _set_aside(file, folder / "damaged")
         with write_atomically(folder / manifest.NAME) as out:
             out.write(manifest.new_text(kept).encode())
     return problems
@@ -77,8 +87,24 @@ def _set_aside(file: Path, damaged: Path) -> None:
     file.rename(damaged / free)
 
 
-def _recovered(folder: Path, file: Path, sums: dict[str, str]) -> ManifestEntry:
-    raw = read_file(file)
+def _read(file: Path) -> bytes | None:
+    """A file's bytes; None if it is no trajectory's. Raises `DatasetError` if it is unreadable."""
+    try:
+        return read_file(file)
+    except DatasetError as error:
+        if isinstance(error.__cause__, OSError) and file.is_file() and not file.is_symlink():
+            raise
+        return None
+
+
+def _recovered(
+    folder: Path, file: Path, raw: bytes | None, listed: dict[str, ManifestEntry]
+) -> ManifestEntry:
+    if raw is None:
+        raise DatasetError(f"{file}: expected a regular file of at most {MAX_FILE} bytes")
+    known = listed.get(f"{manifest.FOLDER}/{file.name}")
+    if known and known.sha256 == hashlib.sha256(raw).hexdigest():
+        return known
     trajectory, number = decode(raw), file.name.split("-")[0]
     try:
         entry = ManifestEntry.of(trajectory, raw, int(number) if number.isdecimal() else 0)
@@ -86,6 +112,6 @@ def _recovered(folder: Path, file: Path, sums: dict[str, str]) -> ManifestEntry:
         raise DatasetError(f"{file}: cannot be listed in a manifest: {error}") from error
     if folder / entry.file != file:
         raise DatasetError(f"{file}: expected the name {entry.file}")
-    if sums.get(entry.file, entry.sha256) != entry.sha256:
+    if known:
         raise DatasetError(f"{file}: the file was changed after it was written")
     return entry

@@ -13,6 +13,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from magical.observe import ObservationSpec
 from magical.observe.arrays import gather
+from magical.processes.children import above_standard
 
 _ALIGNMENT = 64  # bytes: a cache line
 Shape = tuple[int, ...]
@@ -110,7 +111,7 @@ class SharedMemory:
         if os.name == "nt":
             self.handle = f"magical-{os.getpid()}-{id(self)}"
         else:
-            self.handle = _unnamed_file(size)
+            self.handle = above_standard(_unnamed_file(size))  # a worker has pipes at 0 to 2
         self.memory = open_memory(self.handle, size)
 
     @property

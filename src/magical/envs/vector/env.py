@@ -72,7 +72,8 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             `infos["final_obs"]` and `infos["final_info"]`. DISABLED: nothing, until
             `reset(seed=..., options={"reset_mask": ended})`.
         copy: whether the caller owns returned observations; otherwise they are the
-            buffers' own arrays, which the next step or reset overwrites.
+            buffers' own arrays, which the next step or reset overwrites. With workers, images are
+            in memory that a forked child shares: copy what you pass on to one.
         render_mode: "rgb_array" or None.
         plugins: modules that workers import to register tasks from outside the package; modules
             that hold such a task are found without this.

@@ -71,10 +71,20 @@ class VectorSpec:
         return BufferLayout(len(self.env_ids), spec, bodies, keep_final, copies)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
+        """Plain data for JSON, from which worker processes make the same.
+
+        Raises `MismatchedSpacesError` for state vectors of other sizes than the tasks'.
+        """
+        spec = self.observation_spec()
+        for task in self.tasks():
+            if make_spec(spec.to_dict(), task) != spec:
+                raise MismatchedSpacesError(
+                    f"{task.name}: worker processes make state vectors of the task's size only; "
+                    "use workers=0, or observation='state'"
+                )
         return {
             "env_ids": list(self.env_ids),
-            "observation": self.observation_spec().to_dict(),
+            "observation": spec.to_dict(),
             "horizon": self.horizon,
             "reward": self.reward,
             "autoreset_mode": self.autoreset_mode.value,
