@@ -140,13 +140,13 @@ def execute(
         again = (None, FAILED) if retry_failed else (None,)
         waiting = [run for run in runs if states[run] in again]
         if waiting:
-            with closing(_executor(waiting, results, resources)) as executor:
-                with suppress(_Interrupted):
-                    demos = prepare_demonstrations(
-                        waiting, results, resources.workers, partial(_go_on, stop)
-                    )
-                    with Display(results.path) as display:
-                        _finish_all(waiting, demos, results, executor, display, stop)
+            executor = _executor(waiting, results, resources)
+            with closing(executor), suppress(_Interrupted):
+                demos = prepare_demonstrations(
+                    waiting, results, resources.workers, partial(_go_on, stop)
+                )
+                with Display(results.path) as display:
+                    _finish_all(waiting, demos, results, executor, display, stop)
         return Summary(
             results.path, Counter(filter(None, map(results.state, runs))), len(runs), stop.seen
         )

@@ -118,7 +118,8 @@ class CudaRecording(Recording):
         self._graph = torch.cuda.CUDAGraph()
         for generator in generators:
             self._graph.register_generator_state(generator)
-        with torch.cuda.graph(self._graph):
+        # Other threads, such as that which prepares batches, may use the GPU meanwhile.
+        with torch.cuda.graph(self._graph, capture_error_mode="thread_local"):
             self.outputs = step(*self._places)
 
     def launch(self) -> None:

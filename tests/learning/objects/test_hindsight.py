@@ -1,6 +1,7 @@
 """Goals found in hindsight, in episodes made by hand."""
 
 import numpy as np
+import pytest
 
 from magical.learning.objects.data import _moves
 from magical.learning.objects.hindsight import ROBOT_TARGET, find_goals, track
@@ -31,6 +32,23 @@ def test_what_random_actions_move_is_no_goal() -> None:
     robot, blocks = episode()
     goals = find_goals(robot, blocks, np.arange(30) >= 15)
     assert (goals.targets == ROBOT_TARGET).all()
+
+
+def test_a_block_that_glides_on_from_a_random_push_is_not_moved_on_purpose() -> None:
+    steps = np.zeros(16)
+    steps[1:5] = 0.04  # a carry
+    steps[8:13] = 0.03, 0.03, 0.02, 0.012, 0.007  # pushed in steps 8 and 9
+    x = np.concatenate([[0.0], np.cumsum(steps)])
+    blocks = np.stack([x, np.zeros_like(x)], axis=1)[:, None]
+    robot = np.zeros((len(x), 3))
+    intended = ~np.isin(np.arange(16), (8, 9))
+    goals = find_goals(robot, blocks, intended)
+    assert goals.targets.tolist() == [0] * 5 + [ROBOT_TARGET] * 11
+    assert goals.destinations[0].tolist() == pytest.approx([0.16, 0.0])
+    steps[11:13] = 0.03  # then pushed on
+    x = np.concatenate([[0.0], np.cumsum(steps)])
+    goals = find_goals(robot, np.stack([x, np.zeros_like(x)], axis=1)[:, None], intended)
+    assert goals.destinations[0].tolist() == pytest.approx([x[13], 0.0])
 
 
 def test_without_blocks_the_target_is_the_robot() -> None:

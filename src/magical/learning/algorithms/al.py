@@ -38,7 +38,7 @@ AUTOENCODER_INIT = 1  # number of the initialisation; the policy's is 0
 WEIGHT_NORM = 2.0  # of w (appendix B, equation 1)
 SMALLEST_ERROR = 1e-6  # of the mean image; where all images are equal it is 0
 RIDGE = 1e-3  # of the features' mean variance, added to each one's in `discriminant_weights`
-LOG_EVERY, CHECKPOINT_EVERY = 50, 500  # batches of pretraining
+LOG_EVERY = 50  # batches of pretraining
 NUM_RECONSTRUCTIONS = 10  # frames in the picture
 PICTURE = "reconstructions.png"
 CHUNK = 64  # samples per forward pass without gradients and batch statistics
@@ -187,7 +187,7 @@ def pretrain(
             values = {name: value.item() for name, value in metrics.items()}
             run.log(done, config.total, **values)
             run.require_finite(done, values)
-        if complete or stops or done % CHECKPOINT_EVERY == 0:
+        if complete or stops or run.checkpoint_is_due(done, 0):
             state = {
                 "policy": ppo.network.state_dict(),
                 "autoencoder": autoencoder.state_dict(),

@@ -139,7 +139,8 @@ class PPOTrainer:
         with self.monitor.timed("policy"):
             config = self.config
             samples = make_samples(rollout, rewards, config)
-            if self.compute.precision == "bfloat16":  # autocast would convert it in every epoch
+            # Autocast would convert unit pixels in every epoch; others are converted when mapped.
+            if self.compute.precision == "bfloat16" and config.pixel_range == "unit":
                 samples = samples._replace(observations=samples.observations.bfloat16())
             left = 1.0 - update / config.updates if config.anneal else 1.0
             set_learning_rate(self.optimizer, config.learning_rate * left)

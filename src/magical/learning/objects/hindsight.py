@@ -18,6 +18,7 @@ from magical.learning.objects.table import GRIP
 
 ROBOT_TARGET = -1  # instead of a block's number
 MOVED = 0.005  # units in a control step: a block that moves; still ones are parsed alike
+GLIDE = 0.8  # of its speed: a block that nothing pushes keeps less in a control step
 MIN_CARRY = 0.08  # units: a block that is moved by less was only touched
 OTHER_COLOUR, OTHER_SHAPE = 2.0, 0.05  # the cost, in units, of tracking a block as one of another
 
@@ -79,8 +80,7 @@ def _carries(
     robot: Floats, blocks: Floats, intended: NDArray[np.bool_]
 ) -> list[tuple[int, int, int]]:
     """Block, first and last step of each carry, in order."""
-    moved = np.linalg.norm(np.diff(blocks, axis=0), axis=2) > MOVED  # (T, N)
-    moved &= intended[:, None]
+    moved = _moved_on_purpose(blocks, intended)
     angle = robot[:-1, 2]
     grip = robot[:-1, :2] + GRIP * np.stack([-np.sin(angle), np.cos(angle)], axis=1)
     far = np.where(moved, np.linalg.norm(blocks[:-1] - grip[:, None], axis=2), np.inf)
@@ -92,6 +92,27 @@ def _carries(
             return spans
         _, start, end = spans[int(np.argmin(lengths))]
         carried[start : end + 1] = MAX_BLOCKS
+
+
+def _moved_on_purpose(blocks: Floats, intended: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which blocks move (T, N) in steps of the demonstrator's own, and do not only glide on.
+
+    A block glides on if a random action set it in motion and it has been losing speed since.
+    """
+    speeds = np.linalg.norm(np.diff(blocks, axis=0), axis=2)  # (T, N)
+    moved = speeds > MOVED
+    on_purpose: NDArray[np.bool_] = moved & intended[:, None]
+    gliding = np.zeros(moved.shape[1], np.bool_)
+    before = np.zeros(moved.shape[1])
+    for step, own in enumerate(intended):
+        if own:
+            gliding &= speeds[step] < GLIDE * before
+        else:
+            gliding |= before <= MOVED
+        gliding &= moved[step]
+        on_purpose[step] &= ~gliding
+        before = speeds[step]
+    return on_purpose
 
 
 def _spans(carried: Ints) -> list[tuple[int, int, int]]:
