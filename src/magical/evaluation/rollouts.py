@@ -73,8 +73,7 @@ def evaluate(
 
     Args:
         policy: see `Policy`; `load_policy` makes one from a name.
-        env_ids: by default all variants of the policy's own tasks, or of all tasks; those that
-            are given twice count once.
+        env_ids: default: all variants of the policy's own tasks, or of all tasks; each counts once.
         rollouts: of each environment.
         seed: which set of fixed seeds; results are reported for 0.
         observation: by default the policy's own, or `LoRes4E`; states for a privileged policy.

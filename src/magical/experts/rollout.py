@@ -94,8 +94,7 @@ def rollout(
     check_solvable(task, scene)
     strategy_seed = seed if strategy_seed is None else strategy_seed
     expert = EpisodeExpert(expert_for(task, seed=strategy_seed, skill=skill))
-    # A stream of its own: the strategy is sampled from the same numbers as the scene.
-    perturbation = Perturbation(perturb, rng.spawn(1)[0])
+    perturbation = Perturbation(perturb, rng.spawn(1)[0])  # the strategy has the scene's numbers
     simulation = Simulation(scene, dynamics)
     chosen: list[tuple[int, int]] = []
     tables = [simulation.read().copy()]
