@@ -8,8 +8,8 @@ import pytest
 
 from magical.envs import EnvId
 from magical.envs.env import MagicalEnv
-from magical.envs.episode import MAX_NUDGE
 from magical.envs.vector import MagicalVectorEnv
+from magical.scene.constants import MAX_NUDGE
 from magical.tasks import TASKS
 
 NUDGE = 1e-9
@@ -63,6 +63,14 @@ def test_the_vector_environment_nudges_each_episode_as_the_single_one_does() -> 
         env = MagicalEnv("FindDupe", "Demo", observation="state")
         env.reset(seed=seed, options={"nudge": NUDGE})
         assert np.array_equal(start, _poses(env))
+
+
+def test_a_state_after_the_largest_nudge_can_be_set() -> None:
+    """The Demo poses of ClusterShape's TestShape already reach into a wall."""
+    env = MagicalEnv("ClusterShape", "TestShape", observation="state")
+    for seed in range(40):
+        env.reset(seed=seed, options={"nudge": MAX_NUDGE})
+        env.set_state(env.get_state())
 
 
 @pytest.mark.parametrize("nudge", [-1e-9, 2 * MAX_NUDGE, float("nan"), "1e-9", True])

@@ -19,13 +19,13 @@ from magical.errors import (
 from magical.messages import quoted
 from magical.observe import ObservationSpec
 from magical.physics import Simulation
+from magical.scene.constants import MAX_NUDGE
 from magical.scene.poses import Poses
 from magical.scene.scene import Dynamics, Scene
 from magical.scene.state import State
 from magical.tasks import TASKS, Horizon, Task
 
 RESET_OPTIONS = ("scene", "dynamics", "nudge")
-MAX_NUDGE = 0.01  # units and radians; more can be seen, and is what the Jitter variant is for
 REWARDS = ("none", "score", "dense")
 
 

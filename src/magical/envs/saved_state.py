@@ -12,6 +12,7 @@ from magical.envs.plain_data import as_dynamics, as_scene
 from magical.errors import InvalidStateError, MagicalError
 from magical.messages import printable, quoted
 from magical.scene.actions import NUM_ACTIONS
+from magical.scene.constants import MAX_NUDGE
 from magical.scene.scene import Dynamics, Scene
 from magical.tasks import Task
 
@@ -63,7 +64,8 @@ class SavedState:
 def parse_state(data: Any, task: Task) -> SavedState:
     """A saved state from plain data, as `MagicalEnv.get_state` returns it.
 
-    The scene is held to the same conditions as one that `reset` is given. Nothing is simulated.
+    The scene is held to the same conditions as one that `reset` is given, but for the nudge that it
+    may have had since. Nothing is simulated.
 
     Args:
         data: anything; nothing is assumed about it.
@@ -84,7 +86,7 @@ def parse_state(data: Any, task: Task) -> SavedState:
         horizon = _integer(horizon, 1, MAX_HORIZON)
     with _field("scene", data) as scene:
         scene = as_scene(scene)
-        task.validate(scene)
+        task.validate(scene, MAX_NUDGE)
     with _field("dynamics", data) as dynamics:
         dynamics = as_dynamics(dynamics)
     with _field("actions", data) as actions:

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from magical.envs.episode import MAX_NUDGE
 from magical.errors import ScoresError
 from magical.evaluation.scores import RolloutScore, check_protocol, read_scores, write_scores
 from magical.files import write_atomically
+from magical.scene.constants import MAX_NUDGE
 from magical.tasks import Horizon
 from magical.untrusted import check_plain
 

@@ -138,13 +138,13 @@ class Task:
         """
         return (self.published_score_fn or self.score_fn)(scene, poses)
 
-    def validate(self, scene: Scene) -> None:
-        """Check that an episode of this task can start from the scene.
+    def validate(self, scene: Scene, nudge: float = 0.0) -> None:
+        """Check that an episode of this task can start from the scene, nudged by so much at most.
 
         Raises:
             InvalidSceneError: it cannot; the message says why and what to change.
         """
-        validate_scene(scene)
+        validate_scene(scene, nudge)
         found = len(scene.blocks), len(scene.regions)
         if found[0] > self.max_blocks or found[1] > self.max_regions:
             raise InvalidSceneError(
