@@ -13,7 +13,6 @@ from pathlib import Path
 from PIL import Image, ImageDraw, ImageFont
 
 from magical.evaluation import Entry, RolloutScore, read_entry
-from magical.evaluation.rollouts import observation_again
 from magical.evaluation.variants import full_variant
 from magical.learning import load_policy
 from magical.report.clips import Clip, record_rollouts
@@ -50,7 +49,6 @@ def main() -> None:
             seed=entry.seed,
             horizon=int(steps(get_task(task), entry)),
             nudge=entry.nudge,
-            observation=observation_again(policy, entry.observation),
             size=args.size,
         )
         for row, clip in zip(worst, recorded, strict=True):
