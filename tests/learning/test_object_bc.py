@@ -110,7 +110,7 @@ def test_every_setting_changes_the_weights(
 
 
 def test_a_robot_that_stands_still_acts_more_randomly(expert_demos: Path) -> None:
-    stacks = torch.from_numpy(_stacks()).float() / 255.0
+    stacks = torch.from_numpy(_stacks())
     stacks[0] = stacks[0, 9:].repeat(4, 1, 1)
     policies = {
         name: make_policy(tiny(expert_demos, temperature=cool, stuck_temperature=hot))

@@ -39,7 +39,8 @@ class NetworkPolicy:
         """Create a policy.
 
         Args:
-            network: maps observations (B, ...) and tasks (B,) to logits (B, 18).
+            network: maps observations (B, ...) and tasks (B,) to logits (B, 18). Pixels are scaled
+                to [0, 1] before, but for a network whose attribute `takes_pixels` is true.
             tasks: the tasks it was trained on, in the configuration's order.
             observation: the observation's name, and
             spec: its specification.
@@ -74,7 +75,9 @@ class NetworkPolicy:
         inputs = to_inputs(observations, self._spec).to(self._compute.device)
         tasks = self._task_numbers(env_ids).to(self._compute.device)
         with torch.inference_mode(), full_float32(), self._compute.autocast():
-            logits = self.network(to_unit(inputs), tasks)  # (B, 18)
+            if not getattr(self.network, "takes_pixels", False):
+                inputs = to_unit(inputs)
+            logits = self.network(inputs, tasks)  # (B, 18)
         logits = logits.double().cpu()
         _require_finite(logits)
         probabilities: NDArray[np.float64] = logits.softmax(dim=1).numpy()

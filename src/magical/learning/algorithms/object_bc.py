@@ -127,6 +127,8 @@ class ObjectBCConfig(ImitationConfig):
 class ObjectPolicy(nn.Module):
     """Frame stacks to logits of the 18 actions, through objects and a goal."""
 
+    takes_pixels = True
+
     def __init__(self, config: ObjectBCConfig) -> None:
         super().__init__()
         self.goals = GoalModel(len(config.tasks))
@@ -134,7 +136,7 @@ class ObjectPolicy(nn.Module):
         self.temperature, self.stuck_temperature = config.temperature, config.stuck_temperature
 
     def forward(self, observations: Tensor, tasks: Tensor) -> Tensor:
-        """Logits (B, 18) of stacks (B, 12, 96, 96), float in [0, 1]."""
+        """Logits (B, 18) of stacks (B, 12, 96, 96), uint8."""
         newest, oldest = (_frames(observations, k) for k in (STACK - 1, 0))
         table = ObjectTable(*(column.to(tasks.device) for column in parse_table(newest)))
         before = torch.from_numpy(parse_robot(oldest)).to(table.robot)
@@ -162,7 +164,7 @@ class ObjectPolicy(nn.Module):
 def _frames(observations: Tensor, number: int) -> Pixels:
     """Frames (B, 96, 96, 3) of the stacks (B, 12, 96, 96), by their number from the oldest."""
     frames = observations[:, number * CHANNELS : (number + 1) * CHANNELS].permute(0, 2, 3, 1)
-    pixels: Pixels = frames.mul(255.0).round_().to(torch.uint8).contiguous().cpu().numpy()
+    pixels: Pixels = frames.cpu().numpy()
     return pixels
 
 
@@ -177,7 +179,7 @@ def make_policy(config: ObjectBCConfig) -> ObjectPolicy:
     """The policy, initialised from the seed."""
     with seeded_init(config.seed):
         policy = ObjectPolicy(config)
-        blank = torch.zeros((1, *config.input_shape))
+        blank = torch.zeros((1, *config.input_shape), dtype=torch.uint8)
         policy(blank, torch.zeros(1, dtype=torch.int64))  # fixes the sizes of the lazy layers
         return policy
 

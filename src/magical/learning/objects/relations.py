@@ -123,10 +123,11 @@ class _Scene:
         start, end = blocks[:, first], blocks[:, second]  # (B, P, 2)
         length = (end - start).norm(dim=2).clamp(min=1e-3)
         direction = (end - start) / length[..., None]
-        offset = self.places[:, :, None] - start[:, None]  # (B, K, P, 2)
-        along = (offset * direction[:, None]).sum(dim=3)
-        across = offset[..., 0] * direction[:, None, :, 1]
-        across = across - offset[..., 1] * direction[:, None, :, 0]
+        normal = torch.stack([direction[..., 1], -direction[..., 0]], dim=2)
+        along, across = (
+            self.places @ axis.transpose(1, 2) - (start * axis).sum(dim=2)[:, None]
+            for axis in (direction, normal)
+        )
         gap = torch.minimum(along.abs(), (along - length[:, None]).abs())
         beyond, within = (gap - LINE_GAP).clamp(min=0.0), (LINE_OVERLAP - gap).clamp(min=0.0)
         residual = (across**2 + beyond**2 + 4.0 * within**2).sqrt()
