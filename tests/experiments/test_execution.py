@@ -78,13 +78,14 @@ def test_every_run_is_a_run_folder_with_an_entry_and_a_record(
 
 
 def test_what_is_done_is_not_done_again_and_a_changed_plan_runs_what_changed(
-    planned: Planned, inline: Started, copied: Path
+    planned: Planned, inline: Started, copied: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     summary = execute(planned(), copied)
     assert (summary.complete, summary.total, summary.interrupted) == (True, 2, False)
     assert inline == []
     execute(planned(("seeds = [0, 1]", "seeds = [1, 2]")), copied)
     assert [run.seed for run in inline] == [2]
+    assert "earlier plan, or of other demonstrations: 1\n" in capsys.readouterr().err
     status = read_status(copied)
     assert (status.counts["done"], status.others, status.active) == (2, 1, False)
     inline.clear()

@@ -29,6 +29,8 @@ class Display:
     def __enter__(self) -> Self:
         if self._console.is_terminal:
             self._live.start()
+        else:
+            self._print(*_others(read_status(self._path)))
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -37,13 +39,16 @@ class Display:
     def ended(self, run: PlannedRun, outcome: Outcome) -> None:
         """Print a line about a run that has ended."""
         error = f": {outcome.error}" if outcome.error else ""
-        line = f"{outcome.state}: {run} ({duration(outcome.seconds)}){error}"
-        self._console.print(line, highlight=False, markup=False, soft_wrap=True)
+        self._print(f"{outcome.state}: {run} ({duration(outcome.seconds)}){error}")
 
     def refresh(self) -> None:
         """Show the present state."""
         if self._live.is_started:
             self._live.update(status_table(read_status(self._path)), refresh=True)
+
+    def _print(self, *lines: str) -> None:
+        for line in lines:
+            self._console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 def status_table(status: Status) -> RenderableType:
@@ -82,10 +87,14 @@ def _lines(status: Status) -> Iterable[str]:
         yield f"failed: {run}: {run.error}"
     if len(failed) > SHOWN:
         yield f"failed: {len(failed) - SHOWN} more"
-    if status.others:
-        yield f"{status.others} runs in the folder are not in the plan any more"
+    yield from _others(status)
     left = status.seconds_left()
     if status.active and left is not None:
         yield f"time left: about {duration(left)}"
     elif not status.active and status.counts[DONE] + len(failed) < len(status.runs):
         yield "no process is executing the plan; magical run continues it"
+
+
+def _others(status: Status) -> Iterable[str]:
+    if status.others:
+        yield f"runs in the folder of an earlier plan, or of other demonstrations: {status.others}"
