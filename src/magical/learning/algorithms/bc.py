@@ -339,11 +339,15 @@ def make_policy(config: BCConfig) -> PolicyNetwork:
 
 
 def _weight_average(config: BCConfig, network: nn.Module) -> AveragedModel | None:
-    """The average of weights and of batch norm's statistics, if there is to be one."""
+    """The average of the weights, if there is to be one.
+
+    Batch norm's statistics are the network's newest. They are averages already, and a slower one
+    would still contain the initial ones, which are of another scale.
+    """
     if not config.average_decay:
         return None
     average = get_ema_multi_avg_fn(config.average_decay)  # type: ignore[no-untyped-call]
-    return AveragedModel(network, multi_avg_fn=average, use_buffers=True)
+    return AveragedModel(network, multi_avg_fn=average)
 
 
 def make_optimizer(config: BCConfig, network: nn.Module) -> Optimizer:
