@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ FINAL = "result.json"  # a run's final record, in its folder
 RUNS = "runs"  # the folder of their folders
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Result:
     """An evaluated run and where it was found."""
 
@@ -26,17 +27,17 @@ class Result:
     entry: Entry
     run: Path | None = None  # the folder of the training run, where there is one
 
-    @property
+    @cached_property
     def tasks(self) -> tuple[str, ...]:
         """The tasks that it was evaluated on."""
         return tuple(by_variant(self.entry.scores))
 
-    @property
+    @cached_property
     def config(self) -> dict[str, Any]:
         """The configuration of training; empty where there is none that can be read."""
         return {} if self.run is None else _read(self.run / CONFIG)
 
-    @property
+    @cached_property
     def record(self) -> dict[str, Any]:
         """Versions, device, demonstrations and machine, as far as they were recorded."""
         if self.run is None:
