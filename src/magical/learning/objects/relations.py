@@ -72,7 +72,10 @@ class Relation(NamedTuple):
 
 
 class _Scene:
-    """A target at K places in each scene; masks of the objects (B, N) or (B, M), distances."""
+    """A target at K places in each scene; masks of the objects (B, N) or (B, M), distances.
+
+    Places come last, so that the minimum over objects is taken over whole rows of them.
+    """
 
     def __init__(self, table: ObjectTable, targets: Tensor, places: Tensor) -> None:
         self.table, self.places = table, places
@@ -91,29 +94,29 @@ class _Scene:
 
     @cached_property
     def to_regions(self) -> Tensor:
-        """Distances of the places to the regions' edges, (B, K, M)."""
+        """Distances of the places to the regions' edges, (B, M, K)."""
         return _edge_distances(self.places, self.table.regions)
 
     @cached_property
     def to_blocks(self) -> Tensor:
-        """Distances of the places to the blocks, (B, K, N)."""
-        return torch.cdist(self.places, self.table.blocks)
+        """Distances of the places to the blocks, (B, N, K)."""
+        return _distances(self.table.blocks, self.places)
 
     @cached_property
     def in_region(self) -> Tensor:
         """Which blocks lie in a region."""
-        inside = _edge_distances(self.table.blocks, self.table.regions) <= 0.0  # (B, N, M)
-        return (inside & self.regions[:, None]).any(dim=2)
+        inside = _edge_distances(self.table.blocks, self.table.regions) <= 0.0  # (B, M, N)
+        return (inside & self.regions[:, :, None]).any(dim=1)
 
     @cached_property
     def around(self) -> Tensor:
         """Which regions the target is in now."""
-        own = _edge_distances(self.now[:, None], self.table.regions)[:, 0]
+        own = _edge_distances(self.now[:, None], self.table.regions)[..., 0]
         return (own <= 0.02) & self.regions
 
     @cached_property
     def line_residuals(self) -> tuple[Tensor, Tensor, Tensor]:
-        """How far places are from continuing each pair's line, (B, K, P); which pairs; lengths.
+        """How far places are from continuing each pair's line, (B, P, K); which pairs; lengths.
 
         The place is to be at a neighbour's distance from one of the two blocks.
         """
@@ -125,10 +128,10 @@ class _Scene:
         direction = (end - start) / length[..., None]
         normal = torch.stack([direction[..., 1], -direction[..., 0]], dim=2)
         along, across = (
-            self.places @ axis.transpose(1, 2) - (start * axis).sum(dim=2)[:, None]
+            axis @ self.places.transpose(1, 2) - (start * axis).sum(dim=2, keepdim=True)
             for axis in (direction, normal)
         )
-        gap = torch.minimum(along.abs(), (along - length[:, None]).abs())
+        gap = torch.minimum(along.abs(), (along - length[..., None]).abs())
         beyond, within = (gap - LINE_GAP).clamp(min=0.0), (LINE_OVERLAP - gap).clamp(min=0.0)
         residual = (across**2 + beyond**2 + 4.0 * within**2).sqrt()
         return residual, self.others[:, first] & self.others[:, second], length
@@ -154,14 +157,22 @@ def relate(
 
 
 def _edge_distances(places: Tensor, regions: Tensor) -> Tensor:
-    """Distances of places (B, K, 2) to the edges of regions: (B, K, M), negative inside."""
-    apart = (places[:, :, None] - regions[:, None, :, :2]).abs() - regions[:, None, :, 2:]
-    return apart.amax(dim=3)
+    """Distances of places (B, K, 2) to the edges of regions: (B, M, K), negative inside."""
+    x, y = (
+        (places[:, None, :, axis] - regions[:, :, None, axis]).abs() - regions[:, :, None, 2 + axis]
+        for axis in (0, 1)
+    )
+    return torch.maximum(x, y)
+
+
+def _distances(objects: Tensor, places: Tensor) -> Tensor:
+    """Distances of objects (B, N, 2) to places (B, K, 2): (B, N, K)."""
+    return torch.cdist(objects, places, compute_mode="donot_use_mm_for_euclid_dist")
 
 
 def _nearest(distances: Tensor, mask: Tensor) -> Tensor:
-    """The least of the distances (B, K, N) to objects of a mask (B, N): (B, K)."""
-    return distances.masked_fill(~mask[:, None], UNKNOWN).amin(dim=2)
+    """The least of the distances (B, N, K) to objects of a mask (B, N): (B, K)."""
+    return distances.masked_fill(~mask[..., None], UNKNOWN).amin(dim=1)
 
 
 def _nearest_block(
@@ -177,13 +188,11 @@ def _nearest_block(
     return _nearest(scene.to_blocks, mask)
 
 
-def _centre_distances(scene: _Scene, mask: Tensor) -> Tensor:
-    """Distances (B, K) to the mean position of a mask's blocks."""
-    weights = mask.float()
-    total = weights.sum(dim=1)
-    centre = (scene.table.blocks * weights[..., None]).sum(dim=1) / total.clamp(min=1.0)[:, None]
-    distances: Tensor = (scene.places - centre[:, None]).norm(dim=2)
-    return distances.masked_fill((total == 0)[:, None], UNKNOWN)
+def _centre_distances(scene: _Scene, masks: Tensor) -> Tensor:
+    """Distances (B, G, K) to the mean positions of the blocks of each of G masks (B, G, N)."""
+    total = masks.sum(dim=2, keepdim=True)  # (B, G, 1)
+    centres = masks.float() @ scene.table.blocks / total.clamp(min=1.0)
+    return _distances(centres, scene.places).masked_fill(total == 0, UNKNOWN)
 
 
 def _line(scene: _Scene, longest: float) -> Tensor:
@@ -194,9 +203,11 @@ def _line(scene: _Scene, longest: float) -> Tensor:
 
 def _share(scene: _Scene, kinds: Tensor, own: Tensor, count: int) -> Tensor:
     """The distance to the own group's centre, as a share of it and the nearest other group's."""
-    masks = [scene.others & (kinds == k) for k in range(count)]
-    distances = torch.stack([_centre_distances(scene, mask) for mask in masks], dim=2)
-    mine = torch.arange(count, device=own.device) == own[:, None]  # (B, count)
+    groups = torch.arange(count, device=own.device)
+    distances = _centre_distances(
+        scene, scene.others[:, None] & (kinds[:, None] == groups[:, None])
+    )
+    mine = groups == own[:, None]  # (B, count)
     to_own, to_other = _nearest(distances, mine), _nearest(distances, ~mine)
     known = (to_own < UNKNOWN) & (to_other < UNKNOWN)
     return (to_own / (to_own + to_other + 1e-6)).masked_fill(~known, UNKNOWN)
@@ -246,14 +257,14 @@ RELATIONS = (
     _block_relation("block of another colour and shape, in none", False, False, False, 8, 4),
     Relation(
         "centre of the other blocks of the same colour",
-        lambda s: _centre_distances(s, s.others & s.same_colour),
+        lambda s: _centre_distances(s, (s.others & s.same_colour)[:, None])[:, 0],
         GROUP,
         4,
         2,
     ),
     Relation(
         "centre of the other blocks of the same shape",
-        lambda s: _centre_distances(s, s.others & s.same_shape),
+        lambda s: _centre_distances(s, (s.others & s.same_shape)[:, None])[:, 0],
         GROUP,
         4,
         2,
