@@ -10,11 +10,11 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 from torch.optim import SGD, Optimizer
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from magical.errors import DemonstrationsError, InvalidConfigError
 from magical.learning.algorithms import Algorithm
 from magical.learning.augmentations import Augmentations
+from magical.learning.averaging import STATISTICS_BATCHES, renew_statistics, weight_average
 from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
 from magical.learning.config import (
     AUTO,
@@ -220,7 +220,7 @@ class BCTrainer:
         self.optimizer = make_optimizer(self.config, self.network)
         self._forward = torch.compile(self.network) if self.config.compile else self.network
         self._graphed_step = GraphedStep(self._step, use_graphs(self.config.graphs, self.device))
-        self._average = _weight_average(self.config, self.network)
+        self._average = weight_average(self.network, self.config.average_decay)
 
     @property
     def policy(self) -> nn.Module:
@@ -285,10 +285,19 @@ class BCTrainer:
                     run.require_finite(done, metrics)
                     run.log(done, config.total, **(extra_metrics or {}), **metrics)
                 if last or run.checkpoint_is_due(done, config.checkpoint_every):
+                    if self._average:
+                        self._renew_statistics(data, done)
                     run.checkpoint(done, {**self.state_dict(), **(extra_state or {})})
                 if stops:
                     return True
         return False
+
+    def _renew_statistics(self, data: ExpertData, done: int) -> None:
+        """Batch norm's statistics of the averaged weights, from the last batches."""
+        numbers = range(max(0, done - STATISTICS_BATCHES), done)
+        make = partial(self.sample_batch, data)
+        with prefetch(make, numbers, data.batches_on_host) as batches, self.compute.autocast():
+            renew_statistics(self.policy, ((batch.images, batch.tasks) for batch in batches))
 
     def sample_batch(self, data: ExpertData, number: int) -> Batch:
         """Batch `number`: a function of the data, the seed and the number alone."""
@@ -336,18 +345,6 @@ def make_policy(config: BCConfig) -> PolicyNetwork:
         network = PolicyNetwork(trunk, len(config.tasks))
         init_last_layers(config, network.policy)
         return network
-
-
-def _weight_average(config: BCConfig, network: nn.Module) -> AveragedModel | None:
-    """The average of the weights, if there is to be one.
-
-    Batch norm's statistics are the network's newest. They are averages already, and a slower one
-    would still contain the initial ones, which are of another scale.
-    """
-    if not config.average_decay:
-        return None
-    average = get_ema_multi_avg_fn(config.average_decay)  # type: ignore[no-untyped-call]
-    return AveragedModel(network, multi_avg_fn=average)
 
 
 def make_optimizer(config: BCConfig, network: nn.Module) -> Optimizer:
