@@ -14,7 +14,7 @@ from magical.errors import InvalidConfigError
 from magical.evaluation import evaluate
 from magical.learning import load_policy, train
 from magical.learning.algorithms.object_bc import ObjectBCConfig, make_policy
-from magical.learning.objects.control import control_inputs
+from magical.learning.objects.control import Sight, control_inputs
 from magical.learning.objects.table import ObjectTable, parse_table
 from magical.runs import read_metrics
 from magical.scene import ACTION_NAMES
@@ -93,6 +93,9 @@ def test_metrics_and_policy(whole: Path) -> None:
         {"hidden": 8},
         {"mirror": False},
         {"destination_noise": 0.2},
+        {"block_sight": 3.0},
+        {"wall_sight": 2.0},
+        {"drop_blocks": 1.0},
         {"goal_every": 1},
         {"goal_batch_size": 3},
         {"goal_learning_rate": 0.5},
@@ -161,8 +164,10 @@ def test_mirrored_inputs_are_those_of_the_mirrored_scene() -> None:
         fingers=table.fingers.flip(1),
         blocks=torch.where(table.present[..., None], table.blocks * sign, table.blocks),
     )
-    mirrored = control_inputs(table, targets, destinations, torch.ones(count, dtype=torch.bool))
-    expected = control_inputs(image, targets, destinations * sign)
+    sight = Sight(blocks=0.6, walls=0.4)
+    everywhere = torch.ones(count, dtype=torch.bool)
+    mirrored = control_inputs(table, targets, destinations, sight, everywhere)
+    expected = control_inputs(image, targets, destinations * sign, sight)
     torch.testing.assert_close(mirrored[0], expected[0], rtol=0, atol=1e-4)
     present = table.present
     torch.testing.assert_close(mirrored[1][present], expected[1][present], rtol=0, atol=1e-4)

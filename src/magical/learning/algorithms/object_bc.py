@@ -25,7 +25,7 @@ from magical.learning.checkpoints import StateDict, load_module, load_optimizer,
 from magical.learning.config import CHECKPOINT_SECONDS, ImitationConfig, option
 from magical.learning.devices import choose_device, one_thread
 from magical.learning.expert_data import load_demonstrations
-from magical.learning.objects.control import Controller, control_inputs
+from magical.learning.objects.control import Controller, Sight, control_inputs
 from magical.learning.objects.data import ObjectData
 from magical.learning.objects.goals import (
     BORDER,
@@ -79,6 +79,15 @@ class ObjectBCConfig(ImitationConfig):
     destination_noise: float = option(
         0.03, "standard deviation of the noise on the controller's destinations, units"
     )
+    block_sight: float = option(
+        0.6, "units from the robot: the controller sees no block farther away"
+    )
+    wall_sight: float = option(
+        0.4, "units from robot, target and destination: it sees no wall farther away"
+    )
+    drop_blocks: float = option(
+        0.3, "share of the blocks, but for targets, that are removed from the controller's samples"
+    )
     goal_every: int = option(8, "batches between updates of the goal model")
     goal_batch_size: int = option(64, "samples of each task in an update of the goal model")
     goal_learning_rate: float = option(0.05, "of the goal model; annealed linearly to 0")
@@ -103,11 +112,18 @@ class ObjectBCConfig(ImitationConfig):
         self.require_positive("goal_learning_rate", "temperature", "stuck_temperature", "log_every")
         self.require_at_least_zero("weight_decay", "destination_noise", "checkpoint_every")
         self.require_at_least_zero("goal_sparsity", "goal_smoothness")
+        self.require_positive("block_sight", "wall_sight")
+        self.require_fraction("drop_blocks")
 
     @property
     def learned_from(self) -> tuple[str, ...]:
         """See `Config`; the parser was made for the palette, and fitted on rendered scenes."""
         return (*super().learned_from, OBJECT_PARSER)
+
+    @property
+    def sight(self) -> Sight:
+        """How far the controller sees."""
+        return Sight(self.block_sight, self.wall_sight)
 
     @property
     def total(self) -> int:
@@ -133,6 +149,7 @@ class ObjectPolicy(nn.Module):
         super().__init__()
         self.goals = GoalModel(len(config.tasks))
         self.controller = Controller(config.hidden)
+        self.sight = config.sight
         self.temperature, self.stuck_temperature = config.temperature, config.stuck_temperature
 
     def forward(self, observations: Tensor, tasks: Tensor) -> Tensor:
@@ -154,7 +171,7 @@ class ObjectPolicy(nn.Module):
         A robot that has not moved since its pose before (B, 3) acts more randomly: it is stuck.
         """
         with torch.autocast(table.robot.device.type, enabled=False):
-            inputs = control_inputs(table, targets, destinations)
+            inputs = control_inputs(table, targets, destinations, self.sight)
         logits: Tensor = self.controller(*inputs).float()
         stuck = _stands(table.robot, before) & (targets != ROBOT_TARGET)
         hot, cool = (logits.new_tensor(t) for t in (self.stuck_temperature, self.temperature))
@@ -246,7 +263,10 @@ class ObjectBCTrainer:
         destinations = data.destinations[rows] + torch.from_numpy(noise).to(self.device)
         mirrored = torch.from_numpy(rng.random(len(rows)) < 0.5 * config.mirror).to(self.device)
         table, targets = data.table.select(rows), data.targets[rows]
-        inputs = control_inputs(table, targets, destinations, mirrored)
+        numbers = torch.arange(table.blocks.shape[1], device=self.device)
+        dropped = torch.from_numpy(rng.random(table.colours.shape) < config.drop_blocks)
+        table = table.without(dropped.to(self.device) & (numbers != targets[:, None]))
+        inputs = control_inputs(table, targets, destinations, config.sight, mirrored)
         with self.compute.autocast():
             logits = self.policy.controller(*inputs).float()
         actions = data.actions[rows]

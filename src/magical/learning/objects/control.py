@@ -1,9 +1,12 @@
 """The network that moves a target to its destination: actions from what the robot sees of it.
 
 Its inputs are in the robot's frame and know neither task, colours nor shapes: target, destination,
-fingers, the nearest walls, and the blocks around. So it is the same for all tasks, and left and
-right are interchangeable.
+fingers, and the walls and blocks within sight. So it is the same for all tasks, and left and right
+are interchangeable. Sight is short: in a single scene, distant walls and blocks would tell where
+the robot is, and the network would learn what was done there.
 """
+
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -12,15 +15,22 @@ from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.objects.table import GRIP, ObjectTable
 from magical.scene import NUM_ACTIONS
 
-NEIGHBOURHOOD = 1.0  # units: blocks farther from the robot are not seen
 FOCUS = 0.15  # units: the length scale of nearness
 HELD = 2  # blocks nearest to the fingers, which have inputs of their own
+
+
+class Sight(NamedTuple):
+    """How far the controller sees, in units."""
+
+    blocks: float  # from the robot's centre, and from between its fingers
+    walls: float  # from the robot's centre, the target and the destination
 
 
 def control_inputs(
     table: ObjectTable,
     targets: Tensor,
     destinations: Tensor,
+    sight: Sight,
     mirrored: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """What the controller sees.
@@ -29,6 +39,7 @@ def control_inputs(
         table: B scenes.
         targets: (B,), a block's number or ROBOT_TARGET.
         destinations: (B, 2).
+        sight: what lies farther away is left out, but for target and destination.
         mirrored: (B,) bool, the scenes whose left and right are exchanged.
 
     Returns:
@@ -48,14 +59,14 @@ def control_inputs(
             _polar(target),
             _polar(end),
             _polar(end - target),
-            _held(blocks, is_target, table.present),
+            _held(blocks, is_target, table.present, sight.blocks),
             view.fingers(),
-            *(view.walls(place) for place in (table.robot[:, :2], start, destinations)),
+            *(view.walls(p, sight.walls) for p in (table.robot[:, :2], start, destinations)),
         ],
         dim=1,
     )
     parts = _polar(blocks), _polar(blocks - end[:, None]), _polar(blocks - target[:, None])
-    near = table.present & (blocks.norm(dim=2) < NEIGHBOURHOOD)
+    near = table.present & (blocks.norm(dim=2) < sight.blocks)
     return own, torch.cat([*parts, is_target], dim=2), near
 
 
@@ -92,7 +103,7 @@ class _RobotView:
             return values
         return torch.where(self._mirrored[:, None], values.flip(1), values)
 
-    def walls(self, places: Tensor) -> Tensor:
+    def walls(self, places: Tensor, sight: float) -> Tensor:
         """Direction and nearness of the two walls next to each place, nearer one first: (B, 6)."""
         across = torch.where(places > 0, 1.0 - places, -1.0 - places)  # (B, 2)
         vectors = self.turn(torch.diag_embed(across))  # (B, 2, 2)
@@ -100,7 +111,7 @@ class _RobotView:
         order = distances.argsort(dim=1)
         vectors = vectors.gather(1, order[..., None].expand(-1, -1, 2))
         distances = distances.gather(1, order)[..., None]
-        nearness = torch.exp(-distances / (2 * FOCUS))
+        nearness = (1.0 - distances / sight).clamp(0.0, 1.0)
         return torch.cat([vectors / (distances + 0.05) * nearness, nearness], dim=2).flatten(1)
 
 
@@ -112,14 +123,14 @@ def _polar(vectors: Tensor) -> Tensor:
     )
 
 
-def _held(blocks: Tensor, is_target: Tensor, present: Tensor) -> Tensor:
+def _held(blocks: Tensor, is_target: Tensor, present: Tensor, sight: float) -> Tensor:
     """The blocks nearest to the fingers: (B, HELD * 5)."""
     offsets = blocks - torch.tensor([0.0, GRIP], device=blocks.device)
-    distances = offsets.norm(dim=2).masked_fill(~present, NEIGHBOURHOOD)
+    distances = offsets.norm(dim=2).masked_fill(~present, sight)
     nearest = distances.argsort(dim=1)[:, :HELD, None]
-    near = (distances[..., None].gather(1, nearest) < NEIGHBOURHOOD).float()
+    near = (distances[..., None].gather(1, nearest) < sight).float()
     offsets = offsets.gather(1, nearest.expand(-1, -1, 2))
-    length = offsets.norm(dim=2, keepdim=True).clamp(max=NEIGHBOURHOOD)
+    length = offsets.norm(dim=2, keepdim=True).clamp(max=sight)
     parts = torch.cat([offsets, length, torch.ones_like(near), is_target.gather(1, nearest)], dim=2)
     held: Tensor = (parts * near).flatten(1)
     return held

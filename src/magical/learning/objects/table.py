@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from magical.learning.objects.parser import Pixels, parse_frames
+from magical.learning.objects.parser import ABSENT, FAR, Pixels, parse_frames
 
 GRIP = 0.28  # units ahead of the robot's centre: where a gripped block's centre lies
 
@@ -26,6 +26,14 @@ class ObjectTable(NamedTuple):
     def select(self, rows: Tensor | slice) -> "ObjectTable":
         """The scenes of an index."""
         return ObjectTable(*(column[rows] for column in self))
+
+    def without(self, gone: Tensor) -> "ObjectTable":
+        """The same scenes without some blocks, (B, N) bool."""
+        return self._replace(
+            blocks=self.blocks.masked_fill(gone[..., None], FAR),
+            colours=self.colours.masked_fill(gone, ABSENT),
+            shapes=self.shapes.masked_fill(gone, ABSENT),
+        )
 
     def trimmed(self) -> "ObjectTable":
         """The same scenes without the columns in which no scene has a block (but two)."""
