@@ -15,6 +15,7 @@ from magical.evaluation import evaluate
 from magical.learning import load_policy, train
 from magical.learning.algorithms.object_bc import ObjectBCConfig, make_policy
 from magical.learning.objects.control import Sight, control_inputs
+from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.objects.table import ObjectTable, parse_table
 from magical.runs import read_metrics
 from magical.scene import ACTION_NAMES
@@ -126,6 +127,18 @@ def test_a_robot_that_stands_still_acts_more_randomly(expert_demos: Path) -> Non
         one, two = (policy(stacks, tasks) for policy in policies.values())
     torch.testing.assert_close(two[0], one[0] / 4.0)
     torch.testing.assert_close(two[1:], one[1:] * 2.0)
+
+
+def test_a_robot_away_from_its_destination_does_not_idle(expert_demos: Path) -> None:
+    policy = make_policy(tiny(expert_demos))
+    table = _table()
+    before, targets = table.robot + 0.1, torch.full((table.size,), ROBOT_TARGET)
+    with torch.no_grad():
+        there = policy.control(table, before, targets, table.robot[:, :2])
+        away = policy.control(table, before, targets, table.robot[:, :2] + 0.5)
+    idle = [ACTION_NAMES.index(f"stop-straight-{grip}") for grip in ("open", "closed")]
+    assert there.softmax(dim=1)[:, idle].min() > 1e-3
+    assert away.softmax(dim=1)[:, idle].max() < 1e-12
 
 
 @pytest.mark.parametrize("name", ObjectBCConfig.without)

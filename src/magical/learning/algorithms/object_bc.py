@@ -42,9 +42,11 @@ from magical.learning.run import Run
 from magical.learning.streams import Purpose, seeded_init, stream
 from magical.observe.pixels import CHANNELS, STACK
 from magical.runs.sources import OBJECT_PARSER
-from magical.scene.actions import MIRRORED_ACTIONS
+from magical.scene.actions import IDLE_ACTIONS, MIRRORED_ACTIONS
 
 STANDS, STANDS_ANGLE = 0.01, 0.05  # units, rad: a robot that moved less over the stack stands still
+ARRIVED = 0.15  # units: a robot nearer to its own destination may stop
+NEVER = -30.0  # the logit of an impossible action
 OBSERVATION = "LoRes4A"  # the allocentric camera sees every object
 
 
@@ -168,12 +170,17 @@ class ObjectPolicy(nn.Module):
     ) -> Tensor:
         """Logits (B, 18) of the actions that bring targets (B,) to destinations (B, 2).
 
-        A robot that has not moved since its pose before (B, 3) acts more randomly: it is stuck.
+        A robot that has still to get somewhere does not idle. One with something left to do that
+        has not moved since its pose before (B, 3) acts more randomly: it is stuck.
         """
         with torch.autocast(table.robot.device.type, enabled=False):
             inputs = control_inputs(table, targets, destinations, self.sight)
         logits: Tensor = self.controller(*inputs).float()
-        stuck = _stands(table.robot, before) & (targets != ROBOT_TARGET)
+        away = (destinations - table.robot[:, :2]).norm(dim=1) > ARRIVED
+        drives = away & (targets == ROBOT_TARGET)
+        idle = torch.tensor(IDLE_ACTIONS, device=logits.device)
+        logits = logits.masked_fill(drives[:, None] & idle, NEVER)
+        stuck = _stands(table.robot, before) & (drives | (targets != ROBOT_TARGET))
         hot, cool = (logits.new_tensor(t) for t in (self.stuck_temperature, self.temperature))
         return logits / torch.where(stuck, hot, cool)[:, None]
 
