@@ -139,13 +139,40 @@ def test_entries_that_do_not_count_are_listed_by_reason(repository: Path) -> Non
     assert foreign == "- `results`: BC (ST), mine is a method of none of the plans"
 
 
-def test_the_leaderboards_evaluations_are_not_part_of_the_page(repository: Path) -> None:
+def write_leaderboard_entry(folder: Path, score: float) -> None:
+    """The leaderboard's evaluation of a run on all tasks."""
+    rows = [
+        RolloutScore(env_id, i, evaluation_seed(i), score, score)
+        for env_id in environments()
+        for i in range(100)
+    ]
+    method = json.loads((folder / "entry.json").read_text())["method"]
+    details = {"training_seed": 0, "learned_from": ["demonstrations"]}
+    entry = Entry(method=method, scores=rows, version=__version__, nudge=1e-9, details=details)
+    entry.write(folder / "leaderboard")
+
+
+def test_the_leaderboards_evaluations_are_ranked_and_shown_nowhere_else(repository: Path) -> None:
     folder = write_run(repository, "bc-human", "BC (ST)", "MoveToRegion", 0, 0.5)
     before = made(repository)
-    (folder / "leaderboard").mkdir()
+    write_leaderboard_entry(folder, 0.25)
+    text = made(repository)
+    ((*row, demo, test_all, _, gap_rank),) = lines(text, "leaderboard", "1")
+    assert row == ["1", "BC (ST)", "P", "demonstrations"]
+    assert demo.startswith("0.25 [") and test_all.startswith("0.25 [") and gap_rank == "1"
+    assert text.replace(section(text, "leaderboard"), section(before, "leaderboard")) == before
+
+
+def test_what_the_leaderboard_does_not_allow_is_listed_with_its_reason(repository: Path) -> None:
+    folder = write_run(repository, "bc-human", "BC (ST)", "MoveToRegion", 0, 0.5)
     for file in ("scores.csv", "entry.json"):
+        (folder / "leaderboard").mkdir(exist_ok=True)
         shutil.copy(folder / file, folder / "leaderboard" / file)
-    assert made(repository) == before
+    text = made(repository)
+    assert section(text, "leaderboard") == "Nothing yet: not run.\n"
+    (rejected,) = section(text, "rejected").splitlines()
+    name = "results/bc-human/runs/MoveToRegion-seed0/leaderboard"
+    assert rejected.startswith(f"- `{name}`: nudge 0, expected 1e-09")
 
 
 def test_the_check_finds_a_page_or_a_picture_that_is_out_of_date(repository: Path) -> None:

@@ -17,7 +17,8 @@ from typing import Any
 from magical.evaluation import published_tasks
 from magical.evaluation.intervals import Interval
 from magical.evaluation.variants import SHORT_VARIANTS, short_variant
-from magical.report.leaderboard.checks import Rejected
+from magical.report.leaderboard.checks import Rejected, check_entries
+from magical.report.leaderboard.ranking import make_boards
 from magical.report.replication.cells import (
     LIMITS,
     Cell,
@@ -110,7 +111,10 @@ class Page:
         self.plans = [PlanResults.read(root, name) for name in PLANS]
         names = (*PLANS, EXPERT)
         folders = [folder for name in names if (folder := root / "results" / name).is_dir()]
-        found, self.rejected = make_rows(_exact(search_results(folders))) if folders else ([], [])
+        results = search_results(folders) if folders else Results([])
+        found, self.rejected = make_rows(_evaluations(results, leaderboard=False))
+        self.ranked, rejected = check_entries(_evaluations(results, leaderboard=True))
+        self.rejected += rejected
         known = {row.method: row for row in found}
         planned = [method for plan in self.plans for method in plan.methods]
         self.methods = [method for method in planned if published_row(method)]
@@ -155,6 +159,7 @@ class Page:
             "variations": self.variation_table,
             "orders": self.orders,
             "gaps": self.gap_table,
+            "leaderboard": self.leaderboard,
             "others": self.other_tables,
             "cells": self.cell_tables,
             "rejected": self.rejections,
@@ -241,6 +246,18 @@ class Page:
         )
         return table(header, rows)
 
+    def leaderboard(self) -> str:
+        """The methods in the leaderboard's order, of those that have all tasks."""
+        header = ("Rank", "Method", "Class", "Used", "Demo", "TestAll", "Gap", "Rank by gap")
+        rows = [
+            [
+                *(row.rank, row.method, row.learning_class or "–", ", ".join(row.used) or "–"),
+                *(_mean(row.demo), _mean(row.test_all), signed(row.gap), row.gap_rank),
+            ]
+            for row in make_boards(self.ranked)[0].standings
+        ]
+        return table(header, rows) if rows else NOTHING
+
     def other_tables(self) -> str:
         """A table for each row without a published counterpart: tasks by variants."""
         return "\n\n".join(map(_score_table, self.others)) or NOTHING
@@ -257,10 +274,10 @@ class Page:
         return "\n".join(lines) or "None."
 
 
-def _exact(results: Results) -> Results:
-    """Without the leaderboard's evaluations of the same policies (tools/collect_results.py)."""
-    kept = [result for result in results.found if result.folder.name != LEADERBOARD]
-    return replace(results, found=kept)
+def _evaluations(results: Results, leaderboard: bool) -> Results:
+    """Of the leaderboard's evaluations and the others of the same policies, one kind."""
+    kept = [r for r in results.found if (r.folder.name == LEADERBOARD) == leaderboard]
+    return replace(results, found=kept, skipped=() if leaderboard else results.skipped)
 
 
 def _within_header() -> list[str]:
