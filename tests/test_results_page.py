@@ -159,7 +159,9 @@ def test_the_leaderboards_evaluations_are_ranked_and_shown_nowhere_else(reposito
     text = made(repository)
     ((*row, demo, test_all, _, gap_rank),) = lines(text, "leaderboard", "1")
     assert row == ["1", "BC (ST)", "P", "demonstrations"]
-    assert demo.startswith("0.25 [") and test_all.startswith("0.25 [") and gap_rank == "1"
+    assert demo.startswith("0.25 [")
+    assert test_all.startswith("0.25 [")
+    assert gap_rank == "1"
     assert text.replace(section(text, "leaderboard"), section(before, "leaderboard")) == before
 
 
