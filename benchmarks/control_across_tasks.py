@@ -37,12 +37,14 @@ def main() -> None:
         controller = load_policy(run, device="cpu")
         acting = object_policy(controller)
         policy = object_policy(goals)
-        policy.controller, policy.sight = acting.controller, acting.sight
+        for name in ("controller", "sight", "temperature", "stuck_temperature"):
+            setattr(policy, name, getattr(acting, name))
         means = score(goals, tasks, args)
         others = [m for m, task in zip(means, tasks, strict=True) if task not in controller.tasks]
         cells = " | ".join(f"{mean:.2f}" for mean in means)
+        mean = f"{np.mean(others):.2f}" if others else "–"
         name = "+".join(controller.tasks) if len(controller.tasks) < len(goals.tasks) else "all"
-        print(f"| {name} | {cells} | {np.mean(others or means):.2f} |", flush=True)
+        print(f"| {name} | {cells} | {mean} |", flush=True)
 
 
 def object_policy(policy: NetworkPolicy) -> ObjectPolicy:

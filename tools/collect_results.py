@@ -11,9 +11,11 @@ Written are, as `magical report` and `magical leaderboard` read them:
 - `plan.json`: the plan's runs
 - `collected.json`: the plan's digest, versions, demonstrations, and each run's seconds or error
 
+What was collected of runs that are no longer the plan's stays, and counts nowhere.
+
 With --leaderboard each run that is done is first evaluated by the leaderboard's protocol, from its
 checkpoint, into a folder `leaderboard` in its own, unless that was done before. --looks states in
-the details of newly collected entries how often TestAll had been evaluated before.
+the details of newly collected entries how often test variants had been evaluated before.
 
 Runs of another version of the package than those before are refused (exit status 1).
 """
@@ -121,6 +123,10 @@ def collect(
             run = planned[folder.name] if leaderboard else None
             if why := _collect_run(run, folder, out / RUNS / folder.name, collected, looks):
                 yield f"left out: {why}"
+    for runs in (collected.runs, collected.failed):
+        for name in set(runs) - set(planned):
+            del runs[name]
+            yield f"does not count any more: {out / RUNS / name}: not a run of {plan}"
     write_json(out / PLAN, {"runs": [listed(run) for run in planned.values()]})
     collected.write(out, plan)
     commits = Counter(map(_commit, (out / RUNS / name for name in collected.runs)))
@@ -212,7 +218,9 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--out", type=Path, required=True, metavar="results/NAME")
     parser.add_argument("--plan", type=Path, metavar="FILE", help="default: plans/NAME.toml")
     parser.add_argument("--leaderboard", action="store_true", help="evaluate for it first")
-    parser.add_argument("--looks", type=int, metavar="N", help="how often TestAll was evaluated")
+    parser.add_argument(
+        "--looks", type=int, metavar="N", help="how often test variants were evaluated"
+    )
     args = parser.parse_args(arguments)
     plan = args.plan or Path("plans") / f"{args.out.absolute().name}.toml"
     try:

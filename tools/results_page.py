@@ -141,7 +141,8 @@ class Page:
     @property
     def digest(self) -> str:
         """Of what the picture shows."""
-        shown = [
+        shown: list[object] = [self.methods, self.tasks]
+        shown += [
             (cell.method, cell.task, cell.variant, f"{cell.distance:.2f}")
             for cells in self.cells.values()
             for cell in cells

@@ -198,3 +198,21 @@ def test_an_entry_of_another_version_is_left_out(
     left_out, missing = collect(copied, out, tiny)
     assert "expected an entry made by" in left_out
     assert missing.startswith("missing: ")
+
+
+def test_runs_that_are_no_longer_the_plans_count_nowhere(
+    copied: Path, tiny: Path, out: Path, planned: Planned
+) -> None:
+    first, second = (run.folder for run in planned())
+    assert collect(copied, out, tiny) == []
+    changed = tiny.with_name("changed.toml")
+    changed.write_text(tiny.read_text().replace("seeds = [0, 1]", "seeds = [0]"))
+    left_out, stale = collect(copied, out, changed)
+    assert left_out.startswith("left out: ")
+    assert stale == f"does not count any more: {out / 'runs' / second}: not a run of {changed}"
+    assert set(json.loads((out / "collected.json").read_text())["runs"]) == {first}
+    (skipped,) = search_results([out]).skipped
+    assert (skipped.folder.name, skipped.reason) == (
+        second,
+        "not a run of the plan, but of an earlier one",
+    )

@@ -59,7 +59,7 @@ def test_generated_demonstrations_are_not_replaced(
     shutil.copytree(out, out.with_name("again"))
     execute(runs, out)  # they are generated again, and are the same
     generate("magical/MoveToRegion-Demo-v0", 3, out.with_name("again") / "demos/expert-3", seed=9)
-    with pytest.raises(ResultsError, match="learned from other demonstrations of MoveToRegion"):
+    with pytest.raises(DatasetError, match="expected demonstrations generated with seed 0"):
         execute(runs, out.with_name("again"))
 
 
@@ -78,9 +78,9 @@ def test_a_signal_ends_the_generation_of_demonstrations(
 
 
 def test_the_series_of_demonstrations_goes_on_after_many_that_were_dropped() -> None:
-    assert _next_attempt([episode_seed(0, 40)], 0, 3) == 41
+    assert _next_attempt(Path("demos"), [episode_seed(0, 40)], 0, 3) == 41
     with pytest.raises(DatasetError, match="expected demonstrations generated with seed 0"):
-        _next_attempt([episode_seed(1, 0)], 0, 3)
+        _next_attempt(Path("demos"), [episode_seed(1, 0)], 0, 3)
 
 
 def test_perturbed_experts(planned: Planned, inline: Started, out: Path) -> None:
@@ -150,3 +150,10 @@ def test_interrupted_generation_gives_the_same_demonstrations(
     assert all(one.final_score >= min_score for one in whole.entries)
     attempts = [episode_seed(0, k) for k in range(3)]
     assert ([one.seed for one in whole] == attempts) == (min_score == 0.0)
+
+
+def test_demonstrations_of_another_seed_are_refused(tmp_path: Path) -> None:
+    generate_missing(tmp_path / "demos", ["MoveToRegion"], 1, seed=0, workers=1)
+    generate_missing(tmp_path / "demos", ["MoveToRegion"], 1, seed=0, workers=1)
+    with pytest.raises(DatasetError, match="expected demonstrations generated with seed 1"):
+        generate_missing(tmp_path / "demos", ["MoveToRegion"], 1, seed=1, workers=1)

@@ -17,7 +17,8 @@ from magical.cli import main
 from magical.errors import PlacementError, ResultsError
 from magical.evaluation import read_entry
 from magical.evaluation.verification import is_same_machine
-from magical.experiments import one_run, results
+from magical.experiments import forecast, one_run, results
+from magical.experiments.estimates import Estimate
 from magical.experiments.execution import _outcome, execute
 from magical.experiments.plan import PlannedRun
 from magical.experiments.status import read_status
@@ -273,6 +274,29 @@ def test_status_and_dry_run_on_the_command_line(
     assert [one["state"] for one in result(*dry)[1]["plan"]] == ["done", "done"]
     _, status = result("status", str(out))
     assert (status["done"], status["waiting"], status["active"]) == (2, 0, False)
+
+
+def test_failed_runs_are_left_only_where_they_are_tried_again(
+    planned: Planned, copied: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(forecast, "estimate", lambda runs: [Estimate(here=60.0, gpu=6.0)] * 2)
+    record = copied / "runs" / planned()[0].folder / "result.json"
+    record.write_text(record.read_text().replace('"done"', '"failed"'))
+    for again, left in ((False, "0:00:00"), (True, "0:01:00")):
+        found = forecast.forecast(planned(), copied, retry_failed=again)
+        assert list(found.lines())[1].startswith(f"left, one run at a time: {left} here")
+
+
+def test_what_a_killed_command_ran_is_not_running_in_the_next_one(
+    planned: Planned, copied: Path
+) -> None:
+    for folder in (copied / "runs").iterdir():
+        (folder / "result.json").unlink()
+    with results.opened(copied, planned()) as opened:
+        opened.write_progress(planned(), 2)
+        assert read_status(copied).counts["running"] == 2
+    with results.opened(copied, planned()):
+        assert read_status(copied).counts["running"] == 0
 
 
 def test_status_names_a_damaged_record(planned: Planned, copied: Path) -> None:

@@ -13,6 +13,7 @@ from magical.envs import EnvId
 from magical.errors import InvalidConfigError
 from magical.evaluation import evaluate
 from magical.learning import load_policy, train
+from magical.learning.algorithms import object_bc
 from magical.learning.algorithms.object_bc import ObjectBCConfig, make_policy
 from magical.learning.objects.control import Sight, control_inputs
 from magical.learning.objects.hindsight import ROBOT_TARGET
@@ -139,6 +140,38 @@ def test_a_robot_away_from_its_destination_does_not_idle(expert_demos: Path) -> 
     idle = [ACTION_NAMES.index(f"stop-straight-{grip}") for grip in ("open", "closed")]
     assert there.softmax(dim=1)[:, idle].min() > 1e-3
     assert away.softmax(dim=1)[:, idle].max() < 1e-12
+
+
+def test_a_share_of_the_other_blocks_is_dropped_and_no_target(
+    expert_demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    others = 0
+
+    def counted(table: ObjectTable, targets: torch.Tensor, *rest: Any) -> Any:
+        nonlocal others
+        moved = targets != ROBOT_TARGET
+        assert table.present[moved.nonzero()[:, 0], targets[moved]].all()
+        others += int(table.present.sum() - moved.sum())
+        return control_inputs(table, targets, *rest)
+
+    found = []
+    monkeypatch.setattr(object_bc, "control_inputs", counted)
+    for share in (0.0, 0.25):
+        others = 0
+        fields = {"tasks": ("FixColour",), "batch_size": 512, "drop_blocks": share}
+        train(tiny(expert_demos, **fields), tmp_path / str(share))
+        found.append(others)
+    assert found[1] / found[0] == pytest.approx(0.75, abs=0.02)
+
+
+def test_trimmed_tables_keep_all_blocks() -> None:
+    table = _table()
+    gone = torch.zeros_like(table.present)
+    gone[:, 0] = True
+    some = table.without(gone)
+    assert some.trimmed().present.sum() == some.present.sum() > 0
+    assert some.trimmed().present.shape[1] < table.present.shape[1]
+    assert table.without(torch.ones_like(gone)).trimmed().present.shape[1] == 2
 
 
 @pytest.mark.parametrize("name", ObjectBCConfig.without)

@@ -10,7 +10,7 @@ import pytest
 from magical.errors import ScoresError
 from magical.report.folders import evaluated_page
 from magical.report.missing import find_missing
-from magical.report.results import find_results
+from magical.report.results import find_results, search_results
 
 WriteEntry = Callable[..., Path]
 LINE = {"MakeLine-Demo": [1.0, 0.0]}
@@ -161,3 +161,16 @@ def test_a_damaged_record_of_a_run_does_not_stop_a_page(
     site = tmp_path / "page.html"
     evaluated_page("a", find_results([tmp_path]), out=site).write(site)
     assert "bc" in site.read_text("utf-8")
+
+
+def test_entries_inside_a_run_that_is_no_longer_the_plans_are_skipped(
+    write_entry: WriteEntry, tmp_path: Path
+) -> None:
+    for name in ("runs/old/leaderboard", "runs/now/leaderboard", "runs/now"):
+        write_entry(name, "bc", LINE)
+    plan = {"folder": "now", "method": "bc", "tasks": ["MakeLine"], "seed": 0}
+    write_json(tmp_path / "plan.json", {"runs": [plan]})
+    results = search_results([tmp_path])
+    assert [r.folder.parent.name for r in results.found] == ["runs", "now"]
+    (skipped,) = results.skipped
+    assert skipped.folder == tmp_path / "runs" / "old" / "leaderboard"

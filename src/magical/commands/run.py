@@ -91,7 +91,7 @@ def run(args: argparse.Namespace) -> int:
 def _dry_run(args: argparse.Namespace, runs: "Sequence[PlannedRun]", out: Path) -> int:
     from magical.experiments.forecast import HEADER, forecast
 
-    expected = forecast(runs, out)
+    expected = forecast(runs, out, retry_failed=args.retry_failed)
     print_table(HEADER, expected.rows())
     for line in expected.lines():
         print(line)

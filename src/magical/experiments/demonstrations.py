@@ -48,6 +48,7 @@ def generate_missing(
     existing = _kept(folder)
     for task in tasks:
         seeds = [entry.seed for entry in existing if entry.task == task]
+        first = _next_attempt(folder, seeds, seed, count) if seeds else 0
         if len(seeds) < count:
             (demo,) = environments([task], ["Demo"])
             generate(
@@ -55,7 +56,7 @@ def generate_missing(
                 count - len(seeds),
                 folder,
                 seed=seed,
-                first=_next_attempt(seeds, seed, count) if seeds else 0,
+                first=first,
                 perturb=perturb,
                 min_score=min_score,
                 workers=workers,
@@ -63,7 +64,7 @@ def generate_missing(
             )
 
 
-def _next_attempt(seeds: Sequence[int | None], seed: int, count: int) -> int:
+def _next_attempt(folder: Path, seeds: Sequence[int | None], seed: int, count: int) -> int:
     """The number of the attempt after the last of those that gave some of `count` demonstrations.
 
     Raises `DatasetError` where the last one's scene is none of the series.
@@ -73,8 +74,8 @@ def _next_attempt(seeds: Sequence[int | None], seed: int, count: int) -> int:
         if episode_seed(seed, number) == seeds[-1]:
             return number + 1
     raise DatasetError(
-        f"expected demonstrations generated with seed {seed}, found one of scene {seeds[-1]}; "
-        "remove the folder or choose another"
+        f"{folder}: expected demonstrations generated with seed {seed}, found one of scene "
+        f"{seeds[-1]}; remove the folder or choose another"
     )
 
 

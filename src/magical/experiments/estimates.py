@@ -1,5 +1,6 @@
 """Estimates of how long runs take, here and on a GPU: right within a factor of two or so."""
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -46,12 +47,16 @@ class Estimate:
 
 def estimate(runs: Sequence[PlannedRun]) -> list[Estimate]:
     """An estimate for each run; takes some seconds to measure the networks' training speed."""
-    speeds = _measure({_way(run.config) for run in runs})
-    return [_estimate(run, speeds[_way(run.config)]) for run in runs]
+    ways = {_way(run.config) for run in runs if not run.config.seconds_each}
+    speeds = _measure(ways)
+    return [_estimate(run, speeds.get(_way(run.config), math.nan)) for run in runs]
 
 
 def _estimate(run: PlannedRun, speed: float) -> Estimate:
-    """An estimate from the samples a second of forward and backward passes here."""
+    """An estimate from the samples a second of forward and backward passes here.
+
+    A learner that states its own cost is taken to gain nothing from a GPU.
+    """
     config = run.config
     samples, steps = config.training_samples, _evaluation_steps(run)
     prepared = 0
@@ -61,9 +66,9 @@ def _estimate(run: PlannedRun, speed: float) -> Estimate:
         prepared = samples
     if config.seconds_each:
         per_sample, per_action = config.seconds_each
-        here = samples * per_sample + steps * per_action
-    else:
-        here = (samples + FORWARD * steps) / speed + prepared * SECONDS_PER_PREPARED_SAMPLE
+        seconds = samples * per_sample + steps * (per_action + SECONDS_PER_STEP)
+        return Estimate(here=seconds, gpu=seconds)
+    here = (samples + FORWARD * steps) / speed + prepared * SECONDS_PER_PREPARED_SAMPLE
     return Estimate(
         here=here + steps * SECONDS_PER_STEP,
         gpu=samples * GPU_SECONDS_PER_SAMPLE + steps * GPU_SECONDS_PER_STEP,

@@ -189,7 +189,7 @@ def _nudge(value: Any, key: str) -> float:
     try:
         return checked_nudge(value)
     except ValueError as error:
-        raise PlanError(f"{key}: {error}") from error
+        raise PlanError(str(error)) from error  # which names the key
 
 
 def _perturb(value: Any, key: str) -> float:

@@ -107,7 +107,7 @@ def check_results(path: Path, runs: Sequence[PlannedRun]) -> None:
     Raises:
         ResultsError: the folder is of another version, or of another plan.
     """
-    found = _read(path / EXPERIMENT)
+    found = read_record(path / EXPERIMENT)
     versions_then = found.get("versions")
     version = versions_then.get("magical") if isinstance(versions_then, dict) else None
     if found.get("format") != FORMAT or version != __version__:
@@ -132,7 +132,7 @@ def listed_runs(path: Path) -> list[dict[str, Any]]:
     """
     if not (path / PLAN).exists():
         return []
-    listed = _read(path / PLAN).get("runs")
+    listed = read_record(path / PLAN).get("runs")
     fields = {"folder": str, "method": str, "tasks": list, "seed": int, "total": int}
     if not isinstance(listed, list) or not all(
         isinstance(run, dict)
@@ -157,7 +157,7 @@ def read_state(folder: Path) -> str | None:
     """
     if not (folder / RESULT).is_file():
         return None
-    state = _read(folder / RESULT).get("state")
+    state = read_record(folder / RESULT).get("state")
     if state not in (DONE, FAILED):
         raise ResultsError(
             f"{folder / RESULT}: expected a state, {DONE} or {FAILED}, found {state!r:.100}; "
@@ -221,11 +221,12 @@ def _require_new(path: Path) -> None:
 def _opened(path: Path, runs: Sequence[PlannedRun]) -> Results:
     if is_results(path):
         check_results(path, runs)
+        (path / PROGRESS).unlink(missing_ok=True)  # of a command that was killed
     else:
         found = {"format": FORMAT, "id": uuid.uuid4().hex, "versions": versions()}
         write_json(path / EXPERIMENT, found)
     write_json(path / PLAN, {"runs": [listed(run) for run in runs]})
-    return Results(path, str(_read(path / EXPERIMENT).get("id")))
+    return Results(path, str(read_record(path / EXPERIMENT).get("id")))
 
 
 def listed(run: PlannedRun) -> Mapping[str, Any]:
@@ -239,7 +240,12 @@ def listed(run: PlannedRun) -> Mapping[str, Any]:
     }
 
 
-def _read(path: Path) -> dict[str, Any]:
+def read_record(path: Path) -> dict[str, Any]:
+    """A JSON object of a results folder.
+
+    Raises:
+        ResultsError: it is missing or damaged.
+    """
     try:
         return read_json(path)
     except RunFolderError as error:

@@ -19,11 +19,12 @@ from magical.experiments.results import (
     WAITING,
     is_results,
     listed_runs,
+    read_record,
     read_state,
     run_folders,
 )
 from magical.files import is_locked
-from magical.runs.folder import LOCK, read_json
+from magical.runs.folder import LOCK
 from magical.runs.metrics import read_metrics
 
 RUNNING = "running"
@@ -128,7 +129,7 @@ def read_status(path: Path) -> Status:
             "makes one), found none"
         )
     active = is_locked(path / LOCK)
-    progress = _read(path / PROGRESS) if active and (path / PROGRESS).exists() else {}
+    progress = read_record(path / PROGRESS) if active and (path / PROGRESS).exists() else {}
     running = progress.get("running", [])
     runs = tuple(_run_status(path, item, item["folder"] in running) for item in listed_runs(path))
     others = {folder.name for folder in run_folders(path)} - {run.folder for run in runs}
@@ -139,7 +140,7 @@ def _run_status(path: Path, item: Mapping[str, Any], running: bool) -> RunStatus
     folder = path / RUNS / item["folder"]
     try:
         state = read_state(folder)
-        record = _read(folder / RESULT) if state else {}
+        record = read_record(folder / RESULT) if state else {}
         error = str(record.get("error", ""))
         step = 0 if state else _step(folder)
     except ResultsError as damage:
@@ -165,10 +166,3 @@ def _step(folder: Path) -> int:
     except RunFolderError as error:
         raise ResultsError(str(error)) from error
     return int(rows[-1]["step"]) if rows else 0
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        return read_json(path)
-    except RunFolderError as error:
-        raise ResultsError(str(error)) from error

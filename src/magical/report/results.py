@@ -193,11 +193,12 @@ def _run_of(place: Path, root: Path) -> Path | None:
 
 
 def _is_planned(place: Path) -> bool:
-    """Whether a folder is not a plan's run, or one that the plan still lists."""
-    plan = place.parent.parent / PLAN
-    if place.parent.name != RUNS or not plan.is_file():
-        return True
-    return place.name in {run["folder"] for run in _runs(_read(plan))}
+    """Whether a folder is neither a plan's run nor in one, or the plan still lists that run."""
+    for folder in (place, *place.parents):
+        plan = folder.parent.parent / PLAN
+        if folder.parent.name == RUNS and plan.is_file():
+            return folder.name in {run["folder"] for run in _runs(_read(plan))}
+    return True
 
 
 def _planned(places: Iterable[Path], evaluated: Iterable[Path | None]) -> list[Planned] | None:

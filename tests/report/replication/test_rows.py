@@ -108,3 +108,25 @@ def test_the_cluster_tasks_count_with_the_published_horizon_alone(
     (row,), (rejected,) = make_rows(search_results([tmp_path]))
     assert len(row.means) == 1
     assert rejected.reasons == ["ClusterColour with another horizon than 240 control steps"]
+
+
+def test_runs_of_a_row_learned_from_the_same_sources(
+    tmp_path: Path, write_entry: WriteEntry
+) -> None:
+    given = scores("MoveToRegion", 1.0)
+    for seed, (sources, whose, looks) in enumerate(
+        [
+            (["demonstrations"], "10 (human)", 2),
+            (["demonstrations"], "25 (expert)", 5),
+            (["demonstrations", "simulator"], "10 (human)", 9),
+        ]
+    ):
+        details = {"learned_from": sources, "demonstrations": whose, "looks": looks}
+        write_entry(str(seed), "mine", given, seed=seed, version=__version__, details=details)
+    (row,), (rejected,) = make_rows(search_results([tmp_path]))
+    assert (len(row.means), row.learning_class) == (2, "P")
+    assert (row.demonstrations, row.looks) == ("10 (human); 25 (expert)", "5")
+    assert rejected.reasons == [
+        "learned from demonstrations, simulator, but of the same method "
+        f"{tmp_path / '0'} from demonstrations"
+    ]

@@ -36,8 +36,9 @@ class ObjectTable(NamedTuple):
         )
 
     def trimmed(self) -> "ObjectTable":
-        """The same scenes without the columns in which no scene has a block (but two)."""
-        count = max(2, int(self.present.sum(dim=1).max()))
+        """The same scenes without the columns after the last block of any scene (but two)."""
+        used = self.present.any(dim=0).nonzero()[:, 0].tolist()
+        count = max([2, *(number + 1 for number in used[-1:])])
         blocks, colours, shapes = self.blocks, self.colours, self.shapes
         return self._replace(
             blocks=blocks[:, :count], colours=colours[:, :count], shapes=shapes[:, :count]

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from magical.evaluation.intervals import Interval
+from magical.evaluation.statistics import ROUNDING
 from magical.report.methods import ComparedMethod, compared_methods
 from magical.report.results import Result
 from magical.runs.sources import learned_from, learning_class
@@ -96,4 +97,4 @@ def _ranked(standings: Sequence[Standing]) -> list[Standing]:
 
 
 def _rank(row: Standing, standings: Sequence[Standing], key: Callable[[Standing], float]) -> int:
-    return 1 + sum(key(other) < key(row) - 1e-12 for other in standings)
+    return 1 + sum(key(other) < key(row) - ROUNDING for other in standings)

@@ -8,8 +8,7 @@ from types import MappingProxyType
 from magical.envs import EnvId
 from magical.evaluation.intervals import Interval
 from magical.evaluation.published import published_contrast, published_table
-from magical.evaluation.statistics import contrast, mean
-from magical.evaluation.variants import full_variant, short_variant
+from magical.evaluation.statistics import ROUNDING, contrast, mean
 from magical.report.replication.rows import Row
 
 DEMO, TESTS = "Demo", "test variants"
@@ -177,7 +176,7 @@ def order(rows: Sequence[Row], part: str) -> Ordering:
     """The order of the methods with the name of a published one."""
     rows = [row for row in rows if row.published == row.method]
     env_ids = _shared(rows, part)
-    cells = [(env_id.task, full_variant(short_variant(env_id.variant))) for env_id in env_ids]
+    cells = [(env_id.task, env_id.variant) for env_id in env_ids]
     if not env_ids:
         return Ordering(part, (), ())
     theirs = {row.method: published_contrast({row.method: 1.0}, cells) for row in rows}
@@ -191,4 +190,4 @@ def order(rows: Sequence[Row], part: str) -> Ordering:
 
 
 def _rank(name: str, means: Mapping[str, Interval]) -> int:
-    return 1 + sum(other.value > means[name].value + 1e-12 for other in means.values())
+    return 1 + sum(other.value > means[name].value + ROUNDING for other in means.values())

@@ -21,7 +21,7 @@ class Drop(NamedTuple):
         method: the method's name.
         learning_class: `P`, `R` or `X`, or empty.
         demonstrations: how many and whose.
-        looks: how often TestAll was evaluated before; empty where that is not stated.
+        looks: how often test variants were evaluated before; empty where that is not stated.
         demo: mean over tasks.
         test_all: mean over tasks.
         gap: their difference.

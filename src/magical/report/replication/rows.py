@@ -26,8 +26,9 @@ class Row:
         env_ids: the columns' environments, in the registry's order.
         means: (runs, environments), each run's mean score; NaN where it was not evaluated.
         learning_class: `P`, `R` or `X`, or empty (`magical.runs.sources`).
-        demonstrations: how many and whose, as the first run's entry says.
-        looks: how often TestAll was evaluated before, as it says; empty if it does not.
+        demonstrations: how many and whose, as the entries say.
+        looks: how often test variants were evaluated before: the most that an entry says; empty
+            if none does.
     """
 
     method: str
@@ -67,6 +68,11 @@ def make_rows(results: Results) -> tuple[list[Row], list[Rejected]]:
         reasons = _faults(result)
         if other := same_run(result, runs):
             reasons.append(f"the same run as {other.folder}: each run counts once")
+        elif runs and _sources(result) != _sources(runs[0]):
+            reasons.append(
+                f"learned from {_sources(result)}, but of the same method {runs[0].folder} from "
+                f"{_sources(runs[0])}"
+            )
         if reasons:
             rejected.append(Rejected(str(result.folder), result.entry.method, reasons))
         else:
@@ -87,17 +93,26 @@ def _faults(result: Result) -> list[str]:
     return [*faults, *incompleteness(entry)]
 
 
+def _sources(result: Result) -> str:
+    """What an entry says it learned from, and whether it was shown true states."""
+    stated = result.entry.details.get(LEARNED_FROM) or ["nothing"]
+    privileged = ["true states"] if result.entry.privileged else []
+    return ", ".join(map(str, [*stated, *privileged]))
+
+
 def _row(method: str, runs: Sequence[Result]) -> Row:
     scores = [run.entry.scores for run in runs]
     found = {env_id for run in scores for env_id in by_environment(run)}
     env_ids = tuple(env_id for env_id in environments() if env_id in found)
-    details = runs[0].entry.details
+    details = [run.entry.details for run in runs]
+    demonstrations = [str(d["demonstrations"]) for d in details if "demonstrations" in d]
+    looks = [d["looks"] for d in details if type(d.get("looks")) is int]
     return Row(
         method,
         published_row(method),
         env_ids,
         run_means(scores, env_ids, RULE),
-        learning_class(details.get(LEARNED_FROM, ())),
-        str(details.get("demonstrations", "")),
-        str(details.get("looks", "")),
+        learning_class(details[0].get(LEARNED_FROM, ())),
+        "; ".join(dict.fromkeys(demonstrations)),
+        str(max(looks)) if looks else "",
     )
