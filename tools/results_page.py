@@ -49,6 +49,7 @@ PLANS = (
     "bc-perturbed",
     "bc-mixed",
     "training-time",
+    "training-time-multi",
     "object-bc",
     "object-bc-human",
 )

@@ -74,6 +74,7 @@ RESULTS = {  # the plans of the benchmark's own results: number of runs, demonst
     "bc-perturbed": (8 * 5, "expert, perturb 0.2, min_score 1"),
     "bc-mixed": (8 * 5, "dataset and expert"),
     "training-time": (2 * 3 * 3, "dataset"),
+    "training-time-multi": (3, "dataset"),
 }
 
 
