@@ -250,10 +250,12 @@ class Page:
 
     def leaderboard(self) -> str:
         """The methods in the leaderboard's order, of those that have all tasks."""
-        header = ("Rank", "Method", "Class", "Used", "Demo", "TestAll", "Gap", "Rank by gap")
+        head = ("Rank", "Method", "Class", "Used", "Intervals over")
+        header = (*head, "Demo", "TestAll", "Gap", "Rank by gap")
         rows = [
             [
                 *(row.rank, row.method, row.learning_class or "–", ", ".join(row.used) or "–"),
+                row.unit,
                 *(_mean(row.demo), _mean(row.test_all), signed(row.gap), row.gap_rank),
             ]
             for row in make_boards(self.ranked)[0].standings
