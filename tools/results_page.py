@@ -140,15 +140,18 @@ class Page:
         return {method: count(cells) for method, cells in self.cells.items()}
 
     @property
+    def panels(self) -> Mapping[str, Sequence[Cell]]:
+        """The picture's: the cells of what has been run; if that is nothing, empty ones."""
+        return {m: c for m, c in self.cells.items() if c} or {m: [] for m in self.methods}
+
+    @property
     def digest(self) -> str:
         """Of what the picture shows."""
-        shown: list[object] = [self.methods, self.tasks]
-        shown += [
-            (cell.method, cell.task, cell.variant, f"{cell.distance:.2f}")
-            for cells in self.cells.values()
-            for cell in cells
+        shown = [
+            (method, [(c.task, c.variant, f"{c.distance:.2f}") for c in cells])
+            for method, cells in self.panels.items()
         ]
-        return hashlib.sha256(repr(shown).encode()).hexdigest()[:16]
+        return hashlib.sha256(repr((self.tasks, shown)).encode()).hexdigest()[:16]
 
     def sections(self) -> dict[str, Callable[[], str]]:
         """The generated parts, by name."""
@@ -182,8 +185,7 @@ class Page:
         names = [method, "the same" if published_row(method) == method else published_row(method)]
         if method not in self.counts:
             return [*names, NOT_RUN, *[""] * (len(LIMITS) + 2)]
-        found = self.counts[method]
-        return [*names, *_count_cells(found)]
+        return [*names, *_count_cells(self.counts[method])]
 
     def task_table(self) -> str:
         """Tasks by methods with the name of a published row: cells within two, mean distance."""
@@ -390,8 +392,7 @@ def main(arguments: Sequence[str], root: Path = ROOT) -> int:
     outdated = readme_tables.main(arguments, root / "docs" / "results.md", page.sections())
     if "--check" in arguments:
         return int(outdated or digest_of(picture) != page.digest)
-    panels = {method: page.cells.get(method, ()) for method in page.methods}
-    write_picture(picture, panels, page.tasks, page.digest)
+    write_picture(picture, page.panels, page.tasks, page.digest)
     return 0
 
 

@@ -91,7 +91,7 @@ def _draw(axes: Any, method: str, cells: Sequence[Cell], tasks: Sequence[str]) -
             color="white" if abs(value) > DARK else INK,
             weight="bold" if abs(value) > LIMITS[-1] else "normal",
         )
-    axes.set_xticks(range(len(SHORT_VARIANTS)), SHORT_VARIANTS, fontsize=7)
+    axes.set_xticks(range(len(SHORT_VARIANTS)), SHORT_VARIANTS, fontsize=6)
     axes.set_yticks(range(len(tasks)), tasks, fontsize=8)
     axes.tick_params(length=0)
     axes.set_title(method, fontsize=10)
