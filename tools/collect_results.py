@@ -124,7 +124,7 @@ def collect(
             if why := _collect_run(run, folder, out / RUNS / folder.name, collected, looks):
                 yield f"left out: {why}"
     for runs in (collected.runs, collected.failed):
-        for name in set(runs) - set(planned):
+        for name in sorted(set(runs) - set(planned)):
             del runs[name]
             yield f"does not count any more: {out / RUNS / name}: not a run of {plan}"
     write_json(out / PLAN, {"runs": [listed(run) for run in planned.values()]})

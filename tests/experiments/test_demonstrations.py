@@ -58,7 +58,12 @@ def test_generated_demonstrations_are_not_replaced(
     shutil.rmtree(out / "demos")
     shutil.copytree(out, out.with_name("again"))
     execute(runs, out)  # they are generated again, and are the same
-    generate("magical/MoveToRegion-Demo-v0", 3, out.with_name("again") / "demos/expert-3", seed=9)
+    other = out.with_name("again") / "demos/expert-3"
+    generate_missing(other, ["MoveToRegion"], 3, perturb=0.5, workers=1)
+    with pytest.raises(ResultsError, match="learned from other demonstrations of MoveToRegion"):
+        execute(runs, out.with_name("again"))
+    shutil.rmtree(other)
+    generate("magical/MoveToRegion-Demo-v0", 3, other, seed=9)
     with pytest.raises(DatasetError, match="expected demonstrations generated with seed 0"):
         execute(runs, out.with_name("again"))
 

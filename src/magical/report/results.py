@@ -151,7 +151,7 @@ def search_results(folders: Iterable[Path | str], without: Path | None = None) -
         places += new
         # A folder without any entry is read nevertheless: the error says what was expected.
         for place in [place for place in new if _holds_entry(place)] or ([root] if new else []):
-            if place != root and not _is_planned(place):
+            if place != root and not _is_planned(place, root):
                 skipped.append(Skipped(place, "not a run of the plan, but of an earlier one"))
                 continue
             try:
@@ -192,9 +192,11 @@ def _run_of(place: Path, root: Path) -> Path | None:
     return inside[0] if len(inside) == 1 else None
 
 
-def _is_planned(place: Path) -> bool:
+def _is_planned(place: Path, root: Path) -> bool:
     """Whether a folder is neither a plan's run nor in one, or the plan still lists that run."""
     for folder in (place, *place.parents):
+        if folder == root:
+            break
         plan = folder.parent.parent / PLAN
         if folder.parent.name == RUNS and plan.is_file():
             return folder.name in {run["folder"] for run in _runs(_read(plan))}

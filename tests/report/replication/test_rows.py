@@ -128,5 +128,5 @@ def test_runs_of_a_row_learned_from_the_same_sources(
     assert (row.demonstrations, row.looks) == ("10 (human); 25 (expert)", "5")
     assert rejected.reasons == [
         "learned from demonstrations, simulator, but of the same method "
-        f"{tmp_path / '0'} from demonstrations"
+        f"{tmp_path / '0'} demonstrations"
     ]

@@ -38,7 +38,7 @@ class ObjectTable(NamedTuple):
     def trimmed(self) -> "ObjectTable":
         """The same scenes without the columns after the last block of any scene (but two)."""
         used = self.present.any(dim=0).nonzero()[:, 0].tolist()
-        count = max([2, *(number + 1 for number in used[-1:])])
+        count = 1 + max([1, *used])
         blocks, colours, shapes = self.blocks, self.colours, self.shapes
         return self._replace(
             blocks=blocks[:, :count], colours=colours[:, :count], shapes=shapes[:, :count]

@@ -96,18 +96,25 @@ def _conflicts(result: Result, accepted: Sequence[Result]) -> Iterator[str]:
         )
         return
     for other in (run for run in accepted if run.entry.method == entry.method):
-        for what, value, expected in (
-            ("shown", entry.observation, other.entry.observation),
-            ("privileged", entry.privileged, other.entry.privileged),
-            ("learned from", learned_from(entry.details), learned_from(other.entry.details)),
-        ):
-            if value != expected:
-                yield (
-                    f"{what} {_text(value)}, but of the same method {other.folder} "
-                    f"{_text(expected)}"
-                )
-                return
+        if found := difference(entry, other):
+            yield found
+            return
 
 
-def _text(value: object) -> str:
-    return ", ".join(value) or "nothing" if isinstance(value, tuple) else str(value)
+def difference(entry: Entry, other: Result) -> str:
+    """What an entry was shown or learned from, unlike a run of its method; empty for nothing."""
+    for what, value, expected in (
+        ("shown", entry.observation, other.entry.observation),
+        ("privileged", entry.privileged, other.entry.privileged),
+        ("learned from", _sources(entry), _sources(other.entry)),
+    ):
+        if value != expected:
+            return f"{what} {value}, but of the same method {other.folder} {expected}"
+    return ""
+
+
+def _sources(entry: Entry) -> str:
+    try:
+        return ", ".join(learned_from(entry.details)) or "nothing"
+    except ValueError:
+        return "what is not stated"

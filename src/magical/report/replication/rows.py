@@ -10,7 +10,7 @@ from magical.evaluation import environments, published_methods
 from magical.evaluation.intervals import Floats
 from magical.evaluation.statistics import by_environment, run_means
 from magical.report.differences import RULE, is_comparable
-from magical.report.leaderboard.checks import Rejected, incompleteness
+from magical.report.leaderboard.checks import Rejected, difference, incompleteness
 from magical.report.results import Result, Results, same_run
 from magical.runs.sources import LEARNED_FROM, learning_class
 from magical.tasks import get_task
@@ -68,11 +68,8 @@ def make_rows(results: Results) -> tuple[list[Row], list[Rejected]]:
         reasons = _faults(result)
         if other := same_run(result, runs):
             reasons.append(f"the same run as {other.folder}: each run counts once")
-        elif runs and _sources(result) != _sources(runs[0]):
-            reasons.append(
-                f"learned from {_sources(result)}, but of the same method {runs[0].folder} from "
-                f"{_sources(runs[0])}"
-            )
+        elif runs and (other_source := difference(result.entry, runs[0])):
+            reasons.append(other_source)
         if reasons:
             rejected.append(Rejected(str(result.folder), result.entry.method, reasons))
         else:
@@ -91,13 +88,6 @@ def _faults(result: Result) -> list[str]:
             steps = task.published_horizon
             faults.append(f"{name} with another horizon than {steps} control steps")
     return [*faults, *incompleteness(entry)]
-
-
-def _sources(result: Result) -> str:
-    """What an entry says it learned from, and whether it was shown true states."""
-    stated = result.entry.details.get(LEARNED_FROM) or ["nothing"]
-    privileged = ["true states"] if result.entry.privileged else []
-    return ", ".join(map(str, [*stated, *privileged]))
 
 
 def _row(method: str, runs: Sequence[Result]) -> Row:
