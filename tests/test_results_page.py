@@ -12,6 +12,7 @@ from magical import __version__
 from magical.envs.seeds import evaluation_seed
 from magical.evaluation import Entry, RolloutScore, environments, published_tasks
 from tools import results_page
+from tools.plan_results import PlanResults
 
 pytest.importorskip("matplotlib", reason="the report extra is not installed")
 
@@ -88,9 +89,7 @@ def test_without_results_everything_is_not_run(repository: Path) -> None:
 
 
 def test_the_planned_runs_are_counted_without_reading_the_plans_methods(root: Path) -> None:
-    planned = {
-        name: results_page.PlanResults.read(root, name).planned for name in results_page.PLANS
-    }
+    planned = {name: PlanResults.read(root, name).planned for name in results_page.PLANS}
     assert planned["bc-human"] == 5 * len(published_tasks())
     assert planned["bc-multi-human"] == 3
     assert planned["bc-ablations-human"] == 3 * 3 * len(published_tasks())

@@ -7,12 +7,10 @@ With --check nothing is written; the exit status is 1 if the page or the picture
 
 import hashlib
 import sys
-import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 from magical.evaluation import published_tasks
 from magical.evaluation.intervals import Interval
@@ -34,8 +32,8 @@ from magical.report.replication.picture import digest_of, write_picture
 from magical.report.replication.rows import Row, make_rows, published_row
 from magical.report.results import Results, search_results
 from magical.report.tables import signed
-from magical.runs.folder import read_json
 from tools import readme_tables
+from tools.plan_results import NOT_RUN, PlanResults
 from tools.readme_tables import table
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -50,58 +48,15 @@ PLANS = (
     "bc-mixed",
     "training-time",
     "training-time-multi",
+    "settings",
     "object-bc",
     "object-bc-human",
 )
 STUDIES = ("object-bc-ablations", "bc-transformations")  # their rows are shown on other pages
 EXPERT = "expert"  # folder and method of the scripted experts' entry, which is no run of a plan
-COLLECTED = "collected.json"  # of a folder of `results/` (tools/collect_results.py)
 LEADERBOARD = "leaderboard"  # in the folder of a run's entry
-NOT_RUN = "not run"
 NOTHING = f"Nothing yet: {NOT_RUN}."
 MAX_LISTED = 5  # entries with the same reason that are listed by name
-
-
-@dataclass(frozen=True)
-class PlanResults:
-    """A plan, and what of it is in `results/`."""
-
-    name: str
-    plan: Mapping[str, Any]  # of the TOML file
-    collected: Mapping[str, Any]  # empty where nothing is
-
-    @classmethod
-    def read(cls, root: Path, name: str) -> "PlanResults":
-        plan = tomllib.loads((root / "plans" / f"{name}.toml").read_text("utf-8"))
-        collected = root / "results" / name / COLLECTED
-        return cls(name, plan, read_json(collected) if collected.is_file() else {})
-
-    @property
-    def methods(self) -> list[str]:
-        return [method["name"] for method in self.plan["methods"]]
-
-    @property
-    def planned(self) -> int:
-        """The number of runs."""
-        tasks, seeds = len(self.plan["tasks"]), len(self.plan["seeds"])
-        groups = [1 if method.get("multi_task") else tasks for method in self.plan["methods"]]
-        return sum(groups) * seeds
-
-    def row(self) -> list[str]:
-        """The plan, its runs, the hours that they took, by which version, what is missing."""
-        runs = self.collected.get("runs", {})
-        seconds = sum(sum(run["seconds"].values()) for run in runs.values())
-        failed = len(self.collected.get("failed", {}))
-        left = self.planned - len(runs) - failed
-        state = [f"{failed} failed"] * bool(failed) + [f"{left} {NOT_RUN}"] * bool(left)
-        return [
-            f"[{self.name}](../plans/{self.name}.toml)",
-            f"{len(runs)} of {self.planned}",
-            f"{seconds / 3600:.1f}" if runs else "–",
-            f"{seconds / 60 / len(runs):.1f}" if runs else "–",
-            self.collected.get("version", "–"),
-            ", ".join(state) or "–",
-        ]
 
 
 class Page:

@@ -71,6 +71,14 @@ VARIATIONS = (
         "four times the batches of `quick`, with the allocentric view", f"{ALLO}, {LONGER}", ALLO
     ),
     _claim("four times the batches of `quick`, multi-task", f"{MULTI}, {LONGER}", MULTI),
+    _claim(
+        "the published optimiser and number of batches", f"{NO_AUG}, published optimiser", NO_AUG
+    ),
+    _claim(
+        "how the published code scales pixels and initialises the last layer",
+        f"{NO_AUG}, published pixels and last layer",
+        NO_AUG,
+    ),
 )
 
 
