@@ -24,7 +24,7 @@ SOURCES: Mapping[str, str] = MappingProxyType(
         INTERACTION: "episodes in the Demo variant, without their scores",
         SCORE: "scores of episodes in the Demo variant",
         EXPERT_LABELS: "an expert asked for actions in states that the learner visits",
-        TEST_VARIANTS: "test variants, to train on or to select settings by their scores",
+        TEST_VARIANTS: "test variants, seen before the final evaluation",
         EXTRA_DATA: "data from elsewhere, such as a pre-trained network",
         OBJECT_PARSER: "a parser made for the known palette, or fitted on rendered scenes",
     }

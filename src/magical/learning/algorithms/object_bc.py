@@ -41,7 +41,7 @@ from magical.learning.optimizers import set_learning_rate
 from magical.learning.run import Run
 from magical.learning.streams import Purpose, seeded_init, stream
 from magical.observe.pixels import CHANNELS, STACK
-from magical.runs.sources import OBJECT_PARSER
+from magical.runs.sources import OBJECT_PARSER, TEST_VARIANTS
 from magical.scene.actions import IDLE_ACTIONS, MIRRORED_ACTIONS
 
 STANDS, STANDS_ANGLE = 0.01, 0.05  # units, rad: a robot that moved less over the stack stands still
@@ -119,8 +119,12 @@ class ObjectBCConfig(ImitationConfig):
 
     @property
     def learned_from(self) -> tuple[str, ...]:
-        """See `Config`; the parser was made for the palette, and fitted on rendered scenes."""
-        return (*super().learned_from, OBJECT_PARSER)
+        """See `Config`.
+
+        The parser was made for the palette and fitted on rendered scenes; the rule that a robot
+        away from its destination does not idle was kept for its scores on Layout.
+        """
+        return (*super().learned_from, TEST_VARIANTS, OBJECT_PARSER)
 
     @property
     def sight(self) -> Sight:
