@@ -29,7 +29,7 @@ def test_every_algorithm_says_what_it_learns_from(algorithm: str) -> None:
     [
         ("bc", {}, ("demonstrations",)),
         ("gail", {}, ("demonstrations", "interaction")),
-        ("object-bc", {}, ("demonstrations", "test variants", "object parser")),
+        ("object-bc", {}, ("demonstrations", "object parser")),
         ("ppo", {}, ("interaction", "score")),
         ("dagger", {}, ("demonstrations", "interaction", "expert labels")),
         (

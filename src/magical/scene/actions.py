@@ -58,5 +58,3 @@ _MIRRORED_TURNS = {Turn.STRAIGHT: Turn.STRAIGHT, Turn.LEFT: Turn.RIGHT, Turn.RIG
 # The number of each action with left and right exchanged.
 MIRRORED_ACTIONS = tuple(a._replace(turn=_MIRRORED_TURNS[a.turn]).id for a in ACTIONS)
 NOOP = Action().id
-# Which actions neither drive nor turn.
-IDLE_ACTIONS = tuple(a[:2] == (Longitudinal.STOP, Turn.STRAIGHT) for a in ACTIONS)

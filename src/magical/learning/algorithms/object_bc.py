@@ -41,12 +41,10 @@ from magical.learning.optimizers import set_learning_rate
 from magical.learning.run import Run
 from magical.learning.streams import Purpose, seeded_init, stream
 from magical.observe.pixels import CHANNELS, STACK
-from magical.runs.sources import OBJECT_PARSER, TEST_VARIANTS
-from magical.scene.actions import IDLE_ACTIONS, MIRRORED_ACTIONS
+from magical.runs.sources import OBJECT_PARSER
+from magical.scene.actions import MIRRORED_ACTIONS
 
 STANDS, STANDS_ANGLE = 0.01, 0.05  # units, rad: a robot that moved less over the stack stands still
-ARRIVED = 0.15  # units: a robot nearer to its own destination may stop
-NEVER = -30.0  # the logit of an impossible action
 OBSERVATION = "LoRes4A"  # the allocentric camera sees every object
 
 
@@ -99,7 +97,7 @@ class ObjectBCConfig(ImitationConfig):
     goal_smoothness: float = option(0.01, "weight of its squared second differences")
     temperature: float = option(0.7, "of the distribution that actions are sampled from")
     stuck_temperature: float = option(
-        4.0, "the same where something is left to do and the robot has not moved"
+        4.0, "the same where a block is left to move and the robot has not moved"
     )
     log_every: int = option(50, "batches between lines of metrics")
     checkpoint_every: int = option(
@@ -121,10 +119,9 @@ class ObjectBCConfig(ImitationConfig):
     def learned_from(self) -> tuple[str, ...]:
         """See `Config`.
 
-        The parser was made for the palette and fitted on rendered scenes; the rule that a robot
-        away from its destination does not idle was kept for its scores on Layout.
+        The parser was made for the palette and fitted on rendered scenes.
         """
-        return (*super().learned_from, TEST_VARIANTS, OBJECT_PARSER)
+        return (*super().learned_from, OBJECT_PARSER)
 
     @property
     def sight(self) -> Sight:
@@ -174,17 +171,13 @@ class ObjectPolicy(nn.Module):
     ) -> Tensor:
         """Logits (B, 18) of the actions that bring targets (B,) to destinations (B, 2).
 
-        A robot that has still to get somewhere does not idle. One with something left to do that
-        has not moved since its pose before (B, 3) acts more randomly: it is stuck.
+        A robot with a block left to move that has not moved since its pose before (B, 3) acts more
+        randomly: it is stuck.
         """
         with torch.autocast(table.robot.device.type, enabled=False):
             inputs = control_inputs(table, targets, destinations, self.sight)
         logits: Tensor = self.controller(*inputs).float()
-        away = (destinations - table.robot[:, :2]).norm(dim=1) > ARRIVED
-        drives = away & (targets == ROBOT_TARGET)
-        idle = torch.tensor(IDLE_ACTIONS, device=logits.device)
-        logits = logits.masked_fill(drives[:, None] & idle, NEVER)
-        stuck = _stands(table.robot, before) & (drives | (targets != ROBOT_TARGET))
+        stuck = _stands(table.robot, before) & (targets != ROBOT_TARGET)
         hot, cool = (logits.new_tensor(t) for t in (self.stuck_temperature, self.temperature))
         return logits / torch.where(stuck, hot, cool)[:, None]
 
