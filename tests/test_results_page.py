@@ -146,7 +146,12 @@ def write_leaderboard_entry(folder: Path, score: float) -> None:
         for i in range(100)
     ]
     method = json.loads((folder / "entry.json").read_text())["method"]
-    details = {"training_seed": 0, "learned_from": ["demonstrations"]}
+    details = {
+        "training_seed": 0,
+        "learned_from": ["demonstrations"],
+        "demonstrations": "10 of each task (dataset)",
+        "looks": 3,
+    }
     entry = Entry(method=method, scores=rows, version=__version__, nudge=1e-9, details=details)
     entry.write(folder / "leaderboard")
 
@@ -157,7 +162,8 @@ def test_the_leaderboards_evaluations_are_ranked_and_shown_nowhere_else(reposito
     write_leaderboard_entry(folder, 0.25)
     text = made(repository)
     ((*row, demo, test_all, _, gap_rank),) = lines(text, "leaderboard", "1")
-    assert row == ["1", "BC (ST)", "P", "demonstrations", "rollouts of 1 run"]
+    assert row[:5] == ["1", "BC (ST)", "P", "10 of each task (dataset)", "3"]
+    assert row[5:] == ["demonstrations", "rollouts of 1 run"]
     assert demo.startswith("0.25 [")
     assert test_all.startswith("0.25 [")
     assert gap_rank == "1"

@@ -49,11 +49,11 @@ from magical.experiments.results import (
 )
 from magical.files import write_atomically
 from magical.report.leaderboard.checks import NUDGE
+from magical.report.statements import LOOKS
 from magical.runs.folder import read_json, write_json
 
 COLLECTED = "collected.json"
 LEADERBOARD = "leaderboard"  # in a run's folder: its evaluation by the leaderboard's protocol
-LOOKS = "looks"  # in an entry's details (docs/protocol.md)
 FORMAT = 1
 
 

@@ -31,6 +31,7 @@ from magical.report.replication.generalisation import find_drops
 from magical.report.replication.picture import digest_of, write_picture
 from magical.report.replication.rows import Row, make_rows, published_row
 from magical.report.results import Results, search_results
+from magical.report.statements import Statements
 from magical.report.tables import signed
 from tools import readme_tables
 from tools.plan_results import NOT_RUN, PlanResults
@@ -197,8 +198,7 @@ class Page:
             [
                 drop.method,
                 drop.learning_class or "–",
-                drop.demonstrations or "–",
-                drop.looks or "–",
+                *_stated(drop.statements),
                 *(_mean(drop.demo), _mean(drop.test_all), signed(drop.gap)),
             ]
             for drop in find_drops([*self.rows, *self.others])
@@ -207,12 +207,12 @@ class Page:
 
     def leaderboard(self) -> str:
         """The methods in the leaderboard's order, of those that have all tasks."""
-        head = ("Rank", "Method", "Class", "Used", "Intervals over")
-        header = (*head, "Demo", "TestAll", "Gap", "Rank by gap")
+        head = ("Rank", "Method", "Class", "Demonstrations", "Earlier looks", "Used")
+        header = (*head, "Intervals over", "Demo", "TestAll", "Gap", "Rank by gap")
         rows = [
             [
-                *(row.rank, row.method, row.learning_class or "–", ", ".join(row.used) or "–"),
-                row.unit,
+                *(row.rank, row.method, row.learning_class or "–", *_stated(row.statements)),
+                *(", ".join(row.used) or "–", row.unit),
                 *(_mean(row.demo), _mean(row.test_all), signed(row.gap), row.gap_rank),
             ]
             for row in make_boards(self.ranked)[0].standings
@@ -239,6 +239,11 @@ def _evaluations(results: Results, leaderboard: bool) -> Results:
     """Of the leaderboard's evaluations and the others of the same policies, one kind."""
     kept = [r for r in results.found if (r.folder.name == LEADERBOARD) == leaderboard]
     return replace(results, found=kept, skipped=() if leaderboard else results.skipped)
+
+
+def _stated(statements: Statements) -> tuple[str, str]:
+    looks = "–" if statements.looks is None else str(statements.looks)
+    return statements.demonstrations or "–", looks
 
 
 def _within_header() -> list[str]:

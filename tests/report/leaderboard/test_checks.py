@@ -36,6 +36,7 @@ def entry(score: float = 0.5, **fields: Any) -> Entry:
 def test_a_right_entry_has_no_faults() -> None:
     assert faults(entry()) == []
     assert faults(entry(details={"learned_from": []})) == []
+    assert faults(entry(details={"learned_from": [], "looks": 0})) == []
 
 
 @pytest.mark.parametrize(
@@ -49,6 +50,8 @@ def test_a_right_entry_has_no_faults() -> None:
         ({"details": {"learned_from": "demonstrations"}}, "expected learned_from"),
         ({"details": {"learned_from": ["magic"]}}, "expected learned_from"),
         ({"details": {"learned_from": [["deep"]]}}, "expected learned_from"),
+        ({"details": {"learned_from": [], "looks": -1}}, "expected looks in the details"),
+        ({"details": {"learned_from": [], "looks": True}}, "expected looks in the details"),
         ({"version": ""}, "made by version (not stated)"),
         ({"version": "99.1.0"}, "made by version 99.1.0"),
     ],

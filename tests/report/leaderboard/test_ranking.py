@@ -69,3 +69,14 @@ def test_what_was_used_is_what_was_learned_from_and_shown() -> None:
     details = {"learned_from": ["extra data", "demonstrations"]}
     board = make_boards([run("m", 1.0, 1.0, details=details, privileged=True)])[1]
     assert board.standings[0].used == ("demonstrations", "extra data", "state")
+
+
+def test_demonstrations_and_looks_are_as_the_entries_say() -> None:
+    learned = {"learned_from": ["demonstrations"]}
+    results = [
+        run("m", 1.0, 0.9, details={**learned, "demonstrations": "10 (human)", "looks": 2}),
+        run("m", 1.0, 0.8, details={**learned, "demonstrations": "10 (human)", "looks": 7}),
+        run("n", 1.0, 0.7, details=learned),
+    ]
+    stated = [row.statements for row in make_boards(results)[1].standings]
+    assert stated == [("10 (human)", 7), ("", None)]

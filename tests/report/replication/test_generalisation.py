@@ -52,7 +52,7 @@ def test_a_row_with_all_tasks_by_hand(tmp_path: Path, write_entry: WriteEntry) -
     *_, drop = find_drops(rows)
     assert rejected == []
     assert (drop.method, drop.learning_class) == ("mine", "P")
-    assert (drop.demonstrations, drop.looks) == ("3 of each task (dataset)", "2")
+    assert drop.statements == ("3 of each task (dataset)", 2)
     assert drop.demo.value == pytest.approx(0.45)
     assert drop.test_all.value == pytest.approx(0.175)
     assert drop.gap.value == pytest.approx(0.275)

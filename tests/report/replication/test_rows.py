@@ -125,8 +125,18 @@ def test_runs_of_a_row_learned_from_the_same_sources(
         write_entry(str(seed), "mine", given, seed=seed, version=__version__, details=details)
     (row,), (rejected,) = make_rows(search_results([tmp_path]))
     assert (len(row.means), row.learning_class) == (2, "P")
-    assert (row.demonstrations, row.looks) == ("10 (human); 25 (expert)", "5")
+    assert row.statements == ("10 (human); 25 (expert)", 5)
     assert rejected.reasons == [
         "learned from demonstrations, simulator, but of the same method "
         f"{tmp_path / '0'} demonstrations"
     ]
+
+
+def test_an_entry_with_impossible_looks_counts_nowhere(
+    tmp_path: Path, write_entry: WriteEntry
+) -> None:
+    given = scores("MoveToRegion", 1.0)
+    write_entry("0", "mine", given, version=__version__, details={"looks": "few"})
+    rows, (rejected,) = make_rows(search_results([tmp_path]))
+    assert rows == []
+    assert rejected.reasons == ["expected looks in the details to be a number from 0; found 'few'"]

@@ -9,6 +9,7 @@ from magical.evaluation.entry import APPENDIX
 from magical.evaluation.rollouts import ROLLOUTS
 from magical.evaluation.variants import short_variant
 from magical.report.results import Result, Results, same_run
+from magical.report.statements import stated_looks
 from magical.runs.sources import learned_from
 from magical.tasks import get_task
 
@@ -45,7 +46,8 @@ def check_entries(results: Results) -> tuple[list[Result], list[Rejected]]:
 
 def faults(entry: Entry) -> list[str]:
     """What an entry by itself has that the protocol does not allow; empty if nothing."""
-    return [*_protocol_faults(entry), *incompleteness(entry), *_statement_faults(entry)]
+    statements = *_source_faults(entry), *looks_faults(entry)
+    return [*_protocol_faults(entry), *incompleteness(entry), *statements]
 
 
 def incompleteness(entry: Entry) -> Iterator[str]:
@@ -73,7 +75,15 @@ def _protocol_faults(entry: Entry) -> Iterator[str]:
         yield f"nudge {entry.nudge:g}, expected {NUDGE:g}: evaluate with --nudge {NUDGE:g}"
 
 
-def _statement_faults(entry: Entry) -> Iterator[str]:
+def looks_faults(entry: Entry) -> Iterator[str]:
+    """What is wrong with an entry's number of looks at test variants, if it states one."""
+    try:
+        stated_looks(entry.details)
+    except ValueError as error:
+        yield str(error)
+
+
+def _source_faults(entry: Entry) -> Iterator[str]:
     try:
         learned_from(entry.details)
     except ValueError as error:

@@ -9,6 +9,7 @@ from magical.evaluation import published_score, published_tasks
 from magical.evaluation.intervals import Interval
 from magical.evaluation.statistics import generalisation_gap, mean
 from magical.report.replication.rows import Row
+from magical.report.statements import Statements
 
 VARIANTS = ("Demo", "TestAll")
 PUBLISHED = ("BC (ST)", "GAIL (ST)")  # of the published tables, for comparison
@@ -20,8 +21,7 @@ class Drop(NamedTuple):
     Attributes:
         method: the method's name.
         learning_class: `P`, `R` or `X`, or empty.
-        demonstrations: how many and whose.
-        looks: how often test variants were evaluated before; empty where that is not stated.
+        statements: whose demonstrations, and how often test variants were evaluated before.
         demo: mean over tasks.
         test_all: mean over tasks.
         gap: their difference.
@@ -29,8 +29,7 @@ class Drop(NamedTuple):
 
     method: str
     learning_class: str
-    demonstrations: str
-    looks: str
+    statements: Statements
     demo: Interval
     test_all: Interval
     gap: Interval
@@ -49,8 +48,7 @@ def _drop(row: Row, env_ids: list[EnvId]) -> Drop:
     return Drop(
         row.method,
         row.learning_class,
-        row.demonstrations,
-        row.looks,
+        row.statements,
         mean(row.on(demo)),
         mean(row.on(test_all)),
         generalisation_gap(row.on(env_ids), env_ids),
@@ -66,7 +64,8 @@ def _published(method: str) -> Drop:
     )
     means = (Interval(value, math.nan, math.nan) for value in (demo, test_all, demo - test_all))
     learning_class = "P" if method.startswith("BC") else ""
-    return Drop(f"{method}, published", learning_class, "10 of each task (humans)", "", *means)
+    statements = Statements("10 of each task (humans)")
+    return Drop(f"{method}, published", learning_class, statements, *means)
 
 
 def _score(task: str, method: str, variant: str) -> float:

@@ -10,8 +10,14 @@ from magical.evaluation import environments, published_methods
 from magical.evaluation.intervals import Floats
 from magical.evaluation.statistics import by_environment, run_means
 from magical.report.differences import RULE, is_comparable
-from magical.report.leaderboard.checks import Rejected, difference, incompleteness
+from magical.report.leaderboard.checks import (
+    Rejected,
+    difference,
+    incompleteness,
+    looks_faults,
+)
 from magical.report.results import Result, Results, same_run
+from magical.report.statements import UNSTATED, Statements, gather_statements
 from magical.runs.sources import LEARNED_FROM, learning_class
 from magical.tasks import get_task
 
@@ -26,9 +32,7 @@ class Row:
         env_ids: the columns' environments, in the registry's order.
         means: (runs, environments), each run's mean score; NaN where it was not evaluated.
         learning_class: `P`, `R` or `X`, or empty (`magical.runs.sources`).
-        demonstrations: how many and whose, as the entries say.
-        looks: how often test variants were evaluated before: the most that an entry says; empty
-            if none does.
+        statements: whose demonstrations, and how often test variants were evaluated before.
     """
 
     method: str
@@ -36,8 +40,7 @@ class Row:
     env_ids: tuple[EnvId, ...]
     means: Floats
     learning_class: str = ""
-    demonstrations: str = ""
-    looks: str = ""
+    statements: Statements = UNSTATED
 
     def on(self, env_ids: Sequence[EnvId]) -> Floats:
         """The means in some of the environments, of the runs that have any of them."""
@@ -87,7 +90,7 @@ def _faults(result: Result) -> list[str]:
         if not is_comparable(task, entry):
             steps = task.published_horizon
             faults.append(f"{name} with another horizon than {steps} control steps")
-    return [*faults, *incompleteness(entry)]
+    return [*faults, *incompleteness(entry), *looks_faults(entry)]
 
 
 def _row(method: str, runs: Sequence[Result]) -> Row:
@@ -95,14 +98,11 @@ def _row(method: str, runs: Sequence[Result]) -> Row:
     found = {env_id for run in scores for env_id in by_environment(run)}
     env_ids = tuple(env_id for env_id in environments() if env_id in found)
     details = [run.entry.details for run in runs]
-    demonstrations = [str(d["demonstrations"]) for d in details if "demonstrations" in d]
-    looks = [d["looks"] for d in details if type(d.get("looks")) is int]
     return Row(
         method,
         published_row(method),
         env_ids,
         run_means(scores, env_ids, RULE),
         learning_class(details[0].get(LEARNED_FROM, ())),
-        "; ".join(dict.fromkeys(demonstrations)),
-        str(max(looks)) if looks else "",
+        gather_statements(details),
     )
