@@ -50,7 +50,7 @@ def test_the_site_is_whole(
     assert "No method has entries on all tasks." in text
     assert "expected JSON" in text
     assert 'data-used="demonstrations"' in text
-    stated = re.findall('<td>([^<]*)</td><td class="text">([^<]*)</td><td>([^<]*)</td>', text)
+    stated = re.findall('<td>([^<]*)</td><td class="words">([^<]*)</td><td>([^<]*)</td>', text)
     assert stated == [("–", "–", "–"), ("P", "&lt;5&gt;", "0")]
     assert re.search(r"<A> & b .* P +demonstrations", printed)
     for page in site.rglob("*.html"):
