@@ -1,0 +1,48 @@
+"""What a method's entries state in their details beside its sources (docs/protocol.md)."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+LOOKS = "looks"
+DEMONSTRATIONS = "demonstrations"
+
+
+class Statements(NamedTuple):
+    """What the entries of one method state together.
+
+    Attributes:
+        demonstrations: how many and whose; empty where no entry says.
+        looks: how often test variants were evaluated before: the most that an entry says; None
+            where none does.
+    """
+
+    demonstrations: str = ""
+    looks: int | None = None
+
+
+UNSTATED = Statements()
+
+
+def gather_statements(details: Iterable[Mapping[str, Any]]) -> Statements:
+    """The statements of a method's entries, from their details.
+
+    Raises `ValueError` as `stated_looks` does.
+    """
+    entries = list(details)
+    demonstrations = [str(entry[DEMONSTRATIONS]) for entry in entries if DEMONSTRATIONS in entry]
+    looks = [found for entry in entries if (found := stated_looks(entry)) is not None]
+    return Statements("; ".join(dict.fromkeys(demonstrations)), max(looks, default=None))
+
+
+def stated_looks(details: Mapping[str, Any]) -> int | None:
+    """How often an entry says that test variants were evaluated before; None where it does not.
+
+    Raises:
+        ValueError: it says something else than a number from 0.
+    """
+    looks = details.get(LOOKS)
+    if looks is None or (type(looks) is int and looks >= 0):
+        return looks
+    raise ValueError(
+        f"expected {LOOKS} in the details to be a number from 0; found {str(looks)[:100]!r}"
+    )
