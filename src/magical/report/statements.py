@@ -4,7 +4,6 @@ from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
 LOOKS = "looks"
-DEMONSTRATIONS = "demonstrations"
 
 
 class Statements(NamedTuple):
@@ -29,7 +28,7 @@ def gather_statements(details: Iterable[Mapping[str, Any]]) -> Statements:
     Raises `ValueError` as `stated_looks` does.
     """
     entries = list(details)
-    demonstrations = [str(entry[DEMONSTRATIONS]) for entry in entries if DEMONSTRATIONS in entry]
+    demonstrations = [str(e["demonstrations"]) for e in entries if "demonstrations" in e]
     looks = [found for entry in entries if (found := stated_looks(entry)) is not None]
     return Statements("; ".join(dict.fromkeys(demonstrations)), max(looks, default=None))
 
@@ -38,11 +37,12 @@ def stated_looks(details: Mapping[str, Any]) -> int | None:
     """How often an entry says that test variants were evaluated before; None where it does not.
 
     Raises:
-        ValueError: it says something else than a number from 0.
+        ValueError: it says something else than a whole number, 0 or more.
     """
     looks = details.get(LOOKS)
     if looks is None or (type(looks) is int and looks >= 0):
         return looks
     raise ValueError(
-        f"expected {LOOKS} in the details to be a number from 0; found {str(looks)[:100]!r}"
+        f"expected {LOOKS} in the details to be a whole number, 0 or more; "
+        f"found {str(looks)[:100]!r}"
     )

@@ -117,10 +117,7 @@ class ObjectBCConfig(ImitationConfig):
 
     @property
     def learned_from(self) -> tuple[str, ...]:
-        """See `Config`.
-
-        The parser was made for the palette and fitted on rendered scenes.
-        """
+        """See `Config`; the parser was made for the palette and fitted on rendered scenes."""
         return (*super().learned_from, OBJECT_PARSER)
 
     @property

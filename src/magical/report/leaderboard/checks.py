@@ -46,8 +46,12 @@ def check_entries(results: Results) -> tuple[list[Result], list[Rejected]]:
 
 def faults(entry: Entry) -> list[str]:
     """What an entry by itself has that the protocol does not allow; empty if nothing."""
-    statements = *_source_faults(entry), *looks_faults(entry)
-    return [*_protocol_faults(entry), *incompleteness(entry), *statements]
+    return [
+        *_protocol_faults(entry),
+        *incompleteness(entry),
+        *_source_faults(entry),
+        *looks_faults(entry),
+    ]
 
 
 def incompleteness(entry: Entry) -> Iterator[str]:
@@ -68,19 +72,19 @@ def incompleteness(entry: Entry) -> Iterator[str]:
         )
 
 
-def _protocol_faults(entry: Entry) -> Iterator[str]:
-    if entry.horizon != APPENDIX:
-        yield f"horizon {entry.horizon}, expected {APPENDIX}: evaluate without --horizon"
-    if entry.nudge != NUDGE:
-        yield f"nudge {entry.nudge:g}, expected {NUDGE:g}: evaluate with --nudge {NUDGE:g}"
-
-
 def looks_faults(entry: Entry) -> Iterator[str]:
     """What is wrong with an entry's number of looks at test variants, if it states one."""
     try:
         stated_looks(entry.details)
     except ValueError as error:
         yield str(error)
+
+
+def _protocol_faults(entry: Entry) -> Iterator[str]:
+    if entry.horizon != APPENDIX:
+        yield f"horizon {entry.horizon}, expected {APPENDIX}: evaluate without --horizon"
+    if entry.nudge != NUDGE:
+        yield f"nudge {entry.nudge:g}, expected {NUDGE:g}: evaluate with --nudge {NUDGE:g}"
 
 
 def _source_faults(entry: Entry) -> Iterator[str]:

@@ -7,7 +7,7 @@ from magical.evaluation.intervals import Interval
 from magical.evaluation.statistics import ROUNDING
 from magical.report.methods import ComparedMethod, compared_methods
 from magical.report.results import Result
-from magical.report.statements import UNSTATED, Statements, gather_statements
+from magical.report.statements import Statements, gather_statements
 from magical.runs.sources import learned_from, learning_class
 from magical.tasks import TASKS
 
@@ -26,7 +26,7 @@ class Standing:
     demo: Interval
     gap: Interval  # Demo's mean less TestAll's
     used: tuple[str, ...]  # to learn from, and `state` for a privileged policy
-    statements: Statements = UNSTATED
+    statements: Statements
     rank: int = 0  # by TestAll, 1 for the highest; the same for equal scores
     gap_rank: int = 0  # by the gap, 1 for the lowest
 
@@ -50,12 +50,11 @@ def make_boards(results: Sequence[Result]) -> list[Board]:
     for result in results:
         groups.setdefault(result.entry.method, []).append(result)
     methods = {name: _method(runs) for name, runs in groups.items()}
-    stated = {name: _stated(runs) for name, runs in groups.items()}
     whole = [m for m in methods.values() if {i.task for i in m.env_ids} >= set(TASKS)]
-    boards = [Board(ALL_TASKS, _ranked([_standing(m, stated[m.name]) for m in whole]))]
+    boards = [Board(ALL_TASKS, _ranked([_standing(m, groups[m.name]) for m in whole]))]
     for task in TASKS:
         parts = [_on_task(method, task) for method in methods.values()]
-        standings = [_standing(part, stated[part.name]) for part in parts if part is not None]
+        standings = [_standing(part, groups[part.name]) for part in parts if part is not None]
         if standings:
             boards.append(Board(task, _ranked(standings)))
     return boards
@@ -71,21 +70,26 @@ def _on_task(method: ComparedMethod, task: str) -> ComparedMethod | None:
     return method.on(env_ids) if env_ids else None
 
 
-def _stated(runs: Sequence[Result]) -> tuple[tuple[str, ...], Statements]:
-    """What a method used, the same in all runs, and what else its runs state."""
-    first = runs[0].entry
-    state = (STATE,) if first.privileged else ()
-    statements = gather_statements(run.entry.details for run in runs)
-    return (*learned_from(first.details), *state), statements
+def _used(result: Result) -> tuple[str, ...]:
+    state = (STATE,) if result.entry.privileged else ()
+    return (*learned_from(result.entry.details), *state)
 
 
-def _standing(method: ComparedMethod, stated: tuple[tuple[str, ...], Statements]) -> Standing:
+def _standing(method: ComparedMethod, runs: Sequence[Result]) -> Standing:
     def mean(variant: str) -> Interval:
         return method.on([i for i in method.env_ids if i.variant == variant]).mean()
 
     gap = method.generalisation_gap()
     assert gap is not None  # entries with all variants have Demo and TestAll
-    return Standing(method.name, method.unit, mean(TEST_ALL), mean(DEMO), gap, *stated)
+    return Standing(
+        method.name,
+        method.unit,
+        mean(TEST_ALL),
+        mean(DEMO),
+        gap,
+        used=_used(runs[0]),  # the same in all runs
+        statements=gather_statements(run.entry.details for run in runs),
+    )
 
 
 def _ranked(standings: Sequence[Standing]) -> list[Standing]:
