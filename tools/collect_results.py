@@ -222,6 +222,8 @@ def main(arguments: Sequence[str]) -> int:
         "--looks", type=int, metavar="N", help="how often test variants were evaluated"
     )
     args = parser.parse_args(arguments)
+    if args.looks is not None and args.looks < 0:
+        parser.error(f"--looks: expected 0 or more, found {args.looks}")
     plan = args.plan or Path("plans") / f"{args.out.absolute().name}.toml"
     try:
         for line in collect(args.sources, args.out, plan, args.leaderboard, args.looks):

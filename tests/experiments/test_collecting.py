@@ -71,6 +71,13 @@ def test_looks_are_stated_in_the_entries(
         assert entry == original
 
 
+def test_less_than_no_looks_are_wrong_usage(finished: Path, tmp_path: Path) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        collect_results.main([str(finished), "--out", str(tmp_path / "out"), "--looks", "-1"])
+    assert stopped.value.code == 2
+    assert not (tmp_path / "out").exists()
+
+
 def test_looks_stay_when_collecting_is_repeated(
     copied: Path, tiny: Path, out: Path, planned: Planned, monkeypatch: pytest.MonkeyPatch
 ) -> None:

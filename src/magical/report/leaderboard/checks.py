@@ -1,7 +1,8 @@
 """Whether entries are what the protocol asks for (docs/protocol.md)."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from magical import __version__
 from magical.evaluation import Entry, by_variant
@@ -49,8 +50,7 @@ def faults(entry: Entry) -> list[str]:
     return [
         *_protocol_faults(entry),
         *incompleteness(entry),
-        *_source_faults(entry),
-        *looks_faults(entry),
+        *misstatements(entry, learned_from, stated_looks),
     ]
 
 
@@ -72,12 +72,13 @@ def incompleteness(entry: Entry) -> Iterator[str]:
         )
 
 
-def looks_faults(entry: Entry) -> Iterator[str]:
-    """What is wrong with an entry's number of looks at test variants, if it states one."""
-    try:
-        stated_looks(entry.details)
-    except ValueError as error:
-        yield str(error)
+def misstatements(entry: Entry, *readers: Callable[[Mapping[str, Any]], object]) -> Iterator[str]:
+    """What readers of an entry's details, which raise `ValueError`, find wrong with them."""
+    for read in readers:
+        try:
+            read(entry.details)
+        except ValueError as error:
+            yield str(error)
 
 
 def _protocol_faults(entry: Entry) -> Iterator[str]:
@@ -85,13 +86,6 @@ def _protocol_faults(entry: Entry) -> Iterator[str]:
         yield f"horizon {entry.horizon}, expected {APPENDIX}: evaluate without --horizon"
     if entry.nudge != NUDGE:
         yield f"nudge {entry.nudge:g}, expected {NUDGE:g}: evaluate with --nudge {NUDGE:g}"
-
-
-def _source_faults(entry: Entry) -> Iterator[str]:
-    try:
-        learned_from(entry.details)
-    except ValueError as error:
-        yield str(error)
 
 
 def _series(version: str) -> str:

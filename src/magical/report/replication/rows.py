@@ -14,10 +14,10 @@ from magical.report.leaderboard.checks import (
     Rejected,
     difference,
     incompleteness,
-    looks_faults,
+    misstatements,
 )
 from magical.report.results import Result, Results, same_run
-from magical.report.statements import UNSTATED, Statements, gather_statements
+from magical.report.statements import UNSTATED, Statements, gather_statements, stated_looks
 from magical.runs.sources import LEARNED_FROM, learning_class
 from magical.tasks import get_task
 
@@ -90,7 +90,7 @@ def _faults(result: Result) -> list[str]:
         if not is_comparable(task, entry):
             steps = task.published_horizon
             faults.append(f"{name} with another horizon than {steps} control steps")
-    return [*faults, *incompleteness(entry), *looks_faults(entry)]
+    return [*faults, *incompleteness(entry), *misstatements(entry, stated_looks)]
 
 
 def _row(method: str, runs: Sequence[Result]) -> Row:
