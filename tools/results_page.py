@@ -49,6 +49,7 @@ PLANS = (
     "bc-mixed",
     "training-time",
     "training-time-multi",
+    "training-time-adversarial",
     "settings",
     "object-bc",
     "object-bc-human",

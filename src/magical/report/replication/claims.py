@@ -14,6 +14,7 @@ from magical.report.replication.rows import Row
 DEMO, TESTS = "Demo", "test variants"
 PARTS = (DEMO, TESTS)
 BC, NO_AUG, NO_TRANS_ROT = "BC (ST)", "BC (ST, no aug.)", "BC (ST, no trans./rot. aug.)"
+GAIL = "GAIL (ST)"
 ALLO, MULTI, LONGER = "BC (ST, allo.)", "BC (MT)", "four times the batches"
 PAPER, SCRIPTED = "BC (ST), paper settings", "BC (ST), scripted experts"
 PERTURBED, MIXED = "BC (ST), perturbed experts", "BC (ST), human and scripted"
@@ -47,7 +48,7 @@ def _claim(text: str, better: str, worse: str) -> Claim:
 
 CLAIMS = (
     _claim("augmentation helps BC", BC, NO_AUG),
-    _claim("augmentation helps GAIL", "GAIL (ST)", "GAIL (ST, no aug.)"),
+    _claim("augmentation helps GAIL", GAIL, "GAIL (ST, no aug.)"),
     _claim("translation and rotation help", BC, NO_TRANS_ROT),
     Claim(
         "translation and rotation matter more than the other augmentations",
@@ -55,7 +56,7 @@ CLAIMS = (
     ),
     _claim("the egocentric view is better than the allocentric one, for BC", BC, ALLO),
     _claim("multi-task training helps BC", MULTI, BC),
-    _claim("GAIL is better than BC", "GAIL (ST)", BC),
+    _claim("GAIL is better than BC", GAIL, BC),
 )
 # What the published tables do not have, and our rows do.
 VARIATIONS = (
@@ -71,6 +72,11 @@ VARIATIONS = (
         "four times the batches of `quick`, with the allocentric view", f"{ALLO}, {LONGER}", ALLO
     ),
     _claim("four times the batches of `quick`, multi-task", f"{MULTI}, {LONGER}", MULTI),
+    _claim(
+        "four times the environment steps of `quick`, for GAIL",
+        f"{GAIL}, four times the environment steps",
+        GAIL,
+    ),
     _claim(
         "the published optimiser and number of batches", f"{NO_AUG}, published optimiser", NO_AUG
     ),
