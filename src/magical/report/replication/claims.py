@@ -57,6 +57,8 @@ CLAIMS = (
     _claim("the egocentric view is better than the allocentric one, for BC", BC, ALLO),
     _claim("multi-task training helps BC", MULTI, BC),
     _claim("GAIL is better than BC", GAIL, BC),
+    _claim("GAIL is better than WGAIL-GP", GAIL, "WGAIL-GP (ST)"),
+    _claim("GAIL is better than apprenticeship learning", GAIL, "AL (ST)"),
 )
 # What the published tables do not have, and our rows do.
 VARIATIONS = (
