@@ -1,7 +1,6 @@
 """The differences from the published scores as a heat map, a panel for each row."""
 
 import io
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,8 @@ DIGEST = "Cells"  # in the file's metadata: what the picture was made from
 LIMIT = 4.0  # pooled standard deviations at which colours end
 DARK = 2.5  # from there numbers are white
 COLUMNS = 2
-PANEL = (4.9, 2.7)  # inches
+WIDTH, LINE = 4.9, 0.26  # inches: of a panel, and the height of a task in it
+HEAD = 0.6  # the height of title and variants above
 DPI = 100
 COLOURS = 256  # of the file's palette
 INK, ABSENT = "#222222", "#dddddd"
@@ -31,7 +31,8 @@ def write_picture(
     Args:
         path: the file.
         panels: the cells of each method, at least one; empty for one that was not run.
-        tasks: the panels' rows; those without cells are grey, as not run.
+        tasks: the order of the panels' rows. A panel shows those it has cells of; without any,
+            it shows all, grey.
         digest: of all that is shown, kept in the file.
     """
     from PIL import Image
@@ -58,16 +59,22 @@ def digest_of(path: Path) -> str:
 
 
 def _figure(panels: Mapping[str, Sequence[Cell]], tasks: Sequence[str]) -> Any:
-    lines = math.ceil(len(panels) / COLUMNS)
-    figure = new_figure(PANEL[1] * lines + 0.8, PANEL[0] * COLUMNS)
-    axes = figure.subplots(lines, COLUMNS, squeeze=False).ravel()
-    for place, (method, cells) in zip(axes, panels.items(), strict=False):
-        image = _draw(place, method, cells, tasks)
+    shown = [[t for t in tasks if any(cell.task == t for cell in c)] for c in panels.values()]
+    rows = [run or list(tasks) for run in shown]
+    lines = range(0, len(rows), COLUMNS)
+    tallest = [max(len(names) for names in rows[line : line + COLUMNS]) for line in lines]
+    height = sum(HEAD + LINE * count for count in tallest)
+    figure = new_figure(height + 0.8, WIDTH * COLUMNS)
+    ratios = {"height_ratios": tallest}
+    axes = figure.subplots(len(lines), COLUMNS, squeeze=False, gridspec_kw=ratios).ravel()
+    for number, (place, (method, cells)) in enumerate(zip(axes, panels.items(), strict=False)):
+        image = _draw(place, method, cells, rows[number])
+        place.set_ylim(tallest[number // COLUMNS] - 0.5, -0.5)  # cells as high as the neighbour's
     for place in axes[len(panels) :]:
         place.set_axis_off()
-    label = "our mean less the published one, in pooled standard deviations; grey: not run"
+    label = "our mean less the published one, in pooled standard deviations; white: no such variant"
     options = {"orientation": "horizontal", "aspect": 60, "label": label}
-    figure.colorbar(image, ax=list(axes), fraction=0.25 / lines, **options)
+    figure.colorbar(image, ax=list(axes), fraction=0.4 / height, **options)
     return figure
 
 
@@ -91,6 +98,7 @@ def _draw(axes: Any, method: str, cells: Sequence[Cell], tasks: Sequence[str]) -
             color="white" if abs(value) > DARK else INK,
             weight="bold" if abs(value) > LIMITS[-1] else "normal",
         )
+    axes.xaxis.tick_top()
     axes.set_xticks(range(len(SHORT_VARIANTS)), SHORT_VARIANTS, fontsize=6)
     axes.set_yticks(range(len(tasks)), tasks, fontsize=8)
     axes.tick_params(length=0)
