@@ -87,7 +87,6 @@ VARIATIONS = (
         f"{NO_AUG}, published pixels and last layer",
         NO_AUG,
     ),
-    _claim("the published network", f"{NO_AUG}, published network", NO_AUG),
 )
 
 
