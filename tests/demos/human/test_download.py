@@ -266,6 +266,18 @@ def test_reason_of_the_server_is_shown_escaped(
     assert "the server answered 404 \\x1b[2Jxxx" in error
 
 
+def test_slow_server_that_resets_the_connection_is_called_slow(
+    tmp_path: Path, serve: Callable[[Reply], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def reset(response: Any, _: int) -> bytes:
+        response._too_slow = True
+        raise ConnectionResetError
+
+    monkeypatch.setattr("magical.demos.human.download._Response.read1", reset)
+    error = only_error(tmp_path, serve(response(b"content", Content_Length="7")))
+    assert "less than 5000 bytes per second" in error
+
+
 @pytest.mark.parametrize("part", ["headers", "body"])
 def test_slow_server_is_given_up(
     tmp_path: Path, serve: Callable[[Reply], str], monkeypatch: pytest.MonkeyPatch, part: str

@@ -162,11 +162,13 @@ def _copy(response: "_Response", file: IO[bytes], expected: int | None) -> None:
         TimeoutError: it is slower than `MIN_RATE`.
     """
     received = 0
-    while received < MAX_BYTES and (chunk := response.read1(_CHUNK)):
-        file.write(chunk)
-        received += len(chunk)
-        response.received = received
-    response.check_rate()
+    try:
+        while received < MAX_BYTES and (chunk := response.read1(_CHUNK)):
+            file.write(chunk)
+            received += len(chunk)
+            response.received = received
+    finally:  # a connection that was shut down ends or is reset
+        response.check_rate()
     if received < (expected or 0):
         raise http.client.IncompleteRead(b"", (expected or 0) - received)
 
