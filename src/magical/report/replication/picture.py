@@ -59,8 +59,8 @@ def digest_of(path: Path) -> str:
 
 
 def _figure(panels: Mapping[str, Sequence[Cell]], tasks: Sequence[str]) -> Any:
-    shown = [[t for t in tasks if any(cell.task == t for cell in c)] for c in panels.values()]
-    rows = [run or list(tasks) for run in shown]
+    run = [{cell.task for cell in cells} or set(tasks) for cells in panels.values()]
+    rows = [[task for task in tasks if task in names] for names in run]
     lines = range(0, len(rows), COLUMNS)
     tallest = [max(len(names) for names in rows[line : line + COLUMNS]) for line in lines]
     height = sum(HEAD + LINE * count for count in tallest)
