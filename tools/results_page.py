@@ -51,6 +51,7 @@ PLANS = (
     "training-time-multi",
     "training-time-adversarial",
     "settings",
+    "settings-adversarial",
     "object-bc",
     "object-bc-human",
 )
