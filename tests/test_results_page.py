@@ -126,6 +126,18 @@ def test_a_row_that_was_not_published_has_a_table_of_its_own(repository: Path) -
     assert "object-bc" not in section(text, "counts")
 
 
+def test_a_change_is_shown_variant_by_variant(repository: Path) -> None:
+    scripted = "BC (ST), scripted experts"
+    write_run(repository, "bc-human", "BC (ST)", "MoveToCorner", 0, 0.5)
+    write_run(repository, "bc-scripted", scripted, "MoveToCorner", 0, 0.75)
+    one = ["+0.25", "+0.25", "", "+0.25", "+0.25", "", "+0.25", "+0.25"]  # one run: no interval
+    assert lines(made(repository), "variants", "scripted experts")[0][1:] == one
+    write_run(repository, "bc-human", "BC (ST)", "MoveToCorner", 1, 0.5)
+    write_run(repository, "bc-scripted", scripted, "MoveToCorner", 1, 0.75)
+    two = [cell and f"**{cell}**<br>[+0.25, +0.25]" for cell in one]
+    assert [row[1:] for row in lines(made(repository), "variants", "")[2:]] == [two]
+
+
 def test_entries_that_do_not_count_are_listed_by_reason(repository: Path) -> None:
     folder = write_run(repository, "bc-human", "BC (ST)", "MoveToRegion", 0, 0.5)
     write_run(repository, "bc-human", "BC (ST), mine", "MoveToRegion", 1, 0.5)

@@ -120,6 +120,7 @@ class Page:
             "far": self.far_cells,
             "claims": self.claim_table,
             "variations": self.variation_table,
+            "variants": self.variant_table,
             "orders": self.orders,
             "gaps": self.gap_table,
             "leaderboard": self.leaderboard,
@@ -176,6 +177,17 @@ class Page:
         """A row for each variation of BC and part of the environments."""
         header = ("Change", "Difference", "On", "Tasks", "Mean difference", "Verdict")
         return table(header, (list(_variation_row(found)) for found in find(VARIATIONS, self.rows)))
+
+    def variant_table(self) -> str:
+        """What was not published against ours, variant by variant."""
+        return table(
+            ("Change", *SHORT_VARIANTS),
+            (
+                [claim.text, *map(_variant_cell, find([claim], self.rows, SHORT_VARIANTS))]
+                for claim in VARIATIONS
+                if any(finding.ours for finding in find([claim], self.rows))
+            ),
+        )
 
     def orders(self) -> str:
         """The methods' order by part: of those with all tasks, then of all on what they share."""
@@ -286,6 +298,17 @@ def _variation_row(finding: Finding) -> Iterator[str]:
     yield _tasks(finding.tasks) if finding.tasks else "–"
     yield NOT_RUN if finding.ours is None else signed(finding.ours)
     yield finding.verdict
+
+
+def _variant_cell(finding: Finding) -> str:
+    """The difference over its interval; bold where 0 is outside."""
+    ours = finding.ours
+    if ours is None:
+        return ""
+    difference, _, interval = signed(ours).partition(" ")
+    if ours.low > 0 or ours.high < 0:
+        difference = f"**{difference}**"
+    return "<br>".join(filter(None, (difference, interval)))
 
 
 def _tasks(tasks: Sequence[str]) -> str:

@@ -58,6 +58,15 @@ def test_a_claim_by_hand() -> None:
     assert demo.published.value == pytest.approx(0.09, abs=0.01)
 
 
+def test_a_claim_on_single_variants() -> None:
+    rows = [row("BC (ST)", [0.9, 0.8], [0.7, 0.6]), row("BC (ST, no aug.)", [0.5, 0.1], [0.3, 0.1])]
+    jitter, layout = find(CLAIMS[:1], rows, ("Jitter", "Layout"))
+    assert jitter.ours is not None
+    assert jitter.ours.value == pytest.approx(0.7 - 0.1)
+    assert jitter.same == published_contrast(CLAIMS[0].weights, [("MoveToCorner", "Jitter")])
+    assert (layout.tasks, layout.ours) == ((), None)
+
+
 def test_three_methods_are_weighed() -> None:
     rows = [
         row("BC (ST)", [0.9, 0.0], [0.9, 0.0]),

@@ -9,6 +9,7 @@ from magical.envs import EnvId
 from magical.evaluation.intervals import Interval
 from magical.evaluation.published import published_contrast, published_table
 from magical.evaluation.statistics import ROUNDING, contrast, mean
+from magical.evaluation.variants import short_variant
 from magical.report.replication.rows import Row
 
 DEMO, TESTS = "Demo", "test variants"
@@ -99,7 +100,7 @@ class Finding:
 
     Attributes:
         claim: what is stated.
-        part: `Demo` or `test variants`.
+        part: of the environments: `Demo`, `test variants`, or one variant such as `Jitter`.
         tasks: on which ours was computed; none where a method has not been run.
         published: over all tasks; `None` for methods that were not published.
         same: published, over our tasks; `None` as well where there are none.
@@ -134,10 +135,12 @@ def verdict(interval: Interval) -> str:
     return "the opposite holds" if interval.high < 0.0 else "open"
 
 
-def find(claims: Iterable[Claim], rows: Sequence[Row]) -> list[Finding]:
-    """Every claim on Demo and on all test variants."""
+def find(
+    claims: Iterable[Claim], rows: Sequence[Row], parts: Sequence[str] = PARTS
+) -> list[Finding]:
+    """Every claim on every part: `Demo`, `test variants`, or one variant such as `Jitter`."""
     known = {row.method: row for row in rows}
-    return [_finding(claim, part, known) for claim in claims for part in PARTS]
+    return [_finding(claim, part, known) for claim in claims for part in parts]
 
 
 def _finding(claim: Claim, part: str, rows: Mapping[str, Row]) -> Finding:
@@ -157,7 +160,7 @@ def _finding(claim: Claim, part: str, rows: Mapping[str, Row]) -> Finding:
 
 
 def _is_in(variant: str, part: str) -> bool:
-    return (variant == DEMO) == (part == DEMO)
+    return variant != DEMO if part == TESTS else short_variant(variant) == part
 
 
 def _shared(rows: Sequence[Row], part: str) -> list[EnvId]:
