@@ -65,6 +65,7 @@ CLAIMS = (
 VARIATIONS = (
     _claim("paper settings instead of quick ones", PAPER, BC),
     _claim("scripted experts instead of humans", SCRIPTED, BC),
+    _claim("perturbed experts instead of humans", PERTURBED, BC),
     _claim("perturbed experts instead of unperturbed ones", PERTURBED, SCRIPTED),
     _claim("human and scripted together instead of human alone", MIXED, BC),
     _claim("human and scripted together instead of scripted alone", MIXED, SCRIPTED),
