@@ -17,6 +17,7 @@ PARTS = (DEMO, TESTS)
 BC, NO_AUG, NO_TRANS_ROT = "BC (ST)", "BC (ST, no aug.)", "BC (ST, no trans./rot. aug.)"
 GAIL, AL = "GAIL (ST)", "AL (ST)"
 ALLO, MULTI, LONGER = "BC (ST, allo.)", "BC (MT)", "four times the batches"
+OPTIMISER = "published optimiser"
 PAPER, SCRIPTED = "BC (ST), paper settings", "BC (ST), scripted experts"
 PERTURBED, MIXED = "BC (ST), perturbed experts", "BC (ST), human and scripted"
 
@@ -82,7 +83,19 @@ VARIATIONS = (
         GAIL,
     ),
     _claim(
-        "the published optimiser and number of batches", f"{NO_AUG}, published optimiser", NO_AUG
+        "the published optimiser and number of batches, without augmentation",
+        f"{NO_AUG}, {OPTIMISER}",
+        NO_AUG,
+    ),
+    _claim(
+        "the published optimiser and number of batches, with augmentation",
+        f"{BC}, {OPTIMISER}",
+        BC,
+    ),
+    _claim(
+        "augmentation, with the published optimiser and number of batches",
+        f"{BC}, {OPTIMISER}",
+        f"{NO_AUG}, {OPTIMISER}",
     ),
     _claim(
         "how the published code scales pixels and initialises the last layer",
