@@ -261,7 +261,7 @@ def _stated(statements: Statements) -> tuple[str, str]:
 
 
 def _within_header() -> list[str]:
-    return [f"Within {limit} (by chance)" for limit in LIMITS]
+    return [f"Within {limit} (expected)" for limit in LIMITS]
 
 
 def _count_cells(found: Count) -> list[str]:
@@ -292,12 +292,13 @@ def _claim_row(finding: Finding) -> Iterator[str]:
 
 
 def _variation_row(finding: Finding) -> Iterator[str]:
+    verdicts = {"holds": "raises", "the opposite holds": "lowers"}
     yield finding.claim.text
     yield finding.claim.formula
     yield finding.part
     yield _tasks(finding.tasks) if finding.tasks else "–"
     yield NOT_RUN if finding.ours is None else signed(finding.ours)
-    yield finding.verdict
+    yield verdicts.get(finding.verdict, finding.verdict)
 
 
 def _variant_cell(finding: Finding) -> str:
