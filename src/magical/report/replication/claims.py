@@ -98,6 +98,11 @@ VARIATIONS = (
         f"{NO_AUG}, {OPTIMISER}",
     ),
     _claim(
+        "colour jitter, with the published optimiser and number of batches",
+        f"{BC}, {OPTIMISER} and colour jitter",
+        f"{BC}, {OPTIMISER}",
+    ),
+    _claim(
         "how the published code scales pixels and initialises the last layer",
         f"{NO_AUG}, published pixels and last layer",
         NO_AUG,
