@@ -51,6 +51,7 @@ PLANS = (
     "training-time-multi",
     "training-time-adversarial",
     "settings",
+    "settings-network",
     "settings-adversarial",
     "object-bc",
     "object-bc-human",

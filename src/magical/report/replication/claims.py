@@ -103,6 +103,11 @@ VARIATIONS = (
         f"{BC}, {OPTIMISER}",
     ),
     _claim(
+        "a larger network, with the published optimiser, number of batches and colour jitter",
+        f"{BC}, {OPTIMISER}, colour jitter, network small",
+        f"{BC}, {OPTIMISER} and colour jitter",
+    ),
+    _claim(
         "how the published code scales pixels and initialises the last layer",
         f"{NO_AUG}, published pixels and last layer",
         NO_AUG,
