@@ -103,12 +103,12 @@ VARIATIONS = (
         f"{BC}, {OPTIMISER}",
     ),
     _claim(
-        "other settings of the published code, with its optimiser, number of batches and colour jitter",
+        "the published code's other settings, with its optimiser, batches and colour jitter",
         f"{BC}, settings of the published code, network narrow",
         f"{BC}, {OPTIMISER} and colour jitter",
     ),
     _claim(
-        "a larger network, with the published optimiser, number of batches and colour jitter",
+        "a larger network, with the published optimiser, batches and colour jitter",
         f"{BC}, {OPTIMISER}, colour jitter, network small",
         f"{BC}, {OPTIMISER} and colour jitter",
     ),
