@@ -51,7 +51,7 @@ PLANS = (
     "training-time-multi",
     "training-time-adversarial",
     "settings",
-    "settings-augmented",
+    "settings-published-code",
     "settings-adversarial",
     "object-bc",
     "object-bc-human",
