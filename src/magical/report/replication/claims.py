@@ -18,6 +18,7 @@ BC, NO_AUG, NO_TRANS_ROT = "BC (ST)", "BC (ST, no aug.)", "BC (ST, no trans./rot
 GAIL, AL = "GAIL (ST)", "AL (ST)"
 ALLO, MULTI, LONGER = "BC (ST, allo.)", "BC (MT)", "four times the batches"
 OPTIMISER = "published optimiser"
+CODE = "settings of the published code, network narrow"
 PAPER, SCRIPTED = "BC (ST), paper settings", "BC (ST), scripted experts"
 PERTURBED, MIXED = "BC (ST), perturbed experts", "BC (ST), human and scripted"
 
@@ -104,8 +105,13 @@ VARIATIONS = (
     ),
     _claim(
         "the published code's other settings, with its optimiser, batches and colour jitter",
-        f"{BC}, settings of the published code, network narrow",
+        f"{BC}, {CODE}",
         f"{BC}, {OPTIMISER} and colour jitter",
+    ),
+    _claim(
+        "augmentation, with the published code's settings but for the network",
+        f"{BC}, {CODE}",
+        f"{NO_AUG}, {CODE}",
     ),
     _claim(
         "a larger network, with the published optimiser, batches and colour jitter",
