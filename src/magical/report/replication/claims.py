@@ -114,11 +114,6 @@ VARIATIONS = (
         f"{NO_AUG}, {CODE}",
     ),
     _claim(
-        "a larger network, with the published optimiser, batches and colour jitter",
-        f"{BC}, {OPTIMISER}, colour jitter, network small",
-        f"{BC}, {OPTIMISER} and colour jitter",
-    ),
-    _claim(
         "how the published code scales pixels and initialises the last layer",
         f"{NO_AUG}, published pixels and last layer",
         NO_AUG,
