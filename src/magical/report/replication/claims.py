@@ -113,6 +113,10 @@ VARIATIONS = (
         f"{BC}, {CODE}",
         f"{NO_AUG}, {CODE}",
     ),
+    Claim(
+        "augmentation, with the published code's settings rather than those of `quick`",
+        MappingProxyType({f"{BC}, {CODE}": 1.0, f"{NO_AUG}, {CODE}": -1.0, BC: -1.0, NO_AUG: 1.0}),
+    ),
     _claim(
         "how the published code scales pixels and initialises the last layer",
         f"{NO_AUG}, published pixels and last layer",
