@@ -75,7 +75,7 @@ RESULTS = {  # the plans of the benchmark's own results: number of runs, demonst
     "bc-mixed": (8 * 5, "dataset and expert"),
     "training-time": (2 * 3 * 3, "dataset"),
     "training-time-multi": (3, "dataset"),
-    "training-time-adversarial": (2 * 3, "dataset"),
+    "training-time-adversarial": (3 * 3, "dataset"),
     "settings": (4 * 2 * 3, "dataset"),
     "settings-published-code": (2 * 2 * 3, "dataset"),
     "settings-adversarial": (2 * 3, "dataset"),
