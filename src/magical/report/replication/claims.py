@@ -109,7 +109,7 @@ VARIATIONS = (
         f"{BC}, {OPTIMISER} and colour jitter",
     ),
     _claim(
-        "augmentation, with the published code's settings but for the network",
+        "augmentation, with the published code's settings in the network of `quick`",
         f"{BC}, {CODE}",
         f"{NO_AUG}, {CODE}",
     ),
