@@ -22,7 +22,7 @@ GOOD, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
 EXTRAS = {
     **dict.fromkeys(("safetensors", "torch"), "learning"),
     **dict.fromkeys(("jinja2", "matplotlib"), "report"),
-    **dict.fromkeys(("imageio", "imageio_ffmpeg", "moviepy"), "video"),
+    **dict.fromkeys(("imageio", "imageio_ffmpeg"), "video"),
     **dict.fromkeys(("h5py", "minari"), "minari"),
     **dict.fromkeys(("av", "pyarrow"), "lerobot"),
     **dict.fromkeys(("starlette", "uvicorn", "websockets"), "web"),
