@@ -45,6 +45,10 @@ class PolicyError(MagicalError, ValueError):
     """A policy that cannot be loaded, or that returned something other than actions."""
 
 
+class PluginError(MagicalError, ImportError):
+    """What another distribution or `module:NAME` offers cannot be imported, or has another type."""
+
+
 class NoExpertError(MagicalError, LookupError):
     """A task for which there is no scripted expert."""
 

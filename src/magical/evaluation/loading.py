@@ -1,17 +1,14 @@
 """Loading policies: by name, from a run folder, or from a user's own object or `module:name`."""
 
-import importlib
-import importlib.util
 import inspect
 import os
-import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from magical.errors import PolicyError, UnknownNameError
 from magical.evaluation.policy import FunctionPolicy, NoopPolicy, Policy, RandomPolicy
+from magical.plugins import load_entry_point, load_reference, plugins
 
 
 def _expert() -> Policy:
@@ -30,6 +27,7 @@ BUILT_IN: dict[str, Callable[[], Policy]] = {
 # Who loads run folders. Found by name, as users' policies are: this package is below `learning` and
 # needs no PyTorch, which is imported when a run is loaded.
 RUN_LOADER = "magical.learning:load_policy"
+GROUP = "magical.policies"  # of entry points of other distributions
 
 
 def load_policy(source: str | os.PathLike[str] | Policy | Callable[..., Any]) -> Policy:
@@ -38,7 +36,7 @@ def load_policy(source: str | os.PathLike[str] | Policy | Callable[..., Any]) ->
     Args:
         source: one of
 
-            - a name in `BUILT_IN`;
+            - a name in `BUILT_IN`, or of another distribution's entry point;
             - a run folder, whose newest checkpoint is loaded (needs PyTorch;
               `magical.learning.load_policy` also chooses the device, or greedy actions);
             - `module:name` or `path/to/file.py:name`. The working directory is searched last for
@@ -49,7 +47,8 @@ def load_policy(source: str | os.PathLike[str] | Policy | Callable[..., Any]) ->
 
     Raises:
         UnknownNameError: a text of none of these forms.
-        PolicyError: the module or the name in it cannot be found, or is not a policy.
+        PluginError: the module or the name in it cannot be found.
+        PolicyError: it is not a policy.
         RunFolderError, CheckpointError: the folder holds no run, or a damaged one.
         MissingDependencyError: a run folder, without PyTorch.
     """
@@ -98,41 +97,14 @@ def _needs_arguments(thing: Callable[..., Any]) -> bool:
     return False
 
 
-def _import(name: str) -> ModuleType:
-    if name.endswith(".py"):
-        return _import_file(Path(name))
-    package = name.partition(".")[0]
-    try:
-        if package not in sys.modules and importlib.util.find_spec(package) is None:
-            sys.path.append(str(Path.cwd()))  # last: nothing in it takes a library's place
-        return importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        raise PolicyError(
-            f"policy module {name!r} cannot be imported: {error}; give a module on the import "
-            "path or in the working directory, or a path ending in .py"
-        ) from error
-
-
-def _import_file(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    if not path.is_file() or spec is None or spec.loader is None:
-        raise PolicyError(f"policy file {path}: expected a Python file, found none")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules.setdefault(path.stem, module)
-    spec.loader.exec_module(module)
-    return module
-
-
 def _attribute(name: str) -> Any:
-    """What `module:name` or `file.py:name` stands for."""
+    """What the name of an entry point, `module:name` or `file.py:name` stands for."""
+    if name in plugins(GROUP):
+        return load_entry_point(plugins(GROUP)[name])
     module_name, colon, attribute = name.rpartition(":")
     if not colon or not module_name or not attribute:
         raise UnknownNameError(
-            f"policy {name!r}: expected one of {', '.join(BUILT_IN)}, a run folder, module:name "
-            "or file.py:name"
+            f"policy {name!r}: expected one of {', '.join((*BUILT_IN, *plugins(GROUP)))}, a run "
+            "folder, module:name or file.py:name"
         )
-    module = _import(module_name)
-    if not hasattr(module, attribute):
-        known = ", ".join(word for word in vars(module) if not word.startswith("_"))
-        raise PolicyError(f"policy {name!r}: no {attribute!r} in the module, which has: {known}")
-    return getattr(module, attribute)
+    return load_reference(name)

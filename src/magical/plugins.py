@@ -1,0 +1,167 @@
+"""Tasks, observations, networks, algorithms, experts and policies, of this package and of others.
+
+Another distribution offers one by an entry point, for instance
+
+    [project.entry-points."magical.algorithms"]
+    my-bc = "my_package.bc:ALGORITHM"
+
+and anything that can be imported is named by `module:NAME` or `file.py:NAME`.
+"""
+
+import importlib
+import importlib.util
+import pkgutil
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from types import MappingProxyType, ModuleType
+from typing import Any, Generic, TypeVar
+
+from magical.errors import PluginError, UnknownNameError
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Registry(Generic[T]):
+    """Named things of one kind: a file of this package each, entry points, and `module:NAME`.
+
+    Attributes:
+        noun: what they are, for messages, such as `algorithm`.
+        kind: their type; a protocol must be `runtime_checkable`.
+        group: the group of the entry points, such as `magical.algorithms`.
+        package: the package with a file for each of ours; the file's name is the thing's (`_` for
+            `-`), and files whose names begin with `_` are helpers.
+        attribute: what is taken from each file; the module itself where it is empty.
+    """
+
+    noun: str
+    kind: type[T]
+    group: str
+    package: str
+    attribute: str = ""
+
+    def names(self) -> list[str]:
+        """Ours and those of entry points, alphabetically; none of them is imported."""
+        return sorted({*_files(self.package), *plugins(self.group)})
+
+    def get(self, name: str) -> T:
+        """The thing of a name, or that `module:NAME` stands for.
+
+        Raises:
+            UnknownNameError: there is none of this name; the message lists the names.
+            PluginError: it cannot be imported, or is something else.
+        """
+        if ":" in name:
+            return self.checked(name, load_reference(name))
+        if name in (files := _files(self.package)):
+            module = importlib.import_module(f"{self.package}.{files[name]}")
+            return self.checked(name, getattr(module, self.attribute) if self.attribute else module)
+        if name in (found := plugins(self.group)):
+            return self.checked(name, load_entry_point(found[name]))
+        raise UnknownNameError(
+            f"{self.noun} {name!r} is unknown; expected one of: {', '.join(self.names())}; or "
+            "module:NAME"
+        )
+
+    def checked(self, name: str, thing: Any) -> T:
+        """The thing; raises `PluginError` if it is of another type."""
+        if isinstance(thing, self.kind):
+            return thing
+        raise PluginError(
+            f"{self.noun} {name!r}: expected {self.kind.__name__}, found {type(thing).__name__}"
+        )
+
+
+@cache
+def _files(package: str) -> Mapping[str, str]:
+    """The names of the things of a package, and their files'."""
+    path = importlib.import_module(package).__path__
+    files = (entry.name for entry in pkgutil.iter_modules(path))
+    return MappingProxyType(
+        {file.replace("_", "-"): file for file in files if not file.startswith("_")}
+    )
+
+
+@cache
+def plugins(group: str) -> Mapping[str, EntryPoint]:
+    """What other distributions offer in a group of entry points, by name; none is imported.
+
+    Raises:
+        PluginError: two distributions offer the same name.
+    """
+    found: dict[str, EntryPoint] = {}
+    for entry in entry_points(group=group):
+        if found.setdefault(entry.name, entry).value != entry.value:
+            raise PluginError(
+                f"{group}: two distributions offer {entry.name!r}: {found[entry.name].value} and "
+                f"{entry.value}; uninstall one"
+            )
+    return MappingProxyType(found)
+
+
+def load_entry_point(entry: EntryPoint) -> Any:
+    """Import what an entry point stands for; raises `PluginError`."""
+    try:
+        return entry.load()
+    except (ImportError, AttributeError) as error:
+        source = f" of {entry.dist.name}" if entry.dist else ""
+        raise PluginError(
+            f"{entry.group}: {entry.name!r}{source} cannot be imported from {entry.value}: {error}"
+        ) from error
+
+
+def load_reference(reference: str) -> Any:
+    """What `module:NAME` or `path/to/file.py:NAME` stands for.
+
+    Raises:
+        PluginError: the module cannot be imported, or has no such name.
+    """
+    module_name, _, attribute = reference.rpartition(":")
+    module = import_user_module(module_name)
+    if not attribute or not hasattr(module, attribute):
+        known = ", ".join(word for word in vars(module) if not word.startswith("_"))
+        raise PluginError(f"{reference!r}: no {attribute!r} in the module, which has: {known}")
+    return getattr(module, attribute)
+
+
+def import_user_module(name: str) -> ModuleType:
+    """Import a user's module by its name or by the path of its file.
+
+    The working folder, or a file's own, is searched last, and for a module only if it is found
+    nowhere else, so that nothing in it takes a library's place.
+
+    Raises:
+        PluginError: it cannot be imported.
+    """
+    if name.endswith(".py"):
+        return _import_file(Path(name))
+    package = name.partition(".")[0]
+    try:
+        if package not in sys.modules and importlib.util.find_spec(package) is None:
+            _search_last(Path.cwd())
+        return importlib.import_module(name)
+    except (ModuleNotFoundError, ValueError) as error:
+        raise PluginError(
+            f"module {name!r} cannot be imported: {error}; give a module on the import path or in "
+            "the working directory, or a path ending in .py"
+        ) from error
+
+
+def _import_file(path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if not path.is_file() or spec is None or spec.loader is None:
+        raise PluginError(f"file {path}: expected a Python file, found none")
+    _search_last(path.resolve().parent)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules.setdefault(path.stem, module)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _search_last(folder: Path) -> None:
+    if str(folder) not in sys.path:
+        sys.path.append(str(folder))
