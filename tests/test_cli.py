@@ -146,6 +146,20 @@ def test_a_reader_that_leaves_is_no_traceback() -> None:
     assert (done.returncode, done.stderr) == (1, b"")
 
 
+@pytest.mark.parametrize("words", [("envs", "--import"), ("--import",)])
+def test_a_module_is_imported_before_any_command(root: Path, words: tuple[str, ...]) -> None:
+    command = [sys.executable, "-m", "magical", *words, str(root / "examples/ninth_task.py")]
+    if "envs" not in words:
+        command.append("envs")
+    listed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert "Separate" in listed
+
+
+def test_a_module_that_cannot_be_imported_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["envs", "--import", "no_such_module"]) == 1
+    assert "'no_such_module' cannot be imported" in capsys.readouterr().err
+
+
 def test_envs_lists_the_registry(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["envs", "--json"]) == 0
     *table, last = capsys.readouterr().out.splitlines()

@@ -15,6 +15,7 @@ from types import ModuleType
 
 from magical import __version__, commands
 from magical.errors import MagicalError, PlanError, UnknownNameError
+from magical.plugins import import_user_module
 
 GOOD, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
 
@@ -36,7 +37,7 @@ EXTRAS = {
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status; errors go to standard error."""
     try:
-        arguments = build_parser().parse_args(argv)
+        arguments = build_parser().parse_args(_import_modules(argv))
         status = int(arguments.run(arguments))
         sys.stdout.flush()
     except SystemExit as stop:  # argparse: --help, --version, wrong usage
@@ -63,12 +64,38 @@ def build_parser() -> argparse.ArgumentParser:
         prog="magical", description="The MAGICAL benchmark for robust imitation learning."
     )
     parser.add_argument("--version", action="version", version=f"magical {__version__}")
+    _add_import(parser)
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name, module in find_commands():
         sub = subparsers.add_parser(name, help=module.HELP, description=module.__doc__)
         module.configure(sub)
         sub.set_defaults(run=module.run)
     return parser
+
+
+def _import_modules(argv: Sequence[str] | None) -> list[str]:
+    """Import what `--import` names, wherever it stands, and return the other arguments.
+
+    It comes first because a module may bring tasks and algorithms that are choices of the others.
+    """
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    _add_import(parser)
+    found, rest = parser.parse_known_args(argv)
+    for module in found.imports:
+        import_user_module(module)
+    return rest
+
+
+def _add_import(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--import",
+        dest="imports",
+        action="append",
+        default=[],
+        metavar="MODULE",
+        help="with any command: first import a module or a .py file, such as one that registers "
+        "a task; may be repeated",
+    )
 
 
 def find_commands() -> Iterator[tuple[str, ModuleType]]:

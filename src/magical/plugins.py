@@ -55,13 +55,11 @@ class Registry(Generic[T]):
             UnknownNameError: there is none of this name; the message lists the names.
             PluginError: it cannot be imported, or is something else.
         """
-        if ":" in name:
-            return self.checked(name, load_reference(name))
         if name in (files := _files(self.package)):
             module = importlib.import_module(f"{self.package}.{files[name]}")
             return self.checked(name, getattr(module, self.attribute) if self.attribute else module)
-        if name in (found := plugins(self.group)):
-            return self.checked(name, load_entry_point(found[name]))
+        if is_plugin(self.group, name):
+            return self.checked(name, load_plugin(self.group, name))
         raise UnknownNameError(
             f"{self.noun} {name!r} is unknown; expected one of: {', '.join(self.names())}; or "
             "module:NAME"
@@ -103,14 +101,26 @@ def plugins(group: str) -> Mapping[str, EntryPoint]:
     return MappingProxyType(found)
 
 
-def load_entry_point(entry: EntryPoint) -> Any:
-    """Import what an entry point stands for; raises `PluginError`."""
+def is_plugin(group: str, name: str) -> bool:
+    """Whether a name is that of an entry point, or of the form `module:NAME`."""
+    return ":" in name or name in plugins(group)
+
+
+def load_plugin(group: str, name: str) -> Any:
+    """Import what an entry point or `module:NAME` stands for.
+
+    Raises:
+        PluginError: it cannot be imported.
+    """
+    if ":" in name:
+        return load_reference(name)
+    entry = plugins(group)[name]
     try:
         return entry.load()
     except (ImportError, AttributeError) as error:
         source = f" of {entry.dist.name}" if entry.dist else ""
         raise PluginError(
-            f"{entry.group}: {entry.name!r}{source} cannot be imported from {entry.value}: {error}"
+            f"{group}: {name!r}{source} cannot be imported from {entry.value}: {error}"
         ) from error
 
 

@@ -7,7 +7,7 @@ import pytest
 from gymnasium import spaces
 
 from magical.envs.env import MagicalEnv
-from magical.errors import UnknownNameError
+from magical.errors import PluginError, UnknownNameError
 from magical.observe import (
     PRESETS,
     RAW,
@@ -112,3 +112,10 @@ def test_a_picture_has_all_frames_side_by_side() -> None:
 def test_a_state_vector_has_no_picture() -> None:
     spec: ObservationSpec = StateSpec(3, 1)
     assert spec.picture(np.zeros(spec.network_shape, np.float32)) is None
+
+
+def test_observations_of_other_distributions_are_named_by_module() -> None:
+    task = get_task("MakeLine")
+    assert make_spec("magical.observe.presets:RAW", task) == make_spec(None, task)
+    with pytest.raises(PluginError, match="no_such_module"):
+        make_spec("no_such_module:SPEC", task)

@@ -20,6 +20,36 @@ def add_json(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_tasks(parser: argparse.ArgumentParser, default: str = "all") -> None:
+    """Add `--task A B`; `args.task` is a list of names, or `None` for the default."""
+    parser.add_argument("--task", nargs="+", metavar="TASK", help=f"default: {default}")
+
+
+def add_seed(parser: argparse.ArgumentParser, meaning: str) -> None:
+    """Add `--seed N`, 0 or more."""
+    parser.add_argument(
+        "--seed", type=non_negative_int, default=0, metavar="N", help=f"{meaning} (default: 0)"
+    )
+
+
+def add_rollouts(parser: argparse.ArgumentParser, default: int = 100) -> None:
+    """Add `--rollouts N`, on each variant."""
+    parser.add_argument(
+        "--rollouts",
+        type=positive_int,
+        default=default,
+        metavar="N",
+        help=f"on each variant (default: {default})",
+    )
+
+
+def add_workers(parser: argparse.ArgumentParser) -> None:
+    """Add `--workers N`; `args.workers` is `None` for the number of cores."""
+    parser.add_argument(
+        "--workers", type=non_negative_int, metavar="N", help="processes (default: the cores)"
+    )
+
+
 def print_json(result: Mapping[str, Any]) -> None:
     """Print the one JSON object that `--json` promises."""
     print(json.dumps(result))

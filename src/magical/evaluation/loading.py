@@ -8,7 +8,7 @@ from typing import Any
 
 from magical.errors import PolicyError, UnknownNameError
 from magical.evaluation.policy import FunctionPolicy, NoopPolicy, Policy, RandomPolicy
-from magical.plugins import load_entry_point, load_reference, plugins
+from magical.plugins import load_plugin, plugins
 
 
 def _expert() -> Policy:
@@ -99,12 +99,10 @@ def _needs_arguments(thing: Callable[..., Any]) -> bool:
 
 def _attribute(name: str) -> Any:
     """What the name of an entry point, `module:name` or `file.py:name` stands for."""
-    if name in plugins(GROUP):
-        return load_entry_point(plugins(GROUP)[name])
-    module_name, colon, attribute = name.rpartition(":")
-    if not colon or not module_name or not attribute:
-        raise UnknownNameError(
-            f"policy {name!r}: expected one of {', '.join((*BUILT_IN, *plugins(GROUP)))}, a run "
-            "folder, module:name or file.py:name"
-        )
-    return load_reference(name)
+    module_name, _, attribute = name.rpartition(":")
+    if name in plugins(GROUP) or (module_name and attribute):
+        return load_plugin(GROUP, name)
+    raise UnknownNameError(
+        f"policy {name!r}: expected one of {', '.join((*BUILT_IN, *plugins(GROUP)))}, a run "
+        "folder, module:name or file.py:name"
+    )

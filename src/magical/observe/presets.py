@@ -5,13 +5,14 @@ Source of the presets: docs/specification.md, section 7.
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any, TypeGuard
+from typing import Any, TypeGuard, cast
 
 from magical.errors import UnknownNameError
 from magical.messages import quoted
 from magical.observe.pixels import STACK, PixelSpec
 from magical.observe.spec import ObservationSpec
 from magical.observe.state_vector import STATE, StateSpec
+from magical.plugins import is_plugin, load_plugin, plugins
 from magical.scene.constants import RAW_FRAME_SIZE
 from magical.scene.vocabulary import View
 from magical.tasks import Task
@@ -32,8 +33,11 @@ PRESETS: Mapping[str, PixelSpec] = {
 
 RAW = PixelSpec(tuple((view, 1) for view in _BOTH), size=RAW_FRAME_SIZE, separate=True)
 
-# Every other named observation, a function of the task. A new kind of observation needs a name here
-# if it is to be used with worker processes: they get the name that its `to_dict` returns.
+# Other distributions' observations: an `ObservationSpec`, or a function from the task to one. Its
+# `to_dict` returns the name of the entry point, or `module:NAME`, for worker processes.
+GROUP = "magical.observations"
+
+# Every other named observation of ours, a function of the task.
 NAMED: Mapping[str, Callable[[Task], ObservationSpec]] = {
     "raw": lambda task: RAW,
     STATE: lambda task: StateSpec(task.max_blocks, task.max_regions),
@@ -44,12 +48,14 @@ def make_spec(observation: Observation, task: Task) -> ObservationSpec:
     """The specification that `observation=` means for a task.
 
     Args:
-        observation: the name of a preset or of another observation in `NAMED`, `None` (both views
-            at 384 x 384), an `ObservationSpec`, or a mapping of `PixelSpec`'s fields.
+        observation: the name of a preset, of another observation in `NAMED` or of an entry point,
+            `module:NAME`, `None` (both views at 384 x 384), an `ObservationSpec`, or a mapping of
+            `PixelSpec`'s fields.
         task: state vectors have slots for its largest variant.
 
     Raises:
         UnknownNameError: none of these.
+        PluginError: another distribution's observation cannot be imported.
     """
     if observation is None:
         return RAW
@@ -62,10 +68,13 @@ def make_spec(observation: Observation, task: Task) -> ObservationSpec:
         return PRESETS[observation]
     if isinstance(observation, str) and observation in NAMED:
         return NAMED[observation](task)
+    if isinstance(observation, str) and is_plugin(GROUP, observation):
+        offered = load_plugin(GROUP, observation)
+        return offered if _is_spec(offered) else cast(ObservationSpec, offered(task))
+    known = ", ".join((*PRESETS, *NAMED, *plugins(GROUP)))
     raise UnknownNameError(
-        f"observation {quoted(observation)} is unknown; expected one of "
-        f"{', '.join((*PRESETS, *NAMED))}, an ObservationSpec, or a mapping with some of "
-        f"{sorted(names)}"
+        f"observation {quoted(observation)} is unknown; expected one of {known}, module:NAME, an "
+        f"ObservationSpec, or a mapping with some of {sorted(names)}"
     )
 
 
