@@ -24,11 +24,11 @@ from magical.envs.vector import MagicalVectorEnv
 from magical.learning.algorithms import read_config
 from magical.learning.algorithms.al import WEIGHTS, ALConfig, make_autoencoder
 from magical.learning.algorithms.ppo import make_samples, ppo_loss
-from magical.learning.augment import to_unit
-from magical.learning.checkpoints import load_checkpoint, load_module
-from magical.learning.expert_data import ExpertData, sample_demonstrations
-from magical.learning.reward_normalisation import RewardNormaliser
-from magical.learning.rollouts import Rollout
+from magical.learning.augmentation.augment import to_unit
+from magical.learning.data.expert_data import ExpertData, sample_demonstrations
+from magical.learning.reinforcement.reward_normalisation import RewardNormaliser
+from magical.learning.reinforcement.rollouts import Rollout
+from magical.learning.running.checkpoints import load_checkpoint, load_module
 from magical.runs.folder import CHECKPOINT
 from magical.scene import NUM_ACTIONS
 from magical.scene.poses import FINGERS, ROBOT

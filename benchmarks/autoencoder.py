@@ -16,10 +16,10 @@ import torch
 from magical.demos.generate import demonstrate, generate
 from magical.learning import train
 from magical.learning.algorithms.al import ALConfig, make_autoencoder
-from magical.learning.augment import to_unit
+from magical.learning.augmentation.augment import to_unit
 from magical.learning.autoencoder import save_reconstructions
-from magical.learning.checkpoints import load_checkpoint, load_module
-from magical.learning.expert_data import ExpertData, sample_demonstrations
+from magical.learning.data.expert_data import ExpertData, sample_demonstrations
+from magical.learning.running.checkpoints import load_checkpoint, load_module
 from magical.runs import is_run
 from magical.runs.folder import CHECKPOINT
 

@@ -31,13 +31,13 @@ from torch import Tensor
 from magical.demos.generate import generate
 from magical.envs import EnvId
 from magical.learning.algorithms.bc import Batch, BCConfig, BCTrainer
-from magical.learning.augment import augment_in_pytorch, sample_parameters
-from magical.learning.augmentations import Augmentations
-from magical.learning.devices import choose_compute
-from magical.learning.expert_data import ExpertData, Rows, sample_demonstrations
-from magical.learning.prefetch import prefetch
-from magical.learning.run import Run
-from magical.learning.transformations import StackTransformations
+from magical.learning.augmentation.augment import augment_in_pytorch, sample_parameters
+from magical.learning.augmentation.names import Augmentations
+from magical.learning.augmentation.transformations import StackTransformations
+from magical.learning.data.expert_data import ExpertData, Rows, sample_demonstrations
+from magical.learning.data.prefetch import prefetch
+from magical.learning.running.devices import choose_compute
+from magical.learning.running.run import Run
 
 TASK = "MoveToCorner"
 DEMOS = 25

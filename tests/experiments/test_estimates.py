@@ -6,7 +6,7 @@ import pytest
 
 from magical.experiments.estimates import estimate
 from magical.experiments.plan import Evaluation, Method, Plan, planned_runs
-from magical.learning.devices import Compute
+from magical.learning.running.devices import Compute
 
 SPEED = 100.0  # samples a second, forward and backward
 ROLLOUT_STEPS = 100 * 6 * 80  # MoveToCorner: rollouts, variants, horizon
@@ -19,8 +19,8 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> None:
             Compute("cpu", precision, threads[0]): SPEED for precision in ("float32", "bfloat16")
         }
 
-    monkeypatch.setattr("magical.learning.speed.training_speeds", speeds)
-    monkeypatch.setattr("magical.learning.devices.choose_device", lambda _: "cpu")
+    monkeypatch.setattr("magical.learning.running.speed.training_speeds", speeds)
+    monkeypatch.setattr("magical.learning.running.devices.choose_device", lambda _: "cpu")
 
 
 def seconds(algorithm: str) -> tuple[float, float]:

@@ -23,7 +23,8 @@ from magical.experiments.execution import _outcome, execute
 from magical.experiments.plan import PlannedRun
 from magical.experiments.status import read_status
 from magical.files import lock_now
-from magical.learning import load_policy, read_config, training
+from magical.learning import load_policy, read_config
+from magical.learning.running import training
 from magical.runs import versions
 from magical.runs.machine import machine
 

@@ -38,7 +38,7 @@ def test_train_stop_resume(demos: Path, tmp_path: Path, capsys: pytest.CaptureFi
 def test_an_evaluated_run_says_what_it_is_and_can_be_verified(
     demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from magical.learning.devices import num_threads
+    from magical.learning.running.devices import num_threads
 
     run, entry = tmp_path / "run", tmp_path / "evaluation" / "run"
     assert main(bc(demos, run)) == 0

@@ -16,7 +16,7 @@ from magical.errors import CheckpointError, DivergedError, PolicyError, RunFolde
 from magical.evaluation import Policy, evaluate
 from magical.learning import NetworkPolicy, is_run, load_policy, train
 from magical.learning.algorithms.bc import BCConfig
-from magical.learning.devices import Compute
+from magical.learning.running.devices import Compute
 from magical.observe import NAMED, PRESETS
 from magical.report.clips import record_clips
 from magical.runs.folder import CHECKPOINT

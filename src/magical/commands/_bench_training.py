@@ -8,8 +8,8 @@ from magical.commands._common import print_json, print_table
 
 def run_training(args: argparse.Namespace) -> int:
     """Measure, print, recommend options of `magical train`."""
-    from magical.learning.devices import choose_compute
-    from magical.learning.speed import training_speeds
+    from magical.learning.running.devices import choose_compute
+    from magical.learning.running.speed import training_speeds
 
     speeds = training_speeds(args.network, args.batch_size, args.device)
     fastest = max(speeds, key=lambda way: speeds[way])

@@ -27,7 +27,7 @@ def evaluation_details(policy: str, out: Path) -> dict[str, Any]:
     if policy not in BUILT_IN and Path(policy).is_dir():
         from magical.learning import read_config
         from magical.learning.description import training_details
-        from magical.learning.devices import num_threads
+        from magical.learning.running.devices import num_threads
 
         details = {**training_details(read_config(Path(policy))), THREADS: num_threads()}
         return {POLICY: os.path.relpath(policy, out), **details, **provenance()}
@@ -81,6 +81,6 @@ def recorded_threads(entry: "Entry") -> AbstractContextManager[None]:
     number = entry.details.get(THREADS)
     if not isinstance(number, int) or not 1 <= number <= MOST_THREADS:
         return nullcontext()
-    from magical.learning.devices import cpu_threads
+    from magical.learning.running.devices import cpu_threads
 
     return cpu_threads(number)

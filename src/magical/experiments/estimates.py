@@ -9,7 +9,7 @@ from magical.evaluation import environments
 from magical.experiments.plan import PlannedRun
 from magical.learning import Config
 from magical.learning.config import ImitationConfig
-from magical.learning.reinforcement import ReinforcementConfig
+from magical.learning.reinforcement.config import ReinforcementConfig
 
 ROUNDS = 2  # timed batches of a network
 FORWARD = 1 / 3  # time of a forward pass, of that of a forward and backward pass
@@ -84,7 +84,7 @@ def _evaluation_steps(run: PlannedRun) -> int:
 
 def _way(config: Config) -> tuple[str, str, str, int]:
     """What the speed depends on: network, device, precision, threads."""
-    from magical.learning.devices import choose_compute, choose_device
+    from magical.learning.running.devices import choose_compute, choose_device
 
     device = choose_device(config.device)
     compute = choose_compute(device, config.precision, config.threads)
@@ -94,7 +94,7 @@ def _way(config: Config) -> tuple[str, str, str, int]:
 
 def _measure(ways: set[tuple[str, str, str, int]]) -> dict[tuple[str, str, str, int], float]:
     """Samples a second of forward and backward passes."""
-    from magical.learning.speed import training_speeds
+    from magical.learning.running.speed import training_speeds
 
     found = {}
     for network, device, threads in {(network, device, n) for network, device, _, n in ways}:

@@ -24,7 +24,7 @@ from magical.experiments.results import (
     no_space,
     opened,
 )
-from magical.learning.interrupts import Interrupts
+from magical.learning.running.interrupts import Interrupts
 
 POLL = 1.0  # seconds between checks for signals, and between refreshes of the display
 LOCAL, RAY = "local", "ray"  # executors

@@ -118,7 +118,7 @@ def evaluate_run(run: PlannedRun, folder: Path, out: Path, evaluation: Evaluatio
         out: where the files are written: the folder, or one in it.
         evaluation: how; it may differ from the run's.
     """
-    from magical.learning.devices import cpu_threads
+    from magical.learning.running.devices import cpu_threads
 
     policy = load_policy(folder, device=run.config.device)
     horizon = evaluation.horizon_of(run.tasks)

@@ -19,7 +19,7 @@ from magical.errors import ClusterError, RunFolderError
 from magical.experiments.one_run import finish
 from magical.experiments.plan import PlannedRun
 from magical.experiments.results import DONE, EXPERIMENT, RESULT, Outcome, Results
-from magical.learning.interrupts import SIGNALS
+from magical.learning.running.interrupts import SIGNALS
 from magical.runs.folder import CHECKPOINT, LOCK, read_json
 
 RETRIES = 3  # after the end of a node or of a process on it

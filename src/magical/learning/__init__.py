@@ -15,7 +15,7 @@ from magical.runs import is_run
 if TYPE_CHECKING:
     from magical.learning.ensemble import EnsemblePolicy
     from magical.learning.policy import NetworkPolicy, load_policy
-    from magical.learning.training import TrainResult, train
+    from magical.learning.running.training import TrainResult, train
 
 __all__ = [
     "Algorithm",
@@ -35,8 +35,8 @@ _NEEDS_TORCH = {
     "EnsemblePolicy": "ensemble",
     "NetworkPolicy": "policy",
     "load_policy": "policy",
-    "TrainResult": "training",
-    "train": "training",
+    "TrainResult": "running.training",
+    "train": "running.training",
 }
 
 

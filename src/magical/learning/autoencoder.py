@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from PIL import Image
 from torch import Tensor, nn
+from torch.nn import functional
 
 from magical.files import write_atomically
 from magical.learning.models import Trunk
@@ -94,6 +95,14 @@ def _image_decoder(channels: int, batch_norm: bool) -> nn.Sequential:
                 layers += [nn.BatchNorm2d(outputs)] if batch_norm else []
                 inputs = outputs
     return nn.Sequential(*layers)
+
+
+def autoencoder_loss(
+    images: Tensor, actions: Tensor, reconstructed: Tensor, logits: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Mean squared image error and cross-entropy of the actions; their sum is to be minimised."""
+    error = functional.mse_loss(reconstructed.float(), images)
+    return error, functional.cross_entropy(logits.float(), actions)
 
 
 def save_reconstructions(path: Path, images: Tensor, reconstructed: Tensor) -> None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
 
 from magical.errors import InvalidConfigError, UnknownNameError
-from magical.learning.augmentations import BORDERS, Augmentations, parse_augmentations
+from magical.learning.augmentation.names import BORDERS, Augmentations, parse_augmentations
 from magical.learning.networks import network_names
 from magical.observe import PRESETS, ObservationSpec, make_spec
 from magical.runs.sources import DEMONSTRATIONS

@@ -13,8 +13,8 @@ from torch.nn import functional
 
 from magical.learning.config import PIXEL_RANGES, Config
 from magical.learning.networks import find_network
-from magical.learning.reinforcement import ReinforcementConfig
-from magical.learning.streams import seeded_init
+from magical.learning.reinforcement.config import ReinforcementConfig
+from magical.learning.running.streams import seeded_init
 from magical.scene import NUM_ACTIONS
 
 EMBEDDING = 32  # size of the learnt embedding of an action (docs/specification.md, section 11)

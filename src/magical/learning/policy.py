@@ -14,10 +14,10 @@ from magical.errors import DivergedError, ObservationError, PolicyError, RunFold
 from magical.evaluation.policy import Actions, Mask
 from magical.evaluation.rollouts import RepeatedEvaluation
 from magical.learning.algorithms import find_algorithm, read_config
-from magical.learning.augment import to_unit
-from magical.learning.checkpoints import load_module, load_newest_checkpoint
-from magical.learning.devices import Compute, choose_device, full_float32
-from magical.learning.reinforcement import ReinforcementConfig
+from magical.learning.augmentation.augment import to_unit
+from magical.learning.reinforcement.config import ReinforcementConfig
+from magical.learning.running.checkpoints import load_module, load_newest_checkpoint
+from magical.learning.running.devices import Compute, choose_device, full_float32
 from magical.observe import ObservationSpec
 from magical.runs.folder import CHECKPOINT, CONFIG, RECORD, is_run, read_json
 

@@ -2,7 +2,7 @@
 
 This room is below `learning` because training writes run folders and `report` reads them: a reader
 of a run needs neither PyTorch nor the code that made it. The one file that needs PyTorch, the
-checkpoint, belongs to `magical.learning.checkpoints`; here it has only a name.
+checkpoint, belongs to `magical.learning.running.checkpoints`; here it has only a name.
 """
 
 from magical.runs.folder import is_run, locked_folder, open_folder, read_json, versions

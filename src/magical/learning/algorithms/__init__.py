@@ -19,7 +19,7 @@ from magical.runs.folder import CONFIG, read_json
 if TYPE_CHECKING:
     from torch import nn
 
-    from magical.learning.run import Run
+    from magical.learning.running.run import Run
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,25 +14,29 @@ from typing import Any, ClassVar
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 from torch.optim import Adam
 
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.ppo import PPOTrainer
-from magical.learning.augment import augment, to_unit
-from magical.learning.augmentations import SETS
-from magical.learning.autoencoder import SIZE, Autoencoder, save_reconstructions
-from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
+from magical.learning.augmentation.augment import augment, to_unit
+from magical.learning.augmentation.names import SETS
+from magical.learning.autoencoder import SIZE, Autoencoder, autoencoder_loss, save_reconstructions
 from magical.learning.config import option
-from magical.learning.devices import Compute
-from magical.learning.expert_data import ExpertData, Rows, load_demonstrations
+from magical.learning.data.expert_data import ExpertData, Rows, load_demonstrations
 from magical.learning.models import make_actor_critic
-from magical.learning.reinforcement import PUBLISHED_CODE, QUICK, LearnedRewardConfig
-from magical.learning.replay_buffer import ReplayBuffer
-from magical.learning.reward_normalisation import RewardNormaliser
-from magical.learning.run import Run
-from magical.learning.streams import Purpose, seeded_init, stream
+from magical.learning.reinforcement.config import PUBLISHED_CODE, QUICK, LearnedRewardConfig
+from magical.learning.reinforcement.replay_buffer import ReplayBuffer
+from magical.learning.reinforcement.reward_normalisation import RewardNormaliser
+from magical.learning.running.checkpoints import (
+    StateDict,
+    load_module,
+    load_optimizer,
+    optimizer_state,
+)
+from magical.learning.running.devices import Compute
+from magical.learning.running.run import Run
+from magical.learning.running.streams import Purpose, seeded_init, stream
 
 AUTOENCODER_INIT = 1  # number of the initialisation; the policy's is 0
 WEIGHT_NORM = 2.0  # of w (appendix B, equation 1)
@@ -259,14 +263,6 @@ def compute_statistics(
             autoencoder(unaugmented(expert, rows), expert.labels(rows)[0])
     for layer, momentum in zip(layers, momenta, strict=True):
         layer.momentum = momentum
-
-
-def autoencoder_loss(
-    images: Tensor, actions: Tensor, reconstructed: Tensor, logits: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Mean squared image error and cross-entropy of the actions; their sum is to be minimised."""
-    error = functional.mse_loss(reconstructed.float(), images)
-    return error, functional.cross_entropy(logits.float(), actions)
 
 
 def imitate(

@@ -13,9 +13,17 @@ from torch.optim import SGD, Optimizer
 
 from magical.errors import DemonstrationsError, InvalidConfigError
 from magical.learning.algorithms import Algorithm
-from magical.learning.augmentations import Augmentations
+from magical.learning.augmentation.names import Augmentations
+from magical.learning.augmentation.transformations import (
+    NONE,
+    PALETTE,
+    TRANSFORMATIONS,
+    WALLS,
+    StackTransformations,
+    check_transformations,
+    parse_transformations,
+)
 from magical.learning.averaging import STATISTICS_BATCHES, renew_statistics, weight_average
-from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
 from magical.learning.config import (
     AUTO,
     CHECKPOINT_SECONDS,
@@ -26,24 +34,21 @@ from magical.learning.config import (
     ImitationConfig,
     option,
 )
-from magical.learning.devices import choose_device
-from magical.learning.expert_data import ExpertData, TaskTrajectories, load_demonstrations
-from magical.learning.graphs import GraphedStep, use_graphs
+from magical.learning.data.expert_data import ExpertData, TaskTrajectories, load_demonstrations
+from magical.learning.data.prefetch import prefetch
+from magical.learning.data.rendered_data import RenderedExpertData, choose_augment_by
 from magical.learning.models import PolicyNetwork, Trunk, init_last_layers
-from magical.learning.optimizers import make_adam, set_learning_rate
-from magical.learning.prefetch import prefetch
-from magical.learning.rendered_data import RenderedExpertData, choose_augment_by
-from magical.learning.run import Run
-from magical.learning.streams import Purpose, seeded_init, stream
-from magical.learning.transformations import (
-    NONE,
-    PALETTE,
-    TRANSFORMATIONS,
-    WALLS,
-    StackTransformations,
-    check_transformations,
-    parse_transformations,
+from magical.learning.running.checkpoints import (
+    StateDict,
+    load_module,
+    load_optimizer,
+    optimizer_state,
 )
+from magical.learning.running.devices import choose_device
+from magical.learning.running.graphs import GraphedStep, use_graphs
+from magical.learning.running.optimizers import make_adam, set_learning_rate
+from magical.learning.running.run import Run
+from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.observe import STATE
 from magical.runs.sources import RENDERED_STATES
 

@@ -28,11 +28,11 @@ from magical.experts import get_goals
 from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.bc import BCConfig, BCTrainer, make_policy
 from magical.learning.config import IMAGE_OBSERVATIONS, option
-from magical.learning.expert_data import TaskTrajectories, load_demonstrations
+from magical.learning.data.expert_data import TaskTrajectories, load_demonstrations
+from magical.learning.data.supervision import LabelledEpisodes
 from magical.learning.policy import NetworkPolicy
-from magical.learning.run import Run
-from magical.learning.streams import Purpose, stream
-from magical.learning.supervision import LabelledEpisodes
+from magical.learning.running.run import Run
+from magical.learning.running.streams import Purpose, stream
 from magical.runs.sources import EXPERT_LABELS, INTERACTION, TEST_VARIANTS
 
 AGGREGATE = "aggregate"  # in the run folder

@@ -25,22 +25,27 @@ from torch.nn import functional
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.ppo import PPOTrainer
-from magical.learning.augment import to_unit
-from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
+from magical.learning.augmentation.augment import to_unit
+from magical.learning.augmentation.randoms import Randoms
 from magical.learning.config import option
-from magical.learning.devices import Compute
-from magical.learning.expert_data import ExpertData, load_demonstrations, split_evenly
-from magical.learning.graphs import GraphedStep, use_graphs
+from magical.learning.data.expert_data import ExpertData, load_demonstrations, split_evenly
 from magical.learning.models import Discriminator, Trunk, init_last_layers, make_actor_critic
-from magical.learning.monitoring import Metrics
-from magical.learning.optimizers import make_adam
-from magical.learning.randoms import Randoms
-from magical.learning.reinforcement import PUBLISHED_CODE, QUICK, LearnedRewardConfig
-from magical.learning.replay_buffer import ReplayBuffer
-from magical.learning.reward_normalisation import RewardNormaliser
-from magical.learning.rollouts import Rollout
-from magical.learning.run import Run
-from magical.learning.streams import Purpose, seeded_init, stream
+from magical.learning.reinforcement.config import PUBLISHED_CODE, QUICK, LearnedRewardConfig
+from magical.learning.reinforcement.monitoring import Metrics
+from magical.learning.reinforcement.replay_buffer import ReplayBuffer
+from magical.learning.reinforcement.reward_normalisation import RewardNormaliser
+from magical.learning.reinforcement.rollouts import Rollout
+from magical.learning.running.checkpoints import (
+    StateDict,
+    load_module,
+    load_optimizer,
+    optimizer_state,
+)
+from magical.learning.running.devices import Compute
+from magical.learning.running.graphs import GraphedStep, use_graphs
+from magical.learning.running.optimizers import make_adam
+from magical.learning.running.run import Run
+from magical.learning.running.streams import Purpose, seeded_init, stream
 
 DISCRIMINATOR_INIT = 1  # number of the initialisation; the policy's is 0
 

@@ -21,10 +21,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from magical.learning.algorithms import Algorithm
-from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
 from magical.learning.config import CHECKPOINT_SECONDS, ImitationConfig, option
-from magical.learning.devices import choose_device, one_thread
-from magical.learning.expert_data import load_demonstrations
+from magical.learning.data.expert_data import load_demonstrations
 from magical.learning.objects.control import Controller, Sight, control_inputs
 from magical.learning.objects.data import ObjectData
 from magical.learning.objects.goals import (
@@ -37,9 +35,16 @@ from magical.learning.objects.goals import (
 from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.objects.parser import Pixels, parse_robot
 from magical.learning.objects.table import ObjectTable, parse_table
-from magical.learning.optimizers import set_learning_rate
-from magical.learning.run import Run
-from magical.learning.streams import Purpose, seeded_init, stream
+from magical.learning.running.checkpoints import (
+    StateDict,
+    load_module,
+    load_optimizer,
+    optimizer_state,
+)
+from magical.learning.running.devices import choose_device, one_thread
+from magical.learning.running.optimizers import set_learning_rate
+from magical.learning.running.run import Run
+from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.observe.pixels import CHANNELS, STACK
 from magical.runs.sources import OBJECT_PARSER
 from magical.scene.actions import MIRRORED_ACTIONS

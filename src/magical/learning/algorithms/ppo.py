@@ -20,19 +20,29 @@ from torch import Tensor, nn
 
 from magical.envs.env import Reward
 from magical.learning.algorithms import Algorithm
-from magical.learning.augment import to_unit
-from magical.learning.checkpoints import StateDict, load_module, load_optimizer, optimizer_state
+from magical.learning.augmentation.augment import to_unit
 from magical.learning.config import IMAGE_OBSERVATIONS, option
-from magical.learning.devices import choose_device, one_thread
-from magical.learning.graphs import GraphedStep, use_graphs
 from magical.learning.models import make_actor_critic, sample_actions
-from magical.learning.monitoring import Metrics, Monitor, explained_variance
-from magical.learning.optimizers import make_adam, set_learning_rate
 from magical.learning.policy import DemoEvaluation
-from magical.learning.reinforcement import QUICK, ReinforcementConfig
-from magical.learning.rollouts import Rollout, RolloutBuffer, RolloutEnvs, shuffle_evenly
-from magical.learning.run import Run
-from magical.learning.streams import Purpose, stream
+from magical.learning.reinforcement.config import QUICK, ReinforcementConfig
+from magical.learning.reinforcement.monitoring import Metrics, Monitor, explained_variance
+from magical.learning.reinforcement.rollouts import (
+    Rollout,
+    RolloutBuffer,
+    RolloutEnvs,
+    shuffle_evenly,
+)
+from magical.learning.running.checkpoints import (
+    StateDict,
+    load_module,
+    load_optimizer,
+    optimizer_state,
+)
+from magical.learning.running.devices import choose_device, one_thread
+from magical.learning.running.graphs import GraphedStep, use_graphs
+from magical.learning.running.optimizers import make_adam, set_learning_rate
+from magical.learning.running.run import Run
+from magical.learning.running.streams import Purpose, stream
 from magical.observe import NAMED
 from magical.runs.sources import SCORE
 

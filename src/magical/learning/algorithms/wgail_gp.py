@@ -21,10 +21,10 @@ from magical.learning.algorithms.gail import (
     GAILConfig,
     train_adversarially,
 )
+from magical.learning.augmentation.randoms import Randoms
 from magical.learning.config import PIXEL_RANGES, option
 from magical.learning.models import Discriminator, make_actor_critic
-from magical.learning.randoms import Randoms
-from magical.learning.run import Run
+from magical.learning.running.run import Run
 
 Critic = Callable[[Tensor, Tensor, Tensor], Tensor]  # images, actions, tasks -> logits (B,)
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from magical.demos.reader import TrajectorySource
 from magical.demos.store.trajectory import Trajectory
 from magical.errors import DemonstrationsError
-from magical.learning.expert_data import TaskTrajectories
+from magical.learning.data.expert_data import TaskTrajectories
 from magical.learning.objects.goals import relate_blocks
 from magical.learning.objects.hindsight import ROBOT_TARGET, find_goals, track
 from magical.learning.objects.parser import ParsedFrames, parse_frames

@@ -1,6 +1,6 @@
 """Frame stacks resampled: colours jittered, rotated and translated, in one pass over 8-bit frames.
 
-The slow reference, which also runs on other devices, is `magical.learning.augment`.
+The slow reference, which also runs on other devices, is `magical.learning.augmentation.augment`.
 """
 
 from collections.abc import Callable

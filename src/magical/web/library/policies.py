@@ -172,7 +172,7 @@ def act_on_one_thread(policy: Policy, *arguments: Any) -> int:
 
     One thread is faster for a single observation, and leaves the other cores to the players.
     """
-    from magical.learning.devices import one_thread  # imports PyTorch: only for runs
+    from magical.learning.running.devices import one_thread  # imports PyTorch: only for runs
 
     with one_thread():
         return int(policy.act(*arguments)[0])
@@ -180,7 +180,7 @@ def act_on_one_thread(policy: Policy, *arguments: Any) -> int:
 
 def probabilities(policy: Any, observations: Any, env_ids: Sequence[EnvId]) -> NDArray[np.float64]:
     """A run's distributions over actions, (B, 18), computed on one thread."""
-    from magical.learning.devices import one_thread
+    from magical.learning.running.devices import one_thread
 
     with one_thread():
         found: NDArray[np.float64] = policy.probabilities(observations, env_ids)

@@ -1,0 +1,1 @@
+"""Changing images and actions of demonstrations: the paper's augmentations, and transformations."""

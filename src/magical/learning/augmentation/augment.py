@@ -1,0 +1,197 @@
+"""Image augmentation: noise, translation, rotation, colour jitter (appendix B).
+
+The parameters are sampled once per frame stack; the noise alone is sampled for every pixel and
+channel. Order: colour jitter, one combined rotation and translation, noise, clamp
+(docs/specification.md, section 10). 8-bit images on a CPU are augmented by compiled code, all
+others batched on their own device by PyTorch, which is the reference of the former's tests.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn.functional import affine_grid, grid_sample
+
+from magical.learning.augmentation.colour import colour_jitter
+from magical.learning.augmentation.names import Augmentations
+from magical.render.augmentation import add_noise, resample
+from magical.render.augmentation.resampling import Jitter
+
+NOISE_STD = 0.01  # of the range [0, 1]
+MAX_TRANSLATION = 0.05  # of the image's width and height
+MAX_ROTATION = math.radians(5.0)
+MAX_LIGHTNESS_CHANGE = 0.01  # factors from 0.99 to 1.01
+MAX_COLOUR_ROTATION = 0.15  # rad in the (a, b) plane
+
+PADDING_MODES = {"mirror": "reflection", "repeat": "border"}  # PyTorch's names
+CPU_CHUNK = 4  # stacks at a time, so that intermediate results fit into a core's cache
+NUM_PARAMETERS = 5  # of a stack
+
+Floats = NDArray[np.float64]
+Values = TypeVar("Values", Floats, Tensor)
+
+
+def augment(images: Tensor, which: Augmentations, rng: np.random.Generator) -> Tensor:
+    """Augment a batch of frame stacks: on a CPU in compiled code, if they are uint8.
+
+    Args:
+        images: (B, 3 * frames, H, W), uint8 or float in [0, 1]. Not changed.
+        which: the augmentations to apply.
+        rng: the source of all random numbers.
+
+    Returns:
+        (B, 3 * frames, H, W) float32 in [0, 1], in channels-last memory. Uint8 is scaled from
+        [0, 255] whatever is switched on.
+    """
+    parameters = sample_parameters(len(images), which, rng)
+    if images.device.type == "cpu" and images.dtype == torch.uint8:
+        return resampled(images, which, parameters, noise_seeds(len(images), rng))
+    generator = torch.Generator(images.device).manual_seed(int(rng.integers(2**63)))
+    return augment_in_pytorch(images, which, parameters, generator)
+
+
+def augment_on_device(images: Tensor, which: Augmentations, generator: torch.Generator) -> Tensor:
+    """Like `augment`, with random numbers of the device's generator: nothing waits for the host."""
+    shape = len(images), NUM_PARAMETERS
+    uniform = torch.rand(shape, device=images.device, generator=generator)
+    parameters = Parameters.scaled(2.0 * uniform - 1.0, which)
+    return augment_in_pytorch(images, which, parameters, generator)
+
+
+def resampled(
+    images: Tensor,
+    which: Augmentations,
+    parameters: "Parameters[Floats]",
+    seeds: NDArray[np.uint64],
+) -> Tensor:
+    """`augment` in compiled code, for uint8 images on a CPU; a seed (B,) of noise for each."""
+    batch, channels, height, width = images.shape
+    out = np.empty((batch, height, width, channels), np.float32)
+    inverses = None
+    if which.translation or which.rotation:
+        angles = torch.from_numpy(parameters.angles)
+        maps = inverse_maps(angles, torch.from_numpy(parameters.shifts), height, width)
+        inverses = in_pixels(maps.numpy(), height, width)
+    jitter = Jitter.none()
+    if which.colour:
+        jitter = Jitter.of(parameters.lightness, parameters.hues, which.linear_light)
+    resample(images.numpy(), inverses, jitter, which.borders == "mirror", out)
+    if which.noise:
+        add_noise(out, NOISE_STD, seeds)
+    return torch.from_numpy(out).permute(0, 3, 1, 2)
+
+
+def augment_in_pytorch(
+    images: Tensor,
+    which: Augmentations,
+    parameters: "Parameters[Floats] | Parameters[Tensor]",
+    generator: torch.Generator,
+) -> Tensor:
+    """`augment` in PyTorch, on any device; the generator is of the noise."""
+    chunk = CPU_CHUNK if images.device.type == "cpu" else max(len(images), 1)
+    out = torch.empty(images.shape, device=images.device, memory_format=torch.channels_last)
+    for first in range(0, len(images), chunk):
+        rows = slice(first, first + chunk)
+        some = images[rows]
+        if which.colour:
+            some = colour_jitter(
+                some, parameters.lightness[rows], parameters.hues[rows], which.linear_light
+            )
+        some = to_unit(some)
+        if which.translation or which.rotation:
+            some = warp(some, parameters.angles[rows], parameters.shifts[rows], which.borders)
+        if which.noise:
+            noise = torch.empty_like(some).normal_(0.0, NOISE_STD, generator=generator)
+            some = noise.add_(some).clamp_(0.0, 1.0)
+        out[rows] = some
+    return out
+
+
+def to_unit(observations: Tensor) -> Tensor:
+    """Network inputs as float32: pixels (uint8) scaled to [0, 1], floats unchanged."""
+    if observations.dtype != torch.uint8:
+        return observations
+    return observations.float().mul_(1.0 / 255.0)
+
+
+def warp(
+    images: Tensor, angles: Floats | Tensor, shifts: Floats | Tensor, borders: str = "mirror"
+) -> Tensor:
+    """Rotate each stack about its centre, then translate it.
+
+    Args:
+        images: (B, C, H, W) float.
+        angles: (B,) radians, counter-clockwise as seen.
+        shifts: (B, 2) to the right and down, as fractions of width and height.
+        borders: what is beyond the image: "mirror", the image mirrored there, or "repeat", its
+            outermost pixels.
+
+    Returns:
+        (B, C, H, W), bilinearly interpolated.
+    """
+    height, width = images.shape[2:]
+    # grid_sample wants the inverse map: from output to input coordinates, each from -1 to 1.
+    turns, moves = (torch.as_tensor(v, device=images.device) for v in (angles, shifts))
+    theta = inverse_maps(turns, moves, height, width).to(images.dtype)
+    grid = affine_grid(theta, list(images.shape), align_corners=False)
+    return grid_sample(images, grid, padding_mode=PADDING_MODES[borders], align_corners=False)
+
+
+def inverse_maps(angles: Tensor, shifts: Tensor, height: int, width: int) -> Tensor:
+    """The maps from places in the results to places in the images, as for `warp`: (B, 2, 3).
+
+    Both coordinates, right and down, go from -1 to 1.
+    """
+    cos, sin = angles.cos(), angles.sin()
+    rows = [cos, -sin * (height / width), sin * (width / height), cos]
+    rotation = torch.stack(rows, dim=1).view(-1, 2, 2)
+    translation = -2.0 * (rotation @ shifts[:, :, None])
+    return torch.cat([rotation, translation], dim=2)
+
+
+def in_pixels(maps: Floats, height: int, width: int) -> Floats:
+    """The same maps (B, 2, 3) in columns and rows, whose centres are whole numbers."""
+    half = np.array([width / 2.0, height / 2.0])
+    linear = maps[:, :, :2] * half[:, None] / half
+    centre = half - 0.5
+    offset = maps[:, :, 2] * half + centre - linear @ centre
+    return np.concatenate([linear, offset[:, :, None]], axis=2)
+
+
+@dataclass(frozen=True, slots=True)
+class Parameters(Generic[Values]):
+    """Augmentation parameters, one row per stack: arrays, or tensors on the images' device."""
+
+    lightness: Values  # (B,) factors
+    hues: Values  # (B,) rotations in the (a, b) plane, rad
+    angles: Values  # (B,) rad, counter-clockwise as seen
+    shifts: Values  # (B, 2), right and down, fractions of width and height
+
+    @classmethod
+    def scaled(cls, unit: Values, which: Augmentations) -> "Parameters[Values]":
+        """Parameters from random numbers (B, 5) in [-1, 1].
+
+        All are used whatever is switched on, so that ablations share random numbers.
+        """
+        return cls(
+            lightness=1.0 + MAX_LIGHTNESS_CHANGE * unit[:, 0],
+            hues=MAX_COLOUR_ROTATION * unit[:, 1],
+            angles=MAX_ROTATION * which.scale * unit[:, 2] * which.rotation,
+            shifts=MAX_TRANSLATION * which.scale * unit[:, 3:5] * which.translation,
+        )
+
+
+def sample_parameters(
+    count: int, which: Augmentations, rng: np.random.Generator
+) -> Parameters[Floats]:
+    """The parameters of a batch."""
+    return Parameters.scaled(rng.uniform(-1.0, 1.0, (count, NUM_PARAMETERS)), which)
+
+
+def noise_seeds(count: int, rng: np.random.Generator) -> NDArray[np.uint64]:
+    """A seed of noise for each stack of a batch: (B,)."""
+    return rng.integers(2**64, size=count, dtype=np.uint64)

@@ -1,0 +1,265 @@
+"""Demonstrations as training data: choosing them, and sampling frame stacks and actions.
+
+Every frame is stored once, uint8 and channels first; stacks are assembled when they are sampled.
+Ten demonstrations of a hundred steps take 28 MB that way and 110 MB as stacks. Where poses are
+known, frames can be rendered when they are sampled instead (`magical.learning.data.rendered_data`).
+"""
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from magical.demos import Dataset, Trajectory
+from magical.demos.reader import TrajectorySource
+from magical.errors import DemonstrationsError
+from magical.learning.augmentation.augment import augment
+from magical.learning.augmentation.names import Augmentations
+from magical.learning.augmentation.palette import permute_palette
+from magical.learning.augmentation.transformations import StackTransformations
+from magical.learning.config import ImitationConfig
+from magical.learning.running.streams import Purpose, stream
+from magical.observe import Component, ObservationSpec
+from magical.observe.arrays import stack_indices
+from magical.scene import NOOP
+
+if TYPE_CHECKING:
+    from magical.learning.running.run import Run
+
+Rows = NDArray[np.int64]  # (B,) indices of samples
+TaskTrajectories = tuple[tuple[str, Trajectory], ...]  # with the name of each one's task
+
+
+@dataclass(frozen=True, slots=True)
+class Demonstrations:
+    """The demonstrations of a run, and what identifies them."""
+
+    trajectories: TaskTrajectories
+    record: tuple[dict[str, Any], ...]  # task, file and SHA-256 of each
+
+
+def load_demonstrations(config: ImitationConfig, run: "Run") -> TaskTrajectories:
+    """Sample the demonstrations that the configuration asks for, and record them in `run.json`.
+
+    Raises:
+        RunFolderError: the run was started with other demonstrations.
+        DemonstrationsError, DatasetError: see `sample_demonstrations`.
+    """
+    found = sample_demonstrations(config.demos, config.tasks, config.num_demos, config.seed)
+    run.describe(demonstrations=list(found.record))
+    return found.trajectories
+
+
+def sample_demonstrations(
+    path: str, tasks: Sequence[str], count: int, seed: int, variants: Sequence[str] = ("Demo",)
+) -> Demonstrations:
+    """Sample demonstrations of each task; the sample depends on the seed alone.
+
+    All algorithms with the same seed get the same ones, and a task of a multi-task run gets the
+    same as in a run of its own (appendix B).
+
+    Args:
+        path: the dataset's folder.
+        tasks: the tasks' names.
+        count: the number of demonstrations of each task.
+        seed: the run's seed.
+        variants: the variants that demonstrations are sampled from.
+
+    Raises:
+        DemonstrationsError: fewer than asked for.
+        DatasetError: no dataset, or a damaged one.
+    """
+    dataset = Dataset.open(path)
+    trajectories, record = [], []
+    for task in tasks:
+        entries = [e for e in dataset.filter(task=task).entries if e.variant in variants]
+        if len(entries) < count:
+            raise DemonstrationsError(_too_few(dataset, task, variants, count, len(entries)))
+        of_task = Dataset(dataset.path, entries)
+        some = of_task.sample(count, stream(seed, Purpose.DEMONSTRATIONS))
+        trajectories += [(task, trajectory) for trajectory in some]
+        record += [{"task": task, "file": e.file, "sha256": e.sha256} for e in some.entries]
+    return Demonstrations(tuple(trajectories), tuple(record))
+
+
+def _too_few(dataset: Dataset, task: str, variants: Sequence[str], count: int, found: int) -> str:
+    held = sorted({f"{entry.task}-{entry.variant}" for entry in dataset.entries})
+    return (
+        f"{dataset.path}: expected at least {count} demonstrations of {task} "
+        f"({', '.join(variants)}), found {found}; the dataset holds: "
+        f"{', '.join(held) or 'nothing'}. Add demonstrations or ask for fewer"
+    )
+
+
+def digest(record: Sequence[dict[str, Any]]) -> str:
+    """One SHA-256 sum for all demonstrations of a run."""
+    lines = "\n".join(f"{item['task']} {item['sha256']}" for item in record)
+    return hashlib.sha256(lines.encode()).hexdigest()
+
+
+class ExpertData:
+    """The state-action samples of demonstrations, S in all, on a device.
+
+    Attributes:
+        actions: (S,) int64, the trajectories' labels.
+        tasks: (S,) int64, positions in `task_names`.
+    """
+
+    def __init__(
+        self,
+        demonstrations: Iterable[tuple[str, Trajectory]],
+        task_names: Sequence[str],
+        spec: ObservationSpec,
+        *,
+        device: str = "cpu",
+        remove_noops: bool = False,
+    ) -> None:
+        """Read the trajectories.
+
+        Args:
+            demonstrations: the name of the task and the trajectory of each.
+            task_names: all tasks, in the configuration's order.
+            spec: of the observations.
+            device: where samples are stored.
+            remove_noops: leave out samples whose action is the no-op.
+
+        Raises:
+            DemonstrationsError: no samples are left of a task: those of steps in which a policy
+                acted itself are always left out.
+        """
+        demonstrations = list(demonstrations)
+        self.spec = spec
+        self.task_names = tuple(task_names)
+        self.device = device
+        self._load_frames([trajectory for _, trajectory in demonstrations])
+        samples: list[_Samples] = []
+        first = 0  # number of the trajectory's first frame
+        for task, trajectory in demonstrations:
+            number = self.task_names.index(task)
+            samples.append(_samples(trajectory, number, first, spec.components, remove_noops))
+            first += len(trajectory)
+        parts = zip(*(s.stacks for s in samples), strict=True)
+        self._stacks = [torch.from_numpy(np.concatenate(part)).to(device) for part in parts]
+        self.actions = torch.from_numpy(np.concatenate([s.actions for s in samples])).to(device)
+        tasks = np.concatenate([s.tasks for s in samples])
+        self.tasks = torch.from_numpy(tasks).to(device)
+        self._rows = [np.flatnonzero(tasks == number) for number in range(len(task_names))]
+        for name, rows in zip(self.task_names, self._rows, strict=True):
+            if not len(rows):
+                raise DemonstrationsError(
+                    f"{name}: expected demonstrations with actions other than the no-op, and not "
+                    "of a watched policy's own, found none"
+                )
+
+    def _load_frames(self, trajectories: Sequence[Trajectory]) -> None:
+        """Store all frames before actions, (F, ...) for each component of the observation."""
+        frames: list[list[NDArray[Any]]] = [[] for _ in self.spec.components]
+        for trajectory in trajectories:
+            source, steps = TrajectorySource(trajectory), np.arange(len(trajectory))
+            for kept, component in zip(frames, self.spec.components, strict=True):
+                kept.append(component.read(source, steps))
+        self._frames = [torch.from_numpy(np.concatenate(kept)).to(self.device) for kept in frames]
+
+    def __len__(self) -> int:
+        """The number of samples."""
+        return len(self.actions)
+
+    def images(self, rows: Rows, newest_only: NDArray[np.bool_] | None = None) -> Tensor:
+        """Frame stacks (B, C, H, W) uint8 of samples, in the observation's channel order.
+
+        State vectors are (B, size) float32. Stacks that `newest_only` (B,) names have the newest
+        frame in place of all earlier ones.
+        """
+        index = self._index(rows)
+        stacks = []
+        for frames, indices in zip(self._frames, self._stacks, strict=True):
+            chosen = indices[index]  # (B, K)
+            if newest_only is not None:
+                held = self._index(newest_only)[:, None]
+                chosen = torch.where(held, chosen[:, -1:], chosen)
+            found = frames.index_select(0, chosen.flatten())
+            stacks.append(found.view(len(rows), -1, *frames.shape[2:]))
+        return stacks[0] if len(stacks) == 1 else torch.cat(stacks, dim=1)
+
+    @property
+    def batches_on_host(self) -> bool:
+        """Whether batches are made by the host, so that another thread can make them ahead."""
+        return self.device == "cpu"
+
+    def augmented(
+        self,
+        rows: Rows,
+        which: Augmentations,
+        rng: np.random.Generator,
+        transformed: StackTransformations | None = None,
+    ) -> Tensor:
+        """Frame stacks of samples, transformed and augmented: (B, C, H, W) float32 in [0, 1]."""
+        if transformed is None:
+            return augment(self.images(rows), which, rng)
+        images = self.images(rows, transformed.newest_only)
+        mirrored = self._index(transformed.mirrored)
+        images[mirrored] = images[mirrored].flip(-1)
+        if transformed.palettes.any():
+            images = permute_palette(images, transformed.palettes)
+        return augment(images, which, rng)
+
+    def labels(self, rows: Rows) -> tuple[Tensor, Tensor]:
+        """Actions and tasks of samples, each (B,) int64."""
+        index = self._index(rows)
+        return self.actions[index], self.tasks[index]
+
+    def sample(self, size: int, rng: np.random.Generator) -> Rows:
+        """Sample rows with replacement: first a task, then one of its samples, both uniformly."""
+        numbers = rng.integers(len(self._rows), size=size)
+        counts = np.array([len(rows) for rows in self._rows])
+        within = rng.integers(counts[numbers])
+        return np.array([self._rows[n][i] for n, i in zip(numbers, within, strict=True)], np.int64)
+
+    def sample_counts(self, counts: Sequence[int], rng: np.random.Generator) -> Rows:
+        """Sample `counts[k]` rows of task k with replacement, by task."""
+        sampled = [rng.choice(rows, n) for rows, n in zip(self._rows, counts, strict=True)]
+        return np.concatenate(sampled).astype(np.int64)
+
+    def _index(self, rows: NDArray[Any]) -> Tensor:
+        return torch.from_numpy(rows).to(self.actions.device, non_blocking=True)
+
+
+def split_evenly(size: int, num_tasks: int, rng: np.random.Generator) -> list[int]:
+    """How many of `size` samples each task gets: the same number, and one more for some.
+
+    Which tasks get the remainder is sampled, so that all have the same expected share.
+    """
+    share, rest = divmod(size, num_tasks)
+    counts = np.full(num_tasks, share)
+    if rest:
+        counts[rng.choice(num_tasks, rest, replace=False)] += 1
+    return [int(count) for count in counts]
+
+
+@dataclass(frozen=True, slots=True)
+class _Samples:
+    """One trajectory's samples."""
+
+    actions: NDArray[np.int64]  # (S,)
+    tasks: NDArray[np.int64]  # (S,)
+    stacks: list[NDArray[np.int64]]  # one per view: (S, frames), indices of frames, oldest first
+
+
+def _samples(
+    trajectory: Trajectory,
+    task: int,
+    first: int,
+    components: Sequence[Component],
+    remove_noops: bool,
+) -> _Samples:
+    kept = trajectory.is_demonstrated
+    if remove_noops:
+        kept = kept & (trajectory.labels != NOOP)
+    steps = np.flatnonzero(kept)
+    stacks = [first + stack_indices(steps, component.frames) for component in components]
+    return _Samples(trajectory.labels[steps], np.full(len(steps), task), stacks)

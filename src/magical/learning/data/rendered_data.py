@@ -1,0 +1,194 @@
+"""Demonstrations whose frames are rendered when they are sampled, augmented as they are rendered.
+
+The camera is turned and shifted and the palette is changed in CIE Lab, so an augmented frame costs
+as much as a plain one, and pixels are never resampled. It needs the poses: demonstrations by
+scripted experts have them, and the published human ones as `magical demos import` reads them.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from magical.demos import Trajectory
+from magical.errors import DemonstrationsError
+from magical.learning.augmentation.augment import (
+    NOISE_STD,
+    Floats,
+    Parameters,
+    noise_seeds,
+    sample_parameters,
+)
+from magical.learning.augmentation.colour import colour_jitter
+from magical.learning.augmentation.names import SETS, Augmentations
+from magical.learning.augmentation.palette import PERMUTATIONS
+from magical.learning.augmentation.transformations import StackTransformations
+from magical.learning.config import AUTO, RENDERING, RESAMPLING
+from magical.learning.data.expert_data import ExpertData, Rows
+from magical.observe import PixelSpec
+from magical.render.augmentation import MovedCamera, add_noise
+from magical.render.palette import permuted
+from magical.scene import Scene
+
+
+def choose_augment_by(augment_by: str, demonstrations: Iterable[tuple[str, Trajectory]]) -> str:
+    """How images are augmented, where the configuration says `auto`: by rendering if possible.
+
+    Returns:
+        `rendering` or `resampling`.
+
+    Raises:
+        DemonstrationsError: rendering was asked for and poses are unknown.
+    """
+    unknown = [trajectory.env_id for _, trajectory in demonstrations if trajectory.poses is None]
+    if augment_by == RENDERING and unknown:
+        raise DemonstrationsError(
+            f"augment_by: rendering needs poses, and {len(unknown)} demonstrations have recorded "
+            f"frames only (the first is of {unknown[0]}). Import the published files with "
+            "`magical demos import`, which recovers their poses, or use augment_by: resampling"
+        )
+    if augment_by == AUTO:
+        return RESAMPLING if unknown else RENDERING
+    return augment_by
+
+
+class RenderedExpertData(ExpertData):
+    """Like `ExpertData`, without stored frames; only for observations of pixels."""
+
+    def _load_frames(self, trajectories: Sequence[Trajectory]) -> None:
+        """Store the poses before actions, by scene: scenes differ in bodies or regions."""
+        by_scene: dict[object, list[tuple[int, Trajectory]]] = {}
+        first = 0
+        for trajectory in trajectories:
+            by_scene.setdefault(_what_is_rendered(trajectory.scene), []).append((first, trajectory))
+            first += len(trajectory)
+        self._scene_of = np.empty(first, np.intp)  # by frame
+        self._row_of = np.empty(first, np.intp)
+        self._scenes: list[_SceneData] = []
+        for number, members in enumerate(by_scene.values()):
+            poses: list[NDArray[np.float64]] = []
+            row = 0
+            for start, trajectory in members:
+                frames = slice(start, start + len(trajectory))
+                self._scene_of[frames] = number
+                self._row_of[frames] = np.arange(row, row + len(trajectory))
+                row += len(trajectory)
+                assert trajectory.poses is not None
+                poses.append(trajectory.poses[:-1])
+            cameras = self._cameras(members[0][1].scene)
+            palettes = [_permuted_palettes(camera.palette) for camera in cameras]
+            self._scenes.append(_SceneData(np.concatenate(poses), cameras, palettes))
+
+    def _cameras(self, scene: Scene) -> list[MovedCamera]:
+        assert isinstance(self.spec, PixelSpec)
+        parts = self.spec.components
+        return [MovedCamera(scene, part.view, part.size, part.samples) for part in parts]
+
+    @property
+    def batches_on_host(self) -> bool:
+        """See `ExpertData`: frames are always rendered by the host."""
+        return True
+
+    def images(self, rows: Rows, newest_only: NDArray[np.bool_] | None = None) -> Tensor:
+        """See `ExpertData`: the frames as they are."""
+        unchanged = StackTransformations.none(len(rows))
+        if newest_only is not None:
+            unchanged = replace(unchanged, newest_only=newest_only)
+        plain = self.augmented(rows, SETS["none"], np.random.default_rng(0), unchanged)
+        return plain.mul(255.0).round_().to(torch.uint8).contiguous()
+
+    def augmented(
+        self,
+        rows: Rows,
+        which: Augmentations,
+        rng: np.random.Generator,
+        transformed: StackTransformations | None = None,
+    ) -> Tensor:
+        """See `ExpertData`."""
+        transformed = transformed or StackTransformations.none(len(rows))
+        channels, height, width = self.spec.network_shape
+        parameters = sample_parameters(len(rows), which, rng)
+        pinned = self.device == "cuda"
+        images = torch.empty((len(rows), height, width, channels), pin_memory=pinned)
+        out = images.numpy()
+        stacks = [stack.cpu().numpy()[rows] for stack in self._stacks]  # (B, K) each
+        for stack in stacks:
+            stack[transformed.newest_only] = stack[transformed.newest_only, -1:]
+        scenes = self._scene_of[stacks[0][:, 0]]
+        for number in np.unique(scenes):
+            inside = np.flatnonzero(scenes == number)
+            self._scenes[number].render(
+                [self._row_of[stack[inside]] for stack in stacks],
+                parameters,
+                which,
+                transformed,
+                out,
+                inside,
+            )
+        out[transformed.mirrored] = out[transformed.mirrored, :, ::-1]
+        if which.noise:
+            add_noise(out, NOISE_STD, noise_seeds(len(rows), rng))
+        return images.permute(0, 3, 1, 2).to(self.device, non_blocking=True)
+
+
+class _SceneData(NamedTuple):
+    """What is needed to render the frames of one scene."""
+
+    poses: NDArray[np.float64]  # (F, bodies, 3)
+    cameras: list[MovedCamera]  # one for each component of the observation
+    palettes: list[NDArray[np.uint8]]  # of each camera: (24, n, 3), by number of `PERMUTATIONS`
+
+    def render(
+        self,
+        stacks: Sequence[NDArray[np.intp]],
+        parameters: Parameters[Floats],
+        which: Augmentations,
+        transformed: StackTransformations,
+        out: NDArray[np.float32],
+        rows: NDArray[np.intp],
+    ) -> None:
+        """Render stacks (B, K), one array for each camera, into `out[rows]`."""
+        channel = 0
+        views = zip(self.cameras, self.palettes, stacks, strict=True)
+        for camera, palettes, frames in views:
+            camera.render(
+                self.poses[frames],
+                parameters.angles[rows],
+                parameters.shifts[rows],
+                _jittered(palettes[transformed.palettes[rows]], parameters, which, rows),
+                transformed.without_walls[rows],
+                out,
+                rows,
+                channel,
+            )
+            channel += 3 * frames.shape[1]
+
+
+def _permuted_palettes(palette: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.stack([permuted(palette, colours) for colours in PERMUTATIONS])
+
+
+def _jittered(
+    palettes: NDArray[np.uint8],
+    parameters: Parameters[Floats],
+    which: Augmentations,
+    rows: NDArray[np.intp],
+) -> NDArray[np.uint8]:
+    """Palettes (B, n, 3) with each stack's colour jitter."""
+    if not which.colour:
+        return palettes
+    images = torch.from_numpy(palettes.transpose(0, 2, 1)[:, :, None].copy())  # (B, 3, 1, n)
+    scales, hues = parameters.lightness[rows], parameters.hues[rows]
+    jittered = colour_jitter(images, scales, hues, which.linear_light)
+    rounded = jittered.mul_(255.0).round_().to(torch.uint8)
+    return rounded[:, :, 0].permute(0, 2, 1).numpy()
+
+
+def _what_is_rendered(scene: Scene) -> object:
+    """Equal for scenes of the same bodies, in the same order, and the same regions."""
+    blocks = tuple((block.shape, block.colour) for block in scene.blocks)
+    return blocks, scene.regions, scene.robot_first

@@ -1,0 +1,1 @@
+"""What PPO and the algorithms built on it share: rollouts, replay buffer, rewards, monitoring."""

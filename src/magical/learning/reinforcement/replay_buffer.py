@@ -1,0 +1,98 @@
+"""The buffer that discriminators sample the novice's half of a batch from."""
+
+import zlib
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from magical.learning.running.checkpoints import StateDict
+
+
+class ReplayBuffer:
+    """Observations (or features) and actions of the newest rollouts, on their device."""
+
+    def __init__(self, capacity: int, task_of: NDArray[np.int64]) -> None:
+        """Create an empty buffer.
+
+        Args:
+            capacity: in rollouts.
+            task_of: (N,), the task of each environment.
+        """
+        self._capacity = capacity
+        self._envs_of = [np.flatnonzero(task_of == number) for number in range(task_of.max() + 1)]
+        self._task_of = task_of
+        self._count = 0  # rollouts added in all
+        self._observations: Tensor | None = None  # (capacity, T, N, ...)
+        self._actions: Tensor | None = None  # (capacity, T, N)
+
+    def add(self, observations: Tensor, actions: Tensor) -> None:
+        """Add observations (T, N, ...) and actions (T, N), replacing the oldest rollout."""
+        if self._observations is None or self._actions is None:
+            self._observations = observations.new_zeros((self._capacity, *observations.shape))
+            self._actions = actions.new_zeros((self._capacity, *actions.shape))
+        self._observations[self._count % self._capacity] = observations
+        self._actions[self._count % self._capacity] = actions
+        self._count += 1
+
+    def sample(
+        self, counts: Sequence[int], rng: np.random.Generator
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Sample observations, actions and tasks, `counts[k]` of task k, with replacement.
+
+        Returns, with B the sum of the counts:
+            Observations (B, ...), actions (B,) int64, tasks (B,) int64.
+        """
+        assert self._observations is not None
+        assert self._actions is not None
+        pairs = zip(self._envs_of, counts, strict=True)
+        env = np.concatenate([rng.choice(envs, count) for envs, count in pairs])
+        size = len(env)
+        rollout = rng.integers(min(self._count, self._capacity), size=size)
+        time = rng.integers(self._actions.shape[1], size=size)
+        device = self._actions.device
+        index = tuple(torch.from_numpy(part).to(device) for part in (rollout, time, env))
+        tasks = torch.from_numpy(self._task_of[env]).to(device)
+        return self._observations[index], self._actions[index], tasks
+
+    def state_dict(self) -> StateDict:
+        """The contents; images, which are mostly of uniform colour, are compressed on a CPU.
+
+        A GPU would wait for that longer than for the disk.
+        """
+        assert self._observations is not None
+        return {
+            "count": self._count,
+            "shape": list(self._observations.shape),
+            "observations": _pack(self._observations),
+            "packed": _is_packed(self._observations),
+            "actions": self._actions,
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any], device: str) -> None:
+        """Restore what `state_dict` returned."""
+        self._count = state["count"]
+        observations = state["observations"]
+        if state["packed"]:
+            observations = _unpack(observations, state["shape"])
+        self._observations = observations.to(device)
+        self._actions = state["actions"].to(device)
+
+
+def _is_packed(tensor: Tensor) -> bool:
+    return tensor.dtype == torch.uint8 and tensor.device.type == "cpu"
+
+
+def _pack(tensor: Tensor) -> Tensor:
+    if not _is_packed(tensor):
+        return tensor
+    packed = zlib.compress(tensor.cpu().numpy().tobytes(), 1)
+    return torch.frombuffer(bytearray(packed), dtype=torch.uint8)
+
+
+def _unpack(tensor: Tensor, shape: list[int]) -> Tensor:
+    plain = bytearray(zlib.decompress(tensor.numpy().tobytes()))
+    return torch.frombuffer(plain, dtype=torch.uint8).view(shape)

@@ -1,0 +1,1 @@
+"""Runs: starting, stopping and resuming them, their checkpoints, devices and random numbers."""

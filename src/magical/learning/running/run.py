@@ -1,0 +1,164 @@
+"""A run in progress: what an algorithm uses of its run folder.
+
+The folder's files are described in `magical.runs.folder`.
+"""
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Self
+
+import torch
+
+from magical.errors import DivergedError, RunFolderError
+from magical.learning.config import CHECKPOINT_SECONDS
+from magical.learning.running.checkpoints import (
+    StateDict,
+    load_newest_checkpoint,
+    replace_checkpoint,
+)
+from magical.learning.running.devices import Compute, choose_compute
+from magical.learning.running.interrupts import Interrupts
+from magical.runs.folder import CHECKPOINT, PREVIOUS, RECORD, TENSORBOARD, read_json, write_json
+from magical.runs.metrics import MetricsWriter
+
+Metrics = Mapping[str, float | str]
+OnMetrics = Callable[[int, int, Metrics], None]  # step, total number of steps, metrics
+
+
+class Run:
+    """Logs metrics, saves checkpoints and decides when to stop.
+
+    Attributes:
+        folder: the run folder.
+        saved: the checkpoint to resume from, or `None` in a new run.
+        step: the steps (batches or updates) that the newest checkpoint has behind it.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        on_metrics: OnMetrics = lambda step, total, metrics: None,
+        interrupts: Interrupts | None = None,
+        stop_after: int | None = None,
+        tensorboard: bool = False,
+    ) -> None:
+        """See `magical.learning.train`; `on_metrics` is called after each line of metrics.
+
+        Raises:
+            CheckpointError: the newest checkpoint is damaged.
+        """
+        self.folder = folder
+        self._on_metrics = on_metrics
+        self._interrupts = interrupts or Interrupts()
+        self.record = read_json(folder / RECORD) if (folder / RECORD).exists() else {}
+        begun = any((folder / name).exists() for name in (CHECKPOINT, PREVIOUS))
+        self.saved: StateDict | None = load_newest_checkpoint(folder) if begun else None
+        self.step = int(self.saved["step"]) if self.saved else 0
+        self._last = math.inf if stop_after is None else self.step + stop_after
+        self._saved_at = time.monotonic()
+        self._metrics = MetricsWriter(folder, self.step)
+        self._tensorboard = (
+            _summary_writer(folder / TENSORBOARD, self.step) if tensorboard else None
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._metrics.close()
+        if self._tensorboard:
+            self._tensorboard.close()
+
+    def describe(self, **facts: Any) -> None:
+        """Write facts into `run.json`; a resumed run must find the same ones.
+
+        Raises `RunFolderError` if a fact has changed since the run was started.
+        """
+        for name, fact in facts.items():
+            if name in self.record and self.record[name] != fact:
+                raise RunFolderError(
+                    f"{self.folder}: the run began with other {name}; expected "
+                    f"{_shorten(self.record[name])}, found {_shorten(fact)}"
+                )
+        if not set(facts) <= set(self.record):
+            self._write_record(facts)
+
+    def compute(self, device: str, precision: str, threads: int) -> Compute:
+        """Device, precision and threads: as recorded, or chosen by `devices.choose_compute`.
+
+        A run that is resumed on another kind of device chooses again.
+        """
+        recorded = self.record.get("compute")
+        if recorded and recorded["device"] == device:
+            chosen = Compute(**recorded)
+        else:
+            chosen = choose_compute(device, precision, threads)
+            self._write_record({"compute": chosen.to_dict()})
+        chosen.set_threads()
+        return chosen
+
+    def _write_record(self, facts: Mapping[str, Any]) -> None:
+        self.record = {**self.record, **facts}
+        write_json(self.folder / RECORD, self.record)
+
+    def log(self, step: int, total: int, **metrics: float | str) -> None:
+        """Log metrics to `metrics.jsonl`, to TensorBoard (numbers only) and to the callbacks."""
+        self._metrics.write(step, metrics)
+        if self._tensorboard:
+            for name, value in metrics.items():
+                if not isinstance(value, str):
+                    self._tensorboard.add_scalar(name, value, step)
+        self._on_metrics(step, total, metrics)
+
+    def checkpoint_is_due(self, step: int, every: int) -> bool:
+        """Whether to save a checkpoint after `step` steps: by number, or with 0 by time."""
+        if every:
+            return step % every == 0
+        return time.monotonic() - self._saved_at >= CHECKPOINT_SECONDS
+
+    def checkpoint(self, step: int, state: StateDict) -> None:
+        """Save the state after `step` steps as the newest checkpoint; the one before is kept too.
+
+        Raises `DivergedError` if its tensors are not all finite; the checkpoints stay as they were.
+        """
+        self.require_finite(step, state)
+        replace_checkpoint(self.folder, {**state, "step": step})
+        self.step = step
+        self._saved_at = time.monotonic()
+
+    def require_finite(self, step: int, state: Any) -> None:
+        """Raise `DivergedError` if any number or tensor in nested dicts and lists is not finite."""
+        if not _is_finite(state):
+            kept = f"the checkpoint of step {self.step}" if self.step else "no checkpoint"
+            raise DivergedError(
+                f"training diverged: at step {step} the loss or the weights are not finite; "
+                f"{self.folder} keeps {kept}. Try a smaller learning rate or --precision float32"
+            )
+
+    def stops(self, step: int) -> bool:
+        """Whether to save a checkpoint and stop: after an interrupt, or at `stop_after`."""
+        return self._interrupts.seen or step >= self._last
+
+
+def _is_finite(node: Any) -> bool:
+    if isinstance(node, torch.Tensor):
+        return not node.is_floating_point() or bool(torch.isfinite(node).all())
+    if isinstance(node, Mapping):
+        return all(map(_is_finite, node.values()))
+    if isinstance(node, list | tuple):
+        return all(map(_is_finite, node))
+    return not isinstance(node, float) or math.isfinite(node)
+
+
+def _shorten(fact: Any) -> str:
+    text = str(fact)
+    return text if len(text) < 100 else f"{text[:97]}..."
+
+
+def _summary_writer(folder: Path, step: int) -> Any:
+    from torch.utils.tensorboard import SummaryWriter  # needs the extra tensorboard
+
+    return SummaryWriter(str(folder), purge_step=step + 1)

@@ -1,0 +1,140 @@
+"""Start or resume a run of any algorithm."""
+
+import errno
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from magical.errors import InvalidConfigError, RunFolderError
+from magical.learning.algorithms import find_algorithm
+from magical.learning.config import Config
+from magical.learning.policy import NetworkPolicy, load_policy
+from magical.learning.running.checkpoints import restore_previous_checkpoint
+from magical.learning.running.devices import full_float32, restored_threads
+from magical.learning.running.interrupts import Interrupts
+from magical.learning.running.run import Metrics, Run
+from magical.progress import ProgressBar
+from magical.runs.folder import is_run, locked_folder, open_folder
+from magical.runs.metrics import read_metrics
+
+Callback = Callable[[int, Metrics], object]  # step, metrics
+
+
+@dataclass(frozen=True, slots=True)
+class TrainResult:
+    """The state of a run when `train` returns."""
+
+    folder: Path
+    step: int  # batches or updates done so far
+    total: int  # batches or updates of the whole run
+    interrupted: bool  # by Ctrl-C or SIGTERM
+    metrics: Mapping[str, Any]  # the newest
+
+    @property
+    def finished(self) -> bool:
+        """Whether the run is complete."""
+        return self.step >= self.total
+
+    def policy(self) -> NetworkPolicy:
+        """Load the trained policy from the folder."""
+        return load_policy(self.folder)
+
+    def summary(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        return {
+            "run": str(self.folder),
+            "finished": self.finished,
+            "interrupted": self.interrupted,
+            **self.metrics,
+            "total": self.total,
+        }
+
+
+def train(
+    config: Config,
+    out: Path | str,
+    *,
+    resume: bool = False,
+    previous_checkpoint: bool = False,
+    stop_after: int | None = None,
+    progress: bool = False,
+    callback: Callback | None = None,
+    tensorboard: bool = False,
+) -> TrainResult:
+    """Train a policy, in the run folder `out`.
+
+    Ctrl-C and SIGTERM save a checkpoint and return; a second Ctrl-C interrupts at once. A new run
+    that fails before it has logged or saved anything is removed again.
+
+    Args:
+        config: an algorithm's configuration, such as `BCConfig.preset("quick", ...)`.
+        out: a new or an empty folder; with `resume`, one that holds this run.
+        resume: continue from the newest checkpoint; on a CPU the result is bit-equal to that of a
+            run without interruption.
+        previous_checkpoint: with `resume`, drop the newest checkpoint and continue from the one
+            before it.
+        stop_after: save a checkpoint and return after this many more batches or updates.
+        progress: show a progress bar on standard error.
+        callback: called as `callback(step, metrics)` after each line of `metrics.jsonl`, for
+            instance to report to a hyperparameter search. What it raises ends the training; the
+            run can be resumed from its newest checkpoint.
+        tensorboard: log the metrics for TensorBoard too (needs the extra).
+
+    Raises:
+        RunFolderError: the folder holds another run or other files, another process trains this
+            run, or the disk is full.
+        CheckpointError: the checkpoint is damaged; says whether the previous one is intact.
+        DemonstrationsError, DatasetError: too few demonstrations, or damaged ones.
+        DivergedError: the loss or the weights are not finite; the newest good checkpoint is kept.
+        InvalidConfigError: `previous_checkpoint` without `resume`.
+    """
+    folder, algorithm = Path(out), find_algorithm(config.algorithm)
+    display = ProgressBar(config.algorithm, transient=False) if progress else nullcontext(None)
+    with _opened(folder, config, resume, previous_checkpoint), Interrupts() as stop, display as bar:
+        show = partial(_show, bar, callback)
+        with Run(
+            folder, on_metrics=show, interrupts=stop, stop_after=stop_after, tensorboard=tensorboard
+        ) as run:
+            algorithm.train(config, run)
+    newest = (read_metrics(folder) or [{"step": run.step}])[-1]
+    return TrainResult(folder, run.step, config.total, stop.seen, newest)
+
+
+@contextmanager
+def _opened(folder: Path, config: Config, resume: bool, previous: bool) -> Iterator[None]:
+    """A run folder that is locked and ready to be trained in."""
+    if previous and not resume:
+        raise InvalidConfigError("previous_checkpoint needs resume: a new run has no checkpoints")
+    with (
+        _full_disk_as_error(folder),
+        locked_folder(folder, resume),
+        restored_threads(),
+        full_float32(),
+    ):
+        open_folder(folder, config.to_dict(), resume)
+        if previous:
+            restore_previous_checkpoint(folder)
+        yield
+
+
+def _show(
+    bar: ProgressBar | None, callback: Callback | None, step: int, total: int, metrics: Metrics
+) -> None:
+    if bar is not None:
+        bar.update(step, total, metrics)
+    if callback is not None:
+        callback(step, metrics)
+
+
+@contextmanager
+def _full_disk_as_error(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        then = "resume (--resume); the last checkpoint is whole" if is_run(folder) else "try again"
+        raise RunFolderError(f"{folder}: the disk is full. Free some space, then {then}") from error

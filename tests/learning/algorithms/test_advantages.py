@@ -1,0 +1,62 @@
+"""Advantages, value targets and minibatches of PPO, against slow or hand-made computations."""
+
+import numpy as np
+import pytest
+import torch
+
+from magical.learning.algorithms.ppo import compute_gae
+from magical.learning.reinforcement.monitoring import explained_variance
+from magical.learning.reinforcement.rollouts import Rollout, shuffle_evenly
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+@pytest.mark.parametrize("bootstrap", [False, True])
+def test_advantages_are_those_of_a_plain_loop(bootstrap: bool) -> None:
+    random, steps, envs, gamma, lam = rng(), 7, 3, 0.9, 0.7
+    rewards, values = random.normal(size=(2, steps, envs))
+    last, ends = random.normal(size=envs), random.normal(size=(steps, envs))
+    dones = random.random((steps, envs)) < 0.3
+    following = np.where(dones, ends * bootstrap, np.vstack([values[1:], last]))
+    expected = np.zeros((steps, envs))
+    for env in range(envs):
+        for start in range(steps):
+            weight = 1.0
+            for t in range(start, steps):
+                error = rewards[t, env] + gamma * following[t, env] - values[t, env]
+                expected[start, env] += weight * error
+                weight *= gamma * lam
+                if dones[t, env]:
+                    break
+    unused = torch.zeros(steps, envs)
+    rollout = Rollout(
+        observations=unused,
+        actions=unused,
+        log_probs=unused,
+        values=torch.from_numpy(values),
+        next_values=torch.from_numpy(following),
+        rewards=unused,
+        dones=torch.from_numpy(dones),
+        tasks=torch.zeros(envs, dtype=torch.int64),
+        scores=(),
+    )
+    found = compute_gae(rollout, torch.from_numpy(rewards), gamma, lam)
+    np.testing.assert_allclose(found.numpy(), expected, atol=1e-12)
+
+
+def test_explained_variance_by_hand() -> None:
+    returns = torch.tensor([0.0, 2.0])
+    assert explained_variance(torch.tensor([0.5, 1.5]), returns) == pytest.approx(0.75)
+    assert explained_variance(returns, returns) == 1.0
+    assert explained_variance(returns, torch.ones(2)) == 0.0
+
+
+def test_minibatches_are_split_evenly_between_tasks() -> None:
+    tasks = np.array([0] * 16 + [1] * 16 + [2] * 16)
+    order = shuffle_evenly(tasks, rng())
+    assert sorted(order) == list(range(48))
+    for part in order.reshape(-1, 12):
+        assert np.bincount(tasks[part]).tolist() == [4, 4, 4]
+    assert not np.array_equal(order, shuffle_evenly(tasks, np.random.default_rng(1)))

@@ -1,0 +1,291 @@
+"""Apprenticeship learning: weights against a numerical maximiser, features, whole runs."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from scipy.optimize import minimize
+
+from magical.demos import Trajectory
+from magical.errors import InvalidConfigError
+from magical.evaluation import evaluate
+from magical.learning import train
+from magical.learning.algorithms.al import (
+    ALConfig,
+    compute_statistics,
+    discriminant_weights,
+    feature_weights,
+    make_autoencoder,
+    mean_image,
+    pretraining_step,
+    sample_batch,
+    unaugmented,
+)
+from magical.learning.autoencoder import Autoencoder, autoencoder_loss
+from magical.learning.data.expert_data import ExpertData
+from magical.learning.reinforcement.replay_buffer import ReplayBuffer
+from magical.learning.running.devices import Compute
+from magical.observe import PRESETS
+from tests.learning.conftest import TASKS, picture_demo, write_demos
+from tests.learning.tiny_runs import assert_same, checkpoint, tiny
+
+Weigh = Callable[[torch.Tensor, torch.Tensor], tuple[torch.Tensor, torch.Tensor]]
+
+
+def small(demos: Path | str, preset: str = "quick", **fields: Any) -> ALConfig:
+    settings = {
+        "tasks": ("MoveToCorner",),
+        "demos": str(demos),
+        "num_demos": 2,
+        "pretraining_batches": 2,
+        "pretraining_batch_size": 4,
+    }
+    return tiny(ALConfig, preset, **{**settings, **fields})
+
+
+def test_weights_are_those_of_a_numerical_maximiser() -> None:
+    torch.manual_seed(0)
+    expert, novice = torch.randn(40, 5).double() + 0.5, torch.randn(60, 5).double()
+    difference = (expert.mean(0) - novice.mean(0)).numpy()
+    best = minimize(
+        lambda w: -w @ difference,
+        np.ones(5),
+        constraints={"type": "ineq", "fun": lambda w: 4.0 - w @ w},
+        options={"ftol": 1e-14, "maxiter": 500},
+    )
+    weights, gap = feature_weights(expert, novice)
+    assert weights.norm().item() == pytest.approx(2.0)
+    np.testing.assert_allclose(weights.numpy(), best.x, atol=1e-5)
+    assert gap.item() == pytest.approx(-best.fun, rel=1e-8)
+
+
+@pytest.mark.parametrize("weigh", [feature_weights, discriminant_weights])
+def test_no_difference_no_weights(weigh: Weigh) -> None:
+    for features in (torch.randn(8, 32), torch.zeros(8, 32)):
+        weights, gap = weigh(features, features)
+        assert weights.abs().sum().item() == gap.item() == 0.0
+
+
+def test_discriminant_weights_are_those_of_a_numerical_maximiser() -> None:
+    torch.manual_seed(0)
+    mixing = torch.randn(5, 5).double()
+    expert, novice = (torch.randn(60, 5).double() @ mixing + shift for shift in (0.5, 0.0))
+    difference = (expert.mean(0) - novice.mean(0)).numpy()
+    covariance = (np.cov(expert.numpy().T) + np.cov(novice.numpy().T)) / 2
+    best = minimize(
+        lambda w: -w @ difference,
+        np.full(5, 0.1),
+        constraints={"type": "ineq", "fun": lambda w: 4.0 - w @ covariance @ w},
+        options={"ftol": 1e-14, "maxiter": 500},
+    )
+    weights, gap = discriminant_weights(expert, novice)
+    np.testing.assert_allclose(weights.numpy(), best.x, rtol=0.05, atol=0.02)  # but for the ridge
+    assert gap.item() == pytest.approx(-best.fun, rel=0.02)
+
+
+def test_discriminant_rewards_do_not_depend_on_the_features_scales() -> None:
+    torch.manual_seed(0)
+    expert, novice = torch.randn(80, 4) + 0.5, torch.randn(80, 4)
+    scales = torch.tensor([1.0, 3.0, 0.3, 1.0])
+    scaled, _ = discriminant_weights(expert * scales, novice * scales)
+    weights, _ = discriminant_weights(expert, novice)
+    torch.testing.assert_close(scaled * scales, weights, rtol=0.05, atol=0.02)
+    plain, _ = feature_weights(expert * scales, novice * scales)
+    assert (plain * scales - weights).abs().max() > 0.5
+
+
+def test_autoencoder_loss_by_hand() -> None:
+    images = torch.zeros(1, 3, 1, 1)
+    made = torch.tensor([1.0, 2.0, 3.0]).view(1, 3, 1, 1)
+    error, cross = autoencoder_loss(images, torch.tensor([4]), made, torch.zeros(1, 18))
+    assert error.item() == pytest.approx((1 + 4 + 9) / 3)
+    assert cross.item() == pytest.approx(np.log(18))
+
+
+def test_layers_are_those_of_the_specification() -> None:
+    network = make_autoencoder(ALConfig.preset("paper", tasks=("MoveToCorner",), demos=""))
+    assert network.encoder.num_features == 32
+    linear = [m for m in network.encoder.linear if isinstance(m, torch.nn.Linear)]
+    assert [(m.in_features, m.out_features) for m in linear] == [(4608 + 18, 256), (256, 32)]
+    convolutions = [m for m in network.image if isinstance(m, torch.nn.Conv2d)]
+    outputs = [m.out_channels for m in convolutions]
+    assert outputs == [64, 64, 64, 32, 32, 32, 32, 12]
+
+
+def test_autoencoder_learns_what_it_is_shown(trajectories: list[Trajectory]) -> None:
+    torch.manual_seed(0)
+    data = ExpertData([(TASKS[0], trajectories[0])], TASKS[:1], PRESETS["LoRes4E"])
+    rows = np.arange(4)
+    images, (actions, _) = data.images(rows) / 255.0, data.labels(rows)
+    network = Autoencoder("light", (12, 96, 96))
+    optimizer = torch.optim.Adam(network.parameters(), 1e-3)
+    losses = []
+    for _ in range(15):
+        error, cross = autoencoder_loss(images, actions, *network(images, actions))
+        optimizer.zero_grad()
+        (error + cross).backward()  # type: ignore[no-untyped-call]
+        optimizer.step()
+        losses.append((error.item(), cross.item()))
+    assert losses[-1][0] < 0.7 * losses[0][0]
+    assert losses[-1][1] < losses[0][1]
+
+
+@pytest.mark.parametrize("stops", [1, 2, 3])  # in pretraining, at its end, in an update
+def test_resumed_runs_are_bit_equal(demos: Path, tmp_path: Path, stops: int) -> None:
+    config = small(demos)
+    whole = tmp_path / "whole"
+    assert train(config, whole).step == 5
+    assert train(config, tmp_path / "parts", stop_after=stops).step == stops
+    assert train(config, tmp_path / "parts", resume=True).finished
+    assert_same(checkpoint(whole), checkpoint(tmp_path / "parts"))
+    with Image.open(whole / "reconstructions.png") as picture:
+        assert picture.size == (10 * 96, 2 * 96)
+
+
+def test_paper_preset_for_three_iterations(tmp_path: Path) -> None:
+    """The published networks and settings, in a few environments: run, resumed, evaluated."""
+    data = write_demos(tmp_path / "data", [picture_demo("MoveToCorner", 0)])
+    config = small(data, "paper", num_demos=1, pretraining_batches=1, feature_samples=512)
+    assert train(config, tmp_path / "run", stop_after=2).step == 2
+    trained = train(config, tmp_path / "run", resume=True)
+    assert (trained.step, trained.total, trained.finished) == (4, 4, True)
+    assert trained.metrics["feature_distance"] > 0
+    ids = ["magical/MoveToCorner-Demo-v0"]
+    assert len(evaluate(trained.policy(), ids, rollouts=1, workers=0, horizon=2)) == 1
+
+
+def test_paper_settings_are_appendix_bs() -> None:
+    config = ALConfig.preset("paper", tasks=("MoveToCorner",), demos="")
+    assert (config.pretraining_batches, config.pretraining_batch_size) == (8192, 24)
+    assert (config.pretraining_learning_rate, config.feature_samples) == (3e-4, 512)
+    assert config.total == 8192 + 3906
+
+
+def test_not_defined_for_several_tasks() -> None:
+    with pytest.raises(InvalidConfigError, match="al: expected one task"):
+        small("", tasks=TASKS)
+
+
+CPU = Compute("cpu", "float32")
+
+
+@pytest.fixture(scope="module")
+def expert(trajectories: list[Trajectory]) -> ExpertData:
+    return ExpertData([(TASKS[0], trajectories[0])], TASKS[:1], PRESETS["LoRes4E"])
+
+
+def running_means(autoencoder: torch.nn.Module) -> list[torch.Tensor]:
+    layers = [m for m in autoencoder.modules() if isinstance(m, torch.nn.BatchNorm2d)]
+    return [layer.running_mean for layer in layers if layer.running_mean is not None]
+
+
+def test_published_code_settings() -> None:
+    config = ALConfig.preset("published-code", tasks=("MoveToCorner",), demos="")
+    assert (config.pretraining_batch_size, config.feature_samples) == (12, 264)
+    assert (config.action_input, config.pixel_range) == ("embedding", "symmetric")
+    network = make_autoencoder(config)
+    assert network.encoder.embedding is not None
+    kinds = [type(module) for module in network.image]
+    normalised = kinds.count(torch.nn.BatchNorm2d)
+    assert normalised == kinds.count(torch.nn.ReLU) == 7
+
+
+def test_published_code_preset_for_two_iterations(tmp_path: Path) -> None:
+    data = write_demos(tmp_path / "data", [picture_demo("MoveToCorner", 0)])
+    fields = {"network": "light", "feature_samples": 8, "total_steps": 12}
+    config = small(data, "published-code", num_demos=1, **fields)
+    assert train(config, tmp_path / "run").finished
+
+
+def test_annealing_lowers_the_autoencoders_learning_rate(expert: ExpertData) -> None:
+    rates = []
+    for anneal in (True, False):
+        config = small("", pretraining_anneal=anneal, pretraining_learning_rate=0.5)
+        autoencoder = make_autoencoder(config)
+        optimizer = torch.optim.Adam(autoencoder.parameters(), fused=True)
+        pretraining_step(config, CPU, expert, autoencoder, optimizer, number=1)  # of two
+        rates.append(optimizer.param_groups[0]["lr"])
+    assert rates == [0.25, 0.5]
+
+
+def test_statistics_are_those_of_unaugmented_expert_batches(expert: ExpertData) -> None:
+    config = small("", statistics_batches=0)
+    autoencoder = make_autoencoder(config)
+    compute_statistics(config, CPU, expert, autoencoder)
+    (before, *_), count = running_means(autoencoder), 30
+    assert before.abs().sum() == 0  # as initialised
+    config = small("", statistics_batches=count)
+    compute_statistics(config, CPU, expert, autoencoder)
+    first = autoencoder.encoder.convolutions
+    assert first is not None
+    images = unaugmented(expert, np.arange(len(expert)))
+    expected = first[:2](images).mean(dim=(0, 2, 3))  # type: ignore[index]
+    torch.testing.assert_close(running_means(autoencoder)[0], expected, rtol=0.1, atol=0.01)
+
+
+def test_images_for_w_are_augmented_if_configured(expert: ExpertData) -> None:
+    replay_buffer = ReplayBuffer(1, np.zeros(2, np.int64))
+    replay_buffer.add(expert.images(np.arange(4)).view(2, 2, 12, 96, 96), torch.zeros(2, 2).long())
+    plain, augmented = (
+        sample_batch(
+            small("", feature_samples=3, augment="noise", augment_features=on),
+            expert,
+            replay_buffer,
+            np.random.default_rng(0),
+        )[0]
+        for on in (False, True)
+    )
+    assert plain.shape == augmented.shape == (6, 12, 96, 96)
+    torch.testing.assert_close(plain * 255, (plain * 255).round())
+    assert 0.0 < (augmented - plain).abs().mean() < 0.02
+
+
+def test_batch_norm_moves_on_in_training_mode_alone(demos: Path, tmp_path: Path) -> None:
+    for mode, moves in (("evaluation", False), ("training", True)):
+        config = small(demos, feature_batch_norm=mode)
+        folder = tmp_path / mode
+        train(config, folder, stop_after=config.pretraining_batches)
+        pretrained = checkpoint(folder)["autoencoder"]
+        train(config, folder, resume=True)
+        trained = checkpoint(folder)["autoencoder"]
+        changed = {name for name in trained if not torch.equal(trained[name], pretrained[name])}
+        assert bool(changed) == moves
+        assert all("running" in name or "num_batches" in name for name in changed)
+
+
+def test_w_is_computed_by_the_configured_metric(demos: Path, tmp_path: Path) -> None:
+    states = []
+    for metric in ("euclidean", "covariance"):
+        folder = tmp_path / metric
+        trained = train(small(demos, weight_metric=metric), folder, stop_after=3)
+        states.append((trained.metrics["feature_distance"], checkpoint(folder)["policy"]))
+    (euclidean, first), (covariance, second) = states
+    assert euclidean != covariance
+    assert any(not torch.equal(first[name], second[name]) for name in first)
+
+
+def test_image_error_is_relative_to_the_mean_images(expert: ExpertData) -> None:
+    images = unaugmented(expert, np.arange(len(expert)))
+    mean, error = mean_image(expert)
+    torch.testing.assert_close(mean, images.mean(dim=0))
+    assert error == pytest.approx((images - images.mean(dim=0)).square().mean().item(), rel=1e-4)
+
+
+def test_decoder_adds_the_mean_image(demos: Path, tmp_path: Path) -> None:
+    for relative in (False, True):
+        config = small(demos, relative_image_error=relative, pretraining_batches=1)
+        train(config, tmp_path / str(relative), stop_after=1)
+        mean = checkpoint(tmp_path / str(relative))["autoencoder"]["mean_image"]
+        assert (mean.abs().sum() > 0) == relative
+
+
+def test_linear_features_may_be_negative(expert: ExpertData) -> None:
+    rows = np.arange(8)
+    images, actions = unaugmented(expert, rows), expert.labels(rows)[0]
+    for linear in (False, True):
+        features = make_autoencoder(small("", linear_features=linear)).encoder(images, actions)
+        assert (features.min() < 0) == linear

@@ -1,0 +1,376 @@
+"""Behavioural cloning from beginning to end, on small demonstrations."""
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from magical.demos import Trajectory, observations
+from magical.errors import CheckpointError, DivergedError, InvalidConfigError, RunFolderError
+from magical.evaluation import evaluate
+from magical.learning import load_policy, train
+from magical.learning.algorithms.bc import (
+    BCConfig,
+    bc_loss,
+)
+from magical.learning.running import run
+from magical.learning.running.checkpoints import load_checkpoint
+from magical.physics import Simulation
+from magical.runs import read_metrics
+from magical.runs.folder import CHECKPOINT
+from magical.tasks import get_task
+from tests.learning.conftest import TASKS, picture_demo, write_demos
+
+
+def tiny(demos: Path, **fields: Any) -> BCConfig:
+    settings = {
+        "tasks": ("MoveToCorner",),
+        "demos": str(demos),
+        "num_demos": 2,
+        "batches": 6,
+        "batch_size": 4,
+        "log_every": 2,
+        "checkpoint_every": 2,
+        "precision": "float32",
+    }
+    return BCConfig.preset("quick", **{**settings, **fields})
+
+
+def weights(folder: Path) -> dict[str, Tensor]:
+    policy: dict[str, Tensor] = load_checkpoint(folder / CHECKPOINT)["policy"]
+    return policy
+
+
+def assert_same_weights(a: Path, b: Path) -> None:
+    first, second = weights(a), weights(b)
+    assert first.keys() == second.keys()
+    for name, tensor in first.items():
+        assert torch.equal(tensor, second[name]), name
+
+
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
+@pytest.mark.parametrize("optimizer", ["adam", "sgd"])
+def test_resumed_runs_are_bit_equal(
+    demos: Path, tmp_path: Path, precision: str, optimizer: str
+) -> None:
+    config = tiny(demos, precision=precision, optimizer=optimizer, tasks=TASKS, augment="all")
+    whole = train(config, tmp_path / "whole")
+    assert whole.finished
+    first = train(config, tmp_path / "parts", stop_after=3)
+    assert (first.step, first.finished, first.interrupted) == (3, False, False)
+    second = train(config, tmp_path / "parts", resume=True, stop_after=1)
+    assert second.step == 4
+    last = train(config, tmp_path / "parts", resume=True)
+    assert last.finished
+    assert_same_weights(tmp_path / "whole", tmp_path / "parts")
+    steps = [line["step"] for line in read_metrics(tmp_path / "parts")]
+    assert steps == [2, 3, 4, 6]
+    again = train(config, tmp_path / "parts", resume=True)
+    assert again.finished
+    assert_same_weights(tmp_path / "whole", tmp_path / "parts")
+
+
+def test_one_demonstration_is_overfitted(tmp_path: Path) -> None:
+    demos = write_demos(tmp_path / "demos", [picture_demo("MoveToCorner", 0)])
+    config = tiny(demos, num_demos=1, batches=80, batch_size=16, augment="none")
+    trained = train(config, tmp_path / "run").policy()
+    trajectory = picture_demo("MoveToCorner", 0)
+    shown = observations(trajectory, "LoRes4E")
+    likeliest = trained.probabilities(shown, [trajectory.env_id] * len(shown)).argmax(axis=1)
+    kept = trajectory.actions != 0
+    assert (likeliest[:-1] == trajectory.actions)[kept].mean() >= 0.99
+
+
+def test_it_learns_what_can_be_learned_through_all_augmentations(
+    demos: Path, tmp_path: Path
+) -> None:
+    config = tiny(demos, num_demos=4, batches=90, batch_size=16, augment="all", log_every=30)
+    train(config, tmp_path / "run")
+    losses = [line["loss"] for line in read_metrics(tmp_path / "run")]
+    assert losses[-1] < 0.5 * losses[0]
+
+
+def test_loss_is_the_mean_negative_log_likelihood() -> None:
+    logits = torch.zeros(2, 18)
+    logits[0, 3] = 2.0
+    first = torch.log(17 + torch.tensor(2.0).exp()) - 2.0
+    expected = 0.5 * (first + torch.tensor(18.0).log())
+    assert torch.allclose(bc_loss(logits, torch.tensor([3, 0])), expected)
+
+
+def test_the_learning_rate_is_constant_or_annealed_to_0(demos: Path) -> None:
+    for anneal, expected in ((False, [1e-3, 1e-3, 1e-3]), (True, [1e-3, 5e-4, 0.0])):
+        config = tiny(demos, batches=10, anneal=anneal)
+        assert [config.learning_rate_at(n) for n in (0, 5, 10)] == pytest.approx(expected)
+
+
+def test_the_optimiser_gets_the_learning_rate_of_the_batch(demos: Path, tmp_path: Path) -> None:
+    train(tiny(demos, batches=4, learning_rate=1e-3, anneal=True), tmp_path / "run")
+    (group,) = load_checkpoint(tmp_path / "run" / CHECKPOINT)["optimizer"]["param_groups"]
+    assert group["lr"] == pytest.approx(0.25e-3)
+
+
+def test_paper_preset_is_table_3() -> None:
+    config = BCConfig.preset("paper", tasks=("FindDupe",), demos="d")
+    assert (config.batches, config.batch_size, config.learning_rate) == (20_000, 32, 1e-3)
+    assert (config.optimizer, config.momentum, config.anneal) == ("sgd", 0.1, False)
+    assert (config.augment, config.network, config.num_demos) == ("all", "paper", 10)
+
+
+# Every field of the configuration that changes what is learned, with another value.
+CHANGES: dict[str, Any] = {
+    "num_demos": 3,
+    "observation": "LoRes4A",
+    "seed": 1,
+    "network": "paper",
+    "precision": "bfloat16",
+    "batches": 4,
+    "batch_size": 5,
+    "optimizer": "sgd",
+    "learning_rate": 2e-3,
+    "momentum": 0.5,
+    "anneal": False,
+    "augment": "noise",
+    "tasks": ("MoveToRegion",),
+}
+
+
+@pytest.fixture(scope="module")
+def plain(demos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("plain") / "run"
+    train(tiny(demos, batches=2), folder)
+    return folder
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_every_setting_matters(name: str, demos: Path, tmp_path: Path, plain: Path) -> None:
+    config = replace(tiny(demos, batches=2), **{name: CHANGES[name]})
+    train(config, tmp_path / "run", stop_after=2)
+    before, after = weights(plain), weights(tmp_path / "run")
+    same = before.keys() == after.keys() and all(
+        before[key].shape == after[key].shape and torch.equal(before[key], after[key])
+        for key in before
+    )
+    assert not same
+
+
+def test_reports_and_checkpoints_come_as_often_as_asked(demos: Path, tmp_path: Path) -> None:
+    train(tiny(demos, log_every=3, checkpoint_every=5), tmp_path / "run")
+    assert [line["step"] for line in read_metrics(tmp_path / "run")] == [3, 6]
+    line = read_metrics(tmp_path / "run")[0]
+    assert set(line) == {"step", "loss", "accuracy", "samples_per_second"}
+
+
+def call_at(at: int, act: Callable[[], None]) -> Callable[[int, Mapping[str, float | str]], None]:
+    """A callback that calls `act` at one step."""
+
+    def callback(step: int, metrics: Mapping[str, float | str]) -> None:
+        if step == at:
+            act()
+
+    return callback
+
+
+def test_the_callback_gets_every_line_of_metrics(demos: Path, tmp_path: Path) -> None:
+    seen: list[dict[str, Any]] = []
+    train(
+        tiny(demos),
+        tmp_path / "run",
+        callback=lambda step, metrics: seen.append({"step": step, **metrics}),
+    )
+    rows = read_metrics(tmp_path / "run")
+    assert [row.keys() for row in seen] == [row.keys() for row in rows]
+    assert [row["loss"] for row in seen] == pytest.approx([row["loss"] for row in rows], abs=1e-6)
+
+
+def test_what_the_callback_raises_ends_a_run_that_can_be_resumed(
+    demos: Path, tmp_path: Path
+) -> None:
+    def prune() -> None:
+        raise LookupError("pruned")
+
+    with pytest.raises(LookupError, match="pruned"):
+        train(tiny(demos), tmp_path / "run", callback=call_at(4, prune))
+    assert train(tiny(demos), tmp_path / "run", resume=True).finished
+    train(tiny(demos), tmp_path / "whole")
+    assert_same_weights(tmp_path / "run", tmp_path / "whole")
+
+
+def damage(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[-100] ^= 1
+    path.write_bytes(content)
+
+
+def test_a_damaged_checkpoint_is_refused_and_the_previous_one_gives_the_same_weights(
+    demos: Path, tmp_path: Path
+) -> None:
+    config, folder = tiny(demos, checkpoint_every=1), tmp_path / "run"
+    train(config, folder, stop_after=4)
+    damage(folder / CHECKPOINT)
+    with pytest.raises(CheckpointError, match=r"checkpoint\.safetensors is damaged.*of step 3"):
+        load_policy(folder)
+    with pytest.raises(CheckpointError, match=r"checkpoint\.safetensors is damaged.*of step 3"):
+        train(config, folder, resume=True)
+    result = train(config, folder, resume=True, previous_checkpoint=True, stop_after=1)
+    assert result.step == 4
+    assert train(config, folder, resume=True).finished
+    train(config, tmp_path / "whole")
+    assert_same_weights(folder, tmp_path / "whole")
+    assert [line["step"] for line in read_metrics(folder)] == [2, 4, 6]
+
+
+def test_the_previous_checkpoint_is_for_resuming(demos: Path, tmp_path: Path) -> None:
+    with pytest.raises(InvalidConfigError, match="previous_checkpoint needs resume"):
+        train(tiny(demos), tmp_path / "run", previous_checkpoint=True)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_run_is_trained_once_at_a_time_and_evaluated_meanwhile(
+    demos: Path, tmp_path: Path
+) -> None:
+    config, folder = tiny(demos), tmp_path / "run"
+    seen = []
+
+    def meanwhile() -> None:
+        for resume in (False, True):
+            with pytest.raises(RunFolderError, match=rf"process {os.getpid()} .*trains this run"):
+                train(config, folder, resume=resume)
+        seen.append(load_policy(folder).tasks)
+        seen.append(read_metrics(folder)[-1]["step"])
+
+    assert train(config, folder, callback=call_at(4, meanwhile)).finished
+    assert seen == [("MoveToCorner",), 4]
+    assert train(config, folder, resume=True).finished
+
+
+KILLED = """
+import os, pathlib, signal, sys
+from magical.learning import train
+from magical.learning.algorithms import read_config
+from magical.files import write_atomically
+
+def die(step, metrics):
+    if step == 4:
+        with write_atomically(pathlib.Path(sys.argv[2]) / "checkpoint.safetensors") as file:
+            file.write(b"half")
+            file.flush()
+            os.kill(os.getpid(), signal.SIGKILL)
+
+train(read_config(pathlib.Path(sys.argv[1])), sys.argv[2], callback=die)
+"""
+
+
+def test_a_killed_run_leaves_no_lock_and_its_partial_files_are_removed(
+    demos: Path, tmp_path: Path
+) -> None:
+    config, folder = tiny(demos, threads=1), tmp_path / "run"
+    train(config, tmp_path / "whole")
+    command = [sys.executable, "-c", KILLED, str(tmp_path / "whole"), str(folder)]
+    assert subprocess.run(command).returncode == -signal.SIGKILL
+    assert len(list(folder.glob(".checkpoint.safetensors.*.part"))) == 1
+    (folder / ".notes.txt.1.part").touch()  # of another program
+    assert train(config, folder, resume=True).finished
+    assert [path.name for path in folder.glob(".*.part")] == [".notes.txt.1.part"]
+    assert_same_weights(folder, tmp_path / "whole")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_leave_a_checkpoint_to_go_on_from(
+    number: signal.Signals, demos: Path, tmp_path: Path
+) -> None:
+    config = tiny(demos, checkpoint_every=100)
+    interrupt = call_at(2, lambda: os.kill(os.getpid(), number))
+    result = train(config, tmp_path / "run", callback=interrupt)
+    assert result.interrupted
+    assert 2 <= result.step < 6
+    assert signal.getsignal(number) is not None
+    train(config, tmp_path / "run", resume=True)
+    train(config, tmp_path / "whole")
+    assert_same_weights(tmp_path / "run", tmp_path / "whole")
+
+
+def test_a_second_interrupt_stops_at_once(demos: Path, tmp_path: Path) -> None:
+    def twice() -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        train(tiny(demos), tmp_path / "run", callback=call_at(2, twice))
+
+
+def test_divergence_stops_and_keeps_the_last_good_checkpoint(demos: Path, tmp_path: Path) -> None:
+    config = tiny(demos, optimizer="sgd", learning_rate=1e30, log_every=1, checkpoint_every=1)
+    with pytest.raises(DivergedError, match="diverged: at step"):
+        train(config, tmp_path / "run")
+    if (tmp_path / "run" / CHECKPOINT).exists():
+        assert all(torch.isfinite(tensor).all() for tensor in weights(tmp_path / "run").values())
+
+
+def test_a_full_disk_is_named_and_the_last_checkpoint_kept(
+    demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = tiny(demos)
+    train(config, tmp_path / "run", stop_after=2)
+    before = weights(tmp_path / "run")
+
+    def full(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(run, "replace_checkpoint", full)
+        with pytest.raises(RunFolderError, match=r"disk is full.*resume"):
+            train(config, tmp_path / "run", resume=True)
+    assert all(torch.equal(before[k], v) for k, v in weights(tmp_path / "run").items())
+    assert train(config, tmp_path / "run", resume=True).finished
+
+
+def test_other_demonstrations_cannot_continue_a_run(demos: Path, tmp_path: Path) -> None:
+    config = tiny(demos)
+    train(config, tmp_path / "run", stop_after=2)
+    others = [picture_demo("MoveToCorner", seed) for seed in range(10, 14)]
+    moved = replace(config, demos=str(write_demos(tmp_path / "others", others)))
+    with pytest.raises(RunFolderError, match="other demonstrations"):
+        train(moved, tmp_path / "run", resume=True)
+
+
+def test_state_vectors_are_learned_from(tmp_path: Path) -> None:
+    task, actions = get_task("MoveToRegion"), np.repeat([1, 4], 16)
+    simulation = Simulation(task.demo)
+    poses = [simulation.poses().bodies]
+    for action in actions.tolist():
+        simulation.step(action)
+        poses.append(simulation.poses().bodies)
+    demo = Trajectory.from_poses("MoveToRegion-Demo-v0", task.demo, actions, np.stack(poses))
+    demos = write_demos(tmp_path / "demos", [demo])
+    fields = {"tasks": ("MoveToRegion",), "observation": "state", "num_demos": 1}
+    config = tiny(demos, **fields, augment="none", batches=300, batch_size=16)
+    train(config, tmp_path / "run")
+    policy = load_policy(tmp_path / "run", greedy=True)
+    states = observations(demo, "state")[:-1]
+    found = policy.act(states, ["MoveToRegion-Demo-v0"] * len(states), np.random.default_rng(0))
+    assert np.mean(found == actions) > 0.9
+    (score,) = evaluate(policy, ["MoveToRegion-Demo-v0"], rollouts=1, seed=0, workers=0)
+    assert 0.0 <= score.score <= 1.0
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"augment": "noise"}, "augment: expected none"),
+        ({"augment": "none", "tasks": TASKS}, "one task is expected"),
+    ],
+)
+def test_state_vectors_need_other_settings(fields: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidConfigError, match=message):
+        tiny(Path("demos"), observation="state", **fields)

@@ -1,0 +1,281 @@
+"""Adversarial imitation: losses by hand, rewards, whole runs of GAIL and WGAIL-GP."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+
+from magical.demos import Trajectory
+from magical.errors import InvalidConfigError
+from magical.evaluation import evaluate
+from magical.learning import train
+from magical.learning.algorithms.gail import (
+    DiscriminatorBatch,
+    DiscriminatorTrainer,
+    GAILConfig,
+    gail_loss,
+    gail_reward,
+    make_discriminator,
+)
+from magical.learning.algorithms.wgail_gp import (
+    WGAILGPConfig,
+    critic_loss,
+    critic_reward,
+    gradient_penalty,
+    interpolate,
+)
+from magical.learning.augmentation.randoms import Randoms
+from magical.learning.data.expert_data import ExpertData
+from magical.learning.reinforcement.replay_buffer import ReplayBuffer
+from magical.learning.running.devices import Compute
+from magical.observe import PRESETS
+from tests.learning.conftest import TASKS, picture_demo, write_demos
+from tests.learning.tiny_runs import assert_same, checkpoint, tiny
+
+THREE = ("MoveToCorner", "MoveToRegion", "MatchRegions")
+
+
+class Linear(nn.Module):
+    """A discriminator whose logit is weight . image, times a factor for each action."""
+
+    def __init__(self, size: int = 6) -> None:
+        super().__init__()
+        self.weight = nn.Parameter(torch.linspace(-1.0, 2.0, size))
+
+    def forward(self, images: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+        logits: Tensor = images.flatten(1) @ self.weight * (1.0 + actions)
+        return logits
+
+
+def batch_of(images: Tensor, actions: list[int]) -> DiscriminatorBatch:
+    return DiscriminatorBatch(
+        images, torch.tensor(actions), torch.zeros(len(actions), dtype=torch.int64)
+    )
+
+
+def given(logits: list[float]) -> Any:
+    """A network that answers with these logits."""
+    return lambda images, actions, tasks: torch.tensor(logits)
+
+
+def test_discriminator_loss_by_hand() -> None:
+    batch = batch_of(torch.zeros(4, 3, 1, 1), [0] * 4)
+    answers = given([math.log(3.0), -1e-3, math.log(3.0), -20.0])  # expert, expert, novice, novice
+    loss, report = gail_loss(answers, batch, Randoms("cpu", np.random.default_rng(0)))
+    second = math.log(1 + math.exp(1e-3))  # -log sigmoid(-0.001)
+    assert loss.item() == pytest.approx((math.log(4 / 3) + second + math.log(4)) / 4, abs=1e-6)
+    assert report["discriminator_accuracy"].item() == 0.5
+
+
+def test_gradient_penalty_against_finite_differences() -> None:
+    torch.manual_seed(0)
+    first, second = nn.Linear(12, 5).double(), nn.Linear(5, 1).double()
+
+    def critic(images: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+        logits: Tensor = second(torch.tanh(first(images.flatten(1)))).squeeze(1)
+        return logits * (1.0 + actions)
+
+    images = torch.randn(3, 3, 2, 2, dtype=torch.float64)
+    actions, tasks = torch.tensor([0, 1, 2]), torch.zeros(3, dtype=torch.int64)
+    step, norms = 1e-6, []
+    for row in range(3):
+        slopes = []
+        for index in range(12):
+            shift = torch.zeros(3, 12, dtype=torch.float64)
+            shift[row, index] = step
+            ahead, behind = (
+                critic(images + sign * shift.view_as(images), actions, tasks)[row].item()
+                for sign in (1, -1)
+            )
+            slopes.append((ahead - behind) / (2 * step))
+        norms.append(math.hypot(*slopes))
+    expected = np.mean([(norm - 1.0) ** 2 for norm in norms])
+    penalty = gradient_penalty(critic, images, actions, tasks)
+    assert penalty.item() == pytest.approx(expected, rel=1e-6)
+    penalty.backward()  # type: ignore[no-untyped-call]
+    assert first.weight.grad is not None
+    assert first.weight.grad.abs().sum() > 0
+
+
+def test_images_between_have_the_nearer_ones_action() -> None:
+    half = 200
+    images = torch.cat([torch.ones(half, 3, 1, 1), torch.zeros(half, 3, 1, 1)])
+    batch = batch_of(images, [7] * half + [3] * half)
+    between, actions, tasks = interpolate(batch, Randoms("cpu", np.random.default_rng(0)))
+    shares = between[:, 0, 0, 0]  # expert's images are ones
+    assert torch.equal(actions == 7, shares > 0.5)
+    assert shares.min() < 0.05 < 0.95 < shares.max()
+    assert between.flatten(1).std(dim=1).max() == 0
+    assert len(tasks) == half
+
+
+def test_critic_loss_by_hand() -> None:
+    network: Any = Linear()
+    images = torch.stack([torch.full((6, 1, 1), value) for value in (1.0, 2.0, 0.0, 0.5)])
+    batch = batch_of(images, [0, 0, 0, 0])
+    total = 3.0  # of the weights: logits are 3, 6, 0, 1.5
+    loss, report = critic_loss(
+        network, batch, Randoms("cpu", np.random.default_rng(0)), penalty_weight=10.0
+    )
+    norm = torch.linspace(-1.0, 2.0, 6).norm().item()
+    distance = (1.5 - 0.25) * total
+    assert report["wasserstein_distance"].item() == pytest.approx(distance)
+    assert report["gradient_penalty"].item() == pytest.approx((norm - 1) ** 2, rel=1e-5)
+    assert report["discriminator_accuracy"].item() == 1.0
+    assert loss.item() == pytest.approx(10.0 * (norm - 1) ** 2 - distance, rel=1e-5)
+    assert network.training
+
+
+def trainer(
+    trajectories: list[Trajectory], reward: Callable[[Tensor], Tensor] = critic_reward
+) -> tuple[DiscriminatorTrainer, ReplayBuffer]:
+    config = tiny(
+        GAILConfig,
+        tasks=TASKS,
+        demos="",
+        discriminator_learning_rate=1e-3,
+        discriminator_batch_size=12,
+        discriminator_steps=1,
+        augment="none",
+    )
+    expert = ExpertData(
+        [(task, t) for task in TASKS for t in trajectories if task in t.env_id],
+        TASKS,
+        PRESETS["LoRes4E"],
+    )
+    replay_buffer, compute = ReplayBuffer(2, np.array([0, 1])), Compute("cpu", "float32")
+    subject = DiscriminatorTrainer(config, expert, replay_buffer, compute, gail_loss, reward)
+    return subject, replay_buffer
+
+
+def novice(steps: int = 4) -> Any:
+    rng = np.random.default_rng(1)
+    images = rng.integers(0, 256, (steps, 2, 96, 96, 12), dtype=np.uint8)
+    return SimpleNamespace(
+        observations=torch.from_numpy(images).permute(0, 1, 4, 2, 3),  # the network's layout
+        actions=torch.from_numpy(rng.integers(0, 18, (steps, 2))),
+        rewards=torch.zeros(steps, 2),
+        tasks=torch.tensor([0, 1]),
+    )
+
+
+def test_rewards_are_the_evaluated_discriminators(trajectories: list[Trajectory]) -> None:
+    (subject, _), rollout = trainer(trajectories, gail_reward), novice()
+    before = {name: tensor.clone() for name, tensor in subject.network.state_dict().items()}
+    rewards, statistics = subject.rewards(rollout)
+    network = subject.network.eval()
+    images = rollout.observations.flatten(0, 1) / 255.0
+    with torch.no_grad():
+        logits = network(images, rollout.actions.flatten(), torch.tensor([0, 1] * 4))
+    raw = logits.sigmoid().log().view(4, 2)
+    assert statistics["raw_reward"] == pytest.approx(raw.mean().item(), abs=1e-5)
+    scaled = (raw - raw.mean(dim=0)) / raw.std(dim=0, correction=0).clamp(min=1e-3) * 0.1
+    np.testing.assert_allclose(rewards.numpy(), scaled.numpy(), atol=1e-3)
+    assert all(torch.equal(before[name], now) for name, now in network.state_dict().items())
+
+
+def test_batches_are_half_expert_half_novice(trajectories: list[Trajectory]) -> None:
+    (subject, replay_buffer), rollout = trainer(trajectories), novice()
+    replay_buffer.add(rollout.observations, rollout.actions)
+    batch = subject.sample_batch(np.random.default_rng(0))
+    assert batch.images.shape == (12, 12, 96, 96)
+    assert batch.tasks.tolist() == [0, 0, 0, 1, 1, 1] * 2
+    seen = rollout.observations.flatten(0, 1)
+    ours = [bool((seen == image).flatten(1).all(dim=1).any()) for image in batch.images]
+    assert ours == [False] * 6 + [True] * 6
+
+
+def test_the_discriminator_is_trained(trajectories: list[Trajectory]) -> None:
+    (subject, replay_buffer), rollout = trainer(trajectories), novice()
+    replay_buffer.add(rollout.observations, rollout.actions)
+    rng = np.random.default_rng(0)
+    metrics = [subject.train(rng) for _ in range(22)]
+    accuracies = [float(row["discriminator_accuracy"]) for row in metrics[1:21]]
+    assert np.mean(accuracies) > 0.8
+    assert float(metrics[21]["discriminator_loss"]) < float(metrics[0]["discriminator_loss"])
+
+
+@pytest.mark.parametrize(
+    ("kind", "fields"),
+    [
+        (GAILConfig, {"tasks": TASKS, "observation": "LoRes3EA", "augment": "all"}),
+        (WGAILGPConfig, {"tasks": ("MoveToCorner",), "observation": "LoRes4A"}),
+    ],
+)
+def test_resumed_runs_are_bit_equal(
+    demos: Path, tmp_path: Path, kind: type[GAILConfig], fields: dict[str, Any]
+) -> None:
+    settings = {"discriminator_steps": 2, "discriminator_batch_size": 4, **fields}
+    config = tiny(kind, demos=str(demos), num_demos=2, **settings)
+    whole = train(config, tmp_path / "whole")
+    assert train(config, tmp_path / "parts", stop_after=1).step == 1
+    assert train(config, tmp_path / "parts", resume=True, stop_after=1).step == 2
+    assert train(config, tmp_path / "parts", resume=True).finished
+    assert_same(checkpoint(tmp_path / "whole"), checkpoint(tmp_path / "parts"))
+    assert {"discriminator_accuracy", "raw_reward", "discriminator_seconds"} <= whole.metrics.keys()
+
+
+@pytest.mark.parametrize(
+    ("kind", "tasks"), [(GAILConfig, THREE[:1]), (GAILConfig, THREE), (WGAILGPConfig, THREE[1:2])]
+)
+def test_paper_preset_for_three_iterations(
+    tmp_path: Path, kind: type[GAILConfig], tasks: tuple[str, ...]
+) -> None:
+    """The published networks and settings, in a few environments: run, resumed, evaluated."""
+    data = write_demos(tmp_path / "data", [picture_demo(task, 0) for task in tasks])
+    config = tiny(
+        kind,
+        "paper",
+        tasks=tasks,
+        demos=str(data),
+        num_demos=1,
+        discriminator_steps=1,
+        discriminator_batch_size=2 * len(tasks),
+    )
+    assert train(config, tmp_path / "run", stop_after=2).step == 2
+    trained = train(config, tmp_path / "run", resume=True)
+    assert (trained.step, trained.finished) == (3, True)
+    ids = [f"magical/{task}-Demo-v0" for task in tasks[:2]]
+    scores = evaluate(trained.policy(), ids, rollouts=1, workers=0, horizon=2)
+    assert [score.env_id for score in scores] == ids
+    if len(tasks) > 1:
+        statistics = checkpoint(tmp_path / "run")["discriminator"]["reward_statistics"]
+        assert (
+            statistics["count"].tolist() == [6.0] * 3
+        )  # one environment of each, two steps, three times
+
+
+def test_paper_settings_are_table_4s() -> None:
+    config = GAILConfig.preset("paper", tasks=("MoveToRegion",), demos="")
+    assert (config.discriminator_steps, config.discriminator_batch_size) == (12, 24)
+    assert (config.discriminator_learning_rate, config.reward_std) == (2.5e-5, 0.1)
+    assert (config.augment, config.replay_batches, config.num_demos) == ("all", 4, 10)
+    norms = [m for m in make_discriminator(config).modules() if isinstance(m, nn.BatchNorm2d)]
+    assert len(norms) == 5
+    wasserstein = WGAILGPConfig.preset("paper", tasks=("MoveToRegion",), demos="")
+    assert wasserstein.penalty_weight == 100.0
+
+
+@pytest.mark.parametrize(
+    ("fields", "named"),
+    [
+        ({"discriminator_batch_size": 5}, "discriminator_batch_size"),
+        ({"discriminator_batch_size": 2, "tasks": TASKS}, "discriminator_batch_size"),
+        ({"reward_std": 0.0}, "reward_std"),
+        ({"num_demos": 0}, "num_demos"),
+    ],
+)
+def test_impossible_settings(fields: dict[str, Any], named: str) -> None:
+    with pytest.raises(InvalidConfigError, match=named):
+        tiny(GAILConfig, demos="", **fields)
+
+
+def test_wasserstein_gail_is_not_defined_for_several_tasks() -> None:
+    with pytest.raises(InvalidConfigError, match="wgail-gp: expected one task"):
+        tiny(WGAILGPConfig, demos="", tasks=TASKS)

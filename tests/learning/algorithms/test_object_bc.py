@@ -1,0 +1,223 @@
+"""Object-centred behavioural cloning from beginning to end, in the smallest runs."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from magical.demos import DatasetWriter, ObservationReader
+from magical.demos.generate import demonstrate
+from magical.envs import EnvId
+from magical.errors import InvalidConfigError
+from magical.evaluation import evaluate
+from magical.learning import load_policy, train
+from magical.learning.algorithms import object_bc
+from magical.learning.algorithms.object_bc import ObjectBCConfig, make_policy
+from magical.learning.objects.control import Sight, control_inputs
+from magical.learning.objects.hindsight import ROBOT_TARGET
+from magical.learning.objects.table import ObjectTable, parse_table
+from magical.runs import read_metrics
+from magical.scene import ACTION_NAMES
+from magical.scene.actions import MIRRORED_ACTIONS
+from tests.learning.tiny_runs import assert_same, checkpoint
+
+TASKS = ("MoveToRegion", "FixColour")
+
+
+@pytest.fixture(scope="module")
+def expert_demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("expert") / "demos"
+    writer = DatasetWriter(folder)
+    for task in TASKS:
+        for seed in range(2):
+            writer.append(demonstrate(EnvId(task, "Demo"), seed=seed))
+    return folder
+
+
+def tiny(demos: Path, **fields: Any) -> ObjectBCConfig:
+    settings = {
+        "tasks": TASKS,
+        "demos": str(demos),
+        "num_demos": 2,
+        "batches": 6,
+        "batch_size": 8,
+        "goal_every": 2,
+        "goal_batch_size": 4,
+        "log_every": 2,
+        "checkpoint_every": 2,
+        "device": "cpu",
+    }
+    return ObjectBCConfig.preset("paper", **{**settings, **fields})
+
+
+@pytest.fixture(scope="module")
+def whole(expert_demos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that was never stopped."""
+    folder = tmp_path_factory.mktemp("object-bc") / "run"
+    assert train(tiny(expert_demos), folder).finished
+    return folder
+
+
+@pytest.mark.parametrize("stop", [3, 5])  # before and after relations are left out
+def test_a_resumed_run_is_bit_equal(
+    stop: int, whole: Path, expert_demos: Path, tmp_path: Path
+) -> None:
+    config = tiny(expert_demos)
+    assert train(config, tmp_path / "run", stop_after=stop).step == stop
+    assert train(config, tmp_path / "run", resume=True).finished
+    assert_same(checkpoint(tmp_path / "run"), checkpoint(whole))
+
+
+def test_relations_are_left_out_halfway(whole: Path, expert_demos: Path, tmp_path: Path) -> None:
+    assert not checkpoint(whole)["policy"]["goals.choice.used"].all()
+    train(tiny(expert_demos, goal_sparsity=0.0), tmp_path / "run")
+    assert checkpoint(tmp_path / "run")["policy"]["goals.choice.used"].all()
+
+
+def test_metrics_and_policy(whole: Path) -> None:
+    newest = read_metrics(whole)[-1]
+    assert {"loss", "accuracy", "target_loss", "destination_loss"} < newest.keys()
+    policy = load_policy(whole)
+    scores = evaluate(policy, ["magical/FixColour-TestAll-v0"], rollouts=2, workers=0)
+    assert len(scores) == 2
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"seed": 1},
+        {"num_demos": 1},
+        {"batch_size": 9},
+        {"learning_rate": 1e-3},
+        {"weight_decay": 0.5},
+        {"hidden": 8},
+        {"mirror": False},
+        {"destination_noise": 0.2},
+        {"block_sight": 3.0},
+        {"wall_sight": 2.0},
+        {"drop_blocks": 1.0},
+        {"goal_every": 1},
+        {"goal_batch_size": 3},
+        {"goal_learning_rate": 0.5},
+        {"goal_sparsity": 1.0},
+        {"goal_smoothness": 1.0},
+    ],
+    ids=lambda fields: next(iter(fields)),
+)
+def test_every_setting_changes_the_weights(
+    fields: dict[str, Any], whole: Path, expert_demos: Path, tmp_path: Path
+) -> None:
+    train(tiny(expert_demos, **fields), tmp_path / "run")
+    with pytest.raises(AssertionError):
+        assert_same(checkpoint(tmp_path / "run")["policy"], checkpoint(whole)["policy"])
+
+
+def test_a_robot_that_stands_still_acts_more_randomly(expert_demos: Path) -> None:
+    stacks = torch.from_numpy(_stacks())
+    stacks[0] = stacks[0, 9:].repeat(4, 1, 1)
+    policies = {
+        name: make_policy(tiny(expert_demos, temperature=cool, stuck_temperature=hot))
+        for name, cool, hot in (("one", 1.0, 1.0), ("two", 0.5, 4.0))
+    }
+    tasks = torch.ones(len(stacks), dtype=torch.int64)
+    for policy in policies.values():
+        policy.goals.finished_bias.data.fill_(-100.0)  # a block is the target
+    with torch.no_grad():
+        one, two = (policy(stacks, tasks) for policy in policies.values())
+    torch.testing.assert_close(two[0], one[0] / 4.0)
+    torch.testing.assert_close(two[1:], one[1:] * 2.0)
+
+
+def test_a_robot_without_a_block_left_to_move_is_not_stuck(expert_demos: Path) -> None:
+    policy = make_policy(tiny(expert_demos, temperature=0.5, stuck_temperature=4.0))
+    table = _table()
+    targets = torch.full((table.size,), ROBOT_TARGET)
+    with torch.no_grad():
+        stands, moved = (
+            policy.control(table, table.robot + shift, targets, table.robot[:, :2])
+            for shift in (0.0, 0.1)
+        )
+    torch.testing.assert_close(stands, moved)
+
+
+def test_a_share_of_the_other_blocks_is_dropped_and_no_target(
+    expert_demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    others = 0
+
+    def counted(table: ObjectTable, targets: torch.Tensor, *rest: Any) -> Any:
+        nonlocal others
+        moved = targets != ROBOT_TARGET
+        assert table.present[moved.nonzero()[:, 0], targets[moved]].all()
+        others += int(table.present.sum() - moved.sum())
+        return control_inputs(table, targets, *rest)
+
+    found = []
+    monkeypatch.setattr(object_bc, "control_inputs", counted)
+    for share in (0.0, 0.25):
+        others = 0
+        fields = {"tasks": ("FixColour",), "batch_size": 512, "drop_blocks": share}
+        train(tiny(expert_demos, **fields), tmp_path / str(share))
+        found.append(others)
+    assert found[1] / found[0] == pytest.approx(0.75, abs=0.02)
+
+
+def test_trimmed_tables_keep_all_blocks() -> None:
+    table = _table()
+    gone = torch.zeros_like(table.present)
+    gone[:, 0] = True
+    some = table.without(gone)
+    assert some.trimmed().present.sum() == some.present.sum() > 0
+    assert some.trimmed().present.shape[1] < table.present.shape[1]
+    assert table.without(torch.ones_like(gone)).trimmed().present.shape[1] == 2
+
+
+@pytest.mark.parametrize("name", ObjectBCConfig.without)
+def test_settings_without_meaning_are_refused(name: str, expert_demos: Path) -> None:
+    other = {
+        "network": "narrow",
+        "pixel_range": "symmetric",
+        "last_layer_init": "normal",
+        "compile": True,
+        "graphs": "off",
+        "borders": "repeat",
+        "linear_light": False,
+    }
+    with pytest.raises(InvalidConfigError, match=f"{name}: object-bc has no such setting"):
+        tiny(expert_demos, **{name: other[name]})
+
+
+def _stacks() -> np.ndarray:
+    trajectory = demonstrate("magical/FixColour-Demo-v0", seed=3)
+    stacks = ObservationReader(trajectory, "LoRes4A").read(np.arange(4, 20, 3))
+    return np.ascontiguousarray(stacks.transpose(0, 3, 1, 2))
+
+
+def _table() -> ObjectTable:
+    return parse_table(np.ascontiguousarray(_stacks().transpose(0, 2, 3, 1)[..., 9:]))
+
+
+def test_mirrored_inputs_are_those_of_the_mirrored_scene() -> None:
+    table = _table()
+    count = table.size
+    targets, destinations = torch.full((count,), 2), torch.rand((count, 2)) - 0.5
+    sign = torch.tensor([-1.0, 1.0])
+    turn = torch.tensor([-1.0, 1.0, -1.0])
+    image = table._replace(
+        robot=table.robot * turn,
+        fingers=table.fingers.flip(1),
+        blocks=torch.where(table.present[..., None], table.blocks * sign, table.blocks),
+    )
+    sight = Sight(blocks=0.6, walls=0.4)
+    everywhere = torch.ones(count, dtype=torch.bool)
+    mirrored = control_inputs(table, targets, destinations, sight, everywhere)
+    expected = control_inputs(image, targets, destinations * sign, sight)
+    torch.testing.assert_close(mirrored[0], expected[0], rtol=0, atol=1e-4)
+    present = table.present
+    torch.testing.assert_close(mirrored[1][present], expected[1][present], rtol=0, atol=1e-4)
+    swapped = {"left": "right", "right": "left"}
+    for action, other in enumerate(MIRRORED_ACTIONS):
+        parts = ACTION_NAMES[action].split("-")
+        assert ACTION_NAMES[other].split("-") == [swapped.get(part, part) for part in parts]

@@ -1,0 +1,265 @@
+"""Proximal policy optimisation: its parts against slow or hand-made ones, then whole runs."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from magical.envs.vector import MagicalVectorEnv
+from magical.errors import DivergedError, InvalidConfigError, UnknownNameError
+from magical.evaluation import evaluate
+from magical.learning import load_policy, train
+from magical.learning.algorithms import ppo
+from magical.learning.algorithms.ppo import PPOConfig, Samples, collect_rollout, ppo_loss
+from magical.learning.augmentation.augment import to_unit
+from magical.learning.models import make_actor_critic
+from magical.learning.reinforcement.rollouts import RolloutEnvs
+from magical.runs import read_metrics
+from magical.runs.folder import METRICS
+from tests.learning.tiny_runs import assert_same, checkpoint, tiny
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+def minibatch(actions: list[int], log_probs: list[float], advantages: list[float]) -> Samples:
+    count = len(actions)
+    return Samples(
+        torch.zeros(count, 1),
+        torch.tensor(actions),
+        torch.tensor(log_probs),
+        torch.tensor(advantages),
+        torch.tensor([1.0] * count),
+        torch.zeros(count, dtype=torch.int64),
+    )
+
+
+def test_loss_by_hand() -> None:
+    # Two actions are possible, with probabilities 0.8 and 0.2; they were 0.5 each when chosen:
+    # ratios 1.6 and 0.4, clipped to 1.1 and 0.9.
+    logits = torch.full((2, 18), -1e9)
+    logits[:, 0], logits[:, 1] = math.log(0.8), math.log(0.2)
+    half = math.log(0.5)
+    values = torch.tensor([0.0, 3.0])  # squared errors 1 and 4
+    entropy = -(0.8 * math.log(0.8) + 0.2 * math.log(0.2))
+    gains = minibatch([0, 1], [half, half], [2.0, 5.0])
+    loss, parts = ppo_loss(logits, values, gains, clip=torch.tensor(0.1), entropy_bonus=0.01)
+    policy = -(1.1 * 2.0 + 0.4 * 5.0) / 2  # the minimum: clipped above, not below
+    assert loss.item() == pytest.approx(policy + 0.5 * 2.5 - 0.01 * entropy, abs=1e-6)
+    assert parts.tolist() == pytest.approx([policy, 1.25, entropy, 1.0], abs=1e-6)
+    losses = minibatch([0, 1], [half, half], [-2.0, -5.0])
+    _, parts = ppo_loss(logits, values, losses, clip=torch.tensor(0.1), entropy_bonus=0.0)
+    assert parts[0].item() == pytest.approx((1.6 * 2.0 + 0.9 * 5.0) / 2, abs=1e-6)
+
+
+def scripted(value: float = 0.0, action: int = 1) -> Any:
+    """Acts without a network: always the same action, the same value."""
+
+    def act(observations: torch.Tensor, tasks: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        logits = torch.full((len(observations), 18), -1e9)
+        logits[:, action] = 0.0
+        return logits, torch.full((len(observations),), value)
+
+    return act
+
+
+@pytest.mark.parametrize("bootstrap", [False, True])
+def test_rollouts_against_the_environment(bootstrap: bool) -> None:
+    horizon = 40
+    config = tiny(PPOConfig, observation="state", time_steps=horizon + 2, bootstrap=bootstrap)
+    with RolloutEnvs(config, "cpu", "dense") as envs:
+        envs.reset()
+        rollout = collect_rollout(envs, scripted(value=0.25), config, rng())
+        states = [envs.envs.get_state(row) for row in range(3)]
+    assert rollout.actions.eq(1).all()
+    assert rollout.log_probs.eq(0).all()
+    assert rollout.dones.any(dim=1).nonzero().tolist() == [[horizon - 1]]
+    assert len(rollout.scores) == 3
+    at_end = 0.25 if bootstrap else 0.0
+    assert rollout.next_values[horizon - 1].tolist() == [at_end] * 3
+    assert rollout.next_values[:-3].eq(0.25).all()
+    assert [len(state["actions"]) for state in states] == [2, 2, 2]
+    env = MagicalVectorEnv(["magical/MoveToRegion-Demo-v0"], 0, "state", reward="dense")
+    shown, _ = env.reset(seed=0)
+    for t in range(horizon):  # Demo has one scene: all episodes are alike
+        np.testing.assert_array_equal(rollout.observations[t].numpy(), np.repeat(shown, 3, 0))
+        shown, rewards, *_ = env.step(np.array([1]))
+        np.testing.assert_allclose(rollout.rewards[t].numpy(), rewards.repeat(3), rtol=1e-6)
+    env.close()
+
+
+def test_environments_start_at_different_times() -> None:
+    config = tiny(PPOConfig, observation="state", num_envs=8, decorrelate=True)
+    with RolloutEnvs(config, "cpu") as envs:
+        envs.reset()
+        steps = [len(envs.envs.get_state(row)["actions"]) for row in range(8)]
+    assert max(steps) < 40
+    assert len(set(steps)) > 4
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"observation": "state", "decorrelate": True, "time_steps": 30, "minibatch_size": 45},
+        {"observation": "LoRes4A", "tasks": ("MoveToCorner", "MoveToRegion")},
+    ],
+)
+def test_resumed_runs_are_bit_equal(tmp_path: Path, fields: dict[str, Any]) -> None:
+    config = tiny(PPOConfig, **fields)
+    config = replace(config, total_steps=3 * config.steps_per_update)
+    whole = train(config, tmp_path / "whole")
+    assert (whole.step, whole.total, whole.finished) == (3, 3, True)
+    assert not train(config, tmp_path / "parts", stop_after=1).finished
+    again = train(replace(config, workers=config.workers), tmp_path / "parts", resume=True)
+    assert again.finished
+    assert_same(checkpoint(tmp_path / "whole"), checkpoint(tmp_path / "parts"))
+    for key in ("environment_steps", "reward", "entropy", "clip_fraction", "explained_variance"):
+        assert whole.metrics[key] == again.metrics[key]
+
+
+def test_learns_from_states(tmp_path: Path) -> None:
+    config = PPOConfig.preset(
+        "quick",
+        tasks=("MoveToRegion",),
+        observation="state",
+        total_steps=10_240,
+        num_envs=16,
+        workers=0,
+        evaluate_every=0,
+    )
+    trained = train(config, tmp_path / "run")
+    rewards = [row["reward"] for row in read_metrics(trained.folder)]
+    assert np.mean(rewards[-5:]) > 0.015 > 2 * np.mean(rewards[:5])
+    assert trained.metrics["explained_variance"] > 0.5
+    scores = evaluate(trained.policy(), ["magical/MoveToRegion-Demo-v0"], rollouts=4, workers=0)
+    assert len(scores) == 4
+
+
+def test_evaluations_are_logged(tmp_path: Path) -> None:
+    config = tiny(PPOConfig, observation="state", evaluate_every=1, evaluation_rollouts=2)
+    trained = train(config, tmp_path / "run")
+    assert {"evaluation_score", "entropy", "sample_seconds"} < trained.metrics.keys()
+    assert load_policy(tmp_path / "run").observation == "state"
+
+
+def test_paper_settings_are_table_4s() -> None:
+    config = PPOConfig.preset("paper", tasks=("MoveToRegion",))
+    assert (config.num_envs, config.time_steps, config.epochs) == (32, 8, 12)
+    assert (config.minibatch_size, config.learning_rate, config.clip) == (64, 6e-5, 0.01)
+    assert (config.discount, config.gae_lambda, config.entropy_bonus) == (0.8, 0.8, 1e-5)
+    assert (config.max_grad_norm, config.total_steps, config.updates) == (1.0, 10**6, 3906)
+    assert config.init == "torch"
+    assert (config.bootstrap, config.normalise_advantages, config.anneal) == (False, False, True)
+    network = make_actor_critic(config)
+    assert not any(isinstance(m, torch.nn.BatchNorm2d) for m in network.modules())
+    assert [type(m).__name__ for m in network.trunk.modules()].count("Conv2d") == 5
+
+
+def test_learning_rate_and_clip_range_are_annealed_to_0(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[float] = []
+
+    def spy(*args: Any) -> Any:
+        seen.append(args[3])
+        return ppo_loss(*args)
+
+    monkeypatch.setattr(ppo, "ppo_loss", spy)
+    config = tiny(PPOConfig, observation="state", clip=0.3, learning_rate=0.9, minibatch_size=6)
+    train(config, tmp_path / "run")
+    assert seen == pytest.approx([0.3, 0.2, 0.1])
+    (group,) = checkpoint(tmp_path / "run")["ppo"]["optimizer"]["param_groups"]
+    assert group["lr"] == pytest.approx(0.3)
+
+
+def test_a_collapse_is_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    logged: list[Any] = []
+
+    def callback(step: int, metrics: Any) -> None:
+        logged.append(metrics)
+
+    monkeypatch.setattr("magical.learning.reinforcement.monitoring.COLLAPSE_UPDATES", 5)
+    monkeypatch.setattr(
+        ppo,
+        "sample_actions",
+        lambda logits, uniforms: (torch.full((3,), 5), torch.zeros(3)),
+    )
+    config = tiny(PPOConfig, observation="state", total_steps=6 * 6)
+    train(config, tmp_path / "run", stop_after=4, callback=callback)
+    assert "warning" not in logged[-1]
+    train(config, tmp_path / "run", resume=True, callback=callback)  # counts are kept
+    assert logged[-2]["warning"] == "one action for 5 updates"
+    assert read_metrics(tmp_path / "run")[-1]["warning"] == "one action for 6 updates"
+
+
+def test_divergence_is_an_error_and_keeps_the_checkpoint(tmp_path: Path) -> None:
+    config = tiny(PPOConfig, observation="state", checkpoint_every=1)
+    train(config, tmp_path / "run", stop_after=1)
+    before = checkpoint(tmp_path / "run")
+    network = make_actor_critic(config)
+    broken = {name: torch.full_like(w, 1e38) for name, w in network.state_dict().items()}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(torch.nn.Module, "load_state_dict", lambda self, state: None)
+        patch.setattr(ppo, "make_actor_critic", lambda config: _loaded(network, broken))
+        with pytest.raises(DivergedError, match="not finite"):
+            train(config, tmp_path / "run", resume=True)
+    assert_same(before, checkpoint(tmp_path / "run"))
+    last = (tmp_path / "run" / METRICS).read_text().splitlines()[-1]
+    assert '"warning": "not finite"' in last
+
+
+def _loaded(network: torch.nn.Module, weights: dict[str, torch.Tensor]) -> torch.nn.Module:
+    with torch.no_grad():
+        for name, parameter in network.named_parameters():
+            parameter.copy_(weights[name])
+    return network
+
+
+@pytest.mark.parametrize(
+    ("fields", "named"),
+    [
+        ({"discount": 1.5}, "discount"),
+        ({"total_steps": 0}, "total_steps"),
+        ({"num_envs": 1, "tasks": ("MoveToCorner", "MoveToRegion")}, "num_envs"),
+        ({"entropy_bonus": -1.0}, "entropy_bonus"),
+        ({"workers": -1}, "workers"),
+    ],
+)
+def test_impossible_settings(fields: dict[str, Any], named: str) -> None:
+    with pytest.raises(InvalidConfigError, match=named):
+        tiny(PPOConfig, **fields)
+
+
+def test_unknown_words() -> None:
+    with pytest.raises(UnknownNameError, match="reward 'none'"):
+        tiny(PPOConfig, reward="none")
+    with pytest.raises(UnknownNameError, match="observation 'states'"):
+        tiny(PPOConfig, observation="states")
+
+
+def test_no_dense_reward(tmp_path: Path) -> None:
+    with pytest.raises(UnknownNameError, match="MakeLine has no dense reward"):
+        train(tiny(PPOConfig, tasks=("MakeLine",)), tmp_path / "run")
+
+
+def test_the_centred_init_tells_frames_apart() -> None:
+    config = tiny(PPOConfig, num_envs=8, decorrelate=True)
+    with RolloutEnvs(config, "cpu") as envs:
+        envs.reset()
+        frames = collect_rollout(envs, scripted(), config, rng()).observations[0]
+    spreads = {}
+    for init in ("torch", "centred"):
+        network = make_actor_critic(tiny(PPOConfig, init=init))
+        with torch.no_grad():
+            images = to_unit(frames)
+            spreads[init] = network.trunk(images).std(dim=0).mean().item()
+            logits, _ = network.logits_and_values(images, torch.zeros(8, dtype=torch.int64))
+        assert logits.abs().max() < 0.3
+    assert spreads["centred"] > 10 * spreads["torch"]
+    with pytest.raises(UnknownNameError, match="init"):
+        tiny(PPOConfig, init="zero")

@@ -1,0 +1,257 @@
+"""What the published code does differently: each setting changes something, presets, whole runs."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor, nn
+
+from magical.cli import main
+from magical.errors import UnknownNameError
+from magical.evaluation import evaluate
+from magical.evaluation.rollouts import RepeatedEvaluation
+from magical.learning import train
+from magical.learning.algorithms.bc import BCConfig, make_policy
+from magical.learning.algorithms.gail import DiscriminatorBatch, GAILConfig, make_discriminator
+from magical.learning.algorithms.ppo import PPOConfig
+from magical.learning.algorithms.wgail_gp import WGAILGPConfig, critic_loss, gradient_penalty
+from magical.learning.augmentation.randoms import Randoms
+from magical.learning.config import PUBLISHED_CODE_IMAGES, ImitationConfig
+from magical.learning.models import EMBEDDING, Trunk, make_actor_critic
+from magical.learning.reinforcement.config import PUBLISHED_CODE
+from magical.learning.reinforcement.reward_normalisation import RewardNormaliser
+from magical.learning.reinforcement.rollouts import RolloutEnvs
+from magical.scene import NUM_ACTIONS
+from tests.learning.conftest import TASKS
+from tests.learning.tiny_runs import assert_same, checkpoint, tiny
+
+ONE = TASKS[:1]
+IMAGE = (12, 96, 96)
+DISCRIMINATOR = {"discriminator_steps": 2, "discriminator_batch_size": 4}
+
+
+def small(kind: type[ImitationConfig], demos: Path, preset: str = "quick", **fields: Any) -> Any:
+    """A configuration of a run of a few seconds, with all augmentations."""
+    settings = {"tasks": ONE, "demos": str(demos), "num_demos": 2, "augment": "all", **fields}
+    if issubclass(kind, GAILConfig):
+        return tiny(kind, preset, **{**DISCRIMINATOR, **settings})
+    small_batches = {"batches": 4, "batch_size": 4, "device": "cpu", "precision": "float32"}
+    return kind.preset(preset, **{**small_batches, **settings})
+
+
+# Each algorithm's settings that are part of what is trained; the horizon has a test of its own.
+CHANGED = [
+    *((BCConfig, name) for name in PUBLISHED_CODE_IMAGES),
+    *((GAILConfig, name) for name in PUBLISHED_CODE if name not in ("horizon", "reward_floor")),
+    (GAILConfig, "discriminator_learning_rate"),
+    (WGAILGPConfig, "penalty_batch_norm"),
+]
+
+
+@pytest.fixture(scope="module")
+def plain(demos: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """Checkpoints of short runs with the presets `quick`, by algorithm."""
+    found = {}
+    for kind in (BCConfig, GAILConfig, WGAILGPConfig):
+        folder = tmp_path_factory.mktemp("plain") / "run"
+        train(small(kind, demos), folder)
+        found[kind.algorithm] = checkpoint(folder)
+    return found
+
+
+@pytest.mark.parametrize(("kind", "name"), CHANGED)
+def test_every_setting_matters(
+    kind: type[ImitationConfig], name: str, demos: Path, tmp_path: Path, plain: dict[str, Any]
+) -> None:
+    config = small(kind, demos)
+    changed = replace(config, **{name: kind.presets["published-code"][name]})
+    assert changed != config
+    train(changed, tmp_path / "run")
+    with pytest.raises(AssertionError):
+        assert_same(checkpoint(tmp_path / "run"), plain[kind.algorithm])
+
+
+@pytest.mark.parametrize("kind", [BCConfig, GAILConfig, WGAILGPConfig])
+def test_published_code_trains_resumes_and_is_evaluated(
+    kind: type[ImitationConfig], demos: Path, tmp_path: Path
+) -> None:
+    config = small(kind, demos, "published-code")
+    assert config.network == "paper"
+    train(config, tmp_path / "whole")
+    assert not train(config, tmp_path / "parts", stop_after=1).finished
+    result = train(config, tmp_path / "parts", resume=True)
+    assert result.finished
+    assert_same(checkpoint(tmp_path / "whole"), checkpoint(tmp_path / "parts"))
+    ids = [f"magical/{ONE[0]}-Demo-v0"]
+    assert len(evaluate(result.policy(), ids, rollouts=1, workers=0, horizon=2)) == 1
+
+
+@pytest.mark.parametrize(
+    ("tasks", "horizon"),
+    [
+        (("MoveToRegion",), "appendix"),
+        ("ClusterShape", "published"),
+        (("MoveToRegion", "ClusterColour"), "published"),
+    ],
+)
+def test_the_preset_s_horizon_is_for_tasks_that_have_two(tasks: Any, horizon: str) -> None:
+    assert GAILConfig.preset("published-code", tasks=tasks, demos="d").horizon == horizon
+
+
+def test_training_episodes_have_the_configured_horizon() -> None:
+    tasks = ("MoveToRegion", "ClusterColour")
+    config = tiny(PPOConfig, tasks=tasks, reward="score", horizon="published")
+    with RolloutEnvs(config, "cpu") as envs:
+        envs.reset()
+        assert [state.horizon for state in envs.envs.states()] == [40, 40, 240]
+
+
+def test_the_monitoring_evaluation_has_the_configured_horizon(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    asked = []
+
+    def recorded(*arguments: Any, **options: Any) -> Any:
+        asked.append(options["horizon"])
+        return RepeatedEvaluation(*arguments, **{**options, "horizon": 1})
+
+    monkeypatch.setattr("magical.learning.policy.RepeatedEvaluation", recorded)
+    for horizon in ("appendix", "published"):
+        config = tiny(
+            PPOConfig,
+            tasks=("ClusterColour",),
+            reward="score",
+            horizon=horizon,
+            evaluate_every=3,
+            evaluation_rollouts=1,
+        )
+        train(config, tmp_path / horizon)
+    assert asked == [None, "published"]
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "more", "message"),
+    [
+        ("ppo", ["--preset", "published-code"], "invalid choice: 'published-code'"),
+        ("dagger", ["--preset", "published-code"], "invalid choice: 'published-code'"),
+        ("gail", ["--horizon", "published"], "one horizon only: MoveToRegion (40 steps)"),
+        ("bc", ["--horizon", "published"], "unrecognized arguments: --horizon published"),
+    ],
+)
+def test_what_an_algorithm_or_task_lacks_is_wrong_usage(
+    algorithm: str, more: list[str], message: str, tmp_path: Path, capsys: Any
+) -> None:
+    command = ["train", algorithm, "--task", "MoveToRegion", "--out", str(tmp_path / "run"), *more]
+    demos = [] if algorithm == "ppo" else ["--demos", str(tmp_path)]
+    assert main([*command, *demos]) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_preset_that_an_algorithm_lacks_is_named() -> None:
+    with pytest.raises(UnknownNameError, match=r"published-code.*ppo has: paper, quick"):
+        PPOConfig.preset("published-code", tasks=ONE)
+
+
+def test_runs_from_before_a_setting_existed_did_what_its_default_does(demos: Path) -> None:
+    config = small(GAILConfig, demos)
+    data = json.loads(json.dumps(config.to_dict()))
+    for name in (*PUBLISHED_CODE_IMAGES, "action_input", "reward_floor", "horizon"):
+        del data[name]
+    assert GAILConfig.from_dict(data) == config
+
+
+def first_input(trunk: Trunk, images: Tensor, *actions: Tensor) -> Tensor:
+    """What the first convolution of a trunk gets."""
+    seen: list[Tensor] = []
+    assert isinstance(trunk.convolutions, nn.Sequential)
+    trunk.convolutions[0].register_forward_hook(lambda _, inputs, __: seen.append(inputs[0]))
+    trunk(images, *actions)
+    return seen[0]
+
+
+def test_pixels_are_mapped_to_the_configured_range() -> None:
+    images = torch.rand(2, *IMAGE, generator=torch.Generator().manual_seed(0))
+    assert torch.equal(first_input(Trunk("light", IMAGE), images), images)
+    symmetric = Trunk("light", IMAGE, pixel_range="symmetric")
+    assert torch.allclose(first_input(symmetric, images), 2.0 * images - 1.0)
+    vectors = torch.rand(2, 27)
+    networks = [Trunk("light", (27,), pixel_range=name) for name in ("unit", "symmetric")]
+    networks[1].load_state_dict(networks[0].state_dict())
+    assert torch.equal(networks[0](vectors), networks[1](vectors))
+
+
+@pytest.mark.parametrize(
+    ("network", "sizes"), [("paper", (4608, 256 + 32)), ("light", (2304 + 32,))]
+)
+def test_the_action_s_embedding_is_joined_before_the_last_layer(
+    network: str, sizes: tuple[int, ...]
+) -> None:
+    trunk = Trunk(network, IMAGE, action_input="embedding")
+    layers = [layer for layer in trunk.linear if isinstance(layer, nn.Linear)]
+    assert tuple(layer.in_features for layer in layers) == sizes
+    assert trunk.embedding is not None
+    assert trunk.embedding.weight.shape == (NUM_ACTIONS, EMBEDDING)
+    images, actions = torch.rand(2, *IMAGE), torch.tensor([3, 5])
+    seen: list[Tensor] = []
+    layers[-1].register_forward_hook(lambda _, inputs, __: seen.append(inputs[0]))
+    assert trunk(images, actions).shape == (2, trunk.num_features)
+    assert torch.equal(seen[0][:, -EMBEDDING:], trunk.embedding(actions))
+
+
+def test_last_layers_are_normal_and_the_others_as_before() -> None:
+    for made in (
+        lambda **f: make_actor_critic(tiny(GAILConfig, "paper", demos="", **f)),
+        lambda **f: make_discriminator(tiny(GAILConfig, "paper", demos="", **f)),
+        lambda **f: make_policy(BCConfig(tasks=ONE, demos="", **f)),
+    ):
+        default = made().state_dict()
+        normal = made(last_layer_init="normal").state_dict()
+        last = [name for name in default if not torch.equal(default[name], normal[name])]
+        assert last
+        assert not any("trunk" in name for name in last)
+        values = torch.cat([normal[name].flatten() for name in last])
+        assert abs(float(values.std()) - 1.0) < 0.15
+        assert abs(float(values.mean())) < 0.15
+
+
+def test_the_reward_s_floor() -> None:
+    rewards = torch.tensor([[1.0], [1.0 + 2e-4]])  # a standard deviation of 1e-4
+    tasks = torch.zeros(1, dtype=torch.int64)
+    low, high = (RewardNormaliser(1, 0.01, floor=floor)(rewards, tasks) for floor in (1e-5, 1e-3))
+    assert low.std(correction=0).item() == pytest.approx(0.01, rel=1e-3)
+    assert high.std(correction=0).item() == pytest.approx(0.001, rel=1e-3)
+
+
+def test_the_reward_s_floor_is_the_configured_one(demos: Path, tmp_path: Path) -> None:
+    result = train(small(GAILConfig, demos, reward_floor=0.1), tmp_path / "run")
+    raw, normalised = (float(result.metrics[name]) for name in ("raw_reward_std", "reward_std"))
+    assert normalised == pytest.approx(raw, abs=2e-6)  # times 0.1, divided by the floor
+    assert raw < 0.05
+
+
+def test_the_penalty_is_on_the_gradient_with_respect_to_the_network_s_pixels() -> None:
+    weight = torch.linspace(-1.0, 2.0, 6)
+
+    def critic(images: Tensor, actions: Tensor, tasks: Tensor) -> Tensor:
+        logits: Tensor = (2.0 * images - 1.0).flatten(1) @ weight
+        return logits
+
+    images, zeros = torch.rand(3, 6, 1, 1), torch.zeros(3, dtype=torch.int64)
+    penalty = gradient_penalty(critic, images, zeros, zeros, pixel_range="symmetric")
+    assert penalty.item() == pytest.approx((weight.norm().item() - 1.0) ** 2, rel=1e-5)
+
+
+@pytest.mark.parametrize(("mode", "forward_passes"), [("evaluation", 1), ("training", 2)])
+def test_batch_norm_in_the_gradient_penalty(mode: str, forward_passes: int) -> None:
+    critic = make_discriminator(tiny(WGAILGPConfig, demos="", tasks=ONE))
+    images, zeros = torch.rand(4, *IMAGE), torch.zeros(4, dtype=torch.int64)
+    batch = DiscriminatorBatch(images, zeros, zeros)
+    critic_loss(critic, batch, Randoms("cpu", np.random.default_rng(0)), 1.0, mode)
+    counts = [m.num_batches_tracked for m in critic.modules() if isinstance(m, nn.BatchNorm2d)]
+    assert [int(count) for count in counts if count is not None] == [forward_passes] * 3
+    assert critic.training

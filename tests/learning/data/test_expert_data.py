@@ -1,0 +1,150 @@
+"""Demonstrations chosen, kept as single frames, sampled as stacks."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from magical.demos import Actor, Dataset, Trajectory, observations
+from magical.errors import DemonstrationsError
+from magical.learning.data.expert_data import (
+    ExpertData,
+    digest,
+    sample_demonstrations,
+    split_evenly,
+)
+from magical.observe import PRESETS
+from tests.learning.conftest import STEPS, TASKS, picture_demo
+
+ONE_ARRAY = [name for name, spec in PRESETS.items() if not spec.separate]
+
+
+def pairs(trajectories: list[Trajectory], task: str) -> list[tuple[str, Trajectory]]:
+    return [(task, t) for t in trajectories if t.task.name == task]
+
+
+@pytest.mark.parametrize("preset", ONE_ARRAY)
+def test_images_are_what_the_environment_showed(
+    preset: str, trajectories: list[Trajectory]
+) -> None:
+    some = pairs(trajectories, "MoveToCorner")[:2]
+    data = ExpertData(some, ["MoveToCorner"], PRESETS[preset])
+    shown = np.concatenate([np.asarray(observations(t, preset))[:-1] for _, t in some])
+    if not PRESETS[preset].channels_first:
+        shown = shown.transpose(0, 3, 1, 2)
+    assert len(data) == 2 * STEPS
+    np.testing.assert_array_equal(data.images(np.arange(len(data))).numpy(), shown)
+    np.testing.assert_array_equal(data.images(np.array([13, 2])).numpy(), shown[[13, 2]])
+    labels, tasks = data.labels(np.array([13, 2]))
+    assert labels.tolist() == [int(some[1][1].actions[1]), int(some[0][1].actions[2])]
+    assert tasks.tolist() == [0, 0]
+
+
+def test_samples_with_noops_go_and_the_frames_before_them_stay() -> None:
+    trajectory = picture_demo("MoveToCorner", 0, actions=[0, 5, 0, 0, 7])
+    spec = PRESETS["LoRes4E"]
+    data = ExpertData([("MoveToCorner", trajectory)], ["MoveToCorner"], spec, remove_noops=True)
+    assert data.actions.tolist() == [5, 7]
+    shown = np.asarray(observations(trajectory, "LoRes4E")).transpose(0, 3, 1, 2)
+    np.testing.assert_array_equal(data.images(np.arange(2)).numpy(), shown[[1, 4]])
+
+
+def test_labels_are_learned_not_what_was_executed() -> None:
+    executed = picture_demo("MoveToCorner", 0, actions=[3, 0, 4])
+    labelled = replace(executed, expert_actions=np.array([0, 5, 7]))
+    spec, task = PRESETS["LoRes4E"], "MoveToCorner"
+    data = ExpertData([(task, labelled)], [task], spec, remove_noops=True)
+    assert data.actions.tolist() == [5, 7]
+    shown = np.asarray(observations(labelled, "LoRes4E")).transpose(0, 3, 1, 2)
+    np.testing.assert_array_equal(data.images(np.arange(2)).numpy(), shown[[1, 2]])
+
+
+@pytest.mark.parametrize("remove_noops", [False, True])
+def test_the_own_steps_of_a_watched_policy_are_not_learned(remove_noops: bool) -> None:
+    executed = picture_demo("MoveToCorner", 0, actions=[3, 0, 4, 8])
+    watched = replace(executed, actors=np.array([Actor.POLICY, Actor.HUMAN, Actor.HUMAN, 0]))
+    data = ExpertData(
+        [("MoveToCorner", watched)],
+        ["MoveToCorner"],
+        PRESETS["LoRes4E"],
+        remove_noops=remove_noops,
+    )
+    assert data.actions.tolist() == ([4] if remove_noops else [0, 4])
+    shown = np.asarray(observations(watched, "LoRes4E")).transpose(0, 3, 1, 2)
+    np.testing.assert_array_equal(data.images(np.arange(len(data)))[-1].numpy(), shown[2])
+
+
+def test_nothing_but_noops_is_an_error() -> None:
+    trajectory = picture_demo("MoveToCorner", 0, actions=[0, 0, 0])
+    with pytest.raises(DemonstrationsError, match="MoveToCorner: expected demonstrations with"):
+        ExpertData(
+            [("MoveToCorner", trajectory)],
+            ["MoveToCorner"],
+            PRESETS["LoRes4E"],
+            remove_noops=True,
+        )
+
+
+def unequal_data() -> ExpertData:
+    """Three samples of one task, thirty of the other."""
+    return ExpertData(
+        [
+            ("MoveToCorner", picture_demo("MoveToCorner", 0, [1, 2, 3])),
+            ("MoveToRegion", picture_demo("MoveToRegion", 0, [4] * 30)),
+        ],
+        TASKS,
+        PRESETS["LoRes4E"],
+    )
+
+
+def test_tasks_have_equal_weight_whatever_their_lengths() -> None:
+    data = unequal_data()
+    rows = data.sample(6000, np.random.default_rng(0))
+    sampled = data.labels(rows)[1].double().mean()
+    assert abs(float(sampled) - 0.5) < 0.03
+    assert set(rows.tolist()) == set(range(33))
+
+
+def test_as_many_samples_of_each_task_as_asked_for() -> None:
+    data = unequal_data()
+    tasks = data.labels(data.sample_counts([13, 12], np.random.default_rng(0)))[1]
+    assert tasks.tolist() == [0] * 13 + [1] * 12
+
+
+def test_an_even_split_is_even_in_expectation() -> None:
+    rng = np.random.default_rng(0)
+    counts = np.array([split_evenly(12, 8, rng) for _ in range(4000)])
+    assert set(counts.ravel().tolist()) == {1, 2}
+    assert (counts.sum(axis=1) == 12).all()
+    assert np.abs(counts.mean(axis=0) - 1.5).max() < 0.03  # standard error 0.008
+    assert split_evenly(12, 4, rng) == [3, 3, 3, 3]
+
+
+def test_the_seed_alone_chooses_and_every_task_as_if_alone(demos: Path) -> None:
+    def files(tasks: tuple[str, ...], seed: int, count: int = 2) -> list[str]:
+        return [r["file"] for r in sample_demonstrations(str(demos), tasks, count, seed).record]
+
+    together = files(TASKS, 3)
+    assert together == files(TASKS[:1], 3) + files(TASKS[1:], 3)
+    assert together == files(TASKS, 3)
+    assert len({tuple(files(TASKS[:1], seed)) for seed in range(12)}) > 3
+    places = [[int(f.split("/")[1][:6]) // 2 for f in files((task,), 3)] for task in TASKS]
+    assert places[0] == places[1]
+
+
+def test_the_record_names_files_and_sums(demos: Path) -> None:
+    record = sample_demonstrations(str(demos), TASKS, 4, 0).record
+    entries = {entry.file: entry.sha256 for entry in Dataset.open(demos).entries}
+    assert {r["file"]: r["sha256"] for r in record} == entries
+    assert digest(record) != digest(record[:-1])
+
+
+def test_too_few_and_other_tasks_are_named(demos: Path) -> None:
+    with pytest.raises(
+        DemonstrationsError,
+        match=r"at least 5 demonstrations of MoveToCorner \(Demo\), found 4.*MoveToRegion-Demo",
+    ):
+        sample_demonstrations(str(demos), TASKS, 5, 0)
+    with pytest.raises(DemonstrationsError, match=r"of FindDupe .*found 0"):
+        sample_demonstrations(str(demos), ("FindDupe",), 1, 0)

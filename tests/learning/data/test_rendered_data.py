@@ -1,0 +1,139 @@
+"""Demonstrations rendered when they are sampled, beside stored frames."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from magical.demos import Dataset, Trajectory
+from magical.demos.generate import generate
+from magical.envs import EnvId
+from magical.errors import DemonstrationsError, InvalidConfigError
+from magical.learning import train
+from magical.learning.algorithms.bc import BCConfig
+from magical.learning.augmentation.augment import NOISE_STD
+from magical.learning.augmentation.names import SETS, parse_augmentations
+from magical.learning.data.expert_data import ExpertData
+from magical.learning.data.rendered_data import RenderedExpertData, choose_augment_by
+from magical.observe import PRESETS
+from magical.runs.folder import RECORD, read_json
+from tests.learning.conftest import picture_demo
+
+PIXELS = [name for name, spec in PRESETS.items() if not spec.separate]
+TASKS = ("MoveToRegion", "MatchRegions")
+Pairs = list[tuple[str, Trajectory]]
+
+
+@pytest.fixture(scope="module")
+def pairs(tmp_path_factory: pytest.TempPathFactory) -> Pairs:
+    """Expert demonstrations of two tasks, among them several scenes of one."""
+    path = tmp_path_factory.mktemp("demos") / "data"
+    found: Pairs = []
+    for number, (task, variant) in enumerate(
+        [("MoveToRegion", "Demo"), ("MatchRegions", "Demo"), ("MoveToRegion", "TestLayout")]
+    ):
+        env_id = EnvId(task, variant)
+        generate(env_id, 2, path.with_name(f"{number}"), seed=1)
+        found += [(task, demo) for demo in Dataset.open(path.with_name(f"{number}"))]
+    return found
+
+
+def both(pairs: Pairs, preset: str) -> tuple[ExpertData, RenderedExpertData]:
+    spec = PRESETS[preset]
+    stored = ExpertData(pairs, TASKS, spec, remove_noops=True)
+    return stored, RenderedExpertData(pairs, TASKS, spec, remove_noops=True)
+
+
+@pytest.mark.parametrize("preset", PIXELS)
+def test_without_augmentation_the_frames_are_the_stored_ones(pairs: Pairs, preset: str) -> None:
+    stored, rendered = both(pairs, preset)
+    assert len(stored) == len(rendered)
+    rows = np.random.default_rng(0).integers(len(stored), size=24)
+    assert torch.equal(stored.images(rows), rendered.images(rows))
+    for one, other in zip(stored.labels(rows), rendered.labels(rows), strict=True):
+        assert torch.equal(one, other)
+
+
+def test_augmented_frames_are_moved_and_coloured_as_resampled_ones(pairs: Pairs) -> None:
+    """The same random numbers: what differs is interpolation, and what is beyond the borders."""
+    stored, rendered = both(pairs, "LoRes4E")
+    rows = np.arange(0, len(stored), 7)
+    for names in ("colour", "translation", "rotation", "all"):
+        which = replace(parse_augmentations(names), noise=False)
+        resampled = stored.augmented(rows, which, np.random.default_rng(3))
+        found = rendered.augmented(rows, which, np.random.default_rng(3))
+        plain = stored.augmented(rows, SETS["none"], np.random.default_rng(3))
+        assert found.is_contiguous(memory_format=torch.channels_last)
+        inside = slice(16, -16)
+        difference = (found - resampled)[..., inside, inside].abs().mean()
+        assert difference < 0.5 * (plain - resampled)[..., inside, inside].abs().mean()
+        assert difference < 0.015
+
+
+def test_noise_is_added_last(pairs: Pairs) -> None:
+    rendered = both(pairs, "LoRes4E")[1]
+    rows = np.arange(20)
+    plain = rendered.augmented(rows, SETS["none"], np.random.default_rng(0))
+    noisy = rendered.augmented(rows, parse_augmentations("noise"), np.random.default_rng(0))
+    inside = (plain > 0.1) & (plain < 0.9)  # the rest may be clamped
+    deviation = float((noisy - plain)[inside].std())
+    assert abs(deviation / NOISE_STD - 1.0) < 0.02
+
+
+def test_same_generator_same_batch(pairs: Pairs) -> None:
+    rendered = both(pairs, "LoRes4E")[1]
+    rows = np.arange(8)
+    first = rendered.augmented(rows, SETS["all"], np.random.default_rng(1))
+    again = rendered.augmented(rows, SETS["all"], np.random.default_rng(1))
+    other = rendered.augmented(rows, SETS["all"], np.random.default_rng(2))
+    assert torch.equal(first, again)
+    assert not torch.equal(first, other)
+
+
+def test_auto_renders_where_all_poses_are_known(pairs: Pairs) -> None:
+    recorded = [("MoveToCorner", picture_demo("MoveToCorner", 0))]
+    assert choose_augment_by("auto", pairs) == "rendering"
+    assert choose_augment_by("rendering", pairs) == "rendering"
+    assert choose_augment_by("resampling", pairs) == "resampling"
+    assert choose_augment_by("auto", [*pairs, *recorded]) == "resampling"
+    expected = (
+        r"1 demonstrations have recorded frames only.*MoveToCorner-Demo.*magical demos import"
+    )
+    with pytest.raises(DemonstrationsError, match=f"{expected}.*augment_by: resampling"):
+        choose_augment_by("rendering", [*pairs, *recorded])
+
+
+def test_rendering_of_state_vectors_is_an_error() -> None:
+    with pytest.raises(InvalidConfigError, match="augment_by: state vectors are not rendered"):
+        BCConfig(
+            tasks=("MoveToRegion",),
+            demos="d",
+            observation="state",
+            augment="none",
+            augment_by="rendering",
+        )
+
+
+def test_auto_trains_on_rendered_frames_and_resampling_on_others(tmp_path: Path) -> None:
+    generate(EnvId("MoveToRegion", "Demo"), 2, tmp_path / "demos", seed=0)
+    found, recorded = {}, {}
+    for way in ("auto", "rendering", "resampling"):
+        config = BCConfig.preset(
+            "quick",
+            tasks=("MoveToRegion",),
+            demos=str(tmp_path / "demos"),
+            num_demos=2,
+            network="light",
+            precision="float32",
+            batches=3,
+            log_every=1,
+            augment_by=way,
+        )
+        result = train(config, tmp_path / way)
+        found[way] = result.metrics["loss"]
+        recorded[way] = read_json(tmp_path / way / RECORD)["augment_by"]
+    assert found["auto"] == found["rendering"]
+    assert found["auto"] != found["resampling"]
+    assert recorded == {"auto": "rendering", "rendering": "rendering", "resampling": "resampling"}

@@ -1,0 +1,197 @@
+"""State dicts on disk."""
+
+import errno
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors import safe_open
+from torch import nn
+from torch.optim import SGD, Adam, Optimizer
+
+from magical.errors import CheckpointError
+from magical.learning.running.checkpoints import (
+    load_checkpoint,
+    load_module,
+    load_newest_checkpoint,
+    load_optimizer,
+    optimizer_state,
+    replace_checkpoint,
+    restore_previous_checkpoint,
+    save_checkpoint,
+)
+from magical.runs.folder import CHECKPOINT, PREVIOUS
+from tests.learning.running.fuzz_checkpoints import fuzz_checkpoints
+
+
+def test_state_dicts_are_read_as_they_were_written(tmp_path: Path) -> None:
+    image = torch.rand(2, 3, 4, 5).to(memory_format=torch.channels_last)
+    state = {
+        "a": {"weights": image, "count": torch.tensor(3)},
+        "list": [1, 2.5, None, True, torch.arange(4)],
+        "rng": {"state": 2**127 + 1},
+        "text": "x",
+    }
+    save_checkpoint(tmp_path / "c", state)
+    back = load_checkpoint(tmp_path / "c")
+    assert torch.equal(back["a"]["weights"], image)
+    assert back["a"]["count"].shape == ()
+    assert back["list"][:4] == [1, 2.5, None, True]
+    assert torch.equal(back["list"][4], torch.arange(4))
+    assert (back["rng"], back["text"]) == (state["rng"], "x")
+    assert [file.name for file in tmp_path.iterdir()] == ["c"]
+
+
+def test_missing_cut_and_foreign_files_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "c"
+    with pytest.raises(CheckpointError, match="expected a file, found none"):
+        load_checkpoint(path)
+    save_checkpoint(path, {"a": torch.rand(50)})
+    whole = path.read_bytes()
+    for damaged in (whole[:-10], whole[:20], b"", b"\x80\x04K\x01.", whole[8:]):
+        path.write_bytes(damaged)
+        with pytest.raises(CheckpointError, match=r"c is damaged"):
+            load_checkpoint(path)
+
+
+def test_a_changed_bit_anywhere_is_refused_before_anything_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "c"
+    save_checkpoint(path, {"a": torch.rand(50), "step": 3})
+    whole = path.read_bytes()
+    for place in (0, 7, 9, 30, 60, 100, 200, len(whole) // 2, len(whole) - 1):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        with pytest.raises(CheckpointError, match=r"c is damaged or .*SHA-256"):
+            load_checkpoint(path)
+
+
+def test_a_checkpoint_is_a_safetensors_file(tmp_path: Path) -> None:
+    weights = torch.rand(5)
+    save_checkpoint(tmp_path / "c", {"policy": {"weight": weights}, "step": 3})
+    with safe_open(tmp_path / "c", framework="pt") as file:
+        assert torch.equal(file.get_tensor("/policy/weight"), weights)
+    save_checkpoint(tmp_path / "c", {"step": 3})
+    assert load_checkpoint(tmp_path / "c") == {"step": 3}
+
+
+def test_mutants_are_refused(tmp_path: Path) -> None:
+    outcomes = fuzz_checkpoints(500, seed=1, folder=tmp_path)
+    assert outcomes["refused"] > 450
+    assert set(outcomes) <= {"refused", "equal"}
+
+
+def step_of(folder: Path, name: str) -> int:
+    step: int = load_checkpoint(folder / name)["step"]
+    return step
+
+
+def test_the_checkpoint_before_the_newest_is_kept(tmp_path: Path) -> None:
+    for step in (1, 2, 3):
+        replace_checkpoint(tmp_path, {"step": step})
+    assert (step_of(tmp_path, CHECKPOINT), step_of(tmp_path, PREVIOUS)) == (3, 2)
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.parametrize("number_of_renames", [0, 1, 2])
+def test_an_intact_checkpoint_is_there_wherever_a_replacement_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number_of_renames: int
+) -> None:
+    for step in (1, 2):
+        replace_checkpoint(tmp_path, {"step": step})
+    renames = 0
+    rename = Path.replace
+
+    def fail_later(self: Path, target: Path) -> Path:
+        nonlocal renames
+        renames += 1
+        if renames > number_of_renames:
+            raise InterruptedError
+        return rename(self, target)
+
+    with monkeypatch.context() as patch, suppress(InterruptedError):
+        patch.setattr(Path, "replace", fail_later)
+        replace_checkpoint(tmp_path, {"step": 3})
+    assert step_of(tmp_path, CHECKPOINT) == (3 if number_of_renames == 2 else 2)
+    assert step_of(tmp_path, PREVIOUS) == (1 if number_of_renames == 0 else 2)
+
+
+def test_without_hard_links_the_previous_checkpoint_is_a_copy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def no_links(*_: object) -> None:
+        raise OSError(errno.EPERM, "not supported")
+
+    monkeypatch.setattr(Path, "hardlink_to", no_links)
+    for step in (1, 2):
+        replace_checkpoint(tmp_path, {"step": step})
+    assert (step_of(tmp_path, CHECKPOINT), step_of(tmp_path, PREVIOUS)) == (2, 1)
+
+
+def test_a_damaged_checkpoint_names_the_intact_previous_one(tmp_path: Path) -> None:
+    for step in (4, 6):
+        replace_checkpoint(tmp_path, {"step": step})
+    (tmp_path / CHECKPOINT).write_bytes(b"x")
+    with pytest.raises(CheckpointError, match=r"previous.*of step 4.*--previous-checkpoint"):
+        load_newest_checkpoint(tmp_path)
+    (tmp_path / CHECKPOINT).unlink()
+    with pytest.raises(CheckpointError, match=r"found none.*of step 4"):
+        load_newest_checkpoint(tmp_path)
+    (tmp_path / PREVIOUS).write_bytes(b"x")
+    with pytest.raises(CheckpointError, match=r"no intact checkpoint"):
+        load_newest_checkpoint(tmp_path)
+
+
+def test_the_previous_checkpoint_replaces_a_damaged_one_only_if_it_is_intact(
+    tmp_path: Path,
+) -> None:
+    for step in (4, 6):
+        replace_checkpoint(tmp_path, {"step": step})
+    intact = (tmp_path / PREVIOUS).read_bytes()
+    (tmp_path / PREVIOUS).write_bytes(intact[:-1])
+    with pytest.raises(CheckpointError, match=r"previous-checkpoint.* is damaged"):
+        restore_previous_checkpoint(tmp_path)
+    assert step_of(tmp_path, CHECKPOINT) == 6
+    (tmp_path / PREVIOUS).write_bytes(intact)
+    restore_previous_checkpoint(tmp_path)
+    assert step_of(tmp_path, CHECKPOINT) == 4
+    with pytest.raises(CheckpointError, match="expected a file, found none"):
+        restore_previous_checkpoint(tmp_path)
+
+
+def test_weights_of_another_network_are_refused() -> None:
+    with pytest.raises(CheckpointError, match="run: the checkpoint is of another network"):
+        load_module(nn.Linear(3, 2), nn.Linear(4, 2).state_dict(), "run")
+
+
+@pytest.mark.parametrize("kind", ["sgd", "adam"])
+def test_optimisers_continue_bit_for_bit(kind: str, tmp_path: Path) -> None:
+    def made() -> tuple[nn.Module, Optimizer]:
+        torch.manual_seed(0)
+        net = nn.Conv2d(3, 4, 3)
+        net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        if kind == "sgd":
+            return net, SGD(net.parameters(), 0.1, 0.9, fused=True)
+        return net, Adam(net.parameters(), 0.1, fused=True)
+
+    def step(net: nn.Module, optimizer: Optimizer, number: int) -> None:
+        images = torch.rand(2, 3, 8, 8, generator=torch.Generator().manual_seed(number))
+        optimizer.zero_grad()
+        net(images).square().mean().backward()
+        optimizer.step()
+
+    straight, optimizer = made()
+    for number in range(6):
+        step(straight, optimizer, number)
+        if number == 2:
+            state = {"net": straight.state_dict(), "optimizer": optimizer_state(optimizer)}
+            save_checkpoint(tmp_path / "c", state)
+    resumed, again = made()
+    saved = load_checkpoint(tmp_path / "c")
+    load_module(resumed, saved["net"], "c")
+    load_optimizer(again, saved["optimizer"])
+    for number in range(3, 6):
+        step(resumed, again, number)
+    for a, b in zip(straight.parameters(), resumed.parameters(), strict=True):
+        assert torch.equal(a, b)
+        kept = again.state[b].get("momentum_buffer", again.state[b].get("exp_avg"))
+        assert kept.stride() == b.stride()

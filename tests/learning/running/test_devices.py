@@ -1,0 +1,130 @@
+"""Device, precision and threads: the configuration and the processor decide, never the load."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from magical import cli
+from magical.evaluation import evaluate
+from magical.learning import algorithm_names, find_algorithm, load_policy, train
+from magical.learning.algorithms.bc import BCConfig
+from magical.learning.config import options
+from magical.learning.running.devices import Compute, choose_compute, has_bfloat16, restored_threads
+from magical.learning.running.speed import training_speeds
+from magical.runs import read_json
+from magical.runs.folder import RECORD
+
+
+@pytest.mark.parametrize("ability", ["amx_bf16", "avx512_bf16"])
+def test_a_processor_with_bfloat16_instructions_uses_them(
+    ability: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    abilities = {"amx_bf16": False, "avx512_bf16": False}
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: abilities)
+    monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: "AVX512")
+    assert not has_bfloat16("cpu")
+    assert choose_compute("cpu", "auto", 3) == Compute("cpu", "float32", 3)
+    abilities[ability] = True
+    assert choose_compute("cpu", "auto", 3) == Compute("cpu", "bfloat16", 3)
+    assert choose_compute("cpu", "float32", 3) == Compute("cpu", "float32", 3)
+
+
+def test_newer_instructions_that_are_switched_off_are_not_used(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: {"amx_bf16": True})
+    monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: "AVX2")
+    assert not has_bfloat16("cpu")
+
+
+def test_threads_are_pytorchs_own_number_unless_given() -> None:
+    with restored_threads():
+        torch.set_num_threads(2)
+        assert choose_compute("cpu", "float32", 0).threads == 2
+        assert choose_compute("cuda", "float32", 0).threads == 0
+
+
+def run_train(demos: Path, out: Path) -> None:
+    """The command, with its defaults for precision and threads."""
+    command = ["train", "bc", "--task", "MoveToCorner", "--demos", str(demos), "--num-demos", "2"]
+    command += ["--batches", "4", "--batch-size", "8", "--network", "small", "--device", "cpu"]
+    assert cli.main([*command, "--out", str(out)]) == 0
+
+
+def test_the_same_command_gives_the_same_weights_under_load(demos: Path, tmp_path: Path) -> None:
+    idle, loaded = tmp_path / "idle", tmp_path / "loaded"
+    with restored_threads():
+        torch.set_num_threads(2)
+        run_train(demos, idle)
+        load = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(3)]
+        try:
+            run_train(demos, loaded)
+        finally:
+            for process in load:
+                process.kill()
+                process.wait()
+    assert read_json(idle / RECORD)["compute"] == read_json(loaded / RECORD)["compute"]
+    first, second = (load_policy(run).network.state_dict() for run in (idle, loaded))
+    assert all(torch.equal(first[name], second[name]) for name in first)
+
+
+def test_every_way_is_measured() -> None:
+    with restored_threads():
+        torch.set_num_threads(2)
+        speeds = training_speeds("light", batch_size=2, device="cpu", rounds=1)
+        assert torch.get_num_threads() == 2
+    assert {(way.precision, way.threads) for way in speeds} == {
+        (precision, threads) for precision in ("float32", "bfloat16") for threads in (1, 2)
+    }
+    assert all(speed > 0 for speed in speeds.values())
+
+
+def test_the_command_recommends(capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["bench", "training", "--network", "light", "--batch-size", "2", "--device", "cpu"]
+    assert cli.main([*command, "--json"]) == 0
+    *lines, last = capsys.readouterr().out.splitlines()
+    result = json.loads(last)
+    best = max(result["ways"], key=lambda way: way["samples_per_second"])
+    expected = f"magical train ... --precision {best['precision']} --threads {best['threads']}"
+    assert f"fastest: {expected}" in lines
+
+
+def test_an_unknown_network_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["bench", "training", "--network", "huge"]) == cli.USAGE
+    assert "network 'huge' is unknown" in capsys.readouterr().err
+
+
+def float32_precisions() -> list[str]:
+    """How a GPU computes with float32 in convolutions and in products of matrices."""
+    cudnn: Any = torch.backends.cudnn
+    return [cudnn.conv.fp32_precision, torch.backends.cuda.matmul.fp32_precision]
+
+
+def test_float32_is_not_tensorfloat32_on_a_gpu(demos: Path, tmp_path: Path) -> None:
+    config = BCConfig.preset(
+        "paper", tasks=("MoveToCorner",), demos=str(demos), num_demos=2, network="light", batches=1
+    )
+    assert config.precision == "float32"
+    before, during = float32_precisions(), []
+    assert before[0] == "tf32"  # PyTorch's default for convolutions
+    result = train(config, tmp_path, callback=lambda *_: during.extend(float32_precisions()))
+    policy = result.policy()
+    policy.network.register_forward_hook(lambda *_: during.extend(float32_precisions()))
+    evaluate(policy, ["magical/MoveToCorner-Demo-v0"], rollouts=1, horizon=1, workers=0)
+    assert set(during) == {"ieee"}
+    assert float32_precisions() == before
+
+
+def test_every_paper_preset_is_float32() -> None:
+    fields: dict[str, Any] = {"tasks": ("MoveToCorner",), "demos": ""}
+    for name in algorithm_names():
+        kind = find_algorithm(name).config
+        given = {option.name for option in options(kind)} & set(fields)
+        for preset in kind.presets:
+            config = kind.preset(preset, **{field: fields[field] for field in given})
+            assert config.precision == ("auto" if preset == "quick" else "float32")
