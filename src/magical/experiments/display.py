@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from datetime import timedelta
+from operator import attrgetter
 from pathlib import Path
 from typing import Self
 
@@ -13,6 +14,7 @@ from rich.text import Text
 from magical.experiments.plan import PlannedRun
 from magical.experiments.results import DONE, FAILED, Outcome
 from magical.experiments.status import RUNNING, STATES, RunStatus, Status, read_status
+from magical.grouping import group_by
 
 SHOWN = 20  # runs in progress or failed that are listed
 
@@ -56,9 +58,7 @@ def status_table(status: Status) -> RenderableType:
     table = Table("method", *STATES, "runs", box=None, header_style="bold")
     for column in table.columns[1:]:
         column.justify = "right"
-    groups: dict[str, list[RunStatus]] = {}
-    for run in status.runs:
-        groups.setdefault(run.method, []).append(run)
+    groups = group_by(status.runs, attrgetter("method"))
     for method, runs in groups.items():
         _add_row(table, method, runs)
     if len(groups) > 1:
