@@ -36,8 +36,9 @@ def quoted(value: Any, limit: int = MAX_LENGTH) -> str:
 
 
 def printable(text: str, limit: int = MAX_LENGTH) -> str:
-    """A text without quotes around it, cut and escaped as `quoted` does."""
-    return quoted(text, limit + 2)[1:-1]
+    """A text without quotes around it, cut, and with what cannot be printed escaped."""
+    shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text[: limit + 1])
+    return shown if len(shown) <= limit else f"{shown[: limit - 3]}..."
 
 
 def _container(value: Any) -> str:

@@ -2,12 +2,12 @@
 
 - `atomic`: writing and linking under a temporary name, removing what killed processes left.
 - `lock`: file locks.
-- `regular`: opening regular files only.
+- `regular`: opening and reading regular files only.
 """
 
 from magical.files.atomic import is_partial, link_atomically, remove_partial_files, write_atomically
 from magical.files.lock import LockedError, is_locked, lock_now, locked
-from magical.files.regular import open_regular, sha256_sum
+from magical.files.regular import open_regular, read_regular, sha256_sum
 
 __all__ = [
     "LockedError",
@@ -17,6 +17,7 @@ __all__ = [
     "lock_now",
     "locked",
     "open_regular",
+    "read_regular",
     "remove_partial_files",
     "sha256_sum",
     "write_atomically",

@@ -48,6 +48,19 @@ def open_regular(
         raise
 
 
+def read_regular(path: Path, max_bytes: int) -> bytes:
+    """The contents of a regular file, or of one that a symbolic link leads to.
+
+    Raises:
+        OSError: it cannot be read, is not a regular file, or has more than `max_bytes`.
+    """
+    with open_regular(path, follow_links=True) as file:
+        data = file.read(max_bytes + 1)
+    if len(data) > max_bytes:
+        raise OSError(errno.EFBIG, f"more than {max_bytes} bytes", str(path))
+    return data
+
+
 def sha256_sum(file: IO[bytes]) -> str:
     """The SHA-256 sum of the rest of a file."""
     digest = hashlib.sha256()

@@ -1,0 +1,220 @@
+"""JSON and TOML from outside become records, or one error that names file, field and value."""
+
+import json
+import os
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+import pytest
+
+from magical.errors import PlanError
+from magical.files import read_regular
+from magical.untrusted import (
+    MAX_BYTES,
+    convert,
+    parse_json,
+    parse_toml,
+    read_json,
+    read_json_lines,
+    read_toml,
+)
+
+
+class Letter(StrEnum):
+    A = "a"
+    B = "b"
+
+
+@dataclass(frozen=True)
+class Row:
+    name: Annotated[str, msgspec.Meta(max_length=5)]
+    count: Annotated[int, msgspec.Meta(ge=0, le=9)] = 0
+    weight: float = 0.0
+    letter: Letter = Letter.A
+
+    def __post_init__(self) -> None:
+        if self.count == 7:
+            raise ValueError("count: expected another number than 7")
+
+
+@dataclass(frozen=True)
+class Table:
+    rows: list[Row]
+    by_name: dict[str, Literal[1, 2]] = field(default_factory=dict)
+    details: dict[str, Any] = field(default_factory=dict)
+
+
+class Start(msgspec.Struct, tag="start", frozen=True):
+    seed: int | None
+
+
+class Stop(msgspec.Struct, tag="stop", frozen=True):
+    pass
+
+
+Message = Start | Stop
+
+
+def table(text: str | bytes) -> Table:
+    return parse_json(text, Table, "file", PlanError)
+
+
+def message(text: str) -> Message:
+    return parse_json(text, Message, "message", PlanError)
+
+
+def test_data_become_records() -> None:
+    read = table('{"rows": [{"name": "x", "weight": 1, "letter": "b"}], "details": {"a": [1]}}')
+    assert read == Table([Row("x", 0, 1.0, Letter.B)], details={"a": [1]})
+    assert isinstance(read.rows[0].weight, float)
+    assert parse_toml(b"[[rows]]\nname = 'x'\n", Table, "file", PlanError) == Table([Row("x")])
+    assert message('{"type": "start", "seed": null}') == Start(None)
+    assert parse_json("[1, {}]", list[Any], "file", PlanError) == [1, {}]
+    assert parse_json('{"1": 2}', dict[int, int], "file", PlanError) == {1: 2}
+
+
+MISFITS = {
+    '{"rows": [{"name": "x"}, {"name": 5}]}': "file: rows[1].name: expected str, found 5",
+    '{"rows": [{}]}': "file: rows[0]: expected the field name, found {}",
+    '{"rows": {"a": 1}}': "file: rows: expected array, found {'a': 1}",
+    "[]": "file: expected object, found []",
+    '{"rows": [{"name": "x", "count": 10}]}': "file: rows[0].count: expected int <= 9, found 10",
+    '{"rows": [{"name": "x", "count": 1.0}]}': "file: rows[0].count: expected int, found 1.0",
+    '{"rows": [{"name": "x", "count": true}]}': "file: rows[0].count: expected int, found True",
+    '{"rows": [{"name": "x", "count": 7}]}': (
+        "file: rows[0]: count: expected another number than 7"
+    ),
+    '{"rows": [{"name": "\\u001b\\n*****"}]}': (
+        "file: rows[0].name: expected str of length <= 5, found '\\x1b\\n*****'"
+    ),
+    '{"rows": [{"name": "x", "letter": "z"}]}': (
+        "file: rows[0].letter: expected one of 'a', 'b', found 'z'"
+    ),
+    '{"rows": [], "by_name": {"a": 3}}': (
+        "file: by_name[...]: expected one of 1, 2, found another value"
+    ),
+    '{"rows": [{"name": "x"}, {"name": "y", "cuont": 1}]}': (
+        "file: rows[1]: expected the fields name, count, weight, letter, found 'cuont'"
+    ),
+    '{"rows": [], "row": 1}': "file: expected the fields rows, by_name, details, found 'row'",
+    '{"rows": [], "details": {"a": ' + "1" * 400 + "}}": (
+        "file: expected finite numbers, found <integer of 1326 bits>"
+    ),
+    '{"rows": [], "details": ' + '{"a":' * 40 + "1" + "}" * 41: (
+        "file: expected data nested at most 32 levels deep, found more"
+    ),
+}
+
+
+@pytest.mark.parametrize(("text", "problem"), MISFITS.items())
+def test_misfits_are_named_with_their_place(text: str, problem: str) -> None:
+    with pytest.raises(PlanError) as refused:
+        table(text)
+    assert str(refused.value) == problem
+
+
+def test_unions_are_told_apart_by_their_tag() -> None:
+    with pytest.raises(PlanError, match="type: expected one of 'start', 'stop', found 'x'"):
+        message('{"type": "x"}')
+    with pytest.raises(PlanError, match="expected the fields type, found 'seed'"):
+        message('{"type": "stop", "seed": 1}')
+
+
+NO_JSON = {
+    "empty": b"",
+    "cut off": b'{"rows": [',
+    "not UTF-8": b'{"rows": [], "details": {"\xff": 1}}',
+    "UTF-16": '{"rows": []}'.encode("utf-16"),
+    "surrogate": b'{"rows": [], "details": {"a": "\\ud800"}}',
+    "not finite": b'{"rows": [], "details": {"a": NaN}}',
+    "too large a float": b'{"rows": [], "details": {"a": 1e400}}',
+    "too long an integer": b'{"rows": [], "details": {"a": ' + b"1" * 100_000 + b"}}",
+    "nested": b"[" * 100_000,
+    "long": b'"' + b"\x1b" * MAX_BYTES,
+}
+
+
+@pytest.mark.parametrize("data", NO_JSON.values(), ids=NO_JSON)
+def test_anything_but_json_is_one_bounded_printable_error(data: bytes) -> None:
+    with pytest.raises(PlanError, match=r"^file: expected JSON, found something else") as refused:
+        table(data)
+    assert len(str(refused.value)) < 500
+    assert str(refused.value).isprintable()
+
+
+NO_TOML = {
+    "malformed": b"a = [",
+    "not UTF-8": b"a = '\xff'",
+    "not finite": b"a = nan",
+    "too long an integer": b"a = " + b"1" * 400,
+    "nested": b"a = " + b"[" * 990,
+    "nested tables": b"[" + b"a." * 400 + b"a]",
+    "dotted key": b"a." * 30_000 + b"a = 1",
+    "too large": b"# ...\n" * 20_000,
+}
+
+
+@pytest.mark.parametrize("data", NO_TOML.values(), ids=NO_TOML)
+def test_anything_but_toml_is_one_bounded_printable_error(data: bytes) -> None:
+    with pytest.raises(PlanError, match=r"^file: expected ") as refused:
+        parse_toml(data, dict[str, Any], "file", PlanError)
+    assert len(str(refused.value)) < 500
+    assert str(refused.value).isprintable()
+
+
+def test_messages_are_bounded() -> None:
+    name = "\x1b" * 50_000
+    for text in (
+        json.dumps({"rows": [], name: 1}),
+        json.dumps({"rows": [{"name": name}]}),
+        json.dumps({"rows": [{"name": "x", "letter": name}]}),
+        json.dumps({"rows": name}),
+    ):
+        with pytest.raises(PlanError) as refused:
+            table(text)
+        assert len(str(refused.value)) < 700
+        assert str(refused.value).isprintable()
+
+
+def test_data_of_python_are_checked_alike() -> None:
+    assert convert({"name": "x", "count": 3}, Row, "row", PlanError) == Row("x", 3)
+    with pytest.raises(PlanError, match="row: expected finite numbers, found nan"):
+        convert({"name": "x", "weight": float("nan")}, Row, "row", PlanError)
+
+
+def test_files(tmp_path: Path) -> None:
+    path = tmp_path / "row.json"
+    path.write_text('{"name": "x"}')
+    assert read_json(path, Row, PlanError) == Row("x")
+    with pytest.raises(PlanError, match=r"row\.json: expected a readable file, found more than 5"):
+        read_json(path, Row, PlanError, max_bytes=5)
+    with pytest.raises(PlanError, match=r"row\.json: expected TOML, found something else"):
+        read_toml(path, Row, PlanError)
+    path.write_text("name = 'x'")
+    assert read_toml(path, Row, PlanError) == Row("x")
+
+
+def test_lines(tmp_path: Path) -> None:
+    path = tmp_path / "rows.jsonl"
+    path.write_text('{"name": "x"}\n{"name": "y"}\n{"na')
+    assert list(read_json_lines(path, Row, PlanError)) == [Row("x"), Row("y")]
+    path.write_text('{"name": "x"}\n{"name": 1}\n')
+    with pytest.raises(PlanError, match=r"rows\.jsonl: line 2: name: expected str, found 1"):
+        list(read_json_lines(path, Row, PlanError))
+    path.write_text(" " * MAX_BYTES)
+    with pytest.raises(PlanError, match="line 1: expected JSON, found something else"):
+        list(read_json_lines(path, Row, PlanError))
+
+
+@pytest.mark.parametrize("read", [read_json, read_toml, read_json_lines])
+def test_missing_and_special_files_are_refused(tmp_path: Path, read: Any) -> None:
+    os.mkfifo(tmp_path / "fifo")
+    (tmp_path / "endless").symlink_to("/dev/zero")
+    for name in ("fifo", "endless", "missing", "."):
+        with pytest.raises(PlanError, match="expected a readable file, found"):
+            list(read(tmp_path / name, dict[str, Any], PlanError))
+    with pytest.raises(OSError, match="not a regular file"):
+        read_regular(tmp_path / "endless", 1)
