@@ -37,12 +37,14 @@ check: $(READY) ## lint, format, file and function length, layers, types
 	$(BIN)/mypy || failed+=" types"; \
 	test -z "$$failed" || { echo "failed:$$failed" >&2; exit 1; }
 
-test-all: $(READY) ## the tests on Python 3.11, 3.12 and 3.13, without PyTorch
-	@$(BIN)/python tools/test_all.py
+# All of pyenv's interpreters count, where there are any.
+test-all: $(READY) ## the tests on each supported Python of this machine, without PyTorch
+	@PYENV_VERSION="$$(ls $${PYENV_ROOT:-$$HOME/.pyenv}/versions 2>/dev/null | paste -sd:)" \
+	$(BIN)/nox
 
 quickstart: $(READY) ## the package's main job, from nothing to a result
 	@$(BIN)/magical quickstart
 
 clean: ## remove the virtual environments, caches and build products
-	rm -rf .venv .venv-3.* build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	rm -rf .venv .nox build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
 	find src tests benchmarks examples tools -name __pycache__ -type d -prune -exec rm -rf {} +
