@@ -32,7 +32,7 @@ check: $(READY) ## lint, format, file and function length, layers, types
 	@failed=; \
 	$(BIN)/ruff check --quiet . || failed+=" lint"; \
 	$(BIN)/ruff format --check --quiet --diff . || failed+=" format"; \
-	$(BIN)/python tools/check_sizes.py src tests benchmarks examples tools || failed+=" sizes"; \
+	$(BIN)/python tools/check_sizes.py src tests benchmarks studies examples tools || failed+=" sizes"; \
 	$(BIN)/lint-imports --no-logo --no-cache || failed+=" layers"; \
 	$(BIN)/mypy || failed+=" types"; \
 	test -z "$$failed" || { echo "failed:$$failed" >&2; exit 1; }
@@ -47,4 +47,4 @@ quickstart: $(READY) ## the package's main job, from nothing to a result
 
 clean: ## remove the virtual environments, caches and build products
 	rm -rf .venv .nox build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
-	find src tests benchmarks examples tools -name __pycache__ -type d -prune -exec rm -rf {} +
+	find src tests benchmarks studies examples tools -name __pycache__ -type d -prune -exec rm -rf {} +

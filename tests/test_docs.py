@@ -15,6 +15,7 @@ from magical import cli
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES += sorted((ROOT / "studies").rglob("*.md"))
 
 # Commands that are quick and need nothing made before; the arguments of the others are parsed here,
 # and tests of their own run them.
@@ -58,6 +59,8 @@ def test_magical_commands_work(
 def test_other_commands_exist(words: list[str]) -> None:
     if words[0] == "make":
         assert re.search(rf"^{words[1]}:", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    elif words[:2] == ["python", "-m"]:
+        assert (ROOT / words[2].replace(".", "/")).with_suffix(".py").is_file()
     elif words[0] == "python":
         assert (ROOT / words[1]).is_file()
     else:
@@ -85,7 +88,7 @@ def test_links_lead_somewhere(page: Path) -> None:
 def cited_sections() -> Iterator[tuple[str, int]]:
     """Every citation of the specification in the code: file and section."""
     numbers = r"docs/specification\.md,\s+(?:# )?sections?\s+((?:\d+(?:,\s+| and | to )?)+)"
-    for folder in ("src", "tests", "benchmarks", "examples", "tools"):
+    for folder in ("src", "tests", "benchmarks", "studies", "examples", "tools"):
         for path in sorted((ROOT / folder).rglob("*.py")):
             for found in re.findall(numbers, path.read_text()):
                 for section in re.findall(r"\d+", found):
@@ -114,9 +117,9 @@ def test_the_tables_of_presets_are_up_to_date() -> None:
 
 
 def test_the_results_are_up_to_date() -> None:
-    from tools import results_page
+    from studies import pages
 
-    assert results_page.main(["--check"]) == 0, "run python -m tools.results_page"
+    assert pages.main(["--check"]) == 0, "run python -m studies.pages"
 
 
 def test_paper_presets_have_what_the_appendix_states() -> None:

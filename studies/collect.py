@@ -1,0 +1,242 @@
+"""Collect what a plan's runs scored into a folder of `results/`, without weights.
+
+python -m studies.collect RUNS [RUNS ...] --out results/NAME [--plan FILE] [--leaderboard]
+    [--looks N]
+
+RUNS are results folders of `magical run`, finished or not; several hold parts of one plan. What is
+collected already stays and is not read again, so the command can be repeated while runs go on.
+Written are, as `magical report` and `magical leaderboard` read them:
+
+- `runs/FOLDER/scores.csv` and `entry.json`, and those of `runs/FOLDER/leaderboard` where they are
+- `plan.json`: the plan's runs
+- `collected.json`: the plan's digest, versions, demonstrations, and each run's seconds or error
+
+What was collected of runs that are no longer the plan's stays, and counts nowhere.
+
+With --leaderboard each run that is done is first evaluated by the leaderboard's protocol, from its
+checkpoint, into a folder `leaderboard` in its own, unless that was done before. --looks states in
+the details of newly collected entries how often test variants had been evaluated before.
+
+Runs of another version of the package than those before are refused (exit status 1).
+"""
+
+import argparse
+import hashlib
+import sys
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from magical.errors import MagicalError, ResultsError
+from magical.evaluation import read_entry
+from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
+from magical.experiments.demonstrations import DIGESTS, GENERATED
+from magical.experiments.one_run import evaluate_run
+from magical.experiments.plan import Evaluation, PlannedRun, planned_runs
+from magical.experiments.plan_file import read_plan
+from magical.experiments.results import (
+    DONE,
+    EXPERIMENT,
+    PLAN,
+    RESULT,
+    RUNS,
+    is_results,
+    listed,
+    read_state,
+    run_folders,
+)
+from magical.files import write_atomically
+from magical.report.leaderboard.checks import NUDGE
+from magical.report.statements import LOOKS
+from magical.runs.folder import read_json, write_json
+
+COLLECTED = "collected.json"
+LEADERBOARD = "leaderboard"  # in a run's folder: its evaluation by the leaderboard's protocol
+FORMAT = 1
+
+
+@dataclass
+class Collected:
+    """What a folder of `results/` holds.
+
+    Attributes:
+        version: of the package that all runs were made with; empty before the first.
+        demonstrations: digests by task, of a dataset of the user's.
+        generated: digests by folder and task, of generated ones.
+        runs: seconds of training and evaluation, and the time of the end, by the run's folder.
+        failed: the error of each run that failed.
+    """
+
+    version: str = ""
+    demonstrations: dict[str, str] = field(default_factory=dict)
+    runs: dict[str, dict[str, Any]] = field(default_factory=dict)
+    failed: dict[str, str] = field(default_factory=dict)
+    generated: dict[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def read(cls, folder: Path) -> "Collected":
+        """What was collected before; empty for a new folder."""
+        if not (folder / COLLECTED).exists():
+            return cls()
+        found = read_json(folder / COLLECTED)
+        names = ("version", "demonstrations", "runs", "failed")
+        known = {name: found[name] for name in names}
+        return cls(**known, generated=found.get("generated", {}))
+
+    def write(self, folder: Path, plan: Path) -> None:
+        """Write it, with the plan's digest."""
+        digest = hashlib.sha256(plan.read_bytes()).hexdigest()
+        head = {"format": FORMAT, "plan": plan.name, "plan_sha256": digest}
+        write_json(folder / COLLECTED, {**head, **vars(self)})
+
+
+def collect(
+    sources: Sequence[Path],
+    out: Path,
+    plan: Path,
+    leaderboard: bool = False,
+    looks: int | None = None,
+) -> Iterator[str]:
+    """Collect the plan's runs that are done; yields what is left out or missing, and why.
+
+    Args:
+        sources: results folders.
+        out: the folder to collect into.
+        plan: the plan's file.
+        leaderboard: evaluate each run by the leaderboard's protocol first.
+        looks: what new entries state as `looks`; None: nothing.
+
+    Raises:
+        ResultsError: a source is no results folder; its runs are of another version, or learned
+            from other demonstrations, than those collected before.
+    """
+    planned = {run.folder: run for run in planned_runs(read_plan(plan))}
+    collected = Collected.read(out)
+    for source in sources:
+        _require_same(source, collected, out)
+        for folder in run_folders(source):
+            if folder.name not in planned:
+                yield f"left out: {folder}: not a run of {plan}"
+                continue
+            run = planned[folder.name] if leaderboard else None
+            if why := _collect_run(run, folder, out / RUNS / folder.name, collected, looks):
+                yield f"left out: {why}"
+    for runs in (collected.runs, collected.failed):
+        for name in sorted(set(runs) - set(planned)):
+            del runs[name]
+            yield f"does not count any more: {out / RUNS / name}: not a run of {plan}"
+    write_json(out / PLAN, {"runs": [listed(run) for run in planned.values()]})
+    collected.write(out, plan)
+    commits = Counter(map(_commit, (out / RUNS / name for name in collected.runs)))
+    if len(commits) > 1:
+        shown = ", ".join(f"{count} of {commit:.7}" for commit, count in commits.items())
+        yield f"note: runs of several commits: {shown}"
+    for run in planned.values():
+        if run.folder not in collected.runs:
+            yield f"missing: {run}: {collected.failed.get(run.folder, 'not done')}"
+
+
+def _collect_run(
+    run: PlannedRun | None, folder: Path, target: Path, collected: Collected, looks: int | None
+) -> str:
+    """Collect a run if it is done and new, and its evaluation for the leaderboard; says why not.
+
+    If the run itself is given, it is evaluated for the leaderboard first.
+    """
+    name = folder.name
+    new = not (target / LEADERBOARD / ENTRY_FILE).exists()
+    try:
+        if run and new and read_state(folder) == DONE:
+            evaluate_for_leaderboard(run, folder)
+        if name not in collected.runs and (state := read_state(folder)):
+            record = read_json(folder / RESULT)
+            if state == DONE:
+                _copy_entry(folder, target, collected.version, looks)
+                collected.failed.pop(name, None)
+                seconds = {part: round(float(s), 1) for part, s in record["seconds"].items()}
+                collected.runs[name] = {"seconds": seconds, "finished": record["finished"]}
+            else:
+                collected.failed[name] = str(record["error"])
+        if new and name in collected.runs and (folder / LEADERBOARD / ENTRY_FILE).exists():
+            _copy_entry(folder / LEADERBOARD, target / LEADERBOARD, collected.version, looks)
+    except MagicalError as error:
+        return str(error)
+    return ""
+
+
+def evaluate_for_leaderboard(run: PlannedRun, folder: Path) -> None:
+    """Evaluate a run by the leaderboard's protocol, unless that was done before."""
+    if not (folder / LEADERBOARD / ENTRY_FILE).exists():
+        evaluate_run(run, folder, folder / LEADERBOARD, Evaluation(nudge=NUDGE))
+
+
+def _commit(folder: Path) -> str:
+    """The commit of the package that a collected run was made with."""
+    return str(read_json(folder / ENTRY_FILE).get("details", {}).get("commit") or "unknown")
+
+
+def _copy_entry(source: Path, target: Path, version: str, looks: int | None) -> None:
+    """Copy an entry's files, if they can be read; as they are but for `looks`."""
+    found = read_entry(source).version
+    if found != version:
+        raise ResultsError(f"{source}: expected an entry made by {version}, found {found}")
+    for name in (SCORES_FILE, ENTRY_FILE):
+        with write_atomically(target / name) as file:
+            file.write((source / name).read_bytes())
+    if looks is not None:
+        entry = read_json(target / ENTRY_FILE)
+        write_json(target / ENTRY_FILE, {**entry, "details": {**entry["details"], LOOKS: looks}})
+
+
+def _require_same(source: Path, collected: Collected, out: Path) -> None:
+    """Note a results folder's version and demonstrations, which must be those of all others."""
+    if not is_results(source):
+        raise ResultsError(f"{source}: expected a results folder, found no {EXPERIMENT}")
+    found = read_json(source / EXPERIMENT)
+    version = str(found["versions"]["magical"])
+    if collected.version not in ("", version):
+        raise ResultsError(
+            f"{source}: expected runs of magical {collected.version}, as in {out}, found {version}"
+        )
+    collected.version = version
+    for name, known in ((DIGESTS, collected.demonstrations), (GENERATED, collected.generated)):
+        for task, digest in found.get(name, {}).items():
+            if known.setdefault(task, digest) != digest:
+                raise ResultsError(
+                    f"{source}: expected the demonstrations of {task} that runs in {out} learned "
+                    "from, found others"
+                )
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Collect, and say what is left out and missing."""
+    assert __doc__
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("sources", nargs="+", type=Path, metavar="RUNS")
+    parser.add_argument("--out", type=Path, required=True, metavar="results/NAME")
+    parser.add_argument(
+        "--plan", type=Path, metavar="FILE", help="default: studies/*/plans/NAME.toml"
+    )
+    parser.add_argument("--leaderboard", action="store_true", help="evaluate for it first")
+    parser.add_argument(
+        "--looks", type=int, metavar="N", help="how often test variants were evaluated"
+    )
+    args = parser.parse_args(arguments)
+    if args.looks is not None and args.looks < 0:
+        parser.error(f"--looks: expected 0 or more, found {args.looks}")
+    name = f"{args.out.absolute().name}.toml"
+    plan = args.plan or next(Path("studies").glob(f"*/plans/{name}"), Path(name))
+    try:
+        for line in collect(args.sources, args.out, plan, args.leaderboard, args.looks):
+            print(line)
+        print(f"{args.out}: {len(Collected.read(args.out).runs)} runs collected")
+    except MagicalError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,396 @@
+"""Write the generated parts of the studies' pages, and the picture, from `results/`.
+
+python -m studies.pages [--check]
+
+With --check nothing is written; the exit status is 1 if a page or the picture is out of date.
+"""
+
+import hashlib
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+
+from magical.evaluation import published_tasks
+from magical.evaluation.intervals import Interval
+from magical.evaluation.variants import SHORT_VARIANTS, short_variant
+from magical.report.leaderboard.checks import Rejected, check_entries
+from magical.report.leaderboard.ranking import make_boards
+from magical.report.results import Results, search_results
+from magical.report.statements import Statements
+from magical.report.tables import signed
+from studies.plan_results import NOT_RUN, PlanResults
+from studies.published_tables.cells import (
+    LIMITS,
+    Cell,
+    Count,
+    by_task,
+    count,
+    distance_text,
+    make_cells,
+)
+from studies.published_tables.claims import CLAIMS, PARTS, VARIATIONS, Finding, find, order
+from studies.published_tables.generalisation import find_drops
+from studies.published_tables.picture import digest_of, write_picture
+from studies.published_tables.rows import Row, make_rows, published_row
+from tools import readme_tables
+from tools.readme_tables import table
+
+ROOT = Path(__file__).resolve().parents[1]
+PLANS = (
+    "bc-human",
+    "bc-human-paper",
+    "bc-multi-human",
+    "bc-ablations-human",
+    "adversarial-human",
+    "bc-scripted",
+    "bc-perturbed",
+    "bc-mixed",
+    "training-time",
+    "training-time-multi",
+    "training-time-adversarial",
+    "settings",
+    "settings-published-code",
+    "settings-adversarial",
+    "object-bc",
+    "object-bc-human",
+)
+OTHERS = ("object-bc-ablations", "bc-transformations")  # their rows are shown by other scripts
+SECTIONS = {  # the generated parts of each study's page
+    "published_tables": (
+        *("runs", "counts", "tasks", "far", "claims", "orders", "cells", "rejected"),
+    ),
+    "demonstrations": ("variations", "variants"),
+    "objects": ("gaps", "leaderboard", "others"),
+}
+PICTURE = Path("published_tables", "results.png")
+EXPERT = "expert"  # folder and method of the scripted experts' entry, which is no run of a plan
+LEADERBOARD = "leaderboard"  # in the folder of a run's entry
+NOTHING = f"Nothing yet: {NOT_RUN}."
+MAX_LISTED = 5  # entries with the same reason that are listed by name
+
+
+class Page:
+    """All that the page shows, from the folders `studies` and `results` of a repository."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.plans = [PlanResults.read(root, name) for name in PLANS]
+        names = (*PLANS, EXPERT)
+        folders = [folder for name in names if (folder := root / "results" / name).is_dir()]
+        results = search_results(folders) if folders else Results([])
+        found, self.rejected = make_rows(_evaluations(results, leaderboard=False))
+        self.ranked, rejected = check_entries(_evaluations(results, leaderboard=True))
+        self.rejected += rejected
+        known = {row.method: row for row in found}
+        planned = [method for plan in self.plans for method in plan.methods]
+        self.methods = [method for method in planned if published_row(method)]
+        self.rows: list[Row] = [known[name] for name in self.methods if name in known]
+        others = [method for method in (*planned, EXPERT) if method not in self.methods]
+        self.others = [known[name] for name in others if name in known]
+        self.rejected += [
+            Rejected(str(root / "results"), name, [f"{name} is a method of none of the plans"])
+            for name in known
+            if name not in (*self.methods, *others)
+        ]
+        self.tasks = published_tasks()
+
+    @cached_property
+    def cells(self) -> dict[str, list[Cell]]:
+        """The cells of each method that has been run."""
+        return {row.method: make_cells(row) for row in self.rows}
+
+    @cached_property
+    def counts(self) -> dict[str, Count]:
+        """Of each method that has been run."""
+        return {method: count(cells) for method, cells in self.cells.items()}
+
+    @property
+    def panels(self) -> Mapping[str, Sequence[Cell]]:
+        """The picture's: the cells of what has been run; if that is nothing, empty ones."""
+        return {m: c for m, c in self.cells.items() if c} or {m: [] for m in self.methods}
+
+    @property
+    def digest(self) -> str:
+        """Of what the picture shows."""
+        shown = [
+            (method, [(c.task, c.variant, f"{c.distance:.2f}") for c in cells])
+            for method, cells in self.panels.items()
+        ]
+        return hashlib.sha256(repr((self.tasks, shown)).encode()).hexdigest()[:16]
+
+    def sections(self) -> dict[str, Callable[[], str]]:
+        """The generated parts, by name."""
+        return {
+            "runs": self.runs,
+            "counts": self.count_table,
+            "tasks": self.task_table,
+            "far": self.far_cells,
+            "claims": self.claim_table,
+            "variations": self.variation_table,
+            "variants": self.variant_table,
+            "orders": self.orders,
+            "gaps": self.gap_table,
+            "leaderboard": self.leaderboard,
+            "others": self.other_tables,
+            "cells": self.cell_tables,
+            "rejected": self.rejections,
+        }
+
+    def runs(self) -> str:
+        """A row for each plan."""
+        header = ("Plan", "Runs", "Hours", "Minutes a run", "Version", "Missing")
+        studies = (PlanResults.read(self.root, name) for name in OTHERS)
+        return table(header, (plan.row() for plan in (*self.plans, *studies)))
+
+    def count_table(self) -> str:
+        """A row for each method: cells within one and two pooled standard deviations."""
+        header = ("Row", "Published", "Cells", *_within_header(), "Below", "Above")
+        return table(header, map(self._count_row, self.methods))
+
+    def _count_row(self, method: str) -> list[str]:
+        names = [method, "the same" if published_row(method) == method else published_row(method)]
+        if method not in self.counts:
+            return [*names, NOT_RUN, *[""] * (len(LIMITS) + 2)]
+        return [*names, *_count_cells(self.counts[method])]
+
+    def task_table(self) -> str:
+        """Tasks by methods with the name of a published row: cells within two, mean distance."""
+        shown = {m: by_task(cells) for m, cells in self.cells.items() if published_row(m) == m}
+        rows = [
+            [task, *(_task_cell(tasks.get(task, ())) for tasks in shown.values())]
+            for task in self.tasks
+        ]
+        return table(("Task", *shown), rows) if shown else NOTHING
+
+    def far_cells(self) -> str:
+        """The cells beyond two pooled standard deviations, of each method."""
+        lines = []
+        for method, found in self.counts.items():
+            for side, cells in (("below", found.below), ("above", found.above)):
+                if cells:
+                    listed = ", ".join(
+                        f"{cell.task} {cell.variant} ({distance_text(cell.distance)})"
+                        for cell in cells
+                    )
+                    lines.append(f"- {method}, {side}: {listed}")
+        return "\n".join(lines) or ("None." if self.counts else NOTHING)
+
+    def claim_table(self) -> str:
+        """A row for each claim and part of the environments."""
+        header = ("Claim", "On", "Published, all tasks", "Published, our tasks", "Ours", "Verdict")
+        return table(header, (list(_claim_row(found)) for found in find(CLAIMS, self.rows)))
+
+    def variation_table(self) -> str:
+        """A row for each variation of BC and part of the environments."""
+        header = ("Change", "Difference", "On", "Tasks", "Mean difference", "Verdict")
+        return table(header, (list(_variation_row(found)) for found in find(VARIATIONS, self.rows)))
+
+    def variant_table(self) -> str:
+        """What was not published against ours, variant by variant."""
+        return table(
+            ("Change", *SHORT_VARIANTS),
+            (
+                [claim.text, *map(_variant_cell, find([claim], self.rows, SHORT_VARIANTS))]
+                for claim in VARIATIONS
+                if any(finding.ours for finding in find([claim], self.rows))
+            ),
+        )
+
+    def orders(self) -> str:
+        """The methods' order by part: of those with all tasks, then of all on what they share."""
+        named = [row for row in self.rows if row.published == row.method]
+        complete = [row for row in named if self._is_complete(row)]
+        groups = [complete] if len(complete) == len(named) else [complete, named]
+        tables = [text for rows in groups for part in PARTS if (text := _order(rows, part))]
+        return "\n\n".join(tables) or NOTHING
+
+    def _is_complete(self, row: Row) -> bool:
+        return {env_id.task for env_id in row.env_ids} >= set(self.tasks)
+
+    def cell_tables(self) -> str:
+        """A table for each method that has been run: tasks by variants."""
+        parts = [_cell_table(method, cells) for method, cells in self.cells.items() if cells]
+        return "\n\n".join(parts) or NOTHING
+
+    def gap_table(self) -> str:
+        """Demo, TestAll and the gap of the published methods, and of those with all tasks."""
+        header = ("Row", "Class", "Demonstrations", "Earlier looks", "Demo", "TestAll", "Gap")
+        rows = (
+            [
+                drop.method,
+                drop.learning_class or "–",
+                *_stated(drop.statements),
+                *(_mean(drop.demo), _mean(drop.test_all), signed(drop.gap)),
+            ]
+            for drop in find_drops([*self.rows, *self.others])
+        )
+        return table(header, rows)
+
+    def leaderboard(self) -> str:
+        """The methods in the leaderboard's order, of those that have all tasks."""
+        head = ("Rank", "Method", "Class", "Demonstrations", "Earlier looks", "Used")
+        header = (*head, "Intervals over", "Demo", "TestAll", "Gap", "Rank by gap")
+        rows = [
+            [
+                *(row.rank, row.method, row.learning_class or "–", *_stated(row.statements)),
+                *(", ".join(row.used) or "–", row.unit),
+                *(_mean(row.demo), _mean(row.test_all), signed(row.gap), row.gap_rank),
+            ]
+            for row in make_boards(self.ranked)[0].standings
+        ]
+        return table(header, rows) if rows else NOTHING
+
+    def other_tables(self) -> str:
+        """A table for each row without a published counterpart: tasks by variants."""
+        return "\n\n".join(map(_score_table, self.others)) or NOTHING
+
+    def rejections(self) -> str:
+        """The entries that count nowhere, by reason."""
+        reasons: dict[str, list[str]] = {}
+        for entry in self.rejected:
+            folder = Path(entry.folder)
+            name = folder.relative_to(self.root) if folder.is_relative_to(self.root) else folder
+            shown = "; ".join(entry.reasons).replace(f"{self.root}/", "")
+            reasons.setdefault(shown, []).append(f"`{name}`")
+        lines = [f"- {_listed(names)}: {reason}" for reason, names in reasons.items()]
+        return "\n".join(lines) or "None."
+
+
+def _evaluations(results: Results, leaderboard: bool) -> Results:
+    """Of the leaderboard's evaluations and the others of the same policies, one kind."""
+    kept = [r for r in results.found if (r.folder.name == LEADERBOARD) == leaderboard]
+    return replace(results, found=kept, skipped=() if leaderboard else results.skipped)
+
+
+def _stated(statements: Statements) -> tuple[str, str]:
+    looks = "–" if statements.looks is None else str(statements.looks)
+    return statements.demonstrations or "–", looks
+
+
+def _within_header() -> list[str]:
+    return [f"Within {limit} (expected)" for limit in LIMITS]
+
+
+def _count_cells(found: Count) -> list[str]:
+    pairs = zip(found.within, found.expected, strict=True)
+    within = [f"{number} ({expected:.0f})" for number, expected in pairs]
+    return [str(found.cells), *within, str(len(found.below)), str(len(found.above))]
+
+
+def _task_cell(cells: Sequence[Cell]) -> str:
+    if not cells:
+        return NOT_RUN
+    mean = sum(cell.distance for cell in cells) / len(cells)
+    return f"{count(cells).within[-1]} of {len(cells)} ({distance_text(mean)})"
+
+
+def _claim_row(finding: Finding) -> Iterator[str]:
+    claim, ours = finding.claim, finding.ours
+    yield f"{claim.text}: {claim.formula}"
+    yield finding.part
+    yield from ("–" if i is None else signed(i) for i in (finding.published, finding.same))
+    yield NOT_RUN if ours is None else f"{signed(ours)}, {_tasks(finding.tasks)}"
+    yield finding.verdict
+
+
+def _variation_row(finding: Finding) -> Iterator[str]:
+    verdicts = {"holds": "raises", "the opposite holds": "lowers"}
+    yield finding.claim.text
+    yield finding.claim.formula
+    yield finding.part
+    yield _tasks(finding.tasks) if finding.tasks else "–"
+    yield NOT_RUN if finding.ours is None else signed(finding.ours)
+    yield verdicts.get(finding.verdict, finding.verdict)
+
+
+def _variant_cell(finding: Finding) -> str:
+    """The difference over its interval; bold where 0 is outside."""
+    ours = finding.ours
+    if ours is None:
+        return ""
+    difference, _, interval = signed(ours).partition(" ")
+    if ours.low > 0 or ours.high < 0:
+        difference = f"**{difference}**"
+    return "<br>".join(filter(None, (difference, interval)))
+
+
+def _tasks(tasks: Sequence[str]) -> str:
+    return ", ".join(tasks) if len(tasks) < 3 else f"{len(tasks)} tasks"
+
+
+def _order(rows: Sequence[Row], part: str) -> str:
+    """A table of methods in the order of our means; empty for fewer than two."""
+    ordering = order(rows, part)
+    if len(ordering.places) < 2:
+        return ""
+    header = ("Rank", "Row", "Ours", "Published", "Published rank")
+    lines = (
+        (p.rank, p.method, _mean(p.ours), _mean(p.published), p.published_rank)
+        for p in ordering.places
+    )
+    return f"{part}, {_tasks(ordering.tasks)}:\n\n{table(header, lines)}"
+
+
+def _mean(interval: Interval) -> str:
+    return signed(interval).replace("+", "")
+
+
+def _cell_table(method: str, cells: Sequence[Cell]) -> str:
+    """A heading and a table; in each cell our mean, the published one, and the distance."""
+    rows = []
+    for task, of_task in by_task(cells).items():
+        texts = {cell.variant: _cell(cell) for cell in of_task}
+        runs = {len(cell.means) for cell in of_task}
+        name = f"{task} ({max(runs)} {'run' if runs == {1} else 'runs'})"
+        rows.append([name, *(texts.get(variant, "") for variant in SHORT_VARIANTS)])
+    return f"### {method}\n\n{table(('Task', *SHORT_VARIANTS), rows)}"
+
+
+def _score_table(row: Row) -> str:
+    """A heading and a table: means and standard deviations over runs."""
+    tasks: dict[str, dict[str, str]] = {}
+    for env_id in row.env_ids:
+        means = row.runs_in(env_id)
+        spread = f" ± {means.std(ddof=1):.2f}" if len(means) > 1 else ""
+        cells = tasks.setdefault(env_id.task, {})
+        cells[short_variant(env_id.variant)] = f"{means.mean():.2f}{spread}"
+    lines = [
+        [task, *(cells.get(variant, "") for variant in SHORT_VARIANTS)]
+        for task, cells in tasks.items()
+    ]
+    return f"### {row.method}\n\n{table(('Task', *SHORT_VARIANTS), lines)}"
+
+
+def _cell(cell: Cell) -> str:
+    ours = f"{cell.mean:.2f}" + (f" ± {cell.std:.2f}" if len(cell.means) > 1 else "")
+    distance = distance_text(cell.distance)
+    shown = f"**{distance}**" if abs(cell.distance) > LIMITS[-1] else distance
+    return f"{ours}<br>{cell.published.mean:.2f} ± {cell.published.std:.2f}<br>{shown}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = len(names) - MAX_LISTED
+    return ", ".join(names[:MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
+
+
+def main(arguments: Sequence[str], root: Path = ROOT) -> int:
+    """Write, or check."""
+    page = Page(root)
+    picture = root / "studies" / PICTURE
+    made = page.sections()
+    outdated = False
+    for study, names in SECTIONS.items():
+        readme = root / "studies" / study / "README.md"
+        outdated |= bool(
+            readme_tables.main(arguments, readme, {name: made[name] for name in names})
+        )
+    if "--check" in arguments:
+        return int(outdated or digest_of(picture) != page.digest)
+    write_picture(picture, page.panels, page.tasks, page.digest)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,56 @@
+"""A plan, and what of it is in `results/`."""
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from magical.runs.folder import read_json
+
+COLLECTED = "collected.json"  # of a folder of `results/` (studies/collect.py)
+NOT_RUN = "not run"
+
+
+@dataclass(frozen=True)
+class PlanResults:
+    """A plan, and what of it is in `results/`."""
+
+    name: str
+    study: str
+    plan: Mapping[str, Any]  # of the TOML file
+    collected: Mapping[str, Any]  # empty where nothing is
+
+    @classmethod
+    def read(cls, root: Path, name: str) -> "PlanResults":
+        (path,) = root.glob(f"studies/*/plans/{name}.toml")
+        collected = root / "results" / name / COLLECTED
+        found = read_json(collected) if collected.is_file() else {}
+        return cls(name, path.parts[-3], tomllib.loads(path.read_text("utf-8")), found)
+
+    @property
+    def methods(self) -> list[str]:
+        return [method["name"] for method in self.plan["methods"]]
+
+    @property
+    def planned(self) -> int:
+        """The number of runs."""
+        tasks, seeds = len(self.plan["tasks"]), len(self.plan["seeds"])
+        groups = [1 if method.get("multi_task") else tasks for method in self.plan["methods"]]
+        return sum(groups) * seeds
+
+    def row(self) -> list[str]:
+        """The plan, its runs, the hours that they took, by which version, what is missing."""
+        runs = self.collected.get("runs", {})
+        seconds = sum(sum(run["seconds"].values()) for run in runs.values())
+        failed = len(self.collected.get("failed", {}))
+        left = self.planned - len(runs) - failed
+        state = [f"{failed} failed"] * bool(failed) + [f"{left} {NOT_RUN}"] * bool(left)
+        return [
+            f"[{self.name}](../{self.study}/plans/{self.name}.toml)",
+            f"{len(runs)} of {self.planned}",
+            f"{seconds / 3600:.1f}" if runs else "–",
+            f"{seconds / 60 / len(runs):.1f}" if runs else "–",
+            self.collected.get("version", "–"),
+            ", ".join(state) or "–",
+        ]

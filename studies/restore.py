@@ -1,0 +1,68 @@
+"""Make a results folder of what was collected, so that `magical run` does the other runs only.
+
+python -m studies.restore results/NAME --out RUNS
+
+RUNS is a folder that does not exist yet. The collected runs count as done in it. They have scores
+and no weights, so they can be reported and not evaluated again. Then
+
+magical run studies/STUDY/plans/NAME.toml --out RUNS
+
+does what is missing, of the same version of the package and from the same demonstrations, and
+`studies/collect.py` collects it.
+"""
+
+import argparse
+import shutil
+import sys
+import uuid
+from collections.abc import Sequence
+from pathlib import Path
+
+from magical.errors import MagicalError, ResultsError
+from magical.experiments.demonstrations import DIGESTS, GENERATED
+from magical.experiments.results import DONE, EXPERIMENT, FORMAT, PLAN, RESULT, RUNS
+from magical.runs.folder import write_json
+from studies.collect import Collected
+
+
+def restore(source: Path, out: Path) -> int:
+    """Make the results folder; returns the number of runs that are done in it.
+
+    Raises:
+        ResultsError: nothing was collected in `source`, or `out` exists.
+    """
+    collected = Collected.read(source)
+    if not collected.runs:
+        raise ResultsError(f"{source}: expected collected runs, found none")
+    if out.exists():
+        raise ResultsError(f"{out}: expected a new folder; give another --out")
+    for name, facts in collected.runs.items():
+        shutil.copytree(source / RUNS / name, out / RUNS / name)
+        write_json(out / RUNS / name / RESULT, {"state": DONE, **facts})
+    shutil.copy(source / PLAN, out / PLAN)
+    versions = {"magical": collected.version}
+    found = {"format": FORMAT, "id": uuid.uuid4().hex, "versions": versions}
+    digests = {DIGESTS: collected.demonstrations, GENERATED: collected.generated}
+    write_json(out / EXPERIMENT, {**found, **digests})
+    return len(collected.runs)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Restore, and say how many runs are done."""
+    assert __doc__
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("source", type=Path, metavar="results/NAME")
+    parser.add_argument("--out", type=Path, required=True, metavar="RUNS")
+    args = parser.parse_args(arguments)
+    try:
+        print(f"{args.out}: {restore(args.source, args.out)} runs done")
+    except MagicalError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

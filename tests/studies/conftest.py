@@ -1,0 +1,13 @@
+"""Plans that take seconds and entries as `magical evaluate` writes them, as for other rooms."""
+
+from importlib.util import find_spec
+
+from tests.experiments.conftest import finished, inline, planned, tiny
+from tests.report.conftest import write_entry
+
+__all__ = ["finished", "inline", "planned", "tiny", "write_entry"]
+
+# What executes plans cannot even be imported without PyTorch.
+collect_ignore = (
+    [] if find_spec("torch") else ["test_collecting.py", "test_plans.py", "test_restoring.py"]
+)

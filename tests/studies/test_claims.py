@@ -1,0 +1,127 @@
+"""The paper's claims, published and ours."""
+
+import math
+
+import numpy as np
+import pytest
+
+from magical.evaluation import environments, published_methods
+from magical.evaluation.intervals import Interval
+from magical.evaluation.published import published_contrast
+from studies.published_tables.claims import (
+    CLAIMS,
+    DEMO,
+    TESTS,
+    VARIATIONS,
+    Claim,
+    Finding,
+    find,
+    order,
+    verdict,
+)
+from studies.published_tables.rows import Row, published_row
+
+CORNER = tuple(environments(["MoveToCorner"], ["Demo", "Jitter"]))
+
+
+def row(method: str, *means: list[float]) -> Row:
+    return Row(method, published_row(method), CORNER, np.array(means))
+
+
+def test_the_published_claims_are_about_published_rows() -> None:
+    for claim in CLAIMS:
+        assert claim.weights.keys() <= set(published_methods())
+        assert sum(claim.weights.values()) == 0
+    for variation in VARIATIONS:
+        assert all(map(published_row, variation.weights))
+
+
+def test_formulas() -> None:
+    assert CLAIMS[0].formula == "BC (ST) − BC (ST, no aug.)"
+    assert CLAIMS[3].formula == ("BC (ST) + BC (ST, no aug.) − 2 x BC (ST, no trans./rot. aug.)")
+
+
+def test_a_claim_by_hand() -> None:
+    rows = [row("BC (ST)", [0.9, 0.8], [0.7, 0.6]), row("BC (ST, no aug.)", [0.5, 0.1], [0.3, 0.1])]
+    demo, tests = find(CLAIMS[:1], rows)
+    assert (demo.part, tests.part, demo.tasks) == (DEMO, TESTS, ("MoveToCorner",))
+    assert demo.ours is not None
+    assert demo.ours.value == pytest.approx(0.8 - 0.4)
+    # The runs' standard deviations are 0.1414 both; t with 2 degrees of freedom is 4.303.
+    assert demo.ours.low == pytest.approx(0.4 - 4.3027 * math.sqrt(0.02), abs=1e-4)
+    assert tests.ours is not None
+    assert tests.ours.value == pytest.approx(0.7 - 0.1)
+    assert demo.same == published_contrast(CLAIMS[0].weights, [("MoveToCorner", "Demo")])
+    assert demo.same is not None
+    assert demo.same.value == pytest.approx(0.98 - 0.96)
+    assert demo.published is not None
+    assert demo.published.value == pytest.approx(0.09, abs=0.01)
+
+
+def test_a_claim_on_single_variants() -> None:
+    rows = [row("BC (ST)", [0.9, 0.8], [0.7, 0.6]), row("BC (ST, no aug.)", [0.5, 0.1], [0.3, 0.1])]
+    jitter, layout = find(CLAIMS[:1], rows, ("Jitter", "Layout"))
+    assert jitter.ours is not None
+    assert jitter.ours.value == pytest.approx(0.7 - 0.1)
+    assert jitter.same == published_contrast(CLAIMS[0].weights, [("MoveToCorner", "Jitter")])
+    assert (layout.tasks, layout.ours) == ((), None)
+
+
+def test_three_methods_are_weighed() -> None:
+    rows = [
+        row("BC (ST)", [0.9, 0.0], [0.9, 0.0]),
+        row("BC (ST, no aug.)", [0.1, 0.0], [0.1, 0.0]),
+        row("BC (ST, no trans./rot. aug.)", [0.2, 0.0], [0.2, 0.0]),
+    ]
+    demo, _ = find(CLAIMS[3:4], rows)
+    assert demo.ours == pytest.approx((0.6, 0.6, 0.6))
+    assert demo.verdict == "holds; published: open"
+
+
+def test_what_has_not_been_run_says_so() -> None:
+    found = find(CLAIMS, [row("BC (ST)", [0.9, 0.8])])
+    assert {finding.verdict for finding in found} == {"not run"}
+    assert all(finding.ours is finding.same is None for finding in found)
+    assert all(finding.published is not None for finding in found)
+    assert all(finding.published is None for finding in find(VARIATIONS, []))
+
+
+def test_one_run_leaves_a_claim_open() -> None:
+    rows = [row("BC (ST)", [0.9, 0.8]), row("BC (ST, no aug.)", [0.5, 0.1], [0.3, 0.1])]
+    assert find(CLAIMS[:1], rows)[0].verdict == "open: too few runs"
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "text"),
+    [
+        (0.1, 0.2, "holds"),
+        (-0.1, 0.2, "open"),
+        (-0.2, -0.1, "the opposite holds"),
+        (0.0, 0.1, "open"),
+    ],
+)
+def test_verdicts(low: float, high: float, text: str) -> None:
+    interval = Interval((low + high) / 2, low, high)
+    assert verdict(interval) == text
+    claim = Claim("a is better", {"a": 1.0, "b": -1.0})
+    agreeing = Finding(claim, DEMO, ("FindDupe",), interval, interval, interval)
+    assert agreeing.verdict == f"{text}, as published"
+
+
+def test_orders() -> None:
+    rows = [
+        row("BC (ST, no aug.)", [0.5, 0.9], [0.4, 0.9]),
+        row("BC (ST)", [0.9, 0.1], [0.8, 0.1]),
+        row("BC (ST), scripted experts", [1.0, 1.0], [1.0, 1.0]),
+    ]
+    demo, tests = order(rows, DEMO), order(rows, TESTS)
+    assert [(p.method, p.rank, p.published_rank) for p in demo.places] == [
+        ("BC (ST)", 1, 1),
+        ("BC (ST, no aug.)", 2, 2),
+    ]
+    assert [(p.method, p.published_rank) for p in tests.places] == [
+        ("BC (ST, no aug.)", 2),
+        ("BC (ST)", 1),
+    ]
+    assert demo.places[0].published.value == 0.98
+    assert order([], DEMO).places == ()

@@ -1,0 +1,225 @@
+"""Collecting what a plan's runs scored, by `studies/collect.py`."""
+
+import json
+import shutil
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from magical.evaluation import environments, read_entry
+from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
+from magical.experiments.plan import Evaluation, PlannedRun
+from magical.report.leaderboard import make_leaderboard
+from magical.report.results import search_results
+from studies import collect as collect_results
+
+Planned = Callable[..., list[PlannedRun]]
+
+
+@pytest.fixture
+def copied(finished: Path, tmp_path: Path) -> Path:
+    """Results of the tiny plan, to change."""
+    return Path(shutil.copytree(finished, tmp_path / "runs"))
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    """Nothing collected yet."""
+    return tmp_path / "results" / "tiny"
+
+
+def change(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def collect(source: Path, out: Path, plan: Path) -> list[str]:
+    return list(collect_results.collect([source], out, plan))
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_scores_are_collected_and_weights_are_not(
+    finished: Path, tiny: Path, out: Path, planned: Planned
+) -> None:
+    assert collect(finished, out, tiny) == []
+    names = [run.folder for run in planned()]
+    expected = {f"runs/{name}/{file}" for name in names for file in (SCORES_FILE, ENTRY_FILE)}
+    assert files(out).keys() == expected | {"plan.json", "collected.json"}
+    for name in expected:
+        assert (out / name).read_bytes() == (finished / name).read_bytes()
+    found = json.loads((out / "collected.json").read_text())
+    assert found["plan"] == "tiny.toml"
+    assert found["version"] == search_results([out]).entries[0].version
+    assert set(found["runs"]) == set(names)
+    assert all(run["seconds"]["training"] > 0 for run in found["runs"].values())
+
+
+def test_looks_are_stated_in_the_entries(
+    finished: Path, tiny: Path, out: Path, planned: Planned
+) -> None:
+    list(collect_results.collect([finished], out, tiny, looks=3))
+    for run in planned():
+        entry = json.loads((out / "runs" / run.folder / ENTRY_FILE).read_text())
+        original = json.loads((finished / "runs" / run.folder / ENTRY_FILE).read_text())
+        assert entry["details"].pop("looks") == 3
+        assert entry == original
+
+
+def test_less_than_no_looks_are_wrong_usage(finished: Path, tmp_path: Path) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        collect_results.main([str(finished), "--out", str(tmp_path / "out"), "--looks", "-1"])
+    assert stopped.value.code == 2
+    assert not (tmp_path / "out").exists()
+
+
+def test_looks_stay_when_collecting_is_repeated(
+    copied: Path, tiny: Path, out: Path, planned: Planned, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(collect_results, "Evaluation", partial(Evaluation, rollouts=1))
+    list(collect_results.collect([copied], out, tiny, leaderboard=True, looks=3))
+    before = files(out)
+    assert list(collect_results.collect([copied], out, tiny, looks=9)) == []
+    assert files(out) == before
+    entry = read_entry(out / "runs" / planned()[0].folder / "leaderboard")
+    assert entry.details["looks"] == 3
+
+
+def test_runs_of_several_commits_are_named(copied: Path, tiny: Path, out: Path) -> None:
+    for number, path in enumerate(sorted(copied.glob(f"runs/*/{ENTRY_FILE}"))):
+        entry = json.loads(path.read_text())
+        entry["details"]["commit"] = f"{number}bcdef0123"
+        path.write_text(json.dumps(entry))
+    (note,) = collect(copied, out, tiny)
+    assert note == "note: runs of several commits: 1 of 0bcdef0, 1 of 1bcdef0"
+
+
+def test_reports_and_the_leaderboard_read_it(
+    finished: Path, tiny: Path, out: Path, planned: Planned
+) -> None:
+    collect(finished, out, tiny)
+    shutil.rmtree(out / "runs" / planned()[1].folder)
+    results = search_results([out])
+    assert [entry.method for entry in results.entries] == ["BC tiny"]
+    assert [(run.seed, run.state) for run in results.planned or ()] == [(1, "not run")]
+    (rejected,) = make_leaderboard([out]).rejected
+    assert any("without Jitter" in reason for reason in rejected.reasons)
+
+
+def test_it_can_be_repeated_while_runs_go_on(
+    copied: Path, tiny: Path, out: Path, planned: Planned
+) -> None:
+    first, second = (copied / "runs" / run.folder for run in planned())
+    (second / "result.json").rename(second / "later.json")
+    assert collect(copied, out, tiny) == ["missing: BC tiny, MoveToRegion, seed 1: not done"]
+    before = files(out)
+    (second / "later.json").rename(second / "result.json")
+    change(first / SCORES_FILE, ",0,", ",1,")  # is not read again
+    assert collect(copied, out, tiny) == []
+    after = files(out)
+    assert len(after) == len(before) + 2
+    assert [name for name in before if before[name] != after[name]] == ["collected.json"]
+    assert collect(copied, out, tiny) == []
+    assert files(out) == after
+
+
+def test_the_leaderboards_evaluation_is_made_once_and_collected(
+    copied: Path,
+    tiny: Path,
+    out: Path,
+    planned: Planned,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(collect_results, "Evaluation", partial(Evaluation, rollouts=2))
+    (planned_run, _) = planned()
+    (copied / "runs" / planned()[1].folder / "result.json").unlink()
+    assert collect(copied, out, tiny)  # first without
+    list(collect_results.collect([copied], out, tiny, leaderboard=True))
+    entry = read_entry(out / "runs" / planned_run.folder / "leaderboard")
+    assert (entry.method, entry.nudge, entry.horizon) == ("BC tiny", 1e-9, "appendix")
+    assert entry.details["policy"] == ".."
+    assert len(entry.scores) == 2 * len(environments(["MoveToRegion"]))
+    monkeypatch.setattr(collect_results, "evaluate_run", None)
+    list(collect_results.collect([copied], out, tiny, leaderboard=True))
+
+
+def test_what_cannot_be_used_is_left_out_with_its_reason(
+    copied: Path, tiny: Path, out: Path, planned: Planned, tmp_path: Path
+) -> None:
+    first, second = (copied / "runs" / run.folder for run in planned())
+    change(first / SCORES_FILE, "env_id", "environment")
+    change(second / "result.json", '"done"', '"failed", "error": "no room"')
+    (copied / "runs" / "another").mkdir()
+    another, damaged, *missing = collect(copied, out, tiny)
+    assert another == f"left out: {copied / 'runs' / 'another'}: not a run of {tiny}"
+    assert damaged.startswith(f"left out: {first / SCORES_FILE}: expected the header")
+    assert missing == [
+        "missing: BC tiny, MoveToRegion, seed 0: not done",
+        "missing: BC tiny, MoveToRegion, seed 1: no room",
+    ]
+    assert files(out).keys() == {"plan.json", "collected.json"}
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "message"),
+    [
+        ("experiment.json", '"magical": "', '"magical": "9.', "expected runs of magical 0"),
+        ("experiment.json", '"versions"', '"demonstrations": {"A": "2"}, "versions"', "of A that"),
+        ("experiment.json", None, None, "expected a results folder, found no experiment.json"),
+    ],
+)
+def test_runs_that_are_not_alike_are_refused(
+    copied: Path,
+    tiny: Path,
+    out: Path,
+    file: str,
+    old: str | None,
+    new: str,
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    change(copied / file, '"versions"', '"demonstrations": {"A": "1"}, "versions"')
+    argv = [str(copied), "--out", str(out), "--plan", str(tiny)]
+    assert collect_results.main(argv) == 0
+    assert capsys.readouterr().out == f"{out}: 2 runs collected\n"
+    before = files(out)
+    change(copied / file, '"demonstrations": {"A": "1"}, ', "")
+    if old is None:
+        (copied / file).unlink()
+    else:
+        change(copied / file, old, new)
+    assert collect_results.main(argv) == 1
+    assert message in capsys.readouterr().err
+    assert files(out) == before
+
+
+def test_an_entry_of_another_version_is_left_out(
+    copied: Path, tiny: Path, out: Path, planned: Planned
+) -> None:
+    change(copied / "runs" / planned()[0].folder / ENTRY_FILE, '"version": "', '"version": "9.')
+    left_out, missing = collect(copied, out, tiny)
+    assert "expected an entry made by" in left_out
+    assert missing.startswith("missing: ")
+
+
+def test_runs_that_are_no_longer_the_plans_count_nowhere(
+    copied: Path, tiny: Path, out: Path, planned: Planned
+) -> None:
+    first, second = (run.folder for run in planned())
+    assert collect(copied, out, tiny) == []
+    changed = tiny.with_name("changed.toml")
+    changed.write_text(tiny.read_text().replace("seeds = [0, 1]", "seeds = [0]"))
+    left_out, stale = collect(copied, out, changed)
+    assert left_out.startswith("left out: ")
+    assert stale == f"does not count any more: {out / 'runs' / second}: not a run of {changed}"
+    assert set(json.loads((out / "collected.json").read_text())["runs"]) == {first}
+    (skipped,) = search_results([out]).skipped
+    assert (skipped.folder.name, skipped.reason) == (
+        second,
+        "not a run of the plan, but of an earlier one",
+    )

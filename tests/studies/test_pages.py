@@ -1,0 +1,225 @@
+"""The page of results: made from `results/` alone, and honest about what is not there."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from magical import __version__
+from magical.envs.seeds import evaluation_seed
+from magical.evaluation import Entry, RolloutScore, environments, published_tasks
+from studies import pages
+from studies.plan_results import PlanResults
+
+pytest.importorskip("matplotlib", reason="the report extra is not installed")
+
+
+@pytest.fixture
+def repository(tmp_path: Path, root: Path) -> Path:
+    """A repository with the plans, the page, and no results."""
+    shutil.copytree(root / "studies", tmp_path / "studies")
+    return tmp_path
+
+
+def write_run(repository: Path, plan: str, method: str, task: str, seed: int, score: float) -> Path:
+    """An entry of a plan's run as collected, with the same score everywhere."""
+    rows = [
+        RolloutScore(env_id, i, evaluation_seed(i), score, score)
+        for env_id in environments([task])
+        for i in range(100)
+    ]
+    results = repository / "results" / plan
+    folder = results / "runs" / f"{task}-seed{seed}"
+    details = {"training_seed": seed}
+    Entry(method=method, scores=rows, version=__version__, details=details).write(folder)
+    listed = (
+        json.loads((results / "plan.json").read_text())
+        if results.joinpath("plan.json").exists()
+        else {"runs": []}
+    )
+    listed["runs"].append(
+        {"folder": folder.name, "method": method, "tasks": [task], "seed": seed, "total": 1}
+    )
+    (results / "plan.json").write_text(json.dumps(listed))
+    runs = {
+        run["folder"]: {"seconds": {"training": 90.0, "evaluation": 30.0}} for run in listed["runs"]
+    }
+    collected = {"version": __version__, "runs": runs, "failed": {"another": "no room"}}
+    (results / "collected.json").write_text(json.dumps(collected))
+    return folder
+
+
+def made(repository: Path) -> str:
+    assert pages.main([], repository) == 0
+    return "".join(pages_of(repository).values())
+
+
+def pages_of(repository: Path) -> dict[str, str]:
+    return {n: (repository / "studies" / n / "README.md").read_text() for n in pages.SECTIONS}
+
+
+def section(text: str, name: str) -> str:
+    return text.partition(f"<!-- {name} -->\n")[2].partition("<!-- end -->")[0]
+
+
+def lines(text: str, name: str, start: str) -> list[list[str]]:
+    """The rows of a section's tables that begin with a text, as cells."""
+    rows = [line.strip("| ").split(" | ") for line in section(text, name).splitlines()]
+    return [row for row in rows if row[0].startswith(start)]
+
+
+def test_without_results_everything_is_not_run(repository: Path) -> None:
+    text = made(repository)
+    for plan in pages.PLANS:
+        ((_, runs, *_, missing),) = lines(text, "runs", f"[{plan}](")
+        assert runs == f"0 of {missing.removesuffix(' not run')}"
+    assert lines(text, "counts", "BC (ST) ") == []
+    assert "BC (ST) | the same | not run |" in section(text, "counts")
+    assert [row[0] for row in lines(text, "gaps", "")[2:]] == [
+        "BC (ST), published",
+        "GAIL (ST), published",
+    ]
+    for name in ("tasks", "far", "orders", "cells", "others"):
+        assert section(text, name) == "Nothing yet: not run.\n"
+    assert section(text, "rejected") == "None.\n"
+    claims = lines(text, "claims", "augmentation helps BC")
+    assert [row[-1] for row in claims] == ["not run", "not run"]
+    assert claims[0][2].startswith("+0.09 [")
+
+
+def test_the_planned_runs_are_counted_without_reading_the_plans_methods(root: Path) -> None:
+    planned = {name: PlanResults.read(root, name).planned for name in pages.PLANS}
+    assert planned["bc-human"] == 5 * len(published_tasks())
+    assert planned["bc-multi-human"] == 3
+    assert planned["bc-ablations-human"] == 3 * 3 * len(published_tasks())
+
+
+def test_cells_by_hand(repository: Path) -> None:
+    for seed, score in enumerate((0.9, 1.0)):
+        write_run(repository, "bc-human", "BC (ST)", "MoveToRegion", seed, score)
+    text = made(repository)
+    ((_, runs, hours, minutes, version, missing),) = lines(text, "runs", "[bc-human](")
+    assert (runs, hours, minutes) == ("2 of 40", "0.1", "2.0")
+    assert (version, missing) == (__version__, "1 failed, 37 not run")
+    # Demo: 0.95 less 0.89, over the root of (2 x 0.05^2 + 4 x 0.11^2) / 5.
+    distance = (0.95 - 0.89) / np.sqrt((2 * 0.05**2 + 4 * 0.11**2) / 5)
+    ((_, demo, *_),) = lines(text, "cells", "MoveToRegion (2 runs)")
+    assert demo == f"0.95 ± 0.07<br>0.89 ± 0.11<br>+{distance:.1f}"
+    ((_, published, cells, _, within_two, below, above),) = [
+        row for row in lines(text, "counts", "BC (ST)") if row[0] == "BC (ST)"
+    ]
+    assert (published, cells, below, above) == ("the same", "6", "0", "3")
+    assert within_two.startswith("3 (")
+    assert section(text, "far").startswith("- BC (ST), above: MoveToRegion All (+10.8), ")
+    assert lines(text, "tasks", "MoveToCorner") == [["MoveToCorner", "not run"]]
+
+
+def test_a_row_that_was_not_published_has_a_table_of_its_own(repository: Path) -> None:
+    for seed, score in enumerate((0.9, 1.0)):
+        write_run(repository, "object-bc", "object-bc (ST)", "MoveToRegion", seed, score)
+    text = made(repository)
+    assert section(text, "others").startswith("### object-bc (ST)\n")
+    ((_, demo, *_),) = lines(text, "others", "MoveToRegion")
+    assert demo == "0.95 ± 0.07"
+    assert section(text, "cells") == "Nothing yet: not run.\n"
+    assert "object-bc" not in section(text, "counts")
+
+
+def test_a_change_is_shown_variant_by_variant(repository: Path) -> None:
+    scripted = "BC (ST), scripted experts"
+    write_run(repository, "bc-human", "BC (ST)", "MoveToCorner", 0, 0.5)
+    write_run(repository, "bc-scripted", scripted, "MoveToCorner", 0, 0.75)
+    one = ["+0.25", "+0.25", "", "+0.25", "+0.25", "", "+0.25", "+0.25"]  # one run: no interval
+    assert lines(made(repository), "variants", "scripted experts")[0][1:] == one
+    write_run(repository, "bc-human", "BC (ST)", "MoveToCorner", 1, 0.5)
+    write_run(repository, "bc-scripted", scripted, "MoveToCorner", 1, 0.75)
+    two = [cell and f"**{cell}**<br>[+0.25, +0.25]" for cell in one]
+    assert [row[1:] for row in lines(made(repository), "variants", "")[2:]] == [two]
+
+
+def test_entries_that_do_not_count_are_listed_by_reason(repository: Path) -> None:
+    folder = write_run(repository, "bc-human", "BC (ST)", "MoveToRegion", 0, 0.5)
+    write_run(repository, "bc-human", "BC (ST), mine", "MoveToRegion", 1, 0.5)
+    entry = json.loads((folder / "entry.json").read_text())
+    (folder / "entry.json").write_text(json.dumps({**entry, "version": "9.0.0"}))
+    text = made(repository)
+    assert section(text, "cells") == "Nothing yet: not run.\n"
+    other, foreign = section(text, "rejected").splitlines()
+    assert other.startswith("- `results/bc-human/runs/MoveToRegion-seed0`: made by version 9.0.0")
+    assert foreign == "- `results`: BC (ST), mine is a method of none of the plans"
+
+
+def write_leaderboard_entry(folder: Path, score: float) -> None:
+    """The leaderboard's evaluation of a run on all tasks."""
+    rows = [
+        RolloutScore(env_id, i, evaluation_seed(i), score, score)
+        for env_id in environments()
+        for i in range(100)
+    ]
+    method = json.loads((folder / "entry.json").read_text())["method"]
+    details = {
+        "training_seed": 0,
+        "learned_from": ["demonstrations"],
+        "demonstrations": "10 of each task (dataset)",
+        "looks": 3,
+    }
+    entry = Entry(method=method, scores=rows, version=__version__, nudge=1e-9, details=details)
+    entry.write(folder / "leaderboard")
+
+
+def test_the_leaderboards_evaluations_are_ranked_and_shown_nowhere_else(repository: Path) -> None:
+    folder = write_run(repository, "bc-human", "BC (ST)", "MoveToRegion", 0, 0.5)
+    before = made(repository)
+    write_leaderboard_entry(folder, 0.25)
+    text = made(repository)
+    ((*row, demo, test_all, _, gap_rank),) = lines(text, "leaderboard", "1")
+    assert row[:5] == ["1", "BC (ST)", "P", "10 of each task (dataset)", "3"]
+    assert row[5:] == ["demonstrations", "rollouts of 1 run"]
+    assert demo.startswith("0.25 [")
+    assert test_all.startswith("0.25 [")
+    assert gap_rank == "1"
+    assert text.replace(section(text, "leaderboard"), section(before, "leaderboard")) == before
+
+
+def test_what_the_leaderboard_does_not_allow_is_listed_with_its_reason(repository: Path) -> None:
+    folder = write_run(repository, "bc-human", "BC (ST)", "MoveToRegion", 0, 0.5)
+    for file in ("scores.csv", "entry.json"):
+        (folder / "leaderboard").mkdir(exist_ok=True)
+        shutil.copy(folder / file, folder / "leaderboard" / file)
+    text = made(repository)
+    assert section(text, "leaderboard") == "Nothing yet: not run.\n"
+    (rejected,) = section(text, "rejected").splitlines()
+    name = "results/bc-human/runs/MoveToRegion-seed0/leaderboard"
+    assert rejected.startswith(f"- `{name}`: nudge 0, expected 1e-09")
+
+
+def test_the_check_finds_a_page_or_a_picture_that_is_out_of_date(repository: Path) -> None:
+    made(repository)
+    assert pages.main(["--check"], repository) == 0
+    write_run(repository, "bc-human", "BC (ST)", "MoveToRegion", 0, 0.5)
+    before = pages_of(repository)
+    assert pages.main(["--check"], repository) == 1
+    assert pages_of(repository) == before
+    picture = repository / "studies" / pages.PICTURE
+    old = picture.read_bytes()
+    made(repository)
+    assert pages.main(["--check"], repository) == 0
+    with Image.open(picture) as image:
+        assert image.width == 980
+    picture.write_bytes(old)
+    assert pages.main(["--check"], repository) == 1
+    made(repository)
+    page = repository / "studies" / "published_tables" / "README.md"
+    page.write_text(page.read_text().replace("1 of 40", "2 of 40"))
+    assert pages.main(["--check"], repository) == 1
+
+
+def test_what_is_written_by_hand_stays(repository: Path) -> None:
+    page = repository / "studies" / "published_tables" / "README.md"
+    page.write_text(
+        page.read_text().replace("## Why cells differ\n", "## Why cells differ\n\nX.\n")
+    )
+    assert "\n\nX.\n" in made(repository)

@@ -1,0 +1,74 @@
+"""Going on with a plan from what was collected of it, by `studies/restore.py`."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from magical.experiments.execution import execute
+from magical.experiments.plan import PlannedRun
+from magical.experiments.results import planned_states
+from magical.experiments.status import read_status
+from studies import collect as collect_results
+from studies import restore as restore_results
+
+Planned = Callable[..., list[PlannedRun]]
+
+
+def test_collected_runs_are_done_and_the_others_wait(
+    finished: Path, tiny: Path, planned: Planned, tmp_path: Path
+) -> None:
+    copied = Path(shutil.copytree(finished, tmp_path / "runs"))
+    (copied / "runs" / planned()[1].folder / "result.json").unlink()
+    out, again = tmp_path / "results" / "tiny", tmp_path / "again"
+    list(collect_results.collect([copied], out, tiny))
+    assert restore_results.restore(out, again) == 1
+    assert planned_states(again, planned()) == ["done", "waiting"]
+    done, waiting = read_status(again).runs
+    assert done.seconds is not None
+    assert (done.state, waiting.state) == ("done", "waiting")
+    before = (out / "collected.json").read_bytes()
+    missing = list(collect_results.collect([again], out, tiny))
+    assert missing == ["missing: BC tiny, MoveToRegion, seed 1: not done"]
+    assert (out / "collected.json").read_bytes() == before
+
+
+def test_a_plan_goes_on_where_it_was_collected(
+    finished: Path, tiny: Path, planned: Planned, inline: list[PlannedRun], tmp_path: Path
+) -> None:
+    copied = Path(shutil.copytree(finished, tmp_path / "runs"))
+    first, second = (run.folder for run in planned())
+    (copied / "runs" / second / "result.json").unlink()
+    out, again = tmp_path / "results" / "tiny", tmp_path / "again"
+    list(collect_results.collect([copied], out, tiny))
+    restore_results.restore(out, again)
+    assert execute(planned(), again).complete
+    assert [run.folder for run in inline] == [second]
+    for name in (first, second):
+        file = Path("runs") / name / "scores.csv"
+        assert (again / file).read_bytes() == (finished / file).read_bytes()
+
+
+def test_restored_runs_cannot_be_evaluated_and_stop_nothing(
+    finished: Path, tiny: Path, tmp_path: Path
+) -> None:
+    out, again = tmp_path / "results" / "tiny", tmp_path / "again"
+    list(collect_results.collect([finished], out, tiny))
+    restore_results.restore(out, again)
+    lines = list(collect_results.collect([again], out, tiny, leaderboard=True))
+    assert len(lines) == 2
+    assert all(line.startswith("left out: ") for line in lines)
+
+
+@pytest.mark.parametrize("exists", [False, True])
+def test_what_cannot_be_restored_is_refused(
+    finished: Path, tiny: Path, tmp_path: Path, exists: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "results" / "tiny"
+    if exists:
+        list(collect_results.collect([finished], out, tiny))
+    argv = [str(out), "--out", str(tmp_path)]
+    assert restore_results.main(argv) == 1
+    expected = "expected a new folder" if exists else "expected collected runs, found none"
+    assert expected in capsys.readouterr().err
