@@ -81,7 +81,7 @@ def test_errors_say_what_to_do_and_have_status_1(
         (bc(demos, out), "add --resume"),
         (bc(demos, out, "--seed", "7", "--resume"), "another configuration: seed 0 there, 7"),
         (bc(tmp_path / "none", tmp_path / "a"), "none"),
-        (bc(demos, tmp_path / "b", "--num-demos", "9"), "at least 9 demonstrations"),
+        (bc(demos, tmp_path / "b", "--num-demos", "9"), "ask for fewer with --num-demos"),
         (["train", "bc", "--out", str(tmp_path / "c"), "--resume", "--task", "FindDupe",
           "--demos", str(demos)], "expected a run to resume"),
     ):  # fmt: skip

@@ -1,29 +1,12 @@
-"""Variants by their names in tables: `Jitter` for `TestJitter`."""
+"""Variants by their names in environment ids or in tables: `TestJitter` or `Jitter`."""
 
 from collections.abc import Iterable
 
 from magical.errors import UnknownNameError
-from magical.tasks import VARIANTS, Task
+from magical.tasks import Task
+from magical.tasks.axes import SHORT_VARIANTS, full_variant, short_variant
 
-PREFIX = "Test"
-
-
-def short_variant(variant: str) -> str:
-    """A variant's name in tables, for instance `Jitter` for `TestJitter`."""
-    return variant.removeprefix(PREFIX)
-
-
-SHORT_VARIANTS = tuple(map(short_variant, VARIANTS))  # Demo, Jitter, Layout, ...
-
-
-def full_variant(variant: str) -> str:
-    """A variant's name in environment ids, from either name; raises `UnknownNameError`."""
-    for name in VARIANTS:
-        if variant in (name, short_variant(name)):
-            return name
-    raise UnknownNameError(
-        f"{variant!r} is not a variant; expected some of: {', '.join(SHORT_VARIANTS)}"
-    )
+__all__ = ["SHORT_VARIANTS", "full_variant", "short_variant", "variants_of"]
 
 
 def variants_of(task: Task, chosen: Iterable[str] | None = None) -> tuple[str, ...]:

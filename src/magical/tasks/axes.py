@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from enum import Flag, auto
 from types import MappingProxyType
 
+from magical.errors import UnknownNameError
+
 
 class Axis(Flag):
     """One way in which a variant's scenes differ from the Demo scene.
@@ -49,3 +51,21 @@ VARIANTS: Mapping[str, Axis] = MappingProxyType(
         ALL: EVERYTHING & ~Axis.JITTER,
     }
 )
+
+
+def short_variant(variant: str) -> str:
+    """A variant's name in tables, for instance `Jitter` for `TestJitter`."""
+    return variant.removeprefix("Test")
+
+
+SHORT_VARIANTS = tuple(map(short_variant, VARIANTS))  # Demo, Jitter, Layout, ...
+
+
+def full_variant(variant: str) -> str:
+    """A variant's name in environment ids, from either name; raises `UnknownNameError`."""
+    for name in VARIANTS:
+        if variant in (name, short_variant(name)):
+            return name
+    raise UnknownNameError(
+        f"{variant!r} is not a variant; expected some of: {', '.join(SHORT_VARIANTS)}"
+    )

@@ -104,8 +104,12 @@ def test_open_read_filter(small_dataset: Path, make_trajectory: MakeTrajectory) 
     assert not len(dataset.filter(task="MakeLine"))
     with pytest.raises(UnknownNameError, match="did you mean 'MoveToCorner'"):
         dataset.filter(task="MoveToCornr")
-    with pytest.raises(UnknownNameError, match="no variant"):
+    assert [t.seed for t in dataset.filter(variant="Jitter")] == [3]
+    assert not len(dataset.filter(env_id="MakeLine-Demo-v0"))
+    with pytest.raises(UnknownNameError, match="not a variant"):
         dataset.filter(variant="demo")
+    with pytest.raises(UnknownNameError, match="did you mean 'MoveToCorner'"):
+        dataset.filter(env_id="MoveToCornr-Demo-v0")
     with pytest.raises(IndexError):
         dataset[3]
 

@@ -13,11 +13,12 @@ from magical.demos.store import manifest
 from magical.demos.store.codec import MAX_FILE, decode
 from magical.demos.store.manifest import ManifestEntry
 from magical.demos.store.trajectory import Trajectory
-from magical.envs.ids import parse_env_id
-from magical.errors import DatasetError, UnknownNameError
+from magical.envs.ids import parse_env_id, split_env_id
+from magical.errors import DatasetError
 from magical.files import locked, open_regular
 from magical.messages import printable
-from magical.tasks import VARIANTS, get_task
+from magical.tasks import get_task
+from magical.tasks.axes import full_variant
 
 MAX_MESSAGE = 1000  # characters of a problem: paths, and what was found
 
@@ -145,7 +146,7 @@ class Dataset(Sequence[Trajectory]):
 
         Args:
             task: name of a task.
-            variant: name of a variant.
+            variant: name of a variant, such as `TestJitter` or `Jitter`.
             env_id: environment id; a preset in it is ignored.
             demonstrator: the demonstrator's name.
             min_score: lower bound for the appendix's score, or where poses are unknown (human
@@ -154,13 +155,14 @@ class Dataset(Sequence[Trajectory]):
         Raises:
             UnknownNameError: there is no such task, variant or environment.
         """
+        # What is not in the dataset is no error, a misspelt name is.
         if task and all(task != entry.task for entry in self.entries):
-            get_task(task)  # a task without demonstrations is no error, a misspelt one is
-        if variant is not None and variant not in VARIANTS:
-            raise UnknownNameError(
-                f"{variant!r} is no variant; expected one of: {', '.join(VARIANTS)}"
-            )
-        wanted = env_id and parse_env_id(env_id).without_preset
+            get_task(task)
+        if variant and all(variant != entry.variant for entry in self.entries):
+            variant = full_variant(variant)
+        wanted = env_id and split_env_id(env_id).without_preset
+        if wanted and all(wanted != entry.env_id for entry in self.entries):
+            parse_env_id(str(wanted))
         return Dataset(
             self.path,
             [

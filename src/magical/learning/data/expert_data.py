@@ -92,7 +92,7 @@ def _too_few(dataset: Dataset, task: str, variants: Sequence[str], count: int, f
     return (
         f"{dataset.path}: expected at least {count} demonstrations of {task} "
         f"({', '.join(variants)}), found {found}; the dataset holds: "
-        f"{', '.join(held) or 'nothing'}. Add demonstrations or ask for fewer"
+        f"{', '.join(held) or 'nothing'}. Add demonstrations, or ask for fewer with --num-demos"
     )
 
 
