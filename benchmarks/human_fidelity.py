@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from magical.demos import Dataset, Trajectory
 from magical.demos.human.importing import find_published
 from magical.demos.human.published import read_published
-from magical.demos.motion import estimated_states
+from magical.demos.store.reader import estimated_states
 from magical.physics import Simulation
 from magical.progress import progress_bar
 from magical.render import Renderer

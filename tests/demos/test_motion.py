@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from magical.demos import Trajectory
-from magical.demos.motion import estimated_states
+from magical.demos.store.reader import estimated_states
 from magical.physics import Simulation
 
 MakeTrajectory = Callable[..., Trajectory]

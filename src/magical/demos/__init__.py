@@ -14,8 +14,8 @@ from magical.demos.store.trajectory import Actor, Trajectory
 from magical.demos.store.writer import DatasetWriter
 
 if TYPE_CHECKING:
-    from magical.demos.reader import Frames, ObservationReader, observations
     from magical.demos.record import RecordTrajectories
+    from magical.demos.store.reader import Frames, ObservationReader, observations
 
 __all__ = [
     "Actor",
@@ -32,10 +32,10 @@ __all__ = [
 
 # These import the physics and the renderer, so they are imported on first use.
 _LAZY = {
-    "Frames": "reader",
-    "ObservationReader": "reader",
+    "Frames": "store.reader",
+    "ObservationReader": "store.reader",
     "RecordTrajectories": "record",
-    "observations": "reader",
+    "observations": "store.reader",
 }
 
 

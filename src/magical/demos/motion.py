@@ -3,7 +3,6 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.demos.store.trajectory import Trajectory
 from magical.physics import Simulation
 from magical.scene import Dynamics, Scene
 from magical.scene.constants import CONTROL_RATE
@@ -45,15 +44,3 @@ class PoseFollower:
         states[still, 3:] = 0.0
         states[:, :3] = bodies
         self.states = states
-
-
-def estimated_states(trajectory: Trajectory) -> States:
-    """Poses and estimated velocities at every time step, (T + 1, 5 + blocks, 6)."""
-    assert trajectory.poses is not None
-    follower = PoseFollower(trajectory.scene, trajectory.dynamics)
-    states = [follower.states]
-    for action, bodies in zip(trajectory.actions.tolist(), trajectory.poses[1:], strict=True):
-        follower.predict(action)
-        follower.correct(bodies)
-        states.append(follower.states)
-    return np.stack(states)

@@ -23,8 +23,8 @@ from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
 import magical
-from magical.demos.reader import Frames
 from magical.demos.store.dataset import Dataset
+from magical.demos.store.reader import Frames
 from magical.demos.store.trajectory import VIEWS, Trajectory
 from magical.errors import DatasetError
 from magical.scene.constants import CONTROL_RATE, FRAME_SIZE

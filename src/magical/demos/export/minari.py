@@ -20,8 +20,8 @@ from minari.namespace import create_namespace, list_local_namespaces
 from minari.storage import get_dataset_path
 
 import magical
-from magical.demos.reader import observations
 from magical.demos.store.dataset import Dataset
+from magical.demos.store.reader import observations
 from magical.demos.store.trajectory import Trajectory
 from magical.envs.ids import EnvId
 from magical.errors import DatasetError

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.demos.reader import Frames
+from magical.demos.store.reader import Frames
 from magical.demos.store.trajectory import VIEWS, Trajectory
 from magical.errors import DatasetError, UnknownNameError
 from magical.files import write_atomically

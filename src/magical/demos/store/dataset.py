@@ -17,6 +17,7 @@ from magical.envs.ids import parse_env_id, split_env_id
 from magical.errors import DatasetError
 from magical.files import locked, open_regular
 from magical.messages import printable
+from magical.observe import Observation
 from magical.tasks import get_task
 from magical.tasks.axes import full_variant
 
@@ -187,11 +188,37 @@ class Dataset(Sequence[Trajectory]):
         chosen = sorted(rng.choice(len(self), count, replace=False).tolist())
         return Dataset(self.path, [self.entries[i] for i in chosen])
 
-    def arrays(self, preset: Any = "LoRes4E") -> dict[str, Any]:
-        """All steps as plain arrays; see `magical.demos.reader.dataset_arrays`."""
-        from magical.demos.reader import dataset_arrays  # imports the renderer: only when needed
+    def arrays(self, preset: Observation = "LoRes4E") -> dict[str, Any]:
+        """Every step of every trajectory, N in all, as plain arrays.
 
-        return dataset_arrays(self, preset)
+        Returns:
+            `observations` (N, *shape), or a dict of such: the observation before each action.
+            `actions` (N,) int64: those that were executed.
+            `labels` (N,) int64: those to imitate; others only where the expert chose others.
+            `is_demonstrated` (N,) bool: false where a policy that was watched acted by itself.
+            `episodes` (N,) int64: index of the trajectory in the dataset.
+            `steps` (N,) int64: index of the step in the trajectory.
+            `env_ids`, `scores`, `published_code_scores`, `demonstrators`: one for each trajectory.
+
+        Raises:
+            ObservationError: state vectors of tasks with vectors of different lengths.
+            TrajectoryError: a recording lacks what the observation needs.
+            UnknownNameError: there is no such observation.
+        """
+        from magical.demos.store.reader import read_all  # imports the physics: only when needed
+
+        entries = self.entries
+        lengths = np.array([entry.length for entry in entries], np.int64)
+        starts = np.cumsum(lengths) - lengths
+        total = int(lengths.sum())
+        return read_all(self, total, preset) | {
+            "episodes": np.repeat(np.arange(len(lengths)), lengths),
+            "steps": np.arange(total) - np.repeat(starts, lengths),
+            "env_ids": np.array([str(entry.env_id) for entry in entries]),
+            "scores": np.array([np.nan if e.score is None else e.score for e in entries]),
+            "published_code_scores": np.array([e.published_code_score for e in entries]),
+            "demonstrators": np.array([entry.demonstrator for entry in entries]),
+        }
 
 
 def read_manifest(folder: Path) -> tuple[list[ManifestEntry], list[Problem]]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from magical.demos import Dataset, Trajectory
-from magical.demos.reader import TrajectorySource
+from magical.demos.store.reader import TrajectorySource
 from magical.errors import DemonstrationsError
 from magical.learning.augmentation.augment import augment
 from magical.learning.augmentation.names import Augmentations

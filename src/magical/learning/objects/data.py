@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from magical.demos.reader import TrajectorySource
+from magical.demos.store.reader import TrajectorySource
 from magical.demos.store.trajectory import Trajectory
 from magical.errors import DemonstrationsError
 from magical.learning.data.expert_data import TaskTrajectories

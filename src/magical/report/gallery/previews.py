@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from magical.demos.generate import demonstrate
-from magical.demos.reader import Frames
+from magical.demos.store.reader import Frames
 from magical.envs import EnvId
 from magical.envs.vector.workers import defining_modules
 from magical.errors import NoExpertError

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.demos.reader import ObservationReader
+from magical.demos.store.reader import ObservationReader
 from magical.demos.store.trajectory import Trajectory
 from magical.envs.ids import EnvId
 from magical.errors import (

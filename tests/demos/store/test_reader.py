@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from magical.demos import Dataset, DatasetWriter, ObservationReader, Trajectory, observations
-from magical.demos.reader import observation_at
 from magical.demos.record import RecordTrajectories
 from magical.demos.store.codec import decode, encode
 from magical.errors import TrajectoryError
@@ -55,7 +54,6 @@ def test_observations_are_bit_identical(tmp_path: Path, env: str, observation: s
         observations(trajectory, OBSERVATIONS[observation], [6, 0]),
         stack([returned[6], returned[0]]),
     )
-    assert_same(observation_at(trajectory, 2, OBSERVATIONS[observation]), returned[2])
 
 
 def test_reader_writes_into_out(make_trajectory: MakeTrajectory) -> None:

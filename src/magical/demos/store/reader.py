@@ -1,23 +1,22 @@
 """The observations of a stored trajectory, bit for bit as the environment returned them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from magical.demos.motion import estimated_states
+from magical.demos.motion import PoseFollower
 from magical.demos.store.trajectory import Trajectory
 from magical.errors import ObservationError, TrajectoryError
 from magical.observe import Observation, make_spec
-from magical.observe.arrays import SINGLE, copy_arrays, empty, select
+from magical.observe.arrays import SINGLE, empty, select
 from magical.observe.pixels import copy_pixels
 from magical.physics import Simulation
 from magical.scene import Scene, View
 from magical.scene.constants import FRAME_SIZE, RAW_FRAME_SIZE
 
 if TYPE_CHECKING:
-    from magical.demos.store.dataset import Dataset
     from magical.render import Renderer
 
 Pixels = NDArray[np.uint8]
@@ -93,7 +92,7 @@ class TrajectorySource:
         """Poses and velocities, (T + 1, 5 + blocks, 6) float64.
 
         Velocities are not stored, so the actions are simulated again. Where the poses were
-        recovered from frames, the simulation follows them (see `motion.PoseFollower`).
+        recovered from frames, the simulation follows them (see `estimated_states`).
 
         Raises:
             TrajectoryError: poses are unknown, or the simulation does not reproduce them.
@@ -176,34 +175,15 @@ def observations(
     return ObservationReader(trajectory, observation).read(steps)
 
 
-def observation_at(trajectory: Trajectory, time: int, observation: Observation = "LoRes4E") -> Any:
-    """One observation; for many, an `ObservationReader` is faster."""
-    return copy_arrays(select(observations(trajectory, observation, [time]), 0))
-
-
-def dataset_arrays(dataset: "Dataset", observation: Observation = "LoRes4E") -> dict[str, Any]:
-    """Every step of every trajectory, N in all, as plain arrays.
-
-    Returns:
-        `observations` (N, *shape), or a dict of such: the observation before each action.
-        `actions` (N,) int64: those that were executed.
-        `labels` (N,) int64: those to imitate; others only where `Trajectory.expert_actions` are.
-        `is_demonstrated` (N,) bool: false where a policy that was watched acted by itself.
-        `episodes` (N,) int64: index of the trajectory in the dataset.
-        `steps` (N,) int64: index of the step in the trajectory.
-        `env_ids`, `scores`, `published_code_scores`, `demonstrators`: one for each trajectory.
-
-    Raises:
-        ObservationError: state vectors of tasks with vectors of different lengths.
-        TrajectoryError, UnknownNameError: as `observations` does.
-    """
-    lengths = [entry.length for entry in dataset.entries]
-    total = sum(lengths)
+def read_all(
+    trajectories: Iterable[Trajectory], total: int, observation: Observation = "LoRes4E"
+) -> dict[str, Any]:
+    """Every step of the trajectories, `total` in all, as plain arrays: see `Dataset.arrays`."""
     batch: Any = None
     actions, labels = np.empty(total, np.int64), np.empty(total, np.int64)
     demonstrated = np.empty(total, np.bool_)
     start = 0
-    for trajectory in dataset:
+    for trajectory in trajectories:
         rows = slice(start, start + len(trajectory))
         actions[rows], labels[rows] = trajectory.actions, trajectory.labels
         demonstrated[rows] = trajectory.is_demonstrated
@@ -217,13 +197,19 @@ def dataset_arrays(dataset: "Dataset", observation: Observation = "LoRes4E") -> 
         "actions": actions,
         "labels": labels,
         "is_demonstrated": demonstrated,
-        "episodes": np.repeat(np.arange(len(lengths)), lengths),
-        "steps": _counted(lengths),
-        "env_ids": np.array([str(entry.env_id) for entry in dataset.entries]),
-        "scores": np.array([np.nan if e.score is None else e.score for e in dataset.entries]),
-        "published_code_scores": np.array([e.published_code_score for e in dataset.entries]),
-        "demonstrators": np.array([entry.demonstrator for entry in dataset.entries]),
     }
+
+
+def estimated_states(trajectory: Trajectory) -> NDArray[np.float64]:
+    """Recorded poses with estimated velocities, (T + 1, 5 + blocks, 6); see `PoseFollower`."""
+    assert trajectory.poses is not None
+    follower = PoseFollower(trajectory.scene, trajectory.dynamics)
+    states = [follower.states]
+    for action, bodies in zip(trajectory.actions.tolist(), trajectory.poses[1:], strict=True):
+        follower.predict(action)
+        follower.correct(bodies)
+        states.append(follower.states)
+    return np.stack(states)
 
 
 def _check_shape(batch: Any, reader: ObservationReader) -> None:
@@ -233,12 +219,6 @@ def _check_shape(batch: Any, reader: ObservationReader) -> None:
             f"expected observations of one shape {batch.shape[1:]}, found {fields[SINGLE][0]}; "
             "filter the dataset by task, or use a pixel observation"
         )
-
-
-def _counted(lengths: Sequence[int]) -> NDArray[np.int64]:
-    return np.concatenate(
-        [np.arange(n, dtype=np.int64) for n in lengths] or [np.empty(0, np.int64)]
-    )
 
 
 def _recorded(trajectory: Trajectory, view: str, size: int, samples: int | None) -> Pixels:
