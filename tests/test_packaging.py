@@ -1,6 +1,7 @@
 """The wheel holds everything and works outside the tree; importing stays light."""
 
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -50,6 +51,15 @@ def test_wheel_holds_every_file_of_the_package(wheel: Path, root: Path) -> None:
     assert "magical/py.typed" in expected
     assert expected <= names
     assert {name.split("/")[0].split("-")[0] for name in names} == {"magical", "magical_benchmark"}
+
+
+def test_the_package_page_has_no_link_into_the_repository(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = (name for name in archive.namelist() if name.endswith("METADATA"))
+        page = archive.read(name).decode()
+    assert "## Quickstart" in page
+    assert "Project-URL: Paper, https://" in page
+    assert not re.findall(r"\]\((?!https?:)[^)]+\)", page)
 
 
 def test_installed_wheel_runs_an_environment(wheel: Path, tmp_path: Path) -> None:

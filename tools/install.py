@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 def main(extras: str) -> int:
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "install", "-qq"]
     pip += ["--constraint", str(ROOT / "constraints.txt")]
-    backend = subprocess.run([*pip, "hatchling"], check=False)
+    backend = subprocess.run([*pip, "hatchling", "hatch-fancy-pypi-readme"], check=False)
     if backend.returncode:
         return backend.returncode
     project = [*pip, "--no-build-isolation", "--editable", f"{ROOT}[{extras}]"]
