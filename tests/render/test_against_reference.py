@@ -1,26 +1,19 @@
 """The fast renderer equals the slow one, bit by bit."""
 
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
 
 from magical.render import render_frame
 from magical.scene import Block, Colour, Pose, Poses, Region, Scene, Shape, View
+from tests.render.cases import random_case
+from tests.render.reference_renderer import render as reference_render
 
 SIZES = [(96, 4), (32, 1), (32, 4), (64, 2), (100, 4), (384, 1), (7, 2), (1, 1)]
 
 
 @pytest.mark.parametrize("view", list(View))
 @pytest.mark.parametrize(("size", "samples"), SIZES)
-def test_random_scenes(
-    size: int,
-    samples: int,
-    view: View,
-    random_case: Callable[[int], tuple[Scene, Poses]],
-    reference_render: Callable[..., Any],
-) -> None:
+def test_random_scenes(size: int, samples: int, view: View) -> None:
     for seed in range(8):
         scene, poses = random_case(1000 * size + seed)
         expected = reference_render(scene, poses, view, size, samples)
@@ -30,9 +23,7 @@ def test_random_scenes(
 
 @pytest.mark.parametrize("view", list(View))
 @pytest.mark.parametrize("angle", [0.0, np.pi / 2, np.pi, 1e-12, np.pi / 4])
-def test_vertical_and_horizontal_edges(
-    angle: float, view: View, reference_render: Callable[..., Any]
-) -> None:
+def test_vertical_and_horizontal_edges(angle: float, view: View) -> None:
     blocks = tuple(
         Block(shape, Colour.GREEN, Pose(0.3 * i - 0.5, 0.0, angle)) for i, shape in enumerate(Shape)
     )
@@ -43,7 +34,7 @@ def test_vertical_and_horizontal_edges(
     np.testing.assert_array_equal(render_frame(scene, poses, view), expected)
 
 
-def test_everything_out_of_view(reference_render: Callable[..., Any]) -> None:
+def test_everything_out_of_view() -> None:
     block = Block(Shape.STAR, Colour.RED, Pose(900.0, -900.0, 1.0))
     far = Region.from_centre("red", 500.0, 500.0, 1.0, 2.0)
     scene = Scene(Pose(40.0, -70.0, 2.0), (block,), (far,))

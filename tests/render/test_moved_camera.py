@@ -1,6 +1,5 @@
 """Frames from a moved camera, beside plain frames that are moved."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -9,13 +8,12 @@ from numpy.typing import NDArray
 
 from magical.errors import RenderError
 from magical.render import render_frame
-from magical.render.augmentation import MovedCamera
-from magical.scene import Poses, Scene, View
+from magical.render.moved_camera import MovedCamera
+from magical.scene import View
+from tests.render.cases import Case, random_case
 
 SIZE = 96
 VIEWS = list(View)
-
-Case = tuple[Scene, Poses]
 
 
 def moved(
@@ -44,9 +42,7 @@ def plain(case: Case, view: View, size: int = SIZE) -> NDArray[np.float64]:
 
 @pytest.mark.parametrize("view", VIEWS)
 @pytest.mark.parametrize("seed", range(4))
-def test_a_camera_at_rest_renders_the_plain_frame(
-    random_case: Callable[[int], Case], view: View, seed: int
-) -> None:
+def test_a_camera_at_rest_renders_the_plain_frame(view: View, seed: int) -> None:
     case = random_case(seed)
     np.testing.assert_allclose(moved(case, view), plain(case, view), atol=1e-4)
 

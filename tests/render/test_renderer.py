@@ -15,8 +15,8 @@ from magical.errors import RenderError, UnknownNameError
 from magical.render import Renderer, default_samples, render_frame, render_views
 from magical.scene import Colour, Pose, Poses, Scene, Shape, View
 from magical.scene.scene import Block
+from tests.render.cases import Case, random_case
 
-Case = tuple[Scene, Poses]
 Image = NDArray[np.uint8]
 
 LAYOUTS: dict[str, Callable[[], Image]] = {
@@ -61,7 +61,7 @@ def test_default_samples(case: Case) -> None:
     np.testing.assert_array_equal(render_frame(*case, "ego"), render_frame(*case, "ego", 96, 4))
 
 
-def test_a_pure_function_of_the_poses(random_case: Callable[[int], Case]) -> None:
+def test_a_pure_function_of_the_poses() -> None:
     cases = [random_case(seed) for seed in range(6)]
     sizes = [(view, size) for view in View for size in (96, 48)]
     renderers = [(Renderer(s, v, n), p, n) for s, p in cases for v, n in sizes]
@@ -71,7 +71,7 @@ def test_a_pure_function_of_the_poses(random_case: Callable[[int], Case]) -> Non
         np.testing.assert_array_equal(one, other)
 
 
-def test_threads_do_not_interfere(random_case: Callable[[int], Case]) -> None:
+def test_threads_do_not_interfere() -> None:
     cases = [random_case(seed) for seed in range(4)]
     renderers = [(Renderer(s, view), p) for s, p in cases for view in View]
     expected = [_rendered(r, p, 96) for r, p in renderers]

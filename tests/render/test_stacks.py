@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from magical.render import Renderer, render_frame, shift_stack
-from magical.scene import Poses, Scene, View
+from magical.scene import View
+from tests.render.cases import Case
 
-Case = tuple[Scene, Poses]
 Image = NDArray[np.uint8]
 
 

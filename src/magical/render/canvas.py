@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.render.jit import count_bits, inlined
+from magical.compiled import count_bits, inlined
 from magical.render.polygons import Ints, mask, pad, pixel_spans
 
 UNCOVERED = 48  # the lowest bit of a body pixel's mask; below it are the three lanes

@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from magical.compiled import entry_point, inlined
 from magical.render.canvas import Canvas, cover, finish_bodies, finish_ground, pack, paint
-from magical.render.jit import entry_point, inlined
 from magical.render.lines import dashes, outline, round_up
 from magical.render.palette import OUTSIDE, lanes
 from magical.render.polygons import MOST_SIDES, SUBSAMPLES, Floats, Ints, place, scan

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from magical.compiled import inlined
 from magical.render.canvas import Canvas, open_tile
-from magical.render.jit import inlined
 from magical.render.polygons import Floats
 from magical.scene.constants import RAW_FRAME_SIZE
 

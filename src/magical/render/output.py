@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.render.jit import entry_point
+from magical.compiled import entry_point
 
 CHANNELS = 3
 

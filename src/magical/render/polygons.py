@@ -9,7 +9,7 @@ those at the height of a vertex go with the edge above.
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.render.jit import inlined
+from magical.compiled import inlined
 
 SUBSAMPLES = 256.0  # vertices lie on a grid of this many lines a sample
 LEFT, RIGHT = 0, 1  # rows of `spans`

@@ -18,8 +18,8 @@ from torch.nn.functional import affine_grid, grid_sample
 
 from magical.learning.augmentation.colour import colour_jitter
 from magical.learning.augmentation.names import Augmentations
-from magical.render.augmentation import add_noise, resample
-from magical.render.augmentation.resampling import Jitter
+from magical.learning.augmentation.noise import add_noise
+from magical.learning.augmentation.resampling import Jitter, resample
 
 NOISE_STD = 0.01  # of the range [0, 1]
 MAX_TRANSLATION = 0.05  # of the image's width and height

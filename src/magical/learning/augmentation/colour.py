@@ -1,4 +1,4 @@
-"""CIE Lab colour jitter of image batches in PyTorch, on any device (see `render.augmentation.lab`).
+"""CIE Lab colour jitter of image batches in PyTorch, on any device (see `lab`).
 
 Powers are exp(c * log(x)), several times faster than `pow` on a CPU.
 """
@@ -12,8 +12,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from magical.render.augmentation import lab
-from magical.render.augmentation.lab import (
+from magical.learning.augmentation import lab
+from magical.learning.augmentation.lab import (
     GAMMA,
     GAMMA_KNEE,
     GAMMA_OFFSET,

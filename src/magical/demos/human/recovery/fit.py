@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.render.edge_search import Labels
-from magical.render.edges import EdgeFinder, Edges
+from magical.demos.human.recovery.edge_search import Labels
+from magical.demos.human.recovery.edges import EdgeFinder, Edges
 from magical.render.frame import VIEW_WIDTH
 from magical.scene import Scene, Shape, View
 from magical.scene.constants import RAW_FRAME_SIZE

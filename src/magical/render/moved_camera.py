@@ -6,8 +6,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from magical.compiled import inlined, nogil_entry_point
 from magical.errors import RenderError
-from magical.render.augmentation.resampling import LEVELS
 from magical.render.canvas import Canvas, blank, finish_bodies, finish_ground
 from magical.render.display import display_list
 from magical.render.frame import (
@@ -19,7 +19,6 @@ from magical.render.frame import (
     render_ground,
     within_reach,
 )
-from magical.render.jit import inlined, nogil_entry_point
 from magical.render.output import CHANNELS
 from magical.render.polygons import MOST_SIDES, SUBSAMPLES, Floats, Ints
 from magical.render.renderer import default_samples
@@ -134,7 +133,7 @@ def _move(frames: Floats, move: Floats, extent: float) -> None:
 def _store(frames: Pixels, out: Floats32, channel: int) -> None:
     """Write K frames (K, P), lowest row first, into 3 * K channels of `out` (H, W, C)."""
     height, width = out.shape[0], out.shape[1]
-    scale = np.float32(1.0 / LEVELS)
+    scale = np.float32(1.0 / 255)
     for y in range(height):
         first = (height - 1 - y) * width
         for x in range(width):

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from magical.compiled import entry_point, inlined
 from magical.render.display import DISC_SIDES
 from magical.render.frame import VIEW_WIDTH, body_frames
-from magical.render.jit import entry_point, inlined
 from magical.render.polygons import SUBSAMPLES, Floats, Ints
 
 MOST_LAYERS = 8  # polygons in a pixel's list; further ones are left out

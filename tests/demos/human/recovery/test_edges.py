@@ -1,21 +1,20 @@
 """Statements about edges near the pixels of a recorded frame."""
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from magical.demos.human.recovery.edge_search import MIXED
+from magical.demos.human.recovery.edges import EdgeFinder, Edges
 from magical.render import render_frame
-from magical.render.edge_search import MIXED
-from magical.render.edges import EdgeFinder, Edges
 from magical.scene import Block, Colour, Pose, Poses, Scene, Shape, View
 from magical.scene.geometry import block_outline
 from magical.scene.poses import EYES, FIRST_BLOCK, ROBOT
+from tests.render.cases import random_case
 
-Case = tuple[Scene, Poses]
 SIZE = 384
 PIXELS = SIZE / 2.04  # a unit
 
@@ -29,9 +28,7 @@ def find(scene: Scene, recorded: Poses, view: View, band: float, **changed: Any)
 
 @pytest.mark.parametrize("view", View)
 @pytest.mark.parametrize("seed", range(5))
-def test_true_poses_fulfil_every_statement(
-    random_case: Callable[[int], Case], view: View, seed: int
-) -> None:
+def test_true_poses_fulfil_every_statement(view: View, seed: int) -> None:
     scene, poses = random_case(seed)
     edges = find(scene, poses, view, 0.5)
     assert len(edges.margin) > 500
@@ -40,7 +37,7 @@ def test_true_poses_fulfil_every_statement(
     assert set(edges.anchor.tolist()) <= set(range(-1, len(poses.bodies)))
 
 
-def test_labels_name_colours(random_case: Callable[[int], Case]) -> None:
+def test_labels_name_colours() -> None:
     scene, poses = random_case(1)
     finder, frame = EdgeFinder(scene, View.EGO), render_frame(scene, poses, View.EGO, SIZE, 1)
     labels = finder.label(frame)[::-1]
@@ -81,9 +78,7 @@ def test_margins_against_a_plain_reference() -> None:
 
 
 @pytest.mark.parametrize("view", View)
-def test_derivatives_are_those_of_the_margins(
-    random_case: Callable[[int], Case], view: View
-) -> None:
+def test_derivatives_are_those_of_the_margins(view: View) -> None:
     scene, poses = random_case(3)
     before, step = find(scene, poses, view, 3.0), 2e-4
     for row in (ROBOT, 1, EYES.start, FIRST_BLOCK):
@@ -120,7 +115,7 @@ def _derivative(edges: Edges, view: View, row: int, axis: int) -> NDArray[np.flo
     return total
 
 
-def test_wanted_bodies_alone_are_found(random_case: Callable[[int], Case]) -> None:
+def test_wanted_bodies_alone_are_found() -> None:
     scene = Scene(
         Pose(-0.6, 0.6, 0.0),
         (

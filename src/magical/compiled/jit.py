@@ -1,7 +1,7 @@
 """Compilation: the only place that says how numba is used.
 
 Nothing is compiled at import. Kernels marked `inlined` become part of the entry points that call
-them; an entry point is compiled at its first call and kept on disk (see `compile_cache`).
+them; an entry point is compiled at its first call and kept on disk (see `cache`).
 """
 
 from collections.abc import Callable
@@ -10,7 +10,7 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.extending import intrinsic
 
-from magical.render.compile_cache import CompileCache
+from magical.compiled.cache import CompileCache
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 

@@ -4,6 +4,7 @@ import errno
 import hashlib
 import os
 import pickle
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -17,8 +18,15 @@ import pytest
 from numba.core.compiler import CompileResult
 
 import magical
-from magical.render import compile_cache, jit
-from magical.render.compile_cache import MOST_FILES, CompileCache, cache_folder, digest_of
+from magical.compiled import cache, entry_point
+from magical.compiled.cache import (
+    MOST_FILES,
+    SHARED,
+    CompileCache,
+    cache_folder,
+    digest_of,
+    source_digest,
+)
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="owners and modes are POSIX's")
 FLIPS = 400  # of one bit each, at random places of the file
@@ -152,7 +160,7 @@ def test_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
         yield
 
-    monkeypatch.setattr(compile_cache, "write_atomically", full)
+    monkeypatch.setattr(cache, "write_atomically", full)
     assert hits(tmp_path / "compiled") == 0
     assert not list((tmp_path / "compiled").iterdir())
 
@@ -161,8 +169,8 @@ def test_a_user_without_a_home(monkeypatch: pytest.MonkeyPatch) -> None:
     def homeless() -> Path:
         raise RuntimeError("Could not determine home directory.")
 
-    monkeypatch.setattr(compile_cache, "cache_folder", homeless)
-    function: Any = jit.entry_point(double)
+    monkeypatch.setattr(cache, "cache_folder", homeless)
+    function: Any = entry_point(double)
     assert function(4) == 8
 
 
@@ -187,7 +195,7 @@ def test_the_key_has_what_a_function_closes_over(tmp_path: Path) -> None:
 
 
 def test_other_sources_are_another_key(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compile_cache, "source_digest", lambda: "changed")
+    monkeypatch.setattr(cache, "source_digest", lambda folder: "changed")
     assert hits(folder) == 0
 
 
@@ -200,7 +208,20 @@ def test_digest_changes_with_any_file(tmp_path: Path) -> None:
     (tmp_path / "a.py").rename(tmp_path / "b.py")
     assert len({first, second, third, digest_of(tmp_path)}) == 4
     rooms = Path(magical.__file__).parent
-    assert digest_of(rooms / "render", rooms / "scene") == compile_cache.source_digest()
+    assert digest_of(tmp_path, *(rooms / room for room in SHARED)) == source_digest(tmp_path)
+
+
+def test_the_key_has_the_sources_of_every_kernel() -> None:
+    """A kernel's compiled code changes only with its folder, the shared rooms and constants."""
+    package = Path(magical.__file__).parent
+    for path in package.rglob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        if "from magical.compiled import" not in text:
+            continue
+        folders = (path.parent, *(package / room for room in SHARED))
+        for module in re.findall(r"^from (magical\.(?!errors)\S+) import", text, re.MULTILINE):
+            file = package.parent.joinpath(*module.split("."))
+            assert any(file.is_relative_to(folder) for folder in folders), (path, module)
 
 
 def test_the_oldest_files_are_removed(folder: Path) -> None:

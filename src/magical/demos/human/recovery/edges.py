@@ -14,10 +14,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from magical.compiled import entry_point
+from magical.demos.human.recovery.edge_search import (
+    ANCHOR,
+    MIXED,
+    MOST_LAYERS,
+    TURN,
+    Labels,
+    compiled_search,
+)
 from magical.render.display import DisplayList, display_list
-from magical.render.edge_search import ANCHOR, MIXED, MOST_LAYERS, TURN, Labels, compiled_search
 from magical.render.frame import ROBOT_HEIGHT
-from magical.render.jit import entry_point
 from magical.render.palette import OUTSIDE, RGB, SHADES, WHITE, lanes
 from magical.render.polygons import Floats, Ints
 from magical.scene.constants import RAW_FRAME_SIZE

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.render.augmentation.lab import (
+from magical.compiled import fused, inlined, nogil_entry_point
+from magical.learning.augmentation.lab import (
     FROM_TRISTIMULUS,
     GAMMA,
     GAMMA_KNEE,
@@ -23,7 +24,6 @@ from magical.render.augmentation.lab import (
     decode_gamma,
     root_maps,
 )
-from magical.render.jit import fused, inlined, nogil_entry_point
 from magical.render.output import CHANNELS
 
 LEVELS = 255  # of 8-bit pixels

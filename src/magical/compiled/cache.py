@@ -32,7 +32,7 @@ from magical.files import write_atomically
 
 DIGEST_BYTES = hashlib.sha256().digest_size
 MOST_FILES = 64  # in the folder: those of older sources and other machines are removed
-SOURCES = ("render", "scene")  # the rooms that compiled code is made of
+SHARED = ("compiled", "render", "scene")  # rooms whose code and constants kernels elsewhere use
 
 
 class CompileCache:
@@ -41,7 +41,7 @@ class CompileCache:
     Args:
         function: the function that is compiled; its name and the values it closes over are part of
             the key, with the signature, the processor, the versions of Python and numba, and the
-            sources of the rooms it is made of.
+            sources it is made of: those of its own folder and of the rooms `SHARED`.
         folder: where the files are. Default: `cache_folder()`.
     """
 
@@ -49,6 +49,7 @@ class CompileCache:
         self._name = function.__name__
         closed_over = [cell.cell_contents for cell in function.__closure__ or ()]
         self._key = (function.__module__, function.__qualname__, closed_over)
+        self._sources = Path(function.__code__.co_filename).parent
         self._folder = folder
 
     @property
@@ -100,7 +101,7 @@ class CompileCache:
         """The file of a signature; raises `OSError` unless the folder is there and private."""
         folder = Path(self.cache_path)
         check_private(folder)
-        versions = (sys.implementation.cache_tag, numba.__version__, source_digest())
+        versions = (sys.implementation.cache_tag, numba.__version__, source_digest(self._sources))
         key = (self._key, str(signature), codegen.magic_tuple(), versions)
         digest = hashlib.sha256(repr(key).encode()).hexdigest()
         return folder / f"{self._name}-{digest[:32]}.bin"
@@ -136,10 +137,10 @@ def check_private(folder: Path) -> None:
 
 
 @cache
-def source_digest() -> str:
-    """A digest of every source file that compiled code is made of."""
+def source_digest(folder: Path) -> str:
+    """A digest of the source files that compiled code of a folder is made of."""
     package = Path(__file__).parents[1]
-    return digest_of(*(package / room for room in SOURCES))
+    return digest_of(folder, *(package / room for room in SHARED))
 
 
 def digest_of(*folders: Path) -> str:
