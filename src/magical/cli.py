@@ -15,23 +15,10 @@ from types import ModuleType
 
 from magical import __version__, commands
 from magical.errors import MagicalError, PlanError, UnknownNameError
+from magical.extras import missing
 from magical.plugins import import_user_module
 
 GOOD, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
-
-# Which extra of the package brings an optional library.
-EXTRAS = {
-    **dict.fromkeys(("safetensors", "torch"), "learning"),
-    **dict.fromkeys(("jinja2", "matplotlib"), "report"),
-    **dict.fromkeys(("imageio", "imageio_ffmpeg"), "video"),
-    **dict.fromkeys(("h5py", "minari"), "minari"),
-    **dict.fromkeys(("av", "pyarrow"), "lerobot"),
-    **dict.fromkeys(("starlette", "uvicorn", "websockets"), "web"),
-    "pygame": "window",
-    "ray": "ray",
-    "stable_baselines3": "sb3",
-    "tensorboard": "tensorboard",
-}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -49,7 +36,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
     except ModuleNotFoundError as error:
-        return _report(_missing(error), FAILED)
+        try:
+            return _report(missing(error.name or ""), FAILED)
+        except LookupError:  # no optional library, so a bug
+            raise error from None
     except (MagicalError, OSError) as error:
         return _report(error, FAILED)
     except KeyboardInterrupt:
@@ -103,14 +93,6 @@ def find_commands() -> Iterator[tuple[str, ModuleType]]:
     for name in sorted(entry.name for entry in pkgutil.iter_modules(commands.__path__)):
         if not name.startswith("_"):
             yield name, importlib.import_module(f"{commands.__name__}.{name}")
-
-
-def _missing(error: ModuleNotFoundError) -> str:
-    """What to install; a missing module that is no optional library is a bug and raised again."""
-    extra = EXTRAS.get((error.name or "").partition(".")[0])
-    if extra is None:
-        raise error
-    return f"this needs {error.name}, not installed: pip install 'magical-benchmark[{extra}]'"
 
 
 def _report(error: Exception | str, status: int) -> int:

@@ -120,6 +120,6 @@ def test_without_the_library_the_message_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.delitem(sys.modules, "magical.envs.sb3", raising=False)
-    monkeypatch.setitem(sys.modules, "stable_baselines3.common.vec_env", None)
-    with pytest.raises(MissingDependencyError, match=r"magical-benchmark\[sb3\]"):
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
+    with pytest.raises(MissingDependencyError, match=r"pip install .*stable-baselines3"):
         import magical.envs.sb3  # noqa: F401

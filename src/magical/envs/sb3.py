@@ -9,14 +9,11 @@ from numpy.typing import NDArray
 
 from magical.envs.vector import MagicalVectorEnv
 from magical.envs.vector.infos import SCORE_KEYS
-from magical.errors import MissingDependencyError
+from magical.extras import require
 
-try:
-    from stable_baselines3.common.vec_env import VecEnv
-except ImportError as error:
-    raise MissingDependencyError(
-        "magical.envs.sb3: Stable-Baselines3 is not installed; pip install 'magical-benchmark[sb3]'"
-    ) from error
+require("sb3")
+
+from stable_baselines3.common.vec_env import VecEnv  # noqa: E402
 
 Indices = int | Iterable[int] | None
 

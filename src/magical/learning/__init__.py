@@ -43,7 +43,7 @@ _NEEDS_TORCH = {
 def __getattr__(name: str) -> Any:
     if name not in _NEEDS_TORCH:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from magical.learning.algorithms import require_torch
+    from magical.extras import require
 
-    require_torch()
+    require("learning")
     return getattr(importlib.import_module(f"{__name__}.{_NEEDS_TORCH[name]}"), name)

@@ -5,14 +5,14 @@ Such a file has a configuration class, `train(config, run)`, `make_policy(config
 """
 
 import importlib
-import importlib.util
 import pkgutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from magical.errors import MissingDependencyError, UnknownNameError
+from magical.errors import UnknownNameError
+from magical.extras import require
 from magical.learning.config import Config
 from magical.runs.folder import CONFIG, read_json
 
@@ -61,7 +61,7 @@ def find_algorithm(name: str) -> Algorithm:
         raise UnknownNameError(
             f"algorithm {name!r} is unknown; expected one of: {', '.join(algorithm_names())}"
         )
-    require_torch()
+    require("learning")
     module = importlib.import_module(f"{__name__}.{name.replace('-', '_')}")
     algorithm: Algorithm = module.ALGORITHM
     return algorithm
@@ -71,20 +71,3 @@ def read_config(folder: Path) -> Config:
     """The configuration recorded in a run folder."""
     data = read_json(folder / CONFIG)
     return find_algorithm(str(data.get("algorithm"))).config.from_dict(data)
-
-
-def require_torch() -> None:
-    """Raise `MissingDependencyError` unless the extra `learning` is installed."""
-    for name in ("torch", "safetensors"):
-        if not _is_installed(name):
-            raise MissingDependencyError(
-                f"learning needs {name}, which is not installed; pip install "
-                '"magical-benchmark[learning]"'
-            )
-
-
-def _is_installed(name: str) -> bool:
-    try:
-        return importlib.util.find_spec(name) is not None
-    except ValueError:  # sys.modules holds None in its place
-        return False

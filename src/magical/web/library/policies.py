@@ -121,10 +121,10 @@ class Policies:
 
 def _import_learning() -> None:
     """Import PyTorch, where it is installed: later it would hold up all players for seconds."""
-    from magical.learning.algorithms import require_torch
+    from magical.extras import require
 
     with suppress(MissingDependencyError):
-        require_torch()
+        require("learning")
         importlib.import_module("magical.learning.policy")
 
 

@@ -1,0 +1,61 @@
+"""The optional libraries, and the extras of the package that bring them."""
+
+import importlib.util
+import re
+from importlib.metadata import requires
+
+from magical.errors import MissingDependencyError
+
+# Top-level modules by extra.
+EXTRAS = {
+    "learning": ("torch", "safetensors"),
+    "report": ("jinja2", "matplotlib"),
+    "video": ("imageio", "imageio_ffmpeg"),
+    "minari": ("minari", "h5py"),
+    "lerobot": ("av", "pyarrow"),
+    "web": ("starlette", "uvicorn", "websockets"),
+    "window": ("pygame",),
+    "ray": ("ray",),
+    "sb3": ("stable_baselines3",),
+    "tensorboard": ("tensorboard",),
+}
+
+
+def require(extra: str) -> None:
+    """Raise `MissingDependencyError` unless all libraries of an extra are installed.
+
+    Call it before work whose result needs them.
+    """
+    for module in EXTRAS[extra]:
+        if not _is_installed(module):
+            raise missing(module)
+
+
+def missing(module: str) -> MissingDependencyError:
+    """The error for a library that is not installed, with the command that installs its extra.
+
+    Raises:
+        LookupError: the module belongs to no extra.
+    """
+    top = module.partition(".")[0]
+    extra = next((name for name, modules in EXTRAS.items() if top in modules), None)
+    if extra is None:
+        raise LookupError(module)
+    return MissingDependencyError(
+        f"this needs {top}, which is not installed: pip install {_requirements(extra)} "
+        f"(the extra {extra!r} of magical-benchmark)"
+    )
+
+
+def _requirements(extra: str) -> str:
+    """The extra's requirements, quoted for a shell, from the installed package's metadata."""
+    wanted = re.compile(rf"(?P<need>[^;]+);.*extra == ['\"]{extra}['\"]")
+    found = map(wanted.match, requires("magical-benchmark") or [])
+    return " ".join(f'"{match["need"].strip()}"' for match in found if match)
+
+
+def _is_installed(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ValueError:  # sys.modules holds None in its place
+        return False
