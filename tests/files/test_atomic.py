@@ -1,13 +1,16 @@
 """Writing in one go."""
 
+import os
 import re
+import secrets
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from magical.files import remove_partial_files, write_atomically
+from magical.files import link_atomically, remove_partial_files, write_atomically
 
 
 def test_a_file_appears_whole_in_a_new_folder(tmp_path: Path) -> None:
@@ -42,9 +45,58 @@ def test_the_file_has_the_usual_permissions(tmp_path: Path) -> None:
     assert (tmp_path / "careful").stat().st_mode == (tmp_path / "plain").stat().st_mode
 
 
+def test_threads_that_write_one_file_do_not_meet(tmp_path: Path) -> None:
+    path = tmp_path / "x.bin"
+
+    def write(number: int) -> None:
+        with write_atomically(path) as file:
+            file.write(bytes([number]) * 1000)
+            file.flush()
+            file.write(bytes([number]) * 1000)
+
+    with ThreadPoolExecutor(8) as threads:
+        list(threads.map(write, range(100)))
+    assert path.read_bytes() in [bytes([number]) * 2000 for number in range(100)]
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_link_planted_under_the_temporary_name_is_not_followed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(secrets, "token_hex", lambda size: "ab" * size)
+    (tmp_path / "mine").write_text("mine")
+    link = tmp_path / ".x.bin.abababab.part"
+    link.symlink_to("mine")
+    with pytest.raises(FileExistsError), write_atomically(tmp_path / "x.bin"):
+        pass
+    assert link.is_symlink()
+    assert (tmp_path / "mine").read_text() == "mine"
+
+
+def test_temporary_names_cannot_be_foreseen(tmp_path: Path) -> None:
+    names: set[str] = set()
+    for _ in range(10):
+        with write_atomically(tmp_path / "x.bin"):
+            names.update(path.name for path in tmp_path.glob(".*"))
+    assert len(names) == 10
+
+
+def test_a_file_under_a_second_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def unsupported(*_: object, **__: object) -> None:
+        raise PermissionError("a file system without hard links")
+
+    for content in ("linked", "copied"):
+        (tmp_path / "new").write_text(content)
+        link_atomically(tmp_path / "new", tmp_path / "kept")
+        (tmp_path / "new").unlink()
+        assert (tmp_path / "kept").read_text() == content
+        assert len(list(tmp_path.iterdir())) == 1
+        monkeypatch.setattr(os, "link", unsupported)
+
+
 KILLED = """
 import os, signal, sys
-from magical.files import remove_partial_files, write_atomically
+from magical.files import link_atomically, remove_partial_files, write_atomically
 with write_atomically(sys.argv[1]) as file:
     file.write(b"half")
     os.kill(os.getpid(), signal.SIGKILL)
@@ -60,7 +112,7 @@ def test_what_a_killed_process_left_is_removed(tmp_path: Path) -> None:
     before = set(tmp_path.iterdir())
     remove_partial_files(tmp_path, "a.*", "c.json")
     (removed,) = before - set(tmp_path.iterdir())
-    assert re.fullmatch(r"\.a\.json\.\d+\.part", removed.name)
+    assert re.fullmatch(r"\.a\.json\.[0-9a-f]{8}\.part", removed.name)
 
 
 def test_partial_files_behind_a_symbolic_link_are_kept(tmp_path: Path) -> None:

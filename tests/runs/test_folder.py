@@ -11,16 +11,21 @@ from typing import Any
 import pytest
 
 from magical.errors import RunFolderError
-from magical.runs import is_run, locked_folder, open_folder, read_json
+from magical.runs import is_run, opened_folder, read_json
 from magical.runs.folder import CHECKPOINT, CONFIG, METRICS, RECORD
 
 CONFIGURATION: Mapping[str, Any] = {"algorithm": "bc", "demos": "demos", "seed": 0}
 
 
+def open_once(path: Path, resume: bool = False, **changed: Any) -> None:
+    with opened_folder(path, {**CONFIGURATION, **changed}, resume):
+        pass
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     path = tmp_path / "run"
-    open_folder(path, CONFIGURATION, resume=False)
+    open_once(path)
     return path
 
 
@@ -33,64 +38,58 @@ def test_a_new_folder_holds_configuration_and_versions(folder: Path, tmp_path: P
 
 def test_a_run_is_continued_only_on_request_and_only_with_its_configuration(folder: Path) -> None:
     with pytest.raises(RunFolderError, match="holds this run already; add --resume"):
-        open_folder(folder, CONFIGURATION, resume=False)
-    open_folder(folder, CONFIGURATION, resume=True)
-    open_folder(folder, {**CONFIGURATION, "demos": "elsewhere"}, resume=True)
+        open_once(folder)
+    open_once(folder, resume=True)
+    open_once(folder, resume=True, demos="elsewhere")
     for resume in (False, True):
         with pytest.raises(RunFolderError, match="another configuration: seed 0 there, 1 asked"):
-            open_folder(folder, {**CONFIGURATION, "seed": 1}, resume=resume)
+            open_once(folder, resume, seed=1)
 
 
 def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(RunFolderError, match="expected a run to resume, found none"):
-        open_folder(tmp_path / "none", CONFIGURATION, resume=True)
+        open_once(tmp_path / "none", resume=True)
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").write_text("...")
     with pytest.raises(RunFolderError, match="expected a new or an empty folder"):
-        open_folder(tmp_path / "mine", CONFIGURATION, resume=False)
+        open_once(tmp_path / "mine")
 
 
 def test_a_locked_folder_is_refused_to_another_but_can_be_read(folder: Path) -> None:
-    with locked_folder(folder, resume=True):
-        refused = pytest.raises(RunFolderError, match=rf"process {os.getpid()} already trains")
-        with refused, locked_folder(folder, resume=True):
-            pass
+    with opened_folder(folder, CONFIGURATION, resume=True):
+        with pytest.raises(RunFolderError, match=rf"process {os.getpid()} already trains"):
+            open_once(folder, resume=True)
         assert read_json(folder / CONFIG) == CONFIGURATION
-    with locked_folder(folder, resume=True):
-        assert is_run(folder)
+    open_once(folder, resume=True)
 
 
 def test_a_folder_with_other_things_gets_no_lock_file(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").touch()
     for resume in (False, True):
-        with pytest.raises(RunFolderError, match="expected"), locked_folder(tmp_path, resume):
-            pass
+        with pytest.raises(RunFolderError, match="expected"):
+            open_once(tmp_path, resume)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
 KILLED = """
 import os, pathlib, signal, sys
-from magical.files import write_atomically
-from magical.runs import locked_folder
-folder = pathlib.Path(sys.argv[1])
-with locked_folder(folder, resume=False), write_atomically(folder / "config.json"):
-    os.kill(os.getpid(), signal.SIGKILL)
+from magical.runs import opened_folder
+os.fsync = lambda _: os.kill(os.getpid(), signal.SIGKILL)
+with opened_folder(pathlib.Path(sys.argv[1]), {}, resume=False):
+    pass
 """
 
 
 def test_a_run_whose_creation_was_killed_can_be_created(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-c", KILLED, str(tmp_path / "run")])
     assert len(list((tmp_path / "run").iterdir())) == 2  # lock and partial configuration
-    with locked_folder(tmp_path / "run", resume=False):
-        open_folder(tmp_path / "run", CONFIGURATION, resume=False)
+    open_once(tmp_path / "run")
     assert not list((tmp_path / "run").glob(".*.part"))
 
 
 def fail(folder: Path, file: str = METRICS, text: str = "") -> None:
     """Open a run, write one of its files, and fail."""
-    resume = is_run(folder)
-    with locked_folder(folder, resume):
-        open_folder(folder, CONFIGURATION, resume)
+    with opened_folder(folder, CONFIGURATION, resume=is_run(folder)):
         (folder / file).write_text(text)
         raise ValueError("cannot begin")
 

@@ -20,10 +20,9 @@ from magical.experiments.results import (
     FAILED,
     Outcome,
     Results,
-    is_out_of_space,
-    no_space,
     opened,
 )
+from magical.files import is_out_of_space
 from magical.learning.running.interrupts import Interrupts
 
 POLL = 1.0  # seconds between checks for signals, and between refreshes of the display
@@ -190,7 +189,7 @@ def _finish_all(
             stopping = True
             executor.stop()
     if full:
-        raise no_space(results.path)
+        raise results.full()
 
 
 def _outcome(run: PlannedRun, future: Future[Outcome], results: Results, stopping: bool) -> Outcome:

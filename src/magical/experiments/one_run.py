@@ -15,8 +15,8 @@ from magical.evaluation.entry import ENTRY_FILE, POLICY, SCORES_FILE, THREADS
 from magical.evaluation.policy import is_privileged
 from magical.evaluation.rollouts import observation_for
 from magical.experiments.plan import Evaluation, PlannedRun
-from magical.experiments.results import DONE, FAILED, RESULT, Outcome, is_out_of_space
-from magical.files import remove_partial_files
+from magical.experiments.results import DONE, FAILED, RESULT, Outcome
+from magical.files import is_out_of_space, remove_partial_files
 from magical.learning import Config, TrainResult, is_run, load_policy, train
 from magical.learning.config import ImitationConfig
 from magical.learning.description import training_details

@@ -19,8 +19,9 @@ from magical.errors import ClusterError, RunFolderError
 from magical.experiments.one_run import finish
 from magical.experiments.plan import PlannedRun
 from magical.experiments.results import DONE, EXPERIMENT, RESULT, Outcome, Results
+from magical.files import LOCK
 from magical.learning.running.interrupts import SIGNALS
-from magical.runs.folder import CHECKPOINT, LOCK, read_json
+from magical.runs.folder import CHECKPOINT, read_json
 
 RETRIES = 3  # after the end of a node or of a process on it
 TIMEOUT = 10.0  # seconds to reach a cluster's port

@@ -7,7 +7,6 @@
 - `runs/<name>/`: a run's folder, with `scores.csv`, `entry.json` and last of all `result.json`
 """
 
-import errno
 import uuid
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -16,10 +15,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from magical import __version__
-from magical.errors import ResultsError, RunFolderError
+from magical.errors import MagicalError, ResultsError, RunFolderError
 from magical.experiments.plan import PlannedRun
-from magical.files import LockedError, is_partial, lock_now, remove_partial_files
-from magical.runs.folder import LOCK, read_json, versions, write_json
+from magical.files import OwnedFolder
+from magical.runs.folder import read_json, versions, write_json
 
 FORMAT = 1
 EXPERIMENT, PLAN = "experiment.json", "plan.json"
@@ -48,6 +47,10 @@ class Results:
     def state(self, run: PlannedRun) -> str | None:
         """`done`, `failed`, or `None` for a run that has not been finished."""
         return read_state(self.folder(run))
+
+    def full(self) -> MagicalError:
+        """The error of a full disk."""
+        return _owned(self.path).full()
 
     def write_progress(self, running: Iterable[PlannedRun], slots: int) -> None:
         """Note which runs are in progress, and how many can be at a time."""
@@ -79,19 +82,13 @@ def opened(path: Path, runs: Sequence[PlannedRun]) -> Iterator[Results]:
             another process runs a plan in it; there is no space left.
     """
     path = path.absolute()
-    with space_needed(path):
-        if not is_results(path):
-            _require_new(path)
-        path.mkdir(parents=True, exist_ok=True)
-        try:
-            with lock_now(path / LOCK):
-                remove_partial_files(path, EXPERIMENT, PLAN, PROGRESS)
-                yield _opened(path, runs)
-        except LockedError as error:
-            raise ResultsError(
-                f"{path}: process {error.process_id or '(unknown)'} already runs a plan in this "
-                "folder; wait for its end, or stop it"
-            ) from error
+    with _owned(path).locked():
+        yield _opened(path, runs)
+
+
+def _owned(path: Path) -> OwnedFolder:
+    written, then = (EXPERIMENT, PLAN, PROGRESS), "give the same command again"
+    return OwnedFolder(path, written, ResultsError, "runs a plan in this folder", then)
 
 
 def is_results(path: Path) -> bool:
@@ -166,25 +163,6 @@ def read_state(folder: Path) -> str | None:
     return str(state)
 
 
-@contextmanager
-def space_needed(path: Path) -> Iterator[None]:
-    """Raise a `ResultsError` that says so if there is no space left."""
-    try:
-        yield
-    except OSError as error:
-        if not is_out_of_space(error):
-            raise
-        raise no_space(path) from error
-
-
-def no_space(path: Path) -> ResultsError:
-    """The error of a device that is full."""
-    return ResultsError(
-        f"{path}: no space left on the device. Finished runs and checkpoints are whole: free some "
-        "space, then give the same command again"
-    )
-
-
 def planned_states(path: Path, runs: Sequence[PlannedRun]) -> list[str]:
     """The state of each run in a folder that need not exist: `done`, `failed` or `waiting`.
 
@@ -194,28 +172,8 @@ def planned_states(path: Path, runs: Sequence[PlannedRun]) -> list[str]:
     if is_results(path):
         check_results(path, runs)
         return [read_state(path / RUNS / run.folder) or WAITING for run in runs]
-    _require_new(path)
+    _owned(path).require_new()
     return [WAITING] * len(runs)
-
-
-def is_out_of_space(error: BaseException | None) -> bool:
-    """Whether an error, or one that led to it, is that no space (or quota) is left."""
-    while error is not None:
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-            return True
-        error = error.__cause__ or error.__context__
-    return False
-
-
-def _require_new(path: Path) -> None:
-    def left_by_a_kill(file: Path) -> bool:
-        return file.name == LOCK or is_partial(file, EXPERIMENT)
-
-    if path.exists() and not (path.is_dir() and all(map(left_by_a_kill, path.iterdir()))):
-        raise ResultsError(
-            f"{path}: expected a new or an empty folder, or results of a plan; found other things "
-            "in it. Choose another folder (--out)"
-        )
 
 
 def _opened(path: Path, runs: Sequence[PlannedRun]) -> Results:

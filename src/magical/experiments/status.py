@@ -23,8 +23,7 @@ from magical.experiments.results import (
     read_state,
     run_folders,
 )
-from magical.files import is_locked
-from magical.runs.folder import LOCK
+from magical.files import LOCK, is_locked
 from magical.runs.metrics import read_metrics
 
 RUNNING = "running"

@@ -2,6 +2,7 @@
 
 import os
 import re
+import secrets
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,15 +10,15 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import IO
 
-_PARTIAL = re.compile(r"\.(?P<name>.+)\.\d+\.part")  # the target's name and a process id
+_PARTIAL = re.compile(r"\.(?P<name>.+)\.[0-9a-f]+\.part")  # the target's name, a random number
 
 
 @contextmanager
 def write_atomically(path: Path | str) -> Iterator[IO[bytes]]:
-    """Open a file under a temporary name beside `path`, renamed to it if the block succeeds.
+    """Open a new file under a temporary name beside `path`, renamed to it if the block succeeds.
 
     Missing folders are made. If the block raises, nothing is left behind and an older file at
-    `path` stays as it was.
+    `path` stays as it was. If the machine fails, the older file or the new one is there, whole.
 
     Raises:
         OSError: the folder cannot be made or written to, or the disk is full.
@@ -25,12 +26,13 @@ def write_atomically(path: Path | str) -> Iterator[IO[bytes]]:
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = _temporary(target)
-    try:
-        with temporary.open("wb") as file:
-            yield file
+    file = temporary.open("xb")  # x: never a file or link that is there already
+    with _removed(temporary), file:
+        yield file
+        file.close()
+        with temporary.open("r+b") as whole:
+            os.fsync(whole.fileno())
         temporary.replace(target)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def link_atomically(source: Path, target: Path) -> None:
@@ -42,19 +44,26 @@ def link_atomically(source: Path, target: Path) -> None:
         OSError: the folder cannot be written to, or the disk is full.
     """
     temporary = _temporary(target)
-    temporary.unlink(missing_ok=True)
-    try:
+    with _removed(temporary):
         try:
             temporary.hardlink_to(source)
         except OSError:
-            shutil.copyfile(source, temporary)
-        temporary.replace(target)
-    finally:
-        temporary.unlink(missing_ok=True)
+            with source.open("rb") as old, write_atomically(target) as new:
+                shutil.copyfileobj(old, new)
+        else:
+            temporary.replace(target)
 
 
 def _temporary(target: Path) -> Path:
-    return target.with_name(f".{target.name}.{os.getpid()}.part")
+    return target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
+
+
+@contextmanager
+def _removed(temporary: Path) -> Iterator[None]:
+    try:
+        yield
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def remove_partial_files(folder: Path, *names: str) -> None:

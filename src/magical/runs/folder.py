@@ -22,13 +22,7 @@ from typing import Any
 
 from magical import __version__
 from magical.errors import RunFolderError
-from magical.files import (
-    LockedError,
-    is_partial,
-    lock_now,
-    remove_partial_files,
-    write_atomically,
-)
+from magical.files import LOCK, OwnedFolder, write_atomically
 from magical.untrusted import check_plain
 
 CONFIG = "config.json"
@@ -38,7 +32,6 @@ CHECKPOINT = "checkpoint.safetensors"
 PREVIOUS = "previous-checkpoint.safetensors"
 CURVES = "learning-curves.png"
 TENSORBOARD = "tensorboard"
-LOCK = ".lock"
 WRITTEN = (CONFIG, RECORD, METRICS, CHECKPOINT, PREVIOUS, CURVES)  # by the holder of the lock
 
 VERSIONED = ("torch", "numpy", "pymunk", "numba", "safetensors")  # what results may depend on
@@ -50,40 +43,45 @@ def is_run(path: Path | str) -> bool:
 
 
 @contextmanager
-def locked_folder(path: Path, resume: bool) -> Iterator[None]:
-    """Hold the lock of a run folder for training, creating the folder if it is missing.
+def opened_folder(path: Path, config: Mapping[str, Any], resume: bool) -> Iterator[None]:
+    """Hold the lock of a run folder for training; a new one is created.
 
-    Reading a run needs no lock. Temporary files of a killed process are removed. A new run that
-    fails before it has logged or saved anything, for instance for lack of demonstrations, is
-    removed again, so that the corrected command finds the folder as it was.
+    Reading a run needs no lock. A new run that fails before it has logged or saved anything, for
+    instance for lack of demonstrations, is removed again, so that the corrected command finds the
+    folder as it was.
 
     Args:
-        path: as in `open_folder`.
-        resume: as in `open_folder`.
+        path: a new or an empty folder; with `resume`, one that holds the run.
+        config: the configuration as plain data.
+        resume: whether an existing run is to be continued.
 
     Raises:
-        RunFolderError: another process or thread trains this run; there is nothing to resume; the
-            folder holds other files.
+        RunFolderError: another process or thread trains this run; the folder holds another
+            configuration, or the same one and `resume` is false; it holds other files; there is
+            nothing to resume; the disk is full.
     """
+    if resume and not is_run(path):
+        raise RunFolderError(f"{path}: expected a run to resume, found none")
     existed = path.exists()
-    if not is_run(path):
-        _check_new(path, resume)
-        path.mkdir(parents=True, exist_ok=True)
-    try:
-        with lock_now(path / LOCK):
-            remove_partial_files(path, *WRITTEN)
-            is_new = not is_run(path)
-            try:
-                yield
-            except Exception:
-                if is_new:
-                    _remove_unless_begun(path, keep_folder=existed)
-                raise
-    except LockedError as error:
-        raise RunFolderError(
-            f"{path}: process {error.process_id or '(unknown)'} already trains this run; wait for "
-            "its end, or stop it"
-        ) from error
+    with _owned(path).locked():
+        if is_run(path):
+            _check_existing(path, config, resume)
+            yield
+            return
+        try:
+            write_json(path / CONFIG, config)
+            write_json(
+                path / RECORD, {"versions": versions(), "began": f"{datetime.now(UTC):%FT%TZ}"}
+            )
+            yield
+        except Exception:
+            _remove_unless_begun(path, keep_folder=existed)
+            raise
+
+
+def _owned(path: Path) -> OwnedFolder:
+    then = "give the same command again, with --resume if the run has begun"
+    return OwnedFolder(path, WRITTEN, RunFolderError, "trains this run", then)
 
 
 def _remove_unless_begun(path: Path, keep_folder: bool) -> None:
@@ -98,38 +96,6 @@ def _remove_unless_begun(path: Path, keep_folder: bool) -> None:
             (path / name).unlink(missing_ok=True)
         if not keep_folder:
             path.rmdir()
-
-
-def open_folder(path: Path, config: Mapping[str, Any], resume: bool) -> None:
-    """Create a run folder, or check that an existing one belongs to the same run.
-
-    Args:
-        path: a new or an empty folder; with `resume`, one that holds a run.
-        config: the configuration as plain data.
-        resume: whether an existing run is to be continued.
-
-    Raises:
-        RunFolderError: the folder holds another configuration, or the same one and `resume` is
-            false; it holds other files; there is nothing to resume.
-    """
-    if is_run(path):
-        _check_existing(path, config, resume)
-        return
-    _check_new(path, resume)
-    write_json(path / CONFIG, config)
-    write_json(path / RECORD, {"versions": versions(), "began": f"{datetime.now(UTC):%FT%TZ}"})
-
-
-def _check_new(path: Path, resume: bool) -> None:
-    if resume:
-        raise RunFolderError(f"{path}: expected a run to resume, found none")
-    if path.exists() and not (path.is_dir() and all(map(_is_unfinished, path.iterdir()))):
-        raise RunFolderError(f"{path}: expected a new or an empty folder, found other things in it")
-
-
-def _is_unfinished(file: Path) -> bool:
-    """Whether a process that was killed while it created a run may have left a file."""
-    return file.name == LOCK or is_partial(file, CONFIG)
 
 
 def _check_existing(path: Path, config: Mapping[str, Any], resume: bool) -> None:

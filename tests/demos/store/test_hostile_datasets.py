@@ -20,6 +20,7 @@ from magical.demos.store.codec import MAX_HEADER, decode, encode
 from magical.demos.store.manifest import ManifestEntry
 from magical.demos.store.repair import repair
 from magical.errors import DatasetError, TrajectoryError
+from magical.files import LOCK
 
 MakeTrajectory = Callable[..., Trajectory]
 ESCAPES = "\x1b[2J\x07\r\u202e"
@@ -175,7 +176,7 @@ def test_special_file_instead_of_a_trajectory(
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs FIFOs and device files")
-@pytest.mark.parametrize("name", [manifest.NAME, manifest.LOCK])
+@pytest.mark.parametrize("name", [manifest.NAME, LOCK])
 @pytest.mark.parametrize("replace", SPECIAL_FILES[:3])
 def test_special_file_instead_of_the_manifest_or_lock(
     small_dataset: Path, make_trajectory: MakeTrajectory, name: str, replace: Any

@@ -329,7 +329,7 @@ def test_a_full_disk_is_named_and_the_last_checkpoint_kept(
 
     with monkeypatch.context() as patch:
         patch.setattr(run, "replace_checkpoint", full)
-        with pytest.raises(RunFolderError, match=r"disk is full.*resume"):
+        with pytest.raises(RunFolderError, match=r"no space left.*resume"):
             train(config, tmp_path / "run", resume=True)
     assert all(torch.equal(before[k], v) for k, v in weights(tmp_path / "run").items())
     assert train(config, tmp_path / "run", resume=True).finished

@@ -15,7 +15,7 @@ from magical.learning.algorithms.bc import BCConfig
 from magical.learning.config import CHECKPOINT_SECONDS, options
 from magical.learning.running.devices import restored_threads
 from magical.learning.running.run import Run
-from magical.runs import open_folder, read_metrics
+from magical.runs import opened_folder, read_metrics
 from magical.runs.folder import CONFIG, METRICS, RECORD
 
 CONFIGURATION = BCConfig(tasks=("MoveToCorner",), demos="demos")
@@ -28,8 +28,8 @@ def opened(folder: Path, stop_after: int | None = None, tensorboard: bool = Fals
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     path = tmp_path / "run"
-    open_folder(path, CONFIGURATION.to_dict(), resume=False)
-    return path
+    with opened_folder(path, CONFIGURATION.to_dict(), resume=False):
+        return path
 
 
 def test_a_new_folder_holds_configuration_and_versions(folder: Path) -> None:

@@ -15,7 +15,7 @@ from magical.demos.store.manifest import ManifestEntry
 from magical.demos.store.trajectory import Trajectory
 from magical.envs.ids import parse_env_id, split_env_id
 from magical.errors import DatasetError
-from magical.files import locked, open_regular
+from magical.files import LOCK, locked, open_regular
 from magical.messages import printable
 from magical.observe import Observation
 from magical.tasks import get_task
@@ -69,7 +69,7 @@ class Dataset(Sequence[Trajectory]):
         """
         folder = Path(path)
         try:
-            with locked(folder / manifest.LOCK, reading=True):
+            with locked(folder / LOCK, reading=True):
                 entries, problems = read_manifest(folder)
         except OSError as error:
             raise DatasetError(f"{folder}: cannot be read: {error}") from error

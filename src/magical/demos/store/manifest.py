@@ -25,7 +25,6 @@ from magical.untrusted import check_plain
 
 NAME = "manifest.jsonl"
 FOLDER = "trajectories"
-LOCK = ".lock"
 HEADER = {"format": "magical-dataset", "version": 1}
 MAX_LINE = 1 << 16  # bytes; names of `MAX_NAME` characters fit
 MAX_DAMAGED_LINES = 1000  # then the rest of the manifest is not read

@@ -17,7 +17,7 @@ from magical.demos.store.dataset import (
 )
 from magical.demos.store.manifest import ManifestEntry
 from magical.errors import DatasetError, UnknownNameError
-from magical.files import locked, write_atomically
+from magical.files import LOCK, locked, write_atomically
 from magical.messages import printable
 
 
@@ -40,7 +40,7 @@ def repair(path: Path | str) -> list[Problem]:
     folder = Path(path)
     if not (folder / manifest.FOLDER).is_dir():
         raise DatasetError(f"{folder}: expected a dataset, found no {manifest.FOLDER} in it")
-    with locked(folder / manifest.LOCK):
+    with locked(folder / LOCK):
         try:
             entries, problems = read_manifest(folder)
         except DatasetError as error:

@@ -9,7 +9,7 @@ from magical.demos.store.dataset import stored_files
 from magical.demos.store.manifest import ManifestEntry
 from magical.demos.store.trajectory import Trajectory
 from magical.errors import DatasetError
-from magical.files import locked, remove_partial_files, write_atomically
+from magical.files import LOCK, locked, remove_partial_files, write_atomically
 
 
 class DatasetWriter:
@@ -41,7 +41,7 @@ class DatasetWriter:
     def append_encoded(self, entry: ManifestEntry, raw: bytes) -> ManifestEntry:
         """`append` for an already encoded trajectory, such as one from another process."""
         try:
-            with locked(self.path / manifest.LOCK):
+            with locked(self.path / LOCK):
                 index, check = manifest.last_line(self.path)
                 entry = entry.at(index)
                 file = self.path / entry.file
@@ -64,7 +64,7 @@ class DatasetWriter:
 
     def _create(self) -> None:
         (self.path / manifest.FOLDER).mkdir(parents=True, exist_ok=True)
-        with locked(self.path / manifest.LOCK):  # which all writers of these files hold
+        with locked(self.path / LOCK):  # which all writers of these files hold
             remove_partial_files(self.path, manifest.NAME)
             remove_partial_files(self.path / manifest.FOLDER, "*.npz")
             if not (self.path / manifest.NAME).exists():

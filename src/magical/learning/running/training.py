@@ -1,6 +1,5 @@
 """Start or resume a run of any algorithm."""
 
-import errno
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
@@ -8,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from magical.errors import InvalidConfigError, RunFolderError
+from magical.errors import InvalidConfigError
 from magical.learning.algorithms import find_algorithm
 from magical.learning.config import Config
 from magical.learning.policy import NetworkPolicy, load_policy
@@ -17,7 +16,7 @@ from magical.learning.running.devices import full_float32, restored_threads
 from magical.learning.running.interrupts import Interrupts
 from magical.learning.running.run import Metrics, Run
 from magical.progress import ProgressBar
-from magical.runs.folder import is_run, locked_folder, open_folder
+from magical.runs.folder import opened_folder
 from magical.runs.metrics import read_metrics
 
 Callback = Callable[[int, Metrics], object]  # step, metrics
@@ -108,13 +107,7 @@ def _opened(folder: Path, config: Config, resume: bool, previous: bool) -> Itera
     """A run folder that is locked and ready to be trained in."""
     if previous and not resume:
         raise InvalidConfigError("previous_checkpoint needs resume: a new run has no checkpoints")
-    with (
-        _full_disk_as_error(folder),
-        locked_folder(folder, resume),
-        restored_threads(),
-        full_float32(),
-    ):
-        open_folder(folder, config.to_dict(), resume)
+    with opened_folder(folder, config.to_dict(), resume), restored_threads(), full_float32():
         if previous:
             restore_previous_checkpoint(folder)
         yield
@@ -127,14 +120,3 @@ def _show(
         bar.update(step, total, metrics)
     if callback is not None:
         callback(step, metrics)
-
-
-@contextmanager
-def _full_disk_as_error(folder: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
-            raise
-        then = "resume (--resume); the last checkpoint is whole" if is_run(folder) else "try again"
-        raise RunFolderError(f"{folder}: the disk is full. Free some space, then {then}") from error

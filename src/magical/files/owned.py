@@ -1,0 +1,97 @@
+"""Folders that one process at a time owns: their lock, their creation, and a full disk."""
+
+import errno
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from magical.errors import MagicalError
+from magical.files.atomic import is_partial, remove_partial_files
+from magical.files.lock import LockedError, lock_now
+
+LOCK = ".lock"
+
+
+@dataclass(frozen=True)
+class OwnedFolder:
+    """A folder in which the holder of its lock writes; reading needs no lock.
+
+    Attributes:
+        path: the folder.
+        files: what the owner writes in it, as patterns of `fnmatch`. The first is there from the
+            folder's creation on: a folder with other files and without this one is somebody else's.
+        error: what is raised.
+        use: what the owner does, in the message to another process: `trains this run`.
+        advice: what to do when there is space again, in the message that the disk is full.
+    """
+
+    path: Path
+    files: tuple[str, ...]
+    error: type[MagicalError]
+    use: str
+    advice: str
+
+    def exists(self) -> bool:
+        """Whether the folder has been created."""
+        return (self.path / self.files[0]).is_file()
+
+    def require_new(self) -> None:
+        """Raise unless there is nothing, or an empty folder, or what a killed creation left."""
+
+        def unfinished(file: Path) -> bool:
+            return file.name == LOCK or is_partial(file, self.files[0])
+
+        path = self.path
+        if path.is_symlink():
+            raise self.error(
+                f"{path}: expected a folder, found a symbolic link; give the folder itself"
+            )
+        if path.exists() and not (path.is_dir() and all(map(unfinished, path.iterdir()))):
+            raise self.error(
+                f"{path}: expected a new or an empty folder, found other things in it; choose "
+                "another one"
+            )
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Hold the folder's lock; a missing folder is created.
+
+        Temporary files that killed owners left are removed.
+
+        Raises:
+            MagicalError: of the class `error`; another process or thread holds the lock, the folder
+                holds other files, or the disk is full, then or in the block.
+        """
+        try:
+            if self.path.is_symlink() or not self.exists():
+                self.require_new()
+            self.path.mkdir(parents=True, exist_ok=True)
+            with lock_now(self.path / LOCK):
+                remove_partial_files(self.path, *self.files)
+                yield
+        except LockedError as problem:
+            raise self.error(
+                f"{self.path}: process {problem.process_id or '(unknown)'} already {self.use}; "
+                "wait for its end, or stop it"
+            ) from problem
+        except OSError as problem:
+            if not is_out_of_space(problem):
+                raise
+            raise self.full() from problem
+
+    def full(self) -> MagicalError:
+        """The error of a full disk."""
+        return self.error(
+            f"{self.path}: no space left on the device. What was finished is whole: free some "
+            f"space, then {self.advice}"
+        )
+
+
+def is_out_of_space(error: BaseException | None) -> bool:
+    """Whether an error, or one that led to it, is that no space (or quota) is left."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
