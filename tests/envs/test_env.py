@@ -14,6 +14,7 @@ from magical.errors import (
     InvalidActionError,
     InvalidSceneError,
     InvalidStateError,
+    MagicalError,
     ResetNeededError,
     UnknownNameError,
 )
@@ -125,12 +126,14 @@ def test_unknown_ids(env_id: str, hint: str) -> None:
         {"observation": "LoRes5"},
         {"reward": "lots"},
         {"render_mode": "human"},
-        {"horizon": 0},
-        {"horizon": "long"},
+        *({"horizon": horizon} for horizon in (0, "long", 80.0, True, 10**20, [80], "8" * 5000)),
+        *({"observation": {"size": size}} for size in (0, 96.5, "96", None, True, 10**9)),
+        *({"observation": {"samples": samples}} for samples in (0, 1.5, True, 10**9)),
+        *({"observation": {"parts": parts}} for parts in (5, [5], [["ego"]], [["ego", 0.5]])),
     ],
 )
 def test_bad_construction(options: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match="expected"):
+    with pytest.raises(MagicalError, match="expected"):
         MagicalEnv("MoveToCorner", "Demo", **options)
 
 
@@ -163,9 +166,14 @@ def test_reset_from_a_scene_and_dynamics_as_dataclasses_or_dicts() -> None:
         {"robot": [0, float("nan"), 0]},
         {"robot": [0, 0]},
         {"blocks": []},
+        5,
+        {"robot": [1e308, 0, 0], "blocks": [["star", "red", 0.5, 0.5, 0]]},
+        {"robot": [0, 0, 0], "blocks": [["star", "red", 1e308, -1e308, 1e308]]},
+        {"robot": [0, 0, 0], "blocks": [["star", "red", 0.5, 0.5, 0]] * 5000},
+        {"robot": [0, 0, 0], "regions": [["red", -1e308, 1e308, 1e308, 1e308]]},
     ],
 )
-def test_impossible_scenes(scene: dict[str, Any]) -> None:
+def test_impossible_scenes(scene: Any) -> None:
     env = _make(CORNER)
     with pytest.raises((InvalidSceneError, UnknownNameError)):
         env.reset(seed=0, options={"scene": scene})
@@ -174,9 +182,18 @@ def test_impossible_scenes(scene: dict[str, Any]) -> None:
     env.reset(seed=0)
 
 
-def test_unknown_reset_options() -> None:
-    with pytest.raises(ValueError, match="scene"):
-        _make().reset(options={"colour": "red"})
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({"colour": "red"}, "reset options: expected .*scene"),
+        ({3: 4, "b": 5}, "reset options: expected .*scene"),
+        ({"dynamics": 5}, "dynamics: expected 5 finite numbers, found 5"),
+        ({"dynamics": {"gravity": 1.0}}, "dynamics: expected some of"),
+    ],
+)
+def test_impossible_reset_options(options: Any, expected: str) -> None:
+    with pytest.raises(MagicalError, match=expected):
+        _make().reset(options=options)
 
 
 def test_action_names_and_keys() -> None:

@@ -9,6 +9,7 @@ import pytest
 from magical.envs import EnvId
 from magical.envs.env import MagicalEnv
 from magical.envs.vector import MagicalVectorEnv
+from magical.errors import InvalidConfigError
 from magical.scene.constants import MAX_NUDGE
 from magical.tasks import TASKS
 
@@ -41,6 +42,9 @@ def test_a_nudge_is_sampled_from_the_seed() -> None:
     assert np.array_equal(starts[0], starts[1])
     assert np.abs(starts[0] - starts[2]).max() > 1e-3  # another scene
     assert 0 < np.abs(starts[0] - starts[3]).max() < 1e-8
+    env.reset(seed=3, options={"nudge": np.float64(NUDGE)})
+    assert np.array_equal(starts[0], _poses(env))
+    env.reset(seed=3, options={"nudge": np.float32(NUDGE)})
 
 
 def test_a_nudged_episode_can_be_saved_and_continued() -> None:
@@ -75,5 +79,5 @@ def test_a_state_after_the_largest_nudge_can_be_set() -> None:
 
 @pytest.mark.parametrize("nudge", [-1e-9, 2 * MAX_NUDGE, float("nan"), "1e-9", True])
 def test_nudges_out_of_range(nudge: Any) -> None:
-    with pytest.raises(ValueError, match="nudge: expected a number from 0 to"):
+    with pytest.raises(InvalidConfigError, match="nudge: expected a number from 0 to"):
         MagicalEnv("MoveToRegion", "Demo").reset(options={"nudge": nudge})

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from magical.errors import InvalidSceneError
 from magical.physics import Simulation
 from magical.physics.robot import COMMANDS, Robot
 from magical.scene import Action, Block, Colour, Dynamics, Pose, Poses, Scene, Shape
@@ -114,6 +115,42 @@ def test_the_robot_cannot_leave_through_a_wall() -> None:
     for _ in range(40):
         simulation.step(Action(Longitudinal.FORWARD).id)
     assert simulation.poses().robot.y < 0.85
+
+
+BLOCK = SCENE.blocks[0]
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        Scene(Pose(1e308, 0, 0)),
+        Scene(Pose(0, 0, -1e308)),
+        Scene(Pose(0, 0, 0), (Block(Shape.STAR, Colour.RED, Pose(0, -1e308, 0)),)),
+        Scene(Pose(0, 0, 0), (BLOCK,) * 3000),
+    ],
+)
+def test_scenes_that_the_solver_cannot_be_given(scene: Scene) -> None:
+    with pytest.raises(InvalidSceneError, match=r"expected at most 100 blocks|numbers up to 1000"):
+        Simulation(scene)
+
+
+def test_states_that_the_solver_cannot_be_given() -> None:
+    simulation = Simulation(SCENE)
+    for value in (np.nan, np.inf, -1e308):
+        bodies = simulation.read()
+        bodies[6, 4] = value
+        with pytest.raises(InvalidSceneError, match="up to 1000"):
+            simulation.write(bodies)
+
+
+def test_the_strongest_and_weakest_forces_and_the_furthest_poses_stay_finite() -> None:
+    blocks = tuple(Block(b.shape, b.colour, Pose(-1e3, 1e3, 1e3)) for b in SCENE.blocks)
+    for scene in (SCENE, Scene(Pose(1e3, 1e3, 1e3), blocks)):
+        for force in (5e-324, 1e308):
+            simulation = Simulation(scene, Dynamics(*[force] * 5))
+            for action in range(18):
+                simulation.step(action)
+            assert np.isfinite(simulation.read()).all()
 
 
 def test_simulations_free_their_memory() -> None:

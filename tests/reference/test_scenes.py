@@ -12,7 +12,7 @@ from magical.conformance.recordings import recording_path
 from magical.envs import parse_env_id
 from magical.errors import RecordingError
 from magical.evaluation import published_tasks
-from magical.scene import Scene
+from magical.scene import Dynamics, Scene
 from magical.tasks import TASKS, check_placement, get_task, placement
 
 RECORDED_ROUNDING = 3e-5  # units and rad: five decimals, of several coordinates together
@@ -53,7 +53,7 @@ def test_recorded_enclosed_blocks_reach_the_limit(name: str, recorded: Recorded)
 def test_demo_scenes_are_the_recorded_ones(recorded: Recorded) -> None:
     for name in published_tasks():
         (row,) = recorded[f"{name}-Demo-v0"]
-        found = get_task(name).demo.to_dict()
+        found = scenes.row_of(get_task(name).demo, Dynamics())
         for key in ("blocks", "regions"):
             assert [b[:2] for b in found["blocks"]] == [b[:2] for b in row["blocks"]]
             assert len(found[key]) == len(row[key])

@@ -92,14 +92,18 @@ def compute(
         env_id, rng = parse_env_id(env), np.random.default_rng((seed, i))
         task = get_task(env_id.task)
         count = max(len(rows), 1 if env_id.variant == DEMO else samples)
-        scenes[env] = [_row(*task.sample(env_id.variant, rng)) for _ in range(count)]
+        scenes[env] = [row_of(*task.sample(env_id.variant, rng)) for _ in range(count)]
     return SampledScenes(scenes, {env: len(rows) or len(scenes[env]) for env, rows in data.items()})
 
 
-def _row(scene: Scene, dynamics: Dynamics) -> Row:
-    row = scene.to_dict()
-    return {key: row[key] for key in ("robot", "blocks", "regions")} | {
-        "dynamics": list(astuple(dynamics))
+def row_of(scene: Scene, dynamics: Dynamics) -> Row:
+    """A scene in the recordings' format, with regions by their centres."""
+    data = scene.to_dict()
+    return {
+        "robot": data["robot"],
+        "blocks": data["blocks"],
+        "regions": [[str(r.colour), *r.centre, r.height, r.width] for r in scene.regions],
+        "dynamics": list(astuple(dynamics)),
     }
 
 

@@ -60,6 +60,7 @@ class MagicalEnv(gym.Env[Any, np.int64]):
 
     Raises:
         UnknownNameError: there is no such task, variant, observation, reward or render mode.
+        InvalidConfigError, ObservationError: an impossible horizon or observation.
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
@@ -114,7 +115,7 @@ class MagicalEnv(gym.Env[Any, np.int64]):
 
         Raises:
             InvalidSceneError, PlacementError: no episode can start from these.
-            ValueError: unknown options, or a nudge out of range.
+            InvalidConfigError: unknown options, or a nudge out of range.
         """
         super().reset(seed=seed)
         self._running = False

@@ -1,6 +1,5 @@
 """One episode in progress, for the single and the vector environment."""
 
-import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -8,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.envs.plain_data import as_dynamics, as_scene
-from magical.envs.saved_state import MAX_HORIZON, SavedState
+from magical.envs.saved_state import SavedState
 from magical.errors import (
+    InvalidConfigError,
     InvalidSceneError,
     InvalidScoreError,
     InvalidStateError,
@@ -23,7 +22,7 @@ from magical.scene.constants import MAX_NUDGE
 from magical.scene.poses import Poses
 from magical.scene.scene import Dynamics, Scene
 from magical.scene.state import State
-from magical.tasks import TASKS, Horizon, Task
+from magical.tasks import TASKS, Horizon, Task, parse_horizon
 
 RESET_OPTIONS = ("scene", "dynamics", "nudge")
 REWARDS = ("none", "score", "dense")
@@ -52,10 +51,10 @@ class Episode:
         reward: str = "none",
         out: Any = None,
     ) -> None:
-        check_options(task, horizon, reward)
+        check_reward(task, reward)
         self.task = task
-        self.variant = variant
-        self.horizon = self._own_horizon = task.resolve_horizon(horizon)
+        self._own = task.resolve_horizon(parse_horizon(horizon)), variant
+        self.horizon, self.variant = self._own
         self.reward = reward
         self.observer = spec.observer(out)
         self._frames = spec.frames
@@ -72,19 +71,21 @@ class Episode:
 
         Raises:
             InvalidSceneError: an impossible scene.
-            ValueError: unknown options, or a nudge that is not from 0 to `MAX_NUDGE`.
+            InvalidConfigError: unknown options, or a nudge that is not from 0 to `MAX_NUDGE`.
         """
-        self.horizon = self._own_horizon  # a restored episode may have had another
+        # A restored episode may have had others.
+        self.horizon, self.variant = self._own
         scene, dynamics = self.task.sample(self.variant, rng)
         chosen = options or {}
-        unknown = set(chosen) - set(RESET_OPTIONS)
-        if unknown:
-            raise ValueError(f"reset options: expected {RESET_OPTIONS}, found {sorted(unknown)}")
-        if chosen.get("scene") is not None:
-            scene = as_scene(chosen["scene"])
+        if not set(chosen) <= set(RESET_OPTIONS):
+            raise InvalidConfigError(
+                f"reset options: expected some of {RESET_OPTIONS}, found {quoted(dict(chosen))}"
+            )
+        if (given := chosen.get("scene")) is not None:
+            scene = given if isinstance(given, Scene) else Scene.from_dict(given)
             self.task.validate(scene)
-        if chosen.get("dynamics") is not None:
-            dynamics = as_dynamics(chosen["dynamics"])
+        if (given := chosen.get("dynamics")) is not None:
+            dynamics = given if isinstance(given, Dynamics) else Dynamics.from_dict(given)
         if nudge := checked_nudge(chosen.get("nudge")):
             scene = scene.nudged(nudge, rng)
         self._start_from(scene, dynamics)
@@ -147,9 +148,11 @@ class Episode:
     def restore(self, state: SavedState) -> None:
         """Continue from a saved state, by simulating its actions again, to the state's horizon.
 
+        Its variant is the episode's until the next start.
+
         Raises `InvalidStateError` if this episode's observation cannot show its scene.
         """
-        self.horizon = state.horizon
+        self.horizon, self.variant = state.horizon, state.variant
         try:
             self._start_from(state.scene, state.dynamics, state.actions)
         except InvalidSceneError as error:
@@ -173,19 +176,8 @@ class Episode:
         return float(self.task.progress_fn(self.simulation.scene, self.poses))
 
 
-def _is_possible(horizon: Horizon) -> bool:
-    if horizon is None or isinstance(horizon, str):
-        return horizon in (None, "published")
-    return 1 <= operator.index(horizon) <= MAX_HORIZON
-
-
-def check_options(task: Task, horizon: Horizon, reward: str) -> None:
-    """Raise `ValueError` or `UnknownNameError` for an impossible horizon or reward."""
-    if not _is_possible(horizon):
-        raise ValueError(
-            f"horizon: expected an integer from 1 to {MAX_HORIZON}, 'published' or None, found "
-            f"{quoted(horizon)}"
-        )
+def check_reward(task: Task, reward: str) -> None:
+    """Raise `UnknownNameError` for a reward that the task does not have."""
     if reward not in REWARDS:
         raise UnknownNameError(f"reward {quoted(reward)} is unknown; expected one of {REWARDS}")
     if reward == "dense" and task.progress_fn is None:
@@ -198,13 +190,15 @@ def check_options(task: Task, horizon: Horizon, reward: str) -> None:
 def checked_nudge(nudge: Any) -> float:
     """The largest shift of initial poses, 0.0 for `None`.
 
-    Raises `ValueError` unless it is from 0 to `MAX_NUDGE`.
+    Raises `InvalidConfigError` unless it is from 0 to `MAX_NUDGE`.
     """
     if nudge is None:
         return 0.0
-    number = isinstance(nudge, float | int) and not isinstance(nudge, bool)
-    if not number or not 0.0 <= nudge <= MAX_NUDGE:
-        raise ValueError(f"nudge: expected a number from 0 to {MAX_NUDGE}, found {quoted(nudge)}")
+    number = isinstance(nudge, float | int | np.floating | np.integer)
+    if not number or isinstance(nudge, bool) or not 0.0 <= nudge <= MAX_NUDGE:
+        raise InvalidConfigError(
+            f"nudge: expected a number from 0 to {MAX_NUDGE}, found {quoted(nudge)}"
+        )
     return float(nudge)
 
 

@@ -1,23 +1,54 @@
 """Saved states of an episode, as plain data from outside: checked before anything is done."""
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import asdict, dataclass
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from gymnasium.utils import seeding
+from msgspec import Meta
 
-from magical.envs.plain_data import as_dynamics, as_scene
 from magical.errors import InvalidStateError, MagicalError
-from magical.messages import printable, quoted
+from magical.messages import quoted
 from magical.scene.actions import NUM_ACTIONS
 from magical.scene.constants import MAX_NUDGE
 from magical.scene.scene import Dynamics, Scene
-from magical.tasks import Task
+from magical.tasks import MAX_HORIZON, Task
+from magical.untrusted import convert
 
-MAX_HORIZON = int(np.iinfo(np.int64).max)
-_INTEGER_BITS = 128  # of an integer in the random generator's state
+_WORD = 1 << 128  # the integers in the random generator's state are below it
+
+
+@dataclass(frozen=True, slots=True)
+class _Words:
+    state: int
+    inc: int
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.state < _WORD and 0 <= self.inc < _WORD):
+            raise ValueError("expected two integers from 0 to 2**128 - 1")
+
+
+@dataclass(frozen=True, slots=True)
+class _Generator:
+    """The state of a PCG64 generator, as NumPy has it."""
+
+    bit_generator: Literal["PCG64"]
+    state: _Words
+    has_uint32: Annotated[int, Meta(ge=0, le=1)]
+    uinteger: Annotated[int, Meta(ge=0, lt=1 << 32)]
+
+
+@dataclass(frozen=True, slots=True)
+class _Record:
+    """The plain data of a saved state."""
+
+    task: str
+    variant: str
+    horizon: Annotated[int, Meta(ge=1, le=MAX_HORIZON)]
+    scene: dict[str, Any]
+    dynamics: dict[str, Any]
+    actions: tuple[Annotated[int, Meta(ge=0, lt=NUM_ACTIONS)], ...]
+    rng: _Generator
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,13 +76,10 @@ class SavedState:
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON, the inverse of `parse_state`."""
         return {
-            "task": self.task,
-            "variant": self.variant,
-            "horizon": self.horizon,
-            "scene": self.scene.to_dict(exact=True),
+            **{name: getattr(self, name) for name in ("task", "variant", "horizon", "rng")},
+            "scene": self.scene.to_dict(),
             "dynamics": self.dynamics.to_dict(),
             "actions": list(self.actions),
-            "rng": self.rng,
         }
 
     def generator(self) -> np.random.Generator:
@@ -68,78 +96,38 @@ def parse_state(data: Any, task: Task) -> SavedState:
     may have had since. Nothing is simulated.
 
     Args:
-        data: anything; nothing is assumed about it.
+        data: plain data; nothing else is assumed about it.
         task: the task that the state must be of.
 
     Raises:
         InvalidStateError: a field is missing, of a wrong type or out of range; names the field.
     """
-    if not isinstance(data, Mapping):
-        raise InvalidStateError(f"saved state: expected a mapping, found {quoted(data)}")
-    with _field("task", data) as name:
-        if not isinstance(name, str) or name != task.name:
-            raise _unexpected(repr(task.name), name)
-    with _field("variant", data) as variant:
-        if not isinstance(variant, str) or variant not in task.variants:
-            raise _unexpected(f"one of {', '.join(task.variants)}", variant)
-    with _field("horizon", data) as horizon:
-        horizon = _integer(horizon, 1, MAX_HORIZON)
-    with _field("scene", data) as scene:
-        scene = as_scene(scene)
-        task.validate(scene, MAX_NUDGE)
-    with _field("dynamics", data) as dynamics:
-        dynamics = as_dynamics(dynamics)
-    with _field("actions", data) as actions:
-        actions = _actions(actions, horizon)
-    with _field("rng", data) as rng:
-        rng = _generator_state(rng)
-    return SavedState(task.name, variant, horizon, scene, dynamics, actions, rng)
-
-
-@contextmanager
-def _field(name: str, data: Mapping[str, Any]) -> Iterator[Any]:
-    """The value of a field; errors in the block become an `InvalidStateError` that names it."""
-    if name not in data:
-        raise InvalidStateError(f"saved state: {name!r} is missing")
-    try:
-        yield data[name]
-    except (MagicalError, ValueError, TypeError, KeyError, OverflowError) as error:
-        reason = printable(str(error), 500)
-        raise InvalidStateError(f"saved state, {name!r}: {reason}") from error
-
-
-def _unexpected(expected: str, value: Any) -> InvalidStateError:
-    return InvalidStateError(f"expected {expected}, found {quoted(value)}")
-
-
-def _integer(value: Any, low: int, high: int) -> int:
-    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if not whole or not low <= value <= high:
-        raise _unexpected(f"an integer from {low} to {high}", value)
-    return int(value)
-
-
-def _actions(values: Any, horizon: int) -> tuple[int, ...]:
-    if not isinstance(values, list | tuple):
-        raise _unexpected("a list of integers", values)
-    if len(values) > horizon:
+    record: _Record = convert(data, _Record, "saved state", InvalidStateError)
+    if record.task != task.name:
         raise InvalidStateError(
-            f"expected at most {horizon} actions (the horizon), found {len(values)}"
+            f"saved state: task: expected {task.name}, found {quoted(record.task)}"
         )
-    return tuple(_integer(value, 0, NUM_ACTIONS - 1) for value in values)
-
-
-def _generator_state(value: Any) -> dict[str, Any]:
-    """The state of a PCG64 generator: what `np.random.Generator` takes, and nothing else."""
-    if not isinstance(value, Mapping) or value.get("bit_generator") != "PCG64":
-        raise _unexpected("the state of a PCG64 generator", value)
-    words = value["state"]
-    if not isinstance(words, Mapping):
-        raise _unexpected("'state' with 'state' and 'inc'", words)
-    word = (1 << _INTEGER_BITS) - 1
-    return {
-        "bit_generator": "PCG64",
-        "state": {name: _integer(words[name], 0, word) for name in ("state", "inc")},
-        "has_uint32": _integer(value["has_uint32"], 0, 1),
-        "uinteger": _integer(value["uinteger"], 0, (1 << 32) - 1),
-    }
+    if record.variant not in task.variants:
+        raise InvalidStateError(
+            f"saved state: variant: expected one of {', '.join(task.variants)}, found "
+            f"{quoted(record.variant)}"
+        )
+    if len(record.actions) > record.horizon:
+        raise InvalidStateError(
+            f"saved state: actions: expected at most {record.horizon} (the horizon), found "
+            f"{len(record.actions)}"
+        )
+    try:
+        scene, dynamics = Scene.from_dict(record.scene), Dynamics.from_dict(record.dynamics)
+        task.validate(scene, MAX_NUDGE)
+    except MagicalError as error:
+        raise InvalidStateError(f"saved state: scene or dynamics: {error}") from error
+    return SavedState(
+        record.task,
+        record.variant,
+        record.horizon,
+        scene,
+        dynamics,
+        record.actions,
+        asdict(record.rng),
+    )

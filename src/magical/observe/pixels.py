@@ -11,10 +11,11 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from magical.errors import ObservationError
+from magical.errors import ObservationError, UnknownNameError
+from magical.messages import quoted
 from magical.observe.arrays import SINGLE, ArrayFields, empty, stack_indices
 from magical.observe.spec import EpisodeSource, FrameSource
-from magical.scene.constants import FRAME_SIZE
+from magical.scene.constants import FRAME_SIZE, MAX_FRAME_SIZE, SAMPLES
 from magical.scene.scene import Scene
 from magical.scene.vocabulary import View, parse_word
 
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from magical.render import Renderer
 
 STACK = 4  # frames
+MAX_FRAMES = 1000  # of a view in one observation
 CHANNELS = 3  # of a frame: red, green, blue
 
 Pixels = NDArray[np.uint8]
@@ -34,12 +36,13 @@ class PixelSpec:
     Args:
         parts: the views in channel order, each with its number of frames.
         size: height and width in pixels.
-        samples: samples x samples samples are averaged in each pixel; `None` takes as many as make
-            384 across, as the published pipeline does.
+        samples: 1, 2 or 4; samples x samples are averaged in each pixel; `None` takes as many as
+            make 384 across, as the published pipeline does.
         separate: a dict of views instead of one array (size, size, 3 * frames).
         channels_first: arrays (3 * frames, size, size).
 
-    Before the first step the first frame is repeated. Raises `ValueError` for impossible settings.
+    Before the first step the first frame is repeated. Raises `ObservationError` for impossible
+    settings, `UnknownNameError` for an unknown view.
     """
 
     parts: tuple[tuple[View, int], ...] = ((View.EGO, STACK),)
@@ -49,16 +52,23 @@ class PixelSpec:
     channels_first: bool = False
 
     def __post_init__(self) -> None:
-        parts = tuple((parse_word(View, view), int(frames)) for view, frames in self.parts)
-        object.__setattr__(self, "parts", parts)
-        if not parts or min(frames for _, frames in parts) < 1:
-            raise ValueError(f"parts: expected views with at least one frame each, found {parts}")
-        if len({view for view, _ in parts}) < len(parts):
-            raise ValueError(f"parts: expected each view once, found {parts}")
-        if self.size < 1 or (self.samples is not None and self.samples < 1):
-            raise ValueError(
-                f"expected positive size and samples, found {self.size} and {self.samples}"
+        try:
+            parts = tuple(
+                (parse_word(View, view), _whole("frames", frames, MAX_FRAMES))
+                for view, frames in self.parts
             )
+        except (UnknownNameError, ObservationError):
+            raise
+        except (TypeError, ValueError):  # no pairs
+            parts = ()
+        if not 0 < len(parts) == len({view for view, _ in parts}):
+            raise ObservationError(
+                f"parts: expected each view once, with its frames, found {quoted(self.parts)}"
+            )
+        object.__setattr__(self, "parts", parts)
+        object.__setattr__(self, "size", _whole("size", self.size, MAX_FRAME_SIZE))
+        if self.samples is not None and _whole("samples", self.samples, 4) not in SAMPLES:
+            raise ObservationError(f"samples: expected one of {SAMPLES}, found {self.samples}")
 
     def shape(self, frames: int) -> tuple[int, int, int]:
         """The shape of an array of `frames` stacked frames."""
@@ -218,6 +228,16 @@ class PixelObserver:
         shift_stack(whole)
         for renderer, stack in zip(self._renderers, self._stacks, strict=True):
             renderer.render(bodies, stack[:, :, -CHANNELS:])
+
+
+def _whole(name: str, value: Any, most: int) -> int:
+    """An integer from 1 to `most`; raises `ObservationError`."""
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole or not 1 <= value <= most:
+        raise ObservationError(
+            f"{name}: expected an integer from 1 to {most}, found {quoted(value)}"
+        )
+    return int(value)
 
 
 def copy_pixels(source: Pixels, out: Pixels) -> None:

@@ -6,12 +6,18 @@ import numpy as np
 import pymunk
 from numpy.typing import NDArray
 
+from magical.errors import InvalidSceneError
 from magical.physics.blocks import add_block, add_walls
 from magical.physics.chipmunk import BodyReader
 from magical.physics.robot import COMMANDS, ROBOT_GROUP, Robot
 from magical.scene import constants as c
 from magical.scene.poses import Poses
 from magical.scene.scene import Dynamics, Scene
+
+# Beyond these the solver takes minutes, or its results are no numbers. No more blocks fit into the
+# workspace than MAX_BLOCKS.
+MAX_BLOCKS = 100
+MAX_COORDINATE = 1e3  # units and radians
 
 
 class Simulation:
@@ -23,9 +29,13 @@ class Simulation:
     Attributes:
         advance: advances the physics by one substep of a given duration in seconds; replaced by a
             timed version where the time spent in the physics engine is measured.
+
+    Raises:
+        InvalidSceneError: more than `MAX_BLOCKS` blocks, or a pose beyond `MAX_COORDINATE`.
     """
 
     def __init__(self, scene: Scene, dynamics: Dynamics | None = None) -> None:
+        _check(scene)
         self.scene = scene
         self.dynamics = dynamics or Dynamics()
         self._space = pymunk.Space()
@@ -81,8 +91,28 @@ class Simulation:
         Args:
             bodies: (5 + number of blocks, 6), as `read` returns it; the eyes' positions are not
                 used.
+
+        Raises `InvalidSceneError` for a value that is not finite or beyond `MAX_COORDINATE`.
         """
+        _check_range(bodies)
         for body, row in zip(self._bodies, bodies.tolist(), strict=True):
             x, y, angle, velocity_x, velocity_y, spin = row
             body.position, body.angle = (x, y), angle
             body.velocity, body.angular_velocity = (velocity_x, velocity_y), spin
+
+
+def _check(scene: Scene) -> None:
+    """Raise `InvalidSceneError` for a scene that the solver cannot be given."""
+    if len(scene.blocks) > MAX_BLOCKS:
+        raise InvalidSceneError(
+            f"scene: expected at most {MAX_BLOCKS} blocks, found {len(scene.blocks)}"
+        )
+    _check_range(np.array([scene.robot, *(block.pose for block in scene.blocks)]))
+
+
+def _check_range(bodies: NDArray[np.float64]) -> None:
+    furthest = np.abs(bodies).max()
+    if not furthest <= MAX_COORDINATE:  # NaN too
+        raise InvalidSceneError(
+            f"poses: expected finite numbers up to {MAX_COORDINATE:g}, found {furthest:g}"
+        )

@@ -11,12 +11,10 @@ from magical.render.canvas import blank
 from magical.render.display import display_list
 from magical.render.frame import ALLO, EGO, FAR, GROUND, compiled_render
 from magical.render.output import CHANNELS, compiled_store, push
-from magical.scene.constants import FRAME_SIZE, RAW_FRAME_SIZE
+from magical.scene.constants import FRAME_SIZE, RAW_FRAME_SIZE, SAMPLES
 from magical.scene.poses import FIRST_BLOCK, Poses
 from magical.scene.scene import Pose, Scene
 from magical.scene.vocabulary import View, parse_word
-
-SAMPLES = (1, 2, 4)
 
 Image = NDArray[np.uint8]
 

@@ -63,6 +63,8 @@ STAR_INNER_RADIUS = 0.5 * STAR_OUTER_RADIUS  # units
 # Sections 6 and 7: the resolutions of the published frames.
 RAW_FRAME_SIZE = 384  # pixels: as rendered, one sample a pixel
 FRAME_SIZE = 96  # pixels: after averaging 4 x 4
+SAMPLES = (1, 2, 4)  # across a pixel, that can be rendered
+MAX_FRAME_SIZE = 4096  # pixels that can be asked for: some 50 MB a frame
 
 # Of initial poses, in units and radians; more can be seen, and is what the Jitter variant is for.
 MAX_NUDGE = 0.01

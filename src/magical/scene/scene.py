@@ -2,13 +2,16 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, astuple, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from magical.errors import InvalidSceneError
+from magical.messages import quoted
 from magical.scene.vocabulary import Colour, Shape, parse_word
+
+_NUMBERS = (float, int, np.floating, np.integer)
 
 
 class Pose(NamedTuple):
@@ -19,16 +22,19 @@ class Pose(NamedTuple):
     angle: float
 
 
-def _finite(what: str, values: Sequence[Any]) -> None:
-    if not all(isinstance(v, (int, float)) and math.isfinite(v) for v in values):
-        raise InvalidSceneError(f"{what}: expected finite numbers, found {tuple(values)}")
+def _floats(what: str, values: Sequence[Any], count: int) -> list[float]:
+    """`count` finite numbers, NumPy's too, as floats; raises `InvalidSceneError`."""
+    try:
+        numbers = [float(value) for value in values if isinstance(value, _NUMBERS)]
+        if len(values) == len(numbers) == count and all(map(math.isfinite, numbers)):
+            return numbers
+    except (TypeError, OverflowError):  # no sequence, or an integer beyond any float
+        pass
+    raise InvalidSceneError(f"{what}: expected {count} finite numbers, found {quoted(values)}")
 
 
-def _pose(what: str, values: Sequence[float]) -> Pose:
-    if len(values) != 3:
-        raise InvalidSceneError(f"{what}: expected (x, y, angle), found {values!r}")
-    _finite(what, values)
-    return Pose(*map(float, values))
+def _pose(what: str, values: Sequence[Any]) -> Pose:
+    return Pose(*_floats(f"{what} (x, y, angle)", values, 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +75,9 @@ class Region:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "colour", parse_word(Colour, self.colour))
-        _finite(f"{self.colour} region", (self.x, self.y, self.height, self.width))
+        values = _floats(f"{self.colour} region", (self.x, self.y, self.height, self.width), 4)
+        for name, value in zip(("x", "y", "height", "width"), values, strict=True):
+            object.__setattr__(self, name, value)
         if self.height <= 0 or self.width <= 0:
             raise InvalidSceneError(
                 f"{self.colour} region: expected positive height and width, "
@@ -88,7 +96,7 @@ class Region:
     @staticmethod
     def from_centre(colour: str, x: float, y: float, height: float, width: float) -> "Region":
         """The region with its centre at (x, y)."""
-        return Region(Colour(colour), x - width / 2, y + height / 2, height, width)
+        return Region(parse_word(Colour, colour), x - width / 2, y + height / 2, height, width)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,8 +110,10 @@ class Dynamics:
     block_gear_max_force: float = 0.1
 
     def __post_init__(self) -> None:
-        values = astuple(self)
-        _finite("dynamics", values)
+        names = [field.name for field in fields(self)]
+        values = _floats("dynamics", [getattr(self, name) for name in names], len(names))
+        for name, value in zip(names, values, strict=True):
+            object.__setattr__(self, name, value)
         if min(values) <= 0:
             raise InvalidSceneError(f"dynamics: expected positive forces, found {values}")
 
@@ -114,16 +124,16 @@ class Dynamics:
 
     @staticmethod
     def from_dict(data: Mapping[str, Any] | Sequence[float]) -> "Dynamics":
-        """The inverse of `to_dict`; also takes the five numbers in order.
+        """The inverse of `to_dict`; also takes some of the fields, or all five numbers in order.
 
         Raises:
-            InvalidSceneError: unknown names, too many numbers, or forces that are not positive.
+            InvalidSceneError: anything else, or forces that are not positive.
         """
         names = [field.name for field in fields(Dynamics)]
         if not isinstance(data, Mapping):
-            data = dict(zip(names, data, strict=len(data) != len(names)))
-        if set(data) - set(names) or len(data) > len(names):
-            raise InvalidSceneError(f"dynamics: expected some of {names}, found {sorted(data)}")
+            data = dict(zip(names, _floats("dynamics", data, len(names)), strict=True))
+        if not set(data) <= set(names):
+            raise InvalidSceneError(f"dynamics: expected some of {names}, found {quoted(data)}")
         return Dynamics(**data)
 
     def to_dict(self) -> dict[str, float]:
@@ -172,46 +182,41 @@ class Scene:
         blocks = tuple(replace(block, pose=nudge(block.pose)) for block in self.blocks)
         return replace(self, robot=robot, blocks=blocks)
 
-    def to_dict(self, exact: bool = False) -> dict[str, Any]:
-        """Plain data for JSON, in the recordings' format.
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON, from which `from_dict` makes an equal scene.
 
         `robot` [x, y, angle]; `blocks` [[shape, colour, x, y, angle], ...]; `regions`
-        [[colour, centre x, centre y, height, width], ...]; `robot_first`. With `exact`, regions are
-        mappings of their own fields instead: going through the centre can cost a rounding error.
+        [{colour, x, y, height, width}, ...]; `robot_first`.
         """
         return {
             "robot": list(self.robot),
             "blocks": [[str(b.shape), str(b.colour), *b.pose] for b in self.blocks],
-            "regions": [_region_data(region, exact) for region in self.regions],
+            "regions": [{**asdict(r), "colour": str(r.colour)} for r in self.regions],
             "robot_first": self.robot_first,
         }
 
     @staticmethod
     def from_dict(data: Mapping[str, Any]) -> "Scene":
-        """The inverse of `to_dict`; raises `InvalidSceneError` or `UnknownNameError`."""
+        """The inverse of `to_dict`.
+
+        Regions may be [colour, centre x, centre y, height, width] too, as in the recordings.
+
+        Raises `InvalidSceneError` or `UnknownNameError`.
+        """
         try:
             return Scene(
                 robot=data["robot"],
-                blocks=tuple(Block(b[0], b[1], Pose(*b[2:])) for b in data.get("blocks", ())),
-                regions=tuple(_region(r) for r in data.get("regions", ())),
+                blocks=tuple(Block(b[0], b[1], b[2:]) for b in data.get("blocks", ())),
+                regions=tuple(map(_region, data.get("regions", ()))),
                 robot_first=bool(data.get("robot_first", False)),
             )
-        except (KeyError, IndexError, TypeError) as error:
+        except (KeyError, IndexError, TypeError, OverflowError) as error:
             raise InvalidSceneError(
                 "scene: expected robot [x, y, angle], blocks [[shape, colour, x, y, angle], ...] "
-                f"and regions [[colour, centre x, centre y, height, width], ...], found {data!r}"
+                "and regions [{colour, x, y, height, width}, ...] or "
+                f"[[colour, centre x, centre y, height, width], ...], found {quoted(data)}"
             ) from error
 
 
-def _region_data(region: Region, exact: bool) -> dict[str, Any] | list[Any]:
-    if exact:
-        return {**asdict(region), "colour": str(region.colour)}
-    return [str(region.colour), *region.centre, region.height, region.width]
-
-
 def _region(data: Mapping[str, Any] | Sequence[Any]) -> Region:
-    if isinstance(data, Mapping):
-        return Region(**data)
-    parse_word(Colour, data[0])
-    _finite("region", data[1:])
-    return Region.from_centre(*data)
+    return Region(**data) if isinstance(data, Mapping) else Region.from_centre(*data)

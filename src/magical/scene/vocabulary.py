@@ -4,6 +4,7 @@ from enum import StrEnum
 from typing import Any, TypeVar
 
 from magical.errors import UnknownNameError
+from magical.messages import quoted
 
 
 class Shape(StrEnum):
@@ -44,5 +45,5 @@ def parse_word(kind: type[Word], value: Any) -> Word:
     except ValueError:
         known = ", ".join(kind)
         raise UnknownNameError(
-            f"{value!r} is no {kind.__name__.lower()}; expected one of: {known}"
+            f"{quoted(value)} is no {kind.__name__.lower()}; expected one of: {known}"
         ) from None

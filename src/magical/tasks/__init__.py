@@ -2,7 +2,13 @@
 
 from magical.tasks.axes import CHANGES, VARIANTS, Axis
 from magical.tasks.checking import check_placement
-from magical.tasks.horizons import have_two_horizons, require_two_horizons
+from magical.tasks.horizons import (
+    MAX_HORIZON,
+    format_horizon,
+    have_two_horizons,
+    parse_horizon,
+    require_two_horizons,
+)
 from magical.tasks.placement import Placement
 from magical.tasks.registry import (
     TASKS,
@@ -17,6 +23,7 @@ from magical.tasks.validation import validate_scene
 
 __all__ = [
     "CHANGES",
+    "MAX_HORIZON",
     "TASKS",
     "VARIANTS",
     "Axis",
@@ -24,9 +31,11 @@ __all__ = [
     "Placement",
     "Task",
     "check_placement",
+    "format_horizon",
     "get_task",
     "have_two_horizons",
     "load_tasks",
+    "parse_horizon",
     "register_task",
     "require_two_horizons",
     "unregister_task",

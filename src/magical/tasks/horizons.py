@@ -1,9 +1,45 @@
-"""Which tasks the published code runs for another number of steps than the appendix says."""
+"""Horizons: the appendix's, the published code's where it has another, or a number of steps."""
 
+import operator
 from collections.abc import Iterable
+from typing import Any, Final
 
-from magical.errors import UnknownNameError
+import numpy as np
+
+from magical.errors import InvalidConfigError, UnknownNameError
+from magical.messages import quoted
 from magical.tasks.registry import TASKS, get_task
+from magical.tasks.task import Horizon
+
+APPENDIX: Final = "appendix"
+PUBLISHED: Final = "published"
+MAX_HORIZON = int(np.iinfo(np.int64).max)
+
+
+def parse_horizon(value: Any) -> Horizon:
+    """What `Task.resolve_horizon` takes, from "appendix", "published", steps or text of them.
+
+    Raises:
+        InvalidConfigError: none of these, or a number of steps out of range.
+    """
+    if value is None or (isinstance(value, str) and value in (APPENDIX, PUBLISHED)):
+        return PUBLISHED if value == PUBLISHED else None
+    digits = isinstance(value, str) and value.isascii() and value.isdigit() and len(value) < 20
+    try:
+        steps = int(value) if digits else operator.index(value)
+    except TypeError:
+        steps = 0
+    if isinstance(value, bool) or not 1 <= steps <= MAX_HORIZON:
+        raise InvalidConfigError(
+            f"horizon: expected {APPENDIX}, {PUBLISHED} or a number of control steps from 1 to "
+            f"{MAX_HORIZON}, found {quoted(value)}"
+        )
+    return steps
+
+
+def format_horizon(horizon: Horizon) -> str:
+    """The inverse of `parse_horizon`, for records and messages."""
+    return APPENDIX if horizon is None else str(horizon)
 
 
 def have_two_horizons(tasks: Iterable[str]) -> bool:

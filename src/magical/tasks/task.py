@@ -144,12 +144,12 @@ class Task:
         Raises:
             InvalidSceneError: it cannot; the message says why and what to change.
         """
-        validate_scene(scene, nudge)
         found = len(scene.blocks), len(scene.regions)
         if found[0] > self.max_blocks or found[1] > self.max_regions:
             raise InvalidSceneError(
                 f"{self.name}: expected at most {self.max_blocks} blocks and {self.max_regions} "
                 f"regions, found {found[0]} and {found[1]}; remove some"
             )
+        validate_scene(scene, nudge)
         if problem := self.validate_fn(scene):
             raise InvalidSceneError(f"{self.name}: {problem}")

@@ -56,7 +56,7 @@ def check_inside(solids: dict[str, Solid], slack: float) -> None:
         beyond = solid.beyond_wall()
         if beyond > slack:
             raise InvalidSceneError(
-                f"scene: {name} at ({solid.pose.x:.3f}, {solid.pose.y:.3f}) reaches {beyond:.3f} "
+                f"scene: {name} at ({solid.pose.x:.3g}, {solid.pose.y:.3g}) reaches {beyond:.3g} "
                 "units outside the workspace [-1, 1] x [-1, 1]; move it inside"
             )
 

@@ -83,7 +83,7 @@ def encode(trajectory: Trajectory) -> bytes:
     header = {
         **FORMAT,
         **{name: getattr(trajectory, name) for name in _FIELDS},
-        "scene": trajectory.scene.to_dict(exact=True),
+        "scene": trajectory.scene.to_dict(),
         "dynamics": trajectory.dynamics.to_dict(),
     }
     text = json.dumps(header).encode()

@@ -10,7 +10,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 
 from magical.envs.env import Reward
-from magical.envs.episode import Episode, check_options
+from magical.envs.episode import Episode, check_reward
 from magical.envs.ids import EnvId, parse_env_id
 from magical.envs.saved_state import parse_state
 from magical.envs.vector.buffers import BufferLayout, VectorBuffers
@@ -50,7 +50,7 @@ class VectorSpec:
         """
         first, *others = {task.name: task for task in self.tasks()}.values()
         for task in (first, *others):
-            check_options(task, self.horizon, self.reward)
+            check_reward(task, self.reward)
         spec = make_spec(self.observation, first)
         for task in others:
             other = make_spec(self.observation, task)

@@ -137,7 +137,7 @@ def _warm_up(spec: VectorSpec) -> None:
 
 def _plain(value: Any) -> Any:
     if isinstance(value, Scene):
-        return value.to_dict(exact=True)
+        return value.to_dict()
     if isinstance(value, Dynamics):
         return value.to_dict()
     if isinstance(value, (np.generic, np.ndarray)):
