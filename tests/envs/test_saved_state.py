@@ -67,7 +67,10 @@ DAMAGED: dict[str, tuple[str, Callable[[], Any]]] = {
     "variant is None": ("variant", partial(with_entry, ("variant",), None)),
     "robot far outside": ("scene", partial(with_entry, ("scene", "robot"), [1e6, 0, 0])),
     "robot is infinite": ("saved state", partial(with_entry, ("scene", "robot"), [math.inf, 0, 0])),
-    "robot of 400 digits": ("saved state", partial(with_entry, ("scene", "robot"), [10**400, 0, 0])),
+    "robot of 400 digits": (
+        "saved state",
+        partial(with_entry, ("scene", "robot"), [10**400, 0, 0]),
+    ),
     "no blocks": ("scene", partial(with_entry, ("scene", "blocks"), [])),
     "blocks is a number": ("scene", partial(with_entry, ("scene", "blocks"), 5)),
     "many blocks": (
