@@ -78,7 +78,7 @@ def run_download(args: argparse.Namespace) -> int:
         log(f"error: {error}")
     # The sums once more: the files could have been replaced after they were fetched.
     sums = {path: missing[name] for name, path in fetched.files.items()}
-    errors = [str(error) for error in fetched.errors]
+    errors = fetched.errors
     status = _import(list(sums), args, MAX_UNPACKED, sums=sums, not_fetched=errors)
     if not (args.keep or errors or status):
         shutil.rmtree(folder, ignore_errors=True)

@@ -130,7 +130,9 @@ def _moved_when_complete(minari_id: str, root: Path | None) -> Iterator[None]:
     """Let Minari write into a temporary folder, and move the complete dataset to its own."""
     namespace = minari_id.rpartition("/")[0]
     with _minari_root(root):
-        home, target = Path(get_dataset_path()), Path(get_dataset_path(minari_id))
+        # Minari writes a relative path's parts below themselves.
+        home = Path(get_dataset_path()).resolve()
+        target = home / minari_id
         if target.exists():
             raise DatasetError(f"{target}: a dataset of that name exists; choose another")
         with tempfile.TemporaryDirectory(dir=home, prefix=".part-") as folder:

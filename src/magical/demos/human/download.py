@@ -1,24 +1,28 @@
 """Fetching the published archive over HTTPS, file by file, verified and resumable.
 
-The server is not trusted: addresses, redirects, headers and the rate of transfer are checked, and
-only files with the published SHA-256 sums are returned.
+The server is not trusted: redirects, sizes and the rate of transfer are bounded, and only files
+with the published SHA-256 sums are returned.
 """
 
-import http.client
 import re
-import socket
-import ssl
 import threading
 import time
 import urllib.error
 import urllib.parse
 import urllib.request
-from collections.abc import Callable, Mapping
-from contextlib import suppress
-from dataclasses import dataclass
-from email.message import Message
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from http.client import (
+    HTTPConnection,
+    HTTPException,
+    HTTPResponse,
+    HTTPSConnection,
+    IncompleteRead,
+)
 from pathlib import Path
-from typing import IO, Any
+from socket import SHUT_RDWR, socket
+from ssl import SSLError
+from typing import IO, Any, NamedTuple
 
 from magical.errors import DownloadError
 from magical.files import open_regular, sha256_sum
@@ -28,29 +32,23 @@ from magical.messages import printable, quoted
 COMMIT = "42eb21c4bd6c0e2262ccc2fc00ef2a36b10b6a5a"
 BASE_URL = f"https://raw.githubusercontent.com/qxcv/magical-data/{COMMIT}"
 MAX_BYTES = 64 << 20  # of one file; the largest has 2.5 MB
-TIMEOUT = 30.0  # s, to connect, for the next bytes, and for a response beyond its transfer time
+TIMEOUT = 30.0  # s, to connect, for the headers, and for a body beyond its transfer time
 MIN_RATE = 5000.0  # bytes per second, below which an attempt is given up
 ATTEMPTS = 3
-MAX_REDIRECTS = 5
+_TOO_SLOW = f"less than {MIN_RATE:.0f} bytes per second"
 _CHUNK = 1 << 16
-_REDIRECTS = frozenset({301, 302, 303, 307, 308})
-_HOST = re.compile(r"[A-Za-z0-9._-]{1,253}|[0-9A-Fa-f:.]{2,45}")
-_INTERRUPTIONS = (
-    ConnectionError,
-    TimeoutError,
-    ValueError,  # of http.client, for lines that are not HTTP
-    http.client.HTTPException,
-    ssl.SSLError,
+_ADDRESS = re.compile(
+    r"https?://([A-Za-z0-9._-]{1,253}|\[[0-9A-Fa-f:.]{2,45}\])(:\d{1,5})?(/[!-~]*)?"
 )
-_CONTENT_RANGE = re.compile(r"bytes (\d{1,12})-\d{1,12}/(?:\d{1,12}|\*)")
+# `http.client` raises ValueError for lines that are not HTTP.
+_INTERRUPTIONS = (ConnectionError, TimeoutError, ValueError, HTTPException, SSLError)
 
 
-@dataclass(frozen=True, slots=True)
-class Download:
+class Download(NamedTuple):
     """Verified files by their published paths, and an error for every file not fetched."""
 
     files: dict[str, Path]
-    errors: list[DownloadError]
+    errors: list[str]
 
 
 def fetch_all(
@@ -74,161 +72,96 @@ def fetch_all(
         DownloadError: no server answers, or `base_url` is not a valid address.
         OSError: the folder cannot be written.
     """
-    base_url = _checked_base(base_url)
-    files: dict[str, Path] = {}
-    errors = []
+    if not _is_address(base_url) or set(base_url) & set("?#"):
+        raise DownloadError(
+            "base URL: expected http:// or https://, a host and perhaps a port and a path, "
+            f"found {quoted(base_url)}"
+        )
+    download = Download({}, [])
     for name, digest in sums.items():
         target = folder / name
-        try:
-            if _sum(target) != digest:
-                _fetch(f"{base_url}/{urllib.parse.quote(name)}", target, digest)
-            files[name] = target
-        except _UnreachableError:
-            raise
-        except DownloadError as error:
-            errors.append(error)
+        url = f"{base_url.rstrip('/')}/{urllib.parse.quote(name)}"
+        problem = None if _sum(target) == digest else _fetch(url, target, digest)
+        if problem is None:
+            download.files[name] = target
+        else:
+            download.errors.append(f"{url}: could not be fetched: {problem}; run again to resume")
         if progress:
             progress(1)
-    return Download(files, errors)
+    return download
 
 
-def _fetch(url: str, target: Path, digest: str) -> None:
-    """Fetch one file in several attempts, each of which resumes the one before."""
+def _fetch(url: str, target: Path, digest: str) -> str | None:
+    """Fetch one file in several attempts, each of which resumes the one before.
+
+    Returns:
+        Why it could not be fetched, or `None`.
+
+    Raises:
+        DownloadError: no server answers.
+    """
     target.parent.mkdir(parents=True, exist_ok=True)
     part = target.with_name(f"{target.name}.part")
+    problem = ""
     for attempt in range(1, ATTEMPTS + 1):
         try:
             _resume(url, part)
             found = _sum(part)
             if found == digest:
                 part.replace(target)
-                return
+                return None
             part.unlink()
             problem = f"expected SHA-256 {digest[:12]}..., found {found[:12]}..."
         except urllib.error.HTTPError as error:
-            problem = f"the server answered {error.code} {printable(str(error.reason))}"
             error.close()
+            problem = f"the server answered {error.code} {printable(str(error.reason))}"
             if error.code == 416:  # the partial file is longer than the file: start over
                 part.unlink(missing_ok=True)
             elif error.code < 500:
-                break
+                return problem
         except urllib.error.URLError as error:
             problem = printable(str(error.reason))
             if attempt == ATTEMPTS:
-                raise _UnreachableError(f"{url}: no answer: {problem}") from error
+                raise DownloadError(f"{url}: no answer: {problem}") from error
+        except DownloadError as error:
+            return str(error)
         except _INTERRUPTIONS as error:
             problem = f"interrupted: {printable(f'{type(error).__name__}: {error}')}"
-    raise DownloadError(f"{url}: could not be fetched: {problem}; run again to resume")
+    return problem
 
 
 def _resume(url: str, part: Path) -> None:
-    """Append the rest of a file to its partial file, or fetch all of it."""
-    have = part.stat().st_size if part.exists() else 0
-    with _open(url, have) as response:
-        resumed = response.status == http.client.PARTIAL_CONTENT
-        expected = _content_length(url, response.headers)
-        if resumed and not _starts_at(response.headers, have):
-            part.unlink()
-            raise http.client.HTTPException("another range than requested")
-        if (have if resumed else 0) + (expected or 0) > MAX_BYTES:
-            raise DownloadError(f"{url}: expected at most {MAX_BYTES} bytes, found more")
-        with open_regular(part, "ab" if resumed else "wb") as file:
-            _copy(response, file, expected)
-
-
-def _open(url: str, have: int) -> "_Response":
-    """Request the bytes of a file from `have` on, following redirects that do not leave HTTPS."""
-    headers = {"Range": f"bytes={have}-"} if have else {}
-    for _ in range(MAX_REDIRECTS + 1):
-        try:
-            response = _OPENER.open(urllib.request.Request(url, headers=headers), timeout=TIMEOUT)
-        except urllib.error.HTTPError as error:
-            if error.code not in _REDIRECTS:
-                raise
-            location = error.headers.get("Location", "")
-            error.close()
-            url = _checked_redirect(url, location)
-        else:
-            assert isinstance(response, _Response)
-            return response
-    raise DownloadError(f"{url}: expected at most {MAX_REDIRECTS} redirects, found more")
-
-
-def _copy(response: "_Response", file: IO[bytes], expected: int | None) -> None:
-    """Copy the response's body.
+    """Append the rest of a file to its partial file, or fetch all of it.
 
     Raises:
-        IncompleteRead: it ends early.
-        TimeoutError: it is slower than `MIN_RATE`.
+        DownloadError: it is larger than `MAX_BYTES`, or is redirected to another scheme.
+        TimeoutError: it comes slower than `MIN_RATE`.
+        ValueError, OSError: the server does not answer, or not as a server should.
     """
-    received = 0
+    have = part.stat().st_size if part.exists() else 0
+    request = urllib.request.Request(url, headers={"Range": f"bytes={have}-"} if have else {})
+    start, received = time.monotonic(), 0
+    with _OPENER.open(request, timeout=TIMEOUT) as response:
+        resumed = response.status == 206
+        room = MAX_BYTES - (have if resumed else 0)
+        with open_regular(part, "ab" if resumed else "wb") as file:
+            while received + (response.length or 0) <= room and (chunk := response.read1(_CHUNK)):
+                file.write(chunk)
+                received += len(chunk)
+                if time.monotonic() > start + TIMEOUT + received / MIN_RATE:
+                    raise TimeoutError(_TOO_SLOW)
+        if received + (response.length or 0) > room:
+            raise DownloadError(f"expected at most {MAX_BYTES} bytes, found more")
+        if response.length:
+            raise IncompleteRead(b"", response.length)
+
+
+def _is_address(url: str) -> bool:
+    """Whether this is an http or https address with a host and nothing to be escaped."""
     try:
-        while received < MAX_BYTES and (chunk := response.read1(_CHUNK)):
-            file.write(chunk)
-            received += len(chunk)
-            response.received = received
-    finally:  # a connection that was shut down ends or is reset
-        response.check_rate()
-    if received < (expected or 0):
-        raise http.client.IncompleteRead(b"", (expected or 0) - received)
-
-
-def _content_length(url: str, headers: Message) -> int | None:
-    lengths = set(headers.get_all("Content-Length", []))
-    if not lengths:
-        return None
-    (length, *others) = lengths
-    if others or not re.fullmatch(r"[0-9]{1,12}", length):
-        found = printable(" and ".join(sorted(lengths)))
-        raise DownloadError(f"{url}: Content-Length: expected a number of bytes, found {found}")
-    return int(length)
-
-
-def _starts_at(headers: Message, start: int) -> bool:
-    found = headers.get("Content-Range")
-    if found is None:
-        return True  # the sum will show it
-    match = _CONTENT_RANGE.fullmatch(found)
-    return match is not None and int(match[1]) == start
-
-
-def _checked_base(url: str) -> str:
-    if urllib.parse.urlsplit(_checked_url("base URL", url)).query or "#" in url:
-        raise DownloadError(f"base URL: expected no query or fragment, found {quoted(url)}")
-    return url.rstrip("/")
-
-
-def _checked_redirect(url: str, location: str) -> str:
-    # As urllib does: servers send addresses with characters that would have to be escaped.
-    quoted_location = urllib.parse.quote(
-        location, encoding="iso-8859-1", safe="/%:=&?~#+!$,;'@()*[]"
-    )
-    try:
-        target = urllib.parse.urljoin(url, quoted_location)
+        return bool(_ADDRESS.fullmatch(url)) and urllib.parse.urlsplit(url).port != 0
     except ValueError:
-        target = ""
-    if not target.startswith(("https://", url[: url.index(":") + 3])):
-        raise DownloadError(f"{url}: expected a redirect to https://, found {quoted(location)}")
-    return _checked_url("redirect", target)
-
-
-def _checked_url(what: str, url: str) -> str:
-    """An http or https address with a host and nothing that would have to be escaped."""
-    try:
-        parts = urllib.parse.urlsplit(url)
-        port_fits = parts.port is None or parts.port > 0
-    except ValueError as error:
-        raise DownloadError(f"{what}: expected an address, found {quoted(url)}") from error
-    if parts.scheme not in ("http", "https"):
-        raise DownloadError(f"{what}: expected http:// or https://, found {quoted(url)}")
-    valid_host = _HOST.fullmatch(parts.hostname or "") and "@" not in parts.netloc
-    if not valid_host or not port_fits or parts.netloc.endswith(":"):
-        raise DownloadError(f"{what}: expected a host and perhaps a port, found {quoted(url)}")
-    if not all("!" <= character <= "~" for character in url):
-        raise DownloadError(
-            f"{what}: expected no spaces or special characters, found {quoted(url)}"
-        )
-    return url
+        return False
 
 
 def _sum(path: Path) -> str:
@@ -240,91 +173,79 @@ def _sum(path: Path) -> str:
         return ""
 
 
-class _Response(http.client.HTTPResponse):
-    """A response with a deadline: `TIMEOUT` and the time for the bytes received at `MIN_RATE`.
+class _Response(HTTPResponse):
+    """A response whose headers and parts must each come within `TIMEOUT`, or it is shut down.
 
-    The timeout of a socket starts again with every byte, so a server could keep a response open
-    for ever; a timer shuts the connection down instead.
+    The timeout of a socket starts again with every byte.
     """
 
-    def __init__(self, sock: socket.socket, *args: Any, **options: Any) -> None:
+    def __init__(self, sock: socket, *args: Any, **options: Any) -> None:
         super().__init__(sock, *args, **options)
-        self.received = 0
         self._socket = sock
-        self._start = 0.0
-        self._finished = threading.Event()
-        self._too_slow = False
 
     def begin(self) -> None:
-        """Start the timer; read the status line and the headers."""
-        self._start = time.monotonic()
-        threading.Thread(target=self._watch, daemon=True).start()
-        try:
+        """Read the status line and the headers."""
+        with self._deadline():
             super().begin()
+
+    def read1(self, n: int = -1) -> bytes:
+        """Read what has arrived, at most `n` bytes."""
+        with self._deadline():
+            return super().read1(n)
+
+    @contextmanager
+    def _deadline(self) -> Iterator[None]:
+        expired = threading.Event()
+
+        def shut_down() -> None:
+            expired.set()
+            with suppress(OSError):
+                self._socket.shutdown(SHUT_RDWR)
+
+        timer = threading.Timer(TIMEOUT, shut_down)
+        timer.daemon = True
+        timer.start()
+        try:
+            yield
         finally:
-            self.check_rate()
-
-    def close(self) -> None:
-        """Close the response, and end its timer."""
-        self._finished.set()
-        super().close()
-
-    def check_rate(self) -> None:
-        """Raise `TimeoutError` if the connection was shut down."""
-        if self._too_slow:
-            raise TimeoutError(f"less than {MIN_RATE:.0f} bytes per second")
-
-    def _remaining(self) -> float:
-        return self._start + TIMEOUT + self.received / MIN_RATE - time.monotonic()
-
-    def _watch(self) -> None:
-        while (remaining := self._remaining()) > 0:
-            if self._finished.wait(remaining):
-                return
-        self._too_slow = True
-        with suppress(OSError):
-            self._socket.shutdown(socket.SHUT_RDWR)
+            timer.cancel()
+            if expired.is_set():
+                raise TimeoutError(_TOO_SLOW)
 
 
-class _Connection(http.client.HTTPConnection):
+class _Connection(HTTPConnection):
     response_class = _Response
 
 
-class _SecureConnection(http.client.HTTPSConnection):
+class _SecureConnection(HTTPSConnection):
     response_class = _Response
 
 
-class _Handler(urllib.request.HTTPHandler):
-    def http_open(self, request: urllib.request.Request) -> http.client.HTTPResponse:
-        return self.do_open(_Connection, request)
+class _Handler(urllib.request.HTTPSHandler, urllib.request.HTTPHandler):
+    def http_open(self, req: urllib.request.Request) -> HTTPResponse:
+        return self.do_open(_Connection, req)
+
+    def https_open(self, req: urllib.request.Request) -> HTTPResponse:
+        return self.do_open(_SecureConnection, req)
 
 
-class _SecureHandler(urllib.request.HTTPSHandler):
-    def https_open(self, request: urllib.request.Request) -> http.client.HTTPResponse:
-        return self.do_open(_SecureConnection, request)
+class _Redirects(urllib.request.HTTPRedirectHandler):
+    """Follows redirects, a few, that do not leave HTTPS."""
 
-
-class _NoRedirects(urllib.request.HTTPRedirectHandler):
-    """Leaves redirects to `_open`: the standard handler reads their bodies without a bound."""
-
-    def http_error_302(
+    def redirect_request(
         self,
         req: urllib.request.Request,
         fp: IO[bytes],
         code: int,
         msg: str,
-        headers: http.client.HTTPMessage,
-    ) -> None:
-        """Decline, so that the response is raised as an `HTTPError`."""
-
-    http_error_301 = http_error_302
-    http_error_303 = http_error_302
-    http_error_307 = http_error_302
-    http_error_308 = http_error_302
-
-
-_OPENER = urllib.request.build_opener(_Handler, _SecureHandler, _NoRedirects)
+        headers: Any,
+        newurl: str,
+    ) -> urllib.request.Request | None:
+        """The request to follow; raises `DownloadError`."""
+        fp.close()  # the standard handler reads the body without a bound
+        if not newurl.startswith(("https://", f"{req.type}://")) or not _is_address(newurl):
+            raise DownloadError(f"expected a redirect to https://, found {quoted(newurl)}")
+        return super().redirect_request(req, fp, code, msg, headers, newurl)
 
 
-class _UnreachableError(DownloadError):
-    """No server answers at all."""
+_OPENER = urllib.request.build_opener(_Handler, _Redirects)
