@@ -1,27 +1,33 @@
 """Mutants of a dataset's files for the fuzz test.
 
 python -m tests.demos.store.fuzz 20000    counts the outcomes of so many mutants
+
+Whatever is accepted is used: rendered, replayed, scored and observed. With `NUMBA_BOUNDSCHECK=1`
+and an empty `NUMBA_CACHE_DIR` the compiled code checks every index.
 """
 
 import io
 import json
 import sys
 import tempfile
+import time
 import zipfile
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from magical.demos import Dataset, DatasetWriter, Trajectory
+from magical.demos import Dataset, DatasetWriter, Frames, Trajectory, observations
+from magical.demos.replay import replay
 from magical.demos.store import manifest
 from magical.demos.store.codec import decode, encode
 from magical.demos.store.repair import repair
-from magical.errors import DatasetError
+from magical.envs import parse_env_id
+from magical.errors import DatasetError, TrajectoryError
 from magical.scene import Poses
-from magical.tasks import get_task
 
 Mutate = Callable[[bytes, np.random.Generator], bytes]
 VALUES: tuple[Any, ...] = (
@@ -34,11 +40,32 @@ NPY_WORDS = (
 )  # fmt: skip
 
 
-def example() -> Trajectory:
+ENV_IDS = ("MoveToCorner-Demo-v0", "MatchRegions-TestAll-v0", "ClusterShape-TestShape-v0")
+EXTREMES: tuple[Any, ...] = (
+    1e308, -1e308, 1e154, 1e18, 1e6, 11.0, 1.05, -0.5, 0.0, -0.0, 5e-324, 2**70, "star", "red",
+)  # fmt: skip
+NUMBERS = [value for value in EXTREMES if isinstance(value, float)]
+SLOW = 5.0  # s, for what is done with one mutant
+
+
+def example(env_id: str = ENV_IDS[0]) -> Trajectory:
     """A short trajectory with poses."""
-    scene = get_task("MoveToCorner").demo
+    parsed, rng = parse_env_id(env_id), np.random.default_rng(0)
+    scene, dynamics = parsed.task_spec.sample(parsed.variant, rng)
     poses = np.stack([Poses.at_rest(scene).bodies] * 4)
-    return Trajectory.from_poses("MoveToCorner-Demo-v0", scene, [1, 2, 3], poses, seed=5)
+    return Trajectory.from_poses(env_id, scene, [1, 2, 3], poses, seed=5, dynamics=dynamics)
+
+
+def use(trajectory: Trajectory) -> None:
+    """Do what the package does with a stored trajectory; only its own errors may be raised."""
+    Frames(trajectory, "ego").take([0, len(trajectory)])
+    Frames(trajectory, "allo", 32).take([len(trajectory)])
+    replay(trajectory)
+    for poses in [] if trajectory.poses is None else trajectory.poses:
+        for score in (trajectory.task.score, trajectory.task.published_code_score):
+            assert 0.0 <= score(trajectory.scene, Poses(poses)) <= 1.0
+    with suppress(TrajectoryError):  # other poses than the simulation's
+        observations(trajectory, "state")
 
 
 def flip_bits(raw: bytes, rng: np.random.Generator) -> bytes:
@@ -83,15 +110,40 @@ def change_json(text: bytes, rng: np.random.Generator) -> bytes:
     return json.dumps(data).encode()
 
 
+def change_scene(header: bytes, rng: np.random.Generator) -> bytes:
+    """Replace a number or name of the scene or the dynamics, or multiply blocks or regions."""
+    data = json.loads(header)
+    parent, place = data, "scene" if rng.random() < 0.8 else "dynamics"
+    while isinstance(parent[place], dict | list) and parent[place]:
+        parent = parent[place]
+        keys = sorted(parent) if isinstance(parent, dict) else range(len(parent))
+        place = keys[int(rng.integers(len(keys)))]
+        if place in ("blocks", "regions") and rng.random() < 0.2:
+            parent[place] = parent[place] * int(rng.choice([0, 2, 30, 3000]))
+            break
+    else:
+        parent[place] = EXTREMES[int(rng.integers(len(EXTREMES)))]
+    return json.dumps(data).encode()
+
+
+def change_poses(member: bytes, rng: np.random.Generator) -> bytes:
+    """Replace a coordinate."""
+    place, value = 128 + 8 * int(rng.integers((len(member) - 128) // 8)), rng.choice(NUMBERS)
+    return member[:place] + np.float64(value).tobytes() + member[place + 8 :]
+
+
 def change_members(raw: bytes, rng: np.random.Generator) -> bytes:
     """Repack the archive with one member changed, so that all checksums are right."""
     with zipfile.ZipFile(io.BytesIO(raw)) as archive:
         members = {info.filename: archive.read(info) for info in archive.infolist()}
     name = str(rng.choice(sorted(members)))
     action = rng.random()
-    if action < 0.4:
-        text = members["header.npy"][128:]
-        members["header.npy"] = npy(np.frombuffer(change_json(text, rng), np.uint8))
+    if action < 0.3:
+        change = change_scene if rng.random() < 0.5 else change_json
+        text = change(members["header.npy"][128:], rng)
+        members["header.npy"] = npy(np.frombuffer(text, np.uint8))
+    elif action < 0.4:
+        members["poses.npy"] = change_poses(members["poses.npy"], rng)
     elif action < 0.5:
         members[name] = npy(np.zeros(tuple(rng.integers(0, 5, size=int(rng.integers(4)))), "<f4"))
     elif action < 0.75:
@@ -143,27 +195,34 @@ MANIFEST_MUTATIONS: tuple[Mutate, ...] = (
 
 
 def fuzz_trajectories(count: int, seed: int) -> Counter[str]:
-    """Decode mutants of a trajectory file; returns how many were decoded or refused.
+    """Decode and use mutants of trajectory files.
 
-    Whatever is raised besides `DatasetError` escapes.
+    Returns:
+        How many were refused, accepted as they were, accepted and different.
+
+    Raises:
+        AssertionError: a refusal's message is long or cannot be printed; a mutant took too long.
+        Exception: what escaped besides `DatasetError`.
     """
-    rng, raw, outcomes = np.random.default_rng(seed), encode(example()), Counter[str]()
-    for _ in range(count):
+    rng, outcomes = np.random.default_rng(seed), Counter[str]()
+    files = [encode(example(env_id)) for env_id in ENV_IDS]
+    for number in range(count):
+        raw = files[number % len(files)]
         mutant = TRAJECTORY_MUTATIONS[int(rng.integers(len(TRAJECTORY_MUTATIONS)))](raw, rng)
-        message = error_of(mutant)
-        assert len(message) < 1000, message[:1000]
-        assert message.isprintable(), repr(message)
-        outcomes["refused" if message else "decoded"] += 1
+        start = time.process_time()
+        try:
+            trajectory = decode(mutant)
+        except DatasetError as error:
+            message = str(error)
+            assert len(message) < 1000, message[:1000]
+            assert message.isprintable(), repr(message)
+            outcomes["refused"] += 1
+        else:
+            use(trajectory)
+            same = encode(trajectory) == raw
+            outcomes["accepted and equal" if same else "accepted, another trajectory"] += 1
+        assert time.process_time() < start + SLOW, f"mutant {number} of seed {seed}"
     return outcomes
-
-
-def error_of(raw: bytes) -> str:
-    """The message with which a file is refused; empty if it is decoded."""
-    try:
-        decode(raw)
-    except DatasetError as error:
-        return str(error)
-    return ""
 
 
 def fuzz_manifests(count: int, seed: int, folder: Path) -> Counter[str]:

@@ -13,7 +13,7 @@ from magical.envs.ids import EnvId, parse_env_id
 from magical.errors import TrajectoryError
 from magical.messages import quoted
 from magical.scene import NUM_ACTIONS, Dynamics, Poses, Scene, View
-from magical.scene.constants import FRAME_SIZE
+from magical.scene.constants import FRAME_SIZE, MAX_NUDGE
 from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import Task
 from magical.untrusted import check_plain
@@ -21,6 +21,7 @@ from magical.untrusted import check_plain
 VIEWS = tuple(str(view) for view in View)
 RECOVERY = "recovery"  # in the metadata: how poses were recovered from frames
 MAX_NAME = 1000  # characters of an environment id or a demonstrator's name
+MAX_POSE = (10.0, 10.0, 1e6)  # units, units and radians: the workspace is [-1, 1] x [-1, 1]
 
 
 class Actor(IntEnum):
@@ -49,6 +50,7 @@ class Trajectory:
 
     Raises:
         TrajectoryError: the parts do not match; the message names the one at fault.
+        InvalidSceneError: no episode of the task can start from the scene.
         UnknownNameError: there is no such environment.
     """
 
@@ -69,6 +71,7 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "env_id", parse_env_id(self.env_id).without_preset)
+        self.task.validate(self.scene, MAX_NUDGE)
         object.__setattr__(self, "actions", checked_actions("actions", self.actions))
         for name in ("expert_actions", "policy_actions"):
             if getattr(self, name) is not None:
@@ -164,10 +167,15 @@ class Trajectory:
     def _checked_poses(self, poses: ArrayLike) -> NDArray[np.float64]:
         expected = (len(self.actions) + 1, FIRST_BLOCK + len(self.scene.blocks), 3)
         array = np.asarray(poses)
-        if array.shape != expected or array.dtype != np.float64 or not np.isfinite(array).all():
+        if array.shape != expected or array.dtype != np.float64:
             raise TrajectoryError(
-                f"poses: expected finite float64 {expected} for {len(self.actions)} actions and "
+                f"poses: expected float64 {expected} for {len(self.actions)} actions and "
                 f"{len(self.scene.blocks)} blocks, found {array.dtype} {array.shape}"
+            )
+        if not (np.abs(array) <= MAX_POSE).all():
+            raise TrajectoryError(
+                f"poses: expected finite x, y and angles of at most {MAX_POSE}, "
+                f"found {np.abs(array).max(axis=(0, 1))}"
             )
         return _frozen(array)
 
