@@ -96,9 +96,7 @@ def test_a_share_outside_0_to_1_is_refused(
 
 def test_several_environments_append(tmp_path: Path, run: Run) -> None:
     ids = ["magical/MoveToRegion-Demo-v0", "MoveToCorner-Demo-LoRes4E-v0"]
-    status, result = run(
-        "generate", "--env", ids[0], "--env", ids[1], "-n", 2, "--out", tmp_path, "--workers", 1
-    )
+    status, result = run("generate", "--env", *ids, "-n", 2, "--out", tmp_path, "--workers", 1)
     assert status == 0
     assert [r["env_id"] for r in result["environments"]] == [ids[0], "magical/MoveToCorner-Demo-v0"]
     assert [entry.task for entry in Dataset.open(tmp_path).entries] == ["MoveToRegion"] * 2 + [

@@ -6,15 +6,18 @@ tasks by default.
 
 import argparse
 from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from typing import Any
 
 from magical.commands._common import (
     add_json,
-    non_negative_int,
-    positive_int,
+    add_rollouts,
+    add_seed,
+    add_workers,
     print_json,
     print_table,
 )
+from magical.grouping import group_by
 
 HELP = "score the scripted experts"
 TAKEOVER = 1 / 3  # share of each episode in which a random policy acts first
@@ -24,23 +27,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
     subs = parser.add_subparsers(metavar="COMMAND", required=True)
     evaluate = subs.add_parser("evaluate", help="mean scores over many episodes")
-    evaluate.add_argument(
-        "--env", action="append", metavar="ENV_ID", help="may be repeated (default: all)"
-    )
-    evaluate.add_argument(
-        "--rollouts",
-        type=positive_int,
-        default=100,
-        metavar="N",
-        help="in each environment (default: 100)",
-    )
-    evaluate.add_argument(
-        "--seed",
-        type=non_negative_int,
-        default=0,
-        metavar="S",
-        help="which set of evaluation's seeds (default: 0)",
-    )
+    evaluate.add_argument("--env", nargs="+", metavar="ID", help="environments (default: all)")
+    add_rollouts(evaluate)
+    add_seed(evaluate, "which set of evaluation's seeds")
     evaluate.add_argument(
         "--skill", type=float, default=1.0, metavar="X", help="0 to 1 (default: 1)"
     )
@@ -49,9 +38,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="a random policy acts in the first third of each episode",
     )
-    evaluate.add_argument(
-        "--workers", type=positive_int, metavar="K", help="processes (default: one for each core)"
-    )
+    add_workers(evaluate)
     add_json(evaluate)
 
 
@@ -73,10 +60,10 @@ def run(args: argparse.Namespace) -> int:
             workers=args.workers,
             progress=advance,
         )
-    scores: dict[str, list[float]] = {}
-    for row in rows:
-        scores.setdefault(row.env_id, []).append(row.score)
-    results = {env_id: _summary(values) for env_id, values in scores.items()}
+    results = {
+        env_id: _summary([row.score for row in group])
+        for env_id, group in group_by(rows, attrgetter("env_id")).items()
+    }
     _print_summaries(results)
     if args.json:
         print_json(results)
@@ -92,6 +79,5 @@ def _summary(scores: Sequence[float]) -> dict[str, Any]:
 def _print_summaries(results: Mapping[str, Mapping[str, Any]]) -> None:
     rows = [(env_id, f"{r['mean']:.3f}", f"{r['std']:.3f}") for env_id, r in results.items()]
     print_table(("environment", "mean", "std"), rows)
-    print(
-        f"\nmean over {len(results)}: {sum(r['mean'] for r in results.values()) / len(results):.3f}"
-    )
+    mean = sum(r["mean"] for r in results.values()) / len(results)
+    print(f"\nmean over {len(results)}: {mean:.3f}")

@@ -64,7 +64,7 @@ def generate(
     """
     parsed = parse_env_id(env_id)
     check_perturb(perturb)
-    workers = workers or available_cores()
+    workers = available_cores() if workers is None else workers
     modules = modules_of(parsed.task) if workers > 1 else []
     writer = DatasetWriter(out)
     attempt = partial(_attempt, modules, parsed, seed, skill, perturb)

@@ -18,7 +18,7 @@ MISSING = "an optional extra that the pinned development environment has"
 
 def test_video_as_webp(mixed: Path, tmp_path: Path) -> None:
     out = tmp_path / "video.webp"
-    chosen = ["--index", "2", "--index", "3"]
+    chosen = ["--index", "2", "3"]
     assert main(["demos", "video", str(mixed), "--out", str(out), *chosen]) == 0
     with Image.open(io.BytesIO(out.read_bytes())) as video:
         assert video.size == (768, 416)

@@ -4,19 +4,176 @@ A dataset DIR is a folder with one file for each demonstration, and a manifest.
 """
 
 import argparse
+from pathlib import Path
 
-from magical.commands.demos import exporting, generating, importing, inspecting
+from magical.commands._common import (
+    add_json,
+    add_seed,
+    add_workers,
+    fraction,
+    non_negative_int,
+    positive_int,
+)
+from magical.commands.demos import datasets, human
 
 HELP = "demonstrations: import, generate, replay, export"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Add the sub-commands and their arguments."""
-    subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for module in (importing, generating, inspecting, exporting):
-        module.add_commands(subparsers)
+    add = parser.add_subparsers(title="commands", metavar="COMMAND", required=True).add_parser
+    _import(add("import", help="read published human demonstrations"))
+    _download(add("download", help=f"download and import {human.ARCHIVE}"))
+    _generate(add("generate", help="roll out the scripted experts"))
+    _info(add("info", help="the content of a dataset, and its problems"))
+    _replay(add("replay", help="simulate the recorded actions again and score the result"))
+    _video(add("video", help="a video, both views side by side"))
+    _export(add("export", help="to Minari or LeRobot"))
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the chosen sub-command."""
     return int(args.run_demos(args))
+
+
+def _import(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(run_demos=human.run_import)
+    parser.add_argument(
+        "source", type=Path, metavar="SRC", help="a folder with *.pkl.gz files, or one such file"
+    )
+    parser.add_argument(
+        "--max-unpacked",
+        type=positive_int,
+        default=512,
+        metavar="MB",
+        help="the most that one file may unpack to (default: 512)",
+    )
+    _importing(parser)
+
+
+def _download(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(run_demos=human.run_download)
+    parser.add_argument("--base-url", metavar="URL", help=f"instead of {human.ARCHIVE}")
+    parser.add_argument(
+        "--files", default="*", metavar="PATTERN", help="only those, such as 'move-to-corner/*'"
+    )
+    parser.add_argument(
+        "--keep", type=Path, metavar="FOLDER", help="keep the published files there"
+    )
+    _importing(parser)
+
+
+def _importing(parser: argparse.ArgumentParser) -> None:
+    _out(parser)
+    frames = parser.add_mutually_exclusive_group()
+    frames.add_argument(
+        "--keep-frames", action="store_true", help="keep the 96 x 96 frames beside the poses"
+    )
+    frames.add_argument(
+        "--frames-only", action="store_true", help="do not recover poses, which takes most time"
+    )
+    parser.add_argument(
+        "--skip-duplicates", action="store_true", help="import what is in several files once"
+    )
+    add_workers(parser)
+    add_json(parser)
+
+
+def _generate(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(run_demos=datasets.run_generate)
+    parser.add_argument("--env", nargs="+", required=True, metavar="ID", help="environments")
+    parser.add_argument(
+        "-n",
+        type=positive_int,
+        default=25,
+        metavar="N",
+        help="demonstrations of each (default: 25)",
+    )
+    _out(parser)
+    add_seed(parser, "of the scenes and strategies")
+    parser.add_argument(
+        "--first",
+        type=non_negative_int,
+        default=0,
+        metavar="K",
+        help="number of the first attempt, to continue a series (default: 0)",
+    )
+    parser.add_argument(
+        "--min-score", type=float, default=0.0, metavar="X", help="drop those that score less"
+    )
+    parser.add_argument(
+        "--skill", type=float, default=1.0, metavar="K", help="below 1: deliberately worse"
+    )
+    parser.add_argument(
+        "--perturb",
+        type=fraction,
+        default=0.0,
+        metavar="P",
+        help="share of steps, 0 to 1, with a random action in place of the expert's; learners "
+        "imitate the expert's (default: 0)",
+    )
+    add_workers(parser)
+    add_json(parser)
+
+
+def _info(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(run_demos=datasets.run_info)
+    _dataset(parser)
+    parser.add_argument(
+        "--repair", action="store_true", help="rebuild the manifest from the intact trajectories"
+    )
+    add_json(parser)
+
+
+def _replay(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(run_demos=datasets.run_replay)
+    _dataset(parser)
+    add_json(parser)
+
+
+def _video(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(run_demos=datasets.run_video)
+    _dataset(parser)
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="FILE", help="FILE.mp4 or FILE.webp"
+    )
+    parser.add_argument(
+        "--index",
+        type=non_negative_int,
+        nargs="+",
+        metavar="I",
+        help="which demonstrations, from 0 (default: one of each environment)",
+    )
+    parser.add_argument(
+        "--rate", type=float, default=8.0, metavar="HZ", help="steps per second (default: 8)"
+    )
+
+
+def _export(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(run_demos=datasets.run_export)
+    _dataset(parser)
+    parser.add_argument("--to", choices=("minari", "lerobot"), required=True)
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="FOLDER",
+        help="lerobot: a new folder; minari: its folder of datasets (default: Minari's own)",
+    )
+    parser.add_argument("--name", default="demos", help="minari: the last part of the id")
+    parser.add_argument(
+        "--preset", default="LoRes4E", help="minari: the observations (default: LoRes4E)"
+    )
+    parser.add_argument(
+        "--skip-damaged", action="store_true", help="leave damaged trajectories out"
+    )
+    add_json(parser)
+
+
+def _dataset(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("dataset", type=Path, metavar="DIR", help="the dataset's folder")
+
+
+def _out(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--out", type=Path, required=True, metavar="DIR", help="dataset to append to, or to create"
+    )

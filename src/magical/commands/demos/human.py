@@ -8,13 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from magical.commands._common import add_json, log, positive_int, print_json
-from magical.commands.demos._shared import (
-    Subparsers,
-    add_command,
-    add_out,
-    add_workers,
-)
+from magical.commands._common import log, print_json
 from magical.errors import DownloadError
 from magical.messages import printable
 
@@ -22,31 +16,6 @@ if TYPE_CHECKING:
     from magical.demos.human.importing import ImportReport
 
 ARCHIVE = "https://github.com/qxcv/magical-data"
-
-
-def add_commands(subparsers: Subparsers) -> None:
-    """Add both sub-commands."""
-    parser = add_command(subparsers, "import", run_import, "read published human demonstrations")
-    parser.add_argument(
-        "source", type=Path, metavar="SRC", help="a folder with *.pkl.gz files, or one such file"
-    )
-    parser.add_argument(
-        "--max-unpacked",
-        type=positive_int,
-        default=512,
-        metavar="MB",
-        help="the most that one file may unpack to (default: 512)",
-    )
-    _add_importing(parser)
-    parser = add_command(subparsers, "download", run_download, f"download and import {ARCHIVE}")
-    parser.add_argument("--base-url", metavar="URL", help=f"instead of {ARCHIVE}")
-    parser.add_argument(
-        "--files", default="*", metavar="PATTERN", help="only those, such as 'move-to-corner/*'"
-    )
-    parser.add_argument(
-        "--keep", type=Path, metavar="FOLDER", help="keep the published files there"
-    )
-    _add_importing(parser)
 
 
 def run_import(args: argparse.Namespace) -> int:
@@ -78,27 +47,10 @@ def run_download(args: argparse.Namespace) -> int:
         log(f"error: {error}")
     # The sums once more: the files could have been replaced after they were fetched.
     sums = {path: missing[name] for name, path in fetched.files.items()}
-    errors = fetched.errors
-    status = _import(list(sums), args, MAX_UNPACKED, sums=sums, not_fetched=errors)
-    if not (args.keep or errors or status):
+    status = _import(list(sums), args, MAX_UNPACKED, sums=sums, not_fetched=fetched.errors)
+    if not (args.keep or fetched.errors or status):
         shutil.rmtree(folder, ignore_errors=True)
-    return 1 if errors else status
-
-
-def _add_importing(parser: argparse.ArgumentParser) -> None:
-    add_out(parser)
-    frames = parser.add_mutually_exclusive_group()
-    frames.add_argument(
-        "--keep-frames", action="store_true", help="keep the 96 x 96 frames beside the poses"
-    )
-    frames.add_argument(
-        "--frames-only", action="store_true", help="do not recover poses, which takes most time"
-    )
-    parser.add_argument(
-        "--skip-duplicates", action="store_true", help="import what is in several files once"
-    )
-    add_workers(parser)
-    add_json(parser)
+    return 1 if fetched.errors else status
 
 
 def _import(
@@ -123,14 +75,14 @@ def _import(
             sums=sums,
             progress=advance,
         )
-    _print_report(report, args.out)
+    _print_report(report, args)
     if args.json:
         print_json({"out": str(args.out), "not_fetched": list(not_fetched), **asdict(report)})
     return 1 if report.failed else 0
 
 
-def _print_report(report: "ImportReport", out: Path) -> None:
-    print(f"imported {len(report.imported)} demonstrations into {out}")
+def _print_report(report: "ImportReport", args: argparse.Namespace) -> None:
+    print(f"imported {len(report.imported)} demonstrations into {args.out}")
     if report.already:
         print(f"{len(report.already)} were there already")
     for later, earlier in report.duplicates:
@@ -139,3 +91,8 @@ def _print_report(report: "ImportReport", out: Path) -> None:
         log(f"kept as frames: {printable(file)}: {reason}")
     for _, reason in report.failed:
         log(f"error: {reason}")
+    if args.frames_only and report.imported:
+        log(
+            "The score (by the appendix's rule) is None where only frames are known; import into "
+            "another folder without --frames-only to recover poses and score them."
+        )

@@ -1,0 +1,194 @@
+"""`magical demos generate`, `info`, `replay`, `video` and `export`."""
+
+import argparse
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from magical.commands._common import log, print_json, print_table
+from magical.errors import DatasetError
+from magical.messages import printable
+
+if TYPE_CHECKING:
+    from magical.demos import Problem
+    from magical.demos.store.summary import DatasetSummary
+
+
+def run_generate(args: argparse.Namespace) -> int:
+    """`magical demos generate`."""
+    from magical.demos import Dataset
+    from magical.demos.generate import generate
+    from magical.demos.store.summary import find_duplicates
+    from magical.envs import parse_env_id
+    from magical.progress import progress_bar
+
+    ids = [parse_env_id(env_id).without_preset for env_id in args.env]
+    names = ("seed", "first", "skill", "perturb", "min_score", "workers")
+    options = {name: getattr(args, name) for name in names}
+    with progress_bar("generate", args.n * len(ids)) as advance:
+        reports = [
+            generate(env_id, args.n, args.out, progress=advance, **options) for env_id in ids
+        ]
+    print_table(
+        ("environment", "kept", "dropped", "mean score"),
+        [(r.env_id, r.kept, r.dropped, f"{sum(r.scores) / r.kept:.3f}") for r in reports],
+    )
+    if copies := len(find_duplicates(Dataset.open(args.out).entries)):
+        log(
+            f"warning: {args.out}: {copies} demonstrations equal earlier ones of the dataset; "
+            "give another --seed, or continue the series with --first"
+        )
+    if args.json:
+        print_json({"out": str(args.out), "environments": [asdict(report) for report in reports]})
+    return 0
+
+
+def run_info(args: argparse.Namespace) -> int:
+    """`magical demos info`: exit status 1 if there are problems."""
+    from magical.demos import Dataset
+    from magical.demos.store.repair import repair
+    from magical.demos.store.summary import find_duplicates, summarise_dataset
+
+    if args.repair:
+        for problem in repair(args.dataset):
+            log(f"left out: {problem}")
+    dataset = Dataset.open(args.dataset, skip_damaged=True)
+    summaries = summarise_dataset(dataset)
+    duplicates = find_duplicates(dataset.entries)
+    _print_summaries(summaries)
+    for later, earlier in duplicates:
+        log(f"duplicate: {printable(later)} shows the same as {printable(earlier)}")
+    _log_problems(dataset.problems)
+    if args.json:
+        print_json(
+            {
+                "count": len(dataset),
+                "environments": [asdict(summary) for summary in summaries],
+                "duplicates": duplicates,
+                "problems": [asdict(problem) for problem in dataset.problems],
+            }
+        )
+    return 1 if dataset.problems else 0
+
+
+def _print_summaries(summaries: "Sequence[DatasetSummary]") -> None:
+    columns = "environment", "count", "poses", "labels", "steps", "score", "published rule"
+    rows = [
+        (
+            s.env_id,
+            s.count,
+            s.with_poses,
+            s.with_expert_actions,
+            f"{s.lengths[0]}-{s.lengths[2]}",
+            _number(s.score),
+            _number(s.published_code_score),
+            f"{s.size / s.count / 1000:.0f}",
+            printable(", ".join(s.demonstrators)),
+        )
+        for s in summaries
+    ]
+    print_table((*columns, "kB each", "by"), rows)
+    print("labels: trajectories with expert actions beside those that were executed.\n")
+    most = [
+        (s.env_id, ", ".join(f"{name} {share:.0%}" for name, share in s.action_frequencies[:6]))
+        for s in summaries
+    ]
+    print_table(("environment", "actions, most frequent first"), most)
+
+
+def run_replay(args: argparse.Namespace) -> int:
+    """`magical demos replay`: exit status 1 if anything is damaged."""
+    from magical.demos import Dataset
+    from magical.demos.replay import mean_replays, replay
+    from magical.progress import progress_bar
+
+    dataset = Dataset.open(args.dataset, skip_damaged=True)
+    replays = []
+    with progress_bar("replay", len(dataset)) as advance:
+        for entry, trajectory in zip(dataset.entries, dataset, strict=True):
+            replays.append(replay(trajectory, entry.file))
+            advance(1)
+    means = mean_replays(replays)
+    columns = "environment", "count", "recorded", "replayed", "agree", "published", "appendix"
+    rows = [
+        (
+            m.env_id,
+            m.count,
+            _number(m.recorded),
+            _number(m.published_code_score),
+            m.agree,
+            "-" if m.published_replay is None else "{:.2f} to {:.2f}".format(*m.published_replay),
+            _number(m.score),
+            "-" if m.exact is None else m.exact,
+        )
+        for m in means
+    ]
+    agree = sum(mean.agree for mean in means)
+    print_table((*columns, "exact"), rows)
+    print(f"\n{agree} of {len(replays)} replays got the recorded score.\n\n{_REPLAY_NOTE}")
+    _log_problems(dataset.problems)
+    if args.json:
+        print_json(
+            {
+                "agree": agree,
+                "environments": [asdict(mean) for mean in means],
+                "replays": [asdict(one) | {"agrees": one.agrees} for one in replays],
+                "problems": [asdict(problem) for problem in dataset.problems],
+            }
+        )
+    return 1 if dataset.problems else 0
+
+
+_REPLAY_NOTE = """\
+recorded, replayed, published: by the published code's rule; appendix: by the appendix's.
+agree: replays that got the recorded score, by both rules where both are recorded.
+published: 25 human demonstrations replayed in the published implementation, unchanged
+and with the robot's start moved by 1e-9. exact: ended in the recorded poses."""
+
+
+def run_video(args: argparse.Namespace) -> int:
+    """`magical demos video`."""
+    from magical.demos import Dataset
+    from magical.demos.export.video import write_video
+
+    dataset = Dataset.open(args.dataset)
+    first = {entry.env_id: i for i, entry in reversed(list(enumerate(dataset.entries)))}
+    chosen = args.index or sorted(first.values())
+    if not chosen or max(chosen) >= len(dataset):
+        raise DatasetError(f"{args.dataset}: expected demonstration {chosen}, found {len(dataset)}")
+    frames = write_video((dataset[i] for i in chosen), args.out, args.rate)
+    print(f"wrote {args.out}: {len(chosen)} demonstrations, {frames} frames")
+    return 0
+
+
+def run_export(args: argparse.Namespace) -> int:
+    """`magical demos export`."""
+    from magical.demos import Dataset
+
+    dataset = Dataset.open(args.dataset, skip_damaged=args.skip_damaged)
+    _log_problems(dataset.problems)
+    result: dict[str, Any] = {"to": args.to}
+    if args.to == "minari":
+        from magical.demos.export.minari import export_minari
+
+        result["datasets"] = export_minari(dataset, args.name, args.preset, args.out)
+        print("\n".join(result["datasets"]))
+    else:
+        from magical.demos.export.lerobot import export_lerobot
+
+        if args.out is None:
+            raise DatasetError("--out: expected a new folder for the LeRobot dataset, found none")
+        result |= {"out": str(args.out), "frames": export_lerobot(dataset, args.out)}
+        print(f"wrote {args.out}: {len(dataset)} episodes, {result['frames']} frames")
+    if args.json:
+        print_json({**result, "episodes": len(dataset)})
+    return 0
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"
+
+
+def _log_problems(problems: "Iterable[Problem]") -> None:
+    for problem in problems:
+        log(f"error: {problem}")
