@@ -322,7 +322,7 @@ def test_redirect_does_not_leave_https() -> None:
     def redirected(url: str, target: str) -> str | None:
         request = Request(url)
         made = _Redirects().redirect_request(request, io.BytesIO(), 302, "", Message(), target)
-        return made and made.full_url
+        return made.full_url if made else None
 
     assert redirected("https://a/b", "https://c/d") == "https://c/d"
     assert redirected("http://a/b", "https://c/d") == "https://c/d"

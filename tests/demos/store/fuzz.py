@@ -113,7 +113,8 @@ def change_json(text: bytes, rng: np.random.Generator) -> bytes:
 def change_scene(header: bytes, rng: np.random.Generator) -> bytes:
     """Replace a number or name of the scene or the dynamics, or multiply blocks or regions."""
     data = json.loads(header)
-    parent, place = data, "scene" if rng.random() < 0.8 else "dynamics"
+    parent: Any = data
+    place: Any = "scene" if rng.random() < 0.8 else "dynamics"
     while isinstance(parent[place], dict | list) and parent[place]:
         parent = parent[place]
         keys = sorted(parent) if isinstance(parent, dict) else range(len(parent))
