@@ -16,8 +16,8 @@ import numpy as np
 from magical import __version__
 from magical.envs.seeds import evaluation_seed
 from magical.evaluation import Entry, RolloutScore, environments, published_methods
-from magical.report.folders import evaluated_page
-from magical.report.results import find_results
+from magical.report.found.search import find_results
+from magical.report.pages.evaluated import evaluated_page
 from magical.tasks import TASKS
 
 POINTS = 400  # of each run's metrics
@@ -51,13 +51,13 @@ def main() -> None:
                     folder = Path(name) / f"{method}-{task}-{seed}".replace("/", "-")
                     write_run(folder, method, task, seed, args.rollouts)
         start = time.process_time()
-        results = find_results([name])
-        found = time.process_time()
-        page = evaluated_page("Benchmark", results, methods).html()
+        found = find_results([name])
+        read = time.process_time()
+        page = evaluated_page("Benchmark", found, methods).html()
         made = time.process_time()
-    print(f"{len(results.found)} runs of {len(methods)} methods")
-    print(f"finding and reading: {found - start:.1f} s of processor time")
-    print(f"the page: {made - found:.1f} s of processor time, {len(page) / 1e6:.1f} MB")
+    print(f"{len(found.results)} runs of {len(methods)} methods")
+    print(f"finding and reading: {read - start:.1f} s of processor time")
+    print(f"the page: {made - read:.1f} s of processor time, {len(page) / 1e6:.1f} MB")
 
 
 if __name__ == "__main__":

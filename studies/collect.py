@@ -1,15 +1,15 @@
-"""Collect what a plan's runs scored into a folder of `results/`, without weights.
+"""Collect what a plan's runs scored into `studies/STUDY/results/PLAN`, without weights.
 
-python -m studies.collect RUNS [RUNS ...] --out results/NAME [--plan FILE] [--leaderboard]
-    [--looks N]
+python -m studies.collect RUNS [RUNS ...] --out studies/STUDY/results/PLAN [--plan FILE]
+    [--leaderboard] [--looks N]
 
 RUNS are results folders of `magical run`, finished or not; several hold parts of one plan. What is
 collected already stays and is not read again, so the command can be repeated while runs go on.
-Written are, as `magical report` and `magical leaderboard` read them:
+Written are
 
-- `runs/FOLDER/scores.csv` and `entry.json`, and those of `runs/FOLDER/leaderboard` where they are
-- `plan.json`: the plan's runs
-- `collected.json`: the plan's digest, versions, demonstrations, and each run's seconds or error
+- `entries.json` and `scores.csv.gz`: every run's entry by its folder, and its evaluation for the
+  leaderboard where there is one, as `magical report` and `magical leaderboard` read them
+- `plan.json`: the plan's runs; versions, demonstrations, and each run's seconds or error
 
 What was collected of runs that are no longer the plan's stays, and counts nowhere.
 
@@ -21,17 +21,17 @@ Runs of another version of the package than those before are refused (exit statu
 """
 
 import argparse
-import hashlib
 import sys
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from magical.errors import MagicalError, ResultsError
-from magical.evaluation import read_entry
-from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
+from magical.evaluation import Entry, read_entry
+from magical.evaluation.collection import read_collection, write_collection
+from magical.evaluation.entry import ENTRY_FILE
 from magical.experiments.demonstrations import DIGESTS, GENERATED
 from magical.experiments.one_run import evaluate_run
 from magical.experiments.plan import Evaluation, PlannedRun, planned_runs
@@ -47,19 +47,17 @@ from magical.experiments.results import (
     read_state,
     run_folders,
 )
-from magical.files import write_atomically
+from magical.report.found.statements import LOOKS
 from magical.report.leaderboard.checks import NUDGE
-from magical.report.statements import LOOKS
 from magical.runs.folder import read_json, write_json
 
-COLLECTED = "collected.json"
+COLLECTED = "collected"  # in the plan's file: what is known of its runs
 LEADERBOARD = "leaderboard"  # in a run's folder: its evaluation by the leaderboard's protocol
-FORMAT = 1
 
 
 @dataclass
 class Collected:
-    """What a folder of `results/` holds.
+    """What was collected of a plan.
 
     Attributes:
         version: of the package that all runs were made with; empty before the first.
@@ -67,6 +65,7 @@ class Collected:
         generated: digests by folder and task, of generated ones.
         runs: seconds of training and evaluation, and the time of the end, by the run's folder.
         failed: the error of each run that failed.
+        entries: by `runs/FOLDER` and `runs/FOLDER/leaderboard`.
     """
 
     version: str = ""
@@ -74,22 +73,24 @@ class Collected:
     runs: dict[str, dict[str, Any]] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
     generated: dict[str, str] = field(default_factory=dict)
+    entries: dict[str, Entry] = field(default_factory=dict)
 
     @classmethod
     def read(cls, folder: Path) -> "Collected":
         """What was collected before; empty for a new folder."""
-        if not (folder / COLLECTED).exists():
+        if not (folder / PLAN).exists():
             return cls()
-        found = read_json(folder / COLLECTED)
-        names = ("version", "demonstrations", "runs", "failed")
-        known = {name: found[name] for name in names}
-        return cls(**known, generated=found.get("generated", {}))
+        found = read_json(folder / PLAN)[COLLECTED]
+        entries = read_collection(folder)
+        if damaged := [entry for entry in entries.values() if not isinstance(entry, Entry)]:
+            raise damaged[0]
+        return cls(**found, entries={k: e for k, e in entries.items() if isinstance(e, Entry)})
 
-    def write(self, folder: Path, plan: Path) -> None:
-        """Write it, with the plan's digest."""
-        digest = hashlib.sha256(plan.read_bytes()).hexdigest()
-        head = {"format": FORMAT, "plan": plan.name, "plan_sha256": digest}
-        write_json(folder / COLLECTED, {**head, **vars(self)})
+    def write(self, folder: Path, runs: Sequence[Mapping[str, Any]]) -> None:
+        """Write it, with the plan's runs."""
+        known = {name: value for name, value in vars(self).items() if name != "entries"}
+        write_json(folder / PLAN, {"runs": runs, COLLECTED: known})
+        write_collection(folder, self.entries)
 
 
 def collect(
@@ -121,15 +122,14 @@ def collect(
                 yield f"left out: {folder}: not a run of {plan}"
                 continue
             run = planned[folder.name] if leaderboard else None
-            if why := _collect_run(run, folder, out / RUNS / folder.name, collected, looks):
+            if why := _collect_run(run, folder, collected, looks):
                 yield f"left out: {why}"
     for runs in (collected.runs, collected.failed):
         for name in sorted(set(runs) - set(planned)):
             del runs[name]
             yield f"does not count any more: {out / RUNS / name}: not a run of {plan}"
-    write_json(out / PLAN, {"runs": [listed(run) for run in planned.values()]})
-    collected.write(out, plan)
-    commits = Counter(map(_commit, (out / RUNS / name for name in collected.runs)))
+    collected.write(out, [listed(run) for run in planned.values()])
+    commits = Counter(_commit(collected.entries[f"{RUNS}/{name}"]) for name in collected.runs)
     if len(commits) > 1:
         shown = ", ".join(f"{count} of {commit:.7}" for commit, count in commits.items())
         yield f"note: runs of several commits: {shown}"
@@ -139,28 +139,30 @@ def collect(
 
 
 def _collect_run(
-    run: PlannedRun | None, folder: Path, target: Path, collected: Collected, looks: int | None
+    run: PlannedRun | None, folder: Path, collected: Collected, looks: int | None
 ) -> str:
     """Collect a run if it is done and new, and its evaluation for the leaderboard; says why not.
 
     If the run itself is given, it is evaluated for the leaderboard first.
     """
     name = folder.name
-    new = not (target / LEADERBOARD / ENTRY_FILE).exists()
+    key = f"{RUNS}/{name}"
+    second = f"{key}/{LEADERBOARD}"
     try:
-        if run and new and read_state(folder) == DONE:
+        if run and second not in collected.entries and read_state(folder) == DONE:
             evaluate_for_leaderboard(run, folder)
         if name not in collected.runs and (state := read_state(folder)):
             record = read_json(folder / RESULT)
             if state == DONE:
-                _copy_entry(folder, target, collected.version, looks)
+                collected.entries[key] = _entry(folder, collected.version, looks)
                 collected.failed.pop(name, None)
                 seconds = {part: round(float(s), 1) for part, s in record["seconds"].items()}
                 collected.runs[name] = {"seconds": seconds, "finished": record["finished"]}
             else:
                 collected.failed[name] = str(record["error"])
-        if new and name in collected.runs and (folder / LEADERBOARD / ENTRY_FILE).exists():
-            _copy_entry(folder / LEADERBOARD, target / LEADERBOARD, collected.version, looks)
+        new = second not in collected.entries and name in collected.runs
+        if new and (folder / LEADERBOARD / ENTRY_FILE).exists():
+            collected.entries[second] = _entry(folder / LEADERBOARD, collected.version, looks)
     except MagicalError as error:
         return str(error)
     return ""
@@ -172,22 +174,17 @@ def evaluate_for_leaderboard(run: PlannedRun, folder: Path) -> None:
         evaluate_run(run, folder, folder / LEADERBOARD, Evaluation(nudge=NUDGE))
 
 
-def _commit(folder: Path) -> str:
+def _commit(entry: Entry) -> str:
     """The commit of the package that a collected run was made with."""
-    return str(read_json(folder / ENTRY_FILE).get("details", {}).get("commit") or "unknown")
+    return str(entry.details.get("commit") or "unknown")
 
 
-def _copy_entry(source: Path, target: Path, version: str, looks: int | None) -> None:
-    """Copy an entry's files, if they can be read; as they are but for `looks`."""
-    found = read_entry(source).version
-    if found != version:
-        raise ResultsError(f"{source}: expected an entry made by {version}, found {found}")
-    for name in (SCORES_FILE, ENTRY_FILE):
-        with write_atomically(target / name) as file:
-            file.write((source / name).read_bytes())
-    if looks is not None:
-        entry = read_json(target / ENTRY_FILE)
-        write_json(target / ENTRY_FILE, {**entry, "details": {**entry["details"], LOOKS: looks}})
+def _entry(folder: Path, version: str, looks: int | None) -> Entry:
+    """A run's entry, with `looks` if that is stated."""
+    entry = read_entry(folder)
+    if entry.version != version:
+        raise ResultsError(f"{folder}: expected an entry made by {version}, found {entry.version}")
+    return entry if looks is None else replace(entry, details={**entry.details, LOOKS: looks})
 
 
 def _require_same(source: Path, collected: Collected, out: Path) -> None:
@@ -215,9 +212,9 @@ def main(arguments: Sequence[str]) -> int:
     assert __doc__
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("sources", nargs="+", type=Path, metavar="RUNS")
-    parser.add_argument("--out", type=Path, required=True, metavar="results/NAME")
+    parser.add_argument("--out", type=Path, required=True, metavar="studies/STUDY/results/PLAN")
     parser.add_argument(
-        "--plan", type=Path, metavar="FILE", help="default: studies/*/plans/NAME.toml"
+        "--plan", type=Path, metavar="FILE", help="default: studies/STUDY/plans/PLAN.toml"
     )
     parser.add_argument("--leaderboard", action="store_true", help="evaluate for it first")
     parser.add_argument(
@@ -227,7 +224,7 @@ def main(arguments: Sequence[str]) -> int:
     if args.looks is not None and args.looks < 0:
         parser.error(f"--looks: expected 0 or more, found {args.looks}")
     name = f"{args.out.absolute().name}.toml"
-    plan = args.plan or next(Path("studies").glob(f"*/plans/{name}"), Path(name))
+    plan = args.plan or args.out.absolute().parents[1] / "plans" / name
     try:
         for line in collect(args.sources, args.out, plan, args.leaderboard, args.looks):
             print(line)

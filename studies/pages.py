@@ -1,4 +1,4 @@
-"""Write the generated parts of the studies' pages, and the picture, from `results/`.
+"""Write the generated parts of the studies' pages, and the picture, from their results.
 
 python -m studies.pages [--check]
 
@@ -15,11 +15,11 @@ from pathlib import Path
 from magical.evaluation import published_tasks
 from magical.evaluation.intervals import Interval
 from magical.evaluation.variants import SHORT_VARIANTS, short_variant
+from magical.report.found.search import Found, search_results
+from magical.report.found.statements import Statements
 from magical.report.leaderboard.checks import Rejected, check_entries
 from magical.report.leaderboard.ranking import make_boards
-from magical.report.results import Results, search_results
-from magical.report.statements import Statements
-from magical.report.tables import signed
+from magical.report.scores.tables import signed
 from studies.plan_results import NOT_RUN, PlanResults
 from studies.published_tables.cells import (
     LIMITS,
@@ -72,16 +72,16 @@ MAX_LISTED = 5  # entries with the same reason that are listed by name
 
 
 class Page:
-    """All that the page shows, from the folders `studies` and `results` of a repository."""
+    """All that the page shows, from the folder `studies` of a repository."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
         self.plans = [PlanResults.read(root, name) for name in PLANS]
         names = (*PLANS, EXPERT)
-        folders = [folder for name in names if (folder := root / "results" / name).is_dir()]
-        results = search_results(folders) if folders else Results([])
-        found, self.rejected = make_rows(_evaluations(results, leaderboard=False))
-        self.ranked, rejected = check_entries(_evaluations(results, leaderboard=True))
+        folders = [path for name in names for path in root.glob(f"studies/*/results/{name}")]
+        everything = search_results(folders) if folders else Found([])
+        found, self.rejected = make_rows(_evaluations(everything, leaderboard=False))
+        self.ranked, rejected = check_entries(_evaluations(everything, leaderboard=True))
         self.rejected += rejected
         known = {row.method: row for row in found}
         planned = [method for plan in self.plans for method in plan.methods]
@@ -90,7 +90,7 @@ class Page:
         others = [method for method in (*planned, EXPERT) if method not in self.methods]
         self.others = [known[name] for name in others if name in known]
         self.rejected += [
-            Rejected(str(root / "results"), name, [f"{name} is a method of none of the plans"])
+            Rejected(str(root / "studies"), name, [f"{name} is a method of none of the plans"])
             for name in known
             if name not in (*self.methods, *others)
         ]
@@ -258,10 +258,10 @@ class Page:
         return "\n".join(lines) or "None."
 
 
-def _evaluations(results: Results, leaderboard: bool) -> Results:
+def _evaluations(found: Found, leaderboard: bool) -> Found:
     """Of the leaderboard's evaluations and the others of the same policies, one kind."""
-    kept = [r for r in results.found if (r.folder.name == LEADERBOARD) == leaderboard]
-    return replace(results, found=kept, skipped=() if leaderboard else results.skipped)
+    kept = [r for r in found.results if (r.folder.name == LEADERBOARD) == leaderboard]
+    return replace(found, results=kept, skipped=() if leaderboard else found.skipped)
 
 
 def _stated(statements: Statements) -> tuple[str, str]:

@@ -1,4 +1,4 @@
-"""A plan, and what of it is in `results/`."""
+"""A study's plan, and what was collected of it."""
 
 import tomllib
 from collections.abc import Mapping
@@ -8,13 +8,12 @@ from typing import Any
 
 from magical.runs.folder import read_json
 
-COLLECTED = "collected.json"  # of a folder of `results/` (studies/collect.py)
 NOT_RUN = "not run"
 
 
 @dataclass(frozen=True)
 class PlanResults:
-    """A plan, and what of it is in `results/`."""
+    """A study's plan, and what was collected of it."""
 
     name: str
     study: str
@@ -24,8 +23,8 @@ class PlanResults:
     @classmethod
     def read(cls, root: Path, name: str) -> "PlanResults":
         (path,) = root.glob(f"studies/*/plans/{name}.toml")
-        collected = root / "results" / name / COLLECTED
-        found = read_json(collected) if collected.is_file() else {}
+        collected = path.parents[1] / "results" / name / "plan.json"
+        found = read_json(collected)["collected"] if collected.is_file() else {}
         return cls(name, path.parts[-3], tomllib.loads(path.read_text("utf-8")), found)
 
     @property

@@ -1,18 +1,17 @@
 """Make a results folder of what was collected, so that `magical run` does the other runs only.
 
-python -m studies.restore results/NAME --out RUNS
+python -m studies.restore studies/STUDY/results/PLAN --out RUNS
 
 RUNS is a folder that does not exist yet. The collected runs count as done in it. They have scores
 and no weights, so they can be reported and not evaluated again. Then
 
-magical run studies/STUDY/plans/NAME.toml --out RUNS
+magical run studies/STUDY/plans/PLAN.toml --out RUNS
 
 does what is missing, of the same version of the package and from the same demonstrations, and
 `studies/collect.py` collects it.
 """
 
 import argparse
-import shutil
 import sys
 import uuid
 from collections.abc import Sequence
@@ -21,7 +20,7 @@ from pathlib import Path
 from magical.errors import MagicalError, ResultsError
 from magical.experiments.demonstrations import DIGESTS, GENERATED
 from magical.experiments.results import DONE, EXPERIMENT, FORMAT, PLAN, RESULT, RUNS
-from magical.runs.folder import write_json
+from magical.runs.folder import read_json, write_json
 from studies.collect import Collected
 
 
@@ -37,9 +36,11 @@ def restore(source: Path, out: Path) -> int:
     if out.exists():
         raise ResultsError(f"{out}: expected a new folder; give another --out")
     for name, facts in collected.runs.items():
-        shutil.copytree(source / RUNS / name, out / RUNS / name)
         write_json(out / RUNS / name / RESULT, {"state": DONE, **facts})
-    shutil.copy(source / PLAN, out / PLAN)
+    for key, entry in collected.entries.items():
+        if Path(key).parts[1] in collected.runs:
+            entry.write(out / key)
+    write_json(out / PLAN, {"runs": read_json(source / PLAN)["runs"]})
     versions = {"magical": collected.version}
     found = {"format": FORMAT, "id": uuid.uuid4().hex, "versions": versions}
     digests = {DIGESTS: collected.demonstrations, GENERATED: collected.generated}
@@ -53,7 +54,7 @@ def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("source", type=Path, metavar="results/NAME")
+    parser.add_argument("source", type=Path, metavar="studies/STUDY/results/PLAN")
     parser.add_argument("--out", type=Path, required=True, metavar="RUNS")
     args = parser.parse_args(arguments)
     try:

@@ -10,16 +10,19 @@ for each task and method. Runs that are not done are left out.
 
 import argparse
 from collections.abc import Mapping, Sequence
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
 
 from magical.envs import EnvId
-from magical.evaluation import RolloutScore, read_scores
+from magical.evaluation import RolloutScore
 from magical.evaluation.intervals import Floats
 from magical.evaluation.statistics import difference, run_means
 from magical.evaluation.variants import SHORT_VARIANTS, short_variant
-from magical.experiments.results import RUNS, listed_runs
+from magical.experiments.results import listed_runs
+from magical.grouping import group_by
+from magical.report.found.search import RUNS, search_results
 
 Runs = Sequence[Sequence[RolloutScore]]
 
@@ -28,7 +31,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("results", type=Path, metavar="DIR", help="results folder of a plan")
+    parser.add_argument("results", type=Path, metavar="DIR", help="results of a plan")
     parser.add_argument("--tasks", nargs="+", metavar="TASK", help="default: all")
     parser.add_argument("--by-task", action="store_true")
     parser.add_argument("--published-rule", action="store_true", help="the published code's scores")
@@ -53,15 +56,16 @@ def main() -> None:
 
 def read_methods(results: Path, tasks: Sequence[str] | None) -> Mapping[str, Runs]:
     """The scores of each method's runs, in the plan's order."""
-    methods: dict[str, list[list[RolloutScore]]] = {}
-    for run in listed_runs(results):
-        file = results / RUNS / run["folder"] / "scores.csv"
-        if file.exists():
-            rows = read_scores(file)
-            rows = [row for row in rows if tasks is None or row.env_id.task in tasks]
-            if rows:
-                methods.setdefault(run["method"], []).append(rows)
-    return methods
+    entries = [r.entry for r in search_results([results]).results if r.folder.parent.name == RUNS]
+    rows = {
+        method: [
+            [row for row in entry.scores if tasks is None or row.env_id.task in tasks]
+            for entry in runs
+        ]
+        for method, runs in group_by(entries, attrgetter("method")).items()
+    }
+    methods = dict.fromkeys(run["method"] for run in listed_runs(results))
+    return {m: kept for m in methods if (kept := list(filter(None, rows.get(m, ()))))}
 
 
 def columns(env_ids: Sequence[EnvId], names: Sequence[str]) -> list[list[EnvId]]:

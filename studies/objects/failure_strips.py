@@ -15,8 +15,8 @@ from PIL import Image, ImageDraw, ImageFont
 from magical.evaluation import Entry, RolloutScore, read_entry
 from magical.evaluation.variants import full_variant
 from magical.learning import load_policy
-from magical.report.clips import Clip, record_rollouts
-from magical.report.differences import steps
+from magical.report.figures.clips import Clip, record_rollouts
+from magical.report.scores.differences import steps
 from magical.tasks import get_task
 
 MARGIN, FONT_SIZE = 6, 13

@@ -8,7 +8,7 @@ from magical.envs import EnvId
 from magical.evaluation import published_score, published_tasks
 from magical.evaluation.intervals import Interval
 from magical.evaluation.statistics import generalisation_gap, mean
-from magical.report.statements import Statements
+from magical.report.found.statements import Statements
 from studies.published_tables.rows import Row
 
 VARIANTS = ("Demo", "TestAll")

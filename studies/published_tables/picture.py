@@ -9,7 +9,7 @@ import numpy as np
 
 from magical.evaluation.variants import SHORT_VARIANTS
 from magical.files import write_atomically
-from magical.report.plots import new_figure, plotting
+from magical.report.figures.plots import new_figure, plotting
 from studies.published_tables.cells import LIMITS, Cell, distance_text
 
 DIGEST = "Cells"  # in the file's metadata: what the picture was made from

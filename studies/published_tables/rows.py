@@ -9,15 +9,15 @@ from magical.envs import EnvId
 from magical.evaluation import environments, published_methods
 from magical.evaluation.intervals import Floats
 from magical.evaluation.statistics import by_environment, run_means
-from magical.report.differences import RULE, is_comparable
+from magical.report.found.search import Found, Result, same_run
+from magical.report.found.statements import UNSTATED, Statements, gather_statements, stated_looks
 from magical.report.leaderboard.checks import (
     Rejected,
     difference,
     incompleteness,
     misstatements,
 )
-from magical.report.results import Result, Results, same_run
-from magical.report.statements import UNSTATED, Statements, gather_statements, stated_looks
+from magical.report.scores.differences import RULE, is_comparable
 from magical.runs.sources import LEARNED_FROM, learning_class
 from magical.tasks import get_task
 
@@ -62,11 +62,11 @@ def published_row(method: str) -> str:
     return next(names, "")
 
 
-def make_rows(results: Results) -> tuple[list[Row], list[Rejected]]:
+def make_rows(found: Found) -> tuple[list[Row], list[Rejected]]:
     """A row for each method, and the entries that count nowhere, with the reasons."""
-    rejected = [Rejected(str(item.folder), "", [item.reason]) for item in results.skipped]
+    rejected = [Rejected(str(item.folder), "", [item.reason]) for item in found.skipped]
     groups: dict[str, list[Result]] = {}
-    for result in results.found:
+    for result in found.results:
         runs = groups.setdefault(result.entry.method, [])
         reasons = _faults(result)
         if other := same_run(result, runs):

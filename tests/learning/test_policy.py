@@ -18,7 +18,7 @@ from magical.learning import NetworkPolicy, is_run, load_policy, train
 from magical.learning.algorithms.bc import BCConfig
 from magical.learning.running.devices import Compute
 from magical.observe import NAMED, PRESETS
-from magical.report.clips import record_clips
+from magical.report.figures.clips import record_clips
 from magical.runs.folder import CHECKPOINT
 from tests.learning.conftest import TASKS
 

@@ -5,14 +5,16 @@ import shutil
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from magical.evaluation import environments, read_entry
+from magical.evaluation import Entry, environments, read_entry
+from magical.evaluation.collection import write_collection
 from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
 from magical.experiments.plan import Evaluation, PlannedRun
+from magical.report.found.search import search_results
 from magical.report.leaderboard import make_leaderboard
-from magical.report.results import search_results
 from studies import collect as collect_results
 
 Planned = Callable[..., list[PlannedRun]]
@@ -44,19 +46,26 @@ def files(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
+def entries(out: Path) -> dict[str, Entry]:
+    return collect_results.Collected.read(out).entries
+
+
+def known(out: Path) -> dict[str, Any]:
+    """What the plan's file says was collected."""
+    return dict(json.loads((out / "plan.json").read_text())["collected"])
+
+
 def test_scores_are_collected_and_weights_are_not(
     finished: Path, tiny: Path, out: Path, planned: Planned
 ) -> None:
     assert collect(finished, out, tiny) == []
-    names = [run.folder for run in planned()]
-    expected = {f"runs/{name}/{file}" for name in names for file in (SCORES_FILE, ENTRY_FILE)}
-    assert files(out).keys() == expected | {"plan.json", "collected.json"}
-    for name in expected:
-        assert (out / name).read_bytes() == (finished / name).read_bytes()
-    found = json.loads((out / "collected.json").read_text())
-    assert found["plan"] == "tiny.toml"
+    assert files(out).keys() == {"plan.json", "entries.json", "scores.csv.gz"}
+    assert entries(out) == {
+        f"runs/{run.folder}": read_entry(finished / "runs" / run.folder) for run in planned()
+    }
+    found = known(out)
     assert found["version"] == search_results([out]).entries[0].version
-    assert set(found["runs"]) == set(names)
+    assert set(found["runs"]) == {run.folder for run in planned()}
     assert all(run["seconds"]["training"] > 0 for run in found["runs"].values())
 
 
@@ -65,10 +74,9 @@ def test_looks_are_stated_in_the_entries(
 ) -> None:
     list(collect_results.collect([finished], out, tiny, looks=3))
     for run in planned():
-        entry = json.loads((out / "runs" / run.folder / ENTRY_FILE).read_text())
-        original = json.loads((finished / "runs" / run.folder / ENTRY_FILE).read_text())
-        assert entry["details"].pop("looks") == 3
-        assert entry == original
+        entry = entries(out)[f"runs/{run.folder}"]
+        assert entry.details.pop("looks") == 3
+        assert entry == read_entry(finished / "runs" / run.folder)
 
 
 def test_less_than_no_looks_are_wrong_usage(finished: Path, tmp_path: Path) -> None:
@@ -86,7 +94,7 @@ def test_looks_stay_when_collecting_is_repeated(
     before = files(out)
     assert list(collect_results.collect([copied], out, tiny, looks=9)) == []
     assert files(out) == before
-    entry = read_entry(out / "runs" / planned()[0].folder / "leaderboard")
+    entry = entries(out)[f"runs/{planned()[0].folder}/leaderboard"]
     assert entry.details["looks"] == 3
 
 
@@ -103,10 +111,12 @@ def test_reports_and_the_leaderboard_read_it(
     finished: Path, tiny: Path, out: Path, planned: Planned
 ) -> None:
     collect(finished, out, tiny)
-    shutil.rmtree(out / "runs" / planned()[1].folder)
-    results = search_results([out])
-    assert [entry.method for entry in results.entries] == ["BC tiny"]
-    assert [(run.seed, run.state) for run in results.planned or ()] == [(1, "not run")]
+    kept = entries(out)
+    del kept[f"runs/{planned()[1].folder}"]
+    write_collection(out, kept)
+    found = search_results([out])
+    assert [entry.method for entry in found.entries] == ["BC tiny"]
+    assert [(run.seed, run.state) for run in found.planned or ()] == [(1, "not run")]
     (rejected,) = make_leaderboard([out]).rejected
     assert any("without Jitter" in reason for reason in rejected.reasons)
 
@@ -117,13 +127,13 @@ def test_it_can_be_repeated_while_runs_go_on(
     first, second = (copied / "runs" / run.folder for run in planned())
     (second / "result.json").rename(second / "later.json")
     assert collect(copied, out, tiny) == ["missing: BC tiny, MoveToRegion, seed 1: not done"]
-    before = files(out)
+    (kept,) = entries(out).values()
     (second / "later.json").rename(second / "result.json")
     change(first / SCORES_FILE, ",0,", ",1,")  # is not read again
     assert collect(copied, out, tiny) == []
+    assert len(entries(out)) == 2
+    assert entries(out)[f"runs/{first.name}"] == kept
     after = files(out)
-    assert len(after) == len(before) + 2
-    assert [name for name in before if before[name] != after[name]] == ["collected.json"]
     assert collect(copied, out, tiny) == []
     assert files(out) == after
 
@@ -140,7 +150,7 @@ def test_the_leaderboards_evaluation_is_made_once_and_collected(
     (copied / "runs" / planned()[1].folder / "result.json").unlink()
     assert collect(copied, out, tiny)  # first without
     list(collect_results.collect([copied], out, tiny, leaderboard=True))
-    entry = read_entry(out / "runs" / planned_run.folder / "leaderboard")
+    entry = entries(out)[f"runs/{planned_run.folder}/leaderboard"]
     assert (entry.method, entry.nudge, entry.horizon) == ("BC tiny", 1e-9, "appendix")
     assert entry.details["policy"] == ".."
     assert len(entry.scores) == 2 * len(environments(["MoveToRegion"]))
@@ -162,7 +172,7 @@ def test_what_cannot_be_used_is_left_out_with_its_reason(
         "missing: BC tiny, MoveToRegion, seed 0: not done",
         "missing: BC tiny, MoveToRegion, seed 1: no room",
     ]
-    assert files(out).keys() == {"plan.json", "collected.json"}
+    assert entries(out) == {}
 
 
 @pytest.mark.parametrize(
@@ -217,7 +227,7 @@ def test_runs_that_are_no_longer_the_plans_count_nowhere(
     left_out, stale = collect(copied, out, changed)
     assert left_out.startswith("left out: ")
     assert stale == f"does not count any more: {out / 'runs' / second}: not a run of {changed}"
-    assert set(json.loads((out / "collected.json").read_text())["runs"]) == {first}
+    assert set(known(out)["runs"]) == {first}
     (skipped,) = search_results([out]).skipped
     assert (skipped.folder.name, skipped.reason) == (
         second,

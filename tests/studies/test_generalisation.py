@@ -8,7 +8,7 @@ import pytest
 
 from magical import __version__
 from magical.evaluation import environments, published_tasks
-from magical.report.results import search_results
+from magical.report.found.search import search_results
 from studies.published_tables.generalisation import find_drops
 from studies.published_tables.rows import make_rows
 

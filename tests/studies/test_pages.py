@@ -1,7 +1,9 @@
-"""The page of results: made from `results/` alone, and honest about what is not there."""
+"""The page of results: made from the results alone, and honest about what is not there."""
 
 import json
 import shutil
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,9 @@ from PIL import Image
 from magical import __version__
 from magical.envs.seeds import evaluation_seed
 from magical.evaluation import Entry, RolloutScore, environments, published_tasks
+from magical.evaluation.collection import write_collection
 from studies import pages
+from studies.collect import Collected
 from studies.plan_results import PlanResults
 
 pytest.importorskip("matplotlib", reason="the report extra is not installed")
@@ -19,37 +23,52 @@ pytest.importorskip("matplotlib", reason="the report extra is not installed")
 
 @pytest.fixture
 def repository(tmp_path: Path, root: Path) -> Path:
-    """A repository with the plans, the page, and no results."""
-    shutil.copytree(root / "studies", tmp_path / "studies")
+    """A repository with the studies, and no results."""
+    without = shutil.ignore_patterns("results", "__pycache__")
+    shutil.copytree(root / "studies", tmp_path / "studies", ignore=without)
     return tmp_path
 
 
 def write_run(repository: Path, plan: str, method: str, task: str, seed: int, score: float) -> Path:
     """An entry of a plan's run as collected, with the same score everywhere."""
-    rows = [
+    details = {"training_seed": seed}
+    entry = Entry(
+        method=method, scores=rows_of([task], score), version=__version__, details=details
+    )
+    (path,) = repository.glob(f"studies/*/plans/{plan}.toml")
+    results = path.parents[1] / "results" / plan
+    name = f"{task}-seed{seed}"
+    run = {"folder": name, "method": method, "tasks": [task], "seed": seed, "total": 1}
+    runs = [run]
+    if results.exists():
+        runs = [*json.loads((results / "plan.json").read_text())["runs"], run]
+    seconds: dict[str, object] = {"seconds": {"training": 90.0, "evaluation": 30.0}}
+    known = {str(run["folder"]): seconds for run in runs}
+    collected = Collected(version=__version__, runs=known, failed={"another": "no room"})
+    collected.entries = {**entries_of(results), f"runs/{name}": entry}
+    results.mkdir(parents=True, exist_ok=True)
+    collected.write(results, runs)
+    return results / "runs" / name
+
+
+def entries_of(results: Path) -> dict[str, Entry]:
+    return Collected.read(results).entries
+
+
+def rows_of(tasks: list[str] | None, score: float) -> list[RolloutScore]:
+    return [
         RolloutScore(env_id, i, evaluation_seed(i), score, score)
-        for env_id in environments([task])
+        for env_id in environments(tasks)
         for i in range(100)
     ]
-    results = repository / "results" / plan
-    folder = results / "runs" / f"{task}-seed{seed}"
-    details = {"training_seed": seed}
-    Entry(method=method, scores=rows, version=__version__, details=details).write(folder)
-    listed = (
-        json.loads((results / "plan.json").read_text())
-        if results.joinpath("plan.json").exists()
-        else {"runs": []}
-    )
-    listed["runs"].append(
-        {"folder": folder.name, "method": method, "tasks": [task], "seed": seed, "total": 1}
-    )
-    (results / "plan.json").write_text(json.dumps(listed))
-    runs = {
-        run["folder"]: {"seconds": {"training": 90.0, "evaluation": 30.0}} for run in listed["runs"]
-    }
-    collected = {"version": __version__, "runs": runs, "failed": {"another": "no room"}}
-    (results / "collected.json").write_text(json.dumps(collected))
-    return folder
+
+
+def change_entries(folder: Path, change: Callable[[str, dict[str, Entry]], None]) -> None:
+    """Change the entries of a run's plan, given the run's key and all of them."""
+    results = folder.parents[1]
+    entries = entries_of(results)
+    change(f"runs/{folder.name}", entries)
+    write_collection(results, entries)
 
 
 def made(repository: Path) -> str:
@@ -143,31 +162,37 @@ def test_a_change_is_shown_variant_by_variant(repository: Path) -> None:
 def test_entries_that_do_not_count_are_listed_by_reason(repository: Path) -> None:
     folder = write_run(repository, "bc-human", "BC (ST)", "MoveToRegion", 0, 0.5)
     write_run(repository, "bc-human", "BC (ST), mine", "MoveToRegion", 1, 0.5)
-    entry = json.loads((folder / "entry.json").read_text())
-    (folder / "entry.json").write_text(json.dumps({**entry, "version": "9.0.0"}))
+
+    def age(key: str, entries: dict[str, Entry]) -> None:
+        entries[key] = replace(entries[key], version="9.0.0")
+
+    change_entries(folder, age)
     text = made(repository)
     assert section(text, "cells") == "Nothing yet: not run.\n"
     other, foreign = section(text, "rejected").splitlines()
-    assert other.startswith("- `results/bc-human/runs/MoveToRegion-seed0`: made by version 9.0.0")
-    assert foreign == "- `results`: BC (ST), mine is a method of none of the plans"
+    assert other.startswith(f"- `{folder.relative_to(repository)}`: made by version 9.0.0")
+    assert foreign == "- `studies`: BC (ST), mine is a method of none of the plans"
 
 
 def write_leaderboard_entry(folder: Path, score: float) -> None:
     """The leaderboard's evaluation of a run on all tasks."""
-    rows = [
-        RolloutScore(env_id, i, evaluation_seed(i), score, score)
-        for env_id in environments()
-        for i in range(100)
-    ]
-    method = json.loads((folder / "entry.json").read_text())["method"]
     details = {
         "training_seed": 0,
         "learned_from": ["demonstrations"],
         "demonstrations": "10 of each task (dataset)",
         "looks": 3,
     }
-    entry = Entry(method=method, scores=rows, version=__version__, nudge=1e-9, details=details)
-    entry.write(folder / "leaderboard")
+
+    def add(key: str, entries: dict[str, Entry]) -> None:
+        entries[f"{key}/leaderboard"] = Entry(
+            method=entries[key].method,
+            scores=rows_of(None, score),
+            version=__version__,
+            nudge=1e-9,
+            details=details,
+        )
+
+    change_entries(folder, add)
 
 
 def test_the_leaderboards_evaluations_are_ranked_and_shown_nowhere_else(repository: Path) -> None:
@@ -186,13 +211,15 @@ def test_the_leaderboards_evaluations_are_ranked_and_shown_nowhere_else(reposito
 
 def test_what_the_leaderboard_does_not_allow_is_listed_with_its_reason(repository: Path) -> None:
     folder = write_run(repository, "bc-human", "BC (ST)", "MoveToRegion", 0, 0.5)
-    for file in ("scores.csv", "entry.json"):
-        (folder / "leaderboard").mkdir(exist_ok=True)
-        shutil.copy(folder / file, folder / "leaderboard" / file)
+
+    def copy(key: str, entries: dict[str, Entry]) -> None:
+        entries[f"{key}/leaderboard"] = entries[key]
+
+    change_entries(folder, copy)
     text = made(repository)
     assert section(text, "leaderboard") == "Nothing yet: not run.\n"
     (rejected,) = section(text, "rejected").splitlines()
-    name = "results/bc-human/runs/MoveToRegion-seed0/leaderboard"
+    name = "studies/published_tables/results/bc-human/runs/MoveToRegion-seed0/leaderboard"
     assert rejected.startswith(f"- `{name}`: nudge 0, expected 1e-09")
 
 

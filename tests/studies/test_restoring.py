@@ -28,10 +28,10 @@ def test_collected_runs_are_done_and_the_others_wait(
     done, waiting = read_status(again).runs
     assert done.seconds is not None
     assert (done.state, waiting.state) == ("done", "waiting")
-    before = (out / "collected.json").read_bytes()
+    before = (out / "plan.json").read_bytes()
     missing = list(collect_results.collect([again], out, tiny))
     assert missing == ["missing: BC tiny, MoveToRegion, seed 1: not done"]
-    assert (out / "collected.json").read_bytes() == before
+    assert (out / "plan.json").read_bytes() == before
 
 
 def test_a_plan_goes_on_where_it_was_collected(

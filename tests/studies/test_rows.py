@@ -10,7 +10,7 @@ import pytest
 
 from magical import __version__
 from magical.evaluation import environments
-from magical.report.results import search_results
+from magical.report.found.search import search_results
 from studies.published_tables.rows import make_rows, published_row
 
 WriteEntry = Callable[..., Path]

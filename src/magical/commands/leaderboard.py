@@ -21,8 +21,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Check, rank, print, write."""
-    from magical.report.aggregate import interval_text
     from magical.report.leaderboard import make_leaderboard
+    from magical.report.scores.aggregate import interval_text
 
     board = make_leaderboard(args.folders, args.out)
     for part in board.boards:

@@ -12,7 +12,7 @@ from magical.commands._common import log, positive_int, print_table
 from magical.commands._policies import policy_of
 
 if TYPE_CHECKING:
-    from magical.report.results import Results
+    from magical.report.found.search import Found
 
 HELP = "make a page of tables from evaluated runs"
 
@@ -53,26 +53,26 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Read, tabulate, write."""
-    from magical.report.results import find_results
+    from magical.report.found.search import find_results
 
     if args.clips and (args.compare or not args.out or _kind(args) != "html"):
         log("--clips is for a page (--out FILE.html); no rollouts are recorded")
-    results = find_results(args.folders)
-    for item in results.skipped:
+    found = find_results(args.folders)
+    for item in found.skipped:
         log(f"skipped {item.folder}: {item.reason}")
     if args.compare:
-        return _compare(args, results)
-    _print_tables(args, results)
+        return _compare(args, found)
+    _print_tables(args, found)
     if args.out:
-        _write(args, results)
+        _write(args, found)
         log(f"wrote {args.out}")
     return 0
 
 
-def _compare(args: argparse.Namespace, results: "Results") -> int:
-    from magical.report.comparison import compare
+def _compare(args: argparse.Namespace, found: "Found") -> int:
+    from magical.report.pages.comparison import compare
 
-    comparison = compare(results.found, *args.compare)
+    comparison = compare(found.results, *args.compare)
     for grid in comparison.grids:
         print_table(grid.header, grid.rows)
         print(f"{grid.note}\n")
@@ -82,26 +82,26 @@ def _compare(args: argparse.Namespace, results: "Results") -> int:
     return 0
 
 
-def _print_tables(args: argparse.Namespace, results: "Results") -> None:
+def _print_tables(args: argparse.Namespace, found: "Found") -> None:
     """Every table of the page as text."""
-    from magical.report.export import all_grids
+    from magical.report.pages.export import all_grids
 
-    for grid in all_grids(results, _published(args, results)):
+    for grid in all_grids(found, _published(args, found)):
         print_table(grid.header, grid.rows)
         print(f"{grid.note}\n")
 
 
-def _write(args: argparse.Namespace, results: "Results") -> None:
-    from magical.report.export import FORMATS
-    from magical.report.folders import evaluated_page
+def _write(args: argparse.Namespace, found: "Found") -> None:
+    from magical.report.pages.evaluated import evaluated_page
+    from magical.report.pages.export import FORMATS
 
-    kind, published = _kind(args), _published(args, results)
+    kind, published = _kind(args), _published(args, found)
     if kind in FORMATS:
-        FORMATS[kind](results, published, args.out)
+        FORMATS[kind](found, published, args.out)
         return
     page = evaluated_page(
         args.title,
-        results,
+        found,
         published,
         out=args.out,
         load_policy=lambda result: policy_of(result.folder, result.entry, result.run),
@@ -112,14 +112,14 @@ def _write(args: argparse.Namespace, results: "Results") -> None:
 
 def _kind(args: argparse.Namespace) -> str:
     """The format of the file to write."""
-    from magical.report.export import format_of
+    from magical.report.pages.export import format_of
 
     return str(args.format or format_of(args.out))
 
 
-def _published(args: argparse.Namespace, results: "Results") -> tuple[str, ...]:
-    from magical.report.differences import matching_methods
+def _published(args: argparse.Namespace, found: "Found") -> tuple[str, ...]:
+    from magical.report.scores.differences import matching_methods
 
     if args.published is None:
-        return matching_methods(results.entries)
+        return matching_methods(found.entries)
     return tuple(args.published)

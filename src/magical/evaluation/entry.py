@@ -78,10 +78,14 @@ class Entry:
         policies = {str(d[POLICY]) for d in (details, self.details) if POLICY in d}
         return details if len(policies) < 2 else {}
 
+    @property
+    def stated(self) -> dict[str, Any]:
+        """All but the scores, as plain data: what `entry.json` holds."""
+        names = (field.name for field in fields(self) if field.name != "scores")
+        return {name: getattr(self, name) for name in names}
+
     def _json(self, target: Path) -> str:
-        names = [field.name for field in fields(self) if field.name != "scores"]
-        data: dict[str, Any] = {name: getattr(self, name) for name in names}
-        data["details"] = self._kept(target) | self.details
+        data = {**self.stated, "details": self._kept(target) | self.details}
         text = json.dumps(data, indent=2) + "\n"
         _check_fields(target, _parse(target, text))
         return text
@@ -102,18 +106,25 @@ def read_entry(folder: Path | str) -> Entry:
                 f"`magical evaluate POLICY --out {source}` writes them"
             )
     data = _read_json(source / ENTRY_FILE)
+    scores = read_scores(source / SCORES_FILE)
+    return make_entry(data, scores, str(source / ENTRY_FILE), str(source / SCORES_FILE))
+
+
+def make_entry(
+    data: dict[str, Any], scores: Sequence[RolloutScore], stated_in: str, scored_in: str
+) -> Entry:
+    """An entry of what `entry.json` holds; raises `ScoresError` with the name of what is wrong."""
     known = {field.name for field in fields(Entry)} - {"scores"}
     if "method" not in data or set(data) - known:
         raise ScoresError(
-            f"{source / ENTRY_FILE}: expected method and some of {sorted(known)}, "
-            f"found {sorted(data)}; put everything else into details"
+            f"{stated_in}: expected method and some of {sorted(known)}, found {sorted(data)}; put "
+            "everything else into details"
         )
-    _check_fields(source / ENTRY_FILE, data)
-    scores = read_scores(source / SCORES_FILE)
+    _check_fields(Path(stated_in), data)
     try:
         check_protocol(scores, data.get("seed", 0))
     except ScoresError as error:
-        raise ScoresError(f"{source / SCORES_FILE}: {error}") from error
+        raise ScoresError(f"{scored_in}: {error}") from error
     return Entry(scores=scores, **data)
 
 

@@ -41,7 +41,7 @@ def write_scores(scores: Iterable[RolloutScore], path: Path | str) -> None:
 
 def read_scores(path: Path | str) -> list[RolloutScore]:
     """Read what `write_scores` wrote; raises `ScoresError` naming the line that is wrong."""
-    env_ids: dict[str, EnvId] = {}  # an id is parsed once, not in every row
+    env_ids: dict[str, EnvId] = {}
     with Path(path).open(newline="", encoding="utf-8", errors="replace") as file:
         lines = csv.reader(file)
         try:
@@ -49,14 +49,18 @@ def read_scores(path: Path | str) -> list[RolloutScore]:
             if tuple(header) != HEADER:
                 found = repr(header)[:SHOWN] if header else "nothing"
                 raise ScoresError(f"{path}: expected the header {','.join(HEADER)}, found {found}")
-            return [_parse(line, env_ids, path, number) for number, line in enumerate(lines, 2)]
+            return [parse_row(line, env_ids, path, number) for number, line in enumerate(lines, 2)]
         except csv.Error as error:
             raise ScoresError(f"{path}: line {lines.line_num} is damaged: {error}") from error
 
 
-def _parse(
+def parse_row(
     line: Sequence[str], env_ids: dict[str, EnvId], path: Path | str, number: int
 ) -> RolloutScore:
+    """A row of `scores.csv`; raises `ScoresError` naming the line's number.
+
+    `env_ids` has the ids by their text: an id is parsed once, not in every row.
+    """
     try:
         text, rollout, seed, score, published = line
         env_id = env_ids.get(text) or env_ids.setdefault(text, _parse_env_id(text))

@@ -8,11 +8,11 @@ from magical import __version__
 from magical.evaluation import Entry, Policy, environments
 from magical.files import write_atomically
 from magical.processes import available_cores
-from magical.report.clips import png, record_clips
-from magical.report.contact_sheet import contact_sheet
-from magical.report.curves import learning_curves
-from magical.report.page import Page
-from magical.report.tables import Table, task_table
+from magical.report.figures.clips import png, record_clips
+from magical.report.figures.contact_sheet import contact_sheet
+from magical.report.figures.curves import learning_curves
+from magical.report.pages.page import Page
+from magical.report.scores.tables import Table, task_table
 
 PUBLISHED = ("BC (ST)",)
 SHEET = "contact-sheet.png"

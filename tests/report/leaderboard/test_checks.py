@@ -10,8 +10,8 @@ from magical import __version__
 from magical.envs import EnvId
 from magical.evaluation import Entry, RolloutScore
 from magical.evaluation.rollouts import ROLLOUTS
+from magical.report.found.search import Found, Result, Skipped
 from magical.report.leaderboard.checks import NUDGE, check_entries, faults
-from magical.report.results import Result, Results, Skipped
 from magical.tasks import get_task
 
 
@@ -71,7 +71,7 @@ def test_missing_variants_and_rollouts_are_named() -> None:
 def check(*entries: Entry) -> list[tuple[str, str]]:
     """The folders of rejected entries, which are numbers, and the first reason of each."""
     results = [Result(Path(str(number)), entry) for number, entry in enumerate(entries)]
-    accepted, rejected = check_entries(Results(results))
+    accepted, rejected = check_entries(Found(results))
     assert len(accepted) + len(rejected) == len(entries)
     return [(item.folder, item.reasons[0]) for item in rejected]
 
@@ -113,7 +113,7 @@ def test_a_rejected_entry_does_not_stand_against_others() -> None:
 
 
 def test_damaged_entries_are_listed() -> None:
-    accepted, rejected = check_entries(Results([], [Skipped(Path("x"), "damaged")]))
+    accepted, rejected = check_entries(Found([], [Skipped(Path("x"), "damaged")]))
     assert accepted == []
     assert [(item.folder, item.method, item.reasons) for item in rejected] == [
         ("x", "", ["damaged"])

@@ -8,8 +8,8 @@ import pytest
 
 from magical.envs import EnvId
 from magical.evaluation import Entry, RolloutScore
+from magical.report.found.search import Result
 from magical.report.leaderboard.ranking import ALL_TASKS, make_boards
-from magical.report.results import Result
 from magical.tasks import TASKS
 
 

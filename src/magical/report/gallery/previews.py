@@ -18,7 +18,7 @@ from magical.errors import NoExpertError
 from magical.experts import get_goals, modules_of
 from magical.processes import available_cores, map_in_processes
 from magical.render import render_frame
-from magical.report.clips import Clip
+from magical.report.figures.clips import Clip
 from magical.report.gallery.descriptions import describe_scene
 from magical.scene import Poses, View
 from magical.scene.constants import CONTROL_RATE

@@ -15,7 +15,7 @@ from magical.report.gallery.descriptions import (
     describe_task,
 )
 from magical.report.gallery.previews import IMAGE_FOLDERS, SIZE, SPEED, EnvPreview
-from magical.report.page import render_template
+from magical.report.pages.page import render_template
 from magical.scene.constants import CONTROL_RATE
 from magical.tasks import CHANGES, VARIANTS, Task, get_task
 

@@ -9,8 +9,8 @@ from magical.evaluation import Entry, by_variant
 from magical.evaluation.entry import APPENDIX
 from magical.evaluation.rollouts import ROLLOUTS
 from magical.evaluation.variants import short_variant
-from magical.report.results import Result, Results, same_run
-from magical.report.statements import stated_looks
+from magical.report.found.search import Found, Result, same_run
+from magical.report.found.statements import stated_looks
 from magical.runs.sources import learned_from
 from magical.tasks import get_task
 
@@ -27,11 +27,11 @@ class Rejected:
     reasons: Sequence[str]
 
 
-def check_entries(results: Results) -> tuple[list[Result], list[Rejected]]:
+def check_entries(found: Found) -> tuple[list[Result], list[Rejected]]:
     """The entries that can be ranked, and the others with the reasons."""
-    rejected = [Rejected(str(item.folder), "", [item.reason]) for item in results.skipped]
+    rejected = [Rejected(str(item.folder), "", [item.reason]) for item in found.skipped]
     candidates = []
-    for result in results.found:
+    for result in found.results:
         if reasons := faults(result.entry):
             rejected.append(Rejected(str(result.folder), result.entry.method, reasons))
         else:

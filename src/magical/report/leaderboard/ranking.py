@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 from magical.evaluation.intervals import Interval
 from magical.evaluation.statistics import ROUNDING
-from magical.report.methods import ComparedMethod, compared_methods
-from magical.report.results import Result
-from magical.report.statements import Statements, gather_statements
+from magical.report.found.search import Result
+from magical.report.found.statements import Statements, gather_statements
+from magical.report.scores.methods import ComparedMethod, compared_methods
 from magical.runs.sources import learned_from, learning_class
 from magical.tasks import TASKS
 

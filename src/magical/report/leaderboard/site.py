@@ -10,13 +10,13 @@ from magical import __version__
 from magical.errors import ScoresError, SiteError
 from magical.evaluation.rollouts import ROLLOUTS
 from magical.files import write_atomically
-from magical.report.differences import matching_methods
-from magical.report.folders import evaluated_page
+from magical.report.found.facts import FILES
+from magical.report.found.search import Found, Result, search_results
 from magical.report.leaderboard.checks import NUDGE, Rejected, check_entries
 from magical.report.leaderboard.ranking import STATE, Board, make_boards
-from magical.report.page import render_template, write_text
-from magical.report.results import Result, Results, search_results
-from magical.report.runs import FILES
+from magical.report.pages.evaluated import evaluated_page
+from magical.report.pages.page import render_template, write_text
+from magical.report.scores.differences import matching_methods
 from magical.runs.sources import SOURCES
 
 INDEX = "index.html"
@@ -97,7 +97,7 @@ def _write_method(site: Path, method: str, results: Sequence[Result], name: str)
         copied.append(replace(result, folder=folder))
     page = site / METHODS / f"{name}.html"
     published = matching_methods(result.entry for result in results)
-    evaluated_page(method, Results(copied), published, out=page).write(page)
+    evaluated_page(method, Found(copied), published, out=page).write(page)
     return {result.folder.name for result in copied}
 
 

@@ -1,0 +1,103 @@
+"""Many evaluated runs in two files: `entries.json` and `scores.csv.gz` (docs/protocol.md).
+
+What `entry.json` says of each run, by name, and the rows of all `scores.csv` with the name before
+them: a collection of a hundred runs takes a hundredth of the space that their folders do.
+"""
+
+import csv
+import gzip
+import io
+import json
+import zlib
+from collections.abc import Iterator, Mapping
+from itertools import groupby
+from operator import itemgetter
+from pathlib import Path
+from typing import Any
+
+from magical.envs import EnvId
+from magical.errors import ScoresError
+from magical.evaluation.entry import Entry, make_entry
+from magical.evaluation.scores import HEADER, RolloutScore, parse_row
+from magical.files import open_regular, write_atomically
+from magical.untrusted import read_json
+
+ENTRIES_FILE, ROWS_FILE = "entries.json", "scores.csv.gz"
+MAX_BYTES = 1 << 26  # of `entries.json`
+MAX_ROWS = 10_000_000  # a compressed file may hold any number
+
+
+def is_collection(folder: Path) -> bool:
+    """Whether a folder holds a collection."""
+    return (folder / ENTRIES_FILE).exists()
+
+
+def write_collection(folder: Path, entries: Mapping[str, Entry]) -> None:
+    """Write the entries by name; the same entries give the same bytes."""
+    with (
+        write_atomically(folder / ROWS_FILE) as file,
+        gzip.GzipFile("", "wb", fileobj=file, mtime=0) as packed,
+        io.TextIOWrapper(packed, "utf-8", newline="") as text,
+    ):
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(("entry", *HEADER))
+        for name, entry in sorted(entries.items()):
+            writer.writerows((name, *row) for row in entry.scores)
+    stated = {name: entry.stated for name, entry in sorted(entries.items())}
+    with write_atomically(folder / ENTRIES_FILE) as file:
+        file.write((json.dumps(stated, indent=1) + "\n").encode())
+
+
+def read_collection(folder: Path) -> dict[str, Entry | ScoresError]:
+    """Every entry by name, or what is wrong with it.
+
+    Raises:
+        ScoresError: a file is missing or damaged; says which and what was expected.
+    """
+    stated = read_json(
+        folder / ENTRIES_FILE, dict[str, dict[str, Any]], ScoresError, max_bytes=MAX_BYTES
+    )
+    scores = _read_scores(folder / ROWS_FILE)
+    return {name: _entry(folder, name, data, scores.get(name, [])) for name, data in stated.items()}
+
+
+def _entry(
+    folder: Path, name: str, data: dict[str, Any], scores: list[RolloutScore]
+) -> Entry | ScoresError:
+    try:
+        places = (f"{folder / file}: {name}" for file in (ENTRIES_FILE, ROWS_FILE))
+        return make_entry(data, scores, *places)
+    except ScoresError as error:
+        return error
+
+
+def _read_scores(path: Path) -> dict[str, list[RolloutScore]]:
+    """The rows by entry."""
+    scores: dict[str, list[RolloutScore]] = {}
+    try:
+        with (
+            open_regular(path, follow_links=True) as file,
+            gzip.open(file, "rt", encoding="utf-8", errors="replace", newline="") as text,
+        ):
+            lines = csv.reader(text)
+            if next(lines, []) != ["entry", *HEADER]:
+                raise ScoresError(f"{path}: expected the header entry,{','.join(HEADER)}")
+            for name, rows in groupby(_bounded(lines, path), itemgetter(0)):
+                scores.setdefault(name, []).extend(_parsed(rows, path))
+    except (OSError, EOFError, zlib.error, csv.Error) as error:
+        raise ScoresError(f"{path}: expected compressed scores: {error}") from error
+    return scores
+
+
+def _bounded(lines: Iterator[list[str]], path: Path) -> Iterator[tuple[str, int, list[str]]]:
+    """The name, the line's number and the rest of each line."""
+    for number, line in enumerate(lines, 2):
+        if number > MAX_ROWS:
+            raise ScoresError(f"{path}: expected at most {MAX_ROWS} rows, found more")
+        yield (line[0] if line else ""), number, line[1:]
+
+
+def _parsed(rows: Iterator[tuple[str, int, list[str]]], path: Path) -> Iterator[RolloutScore]:
+    env_ids: dict[str, EnvId] = {}
+    for _, number, line in rows:
+        yield parse_row(line, env_ids, path, number)

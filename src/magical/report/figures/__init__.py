@@ -1,0 +1,1 @@
+"""Plots, learning curves, scenes and rollouts as images."""

@@ -1,0 +1,191 @@
+"""Learning curves from the metrics of runs."""
+
+import importlib.util
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from warnings import catch_warnings, filterwarnings
+
+from magical.errors import RunFolderError
+from magical.files import write_atomically
+from magical.report.figures.plots import (
+    legend,
+    legend_height,
+    line_style,
+    new_figure,
+    plotting,
+    svg,
+    tidy,
+)
+from magical.runs.folder import CURVES
+from magical.runs.metrics import read_metrics
+
+PANELS = ("loss", "accuracy", "score")  # of `learning_curves`, where the metrics have them
+SMOOTHING = 50  # rows of metrics that a curve is averaged over, at most a tenth of all
+MOST_POINTS = 200  # of a curve
+LONGEST = 30  # characters of a name in the legend
+LARGEST = 1e300  # number that is plotted
+NOT_PLOTTED = ("step", "environment_steps", "warning")
+COLUMNS = 4  # of `save_learning_curves`
+
+Rows = Sequence[Mapping[str, Any]]
+
+
+def learning_curves(runs: Mapping[str, Path]) -> str:
+    """The curves of all runs that have metrics, one panel for each quantity, as SVG.
+
+    `runs` are folders by name. Empty where none has metrics.
+    """
+    found = {name: rows for name, folder in runs.items() if (rows := read_metrics(folder))}
+    panels = [key for key in PANELS if any(key in row for rows in found.values() for row in rows)]
+    return _svg(found, panels) if panels else ""
+
+
+@dataclass(frozen=True, slots=True)
+class TrainedRun:
+    """A training run whose curves are shown with those of other runs on the same task."""
+
+    method: str
+    task: str  # what it was trained on, in words
+    folder: Path
+
+
+def curves_by_task(
+    runs: Sequence[TrainedRun], methods: Sequence[str]
+) -> tuple[dict[str, list[str]], dict[Path, str]]:
+    """Learning curves, a figure for each task and quantity; a line for each run.
+
+    Args:
+        runs: those without metrics are left out.
+        methods: all names; the place in the list gives a method's colour.
+
+    Returns:
+        The figures as SVG by task, and what is wrong with damaged metrics by folder.
+    """
+    found, damaged = [], {}
+    for run in runs:
+        try:
+            found.append((run, read_metrics(run.folder)))
+        except (RunFolderError, OSError, UnicodeDecodeError) as error:
+            damaged[run.folder] = str(error)
+    figures: dict[str, list[str]] = {}
+    for number, task in enumerate(dict.fromkeys(run.task for run, rows in found if rows)):
+        of_task = [(run.method, rows) for run, rows in found if run.task == task]
+        for key in PANELS:
+            name = f"curve-{number}-{key}"
+            if picture := _panel(of_task, key, methods, f"{key} on {task}", name):
+                figures.setdefault(task, []).append(picture)
+    return figures, damaged
+
+
+def _panel(
+    runs: Sequence[tuple[str, Rows]], key: str, methods: Sequence[str], label: str, name: str
+) -> str:
+    """One quantity of all runs on a task as SVG; empty where none has it."""
+    curves = [(method, points) for method, rows in runs if (points := _points(rows, key))]
+    if not curves:
+        return ""
+    with plotting():
+        figure = new_figure(3.0 + legend_height(len({method for method, _ in curves})), width=4.8)
+        axes = figure.subplots()
+        lines: dict[str, Any] = {}
+        for method, points in curves:
+            style = line_style(methods.index(method))
+            (lines[method],) = axes.plot(*_smooth(points), linewidth=1.3, alpha=0.85, **style)
+        axes.set(title=key, xlabel="step")
+        if key in ("accuracy", "score"):
+            axes.set_ylim(-0.02, 1.02)
+        tidy(axes)
+        legend(figure, lines)
+        return svg(figure, name, f"Learning curves: {label}")
+
+
+def _points(rows: Rows, key: str) -> list[tuple[float, float]]:
+    """(step, value) where a quantity was measured."""
+    return [
+        (row["step"], row[key])
+        for row in rows
+        if _is_finite(row["step"]) and _is_finite(row.get(key))
+    ]
+
+
+def _is_finite(number: object) -> bool:
+    return isinstance(number, int | float) and abs(number) < LARGEST
+
+
+def _svg(runs: Mapping[str, Rows], panels: Sequence[str]) -> str:
+    # From the report extra. Figure alone: no window system, no global state.
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(4.6 * len(panels), 3.2), layout="constrained")
+    for axes, key in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
+        lines = []
+        for rows in runs.values():
+            points = _points(rows, key)
+            lines += axes.plot(*_smooth(points), linewidth=1.4)
+        axes.set_title(key, fontsize=11)
+        axes.set_xlabel("step")
+        axes.grid(alpha=0.3)
+        axes.spines[["top", "right"]].set_visible(False)
+        if key == "accuracy":
+            axes.set_ylim(0, 1)
+    file = io.StringIO()
+    # A name may be any path: it is neither mathematics nor limited to the characters of a font.
+    with rc_context({"svg.fonttype": "none", "text.parse_math": False}), catch_warnings():
+        filterwarnings("ignore", "Glyph")
+        axes.legend(lines, list(map(_shorten, runs)), frameon=False, fontsize=9)
+        figure.savefig(file, format="svg", metadata={"Date": None})
+    text = file.getvalue()
+    return text[text.index("<svg") :]
+
+
+def _shorten(name: str) -> str:
+    """The end of a long name, where folders differ; a legend as wide as the panel has no room."""
+    return name if len(name) <= LONGEST else f"…{name[1 - LONGEST :]}"
+
+
+def _smooth(points: Sequence[tuple[float, float]]) -> tuple[list[float], list[float]]:
+    """Averages over neighbouring points: the metrics of single batches are noisy."""
+    width = max(1, min(SMOOTHING, len(points) // 10), len(points) // MOST_POINTS)
+    groups = [points[i : i + width] for i in range(0, len(points) - width + 1, width)]
+    xs = [sum(x for x, _ in group) / width for group in groups]
+    return xs, [sum(y for _, y in group) / width for group in groups]
+
+
+def save_learning_curves(run: Path) -> Path | None:
+    """Plot every number of a run's metrics over the steps, as a PNG in the run folder.
+
+    Returns:
+        The picture's path; `None`, without a picture, if there are no metrics yet or matplotlib
+        (extra `report`) is not installed.
+    """
+    rows = read_metrics(run)
+    if not rows or importlib.util.find_spec("matplotlib") is None:
+        return None
+    names = list(dict.fromkeys(name for row in rows for name in row if name not in NOT_PLOTTED))
+    picture = run / CURVES
+    with write_atomically(picture) as file:
+        _figure(rows, names).savefig(file, format="png", dpi=80)
+    return picture
+
+
+def _figure(rows: Rows, names: Sequence[str]) -> Any:
+    # Figure alone: no window system, no global state.
+    from matplotlib.figure import Figure
+
+    lines = math.ceil(len(names) / COLUMNS)
+    figure = Figure(figsize=(3.6 * COLUMNS, 2.4 * lines), layout="constrained")
+    panels = figure.subplots(lines, COLUMNS, squeeze=False).flatten()
+    for axes, name in zip(panels, names, strict=False):
+        points = [(row["step"], row[name]) for row in rows if row.get(name) is not None]
+        axes.plot(*zip(*points, strict=True), linewidth=1.0)
+        axes.set_title(name.replace("_", " "), fontsize=10)
+        axes.grid(alpha=0.3)
+        axes.spines[["top", "right"]].set_visible(False)
+    for axes in panels[len(names) :]:
+        axes.set_axis_off()
+    return figure

@@ -1,0 +1,151 @@
+"""The best, the median and the worst rollout of evaluated runs, recorded again."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical.envs import EnvId
+from magical.errors import MagicalError
+from magical.evaluation import Entry, Policy, RolloutScore, by_variant
+from magical.evaluation.rollouts import observation_again
+from magical.evaluation.variants import short_variant
+from magical.report.figures.clips import Clip, data_uri, png, record_rollouts
+from magical.report.found.search import Result
+from magical.report.scores.differences import steps
+from magical.tasks import get_task
+
+SIZE = 120  # pixels across
+MOST_FRAMES = 60  # of a clip
+QUALITY = 55  # of WebP, 0 to 100
+MOST_BYTES = 9_000_000  # of all clips of a page, encoded
+
+LoadPolicy = Callable[[Result], Policy]
+
+
+@dataclass(frozen=True, slots=True)
+class ShownClip:
+    """An animation with its caption."""
+
+    uri: str
+    caption: str
+
+
+@dataclass(frozen=True, slots=True)
+class Reel:
+    """One run's rollouts on a task: by variant, from best to worst."""
+
+    title: str
+    clips: Sequence[ShownClip]
+    shown: str = ""  # what the policy was shown, as a data URI
+    shown_note: str = ""
+
+
+def record_reels(
+    results: Sequence[Result], load_policy: LoadPolicy, limit: int
+) -> tuple[list[Reel], list[str]]:
+    """Reels of at most `limit` runs: of each method on each task, the run with the median mean.
+
+    Args:
+        results: evaluated runs.
+        load_policy: gives a run's policy; may raise `MagicalError`.
+        limit: how many.
+
+    Returns:
+        The reels, and what is not shown and why.
+    """
+    reels, notes, room = [], [], MOST_BYTES
+    chosen = _median_runs(results)
+    for task, result in chosen[:limit]:
+        title = f"{result.entry.row} on {task}"
+        try:
+            reel = _record(load_policy(result), result, task, title)
+        except (MagicalError, OSError) as error:
+            notes.append(f"{title}: {error}")
+            continue
+        size = sum(len(clip.uri) for clip in reel.clips) + len(reel.shown)
+        if size > room:
+            notes.append(f"{title}: left out to keep the page small")
+            continue
+        room -= size
+        reels.append(reel)
+    if chosen[limit:]:
+        names = ", ".join(f"{result.entry.row} on {task}" for task, result in chosen[limit:])
+        notes.append(f"Not asked for (--clips shows {limit}): {names}")
+    return reels, notes
+
+
+def extremes(scores: Sequence[RolloutScore]) -> list[tuple[str, RolloutScore]]:
+    """The best, the median and the worst rollout; one of them if all have the same score.
+
+    Of rollouts with the same score the first counts as worse; the median is the lower one of two.
+    """
+    ordered = sorted(scores, key=lambda row: (row.score, row.rollout))
+    if ordered[0].score == ordered[-1].score:
+        return [("all", min(scores, key=lambda row: row.rollout))]
+    median = ordered[(len(ordered) - 1) // 2]
+    named = [("best", ordered[-1]), ("median", median), ("worst", ordered[0])]
+    return [pair for i, pair in enumerate(named) if pair[1] not in [row for _, row in named[:i]]]
+
+
+def _median_runs(results: Sequence[Result]) -> list[tuple[str, Result]]:
+    """Task and run: of each method's runs on a task, the one with the median mean score."""
+    groups: dict[tuple[str, str], list[tuple[float, int]]] = {}
+    for number, result in enumerate(results):
+        for task, cells in by_variant(result.entry.scores).items():
+            mean = float(np.mean([row.score for cell in cells.values() for row in cell]))
+            groups.setdefault((task, result.entry.row), []).append((mean, number))
+    return [
+        (task, results[sorted(runs)[(len(runs) - 1) // 2][1]]) for (task, _), runs in groups.items()
+    ]
+
+
+def _record(policy: Policy, result: Result, task: str, title: str) -> Reel:
+    entry = result.entry
+    horizon = int(steps(get_task(task), entry))
+    named = [
+        (short_variant(variant), name, row)
+        for variant, cell in by_variant(entry.scores)[task].items()
+        for name, row in extremes(cell)
+    ]
+    rollouts = [(row.env_id, row.rollout) for _, _, row in named]
+    clips = _recorded(policy, rollouts, entry, horizon)
+    shown = [
+        ShownClip(
+            data_uri(clip.webp(quality=QUALITY), "image/webp"), _caption(variant, name, row, clip)
+        )
+        for (variant, name, row), clip in zip(named, clips, strict=True)
+    ]
+    return Reel(title, shown, *_what_was_shown(clips[0].shown, entry))
+
+
+def _recorded(
+    policy: Policy, rollouts: Sequence[tuple[EnvId, int]], entry: Entry, horizon: int
+) -> list[Clip]:
+    return record_rollouts(
+        policy,
+        rollouts,
+        seed=entry.seed,
+        horizon=horizon,
+        nudge=entry.nudge,
+        observation=observation_again(policy, entry.observation),
+        size=SIZE,
+        every=-(-horizon // MOST_FRAMES),
+    )
+
+
+def _caption(variant: str, name: str, row: RolloutScore, clip: Clip) -> str:
+    """Such as `Layout, best: 1.00`; says so where the score is not what was recorded."""
+    text = f"{variant}, {'every rollout' if name == 'all' else name}: {clip.score:.2f}"
+    same = abs(clip.score - row.score) < 1e-9
+    return text if same else f"{text} (recorded: {row.score:.2f})"
+
+
+def _what_was_shown(picture: NDArray[np.uint8] | None, entry: Entry) -> tuple[str, str]:
+    """An image of one observation as a data URI, and a caption."""
+    if picture is None:
+        return "", f"The policy was shown {entry.observation or 'no image'}, which is no image."
+    return data_uri(png(picture), "image/png"), (
+        f"What the policy was shown half-way through the first of them ({entry.observation})"
+    )

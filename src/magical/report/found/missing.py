@@ -1,0 +1,81 @@
+"""Which scores are missing: method x task x variant x seed."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+from magical.evaluation import by_variant
+from magical.evaluation.variants import short_variant
+from magical.report.found.search import Found, Result
+from magical.tasks import get_task
+
+
+class Missing(NamedTuple):
+    """Scores that a plan, another method or another run leads one to expect."""
+
+    method: str
+    task: str
+    what: str
+
+
+def find_missing(found: Found) -> list[Missing]:
+    """What is missing.
+
+    With a plan, its runs without scores. Without one, a method is expected to have every task that
+    another has, with as many runs, with the same seeds of training where those are known. A run is
+    expected to have all variants of its tasks.
+    """
+    planned = found.planned
+    runs = (
+        _unplanned(found.results)
+        if planned is None
+        else [
+            Missing(run.method, ", ".join(run.tasks), f"seed {run.seed}: {run.state}")
+            for run in planned
+        ]
+    )
+    folders = [
+        Missing("–", "–", f"{folder}: a training run without an entry")
+        for folder in (found.not_evaluated if planned is None else ())
+    ]
+    return [*runs, *_variants(found.results), *folders]
+
+
+def _unplanned(results: Sequence[Result]) -> Iterator[Missing]:
+    methods = list(dict.fromkeys(result.entry.row for result in results))
+    for task in dict.fromkeys(task for result in results for task in result.tasks):
+        on_task = [result for result in results if task in result.tasks]
+        groups = {name: [run for run in on_task if run.entry.row == name] for name in methods}
+        most = max(map(len, groups.values()))
+        seeds = {run.seed for run in on_task}
+        for name, group in groups.items():
+            if not group:
+                yield Missing(name, task, "no run")
+            elif len(group) < most:
+                absent = _absent(seeds, {run.seed for run in group})
+                yield Missing(name, task, f"{len(group)} of {most} runs{absent}")
+
+
+def _absent(seeds: set[int | None], present: set[int | None]) -> str:
+    """The seeds that are missing; nothing where those that are present are not all known."""
+    missing = sorted(seed for seed in seeds - present if seed is not None)
+    return f": no seed {', '.join(map(str, missing))}" if missing and None not in present else ""
+
+
+def _variants(results: Sequence[Result]) -> Iterator[Missing]:
+    """The variants that runs were not evaluated on; runs that lack the same ones together."""
+    groups: dict[tuple[str, str, str], list[Result]] = {}
+    for result in results:
+        for task, cells in by_variant(result.entry.scores).items():
+            names = map(short_variant, get_task(task).variants)
+            if absent := ", ".join(name for name in names if name not in cells):
+                groups.setdefault((result.entry.row, task, absent), []).append(result)
+    for (method, task, absent), runs in groups.items():
+        yield Missing(method, task, f"{_named(runs)}: not evaluated on {absent}")
+
+
+def _named(runs: Sequence[Result]) -> str:
+    """Runs by their seeds, or by their folders where a seed is not known."""
+    seeds = [run.seed for run in runs]
+    if None in seeds:
+        return ", ".join(run.folder.name for run in runs)
+    return f"seed{'s' if len(seeds) > 1 else ''} {', '.join(map(str, seeds))}"

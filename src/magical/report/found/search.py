@@ -1,0 +1,281 @@
+"""Evaluated runs in folders, at any depth, each in a folder of its own or in a collection."""
+
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from magical.errors import RunFolderError, ScoresError
+from magical.evaluation import BUILT_IN, Entry, RolloutScore, by_variant, read_entry
+from magical.evaluation.collection import is_collection, read_collection
+from magical.evaluation.entry import ENTRY_FILE, POLICY, SCORES_FILE
+from magical.runs import is_run, read_json
+from magical.runs.folder import CONFIG, RECORD
+
+# Files of a plan's results folder (docs/experiments.md).
+PLAN = "plan.json"  # the planned runs
+FINAL = "result.json"  # a run's final record, in its folder
+RUNS = "runs"  # the folder of their folders
+
+
+@dataclass(frozen=True)
+class Result:
+    """An evaluated run and where it was found."""
+
+    folder: Path
+    entry: Entry
+    run: Path | None = None  # the folder of the training run, where there is one
+
+    @cached_property
+    def tasks(self) -> tuple[str, ...]:
+        """The tasks that it was evaluated on."""
+        return tuple(by_variant(self.entry.scores))
+
+    @cached_property
+    def config(self) -> dict[str, Any]:
+        """The configuration of training; empty where there is none that can be read."""
+        return {} if self.run is None else _read(self.run / CONFIG)
+
+    @cached_property
+    def record(self) -> dict[str, Any]:
+        """Versions, device, demonstrations and machine, as far as they were recorded."""
+        if self.run is None:
+            return {}
+        final = _read(self.run / FINAL)
+        names = ("versions", "commit", "machine", "finished", "seconds")
+        return {**_read(self.run / RECORD), **{key: final[key] for key in names if key in final}}
+
+    @property
+    def seed(self) -> int | None:
+        """The seed of training, where it is known."""
+        seed = self.config.get("seed", self.entry.details.get("training_seed"))
+        return seed if isinstance(seed, int) else None
+
+
+@dataclass(frozen=True, slots=True)
+class Skipped:
+    """A folder with files of an entry that is not used."""
+
+    folder: Path
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """A run of a plan that has no scores."""
+
+    method: str
+    tasks: tuple[str, ...]
+    seed: int
+    state: str  # in words
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What was found below some folders."""
+
+    results: Sequence[Result]
+    skipped: Sequence[Skipped] = ()
+    not_evaluated: Sequence[Path] = ()  # run folders without an entry
+    planned: Sequence[Planned] | None = None  # without scores; `None` where there is no plan
+
+    @property
+    def entries(self) -> list[Entry]:
+        """The entries, in the order of their folders."""
+        return [result.entry for result in self.results]
+
+
+def same_run(result: Result, others: Iterable[Result]) -> Result | None:
+    """The first of some results that evaluates the same training run of a method, if any does.
+
+    That is decided by the seeds of training and by the configurations, as far as they are known;
+    where a seed is not, by equal scores on the tasks that both have.
+    """
+    for other in others:
+        shared = set(result.tasks) & set(other.tasks)
+        if result.entry.method != other.entry.method or not shared:
+            continue
+        if result.seed is None or other.seed is None:
+            if _scores_on(shared, result) == _scores_on(shared, other):
+                return other
+        elif result.seed == other.seed and not _differ(result.config, other.config):
+            return other
+    return None
+
+
+def _scores_on(tasks: Iterable[str], result: Result) -> set[RolloutScore]:
+    return {row for row in result.entry.scores if row.env_id.task in tasks}
+
+
+def _differ(first: dict[str, Any], second: dict[str, Any]) -> bool:
+    return bool(first and second) and first != second
+
+
+def find_results(folders: Iterable[Path | str]) -> Found:
+    """As `search_results`, with at least one entry, and each training run once in a row.
+
+    Raises:
+        ScoresError: there is no entry that can be read; says why the first one cannot.
+    """
+    found = search_results(folders)
+    if not found.results:
+        reasons = [item.reason for item in found.skipped]
+        raise ScoresError(reasons[0] if reasons else "expected folders, found none")
+    rows: dict[str, list[Result]] = {}
+    results, repeated = [], []
+    for result in found.results:
+        row = rows.setdefault(result.entry.row, [])
+        if other := same_run(result, row):
+            reason = f"the same run as {other.folder}: each run counts once in a row"
+            repeated.append(Skipped(result.folder, reason))
+        else:
+            row.append(result)
+            results.append(result)
+    return replace(found, results=results, skipped=[*found.skipped, *repeated])
+
+
+def search_results(folders: Iterable[Path | str], without: Path | None = None) -> Found:
+    """Every entry in or below the folders, by folder as given, then by path.
+
+    Symbolic links and folders whose names begin with a dot are not followed, nor is the folder
+    `without`. What cannot be read is skipped, and listed. The folder of an entry in a collection
+    is the collection's with the entry's name.
+    """
+    results: list[Result] = []
+    skipped: list[Skipped] = []
+    places: list[Path] = []
+    for root in map(Path, folders):
+        known = {place.resolve() for place in places}
+        new = [place for place in _places(root, without) if place.resolve() not in known]
+        places += new
+        for place, entry in _entries(root, new):
+            if place != root and not _is_planned(place, root):
+                skipped.append(Skipped(place, "not a run of the plan, but of an earlier one"))
+            elif isinstance(entry, Entry):
+                built_in = entry.details.get(POLICY) in list(BUILT_IN)
+                results.append(Result(place, entry, None if built_in else _run_of(place, root)))
+            else:
+                skipped.append(Skipped(place, str(entry)))
+    evaluated = {place for result in results for place in (result.run, result.folder)}
+    evaluated |= {item.folder for item in skipped}
+    named = {_policy_folder(result) for result in results}
+    runs = [
+        place
+        for place in places
+        if is_run(place) and place not in evaluated and _absolute(place) not in named
+    ]
+    return Found(results, skipped, runs, _planned(places, evaluated))
+
+
+def _entries(root: Path, places: Iterable[Path]) -> Iterator[tuple[Path, Entry | Exception]]:
+    """Every entry in some folders, or why it cannot be read.
+
+    A root without any entry is read nevertheless: the error says what was expected.
+    """
+    empty = root in places
+    for place in places:
+        if is_collection(place):
+            empty = False
+            try:
+                for name, entry in read_collection(place).items():
+                    yield place / name, entry
+            except ScoresError as error:
+                yield place, error
+        if (place / SCORES_FILE).exists() or (place / ENTRY_FILE).exists():
+            empty = False
+            yield place, _read_entry(place)
+    if empty:
+        yield root, _read_entry(root)
+
+
+def _read_entry(place: Path) -> Entry | Exception:
+    try:
+        return read_entry(place)
+    except (ScoresError, OSError) as error:
+        return error
+
+
+def _policy_folder(result: Result) -> str:
+    """The run folder that an entry names as its policy, which may be anywhere."""
+    return _absolute(result.folder / str(result.entry.details.get(POLICY, "")))
+
+
+def _absolute(path: Path) -> str:
+    """A path for comparison; it need not exist, and may hold anything."""
+    return os.path.normpath(path.absolute())
+
+
+def _places(root: Path, without: Path | None) -> Iterator[Path]:
+    """A folder and all folders below it, parents before children, by name; itself if missing."""
+    yield root
+    hidden = None if without is None else without.resolve()
+    for path, names, _ in os.walk(root):
+        kept = [name for name in names if not name.startswith(".")]
+        names[:] = sorted(name for name in kept if (Path(path) / name).resolve() != hidden)
+        if Path(path) != root:
+            yield Path(path)
+
+
+def _run_of(place: Path, root: Path) -> Path | None:
+    """The run folder that an entry belongs to: its own, one above it, or the only one in it."""
+    for folder in (place, *place.parents):
+        if is_run(folder):
+            return folder
+        if folder == root:
+            break
+    inside = [path.parent for path in place.glob(f"*/{CONFIG}") if is_run(path.parent)]
+    return inside[0] if len(inside) == 1 else None
+
+
+def _is_planned(place: Path, root: Path) -> bool:
+    """Whether a folder is neither a plan's run nor in one, or the plan still lists that run."""
+    for folder in (place, *place.parents):
+        if folder == root:
+            break
+        plan = folder.parent.parent / PLAN
+        if folder.parent.name == RUNS and plan.is_file():
+            return folder.name in {run["folder"] for run in _runs(_read(plan))}
+    return True
+
+
+def _planned(places: Iterable[Path], evaluated: Iterable[Path | None]) -> list[Planned] | None:
+    """The runs without scores of all plans among the folders."""
+    plans = [place for place in places if (place / PLAN).is_file()]
+    if not plans:
+        return None
+    done = {folder.resolve() for folder in evaluated if folder is not None}
+    return [
+        Planned(str(run["method"]), tuple(map(str, run["tasks"])), int(run["seed"]), _state(folder))
+        for plan in plans
+        for run in _runs(_read(plan / PLAN))
+        if (folder := plan / RUNS / str(run["folder"])).resolve() not in done
+    ]
+
+
+def _runs(plan: dict[str, Any]) -> list[dict[str, Any]]:
+    """The runs that a plan lists, if it is one of ours."""
+    runs = plan.get("runs")
+    types = {"folder": str, "method": str, "tasks": list, "seed": int}
+    return [
+        run
+        for run in (runs if isinstance(runs, list) else [])
+        if isinstance(run, dict) and all(isinstance(run.get(key), t) for key, t in types.items())
+    ]
+
+
+def _state(folder: Path) -> str:
+    """Why a planned run has no scores."""
+    final = _read(folder / FINAL)
+    if final.get("state") == "failed":
+        return f"failed: {final.get('error', 'unknown error')}"
+    return "not finished" if is_run(folder) else "not run"
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """A JSON object; empty where it is missing or damaged."""
+    try:
+        return read_json(path)
+    except RunFolderError:
+        return {}

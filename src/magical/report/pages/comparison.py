@@ -1,0 +1,177 @@
+"""Two methods compared: a page of its own."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from magical.errors import UnknownNameError
+from magical.evaluation.intervals import Interval
+from magical.evaluation.statistics import interquartile_mean, probability_of_improvement
+from magical.evaluation.variants import short_variant
+from magical.report.figures.plots import interval_plot, profile_plot
+from magical.report.found.facts import MethodFacts, describe_methods
+from magical.report.found.search import Result
+from magical.report.pages.page import Figure, render_template, write_text
+from magical.report.scores.aggregate import NOTE, interval_text
+from magical.report.scores.breakdown import AXES, THRESHOLDS, Grid, gap_grid, profiles
+from magical.report.scores.methods import ComparedMethod, compared_methods
+from magical.report.scores.tables import signed
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What is known about the difference between two methods."""
+
+    first: str
+    second: str
+    headline: str
+    summary: Grid
+    gaps: Grid | None
+    environments: Grid
+    overall: dict[str, Interval]  # differences of means, by task and all together
+    methods: Sequence[ComparedMethod]
+    settings: Grid | None  # what the methods' runs do not have in common
+    described: Sequence[MethodFacts]
+
+    @property
+    def grids(self) -> list[Grid]:
+        """All tables."""
+        return [
+            grid
+            for grid in (self.summary, self.gaps, self.environments, self.settings)
+            if grid is not None
+        ]
+
+    def html(self) -> str:
+        """The page's source, with everything inline."""
+        label = f"mean score of {self.first} minus that of {self.second}"
+        figures = [
+            Figure(
+                interval_plot(self.overall, label, "difference", zero=True),
+                "Differences of means with 95% intervals: right of 0 the first method is better.",
+            ),
+            Figure(
+                profile_plot(THRESHOLDS, profiles(self.methods)),
+                "Performance profiles: the share of runs, averaged over environments, that score "
+                "above τ.",
+            ),
+        ]
+        return render_template("comparison.html.j2", page=self, figures=figures)
+
+    def write(self, path: Path | str) -> None:
+        """Write the page; raises `OSError` where that is not possible."""
+        write_text(path, self.html())
+
+
+def compare(results: Sequence[Result], first: str, second: str) -> Comparison:
+    """Compare two methods on the environments that both have; scores by the appendix's rule.
+
+    Raises `UnknownNameError` where there is no such method, or no environment in common.
+    """
+    chosen = [_of_method(results, name) for name in (first, second)]
+    methods = compared_methods(result.entry for runs in chosen for result in runs)
+    if len(methods) < 2:
+        raise UnknownNameError(
+            f"--compare: expected two methods with an environment in common, found none for "
+            f"{first!r} and {second!r}"
+        )
+    described = describe_methods([result for runs in chosen for result in runs])
+    return Comparison(
+        first,
+        second,
+        _headline(*methods),
+        _summary(*methods),
+        gap_grid(methods),
+        _environments(*methods),
+        _differences(*methods),
+        methods,
+        _settings(described),
+        described,
+    )
+
+
+def _of_method(results: Sequence[Result], name: str) -> list[Result]:
+    found = [result for result in results if result.entry.row == name]
+    if not found:
+        known = ", ".join(dict.fromkeys(result.entry.row for result in results))
+        raise UnknownNameError(f"--compare: {name!r} is no method here; expected one of: {known}")
+    return found
+
+
+def _headline(first: ComparedMethod, second: ComparedMethod) -> str:
+    """The difference in words."""
+    found = first.difference(second)
+    count = len(first.env_ids)
+    text = (
+        f"Over {count} environment{'s' if count != 1 else ''}, the mean score of {first.name} is "
+        f"{abs(found.value):.2f} {'higher' if found.value >= 0 else 'lower'} than that of "
+        f"{second.name} ({signed(found)})."
+    )
+    if math.isnan(found.low):
+        return f"{text} There are too few runs for an interval."
+    if found.low <= 0.0 <= found.high:
+        return f"{text} The interval contains 0: this does not show which of them is better."
+    return text
+
+
+def _summary(first: ComparedMethod, second: ComparedMethod) -> Grid:
+    better = probability_of_improvement(first.means, second.means)
+    rows = [
+        ("runs", first.unit, second.unit, ""),
+        (
+            "mean",
+            interval_text(first.mean()),
+            interval_text(second.mean()),
+            signed(first.difference(second)),
+        ),
+        (
+            "interquartile mean",
+            interval_text(interquartile_mean(first.means)),
+            interval_text(interquartile_mean(second.means)),
+            "",
+        ),
+        (f"P({first.name} better)", "", "", interval_text(better)),
+    ]
+    return Grid("Summary", ("", first.name, second.name, "difference"), rows, NOTE)
+
+
+def _environments(first: ComparedMethod, second: ComparedMethod) -> Grid:
+    rows = []
+    for env_id in first.env_ids:
+        a, b = first.on([env_id]), second.on([env_id])
+        rows.append(
+            (
+                env_id.task,
+                short_variant(env_id.variant),
+                interval_text(a.mean()),
+                interval_text(b.mean()),
+                signed(a.difference(b)),
+            )
+        )
+    header = ("task", "variant", first.name, second.name, "difference")
+    return Grid("Environment by environment", header, rows, "95% intervals, as above.")
+
+
+def _differences(first: ComparedMethod, second: ComparedMethod) -> dict[str, Interval]:
+    """The difference of means over all environments, by task, and by variant."""
+    groups = {"all": list(first.env_ids)}
+    for task in dict.fromkeys(env_id.task for env_id in first.env_ids):
+        groups[task] = [env_id for env_id in first.env_ids if env_id.task == task]
+    for variant in ("Demo", *AXES):
+        members = [env_id for env_id in first.env_ids if env_id.variant == variant]
+        if members:
+            groups[short_variant(variant) if variant != "TestAll" else "All (variant)"] = members
+    return {
+        name: first.on(members).difference(second.on(members)) for name, members in groups.items()
+    }
+
+
+def _settings(described: Sequence[MethodFacts]) -> Grid | None:
+    """Settings that all runs of a method share and the two methods do not."""
+    a, b = ({fact.name: fact.value for fact in method.common} for method in described)
+    names = [name for name in {**a, **b} if a.get(name) != b.get(name)]
+    rows = [(name, a.get(name, "–"), b.get(name, "–")) for name in names]
+    header = ("setting", *(method.method for method in described))
+    note = "Settings that all runs of a method have in common; a dash where they have none."
+    return Grid("Settings that differ", header, rows, note) if rows else None

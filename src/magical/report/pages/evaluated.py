@@ -1,0 +1,164 @@
+"""A page from folders of evaluated runs."""
+
+import platform
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from magical import __version__
+from magical.evaluation import Entry
+from magical.evaluation.statistics import interquartile_mean
+from magical.processes import available_cores
+from magical.report.figures.curves import TrainedRun, curves_by_task
+from magical.report.figures.plots import interval_plot, profile_plot
+from magical.report.figures.reels import LoadPolicy, record_reels
+from magical.report.found.facts import describe_methods
+from magical.report.found.missing import find_missing
+from magical.report.found.search import Found, Result
+from magical.report.pages.page import Figure, Page
+from magical.report.scores.aggregate import aggregate_header, aggregate_rows, aggregates
+from magical.report.scores.breakdown import THRESHOLDS, Grid, gap_grid, improvement_table, profiles
+from magical.report.scores.methods import ComparedMethod, compared_methods
+from magical.report.scores.tables import report_tables
+
+
+def evaluated_page(
+    title: str,
+    found: Found,
+    published: Sequence[str] = (),
+    *,
+    out: Path | None = None,
+    load_policy: LoadPolicy | None = None,
+    clips: int = 0,
+) -> Page:
+    """All that evaluated runs and their training runs tell, and what is missing.
+
+    Args:
+        title: of the page.
+        found: what `find_results` has found.
+        published: rows of the published tables to show.
+        out: where the page will be written: it then has links to the runs' files.
+        load_policy: gives a run's policy; needed for
+        clips: of how many runs the best, median and worst rollouts are recorded.
+    """
+    entries = found.entries
+    methods = compared_methods(entries)
+    lines, note = aggregates(entries)
+    curves, damaged = _curves(found.results)
+    reels, notes = (
+        record_reels(found.results, load_policy, clips) if load_policy and clips else ([], [])
+    )
+    skipped = [(str(item.folder), item.reason) for item in found.skipped]
+    skipped += [(str(folder), reason) for folder, reason in damaged.items()]
+    return Page(
+        title=title,
+        subtitle=_subtitle(found, len(skipped)),
+        tables=report_tables(entries, published),
+        rollouts=_rollouts(entries),
+        aggregate=[aggregate_header(lines), *aggregate_rows(lines)] if lines else (),
+        aggregate_note=note,
+        aggregate_figures=_figures(methods) if methods else (),
+        gaps=gap_grid(methods) if methods else None,
+        improvement=improvement_table(methods) if methods else None,
+        curves_by_task=curves,
+        extremes=reels,
+        clip_notes=notes,
+        missing=_missing(found),
+        skipped=_skipped(skipped),
+        facts=_facts(found.results),
+        methods=describe_methods(found.results, out),
+    )
+
+
+def _rollouts(entries: Sequence[Entry]) -> str:
+    """The number of rollouts on each variant, or the fewest and the most."""
+    counts = {max(row.rollout for row in entry.scores) + 1 for entry in entries}
+    return " to ".join(map(str, sorted({min(counts), max(counts)})))
+
+
+def _subtitle(found: Found, skipped: int) -> str:
+    methods = len({entry.row for entry in found.entries})
+    runs = len(found.results)
+    parts = [
+        f"{runs} evaluated run{'s' if runs != 1 else ''} of {methods} "
+        f"method{'s' if methods != 1 else ''}"
+    ]
+    if skipped:
+        parts.append(f"{skipped} skipped")
+    unscored = len(found.not_evaluated if found.planned is None else found.planned)
+    if unscored:
+        parts.append(f"{unscored} without scores")
+    return "; ".join(parts)
+
+
+def _figures(methods: Sequence[ComparedMethod]) -> list[Figure]:
+    iqm = {method.name: interquartile_mean(method.means) for method in methods}
+    return [
+        Figure(
+            interval_plot(iqm, "interquartile mean", "iqm"),
+            "Interquartile mean: the mean of the middle half of all runs' scores, with 95% "
+            "intervals over runs.",
+        ),
+        Figure(
+            profile_plot(THRESHOLDS, profiles(methods)),
+            "Performance profiles: the share of runs, averaged over environments, that score above "
+            "τ; higher is better. Shaded: 95% intervals over runs, for each τ on its own.",
+        ),
+    ]
+
+
+def _curves(results: Sequence[Result]) -> tuple[dict[str, list[str]], dict[Path, str]]:
+    names = list(dict.fromkeys(result.entry.row for result in results))
+    runs = {
+        result.run: TrainedRun(result.entry.row, _trained_on(result), result.run)
+        for result in results
+        if result.run is not None
+    }
+    return curves_by_task(list(runs.values()), names)
+
+
+def _trained_on(result: Result) -> str:
+    recorded = result.config.get("tasks")
+    tasks = recorded if recorded and isinstance(recorded, list) else result.tasks
+    return str(tasks[0]) if len(tasks) == 1 else f"{len(tasks)} tasks"
+
+
+def _missing(found: Found) -> Grid | None:
+    note = (
+        "Every method is expected to have each task that another has, with as many runs, with the "
+        "same seeds, on all variants."
+        if found.planned is None
+        else "Runs of the plan without scores, and variants that runs were not evaluated on."
+    )
+    rows = find_missing(found)
+    return Grid("Scores", ("method", "task", "missing"), rows, note) if rows else None
+
+
+def _skipped(rows: Sequence[tuple[str, str]]) -> Grid | None:
+    note = "Folders whose files cannot be used; nothing in the tables comes from them."
+    return Grid("Skipped", ("folder", "reason"), rows, note) if rows else None
+
+
+def _facts(results: Sequence[Result]) -> dict[str, str]:
+    """What the scores may depend on beside the settings, over all runs; and who made the page."""
+    places = [(result.record, result.entry.details) for result in results]
+    found: dict[str, list[object]] = {
+        "evaluated by magical": [result.entry.version for result in results],
+        "commit": [place.get("commit") for pair in places for place in pair],
+        "libraries": [_listed(place.get("versions")) for pair in places for place in pair],
+        "machine": [_listed(place.get("machine")) for pair in places for place in pair],
+    }
+    facts = {name: "; ".join(dict.fromkeys(str(v) for v in vs if v)) for name, vs in found.items()}
+    return {
+        **{name: text or "not recorded" for name, text in facts.items()},
+        "this page": f"made by magical {__version__}, Python {platform.python_version()}, NumPy "
+        f"{np.__version__}, on {platform.machine()}, {available_cores()} cores",
+    }
+
+
+def _listed(values: object) -> str:
+    """The contents of a mapping in one line; nothing for anything else."""
+    if not isinstance(values, Mapping):
+        return ""
+    return ", ".join(f"{name} {value}" for name, value in values.items())

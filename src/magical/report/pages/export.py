@@ -1,0 +1,195 @@
+"""The tables as CSV, Markdown and LaTeX."""
+
+import csv
+import io
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+
+from magical.evaluation import Entry, by_variant, published_score, published_tasks
+from magical.evaluation.intervals import Interval, rollout_mean
+from magical.evaluation.statistics import mean, over_runs
+from magical.report.found.search import Found
+from magical.report.pages.page import write_text
+from magical.report.scores.aggregate import aggregate_header, aggregate_rows, aggregates
+from magical.report.scores.breakdown import Grid, gap_grid, improvement_table
+from magical.report.scores.differences import RULE, counterparts, differences
+from magical.report.scores.methods import compared_methods
+from magical.report.scores.tables import Table, entry_tasks, report_tables, text_rows
+from magical.tasks import get_task
+
+COLUMNS = (
+    "task",
+    "variant",
+    "method",
+    "runs",
+    "interval_over",
+    "score",
+    "score_std",
+    "score_low",
+    "score_high",
+    "published_code_score",
+    "published_method",
+    "published",
+    "published_std",
+    "difference",
+    "difference_low",
+    "difference_high",
+)
+DIGITS = 6
+Write = Callable[[Found, Sequence[str], Path], None]
+
+
+def all_grids(found: Found, published: Sequence[str]) -> list[Grid]:
+    """Every table of a page, as plain text."""
+    entries = found.entries
+    grids = [_grid(table) for table in report_tables(entries, published)]
+    lines, note = aggregates(entries)
+    if lines:
+        methods = compared_methods(entries)
+        grids.append(Grid("All together", aggregate_header(lines), aggregate_rows(lines), note))
+        improvement = improvement_table(methods)
+        grids += [grid for grid in (gap_grid(methods),) if grid]
+        grids += [_grid(improvement)] if improvement else []
+    return grids
+
+
+def write_csv(found: Found, published: Sequence[str], path: Path) -> None:
+    """A line for each method and environment, numbers in full; empty where there is none.
+
+    `score` and its interval are by the appendix's rule, `published_code_score` and the difference
+    by the published code's.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for task in entry_tasks(found.entries):
+        writer.writerows(_lines(task, found.entries, published))
+    write_text(path, text.getvalue())
+
+
+def write_markdown(found: Found, published: Sequence[str], path: Path) -> None:
+    """All tables in Markdown."""
+    write_text(path, "\n".join(map(markdown, all_grids(found, published))))
+
+
+def write_latex(found: Found, published: Sequence[str], path: Path) -> None:
+    r"""All tables in LaTeX, to be `\input` into a document that uses booktabs and graphicx."""
+    head = "% Needs \\usepackage{booktabs,graphicx}.\n"
+    write_text(path, head + "\n".join(map(latex, all_grids(found, published))))
+
+
+FORMATS: Mapping[str, Write] = MappingProxyType(
+    {"csv": write_csv, "markdown": write_markdown, "latex": write_latex}
+)
+_SUFFIXES = {".csv": "csv", ".md": "markdown", ".tex": "latex"}
+
+
+def format_of(path: Path) -> str:
+    """The format that a file's suffix stands for; a page in HTML unless it is another's."""
+    return _SUFFIXES.get(path.suffix.lower(), "html")
+
+
+def markdown(grid: Grid) -> str:
+    """A table in Markdown, with its heading and note."""
+    rows = [grid.header, tuple("---" for _ in grid.header), *grid.rows]
+    lines = [f"| {' | '.join(_escape_markdown(cell) for cell in row)} |" for row in rows]
+    return "\n".join([f"## {_escape_markdown(grid.title)}", "", *lines, "", grid.note, ""])
+
+
+def latex(grid: Grid) -> str:
+    """A table in LaTeX with booktabs' rules, its heading and note as the caption."""
+    rows = [" & ".join(map(escape_latex, row)) + r" \\" for row in (grid.header, *grid.rows)]
+    caption = f"{escape_latex(grid.title)}. {escape_latex(grid.note)}"
+    return "\n".join(
+        [
+            r"\begin{table}",
+            r"  \centering\footnotesize\setlength{\tabcolsep}{3pt}",
+            rf"  \caption{{{caption}}}",
+            r"  \resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%",
+            rf"  \begin{{tabular}}{{l{'c' * (len(grid.header) - 1)}}}",
+            r"    \toprule",
+            f"    {rows[0]}",
+            r"    \midrule",
+            *(f"    {row}" for row in rows[1:]),
+            r"    \bottomrule",
+            r"  \end{tabular}}",
+            r"\end{table}",
+            "",
+        ]
+    )
+
+
+_LATEX = {
+    "\\": r"\textbackslash{}",
+    **{character: f"\\{character}" for character in "&%$#_{}"},
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "±": r"$\pm$",
+    "−": "$-$",
+    "–": "--",
+    "<": "$<$",
+    ">": "$>$",
+    "[": "{[}",  # after a line's end a bracket would be its optional argument
+    "]": "{]}",
+}
+
+
+def escape_latex(text: str) -> str:
+    """Text as it is to be shown; what LaTeX's default fonts may lack becomes a question mark."""
+    escaped = (_LATEX.get(c, c if c.isascii() and c.isprintable() else "?") for c in text)
+    return "".join(escaped)
+
+
+def _escape_markdown(text: str) -> str:
+    return re.sub(r"([\\|`*_<>\[\]])", r"\\\1", text)
+
+
+def _grid(table: Table) -> Grid:
+    title = f"{table.task}, beside the published scores" if table.published else table.task
+    return Grid(title, (table.task, *table.variants), text_rows(table), table.note)
+
+
+def _lines(
+    task: str, entries: Sequence[Entry], published: Sequence[str]
+) -> Iterator[tuple[object, ...]]:
+    groups: dict[str, list[Entry]] = {}
+    for entry in entries:
+        if task in by_variant(entry.scores):
+            groups.setdefault(entry.row, []).append(entry)
+    rows = counterparts(entries, published if task in published_tasks() else ())
+    for method, runs in groups.items():
+        theirs = rows.get(runs[0].method)
+        for variant in dict.fromkeys(v for run in runs for v in by_variant(run.scores)[task]):
+            yield (task, variant, method, *_figures(task, variant, runs, theirs))
+
+
+def _figures(
+    task: str, variant: str, runs: Sequence[Entry], theirs: str | None
+) -> tuple[object, ...]:
+    cells = [cell for run in runs if (cell := by_variant(run.scores)[task].get(variant))]
+    means = np.array([[np.mean([row.score for row in cell])] for cell in cells])
+    several = len(cells) > 1
+    interval = mean(means) if several else rollout_mean([row.score for row in cells[0]])
+    rule = [np.mean([getattr(row, RULE) for row in cell]) for cell in cells]
+    found = differences(get_task(task), runs, theirs).get(variant) if theirs else None
+    spread = published_score(task, theirs, variant) if theirs and found else None
+    return (
+        len(cells),
+        "runs" if several else "rollouts",
+        _number(interval.value),
+        _number(over_runs(means).std) if several else "",
+        *map(_number, interval[1:]),
+        _number(float(np.mean(rule))),
+        theirs or "",
+        *(map(_number, spread) if spread else ("", "")),
+        *map(_number, found or Interval(math.nan, math.nan, math.nan)),
+    )
+
+
+def _number(value: float) -> str:
+    return "" if math.isnan(value) else f"{value:.{DIGITS}g}"

@@ -1,0 +1,98 @@
+"""The page: tables, learning curves, rollouts and all scenes in one self-contained file."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from magical.evaluation.variants import short_variant
+from magical.files import write_atomically
+from magical.report.figures.clips import Clip, data_uri, png
+from magical.report.figures.reels import Reel, ShownClip
+from magical.report.found.facts import MethodFacts
+from magical.report.scores.breakdown import Grid
+from magical.report.scores.tables import DARKEST, LIGHTEST, Table
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A plot with what it says."""
+
+    svg: str
+    caption: str
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """The contents of a page; empty parts are left out."""
+
+    title: str
+    subtitle: str
+    tables: Sequence[Table]
+    rollouts: int | str  # on each variant, "3 to 100" where they differ
+    aggregate: Sequence[Sequence[str]] = ()  # a header and a row for each method
+    aggregate_note: str = ""
+    aggregate_figures: Sequence[Figure] = ()
+    gaps: Grid | None = None
+    improvement: Table | None = None
+    curves: str = ""  # SVG
+    curves_by_task: Mapping[str, Sequence[str]] = field(default_factory=dict)  # SVG
+    reels: Mapping[str, Sequence[Clip]] = field(default_factory=dict)  # rollouts by title
+    extremes: Sequence[Reel] = ()  # the best, median and worst rollouts of runs
+    clip_notes: Sequence[str] = ()  # which runs' rollouts are not shown, and why
+    missing: Grid | None = None  # which scores are missing
+    skipped: Grid | None = None  # which files could not be used
+    methods: Sequence[MethodFacts] = ()  # how each run was made
+    sheet: NDArray[Any] | None = None  # (H, W, 3) uint8
+    facts: Mapping[str, str] = field(default_factory=dict)  # how it was made, by name
+
+    def html(self) -> str:
+        """The page's source, with everything inline: nothing is loaded from elsewhere."""
+        return render_template(
+            "page.html.j2",
+            page=self,
+            lightest=f"rgb{LIGHTEST}",
+            darkest=f"rgb{DARKEST}",
+            reels=[_reel(title, clips) for title, clips in self.reels.items()],
+            sheet=None if self.sheet is None else data_uri(png(self.sheet), "image/png"),
+        )
+
+    def write(self, path: Path | str) -> None:
+        """Write the page; raises `OSError` where that is not possible."""
+        write_text(path, self.html())
+
+
+def render_template(name: str, **values: Any) -> str:
+    """One of the templates of this package with values, which are escaped."""
+    import jinja2  # from the report extra
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("magical.report"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(name).render(**values)
+
+
+def write_text(path: Path | str, text: str) -> None:
+    """Write a text file atomically, in UTF-8; raises `OSError` where that is not possible.
+
+    What UTF-8 cannot encode, such as bytes of a file's name that are no text, is escaped.
+    """
+    with write_atomically(path) as file:
+        file.write(text.encode(errors="backslashreplace"))
+
+
+def _reel(title: str, clips: Sequence[Clip]) -> Reel:
+    shown = [
+        ShownClip(
+            data_uri(clip.webp(), "image/webp"),
+            f"{short_variant(clip.env_id.variant)}: {clip.score:.2f}",
+        )
+        for clip in clips
+    ]
+    return Reel(title, shown)

@@ -1,0 +1,1 @@
+"""Scores of methods: tables, aggregates with intervals, differences from the published rows."""

@@ -1,0 +1,228 @@
+"""Score tables: a row for each method, a column for each variant, in the paper's colour scale."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from magical.evaluation import Entry, by_variant, published_score, published_tasks
+from magical.evaluation.intervals import Interval, rollout_mean
+from magical.evaluation.published import RUNS
+from magical.evaluation.statistics import over_runs
+from magical.evaluation.variants import SHORT_VARIANTS, short_variant
+from magical.report.scores.differences import RULE, counterparts, differences, steps
+from magical.tasks import Task, get_task
+
+LIGHTEST, DARKEST = (255, 255, 255), (33, 102, 172)  # RGB of a score of 0 and of 1
+INK_CHANGES = 0.8  # scores above are written in white; there both inks have a contrast of about 4
+ONE_RUN = (
+    " In brackets: 95% intervals over the rollouts of one run, which do not include the spread "
+    "between training runs."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """A mean score, and how sure it is."""
+
+    mean: float
+    detail: str
+    difference: Interval | None = None  # from the published mean
+
+    @property
+    def colours(self) -> tuple[str, str]:
+        """Background and ink as CSS: the worse, the lighter (appendix, Table 5)."""
+        share = min(max(self.mean, 0.0), 1.0)
+        mixed = [round(a + (b - a) * share) for a, b in zip(LIGHTEST, DARKEST, strict=True)]
+        return "rgb({},{},{})".format(*mixed), "#fff" if share > INK_CHANGES else "#222"
+
+    @property
+    def text(self) -> str:
+        """Such as `0.88 ± 0.10 (−0.01)`, with the difference from the published mean."""
+        plain = f"{self.mean:.2f} {self.detail}"
+        if self.difference is None:
+            return plain
+        return f"{plain} ({signed(Interval(self.difference.value, math.nan, math.nan))})"
+
+    @property
+    def beside(self) -> list[str]:
+        """The difference from the published mean and its interval, or nothing."""
+        if self.difference is None:
+            return []
+        value, _, interval = signed(self.difference).partition(" ")
+        return [value, interval] if interval else [value]
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One method's scores on one task, by short variant name."""
+
+    label: str
+    cells: Mapping[str, Cell]
+    note: str  # how the details are to be read
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """All methods' scores on one task."""
+
+    task: str
+    variants: tuple[str, ...]  # short names
+    rows: tuple[Row, ...]
+    note: str  # by which rule and horizon, and what intervals are over
+    published: bool = False  # by the published code's rule, with published rows
+
+
+def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = ()) -> Table:
+    """A row for each method among the entries, then the published rows of the methods named.
+
+    Entries with the same method are runs of it. With published rows, all scores are by the
+    published code's rule; where an entry's horizon is another than the published code's, the
+    published rows are left out, and the note says so. Methods and published tables without the
+    task are left out.
+    """
+    found, entries = get_task(task), list(entries)
+    runs: dict[str, list[Entry]] = {}
+    for entry in entries:
+        if task in by_variant(entry.scores):
+            runs.setdefault(entry.row, []).append(entry)
+    methods = tuple(published) if task in published_tasks() else ()
+    theirs = counterparts(entries, methods)
+    published_rows = [_published_row(task, method) for method in methods]
+    other = _other_horizons(found, [entry for group in runs.values() for entry in group])
+    compared = bool(methods) and not other
+    rule = RULE if compared else "score"
+    rows = [_method_row(found, row, group, rule) for row, group in runs.items()]
+    if compared:
+        rows = [_beside(row, found, runs[row.label], theirs) for row in rows] + published_rows
+    variants = tuple(map(short_variant, found.variants))
+    kept = tuple(row for row in rows if row.cells)
+    one_run = any(len(runs[row.label]) == 1 for row in kept if row.label in runs)
+    note = _rule_note(found, compared)
+    note += _left_out_note(found, other) if methods and other else ""
+    return Table(task, variants, kept, note + (ONE_RUN if one_run else ""), compared)
+
+
+def entry_tasks(entries: Iterable[Entry]) -> tuple[str, ...]:
+    """The tasks that any of the entries has scores on, in the order in which they come."""
+    return tuple(dict.fromkeys(task for entry in entries for task in by_variant(entry.scores)))
+
+
+def report_tables(entries: Sequence[Entry], published: Sequence[str] = ()) -> list[Table]:
+    """The tables of every task: by the appendix's rule, and with published rows by theirs.
+
+    Where the two rules and horizons are the same, one table shows both.
+    """
+    tables = []
+    for name in entry_tasks(entries):
+        beside = task_table(name, entries, published)
+        if beside.published and _rules_differ(get_task(name)):
+            tables.append(task_table(name, entries))
+        tables.append(beside)
+    return tables
+
+
+def text_rows(table: Table) -> list[tuple[str, ...]]:
+    """A table as plain text: a line for each method, a cell for each of all variants."""
+    return [
+        (
+            row.label,
+            *(row.cells[v].text if v in row.cells else "–" for v in table.variants),
+        )
+        for row in table.rows
+    ]
+
+
+def _method_row(task: Task, method: str, runs: Sequence[Entry], rule: str) -> Row:
+    tables = [by_variant(run.scores)[task.name] for run in runs]
+    cells = {}
+    for variant in SHORT_VARIANTS:
+        scores = [[getattr(row, rule) for row in t[variant]] for t in tables if variant in t]
+        if scores:
+            cells[variant] = _cell(scores, len(runs))
+    note = (
+        f"mean ± std over {len(runs)} runs" if len(runs) > 1 else "mean, 95% interval over rollouts"
+    )
+    return Row(method, cells, f"{note}{_horizon_note(task, runs)}")
+
+
+def _beside(row: Row, task: Task, runs: Sequence[Entry], theirs: Mapping[str, str]) -> Row:
+    """A row of ours with its differences from the published row that it is held against."""
+    method = theirs.get(runs[0].method)
+    if method is None:
+        return row
+    found = differences(task, runs, method)
+    cells = {
+        variant: replace(cell, difference=found.get(variant)) for variant, cell in row.cells.items()
+    }
+    if not found:
+        return row
+    exact = ", Demo left out: it is nudged" if any(run.nudge for run in runs) else ""
+    return replace(row, cells=cells, note=f"{row.note}; difference from {method}{exact}")
+
+
+def signed(interval: Interval) -> str:
+    """A difference with its interval, as text: `+0.02 [-0.10, +0.14]`."""
+    if math.isnan(interval.low):
+        return f"{interval.value:+.2f}".replace("-", "−")
+    low, high = interval.low, interval.high
+    return f"{interval.value:+.2f} [{low:+.2f}, {high:+.2f}]".replace("-", "−")
+
+
+def _cell(runs: Sequence[Sequence[float]], expected: int) -> Cell:
+    """From the scores of each run's rollouts; says so where fewer runs than expected have some."""
+    few = "" if len(runs) == expected else f" ({len(runs)} of {expected} runs)"
+    if len(runs) > 1:
+        mean, std = over_runs([[float(np.mean(run))] for run in runs])
+        return Cell(mean, f"± {std:.2f}{few}")
+    value, low, high = rollout_mean(runs[0])
+    return Cell(value, f"[{low:.2f}, {high:.2f}]{few}")
+
+
+def _published_row(task: str, method: str) -> Row:
+    spreads = {variant: published_score(task, method, variant) for variant in SHORT_VARIANTS}
+    cells = {
+        variant: Cell(spread.mean, f"± {spread.std:.2f}")
+        for variant, spread in spreads.items()
+        if spread is not None
+    }
+    return Row(f"{method}, published", cells, f"mean ± std over {RUNS} runs")
+
+
+def _horizon_note(task: Task, runs: Sequence[Entry]) -> str:
+    """Which horizon, where the published code's differs from the appendix's."""
+    if not task.has_two_horizons:
+        return ""
+    return f"; horizon {' and '.join(sorted({steps(task, run) for run in runs}))}"
+
+
+def _other_horizons(task: Task, entries: Sequence[Entry]) -> list[str]:
+    """The horizons of the task's entries that are not the published code's, in control steps."""
+    found = {steps(task, entry) for entry in entries}
+    return sorted(found - {str(task.published_horizon)})
+
+
+def _left_out_note(task: Task, other: Sequence[str]) -> str:
+    """Why published rows are left out: which horizons are not theirs."""
+    asked = "published" if task.has_two_horizons else task.published_horizon
+    return (
+        f" The published rows are left out: their horizon is {task.published_horizon} control "
+        f"steps, not {' or '.join(other)}; evaluate with --horizon {asked} to compare."
+    )
+
+
+def _rule_note(task: Task, published: bool) -> str:
+    if not published:
+        return "Scored by the appendix's rule."
+    if not _rules_differ(task):
+        return "The published code's rule and horizon are the appendix's on this task."
+    horizon = f", whose horizon is {task.published_horizon} control steps"
+    return (
+        "All rows are scored by the published code's rule, as the published ones are"
+        f"{horizon if task.has_two_horizons else ''}."
+    )
+
+
+def _rules_differ(task: Task) -> bool:
+    return task.published_score_fn is not None or task.has_two_horizons

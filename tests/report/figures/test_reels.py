@@ -1,0 +1,114 @@
+"""Best, median and worst rollouts."""
+
+from pathlib import Path
+
+import pytest
+
+from magical.envs import EnvId, parse_env_id
+from magical.errors import PolicyError
+from magical.evaluation import (
+    Entry,
+    NoopPolicy,
+    Policy,
+    RandomPolicy,
+    RolloutScore,
+    environments,
+    evaluate,
+)
+from magical.report.figures import reels
+from magical.report.figures.clips import record_rollouts
+from magical.report.figures.reels import extremes, record_reels
+from magical.report.found.search import Result
+
+DEMO = EnvId("MoveToRegion", "Demo")
+
+
+def rows(*scores: float) -> list[RolloutScore]:
+    return [RolloutScore(DEMO, i, i, score, 0.0) for i, score in enumerate(scores)]
+
+
+def test_extremes_are_chosen_by_score_then_number() -> None:
+    chosen = {name: row.rollout for name, row in extremes(rows(0.5, 1.0, 0.0, 1.0, 0.2))}
+    assert chosen == {"best": 3, "median": 0, "worst": 2}
+    assert [(name, row.rollout) for name, row in extremes(rows(1.0, 1.0))] == [("all", 0)]
+    assert [(name, row.rollout) for name, row in extremes(rows(0.0, 1.0))] == [
+        ("best", 1),
+        ("median", 0),
+    ]
+
+
+def test_rollouts_are_recorded_as_they_were_evaluated() -> None:
+    scores = evaluate(
+        RandomPolicy(), environments(["MoveToRegion"], ["All"]), rollouts=6, workers=0
+    )
+    clips = record_rollouts(
+        RandomPolicy(), [(row.env_id, row.rollout) for row in scores[3:]], size=24, every=7
+    )
+    assert [clip.score for clip in clips] == [row.score for row in scores[3:]]
+    # The first frame, steps 7 to 35, and the last step, 40.
+    assert all(clip.frames.shape == (7, 24, 24, 3) for clip in clips)
+    assert all(clip.shown is None for clip in clips)
+
+
+def test_nudge_and_horizon_are_those_of_the_evaluation() -> None:
+    ids = environments(["MoveToRegion"], ["Demo"])
+    scores = evaluate(RandomPolicy(), ids, rollouts=3, workers=0, horizon=20, nudge=0.01)
+    rollouts = [(row.env_id, row.rollout) for row in scores]
+    clips = record_rollouts(RandomPolicy(), rollouts, size=16, horizon=20, nudge=0.01)
+    assert [clip.score for clip in clips] == [row.score for row in scores]
+    assert len(clips[0].frames) == 21
+
+
+class Watching(NoopPolicy):
+    observation = "LoRes3EA"
+
+
+def result(policy: Policy, method: str, variant: str = "Demo") -> Result:
+    ids = [parse_env_id(f"magical/MoveToRegion-{variant}-v0")]
+    scores = evaluate(policy, ids, rollouts=3, workers=0)
+    return Result(Path(method), Entry(method=method, scores=scores, observation="LoRes3EA"))
+
+
+def test_reels_show_what_the_policy_was_shown() -> None:
+    shown, notes = record_reels([result(Watching(), "w")], lambda _: Watching(), 1)
+    assert notes == []
+    assert [clip.caption for clip in shown[0].clips] == ["Demo, every rollout: 0.00"]
+    assert shown[0].shown.startswith("data:image/png")
+    assert "LoRes3EA" in shown[0].shown_note
+
+
+def test_what_is_not_shown_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    results = [result(NoopPolicy(), name) for name in ("a", "b", "c")]
+
+    def load(result: Result) -> Policy:
+        if result.entry.method == "a":
+            raise PolicyError("no such policy")
+        return NoopPolicy()
+
+    shown, notes = record_reels(results, load, 2)
+    assert [reel.title for reel in shown] == ["b on MoveToRegion"]
+    assert notes[0] == "a on MoveToRegion: no such policy"
+    assert "c on MoveToRegion" in notes[1]
+    monkeypatch.setattr(reels, "MOST_BYTES", 100)
+    shown, notes = record_reels(results[1:2], load, 2)
+    assert shown == []
+    assert "to keep the page small" in notes[0]
+
+
+def test_a_score_that_is_not_the_recorded_one_is_said() -> None:
+    entry = Entry(method="m", scores=rows(0.5, 0.5))
+    shown, _ = record_reels([Result(Path("m"), entry)], lambda _: NoopPolicy(), 1)
+    assert shown[0].clips[0].caption == "Demo, every rollout: 0.00 (recorded: 0.50)"
+    assert "no image" in shown[0].shown_note
+
+
+def test_of_several_runs_the_median_one_is_shown() -> None:
+    results = [Result(Path(str(s)), Entry(method="m", scores=rows(s))) for s in (0.9, 0.1, 0.5)]
+    loaded = []
+
+    def load(result: Result) -> Policy:
+        loaded.append(result.folder.name)
+        return NoopPolicy()
+
+    record_reels(results, load, 5)
+    assert loaded == ["0.5"]

@@ -1,0 +1,45 @@
+"""How every run was made."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from magical.report.found.facts import Fact, describe_methods
+from magical.report.found.search import find_results
+
+WriteEntry = Callable[..., Path]
+LINE = {"MakeLine-Demo": [1.0]}
+
+
+def test_what_runs_have_in_common_is_said_once(write_entry: WriteEntry, tmp_path: Path) -> None:
+    for seed in (0, 1):
+        details = {"authors": ["A", "B"], "link": "https://example.org/x", "note": f"n{seed}"}
+        write_entry(f"m/{seed}", "m", LINE, seed, details=details, version="0.1.0")
+    page = tmp_path / "page.html"
+    (method,) = describe_methods(find_results([tmp_path / "m"]).results, page)
+    common = {fact.name: fact for fact in method.common}
+    assert common["authors"].value == "A, B"
+    assert common["link"].link == "https://example.org/x"
+    assert common["recorded: versions: torch"].value == "9.9"
+    assert common["evaluated by version"].value == "0.1.0"
+    assert [{f.name: f.value for f in run.facts} for run in method.runs] == [
+        {"note": "n0", "training: seed": "0"},
+        {"note": "n1", "training: seed": "1"},
+    ]
+    assert method.runs[0].links == {
+        "scores.csv": "m/0/scores.csv",
+        "entry.json": "m/0/entry.json",
+        "config.json": "m/0/config.json",
+        "run.json": "m/0/run.json",
+    }
+
+
+def test_links_are_addresses_relative_to_the_page(write_entry: WriteEntry, tmp_path: Path) -> None:
+    write_entry("a #1", "m", LINE)
+    (method,) = describe_methods(find_results([tmp_path]).results, tmp_path / "site" / "page.html")
+    assert method.runs[0].links["scores.csv"] == "../a%20%231/scores.csv"
+
+
+def test_only_web_addresses_become_links() -> None:
+    assert Fact("x", "https://a.b/c").link == "https://a.b/c"
+    assert Fact("x", "javascript:alert(1)").link == ""
+    assert Fact("x", "https://a.b see there").link == ""

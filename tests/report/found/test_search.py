@@ -1,0 +1,206 @@
+"""Evaluated runs in folders, and what is missing among them."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from magical.errors import ScoresError
+from magical.evaluation import read_entry
+from magical.evaluation.collection import write_collection
+from magical.report.found.missing import find_missing
+from magical.report.found.search import find_results, search_results
+from magical.report.pages.evaluated import evaluated_page
+
+WriteEntry = Callable[..., Path]
+LINE = {"MakeLine-Demo": [1.0, 0.0]}
+
+
+def write_json(path: Path, data: Any) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(data))
+
+
+def test_entries_are_found_at_any_depth_in_order(write_entry: WriteEntry, tmp_path: Path) -> None:
+    for name in ("b/run", "a", "b/other/deep", "b/.hidden"):
+        write_entry(name, name, LINE)
+    found = find_results([tmp_path]).results
+    assert [result.entry.method for result in found] == ["a", "b/other/deep", "b/run"]
+    again = find_results([tmp_path / "b", tmp_path]).results
+    assert [result.entry.method for result in again] == ["b/other/deep", "b/run", "a"]
+
+
+def test_an_entry_belongs_to_the_run_beside_or_around_it(
+    write_entry: WriteEntry, tmp_path: Path
+) -> None:
+    write_entry("own", "own", LINE, seed=1)
+    write_entry("around/evaluation", "around", LINE)
+    write_json(tmp_path / "around" / "config.json", {"seed": 2, "tasks": ["MakeLine"]})
+    write_entry("inside", "inside", LINE)
+    write_json(tmp_path / "inside" / "run" / "config.json", {"seed": 3, "tasks": ["MakeLine"]})
+    write_entry("alone", "alone", LINE, details={"training_seed": 4})
+    found = find_results([tmp_path])
+    assert {r.entry.method: r.seed for r in found.results} == {
+        "own": 1,
+        "around": 2,
+        "inside": 3,
+        "alone": 4,
+    }
+    assert found.not_evaluated == []
+
+
+def test_collections_are_read_like_folders(write_entry: WriteEntry, tmp_path: Path) -> None:
+    write_entry("a", "a", LINE)
+    folder = tmp_path / "many"
+    write_collection(
+        folder, {"runs/b": read_entry(tmp_path / "a"), "runs/old": read_entry(tmp_path / "a")}
+    )
+    (folder / "plan.json").write_text(
+        json.dumps({"runs": [{"folder": "b", "method": "a", "tasks": ["MakeLine"], "seed": 0}]})
+    )
+    write_entry("half", "half", LINE).rename(tmp_path / "other")
+    (tmp_path / "damaged").mkdir()
+    (tmp_path / "damaged" / "entries.json").write_text("{}")
+    found = search_results([tmp_path])
+    names = [result.folder.relative_to(tmp_path).as_posix() for result in found.results]
+    assert names == ["a", "many/runs/b", "other"]
+    assert [item.folder.name for item in found.skipped] == ["damaged", "old"]
+    assert found.planned == []
+
+
+def test_a_run_that_was_evaluated_elsewhere_is_not_without_an_entry(
+    write_entry: WriteEntry, tmp_path: Path
+) -> None:
+    for name in ("run", "other"):
+        write_json(tmp_path / "trained" / name / "config.json", {"seed": 0})
+    write_entry("scores", "bc", LINE, details={"policy": "../trained/run"})
+    assert find_results([tmp_path]).not_evaluated == [tmp_path / "trained" / "other"]
+
+
+def test_damaged_entries_are_skipped_by_name(write_entry: WriteEntry, tmp_path: Path) -> None:
+    write_entry("good", "good", LINE)
+    (write_entry("bad", "bad", LINE) / "scores.csv").write_text("nothing")
+    (write_entry("deep", "deep", LINE) / "entry.json").write_text("[" * 100_000)
+    (tmp_path / "half").mkdir()
+    (tmp_path / "half" / "entry.json").write_text("{}")
+    found = find_results([tmp_path])
+    assert [result.entry.method for result in found.results] == ["good"]
+    assert [item.folder.name for item in found.skipped] == ["bad", "deep", "half"]
+    assert "expected the header" in found.skipped[0].reason
+    assert "no scores.csv" in found.skipped[2].reason
+
+
+def test_nothing_but_damaged_entries_is_an_error(write_entry: WriteEntry, tmp_path: Path) -> None:
+    (write_entry("bad", "bad", LINE) / "scores.csv").write_text("nothing")
+    with pytest.raises(ScoresError, match="expected the header"):
+        find_results([tmp_path])
+    with pytest.raises(ScoresError, match=r"found no scores\.csv"):
+        find_results([tmp_path / "missing"])
+
+
+def test_missing_tasks_runs_seeds_and_variants_are_named(
+    write_entry: WriteEntry, tmp_path: Path
+) -> None:
+    region = {f"MoveToRegion-{v}": [1.0] for v in ("Demo", "TestJitter", "TestLayout")}
+    rest = {f"MoveToRegion-{v}": [1.0] for v in ("TestColour", "TestDynamics", "TestAll")}
+    write_entry("a0", "a", region | rest, seed=0)
+    write_entry("a1", "a", region, seed=1)
+    write_entry("b0", "b", region | rest, seed=0)
+    write_entry("c0", "c", {"MakeLine-Demo": [1.0]}, seed=0)
+    write_entry("c1", "c", {"MakeLine-Demo": [0.5]}, seed=1)
+    write_json(tmp_path / "d0" / "config.json", {"seed": 0})
+    missing = {(m.method, m.task, m.what) for m in find_missing(find_results([tmp_path]))}
+    variants = "Jitter, Layout, Colour, Shape, CountPlus, Dynamics, All"
+    assert missing == {
+        ("a", "MoveToRegion", "seed 1: not evaluated on Colour, Dynamics, All"),
+        ("b", "MoveToRegion", "1 of 2 runs: no seed 1"),
+        ("c", "MoveToRegion", "no run"),
+        ("a", "MakeLine", "no run"),
+        ("b", "MakeLine", "no run"),
+        ("c", "MakeLine", f"seeds 0, 1: not evaluated on {variants}"),
+        ("–", "–", f"{tmp_path / 'd0'}: a training run without an entry"),
+    }
+
+
+def test_a_plan_says_which_runs_are_missing(write_entry: WriteEntry, tmp_path: Path) -> None:
+    region = {
+        f"MoveToRegion-{v}": [1.0]
+        for v in ("Demo", "TestJitter", "TestLayout", "TestColour", "TestDynamics", "TestAll")
+    }
+    write_entry("runs/done", "a", region, seed=0)
+    write_json(tmp_path / "runs" / "failed" / "config.json", {"seed": 1})
+    write_json(tmp_path / "runs" / "failed" / "result.json", {"state": "failed", "error": "oh"})
+    write_json(tmp_path / "runs" / "begun" / "config.json", {"seed": 2})
+    run = {"method": "a", "tasks": ["MoveToRegion"]}
+    names = ("done", "failed", "begun", "waiting")
+    runs = [{**run, "folder": name, "seed": seed} for seed, name in enumerate(names)]
+    write_json(tmp_path / "plan.json", {"runs": [*runs, {"folder": 7}, "nothing"]})
+    write_entry("runs/earlier", "a", region, seed=9)
+    found = find_results([tmp_path])
+    assert [result.folder.name for result in found.results] == ["done"]
+    assert [item.folder.name for item in found.skipped] == ["earlier"]
+    missing = [(m.method, m.task, m.what) for m in find_missing(found)]
+    assert missing == [
+        ("a", "MoveToRegion", "seed 1: failed: oh"),
+        ("a", "MoveToRegion", "seed 2: not finished"),
+        ("a", "MoveToRegion", "seed 3: not run"),
+    ]
+
+
+def test_a_training_run_counts_once_in_a_row(write_entry: WriteEntry, tmp_path: Path) -> None:
+    write_entry("a", "bc", LINE, seed=0)
+    write_entry("another-set-of-seeds", "bc", {"MakeLine-Demo": [0.0, 0.0]}, seed=0)
+    write_entry("b", "bc", LINE, seed=1)  # equal scores, another run
+    write_entry("nudged", "bc", LINE, seed=0, nudge=1e-9)  # another row
+    write_entry("third", "mine", LINE)
+    write_entry("third-copy", "mine", LINE)
+    found = find_results([tmp_path])
+    assert [r.folder.name for r in found.results] == ["a", "b", "nudged", "third"]
+    assert [item.folder.name for item in found.skipped] == ["another-set-of-seeds", "third-copy"]
+    assert found.skipped[0].reason.endswith("a: each run counts once in a row")
+
+
+def test_runs_of_other_settings_are_other_runs(write_entry: WriteEntry, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        folder = write_entry(name, "bc", LINE, seed=0)
+        write_json(folder / "config.json", {"seed": 0, "tasks": ["MakeLine"], "augment": name})
+    assert len(find_results([tmp_path]).results) == 2
+
+
+def test_a_policy_in_the_package_has_no_training_run(
+    write_entry: WriteEntry, tmp_path: Path
+) -> None:
+    write_entry("par", "random", LINE, details={"policy": "random"})
+    write_entry("par/bc", "bc", LINE, seed=7)
+    by_method = {result.entry.method: result for result in find_results([tmp_path]).results}
+    assert (by_method["random"].run, by_method["random"].seed) == (None, None)
+    assert by_method["bc"].seed == 7
+
+
+@pytest.mark.parametrize(
+    "text", ["[" * 100_000, '{"demonstrations": 5}', '{"steps": ' + "9" * 400 + "}", '"\\ud800"']
+)
+def test_a_damaged_record_of_a_run_does_not_stop_a_page(
+    write_entry: WriteEntry, tmp_path: Path, text: str
+) -> None:
+    folder = write_entry("a", "bc", LINE, seed=1, details={"authors": "\ud800"})
+    for name in ("run.json", "result.json", "metrics.jsonl"):
+        (folder / name).write_text(text + "\n")
+    site = tmp_path / "page.html"
+    evaluated_page("a", find_results([tmp_path]), out=site).write(site)
+    assert "bc" in site.read_text("utf-8")
+
+
+def test_entries_inside_a_run_that_is_no_longer_the_plans_are_skipped(
+    write_entry: WriteEntry, tmp_path: Path
+) -> None:
+    for name in ("runs/old/leaderboard", "runs/now/leaderboard", "runs/now"):
+        write_entry(name, "bc", LINE)
+    plan = {"folder": "now", "method": "bc", "tasks": ["MakeLine"], "seed": 0}
+    write_json(tmp_path / "plan.json", {"runs": [plan]})
+    found = search_results([tmp_path])
+    assert [r.folder.parent.name for r in found.results] == ["runs", "now"]
+    (skipped,) = found.skipped
+    assert skipped.folder == tmp_path / "runs" / "old" / "leaderboard"

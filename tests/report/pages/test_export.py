@@ -1,0 +1,121 @@
+"""Tables as CSV, Markdown and LaTeX."""
+
+import csv
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from magical import cli
+from magical.evaluation import published_score
+from magical.report.pages.export import COLUMNS, escape_latex, format_of, latex, markdown
+from magical.report.scores.breakdown import Grid
+
+WriteEntry = Callable[..., Path]
+BC = "BC (ST)"
+
+
+@pytest.fixture
+def results(write_entry: WriteEntry, tmp_path: Path) -> Path:
+    write_entry("in/bc0", BC, {"FindDupe-Demo": [1.0, 0.6], "FindDupe-TestAll": [0.5, 0.5]})
+    write_entry("in/bc1", BC, {"FindDupe-Demo": [0.6, 0.2], "FindDupe-TestAll": [0.1, 0.1]})
+    write_entry("in/odd", "50% & $x_1$ | ~", {"FindDupe-Demo": [0.0], "FindDupe-TestAll": [0.0]})
+    return tmp_path / "in"
+
+
+def test_csv_has_every_number(results: Path, tmp_path: Path) -> None:
+    out = tmp_path / "table.csv"
+    assert cli.main(["report", str(results), "--out", str(out)]) == 0
+    with out.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert tuple(rows[0]) == COLUMNS
+    demo = rows[0]
+    published = published_score("FindDupe", BC, "Demo")
+    assert published is not None
+    assert (demo["task"], demo["variant"], demo["method"]) == ("FindDupe", "Demo", BC)
+    assert (demo["runs"], demo["interval_over"]) == ("2", "runs")
+    assert float(demo["score"]) == pytest.approx(0.6)
+    assert float(demo["score_std"]) == pytest.approx(0.2)
+    assert float(demo["published_code_score"]) == pytest.approx(0.3)
+    assert float(demo["published"]) == published.mean
+    assert float(demo["difference"]) == pytest.approx(0.3 - published.mean, abs=1e-5)
+    odd = rows[-1]
+    assert (odd["runs"], odd["interval_over"], odd["score_std"]) == ("1", "rollouts", "")
+    assert (odd["published"], odd["difference"]) == ("", "")
+
+
+def test_scores_with_another_horizon_stand_beside_no_published_ones(
+    write_entry: WriteEntry, tmp_path: Path
+) -> None:
+    write_entry("in/a", BC, {"FindDupe-Demo": [1.0, 0.0]}, horizon="400")
+    out = tmp_path / "table.csv"
+    assert cli.main(["report", str(tmp_path / "in"), "--out", str(out)]) == 0
+    (row,) = csv.DictReader(out.read_text().splitlines())
+    assert (row["published"], row["published_std"]) == ("", "")
+
+
+def test_markdown_cells_are_escaped(results: Path, tmp_path: Path) -> None:
+    out = tmp_path / "table.md"
+    cli.main(["report", str(results), "--out", str(out)])
+    text = out.read_text()
+    assert "## FindDupe, beside the published scores" in text
+    assert r"50% & $x\_1$ \| ~" in text
+    lines = [line for line in text.splitlines() if line.startswith("| FindDupe")]
+    assert {line.count("|") for line in lines} == {lines[0].count("|")}
+
+
+def test_latex_is_well_formed(results: Path, tmp_path: Path) -> None:
+    out = tmp_path / "table.tex"
+    cli.main(["report", str(results), "--out", str(out)])
+    text = out.read_text()
+    assert text.isascii()
+    assert r"50\% \& \$x\_1\$ | \textasciitilde{}" in text
+    for name in ("table", "tabular"):
+        assert text.count(rf"\begin{{{name}}}") == text.count(rf"\end{{{name}}}") >= 3
+    plain = text.replace(r"\{", "").replace(r"\}", "")
+    assert plain.count("{") == plain.count("}")
+    for part in text.split(r"\toprule")[1:]:
+        rows = [line for line in part.split(r"\bottomrule")[0].splitlines() if r"\\" in line]
+        assert len({line.replace(r"\&", "").count("&") for line in rows}) == 1
+
+
+def test_latex_compiles(results: Path, tmp_path: Path) -> None:
+    if shutil.which("pdflatex") is None:
+        pytest.skip("pdflatex is not installed")
+    cli.main(["report", str(results), "--out", str(tmp_path / "table.tex")])
+    document = (
+        "\\documentclass{article}\n\\usepackage{booktabs,graphicx}\n"
+        "\\begin{document}\n\\input{table.tex}\n\\end{document}\n"
+    )
+    (tmp_path / "document.tex").write_text(document)
+    command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "document.tex"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:]
+    assert "Overfull" not in done.stdout
+
+
+def test_grids_become_tables() -> None:
+    grid = Grid("T", ("a", "b"), [("x", "0.50 [0.40, 0.60]")], "note")
+    assert markdown(grid).splitlines()[2:5] == [
+        "| a | b |",
+        "| --- | --- |",
+        r"| x | 0.50 \[0.40, 0.60\] |",
+    ]
+    assert "x & 0.50 {[}0.40, 0.60{]} \\\\" in latex(grid)
+    assert escape_latex("±−–ü") == r"$\pm$$-$--?"
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("x.csv", "csv"), ("x.MD", "markdown"), ("x.tex", "latex"), ("x.html", "html"), ("x", "html")],
+)
+def test_the_suffix_says_the_format(name: str, kind: str) -> None:
+    assert format_of(Path(name)) == kind
+
+
+def test_the_format_can_be_chosen(results: Path, tmp_path: Path) -> None:
+    out = tmp_path / "table.txt"
+    assert cli.main(["report", str(results), "--out", str(out), "--format", "markdown"]) == 0
+    assert out.read_text().startswith("## FindDupe")

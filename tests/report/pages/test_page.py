@@ -1,0 +1,194 @@
+"""Rollouts as pictures, and the page."""
+
+import base64
+import io
+import json
+import re
+from collections.abc import Callable
+from html.parser import HTMLParser
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+from PIL import Image
+
+from magical import cli
+from magical.envs import EnvId
+from magical.envs.seeds import evaluation_seed
+from magical.evaluation import (
+    Entry,
+    RolloutScore,
+    environments,
+    evaluate,
+    load_policy,
+)
+from magical.report import Page, contact_sheet, task_table
+from magical.report.figures.clips import Clip, record_clips
+
+pytest.importorskip("jinja2", reason="the report extra is not installed")
+pytest.importorskip("matplotlib", reason="the report extra is not installed")
+
+IDS = environments(["MoveToRegion"], ["Layout", "All"])
+
+
+class Balanced(HTMLParser):
+    """Checks that every element that is opened is closed."""
+
+    VOID = ("meta", "img", "br", "link", "input")
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.addresses: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag not in self.VOID:
+            self.open.append(tag)
+        self.addresses += [value or "" for name, value in attrs if name in ("src", "href")]
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.addresses += [value or "" for name, value in attrs if name in ("src", "href")]
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def test_clips_show_the_rollouts_that_evaluation_scores() -> None:
+    clips = record_clips(load_policy("random"), IDS, rollout=1, size=32)
+    scores = evaluate(load_policy("random"), IDS, rollouts=2, workers=0)
+    assert [clip.score for clip in clips] == [row.score for row in scores if row.rollout == 1]
+    assert [clip.env_id for clip in clips] == IDS
+    assert all(clip.frames.shape == (41, 32, 32, 3) for clip in clips)
+    for clip in clips:
+        env = gymnasium.make(clip.env_id, observation={"parts": [["allo", 1]], "size": 32})
+        np.testing.assert_array_equal(clip.frames[0], env.reset(seed=evaluation_seed(1))[0])
+    assert all((clip.frames[0] != clip.frames[-1]).any() for clip in clips)
+
+
+def test_a_clip_becomes_an_animation_and_a_strip() -> None:
+    frames = np.zeros((9, 16, 16, 3), np.uint8)
+    for step, frame in enumerate(frames):
+        frame[:, step] = 255
+    clip = Clip(EnvId("MoveToRegion", "Demo"), 1.0, frames)
+    with Image.open(io.BytesIO(clip.webp())) as picture:
+        assert getattr(picture, "n_frames", 1) == 9
+        assert picture.size == (16, 16)
+    strip = clip.strip(3)
+    assert strip.shape == (16, 48, 3)
+    np.testing.assert_array_equal(strip[:, 16:32], frames[4])
+
+
+def test_a_page_holds_everything_itself(tmp_path: Path) -> None:
+    entry = Entry(
+        method="<mine> & others", scores=evaluate(load_policy("noop"), IDS, rollouts=2, workers=0)
+    )
+    clips = record_clips(load_policy("noop"), IDS, size=32)
+    page = Page(
+        title="Results",
+        subtitle="a test",
+        tables=[task_table("MoveToRegion", [entry], ["BC (ST)"])],
+        rollouts=2,
+        curves="<svg><title>curves</title></svg>",
+        reels={"MoveToRegion": clips},
+        sheet=contact_sheet(["MoveToRegion"], size=20),
+        facts={"seed": "0"},
+    )
+    page.write(tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_text()
+    parser = Balanced()
+    parser.feed(text)
+    assert parser.open == []
+    assert len(parser.addresses) == 3
+    assert all(address.startswith("data:image/") for address in parser.addresses)
+    assert "&lt;mine&gt; &amp; others" in text
+    assert "<svg><title>curves</title></svg>" in text
+    assert "BC (ST), published" in text
+    assert "0.89" in text
+    png = re.search(r"data:image/png;base64,([^\"]+)", text)
+    assert png
+    assert base64.b64decode(png[1]).startswith(b"\x89PNG")
+
+
+def test_parts_that_are_empty_are_left_out() -> None:
+    text = Page(title="T", subtitle="", tables=[], rollouts=1).html()
+    for heading in ("Learning curves", "A rollout", "All environments"):
+        assert heading not in text
+
+
+@pytest.fixture
+def evaluated(tmp_path: Path) -> Path:
+    demo = EnvId("MakeLine", "Demo")
+    scores = [RolloutScore(demo, i, evaluation_seed(i), 1.0, 0.5) for i in range(3)]
+    Entry(method="mine", scores=scores, details={"demonstrations": 10}).write(tmp_path / "run")
+    return tmp_path / "run"
+
+
+def test_the_report_command_prints_tables_and_writes_a_page(
+    evaluated: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = evaluated / "report.html"
+    argv = ["report", str(evaluated), "--published", "BC (ST)", "--out", str(page)]
+    assert cli.main(argv) == 0
+    printed = capsys.readouterr().out
+    assert re.search(r"0\.50 \[0\.\d+, 0\.\d+\]", printed)
+    assert "0.48 ± 0.08" in printed
+    assert "demonstrations 10" in page.read_text()
+
+
+def test_the_report_command_names_what_is_missing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["report", str(tmp_path)]) == 1
+    assert "found no scores.csv" in capsys.readouterr().err
+
+
+def test_the_report_command_knows_the_published_methods(
+    evaluated: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["report", str(evaluated), "--published", "BC"]) == 2
+    assert "BC (ST)" in capsys.readouterr().err
+
+
+def test_the_report_of_a_folder_says_everything(
+    write_entry: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scores = {"MoveToRegion-Demo": [1.0, 0.0], "MoveToRegion-TestAll": [0.0, 0.0]}
+    for seed in (0, 1):
+        folder = write_entry(f"runs/a{seed}", "<a>", scores, seed, details={"policy": "."})
+        rows = [json.dumps({"step": step, "loss": 1 / (step + 1)}) for step in range(20)]
+        rows += ['{"step": "late", "loss": 1}', '{"step": 21, "loss": NaN}']
+        (folder / "metrics.jsonl").write_text("\n".join(rows) + "\n")
+    write_entry("runs/b", "$b_1", scores, details={"policy": "noop"})
+    (write_entry("runs/bad", "bad", scores) / "scores.csv").write_text("bad")
+    (tmp_path / "runs" / "a1" / "metrics.jsonl").write_text("bad\n")
+    page = tmp_path / "page.html"
+    argv = ["report", str(tmp_path / "runs"), "--out", str(page), "--clips", "2"]
+    assert cli.main(argv) == 0
+    assert "skipped" in capsys.readouterr().err
+    text = page.read_text()
+    cli.main(argv)
+    assert page.read_text() == text
+    parser = Balanced()
+    parser.feed(text)
+    assert parser.open == []
+    assert not [a for a in parser.addresses if a.startswith(("http", "//"))]
+    ids = re.findall(r' id="([^"]+)"', text)
+    assert len(ids) == len(set(ids))
+    used = re.findall(r'(?:url\(#|href="#)([^")]+)', text)
+    assert set(used) <= set(ids)
+    for words in (
+        "3 evaluated runs of 2 methods; 2 skipped",
+        "expected the header",
+        "expected a JSON object with a step",
+        "1 of 2 runs",
+        "not evaluated on Jitter, Layout, Colour, Dynamics",
+        "Generalisation gaps",
+        "Probability of improvement",
+        'aria-label="Performance profiles of all methods"',
+        'aria-label="Learning curves: loss on MoveToRegion"',
+        "$b_1 on MoveToRegion",
+        "&lt;a&gt; on MoveToRegion: ",  # its run folder has no checkpoint
+        "versions: torch 9.9",
+    ):
+        assert words in text, words

@@ -1,0 +1,93 @@
+"""Our scores beside the published ones."""
+
+import math
+from typing import Any
+
+import pytest
+
+from magical.envs import EnvId
+from magical.evaluation import Entry, RolloutScore, published_score
+from magical.report.scores.differences import counterparts, differences, matching_methods
+from magical.report.scores.tables import report_tables, task_table, text_rows
+from magical.tasks import get_task
+
+BC = "BC (ST)"
+
+
+def entry(env: str, score: float, method: str = BC, **fields: Any) -> Entry:
+    """Two rollouts; the published code's rule gives half of the appendix's."""
+    task, variant = env.split("-")
+    rows = [RolloutScore(EnvId(task, variant), i, i, score, score / 2) for i in range(2)]
+    return Entry(method=method, scores=rows, **fields)
+
+
+def test_a_method_is_held_against_the_published_one_of_its_name() -> None:
+    ours, others = entry("FindDupe-Demo", 1.0), entry("FindDupe-Demo", 1.0, "mine")
+    assert matching_methods([ours, others]) == (BC,)
+    assert counterparts([ours, others], [BC]) == {BC: BC}
+    assert counterparts([ours, others], [BC, "AL (ST)"]) == {BC: BC}
+    assert counterparts([others], [BC]) == {"mine": BC}
+    assert counterparts([others], [BC, "AL (ST)"]) == {}
+    assert counterparts([ours], []) == {}
+
+
+def test_differences_are_by_the_published_rule() -> None:
+    runs = [entry("FindDupe-Demo", 0.8), entry("FindDupe-Demo", 1.0)]
+    found = differences(get_task("FindDupe"), runs, BC)
+    published = published_score("FindDupe", BC, "Demo")
+    assert published is not None
+    assert found["Demo"].value == pytest.approx(0.45 - published.mean)
+    assert found["Demo"].low < found["Demo"].value < found["Demo"].high
+
+
+@pytest.mark.parametrize(
+    ("horizon", "compared"), [("appendix", False), ("published", True), ("240", True)]
+)
+def test_only_runs_with_the_published_horizon_are_compared(horizon: str, compared: bool) -> None:
+    run = entry("ClusterShape-Demo", 1.0, horizon=horizon)
+    assert bool(differences(get_task("ClusterShape"), [run], BC)) == compared
+    table = task_table("ClusterShape", [run], [BC])
+    assert (table.rows[0].cells["Demo"].difference is not None) == compared
+    assert ("left out" in table.note) != compared
+
+
+def test_nudged_demo_scores_are_not_compared() -> None:
+    task = get_task("FindDupe")
+    demo, jitter = (entry(f"FindDupe-{v}", 1.0, nudge=1e-9) for v in ("Demo", "TestJitter"))
+    assert not differences(task, [demo], BC)
+    assert set(differences(task, [jitter], BC)) == {"Jitter"}
+    assert "Demo left out" in task_table("FindDupe", [jitter], [BC]).rows[0].note
+
+
+def test_cells_show_the_difference() -> None:
+    table = task_table("MoveToRegion", [entry("MoveToRegion-Demo", 1.0)], [BC])
+    published = published_score("MoveToRegion", BC, "Demo")
+    assert published is not None
+    expected = f"{0.5 - published.mean:+.2f}".replace("-", "−")
+    assert table.rows[0].cells["Demo"].beside == [expected]
+    assert text_rows(table)[0][1].endswith(f"({expected})")
+    assert table.rows[1].cells["Demo"].difference is None
+    interval = table.rows[0].cells["Demo"].difference
+    assert interval is not None
+    assert math.isnan(interval.low)
+
+
+def test_tables_by_both_rules_where_they_differ() -> None:
+    entries = [entry("FindDupe-Demo", 1.0), entry("FixColour-Demo", 1.0)]
+    tables = report_tables(entries, [BC])
+    assert [(t.task, t.published) for t in tables] == [
+        ("FindDupe", False),
+        ("FindDupe", True),
+        ("FixColour", True),
+    ]
+    assert [t.rows[0].cells["Demo"].mean for t in tables] == [1.0, 0.5, 0.5]
+
+
+def test_runs_on_other_tasks_do_not_count() -> None:
+    entries = [entry("FindDupe-Demo", 1.0), entry("FixColour-Demo", 0.5)]
+    assert task_table("FixColour", entries).rows[0].cells["Demo"].mean == 0.5
+
+
+def test_a_variant_that_a_run_lacks_is_said_in_the_cell() -> None:
+    entries = [entry("FindDupe-Demo", 1.0), entry("FindDupe-TestAll", 0.5)]
+    assert task_table("FindDupe", entries).rows[0].cells["Demo"].detail.endswith("(1 of 2 runs)")

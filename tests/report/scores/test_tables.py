@@ -1,0 +1,119 @@
+"""Score tables."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from magical.envs import parse_env_id
+from magical.evaluation import Entry, RolloutScore
+from magical.report import entry_tasks, task_table, text_rows
+from magical.report.scores.tables import ONE_RUN, Cell
+
+
+def entry(method: str, scores: dict[str, list[float]], **fields: Any) -> Entry:
+    """Scores by environment name; the published code's rule gives half of each."""
+    rows = [
+        RolloutScore(parse_env_id(f"{name}-v0"), i, i, score, score / 2)
+        for name, values in scores.items()
+        for i, score in enumerate(values)
+    ]
+    return Entry(method=method, scores=rows, **fields)
+
+
+def test_one_run_has_an_interval_over_rollouts() -> None:
+    table = task_table("MakeLine", [entry("mine", {"MakeLine-Demo": [0.0, 1.0] * 50})])
+    (row,) = table.rows
+    low, high = map(float, row.cells["Demo"].detail.strip("[]").split(","))
+    assert row.cells["Demo"].mean == 0.5
+    assert 0.38 <= low <= 0.42
+    assert 0.58 <= high <= 0.62
+    assert row.note == "mean, 95% interval over rollouts"
+    assert table.variants[:2] == ("Demo", "Jitter")
+    assert table.note == "Scored by the appendix's rule." + ONE_RUN
+
+
+def test_runs_of_a_method_share_a_row() -> None:
+    runs = [
+        entry("mine", {"MakeLine-Demo": [0.0, 1.0]}),
+        entry("mine", {"MakeLine-Demo": [1.0, 1.0]}),
+    ]
+    table = task_table("MakeLine", runs)
+    (row,) = table.rows
+    assert row.cells["Demo"] == Cell(0.75, "± 0.25")
+    assert row.note == "mean ± std over 2 runs"
+    assert table.note == "Scored by the appendix's rule."
+
+
+def test_with_published_rows_all_are_scored_by_the_published_rule() -> None:
+    mine = entry("mine", {"MakeLine-Demo": [1.0, 1.0]})
+    table = task_table("MakeLine", [mine], ["BC (ST)"])
+    assert [row.label for row in table.rows] == ["mine", "BC (ST), published"]
+    assert table.rows[0].cells["Demo"].mean == 0.5
+    assert table.rows[1].cells["Demo"] == Cell(0.48, "± 0.08")
+    assert "published code's rule" in table.note
+
+
+def test_a_different_horizon_is_said() -> None:
+    scores = {"ClusterShape-Demo": [1.0]}
+    appendix = task_table("ClusterShape", [entry("mine", scores)])
+    published = task_table("ClusterShape", [entry("mine", scores, horizon="published")])
+    assert appendix.rows[0].note.endswith("horizon 320")
+    assert published.rows[0].note.endswith("horizon 240")
+
+
+@pytest.mark.parametrize("horizon", ["published", "240"])
+def test_published_rows_are_beside_scores_of_the_published_horizon(horizon: str) -> None:
+    scores = {"ClusterShape-Demo": [1.0]}
+    table = task_table("ClusterShape", [entry("mine", scores, horizon=horizon)], ["BC (ST)"])
+    assert [row.cells["Demo"].mean for row in table.rows] == [0.5, 0.35]
+    assert "whose horizon is 240 control steps" in table.note
+
+
+def test_published_rows_are_never_beside_scores_of_another_horizon() -> None:
+    scores = {"ClusterShape-Demo": [1.0]}
+    mine = entry("mine", scores, horizon="published")
+    table = task_table("ClusterShape", [mine, entry("other", scores)], ["BC (ST)"])
+    assert [row.label for row in table.rows] == ["mine", "other"]
+    assert [row.cells["Demo"].mean for row in table.rows] == [1.0, 1.0]
+    assert "Scored by the appendix's rule. The published rows are left out" in table.note
+    assert "240 control steps, not 320; evaluate with --horizon published" in table.note
+    short = entry("short", {"MakeLine-Demo": [1.0]}, horizon="7")
+    assert "--horizon 180 to compare" in task_table("MakeLine", [short], ["BC (ST)"]).note
+    elsewhere = entry("elsewhere", {"MakeLine-Demo": [1.0]})
+    assert len(task_table("ClusterShape", [mine, elsewhere], ["BC (ST)"]).rows) == 2
+
+
+def test_where_the_rules_agree_the_note_says_so() -> None:
+    table = task_table("MoveToRegion", [entry("mine", {"MoveToRegion-Demo": [1.0]})], ["BC (ST)"])
+    rule = "The published code's rule and horizon are the appendix's on this task."
+    assert table.note == rule + ONE_RUN
+
+
+def test_methods_without_the_task_have_no_row() -> None:
+    entries = [entry("a", {"MakeLine-Demo": [1.0]}), entry("b", {"FindDupe-Demo": [1.0]})]
+    assert entry_tasks(entries) == ("MakeLine", "FindDupe")
+    assert [row.label for row in task_table("FindDupe", entries).rows] == ["b"]
+
+
+def test_text_rows_have_a_dash_where_nothing_was_evaluated() -> None:
+    table = task_table("MoveToRegion", [entry("mine", {"MoveToRegion-TestAll": [1.0, 1.0]})])
+    assert text_rows(table) == [("mine", "–", "–", "–", "–", "–", "1.00 [0.34, 1.00]")]
+
+
+@pytest.mark.parametrize(("mean", "ink"), [(0.0, "#222"), (0.5, "#222"), (1.0, "#fff")])
+def test_colours_grow_darker_with_the_score(mean: float, ink: str) -> None:
+    background, found = Cell(mean, "").colours
+    assert found == ink
+    darker = Cell(min(mean + 0.1, 1.0), "").colours[0]
+    numbers = [sum(map(int, c[4:-1].split(","))) for c in (background, darker)]
+    assert numbers[1] <= numbers[0]
+    assert np.isfinite(numbers).all()
+
+
+def test_nudged_runs_have_a_row_of_their_own() -> None:
+    scores = {"MakeLine-Demo": [1.0]}
+    entries = [entry("mine", scores), entry("mine", scores), entry("mine", scores, nudge=1e-9)]
+    table = task_table("MakeLine", entries)
+    assert [row.label for row in table.rows] == ["mine", "mine, nudge 1e-09"]
+    assert table.rows[0].note == "mean ± std over 2 runs"
