@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -133,7 +134,9 @@ def test_a_new_checkpoint_is_loaded(trained: Policies) -> None:
         trained.load(1)
 
 
-@pytest.mark.parametrize(("arguments", "imported"), [("", False), ("[Path.cwd()]", True)])
+@pytest.mark.parametrize(
+    ("arguments", "imported"), [("", False), ("[Path.cwd()]", find_spec("torch") is not None)]
+)
 def test_pytorch_is_imported_at_the_start_where_there_are_runs(
     tmp_path: Path, arguments: str, imported: bool
 ) -> None:
