@@ -23,7 +23,7 @@ from magical.evaluation import environments, evaluate
 from magical.evaluation.policy import Actions, Mask
 from magical.experts.expert import Expert, expert_for
 from magical.experts.memory import Memory, note_other_action
-from magical.experts.planning import Goals, Move, Plan, Strategy
+from magical.experts.planning import Move, MovePlan, Planner, Strategy
 from magical.experts.state_view import StateView
 from magical.learning.algorithms.object_bc import ObjectPolicy
 from magical.learning.objects.hindsight import ROBOT_TARGET
@@ -36,6 +36,7 @@ from magical.scene import State, View
 from magical.scene.constants import FRAME_SIZE
 from magical.scene.poses import FINGERS, FIRST_BLOCK
 from magical.scene.vocabulary import COLOURS, SHAPES
+from magical.tasks import get_task
 
 PARTS = ("perception", "goals", "control")
 NOTHING = "nothing"
@@ -155,7 +156,7 @@ class _Episode:
         self._poses: list[NDArray[np.float64]] = []
         strategy = Strategy.sample(np.random.default_rng(seed))
         self._move: Move | None = None
-        self._driver = Expert(Goals(self._plan), strategy)
+        self._driver = Expert(get_task(task), Planner(self._plan), strategy)
         self._driving = Memory()
 
     @property
@@ -203,13 +204,13 @@ class _Episode:
         action, self._driving = self._driver.act(state, self._driving)
         return action
 
-    def _plan(self, view: StateView, strategy: Strategy, last: Plan) -> Plan:
+    def _plan(self, view: StateView, strategy: Strategy, last: MovePlan) -> MovePlan:
         move = self._move
         assert move is not None
         place = view.position if move.block is None else view.resting_blocks[move.block]
         if np.hypot(*np.subtract(place, move.goal)) < move.tolerance:
-            return Plan()
-        return Plan((move,))
+            return MovePlan()
+        return MovePlan((move,))
 
 
 def _true_table(states: Sequence[State]) -> ObjectTable:

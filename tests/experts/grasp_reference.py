@@ -3,17 +3,22 @@
 import math
 from collections.abc import Sequence
 
-from magical.experts.distances import (
+from magical.experts import grasp as g
+from magical.experts.geometry import (
+    BACK_STEP,
     CONTACT_DISTANCE,
+    DRIVE_STEP,
     DRIVING_CLEARANCE,
     HELD_DISTANCE,
     ROBOT_LIMIT,
+    TURN_STEP,
+    bearing,
+    is_within,
+    segment_distance,
+    wrap_angle,
 )
-from magical.experts.grasp import GRASP, gate_point, point_behind
-from magical.experts.grasp_costs import COST
-from magical.experts.motions import BACK_STEP, DRIVE_STEP, TURN_STEP
-from magical.experts.paths import segment_distance
-from magical.experts.state_view import StateView, bearing, is_within, wrap_angle
+from magical.experts.grasp import gate_point, point_behind
+from magical.experts.state_view import StateView
 from magical.scene.geometry import Point
 
 
@@ -25,7 +30,7 @@ def grasp_cost(
     gaps = [segment_distance(view.position, gate, other) for other in others]
     return (
         approach_steps(view, block, gate, side)
-        + COST.path * sum(max(0.0, DRIVING_CLEARANCE - gap) for gap in gaps)
+        + g.PATH_COST * sum(max(0.0, DRIVING_CLEARANCE - gap) for gap in gaps)
         + wall_cost(block, side)
         + sum(block_cost(block, side, other) for other in others)
         + carry_steps(block, side, goal)
@@ -35,10 +40,10 @@ def grasp_cost(
 def wall_cost(block: Point, side: float) -> float:
     """What walls at the stand, the gate and the fingers cost."""
     stand, gate = point_behind(block, side, HELD_DISTANCE), gate_point(block, side)
-    cost = COST.stand_wall * outside(stand) + COST.gate_wall * outside(gate)
+    cost = g.STAND_WALL_COST * outside(stand) + g.GATE_WALL_COST * outside(gate)
     for finger in fingers(block, side):
-        if not is_within(finger, GRASP.finger_limit):
-            cost += COST.finger_wall
+        if not is_within(finger, g.FINGER_LIMIT):
+            cost += g.FINGER_WALL_COST
     return cost
 
 
@@ -47,13 +52,13 @@ def block_cost(block: Point, side: float, other: Point) -> float:
     stand, gate = point_behind(block, side, HELD_DISTANCE), gate_point(block, side)
     missing = max(0.0, CONTACT_DISTANCE - segment_distance(stand, gate, other))
     for finger in fingers(block, side):
-        missing += max(0.0, GRASP.finger_room - math.dist(finger, other))
-    return COST.block * missing
+        missing += max(0.0, g.FINGER_ROOM - math.dist(finger, other))
+    return g.NEIGHBOUR_COST * missing
 
 
 def fingers(block: Point, side: float) -> tuple[Point, Point]:
     """Where the two fingers are around a block that is held."""
-    dx, dy = GRASP.finger_offset * math.cos(side), GRASP.finger_offset * math.sin(side)
+    dx, dy = g.FINGER_OFFSET * math.cos(side), g.FINGER_OFFSET * math.sin(side)
     return (block[0] + dx, block[1] + dy), (block[0] - dx, block[1] - dy)
 
 
@@ -66,27 +71,27 @@ def approach_steps(view: StateView, block: Point, gate: Point, side: float) -> f
     """Control steps until the robot holds the block."""
     here, away = view.position, view.distance_to(block)
     straight = bearing(here, block)
-    if abs(wrap_angle(straight - side)) < GRASP.cone:
+    if abs(wrap_angle(straight - side)) < g.CONE:
         turn = abs(wrap_angle(straight - view.angle))
-        retreat = max(0.0, GRASP.sweep - away) if turn > COST.misaimed else 0.0
+        retreat = max(0.0, g.SWEEP_RADIUS - away) if turn > g.MISAIMED else 0.0
         return drive_steps(away - HELD_DISTANCE + 2 * retreat, turn)
     heading = bearing(here, gate)
     narrow = max(0.0, DRIVING_CLEARANCE - segment_distance(here, gate, block))
-    detour = COST.detour * narrow / DRIVING_CLEARANCE
+    detour = g.DETOUR * narrow / DRIVING_CLEARANCE
     turn = abs(wrap_angle(heading - view.angle)) + abs(wrap_angle(side - heading))
-    return drive_steps(math.dist(here, gate) + detour + GRASP.gate - HELD_DISTANCE, turn)
+    return drive_steps(math.dist(here, gate) + detour + g.GATE_DISTANCES[0] - HELD_DISTANCE, turn)
 
 
 def drive_steps(distance: float, turn: float) -> float:
     """Control steps of a drive."""
-    return COST.start_steps + distance / DRIVE_STEP + turn / TURN_STEP
+    return g.START_STEPS + distance / DRIVE_STEP + turn / TURN_STEP
 
 
 def carry_steps(block: Point, side: float, goal: Point) -> float:
     """Control steps to push or pull the block to its goal."""
     stand, distance = point_behind(block, side, HELD_DISTANCE), math.dist(block, goal)
     turn = abs(wrap_angle(bearing(stand, goal) - side))
-    pushing = distance / DRIVE_STEP + COST.turn * turn / TURN_STEP
+    pushing = distance / DRIVE_STEP + g.CARRYING_TURN * turn / TURN_STEP
     turn = abs(wrap_angle(bearing(goal, block) - side))
-    pulling = distance / BACK_STEP + COST.turn * turn / TURN_STEP + COST.pull_steps
+    pulling = distance / BACK_STEP + g.CARRYING_TURN * turn / TURN_STEP + g.PULL_STEPS
     return min(pushing, pulling)

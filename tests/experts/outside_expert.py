@@ -2,11 +2,11 @@
 
 from typing import Any
 
-from magical.experts import Goals, Plan, get_goals, register_goals
+from magical.experts import MovePlan, Planner, get_planner, register_planner
 
 
-def plan(*arguments: Any) -> Plan:
-    return get_goals("MoveToRegion").plan_fn(*arguments)
+def plan(*arguments: Any) -> MovePlan:
+    return get_planner("MoveToRegion").plan_fn(*arguments)
 
 
-register_goals("MoveThere", Goals(plan))
+register_planner("MoveThere", Planner(plan))

@@ -5,10 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from magical.experts.carry import carry
-from magical.experts.distances import HELD_DISTANCE
+from magical.experts.carry import carry, motion_table
+from magical.experts.geometry import HELD_DISTANCE
 from magical.experts.grasp import is_between_fingers
-from magical.experts.motions import motion_table
 from magical.physics import Simulation
 from magical.scene import SHAPES, Block, Colour, Pose, Scene, Shape
 from tests.experts.scenes import blocks_at, view_of

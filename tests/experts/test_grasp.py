@@ -5,9 +5,16 @@ import math
 import numpy as np
 import pytest
 
-from magical.experts.grasp import gate_point
-from magical.experts.grasp_costs import COST, SIDES, best_side, grasp_costs, mutual_obstruction
-from magical.experts.state_view import StateView, bearing
+from magical.experts.geometry import bearing
+from magical.experts.grasp import (
+    SIDE_SWITCH_STEPS,
+    SIDES,
+    best_side,
+    gate_point,
+    grasp_costs,
+    make_mutual_grasps,
+)
+from magical.experts.state_view import StateView
 from magical.scene import Pose
 from tests.experts import grasp_reference as reference
 from tests.experts.scenes import blocks_at, view_of
@@ -26,7 +33,7 @@ def test_obstruction_of_all_blocks_agrees_with_the_reference(blocks: int) -> Non
     rng = np.random.default_rng(blocks)
     for _ in range(5):
         places = crowded(rng, blocks).blocks
-        found = mutual_obstruction(np.array(places))
+        found = make_mutual_grasps(np.array(places))
         walls = [[reference.wall_cost(block, side) for side in SIDES] for block in places]
         others = [
             [
@@ -35,9 +42,9 @@ def test_obstruction_of_all_blocks_agrees_with_the_reference(blocks: int) -> Non
             ]
             for a in places
         ]
-        np.testing.assert_allclose(found.walls, walls, rtol=0, atol=1e-9)
-        np.testing.assert_allclose(found.blocks, others, rtol=0, atol=1e-9)
-        assert blocks < 10 or found.blocks.max() > 0.0
+        np.testing.assert_allclose(found.wall_costs, walls, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(found.block_costs, others, rtol=0, atol=1e-9)
+        assert blocks < 10 or found.block_costs.max() > 0.0
 
 
 @pytest.mark.parametrize("blocks", [1, 2, 10])
@@ -71,8 +78,8 @@ def test_a_side_is_left_only_for_a_clearly_better_one() -> None:
     block, goal = view.blocks[0], (-0.6, -0.3)
     best, least = best_side(view, block, goal, (), NO_PREFERENCES)
     costs = grasp_costs(view, block, goal, (), SIDES)
-    near = SIDES[(costs > least) & (costs < least + COST.switch)]
-    far = SIDES[costs > least + COST.switch]
+    near = SIDES[(costs > least) & (costs < least + SIDE_SWITCH_STEPS)]
+    far = SIDES[costs > least + SIDE_SWITCH_STEPS]
     assert len(near)
     assert len(far)
     for side in near:

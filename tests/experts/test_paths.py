@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from magical.experts.array_geometry import project_on_segments
-from magical.experts.paths import is_clear, next_waypoint, segment_distance
+from magical.experts.geometry import project_on_segments, segment_distance
+from magical.experts.paths import is_clear, next_waypoint
 
 
 def test_clear_path_is_straight() -> None:

@@ -6,7 +6,7 @@ import pytest
 from magical.errors import InvalidConfigError
 from magical.experts import Memory, Move, expert_for, rollout
 from magical.experts.memory import note_other_action
-from magical.experts.perturbation import MAX_STEPS, Perturbation
+from magical.experts.noise import MAX_PERTURBED_STEPS, perturbation
 from magical.physics import Simulation
 from magical.scene import NOOP, NUM_ACTIONS
 from magical.scene.actions import Action, Gripper
@@ -17,8 +17,8 @@ OTHER = NUM_ACTIONS  # no action: tells the expert's from random ones
 
 
 def executed(share: float, steps: int = 20_000) -> list[int]:
-    perturbation = Perturbation(share, np.random.default_rng(0))
-    return [perturbation.execute(OTHER) for _ in range(steps)]
+    actions = perturbation(share, np.random.default_rng(0))
+    return [actions.execute(OTHER) for _ in range(steps)]
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 1.0])
@@ -33,8 +33,8 @@ def test_random_actions_are_all_actions_held_for_some_steps() -> None:
     runs = [part for part in np.split(actions, starts) if len(part) and part[0] != OTHER]
     assert set(actions.tolist()) == set(range(NUM_ACTIONS + 1))
     lengths = np.array([len(run) for run in runs])
-    assert set(range(1, MAX_STEPS + 1)) <= set(lengths.tolist())
-    assert lengths.mean() == pytest.approx((1 + MAX_STEPS) / 2, rel=0.15)
+    assert set(range(1, MAX_PERTURBED_STEPS + 1)) <= set(lengths.tolist())
+    assert lengths.mean() == pytest.approx((1 + MAX_PERTURBED_STEPS) / 2, rel=0.15)
 
 
 @pytest.mark.parametrize("share", [-0.1, 1.1, float("nan"), float("inf")])

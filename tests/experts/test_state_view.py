@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from magical.experts.state_view import bearing, wrap_angle
+from magical.experts.geometry import bearing, wrap_angle
 from magical.scene import Pose, Scene
 from tests.experts.scenes import view_of
 

@@ -16,7 +16,7 @@ from magical.envs.ids import EnvId, parse_env_id
 from magical.envs.seeds import episode_seed
 from magical.errors import DatasetError
 from magical.experts import modules_of, rollout
-from magical.experts.perturbation import check_perturb
+from magical.experts.noise import check_share
 from magical.processes import available_cores, map_in_processes
 from magical.tasks import load_tasks
 
@@ -63,7 +63,7 @@ def generate(
         WorkerDiedError: a worker process was killed. What was kept before any error stays.
     """
     parsed = parse_env_id(env_id)
-    check_perturb(perturb)
+    check_share("perturb", perturb)
     workers = available_cores() if workers is None else workers
     modules = modules_of(parsed.task) if workers > 1 else []
     writer = DatasetWriter(out)

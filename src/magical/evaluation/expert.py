@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from magical.envs import EnvId
-from magical.errors import InvalidConfigError
 from magical.evaluation.policy import Actions, Mask
 from magical.experts import Expert, expert_for, modules_of
+from magical.experts.noise import check_share
 from magical.scene import NUM_ACTIONS, State
 
 
@@ -31,9 +31,8 @@ class ExpertPolicy:
     )
 
     def __init__(self, skill: float = 1.0, random_share: float = 0.0) -> None:
-        for name, value in (("skill", skill), ("random_share", random_share)):
-            if not 0.0 <= value <= 1.0:
-                raise InvalidConfigError(f"{name}: expected a number from 0 to 1, found {value}")
+        check_share("skill", skill)
+        check_share("random_share", random_share)
         self.skill = skill
         self.random_share = random_share
         self._experts: list[Expert | None] = []

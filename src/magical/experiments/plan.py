@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from magical.errors import MagicalError, PlanError
 from magical.evaluation.rollouts import ROLLOUTS, environments
-from magical.experts import get_goals
+from magical.experts import get_planner
 from magical.learning import Config, find_algorithm
 from magical.learning.config import ImitationConfig, options
 from magical.tasks import Horizon, get_task
@@ -262,7 +262,7 @@ def _source(plan: Plan, config: ImitationConfig) -> Source:
                 )
         return Source(dataset=True)
     for task in config.tasks:
-        get_goals(task)  # raises for a task without an expert
+        get_planner(task)  # raises for a task without an expert
     if not dataset and plan.expert_demos < config.num_demos:
         raise PlanError(
             f"expert_demos: expected at least num_demos, {config.num_demos}, "

@@ -11,7 +11,7 @@ from magical.envs.episode import checked_nudge
 from magical.errors import InvalidConfigError, MagicalError, MissingDependencyError, PlanError
 from magical.evaluation.variants import full_variant
 from magical.experiments.plan import Evaluation, Method, Plan, planned_runs
-from magical.experts.perturbation import check_perturb
+from magical.experts.noise import check_share
 from magical.learning import find_algorithm
 from magical.learning.config import Option, options
 from magical.messages import quoted
@@ -195,7 +195,7 @@ def _nudge(value: Any, key: str) -> float:
 def _perturb(value: Any, key: str) -> float:
     share: float = _number_or_other(float, value, key)
     try:
-        check_perturb(share)
+        check_share("perturb", share)
     except InvalidConfigError as error:
         raise PlanError(str(error)) from error  # which names the key
     return share

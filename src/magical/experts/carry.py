@@ -1,97 +1,119 @@
 """Carrying a held block to its goal: forwards, backwards or turning, whichever is soonest.
 
-All short motions are scored by about how many control steps remain until the block is at its goal.
+A motion is a pair of actions, each repeated for a few control steps. All of them are rolled out
+under a model that knows how fast top speeds are reached, and nothing of contacts. At every control
+step all motions are scored by about how many control steps remain until the block is at its goal.
 The best few of each first action are also charged for walls and blocks on their paths, and the
 first action of the cheapest is taken.
 """
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
-from magical.experts.array_geometry import Floats, Ints, excess, lengths, wrap_angles
-from magical.experts.distances import BLOCK_SPACING, CONTACT_DISTANCE, HELD_DISTANCE, ROBOT_LIMIT
-from magical.experts.motions import (
+from magical.experts.geometry import (
+    BACK_STEP,
+    BLOCK_SPACING,
+    CONTACT_DISTANCE,
     DRIVE_STEP,
-    OPEN_ACTIONS,
+    HELD_DISTANCE,
+    ROBOT_LIMIT,
     TURN_STEP,
-    MotionTable,
-    motion_table,
+    Floats,
+    Ints,
+    excess,
+    lengths,
+    wrap_angle,
 )
 from magical.experts.paths import next_waypoint
 from magical.experts.state_view import StateView
 from magical.scene.actions import Action, Gripper, Longitudinal, Turn
+from magical.scene.constants import CONTROL_RATE
 from magical.scene.geometry import Point
 
+GRIP_STEPS = 2  # control steps of closing before a block is carried; measured
+GRIPPED_OPENING = 0.33  # rad: smaller openings hold a block already; measured
+GRIP_ADVANCE = 0.015  # units beyond HELD_DISTANCE at which the robot still drives up; tuned
 
-@dataclass(frozen=True, slots=True)
-class CarrySettings:
-    """What the rest of a motion is charged for."""
+WAYPOINT_CLEARANCE = 0.31  # units from the block to obstacles on its path; tuned
+WAYPOINT_TOLERANCE = 0.1  # units: how exactly waypoints are met; tuned
+GOAL_TOLERANCE = 0.7  # share of a move's tolerance that is aimed at; tuned
+REST_DETOUR = 1.3  # of the straight line's time that the rest takes; tuned
+PULL_TURN = 0.6  # rad that pulling costs in addition to facing away; tuned
+TURN_LIMIT = 40.0  # control steps per unit: short ways need no facing; tuned
+CORRECTION_STEPS = 4.0  # control steps that any further correction takes; tuned
+STOP_COST = 4.0  # control steps added to standing still, which could last; tuned
+CANDIDATES = 5  # motions of each first action that are checked for obstacles; for time
 
-    waypoint_clearance: float = 0.31  # units from the block to obstacles on its path; tuned
-    waypoint_tolerance: float = 0.1  # units: how exactly waypoints are met; tuned
-    goal_tolerance: float = 0.7  # share of a move's tolerance that is aimed at; tuned
-    detour: float = 1.3  # of the straight line's time that the rest takes; tuned
-    pull_turn: float = 0.6  # rad that pulling costs in addition to facing away; tuned
-    turn_limit: float = 40.0  # control steps per unit: short ways need no facing; tuned
-    correction: float = 4.0  # control steps that any further correction takes; tuned
-    stop_cost: float = 4.0  # control steps added to standing still, which could last; tuned
-    candidates: int = 5  # motions of each first action that are checked for obstacles; for time
+BLOCK_LIMIT = 0.84  # units: largest coordinate of the held block's centre; tuned
+ROOM_COST = 45.0  # control steps per unit of missing room; tuned
+REAR = 0.18  # units behind the robot that should be free at the end; tuned
+REAR_WALL_FACTOR = 5.0  # of `ROOM_COST`: of a wall there, which prevents release; tuned
+BLOCK_WALL_FACTOR = 2.0  # of `ROOM_COST`: of a wall at the block; tuned
 
+# How robot and held block accelerate. Fitted by hand to the simulator: a test compares five steps
+# of one action with it.
+DRIVE_CHANGE = 0.028  # units: change of the velocity per step by the drive; measured
+DRAG_CHANGE = 0.0145  # units: change of the velocity per step by the block's friction; measured
+SPIN_UP = 0.085  # rad: change of turning per step; measured
+SPIN_STOP = 0.33  # share of the present turning still turned on stopping; measured
+PIVOT = 0.06  # units ahead of the robot's centre about which both turn; measured
 
-@dataclass(frozen=True, slots=True)
-class CarryRoom:
-    """The room that a motion with a block should leave."""
+# Which motions are rolled out, and from which initial speeds. Tuned for time and scores.
+FIRST_STEPS = (1, 2, 3, 5)  # control steps of a motion's first action
+SECOND_STEPS = (0, 1, 2, 4)  # and of its second action
+STRIDE = 2  # control steps between the points of a path that are kept
+SPEEDS = (-0.06, 0.0, 0.05, 0.1)  # units per control step
+SPINS = (-0.25, 0.0, 0.25)  # rad per control step
 
-    block_limit: float = 0.84  # units: largest coordinate of the held block's centre; tuned
-    cost: float = 45.0  # control steps per unit of missing room; tuned
-    rear: float = 0.18  # units behind the robot that should be free at the end; tuned
-    rear_wall_cost: float = 5.0  # of `cost`: of a wall there, which prevents release; tuned
-    block_wall_cost: float = 2.0  # of `cost`: of a wall at the block; tuned
-
-
-@dataclass(frozen=True, slots=True)
-class GripSettings:
-    """How fingers close around a block."""
-
-    steps: int = 2  # control steps of closing before a block is carried; measured
-    closed_opening: float = 0.33  # rad: smaller openings hold a block already; measured
-    advance: float = 0.015  # units beyond HELD_DISTANCE at which the robot still drives up; tuned
-
-
-CARRY = CarrySettings()
-ROOM = CarryRoom()
-GRIP = GripSettings()
-
+OPEN_ACTIONS = 9  # actions with open fingers; those with closed fingers follow in their order
 _ROW_STARTS = np.arange(OPEN_ACTIONS)[:, None]
 _TO_CLOSED = Action(gripper=Gripper.CLOSED).id  # added to an action's id: with closed fingers
 
 
-def grip(view: StateView, block: Point) -> int:
-    """The action that closes the fingers around a block, moving up to it."""
-    is_ahead = view.to_robot_frame(block)[1] > HELD_DISTANCE + GRIP.advance
-    drive = Longitudinal.FORWARD if is_ahead else Longitudinal.STOP
-    return Action(drive, Turn.STRAIGHT, Gripper.CLOSED).id
+class MotionTable(NamedTuple):
+    """N motions in the frame that the robot starts from, with K points of each path."""
 
-
-def is_gripped(view: StateView, held_steps: int) -> bool:
-    """Whether the fingers have closed on a block that has been between them for `held_steps`."""
-    return held_steps >= GRIP.steps or view.finger_opening <= GRIP.closed_opening
+    first: Ints  # (N,) ids of the first actions, fingers open, in ascending order
+    time: Floats  # (N,) control steps
+    robot: Floats  # (N, K, 2) path of the robot's centre; the last point is the end
+    block: Floats  # (N, K, 2) path of a held block
+    turned: Floats  # (N,) rad
+    ahead: Floats  # (N, 2) unit vector ahead at the end
+    right: Floats  # (N, 2) and to the right
 
 
 def carry(
-    view: StateView, block: Point, goal: Point, tolerance: float, others: Sequence[Point]
+    view: StateView,
+    block: Point,
+    goal: Point,
+    tolerance: float,
+    others: Sequence[Point],
+    held_steps: int = GRIP_STEPS,
 ) -> int:
-    """The action that moves a block between closed fingers towards its goal."""
-    point = next_waypoint(block, goal, others, CARRY.waypoint_clearance, view.angle)
+    """The action that closes the fingers on the block between them, and then moves it to its goal.
+
+    Args:
+        view: the present state.
+        block: the block's centre.
+        goal: where it should go.
+        tolerance: units from there that are near enough.
+        others: the other blocks' centres.
+        held_steps: control steps for which it has been between the fingers.
+    """
+    local = view.to_robot_frame(block)
+    if held_steps < GRIP_STEPS and view.finger_opening > GRIPPED_OPENING:
+        is_ahead = local[1] > HELD_DISTANCE + GRIP_ADVANCE
+        drive = Longitudinal.FORWARD if is_ahead else Longitudinal.STOP
+        return Action(drive, Turn.STRAIGHT, Gripper.CLOSED).id
+    point = next_waypoint(block, goal, others, WAYPOINT_CLEARANCE, view.angle)
     table = motion_table(view.speed, view.spin)
-    near = tolerance if point == goal else CARRY.waypoint_tolerance
-    remaining = _remaining_steps(
-        table, view.to_robot_frame(block), view.to_robot_frame(point), near
-    )
-    return _TO_CLOSED + _cheapest_action(view, table, table.time + remaining, others)
+    near = tolerance if point == goal else WAYPOINT_TOLERANCE
+    steps = table.time + _remaining_steps(table, local, view.to_robot_frame(point), near)
+    return _TO_CLOSED + _cheapest_action(view, table, steps, others)
 
 
 def _remaining_steps(table: MotionTable, block: Point, goal: Point, tolerance: float) -> Floats:
@@ -99,11 +121,11 @@ def _remaining_steps(table: MotionTable, block: Point, goal: Point, tolerance: f
     end = table.robot[:, -1] + block[0] * table.right + block[1] * table.ahead
     offset = np.array(goal) - end  # (N, 2)
     distance = np.hypot(offset[:, 0], offset[:, 1])
-    angle = np.abs(wrap_angles(np.arctan2(-offset[:, 0], offset[:, 1]) - table.turned))
-    turn = np.minimum(angle, CARRY.pull_turn + math.pi - angle) / TURN_STEP
-    missing = np.maximum(0.0, distance - CARRY.goal_tolerance * tolerance)
-    steps: Floats = CARRY.detour * missing / DRIVE_STEP
-    steps += np.minimum(turn, CARRY.turn_limit * missing) + CARRY.correction * (missing > 0)
+    angle = np.abs(wrap_angle(np.arctan2(-offset[:, 0], offset[:, 1]) - table.turned))
+    turn = np.minimum(angle, PULL_TURN + math.pi - angle) / TURN_STEP
+    missing = np.maximum(0.0, distance - GOAL_TOLERANCE * tolerance)
+    steps: Floats = REST_DETOUR * missing / DRIVE_STEP
+    steps += np.minimum(turn, TURN_LIMIT * missing) + CORRECTION_STEPS * (missing > 0)
     return steps
 
 
@@ -112,10 +134,10 @@ def _cheapest_action(
 ) -> int:
     """The first action of the cheapest motion once walls and blocks on its path are charged."""
     rows = cost.reshape(OPEN_ACTIONS, -1)  # one for each first action
-    rows[0] += CARRY.stop_cost
-    best = np.argpartition(rows, CARRY.candidates, axis=1)[:, : CARRY.candidates]
+    rows[0] += STOP_COST
+    best = np.argpartition(rows, CANDIDATES, axis=1)[:, :CANDIDATES]
     candidates = (best + _ROW_STARTS * rows.shape[1]).ravel()
-    total = cost[candidates] + ROOM.cost * _missing_room(view, table, candidates, others)
+    total = cost[candidates] + ROOM_COST * _missing_room(view, table, candidates, others)
     return int(table.first[candidates[total.argmin()]])
 
 
@@ -128,13 +150,13 @@ def _missing_room(
     robot = table.robot[motions] @ rotation + here  # (P, K, 2)
     block = table.block[motions] @ rotation + here
     # Room to back off once the block is released, as if the path went on backwards.
-    rear = table.robot[motions, -1:] - ROOM.rear * table.ahead[motions, None]  # (P, 1, 2)
+    rear = table.robot[motions, -1:] - REAR * table.ahead[motions, None]  # (P, 1, 2)
     rear = rear @ rotation + here
     robot = np.concatenate((robot, rear), axis=1)
     missing: Floats = excess(robot, ROBOT_LIMIT).max(axis=(1, 2))
-    missing += ROOM.rear_wall_cost * excess(rear, ROBOT_LIMIT).max(axis=(1, 2))
-    at_walls = excess(block, ROOM.block_limit).sum(axis=2).mean(axis=1)
-    missing += ROOM.block_wall_cost * at_walls
+    missing += REAR_WALL_FACTOR * excess(rear, ROBOT_LIMIT).max(axis=(1, 2))
+    at_walls = excess(block, BLOCK_LIMIT).sum(axis=2).mean(axis=1)
+    missing += BLOCK_WALL_FACTOR * at_walls
     if others:
         points = np.array(others)
         missing += _intrusion(robot, points, CONTACT_DISTANCE)
@@ -148,3 +170,85 @@ def _intrusion(paths: Floats, points: Floats, room: float) -> Floats:
     distance = lengths(offset)  # (P, K, M)
     missing: Floats = np.maximum(0.0, room - distance.min(axis=1)).sum(axis=1)
     return missing
+
+
+def motion_table(speed: float, spin: float) -> MotionTable:
+    """The motions from the initial speed (units / s) and turning (rad / s) nearest to the given."""
+    return _table(_nearest(SPEEDS, speed), _nearest(SPINS, spin))
+
+
+def _nearest(values: Sequence[float], per_second: float) -> int:
+    per_step = per_second / CONTROL_RATE
+    return min(range(len(values)), key=lambda i: abs(values[i] - per_step))
+
+
+@cache
+def _table(speed: int, spin: int) -> MotionTable:
+    sequences = _action_sequences()
+    longest = max(map(len, sequences)) + 1  # one step more to come to rest
+    actions = np.array([ids + [0] * (longest - len(ids)) for ids in sequences])  # (N, T)
+    time = np.array([len(ids) for ids in sequences], dtype=np.float64)
+    centres, angles = _roll_out(actions, SPEEDS[speed], SPINS[spin])
+    ahead = _ahead(angles)  # (N, K, 2)
+    right = np.stack((ahead[..., 1], -ahead[..., 0]), axis=-1)
+    end = angles[:, -1], ahead[:, -1], right[:, -1]
+    return MotionTable(actions[:, 0], time, centres, centres + HELD_DISTANCE * ahead, *end)
+
+
+def _action_sequences() -> list[list[int]]:
+    return [
+        [first] * n + [second] * m
+        for first in range(OPEN_ACTIONS)
+        for n in FIRST_STEPS
+        for second in range(OPEN_ACTIONS)
+        for m in SECOND_STEPS
+        if (first != second) == (m > 0)
+    ]
+
+
+def _roll_out(actions: Ints, speed: float, spin: float) -> tuple[Floats, Floats]:
+    """Centres (N, K, 2) and angles (N, K) on the paths of action sequences (N, T)."""
+    aims = np.array([0.0, DRIVE_STEP, -BACK_STEP])[actions % 3]
+    turn_aims = np.array([0.0, TURN_STEP, -TURN_STEP])[actions // 3 % 3]
+    spins, angle = np.full(len(actions), spin), np.zeros(len(actions))
+    centre, velocity = np.zeros((len(actions), 2)), np.zeros((len(actions), 2))
+    velocity[:, 1] = speed
+    centres, angles = [], []
+    for step in range(actions.shape[1]):
+        turn, spins = _turn(spins, turn_aims[:, step])
+        before, middle, after = (_ahead(angle + share * turn) for share in (0.0, 0.5, 1.0))
+        faster = _accelerate(velocity, aims[:, step, None] * middle)
+        centre = centre + 0.5 * (velocity + faster) + PIVOT * (before - after)
+        angle, velocity = angle + turn, faster
+        if step % STRIDE == STRIDE - 1 or step == actions.shape[1] - 1:
+            centres.append(centre)
+            angles.append(angle)
+    return np.stack(centres, axis=1), np.stack(angles, axis=1)
+
+
+def _accelerate(velocity: Floats, aim: Floats) -> Floats:
+    """The velocity (N, 2) after a step of the drive towards `aim` and of the block's friction."""
+    wanted = aim + _capped_share(aim, DRAG_CHANGE) * aim - velocity
+    driven = velocity + _capped_share(wanted, DRIVE_CHANGE) * wanted
+    return driven * (1.0 - _capped_share(driven, DRAG_CHANGE))
+
+
+def _capped_share(vector: Floats, limit: float) -> Floats:
+    """The factors (N, 1) that cap the length of vectors (N, 2)."""
+    length = np.hypot(vector[:, :1], vector[:, 1:])
+    share: Floats = np.minimum(1.0, limit / np.maximum(length, 1e-9))
+    return share
+
+
+def _ahead(angle: Floats) -> Floats:
+    return np.stack((-np.sin(angle), np.cos(angle)), axis=-1)
+
+
+def _turn(spin: Floats, aim: Floats) -> tuple[Floats, Floats]:
+    """The angle turned in a control step, and the turning after it."""
+    increased = spin + np.clip(aim - spin, -SPIN_UP, SPIN_UP)
+    reversed_ = aim * spin < 0
+    after = np.where(reversed_, 0.5 * aim, np.where(aim == 0, 0.0, increased))
+    stopping = reversed_ | (aim == 0)
+    turned = np.where(stopping, SPIN_STOP * spin, 0.375 * spin + 0.625 * increased)
+    return turned, after

@@ -3,34 +3,26 @@
 import math
 from dataclasses import dataclass, replace
 
-from magical.experts.planning import NO_PLAN, Move, Plan
+from magical.experts.planning import NO_PLAN, Move, MovePlan
 from magical.experts.state_view import StateView
 from magical.scene.actions import ACTIONS, Gripper
 
-
-@dataclass(frozen=True, slots=True)
-class StallSettings:
-    """When a move is given up."""
-
-    stalled_steps: int = 7  # control steps without motion of the robot; tuned
-    motion: float = 0.06  # units that count as motion; tuned
-    rotation: float = 0.4  # rad that do; tuned
-    no_progress_steps: int = 24  # control steps without progress; tuned
-    push_aside_steps: int = 12  # control steps of these after which blocks are pushed aside; tuned
-    progress: float = 0.05  # units less to drive that count as progress; tuned
-    move_steps: int = 80  # control steps of a move in all; tuned
-    escape_steps: int = 4  # control steps of driving away from a move that was given up; tuned
-    failures: int = 3  # moves given up last that are kept; tuned
-
-
-STALL = StallSettings()
+STALLED_STEPS = 7  # control steps without motion of the robot until it is stuck; tuned
+MOTION = 0.06  # units that count as motion; tuned
+ROTATION = 0.4  # rad that do; tuned
+NO_PROGRESS_STEPS = 24  # control steps without progress until it is stuck; tuned
+PUSH_ASIDE_STEPS = 12  # control steps of these after which blocks are pushed aside; tuned
+PROGRESS = 0.05  # units less to drive that count as progress; tuned
+MAX_MOVE_STEPS = 80  # control steps of a move in all; tuned
+ESCAPE_STEPS = 4  # control steps of driving away from a move that was given up; tuned
+KEPT_FAILURES = 3  # moves given up last that are kept; tuned
 
 
 @dataclass(frozen=True, slots=True)
 class Memory:
     """An expert's memory; every field's default is that of an expert that has just taken over."""
 
-    plan: Plan = NO_PLAN
+    plan: MovePlan = NO_PLAN
     move: Move | None = None
     side: float = 0.0  # rad: bearing at which the block is to be grasped
     move_steps: int = 0  # control steps spent on the move
@@ -45,6 +37,11 @@ class Memory:
     escape_with_block: bool = False  # whether the fingers stay closed meanwhile
     idle_steps: int = 0  # control steps until an idle expert plans again
 
+    @property
+    def pushes_aside(self) -> bool:
+        """Whether the robot now pushes blocks aside rather than backing off."""
+        return self.steps_without_progress > PUSH_ASIDE_STEPS
+
 
 def note_other_action(memory: Memory, action: int) -> Memory:
     """Record that another action than the expert's was executed: it takes over from there.
@@ -57,23 +54,38 @@ def note_other_action(memory: Memory, action: int) -> Memory:
     return Memory(plan=memory.plan, move=memory.move, held_steps=held_steps)
 
 
-def note_progress(memory: Memory, distance: float) -> Memory:
-    """Record the distance left to drive where it is less than ever during this move."""
-    if distance < memory.nearest - STALL.progress:
-        return replace(memory, nearest=distance, steps_without_progress=0)
-    return memory
+def note_held_step(memory: Memory) -> Memory:
+    """Record a control step of a move with the block between the fingers."""
+    return replace(
+        memory,
+        move_steps=memory.move_steps + 1,
+        held_steps=memory.held_steps + 1,
+        nearest=math.inf,
+        steps_without_progress=0,
+    )
+
+
+def note_driving_step(memory: Memory, distance: float) -> Memory:
+    """Record a control step of a move without a block, at a distance (units) left to drive."""
+    is_progress = distance < memory.nearest - PROGRESS
+    return replace(
+        memory,
+        move_steps=memory.move_steps + 1,
+        held_steps=0,
+        nearest=distance if is_progress else memory.nearest,
+        steps_without_progress=0 if is_progress else memory.steps_without_progress + 1,
+    )
 
 
 def note_motion(view: StateView, memory: Memory) -> Memory:
     """Record whether the robot moves; where it is stuck, give the move up and begin an escape."""
     is_stuck = (
-        memory.steps_without_progress > STALL.no_progress_steps
-        or memory.move_steps > STALL.move_steps
+        memory.steps_without_progress > NO_PROGRESS_STEPS or memory.move_steps > MAX_MOVE_STEPS
     )
     x, y, angle = memory.stall_pose
-    if view.distance_to((x, y)) > STALL.motion or abs(angle - view.angle) > STALL.rotation:
+    if view.distance_to((x, y)) > MOTION or abs(angle - view.angle) > ROTATION:
         memory = replace(memory, stall_pose=(view.x, view.y, view.angle), stalled_steps=0)
-    elif memory.stalled_steps < STALL.stalled_steps:
+    elif memory.stalled_steps < STALLED_STEPS:
         memory = replace(memory, stalled_steps=memory.stalled_steps + 1)
     else:
         is_stuck = True
@@ -90,7 +102,7 @@ def _give_up(memory: Memory) -> Memory:
         held_steps=memory.held_steps,
         stall_pose=memory.stall_pose,
         failures=memory.failures + 1,
-        failed_blocks=(*failed, *memory.failed_blocks)[: STALL.failures],
-        escape_steps=STALL.escape_steps,
+        failed_blocks=(*failed, *memory.failed_blocks)[:KEPT_FAILURES],
+        escape_steps=ESCAPE_STEPS,
         escape_with_block=memory.held_steps > 0 and not memory.escape_with_block,
     )

@@ -6,68 +6,47 @@ close to an obstacle costs more but is never forbidden, so that a path exists fr
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from heapq import heappop, heappush
+from itertools import product
 
 import numpy as np
 
-from magical.experts.array_geometry import Floats
-from magical.experts.distances import ROBOT_LIMIT
-from magical.experts.motions import DRIVE_STEP, TURN_STEP
-from magical.experts.state_view import bearing, wrap_angle
+from magical.experts.geometry import (
+    DRIVE_STEP,
+    ROBOT_LIMIT,
+    TURN_STEP,
+    Floats,
+    bearing,
+    segment_distance,
+    wrap_angle,
+)
 from magical.scene.geometry import Point
 
+SPACING = 0.1  # units between grid points: one control step of driving; tuned
+OBSTACLE_COST = 15.0  # extra cost, per unit travelled, at an obstacle's centre; swept
+TURN_COST = DRIVE_STEP / TURN_STEP  # units per radian of the first turn: the same time
+NEAR_START = 0.01  # units: an obstacle counts if the path gets nearer by this; tuned
+NEAR_GOAL = 0.95  # share of an obstacle's distance to the goal that is kept; tuned
+SLACK = 0.02  # units less clearance when waypoints are skipped; tuned
+FIRST_WAYPOINT = 2  # cells ahead on the path that are headed for at least; tuned
 
-@dataclass(frozen=True, slots=True)
-class PathSettings:
-    """The grid, and what a path is charged for."""
-
-    spacing: float = 0.1  # units between grid points: one control step of driving; tuned
-    obstacle_cost: float = 15.0  # extra cost, per unit travelled, at an obstacle's centre; swept
-    turn_cost: float = DRIVE_STEP / TURN_STEP  # units per radian of the first turn: the same time
-    near_start: float = 0.01  # units: an obstacle counts if the path gets nearer by this; tuned
-    near_goal: float = 0.95  # share of an obstacle's distance to the goal that is kept; tuned
-    slack: float = 0.02  # units less clearance when waypoints are skipped; tuned
-    first_waypoint: int = 2  # cells ahead on the path that are headed for at least; tuned
-
-
-PATH = PathSettings()
-SIDE = round(2 * ROBOT_LIMIT / PATH.spacing) + 1  # grid points per side
-
-
-def _grid() -> Floats:
-    ticks = np.linspace(-ROBOT_LIMIT, ROBOT_LIMIT, SIDE)
-    return np.stack(np.meshgrid(ticks, ticks), axis=-1).reshape(-1, 2)  # (SIDE * SIDE, 2)
-
-
-def _neighbours() -> list[list[tuple[int, float]]]:
-    """For each cell the cells around it, and their distances."""
-    steps = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j]
-    table = []
-    for cell in range(SIDE * SIDE):
-        row, column = divmod(cell, SIDE)
-        table.append(
-            [
-                ((row + i) * SIDE + column + j, PATH.spacing * math.hypot(i, j))
-                for i, j in steps
-                if 0 <= row + i < SIDE and 0 <= column + j < SIDE
-            ]
-        )
-    return table
-
-
-_GRID = _grid()
+SIDE = round(2 * ROBOT_LIMIT / SPACING) + 1  # grid points per side
+_TICKS = np.linspace(-ROBOT_LIMIT, ROBOT_LIMIT, SIDE)
+_GRID: Floats = np.stack(np.meshgrid(_TICKS, _TICKS), axis=-1).reshape(-1, 2)  # (SIDE * SIDE, 2)
 _POINTS: list[Point] = [(x, y) for x, y in _GRID.tolist()]
-_NEIGHBOURS = _neighbours()
 
 
-def segment_distance(start: Point, end: Point, point: Point) -> float:
-    """Distance from a point to the segment between `start` and `end`."""
-    dx, dy = end[0] - start[0], end[1] - start[1]
-    px, py = point[0] - start[0], point[1] - start[1]
-    square = dx * dx + dy * dy
-    along = 0.0 if square == 0.0 else max(0.0, min(1.0, (px * dx + py * dy) / square))
-    return math.hypot(px - along * dx, py - along * dy)
+def _neighbours(cell: int) -> list[tuple[int, float]]:
+    """The cells around a cell, and their distances."""
+    row, column = divmod(cell, SIDE)
+    return [
+        ((row + i) * SIDE + column + j, SPACING * math.hypot(i, j))
+        for i, j in product((-1, 0, 1), repeat=2)
+        if (i or j) and 0 <= row + i < SIDE and 0 <= column + j < SIDE
+    ]
+
+
+_NEIGHBOURS = [_neighbours(cell) for cell in range(SIDE * SIDE)]
 
 
 def is_clear(
@@ -84,7 +63,7 @@ def is_clear(
     """
     for obstacle in obstacles:
         distance = segment_distance(start, end, obstacle)
-        if distance >= clearance or distance >= math.dist(start, obstacle) - PATH.near_start:
+        if distance >= clearance or distance >= math.dist(start, obstacle) - NEAR_START:
             continue
         if distance < _kept_distance(obstacle, goal or end, clearance):
             return False
@@ -92,7 +71,7 @@ def is_clear(
 
 
 def _kept_distance(obstacle: Point, goal: Point, clearance: float) -> float:
-    return min(clearance, PATH.near_goal * math.dist(obstacle, goal))
+    return min(clearance, NEAR_GOAL * math.dist(obstacle, goal))
 
 
 def next_waypoint(
@@ -106,18 +85,16 @@ def next_waypoint(
     if is_clear(start, goal, obstacles, clearance):
         return goal
     path = _search(_cell(start), _cell(goal), _cell_costs(obstacles, goal, clearance), heading)
-    waypoint = path[min(PATH.first_waypoint, len(path) - 1)]
-    for cell in path[PATH.first_waypoint + 1 :]:
-        if not is_clear(start, _POINTS[cell], obstacles, clearance - PATH.slack, goal):
+    waypoint = path[min(FIRST_WAYPOINT, len(path) - 1)]
+    for cell in path[FIRST_WAYPOINT + 1 :]:
+        if not is_clear(start, _POINTS[cell], obstacles, clearance - SLACK, goal):
             break
         waypoint = cell
     return _POINTS[waypoint]
 
 
 def _cell(point: Point) -> int:
-    column, row = (
-        min(SIDE - 1, max(0, round((value + ROBOT_LIMIT) / PATH.spacing))) for value in point
-    )
+    column, row = (min(SIDE - 1, max(0, round((value + ROBOT_LIMIT) / SPACING))) for value in point)
     return row * SIDE + column
 
 
@@ -126,7 +103,7 @@ def _cell_costs(obstacles: Sequence[Point], goal: Point, clearance: float) -> li
     kept = [max(0.01, _kept_distance(obstacle, goal, clearance)) for obstacle in obstacles]
     offsets = _GRID[:, None] - np.array(obstacles)  # (cells, obstacles, 2)
     depth = 1.0 - np.sqrt((offsets * offsets).sum(axis=2)) / kept
-    cost: list[float] = (1.0 + PATH.obstacle_cost * np.maximum(depth, 0.0).sum(axis=1)).tolist()
+    cost: list[float] = (1.0 + OBSTACLE_COST * np.maximum(depth, 0.0).sum(axis=1)).tolist()
     return cost
 
 
@@ -148,16 +125,12 @@ def _search(start: int, goal: int, cost: list[float], heading: float) -> list[in
             total = spent[cell] + 0.5 * length * (cost[cell] + cost[other])
             if cell == start:
                 turn = bearing(_POINTS[start], _POINTS[other]) - heading
-                total += PATH.turn_cost * abs(wrap_angle(turn))
+                total += TURN_COST * abs(wrap_angle(turn))
             if total < spent.get(other, math.inf):
                 spent[other], parent[other] = total, cell
                 x, y = _POINTS[other]
                 heappush(queue, (total + math.hypot(x - gx, y - gy), other))
-    return _path_to(goal, start, parent)
-
-
-def _path_to(goal: int, start: int, parent: dict[int, int]) -> list[int]:
     path = [goal]
-    while path[-1] in parent and path[-1] != start:
+    while path[-1] != start:
         path.append(parent[path[-1]])
     return path[::-1]

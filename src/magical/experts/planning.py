@@ -1,4 +1,4 @@
-"""What experts plan with: moves and plans, a demonstrator's strategy, a task's goals."""
+"""What an expert plans with: moves, the planner of a task, a demonstrator's strategy."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,10 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from magical.experts.state_view import StateView
-from magical.scene import Region, Scene
+from magical.scene import Region
 from magical.scene.geometry import Point
 
 GRASP_SIDES = 16  # evenly spaced bearings from which a grasp is considered
+MAX_SIDE_COST = 4.0  # control steps; tuned
+MAX_BLOCK_COST = 12.0  # control steps; tuned
+PREFERRED_BLOCKS = 16  # with a preference of their own; more share them. Above every task's count
+PLACEMENTS = 64  # numbers; more than any planner reads
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,27 +28,14 @@ class Move:
 
 
 @dataclass(frozen=True, slots=True)
-class Plan:
+class MovePlan:
     """The moves still to make, in any order, and what keeps the next plan consistent with it."""
 
     moves: tuple[Move, ...] = ()
     places: tuple[Point, ...] = ()  # the task's own: a line's places, the clusters' anchors
 
 
-NO_PLAN = Plan()
-
-
-@dataclass(frozen=True, slots=True)
-class StrategySettings:
-    """How much demonstrators differ."""
-
-    max_side_cost: float = 4.0  # control steps; tuned by hand on expert scores
-    max_block_cost: float = 12.0  # control steps; tuned by hand on expert scores
-    blocks: int = 16  # with a preference of their own; more share them. Above every task's count
-    placements: int = 64  # numbers; more than any task's goals read
-
-
-STRATEGY = StrategySettings()
+NO_PLAN = MovePlan()
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,15 +44,15 @@ class Strategy:
 
     side_costs: tuple[float, ...]  # control steps, of grasping from each side
     block_costs: tuple[float, ...]  # control steps, of moving each block first
-    placements: tuple[float, ...]  # in [0, 1): which places and directions the goals prefer
+    placements: tuple[float, ...]  # in [0, 1): which places and directions are preferred
 
     @staticmethod
     def sample(rng: np.random.Generator) -> "Strategy":
         """Sample one demonstrator's preferences."""
         return Strategy(
-            tuple((STRATEGY.max_side_cost * rng.random(GRASP_SIDES)).tolist()),
-            tuple((STRATEGY.max_block_cost * rng.random(STRATEGY.blocks)).tolist()),
-            tuple(rng.random(STRATEGY.placements).tolist()),
+            tuple((MAX_SIDE_COST * rng.random(GRASP_SIDES)).tolist()),
+            tuple((MAX_BLOCK_COST * rng.random(PREFERRED_BLOCKS)).tolist()),
+            tuple(rng.random(PLACEMENTS).tolist()),
         )
 
 
@@ -69,21 +60,15 @@ def _never_solved(view: StateView) -> bool:
     return False
 
 
-def _always_solvable(scene: Scene) -> str:
-    return ""
-
-
 @dataclass(frozen=True, slots=True)
-class Goals:
+class Planner:
     """What an expert must know of a task: a function from a state to the moves still to make.
 
     Attributes:
         plan_fn: The moves still to make, from the state, the strategy and the last plan.
         solved_fn: Whether the task is solved; called often, so it should be cheap. Where it is
             true the expert releases the block that it holds. Default: never.
-        unsolvable_fn: Why no actions can solve the task in a scene, or an empty text.
     """
 
-    plan_fn: Callable[[StateView, Strategy, Plan], Plan]
+    plan_fn: Callable[[StateView, Strategy, MovePlan], MovePlan]
     solved_fn: Callable[[StateView], bool] = _never_solved
-    unsolvable_fn: Callable[[Scene], str] = _always_solvable

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from magical.envs.vector.workers import defining_modules
 from magical.errors import NoSolutionError
 from magical.experts.expert import Expert, expert_for
-from magical.experts.goals import get_goals
+from magical.experts.goals import get_planner
 from magical.experts.memory import Memory, note_other_action
-from magical.experts.perturbation import Perturbation
+from magical.experts.noise import perturbation
 from magical.physics import Simulation
 from magical.scene import NOOP, NUM_ACTIONS, Dynamics, Poses, Scene, State
 from magical.tasks import get_task
@@ -55,10 +55,10 @@ def check_solvable(task: str, scene: Scene) -> None:
     """Check that some sequence of actions solves the task in this scene.
 
     Raises:
-        NoExpertError: the task has no expert.
+        UnknownNameError: the task does not exist.
         NoSolutionError: there is none; says what the scene lacks.
     """
-    if reason := get_goals(task).unsolvable_fn(scene):
+    if reason := get_task(task).validate_fn(scene):
         raise NoSolutionError(f"{task}: {reason}")
 
 
@@ -75,13 +75,13 @@ def rollout(
     """Roll out the expert in the episode that the environment's `reset(seed=seed)` starts.
 
     Args:
-        task: The task's name.
-        variant: The variant's name, such as TestLayout.
-        seed: Of the scene, the dynamics and the random actions; None: a random one.
-        skill: From 0 to 1, as in `expert_for`.
-        perturb: From 0 to 1, the share of steps with a random action in place of the expert's.
-        random_steps: Control steps in which a random policy acts before the expert takes over.
-        strategy_seed: Of the expert's strategy; None: `seed`.
+        task: the task's name.
+        variant: the variant's name, such as TestLayout.
+        seed: of the scene, the dynamics and the random actions; None: a random one.
+        skill: from 0 to 1, as in `expert_for`.
+        perturb: from 0 to 1, the share of steps with a random action in place of the expert's.
+        random_steps: control steps in which a random policy acts before the expert takes over.
+        strategy_seed: of the expert's strategy; None: `seed`.
 
     Raises:
         InvalidConfigError: the skill or the share is not between 0 and 1.
@@ -94,7 +94,7 @@ def rollout(
     check_solvable(task, scene)
     strategy_seed = seed if strategy_seed is None else strategy_seed
     expert = EpisodeExpert(expert_for(task, seed=strategy_seed, skill=skill))
-    perturbation = Perturbation(perturb, rng.spawn(1)[0])  # the strategy has the scene's numbers
+    random_actions = perturbation(perturb, rng.spawn(1)[0])  # the strategy has the scene's numbers
     simulation = Simulation(scene, dynamics)
     chosen: list[tuple[int, int]] = []
     tables = [simulation.read().copy()]
@@ -103,7 +103,7 @@ def rollout(
             action = expert_action = int(rng.integers(NUM_ACTIONS))
         else:
             expert_action = expert.act(_state(scene, tables[-1], step, spec.horizon))
-            action = perturbation.execute(expert_action)
+            action = random_actions.execute(expert_action)
             expert.note_executed(action)
         simulation.step(action)
         chosen.append((action, expert_action))
@@ -125,4 +125,4 @@ def modules_of(task: str) -> list[str]:
         InvalidTaskError: the task is from outside the package and in no importable module.
         NoExpertError: the task has no expert.
     """
-    return sorted({*defining_modules([get_task(task)]), get_goals(task).plan_fn.__module__})
+    return sorted({*defining_modules([get_task(task)]), get_planner(task).plan_fn.__module__})

@@ -70,18 +70,3 @@ class StateView:
     def distance_to(self, point: Point) -> float:
         """Distance from the robot's centre to a point."""
         return math.hypot(point[0] - self.x, point[1] - self.y)
-
-
-def wrap_angle(angle: float) -> float:
-    """The same angle in [-pi, pi)."""
-    return (angle + math.pi) % (2 * math.pi) - math.pi
-
-
-def bearing(start: Point, end: Point) -> float:
-    """The angle of a robot at `start` that faces `end`: 0 is up, counter-clockwise positive."""
-    return math.atan2(start[0] - end[0], end[1] - start[1])
-
-
-def is_within(point: Point, limit: float) -> bool:
-    """Whether both coordinates are at most `limit` in magnitude."""
-    return abs(point[0]) <= limit and abs(point[1]) <= limit

@@ -7,72 +7,59 @@ will stop.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
-from magical.experts.distances import (
+from magical.experts.geometry import (
     CONTACT_DISTANCE,
     DRIVING_CLEARANCE,
     HELD_DISTANCE,
+    TURN_STEP,
     WORKING_DISTANCE,
+    bearing,
+    is_within,
+    wrap_angle,
 )
-from magical.experts.grasp import GRASP, gate_point, is_between_fingers, point_behind
-from magical.experts.motions import TURN_STEP
+from magical.experts.grasp import (
+    CONE,
+    GATE_DISTANCES,
+    HALF_WIDTH,
+    SWEEP_RADIUS,
+    gate_point,
+    is_between_fingers,
+    point_behind,
+)
 from magical.experts.paths import is_clear, next_waypoint
-from magical.experts.state_view import StateView, bearing, is_within, wrap_angle
+from magical.experts.state_view import StateView
 from magical.scene import NOOP
 from magical.scene.actions import Action, Gripper, Longitudinal, Turn
 from magical.scene.geometry import Point
 
+# When a heading is corrected, and when the robot drives while it turns.
+BRAKING = 27.0  # rad / s^2 at which an empty robot stops turning; measured: 26 to 28
+FAR_DISTANCE = 0.5  # units: further away, heading errors may grow to a whole step; tuned
+FAR_ERROR = 0.8 * TURN_STEP  # rad: corrected above, far away; tuned
+NEAR_ERROR = 0.55 * TURN_STEP  # rad: corrected above, close; tuned
+AIMED = 0.35  # rad: heading error up to which the robot drives on; tuned
+ARC = 1.1  # rad: the same where there is room for an arc; tuned
+ARC_DISTANCE = 0.6  # units: such room; twice the arc's radius, measured: 0.32
 
-@dataclass(frozen=True, slots=True)
-class HeadingSettings:
-    """When a heading is corrected, and when the robot drives while it turns."""
+# How a block is brought between the open fingers.
+ARRIVED = 0.16  # units from the gate that are near enough; tuned
+DIRECT = GATE_DISTANCES[0] + 0.12  # units: nearer blocks are approached without a path; tuned
+STRAIGHT_CLEARANCE = DRIVING_CLEARANCE - 0.04  # units to others on the straight approach; tuned
+CROWDED_CONE = 0.25  # rad off its side within which it then starts; tuned
+FINGER_END = 0.46  # units ahead up to which a block beside a finger is hit; tuned
 
-    braking: float = 27.0  # rad / s^2 at which an empty robot stops turning; measured: 26 to 28
-    far: float = 0.5  # units: further away, heading errors may grow to a whole step; tuned
-    far_error: float = 0.8 * TURN_STEP  # rad: corrected above, far away; tuned
-    near_error: float = 0.55 * TURN_STEP  # rad: corrected above, close; tuned
-    aimed: float = 0.35  # rad: heading error up to which the robot drives on; tuned
-    arc: float = 1.1  # rad: the same where there is room for an arc; tuned
-    arc_distance: float = 0.6  # units: such room; twice the arc's radius, measured: 0.32
+# Where turning and closing fingers touch blocks.
+SWEEP_START = 0.1  # units ahead of the robot's centre where it begins; tuned
+SWEEP_MARGIN = 0.5  # rad on both sides of a turn that the fingers sweep too; tuned
+ARC_SWEEP = 1.3  # of `SWEEP_RADIUS`: nearer blocks forbid an arc; tuned
+CLOSING_LENGTH = 0.5  # units ahead up to which closing fingers touch a block; tuned
+CLOSING_HALF_WIDTH = 0.25  # units to the side up to which they do; tuned
 
-
-@dataclass(frozen=True, slots=True)
-class ApproachSettings:
-    """How a block is brought between the open fingers."""
-
-    arrived: float = 0.16  # units from the gate that are near enough; tuned
-    direct: float = GRASP.gate + 0.12  # units: nearer blocks are approached without a path; tuned
-    clearance: float = DRIVING_CLEARANCE - 0.04  # units to others on the straight approach; tuned
-    crowded_cone: float = 0.25  # rad off its side within which it then starts; tuned
-    finger_end: float = 0.46  # units ahead up to which a block beside a finger is hit; tuned
-
-
-@dataclass(frozen=True, slots=True)
-class SweepSettings:
-    """Where turning and closing fingers touch blocks."""
-
-    start: float = 0.1  # units ahead of the robot's centre where it begins; tuned
-    margin: float = 0.5  # rad on both sides of a turn that the fingers sweep too; tuned
-    arc_radius: float = 1.3  # of `GRASP.sweep`: nearer blocks forbid an arc; tuned
-    closing_length: float = 0.5  # units ahead up to which closing fingers touch a block; tuned
-    closing_half_width: float = 0.25  # units to the side up to which they do; tuned
-
-
-@dataclass(frozen=True, slots=True)
-class BackingSettings:
-    """Room behind the robot, and how it leaves a block."""
-
-    rear: float = 0.1  # units behind the robot's centre where free space is sought; tuned
-    limit: float = 0.82  # units: largest coordinate of that point; tuned
-    block_distance: float = CONTACT_DISTANCE  # units from that point to blocks; geometry
-    off_axis: float = 0.06  # units: a block this far off the axis is turned away from; tuned
-
-
-HEADING = HeadingSettings()
-APPROACH = ApproachSettings()
-SWEEP = SweepSettings()
-BACKING = BackingSettings()
+# Room behind the robot, and how it leaves a block.
+REAR = 0.1  # units behind the robot's centre where free space is sought; tuned
+REAR_LIMIT = 0.82  # units: largest coordinate of that point; tuned
+OFF_AXIS = 0.06  # units: a block this far off the axis is turned away from; tuned
 
 _ESCAPES = (
     (Longitudinal.BACK, Turn.STRAIGHT),
@@ -92,16 +79,16 @@ def travel(
     """
     clearance = CONTACT_DISTANCE if push_aside else DRIVING_CLEARANCE
     point = next_waypoint(view.position, goal, obstacles, clearance, view.angle)
-    error = heading_error(view, bearing(view.position, point))
+    error = _heading_error(view, bearing(view.position, point))
     if push_aside:
         return _drive(view, point, error)
     held = _block_between_fingers(view, obstacles)
     if held is not None:
         return _leave(view, held)
-    sweeps = _sweeps(view, error, obstacles, GRASP.sweep)
-    if abs(error) > HEADING.aimed and sweeps and can_back(view, obstacles):
+    sweeps = _sweeps(view, error, obstacles, SWEEP_RADIUS)
+    if abs(error) > AIMED and sweeps and _can_back(view, obstacles):
         return _open(Longitudinal.BACK, Turn.STRAIGHT)
-    is_arc_free = not _sweeps(view, error, obstacles, SWEEP.arc_radius * GRASP.sweep)
+    is_arc_free = not _sweeps(view, error, obstacles, ARC_SWEEP * SWEEP_RADIUS)
     return _drive(view, point, error, is_arc_free)
 
 
@@ -110,7 +97,7 @@ def approach(
 ) -> int:
     """The action that brings the block between the open fingers at bearing `side`."""
     gate = gate_point(block, side)
-    arrived = 2 * APPROACH.arrived if push_aside else APPROACH.arrived
+    arrived = 2 * ARRIVED if push_aside else ARRIVED
     if view.distance_to(gate) > arrived and not _is_direct(view, block, side, others):
         return travel(view, gate, (*others, block), push_aside)
     return _close_in(view, block, others, push_aside)
@@ -120,85 +107,85 @@ def _is_direct(view: StateView, block: Point, side: float, others: Sequence[Poin
     """Whether the robot can drive straight at the block without passing its gate."""
     straight = bearing(view.position, block)
     crowded = any(math.dist(block, other) < WORKING_DISTANCE for other in others)
-    if abs(wrap_angle(straight - side)) > (APPROACH.crowded_cone if crowded else GRASP.cone):
+    if abs(wrap_angle(straight - side)) > (CROWDED_CONE if crowded else CONE):
         return False
-    if view.distance_to(block) < APPROACH.direct:
+    if view.distance_to(block) < DIRECT:
         return True
     stand = point_behind(block, straight, HELD_DISTANCE)
-    return is_clear(view.position, stand, others, APPROACH.clearance)
+    return is_clear(view.position, stand, others, STRAIGHT_CLEARANCE)
 
 
 def _close_in(view: StateView, block: Point, others: Sequence[Point], push_aside: bool) -> int:
     """Drive straight at the block; back off first where a turn would push something."""
     away = view.distance_to(block)
-    error = heading_error(view, bearing(view.position, block))
-    is_misaimed = abs(error) > HEADING.aimed
+    error = _heading_error(view, bearing(view.position, block))
+    is_misaimed = abs(error) > AIMED
     held = _block_between_fingers(view, others)
     if held is not None and (is_misaimed or view.distance_to(held) < away - 0.1):
         return _leave(view, held)
     x, y = view.to_robot_frame(block)
-    is_beside_finger = abs(x) > GRASP.half_width and 0.0 < y < APPROACH.finger_end
-    if (is_misaimed or is_beside_finger) and can_back(view, others):
-        if away < GRASP.sweep:
+    is_beside_finger = abs(x) > HALF_WIDTH and 0.0 < y < FINGER_END
+    if (is_misaimed or is_beside_finger) and _can_back(view, others):
+        if away < SWEEP_RADIUS:
             retreat = Longitudinal.BACK if y > 0.0 else Longitudinal.FORWARD
-            return _open(retreat, turn_towards(error, HEADING.far_error))
-        if not push_aside and _sweeps(view, error, others, GRASP.sweep):
+            return _open(retreat, _turn_towards(error, FAR_ERROR))
+        if not push_aside and _sweeps(view, error, others, SWEEP_RADIUS):
             return _open(Longitudinal.BACK, Turn.STRAIGHT)
     return _drive(view, block, error)
 
 
 def remaining_distance(view: StateView, block: Point, side: float) -> float:
     """About how far the robot has to drive until it can grasp a block at bearing `side`."""
-    if abs(wrap_angle(bearing(view.position, block) - side)) < GRASP.cone:
+    if abs(wrap_angle(bearing(view.position, block) - side)) < CONE:
         return view.distance_to(block)
-    return view.distance_to(gate_point(block, side)) + GRASP.gate
+    return view.distance_to(gate_point(block, side)) + GATE_DISTANCES[0]
 
 
 def back_off(view: StateView, blocks: Sequence[Point]) -> int | None:
     """Drive back, fingers open, until they can close without touching a block; then None."""
-    touched = (block for block in blocks if _is_in_closing_range(view.to_robot_frame(block)))
-    block = next(touched, None)
-    if block is None:
-        return None
-    return _leave(view, block) if can_back(view, blocks) else NOOP
+    for block in blocks:
+        x, y = view.to_robot_frame(block)
+        if abs(x) < CLOSING_HALF_WIDTH and 0.0 < y < CLOSING_LENGTH:
+            return _leave(view, block) if _can_back(view, blocks) else NOOP
+    return None
 
 
 def escape(attempt: int, with_block: bool) -> int:
     """The action that drives away where the robot is stuck: backwards, then in other ways.
 
     Args:
-        attempt: Times that the robot has been stuck, from 1; each tries another way.
-        with_block: Whether to pull the held block along instead of releasing it.
+        attempt: times that the robot has been stuck, from 1; each tries another way.
+        with_block: whether to pull the held block along instead of releasing it.
     """
     if with_block:
         return Action(Longitudinal.BACK, Turn.STRAIGHT, Gripper.CLOSED).id
     return _open(*_ESCAPES[(attempt - 1) % len(_ESCAPES)])
 
 
-def heading_error(view: StateView, heading: float) -> float:
+def _heading_error(view: StateView, heading: float) -> float:
     """Radians left to turn, counter-clockwise, once the present turn has come to rest."""
-    stopping = view.spin * abs(view.spin) / (2 * HEADING.braking)
+    stopping = view.spin * abs(view.spin) / (2 * BRAKING)
     return wrap_angle(heading - view.angle - stopping)
 
 
-def turn_towards(error: float, threshold: float) -> Turn:
+def _turn_towards(error: float, threshold: float) -> Turn:
     """The turn that reduces a heading error larger than a threshold."""
     if error > threshold:
         return Turn.LEFT
     return Turn.RIGHT if error < -threshold else Turn.STRAIGHT
 
 
-def can_back(view: StateView, obstacles: Sequence[Point]) -> bool:
+def _can_back(view: StateView, obstacles: Sequence[Point]) -> bool:
     """Whether there is room behind the robot."""
-    rear = view.point_ahead(-BACKING.rear)
+    rear = view.point_ahead(-REAR)
     return _has_wall_free_rear(view) and all(
-        math.dist(rear, other) > BACKING.block_distance or view.to_robot_frame(other)[1] > 0
+        math.dist(rear, other) > CONTACT_DISTANCE or view.to_robot_frame(other)[1] > 0
         for other in obstacles
     )
 
 
 def _has_wall_free_rear(view: StateView) -> bool:
-    return is_within(view.point_ahead(-BACKING.rear), BACKING.limit)
+    return is_within(view.point_ahead(-REAR), REAR_LIMIT)
 
 
 def _open(drive: Longitudinal, turn: Turn) -> int:
@@ -208,15 +195,15 @@ def _open(drive: Longitudinal, turn: Turn) -> int:
 def _drive(view: StateView, point: Point, error: float, is_arc_free: bool = True) -> int:
     """Head for a point; on an arc where one is free and there is room for it."""
     distance = view.distance_to(point)
-    turn = turn_towards(error, HEADING.far_error if distance > HEADING.far else HEADING.near_error)
-    widest = HEADING.arc if is_arc_free and distance > HEADING.arc_distance else HEADING.aimed
+    turn = _turn_towards(error, FAR_ERROR if distance > FAR_DISTANCE else NEAR_ERROR)
+    widest = ARC if is_arc_free and distance > ARC_DISTANCE else AIMED
     return _open(Longitudinal.FORWARD if abs(error) < widest else Longitudinal.STOP, turn)
 
 
 def _leave(view: StateView, block: Point) -> int:
     """Back off a block, turning the finger that touches it outwards."""
     aside = view.to_robot_frame(block)[0]
-    return _open(Longitudinal.BACK, turn_towards(-aside, BACKING.off_axis))
+    return _open(Longitudinal.BACK, _turn_towards(-aside, OFF_AXIS))
 
 
 def _block_between_fingers(view: StateView, others: Sequence[Point]) -> Point | None:
@@ -226,15 +213,11 @@ def _block_between_fingers(view: StateView, others: Sequence[Point]) -> Point | 
     return next((other for other in others if is_between_fingers(view, other)), None)
 
 
-def _is_in_closing_range(local: Point) -> bool:
-    return abs(local[0]) < SWEEP.closing_half_width and 0.0 < local[1] < SWEEP.closing_length
-
-
 def _sweeps(view: StateView, error: float, obstacles: Sequence[Point], radius: float) -> bool:
     """Whether turning by `error` would push a block in front that is nearer than `radius`."""
-    low, high = min(0.0, error) - SWEEP.margin, max(0.0, error) + SWEEP.margin
+    low, high = min(0.0, error) - SWEEP_MARGIN, max(0.0, error) + SWEEP_MARGIN
     for obstacle in obstacles:
         x, y = view.to_robot_frame(obstacle)
-        if y > SWEEP.start and math.hypot(x, y) < radius and low < math.atan2(-x, y) < high:
+        if y > SWEEP_START and math.hypot(x, y) < radius and low < math.atan2(-x, y) < high:
             return True
     return False

@@ -72,18 +72,18 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
 def score(scene: Scene, poses: Poses) -> float:
     """Query satisfied times one less the distractor penalty, 0 to 1 (appendix A.2.5)."""
     query = len(scene.blocks) - 1
-    alike, inside = _alike(scene), blocks_inside(scene.regions[0], scene, poses)
-    satisfied = query in inside and len(alike & inside) > 1
-    return len(inside & alike) / len(inside) if satisfied else 0.0
+    kind, inside = alike(scene), blocks_inside(scene.regions[0], scene, poses)
+    satisfied = query in inside and len(kind & inside) > 1
+    return len(inside & kind) / len(inside) if satisfied else 0.0
 
 
 def published_score(scene: Scene, poses: Poses) -> float:
     """As `score`, with any two blocks like the query inside (docs/specification.md, section 9)."""
-    alike, inside = _alike(scene), blocks_inside(scene.regions[0], scene, poses)
-    return len(inside & alike) / len(inside) if len(alike & inside) > 1 else 0.0
+    kind, inside = alike(scene), blocks_inside(scene.regions[0], scene, poses)
+    return len(inside & kind) / len(inside) if len(kind & inside) > 1 else 0.0
 
 
-def _alike(scene: Scene) -> set[int]:
+def alike(scene: Scene) -> set[int]:
     """The query and all blocks of its shape and colour; the rest are the distractors."""
     query = scene.blocks[-1]
     wanted = query.shape, query.colour
@@ -94,7 +94,7 @@ def validate(scene: Scene) -> str:
     """The reason why the scene does not fit the task, or an empty string."""
     if len(scene.regions) != 1 or not scene.blocks:
         return "expected 1 goal region and the query as the last block, found fewer; add them"
-    found = len(_alike(scene)) > 1
+    found = len(alike(scene)) > 1
     return (
         "" if found else "expected a duplicate of the last block (the query), found none; add one"
     )

@@ -1,65 +1,66 @@
-"""What each task asks for, as moves of blocks and robot: one file per task.
+"""What each task asks for, as moves of blocks and robot: one file per task, found by its name.
 
 A task of this package in `magical/tasks/<file>.py` has its goals in `<file>.py` here, a module
-that ends with `GOALS = Goals(...)`; nothing else names it. Files of other names are helpers.
-Tasks from outside the package call `register_goals`.
+that ends with `PLANNER = Planner(...)`. Other distributions offer theirs by entry points of the
+group `magical.experts`, named like the task, or call `register_planner`.
 """
 
 import importlib
-import pkgutil
-from functools import cache
+import re
+from importlib.util import find_spec
 
-import magical.tasks
-from magical.errors import NoExpertError
-from magical.experts.planning import Goals
+from magical.errors import NoExpertError, PluginError
+from magical.experts.planning import Planner
+from magical.plugins import is_plugin, load_plugin, plugins
+from magical.tasks import TASKS
 
-__all__ = ["get_goals", "register_goals"]
+__all__ = ["get_planner", "has_expert", "register_planner"]
 
-_registered: dict[str, Goals] = {}
+GROUP = "magical.experts"
 
-
-def register_goals(task: str, goals: Goals) -> None:
-    """Give a task an expert.
-
-    Args:
-        task: The task's name. Goals that it already has are replaced.
-        goals: The moves that it asks for.
-    """
-    _registered[task] = goals
+_registered: dict[str, Planner] = {}
 
 
-def get_goals(task: str) -> Goals:
-    """The goals of a task, registered or of this package.
+def register_planner(task: str, planner: Planner) -> None:
+    """Give a task an expert; one that it already has is replaced."""
+    _registered[task] = planner
+
+
+def get_planner(task: str) -> Planner:
+    """What plans the moves of a task's expert.
 
     Raises:
-        NoExpertError: there are none; says how to add them.
+        NoExpertError: the task has no expert; says how to add one.
+        PluginError: the expert of another distribution cannot be imported.
     """
-    known = {**_packaged_goals(), **_registered}
-    if task in known:
-        return known[task]
-    file = _task_files().get(task)
-    remedy = f"add magical/experts/goals/{file}.py, or call" if file else "call"
-    raise NoExpertError(
-        f"{task!r} has no scripted expert; expected one of: {', '.join(sorted(known))}; "
-        f"{remedy} magical.experts.register_goals({task!r}, Goals(...))"
-    )
+    if task in _registered:
+        return _registered[task]
+    if _is_ours(task):
+        planner = importlib.import_module(f"{__name__}.{_file(task)}").PLANNER
+    elif is_plugin(GROUP, task):
+        planner = load_plugin(GROUP, task)
+    else:
+        known = ", ".join(name for name in TASKS if has_expert(name))
+        raise NoExpertError(
+            f"{task!r} has no scripted expert; expected one of: {known}; add "
+            f"magical/experts/goals/{_file(task)}.py, an entry point {task} of the group {GROUP}, "
+            f"or call magical.experts.register_planner({task!r}, Planner(...))"
+        )
+    if not isinstance(planner, Planner):
+        raise PluginError(f"{GROUP}: {task!r}: expected Planner, found {type(planner).__name__}")
+    register_planner(task, planner)
+    return planner
 
 
-@cache
-def _packaged_goals() -> dict[str, Goals]:
-    """The `GOALS` of the modules here, by the tasks whose files have the same names."""
-    files = {module.name for module in pkgutil.iter_modules(__path__)}
-    return {
-        task: importlib.import_module(f"{__name__}.{file}").GOALS
-        for task, file in _task_files().items()
-        if file in files
-    }
+def has_expert(task: str) -> bool:
+    """Whether a task has a scripted expert; it is not imported."""
+    return task in _registered or _is_ours(task) or task in plugins(GROUP)
 
 
-@cache
-def _task_files() -> dict[str, str]:
-    """The module name of every task of the package `magical.tasks`."""
-    package = magical.tasks
-    names = [module.name for module in pkgutil.iter_modules(package.__path__)]
-    modules = {name: importlib.import_module(f"{package.__name__}.{name}") for name in names}
-    return {module.TASK.name: name for name, module in modules.items() if hasattr(module, "TASK")}
+def _is_ours(task: str) -> bool:
+    return task.isalnum() and find_spec(f"{__name__}.{_file(task)}") is not None
+
+
+def _file(task: str) -> str:
+    """The name of a task's file: `move_to_corner` for MoveToCorner."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", task).lower()

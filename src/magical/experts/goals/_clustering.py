@@ -12,68 +12,105 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from magical.experts.array_geometry import Bools, Floats, lengths, project_on_segments
-from magical.experts.distances import BLOCK_SPACING, DRIVING_CLEARANCE, WORKING_DISTANCE
-from magical.experts.goals._cluster_layout import ClusterLayout, GraspAccess
-from magical.experts.goals._move_costs import MOVE, place_costs
-from magical.experts.planning import Goals, Move, Plan, Strategy
+from magical.experts.geometry import (
+    BLOCK_SPACING,
+    DRIVING_CLEARANCE,
+    WORKING_DISTANCE,
+    Bools,
+    Floats,
+    Ints,
+    lengths,
+    project_on_segments,
+)
+from magical.experts.goals._moves import DISTANCE_COST, MOVE_COST, place_costs
+from magical.experts.grasp import Grasps, make_mutual_grasps
+from magical.experts.planning import Move, MovePlan, Planner, Strategy
 from magical.experts.state_view import StateView
 from magical.scene import Block
 
+# When blocks count as clustered, and which anchors are considered.
+PLANNED_RATIO = 0.22  # of squared centroid distances that a plan aims at; tuned
+RATIO_RANGE = 0.1  # above it, over which a block counts less and less; tuned
+SOLVED_RATIO = 0.30  # good enough to stop; below 1 / 3 scores
+LASTING_RATIO = 0.32  # good enough not to start again; below 1 / 3 scores
+STAY = (0.18, 0.3, 0.5, 0.75)  # units from the anchor to blocks that stay
+REST = 0.2  # units from the anchor at which a moved block comes to rest, about; tuned
+GRID = (-0.7, -0.35, 0.0, 0.35, 0.7)  # units: coordinates of free anchors
+ANCHOR_LIMIT = 0.78  # units: largest coordinate of an anchor; tuned
+CHOICES = 150  # of anchors for all clusters, sampled and priced at once; for time
+RING_PLACES = 12  # around an anchor that is taken, beside it; for time
+TOLERANCE = 0.09  # units of a move; tuned
+SEPARATION = 0.5  # units between blocks of different groups; swept
 
-@dataclass(frozen=True, slots=True)
-class ClusterSettings:
-    """When blocks count as clustered, and which anchors are considered."""
+# What a plan is charged for besides its moves, in control steps.
+MISPLACED_COST = 120.0  # per block that would not count; tuned
+USELESS_COST = 1000.0  # for a plan after which no more blocks count than before; tuned
+CROWDING_COST = 250.0  # per unit of missing separation; swept
+LEAVING_SHARE = 0.3  # of it, for a block that is to leave the place; swept
+BLOCKED_COST = 250.0  # per unit of missing room beside a block's way; swept
+MAX_CROWDING = 200.0  # of crowding and blocked ways per block, at most; tuned
+ACCESS_FACTOR = 8.0  # times the grasp's cost: enclosed blocks are hardly ever grasped; tuned
+MAX_ACCESS = 160.0  # of access per block, at most; tuned
+PREFERENCE = 6.0  # between the most and the least preferred place; tuned
+SWITCH_COST = 25.0  # that a new anchor must be better by; tuned
 
-    planned_ratio: float = 0.22  # of squared centroid distances that a plan aims at; tuned
-    ratio_range: float = 0.1  # above it, over which a block counts less and less; tuned
-    solved_ratio: float = 0.30  # good enough to stop; below 1 / 3 scores
-    lasting_ratio: float = 0.32  # good enough not to start again; below 1 / 3 scores
-    stay: tuple[float, ...] = (0.18, 0.3, 0.5, 0.75)  # units from the anchor to blocks that stay
-    rest: float = 0.2  # units from the anchor at which a moved block comes to rest, about; tuned
-    grid: tuple[float, ...] = (-0.7, -0.35, 0.0, 0.35, 0.7)  # units: coordinates of free anchors
-    anchor_limit: float = 0.78  # units: largest coordinate of an anchor; tuned
-    choices: int = 150  # of anchors for all clusters, sampled and priced at once; for time
-    ring_places: int = 12  # around an anchor that is taken, beside it; for time
-    tolerance: float = 0.09  # units of a move; tuned
-    separation: float = 0.5  # units between blocks of different groups; swept
-
-
-@dataclass(frozen=True, slots=True)
-class PlanCosts:
-    """What a plan is charged for besides `MoveCosts`, in control steps."""
-
-    misplaced: float = 120.0  # per block that would not count; tuned
-    useless: float = 1000.0  # for a plan after which no more blocks count than before; tuned
-    crowding: float = 250.0  # per unit of missing separation; swept
-    leaving: float = 0.3  # share of it for a block that is to leave the place; swept
-    blocked: float = 250.0  # per unit of missing room beside a block's way; swept
-    max_crowding: float = 200.0  # of crowding and blocked ways per block, at most; tuned
-    access: float = 8.0  # times the grasp's cost: enclosed blocks are hardly ever grasped; tuned
-    max_access: float = 160.0  # of access per block, at most; tuned
-    preference: float = 6.0  # between the most and the least preferred place; tuned
-    switch: float = 25.0  # that a new anchor must be better by; tuned
-
-
-CLUSTER = ClusterSettings()
-COST = PlanCosts()
-
-_GRID = np.array([(x, y) for x in CLUSTER.grid for y in CLUSTER.grid])  # (anchors, 2)
-_ANGLES = 2 * math.pi * np.arange(CLUSTER.ring_places) / CLUSTER.ring_places
+_GRID = np.array([(x, y) for x in GRID for y in GRID])  # (anchors, 2)
+_ANGLES = 2 * math.pi * np.arange(RING_PLACES) / RING_PLACES
 _RING = BLOCK_SPACING * np.stack((np.cos(_ANGLES), np.sin(_ANGLES)), axis=-1)  # (ring places, 2)
 
 
-def cluster_goals(attribute: Callable[[Block], str]) -> Goals:
-    """The goals of a task that clusters blocks by an attribute."""
+@dataclass(frozen=True, slots=True)
+class ClusterLayout:
+    """Where n blocks come to rest, and their groups: the values of the clustered attribute."""
 
-    def plan(view: StateView, strategy: Strategy, last: Plan) -> Plan:
+    positions: Floats  # (n, 2)
+    group: Ints  # (n,) index of the block's group
+    members: Floats  # (n, groups) 1 where the block is in the group
+
+    @staticmethod
+    def from_view(view: StateView, attribute: Callable[[Block], str]) -> "ClusterLayout":
+        """The present blocks, grouped by an attribute."""
+        values = [attribute(block) for block in view.scene.blocks]
+        _, group = np.unique(values, return_inverse=True)
+        positions = np.array(view.resting_blocks)
+        return ClusterLayout(positions, group, np.eye(group.max() + 1)[group])
+
+    @property
+    def groups(self) -> int:
+        """The number of groups."""
+        return len(self.members[0])
+
+    @property
+    def different(self) -> Bools:
+        """Which pairs of blocks (n, n) are of different groups."""
+        unequal: Bools = self.group[:, None] != self.group
+        return unequal
+
+    def distance_ratios(self, positions: Floats) -> Floats:
+        """Own over nearest other squared distance to a centroid, (..., n), at (..., n, 2).
+
+        A block counts as correctly clustered below 1 / 3 (appendix A.2.7).
+        """
+        centroids = self.members.T @ positions / self.members.sum(axis=0)[:, None]
+        offsets = positions[..., :, None, :] - centroids[..., None, :, :]  # (..., n, groups, 2)
+        squared = np.square(offsets).sum(axis=-1)
+        own = (squared * self.members).sum(axis=-1)
+        other = np.where(self.members > 0, np.inf, squared).min(axis=-1)
+        ratios: Floats = own / np.maximum(other, 1e-6)
+        return ratios
+
+
+def cluster_planner(attribute: Callable[[Block], str]) -> Planner:
+    """The planner of a task that clusters blocks by an attribute."""
+
+    def plan(view: StateView, strategy: Strategy, last: MovePlan) -> MovePlan:
         return plan_clusters(ClusterLayout.from_view(view, attribute), strategy, last)
 
     def is_solved(view: StateView) -> bool:
         layout = ClusterLayout.from_view(view, attribute)
-        return is_clustered(layout, CLUSTER.solved_ratio)
+        return is_clustered(layout, SOLVED_RATIO)
 
-    return Goals(plan, is_solved)
+    return Planner(plan, is_solved)
 
 
 def is_clustered(layout: ClusterLayout, limit: float) -> bool:
@@ -82,16 +119,16 @@ def is_clustered(layout: ClusterLayout, limit: float) -> bool:
     return layout.groups < 2 or bool(ratios.max() < limit)
 
 
-def plan_clusters(layout: ClusterLayout, strategy: Strategy, last: Plan) -> Plan:
+def plan_clusters(layout: ClusterLayout, strategy: Strategy, last: MovePlan) -> MovePlan:
     """The moves that bring every block to its cluster, and the clusters' anchors."""
-    limit = CLUSTER.solved_ratio if last.moves else CLUSTER.lasting_ratio
+    limit = SOLVED_RATIO if last.moves else LASTING_RATIO
     if is_clustered(layout, limit):
-        return Plan()
-    pricing = _Pricing(layout, GraspAccess.of(layout))
+        return MovePlan()
+    pricing = Pricing.of(layout)
     anchors, moved = _best(pricing, strategy, last)
-    waits = np.minimum(COST.access * pricing.access.present, COST.max_access).tolist()
+    waits = np.minimum(ACCESS_FACTOR * pricing.grasp_costs, MAX_ACCESS).tolist()
     moves = [_move(layout, anchors, i, waits[i]) for i in np.flatnonzero(moved).tolist()]
-    return Plan(tuple(moves), tuple((x, y) for x, y in anchors.tolist()))
+    return MovePlan(tuple(moves), tuple((x, y) for x, y in anchors.tolist()))
 
 
 def _move(layout: ClusterLayout, anchors: Floats, block: int, wait: float) -> Move:
@@ -100,19 +137,19 @@ def _move(layout: ClusterLayout, anchors: Floats, block: int, wait: float) -> Mo
     places = np.concatenate((anchor[None], anchor + _RING))  # (1 + ring places, 2)
     x, y = layout.positions[block]
     cost = place_costs(places, (x, y), others)
-    cost[1:] += MOVE.distance * BLOCK_SPACING
+    cost[1:] += DISTANCE_COST * BLOCK_SPACING
     x, y = places[cost.argmin()].tolist()
-    return Move((x, y), CLUSTER.tolerance, block, wait)
+    return Move((x, y), TOLERANCE, block, wait)
 
 
-def _best(pricing: "_Pricing", strategy: Strategy, last: Plan) -> tuple[Floats, Bools]:
+def _best(pricing: "Pricing", strategy: Strategy, last: MovePlan) -> tuple[Floats, Bools]:
     """Anchors (groups, 2), and which blocks move there (n,).
 
     Choices of all anchors are sampled first; then each cluster's anchor is improved in turn.
     """
     options, preferences = _anchor_options(pricing.layout, strategy, last)
     rng = np.random.default_rng(int(strategy.placements[-1] * 2**31))
-    picks = np.stack([rng.integers(len(own), size=CLUSTER.choices) for own in options], axis=1)
+    picks = np.stack([rng.integers(len(own), size=CHOICES) for own in options], axis=1)
     best, moved = picks[0], np.zeros(len(pricing.layout.positions), dtype=np.bool_)
     for group in (None, *range(len(options)), *range(len(options))):
         if group is not None:  # all anchors of one cluster, the others' kept
@@ -129,23 +166,23 @@ def _best(pricing: "_Pricing", strategy: Strategy, last: Plan) -> tuple[Floats, 
 
 
 def _anchor_options(
-    layout: ClusterLayout, strategy: Strategy, last: Plan
+    layout: ClusterLayout, strategy: Strategy, last: MovePlan
 ) -> tuple[list[Floats], list[Floats]]:
     """Each group's possible anchors (M, 2), and the control steps (M,) of preferring others.
 
     They are the group's blocks, their centroid, the last plan's anchor, and free grid points.
     """
     distances = lengths(_GRID[:, None] - layout.positions)  # (grid points, n)
-    free = _GRID[distances.min(axis=1) > CLUSTER.separation]
+    free = _GRID[distances.min(axis=1) > SEPARATION]
     options, preferences = [], []
     for group in range(layout.groups):
         own = layout.positions[layout.group == group]
         kept = [last.places[group]] if len(last.places) == layout.groups else []
         anchors = np.concatenate((own, [own.mean(axis=0)], np.reshape(kept, (-1, 2)), free))
-        anchors = anchors.clip(-CLUSTER.anchor_limit, CLUSTER.anchor_limit)
-        cost = COST.preference * _preferences(strategy, group, anchors)
+        anchors = anchors.clip(-ANCHOR_LIMIT, ANCHOR_LIMIT)
+        cost = PREFERENCE * _preferences(strategy, group, anchors)
         if kept:
-            cost[len(own) + 1] -= COST.switch
+            cost[len(own) + 1] -= SWITCH_COST
         options.append(anchors)
         preferences.append(cost)
     return options, preferences
@@ -163,16 +200,27 @@ def _preferences(strategy: Strategy, group: int, anchors: Floats) -> Floats:
 
 
 @dataclass(frozen=True, slots=True)
-class _Pricing:
+class Pricing:
     """Prices plans for one layout: C choices of anchors (C, groups, 2) and moves (C, n)."""
 
     layout: ClusterLayout
-    access: GraspAccess
+    grasps: Grasps  # from all sides
+    grasp_costs: Floats  # (n,) control steps that grasping each block costs among all others
+    rank: Ints  # (n,) each block's place in the order of that cost
+
+    @staticmethod
+    def of(layout: ClusterLayout) -> "Pricing":
+        """Price the grasps of a layout's blocks as they are."""
+        grasps = make_mutual_grasps(layout.positions)
+        costs = (grasps.wall_costs + grasps.block_costs.sum(axis=-1)).min(axis=1)
+        # Two blocks that hinder each other cost the same but for rounding, which must not decide.
+        rank = costs.round(6).argsort(kind="stable").argsort()
+        return Pricing(layout, grasps, costs, rank)
 
     def cheapest_moves(self, anchors: Floats) -> tuple[Floats, Bools]:
         """The cost (C,) of each choice of anchors, and the moves (C, n) that give it."""
         away = self._distances_to_anchors(anchors)
-        moved = away > np.array(CLUSTER.stay)[:, None, None]  # (stays, C, n)
+        moved = away > np.array(STAY)[:, None, None]  # (stays, C, n)
         cost = np.stack([self._cost(anchors, moves, away) for moves in moved])
         least, rows = cost.argmin(axis=0), np.arange(len(anchors))
         return cost[least, rows], moved[least, rows]
@@ -198,45 +246,51 @@ class _Pricing:
         """About how many control steps (C,) plans take, and what blocks out of place cost."""
         before, after = self.layout.positions, self._positions_after(anchors, moved)
         near = lengths(after[..., :, None, :] - before)  # (C, n, n) from new to old positions
-        time = MOVE.move + MOVE.distance * away + self._access_cost(moved, near)
-        crowding = np.minimum(self._crowding(after, near), COST.max_crowding)
+        time = MOVE_COST + DISTANCE_COST * away + self._access_cost(moved, near)
+        crowding = np.minimum(self._crowding(after, near), MAX_CROWDING)
         misplaced = self._misplaced(after)
-        cost: Floats = (moved * (time + crowding)).sum(axis=-1) + COST.misplaced * misplaced
-        return cost + COST.useless * (misplaced >= self._misplaced(before))
+        cost: Floats = (moved * (time + crowding)).sum(axis=-1) + MISPLACED_COST * misplaced
+        return cost + USELESS_COST * (misplaced >= self._misplaced(before))
 
     def _positions_after(self, anchors: Floats, moved: Bools) -> Floats:
         """About where the blocks (C, n, 2) are once the moves are made."""
         target = anchors[..., self.layout.group, :]
         offset = self.layout.positions - target
-        offset *= CLUSTER.rest / np.maximum(lengths(offset), CLUSTER.rest)[..., None]
+        offset *= REST / np.maximum(lengths(offset), REST)[..., None]
         return np.where(moved[..., None], target + offset, self.layout.positions)
 
     def _misplaced(self, positions: Floats) -> Floats:
         """How many blocks (...) do not count at positions (..., n, 2), the doubtful in part."""
         ratios = self.layout.distance_ratios(positions)
-        doubt = (ratios - CLUSTER.planned_ratio) / CLUSTER.ratio_range
+        doubt = (ratios - PLANNED_RATIO) / RATIO_RANGE
         misplaced: Floats = doubt.clip(0.0, 1.0).sum(axis=-1)
         return misplaced
 
     def _access_cost(self, moved: Bools, near: Floats) -> Floats:
         """What it costs (C, n) to grasp the blocks that move, the most accessible first."""
-        earlier = self.access.rank[:, None] > self.access.rank
+        earlier = self.rank[:, None] > self.rank
         apart = lengths(self.layout.positions[:, None] - self.layout.positions)
         least = np.maximum(apart + 0.1, WORKING_DISTANCE)
         gone = moved[..., None, :] & earlier & (near.swapaxes(-1, -2) > least)
-        return np.minimum(COST.access * self.access.cost(~gone), COST.max_access)
+        return np.minimum(ACCESS_FACTOR * self.grasp_costs_among(~gone), MAX_ACCESS)
+
+    def grasp_costs_among(self, others: Bools) -> Floats:
+        """Control steps (..., n) with only the blocks `others` (..., n, n) around each block."""
+        blocks = self.grasps.block_costs @ others[..., None].astype(np.float64)
+        cost: Floats = (self.grasps.wall_costs + blocks[..., 0]).min(axis=-1)
+        return cost
 
     def _crowding(self, after: Floats, near: Floats) -> Floats:
         """What other groups' blocks at each block's new place, and any on its way, cost (C, n)."""
         apart = lengths(after[..., :, None, :] - after[..., None, :, :])
-        missing = np.maximum(0.0, CLUSTER.separation - apart)
+        missing = np.maximum(0.0, SEPARATION - apart)
         # Blocks that are to leave may not have left yet.
-        missing += COST.leaving * np.maximum(0.0, CLUSTER.separation - near)
+        missing += LEAVING_SHARE * np.maximum(0.0, SEPARATION - near)
         before = self.layout.positions
         share, gap = project_on_segments(before[:, None], after[..., :, None, :], before)
         # A block is not in the way of itself, nor of one that drives off from beside it.
         narrow = np.where(share > 0.0, np.maximum(0.0, DRIVING_CLEARANCE - gap), 0.0)
         crowding: Floats = (
-            COST.crowding * missing * self.layout.different + COST.blocked * narrow
+            CROWDING_COST * missing * self.layout.different + BLOCKED_COST * narrow
         ).sum(axis=-1)
         return crowding

@@ -7,13 +7,13 @@ where they are, and the cheapest of these is made.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from heapq import nsmallest
 from itertools import combinations, pairwise, permutations
+from typing import NamedTuple
 
-from magical.experts.distances import BLOCK_SPACING, ROBOT_LIMIT, WORKING_DISTANCE
-from magical.experts.goals._move_costs import MOVE
-from magical.experts.planning import Goals, Move, Plan, Strategy
+from magical.experts.geometry import BLOCK_SPACING, ROBOT_LIMIT, WORKING_DISTANCE
+from magical.experts.goals._moves import DISTANCE_COST, MOVE_COST
+from magical.experts.planning import Move, MovePlan, Planner, Strategy
 from magical.experts.state_view import StateView
 from magical.scene.geometry import Point
 from magical.tasks.make_line import INLIER_DISTANCE, NEIGHBOUR_DISTANCE
@@ -21,69 +21,56 @@ from magical.tasks.make_line import INLIER_DISTANCE, NEIGHBOUR_DISTANCE
 Places = tuple[Point, ...]  # one for each block
 
 
-@dataclass(frozen=True, slots=True)
-class LineLimits:
+class LineLimits(NamedTuple):
     """How well blocks must be in line; the score's limits less a margin, in units."""
 
     off_line: float  # from the line
     spacing: float  # between neighbours along it
 
 
-@dataclass(frozen=True, slots=True)
-class LineSettings:
-    """Which lines are proposed."""
+MOVING = LineLimits(INLIER_DISTANCE - 0.04, NEIGHBOUR_DISTANCE - 0.02)  # tuned
+RESTING = LineLimits(INLIER_DISTANCE - 0.002, NEIGHBOUR_DISTANCE - 0.002)  # tuned
+MOVED_SLACK = LineLimits(0.05, 0.03)  # less, next to a block yet to come; tuned
+SPACING = 0.32  # units between neighbours that is aimed at; tuned
+DIRECTIONS = 16  # of lines through one block; for time
+IMPROVED = 24  # proposals that are improved; for time
+TOLERANCE = 0.08  # units; tuned
+TOLERANCE_SHARE = 0.5  # of a block's way that its tolerance is at most; tuned
+STILL = 0.005  # units yet to move up to which blocks count as resting
 
-    moving: LineLimits = LineLimits(INLIER_DISTANCE - 0.04, NEIGHBOUR_DISTANCE - 0.02)  # tuned
-    resting: LineLimits = LineLimits(INLIER_DISTANCE - 0.002, NEIGHBOUR_DISTANCE - 0.002)  # tuned
-    moved_slack: LineLimits = LineLimits(0.05, 0.03)  # less, next to a block yet to come; tuned
-    spacing: float = 0.32  # units between neighbours that is aimed at; tuned
-    directions: int = 16  # of lines through one block; for time
-    improved: int = 24  # proposals that are improved; for time
-    tolerance: float = 0.08  # units; tuned
-    tolerance_share: float = 0.5  # of a block's way that its tolerance is at most; tuned
-    still: float = 0.005  # units yet to move up to which blocks count as resting
-
-
-@dataclass(frozen=True, slots=True)
-class LineCosts:
-    """What a line is charged for besides `MoveCosts`, in control steps."""
-
-    wall: float = 400.0  # per unit that a place is outside `ROBOT_LIMIT`; tuned
-    room: float = 40.0  # per unit of missing room to other blocks; tuned
-    preference: float = 30.0  # between the most and the least preferred direction; tuned
+# What a line is charged for besides its moves, in control steps.
+WALL_COST = 400.0  # per unit that a place is outside `ROBOT_LIMIT`; tuned
+ROOM_COST = 40.0  # per unit of missing room to other blocks; tuned
+PREFERENCE = 30.0  # between the most and the least preferred direction; tuned
 
 
-LINE = LineSettings()
-COST = LineCosts()
-
-
-def plan(view: StateView, strategy: Strategy, last: Plan) -> Plan:
+def plan(view: StateView, strategy: Strategy, last: MovePlan) -> MovePlan:
     """Move blocks to their places on the line that is made soonest."""
     if is_solved(view):
-        return Plan()
+        return MovePlan()
     places = _best_places(view.blocks, strategy, last.places)
-    return Plan(tuple(_moves(view.blocks, places)), places)
+    return MovePlan(tuple(_moves(view.blocks, places)), places)
 
 
 def is_solved(view: StateView) -> bool:
     """Whether the blocks come to rest in one line."""
     rest = max(map(math.dist, view.blocks, view.resting_blocks))
-    if rest > LINE.still:
-        return is_line(view.resting_blocks, LINE.moving)
-    return is_line(view.blocks, LINE.resting)
+    if rest > STILL:
+        return is_line(view.resting_blocks, MOVING)
+    return is_line(view.blocks, RESTING)
 
 
 def _moves(blocks: Sequence[Point], places: Places) -> Iterator[Move]:
     """Moves of the blocks that do not stay; short ones are made more exactly."""
     for i, (place, block) in enumerate(zip(places, blocks, strict=True)):
         if place != block:
-            share = LINE.tolerance_share * math.dist(place, block)
-            yield Move(place, min(LINE.tolerance, share), i)
+            share = TOLERANCE_SHARE * math.dist(place, block)
+            yield Move(place, min(TOLERANCE, share), i)
 
 
 def is_line(
     blocks: Sequence[Point],
-    limits: LineLimits = LINE.moving,
+    limits: LineLimits = MOVING,
     moved: Sequence[bool] | None = None,
 ) -> bool:
     """Whether all blocks are in line, even if those that are `moved` there miss it a little."""
@@ -101,13 +88,13 @@ def _is_line_through(
     along = []
     for block, misses in zip(blocks, moved, strict=True):
         dx, dy = block[0] - x, block[1] - y
-        slack = LINE.moved_slack.off_line * (misses or moved[i] or moved[j])
+        slack = MOVED_SLACK.off_line * (misses or moved[i] or moved[j])
         if abs(ux * dy - uy * dx) > limits.off_line - slack:
             return False
         along.append((ux * dx + uy * dy, misses))
     along.sort()
     return all(
-        b - a < limits.spacing - LINE.moved_slack.spacing * (p or q)
+        b - a < limits.spacing - MOVED_SLACK.spacing * (p or q)
         for (a, p), (b, q) in pairwise(along)
     )
 
@@ -115,7 +102,7 @@ def _is_line_through(
 def _best_places(blocks: Sequence[Point], strategy: Strategy, last: Places) -> Places:
     """The cheapest line, the last one included so that plans do not change for nothing."""
     priced = ((_cost(places, blocks, strategy), places) for places in _proposals(blocks))
-    lines = [places for _, places in nsmallest(LINE.improved, priced)]
+    lines = [places for _, places in nsmallest(IMPROVED, priced)]
     if len(last) == len(blocks):
         lines.append(last)
     improved = [_with_stayers(places, blocks) for places in lines]
@@ -127,7 +114,7 @@ def _with_stayers(places: Places, blocks: Sequence[Point]) -> Places:
     for i in sorted(range(len(blocks)), key=lambda i: math.dist(places[i], blocks[i])):
         stayed = (*places[:i], blocks[i], *places[i + 1 :])
         moved = [place != block for place, block in zip(stayed, blocks, strict=True)]
-        if _has_room(stayed, i) and is_line(stayed, LINE.resting, moved):
+        if _has_room(stayed, i) and is_line(stayed, RESTING, moved):
             places = stayed
     return places
 
@@ -145,7 +132,7 @@ def _proposals(blocks: Sequence[Point]) -> Iterator[Places]:
     for i, j in combinations(range(len(blocks)), 2):
         for gaps in range(1, len(blocks)):
             spacing = math.dist(blocks[i], blocks[j]) / gaps
-            if BLOCK_SPACING < spacing < LINE.moving.spacing - 0.02:
+            if BLOCK_SPACING < spacing < MOVING.spacing - 0.02:
                 yield from _through_two(blocks, i, j, gaps)
 
 
@@ -155,20 +142,20 @@ def _longer_by_one(blocks: Sequence[Point]) -> Iterator[Places]:
         rest = (*blocks[:i], *blocks[i + 1 :])
         ends = max(combinations(rest, 2), key=lambda pair: math.dist(*pair), default=None)
         for (x, y), (fx, fy) in permutations(ends or (), 2):
-            step = LINE.spacing / (math.dist((x, y), (fx, fy)) or 1.0)
+            step = SPACING / (math.dist((x, y), (fx, fy)) or 1.0)
             places = (*blocks[:i], (x + step * (x - fx), y + step * (y - fy)), *blocks[i + 1 :])
-            if is_line(places, LINE.resting, [j == i for j in range(len(blocks))]):
+            if is_line(places, RESTING, [j == i for j in range(len(blocks))]):
                 yield places
 
 
 def _through_one(blocks: Sequence[Point]) -> Iterator[Places]:
     """Lines through each block, in many directions, with the blocks in their order along it."""
-    for angle in (math.pi * i / LINE.directions for i in range(LINE.directions)):
+    for angle in (math.pi * i / DIRECTIONS for i in range(DIRECTIONS)):
         ux, uy = math.cos(angle), math.sin(angle)
         order = sorted(range(len(blocks)), key=lambda i: ux * blocks[i][0] + uy * blocks[i][1])
         rank = {block: k for k, block in enumerate(order)}
         for stays, (x, y) in enumerate(blocks):
-            steps = [LINE.spacing * (rank[i] - rank[stays]) for i in range(len(blocks))]
+            steps = [SPACING * (rank[i] - rank[stays]) for i in range(len(blocks))]
             yield tuple((x + s * ux, y + s * uy) for s in steps)
 
 
@@ -188,10 +175,10 @@ def _cost(places: Places, blocks: Sequence[Point], strategy: Strategy) -> float:
     """About how many control steps a line takes, and the cost of its direction."""
     cost = _direction_cost(places, strategy)
     for i, (place, block) in enumerate(zip(places, blocks, strict=True)):
-        cost += COST.wall * max(0.0, abs(place[0]) - ROBOT_LIMIT, abs(place[1]) - ROBOT_LIMIT)
+        cost += WALL_COST * max(0.0, abs(place[0]) - ROBOT_LIMIT, abs(place[1]) - ROBOT_LIMIT)
         if place != block:
-            cost += MOVE.move + MOVE.distance * math.dist(place, block)
-            cost += COST.room * _missing_room(i, places, blocks)
+            cost += MOVE_COST + DISTANCE_COST * math.dist(place, block)
+            cost += ROOM_COST * _missing_room(i, places, blocks)
     return cost
 
 
@@ -210,8 +197,8 @@ def _direction_cost(places: Places, strategy: Strategy) -> float:
     """Control steps that the direction of a line costs a strategy that prefers others."""
     (x0, y0), (x1, y1) = places[0], places[-1]
     half_turns = math.atan2(y1 - y0, x1 - x0) % math.pi / math.pi
-    index = int(half_turns * LINE.directions) % LINE.directions
-    return COST.preference * strategy.placements[index]
+    index = int(half_turns * DIRECTIONS) % DIRECTIONS
+    return PREFERENCE * strategy.placements[index]
 
 
-GOALS = Goals(plan, is_solved)
+PLANNER = Planner(plan, is_solved)

@@ -1,37 +1,25 @@
 """Goals of MoveToCorner: the block within sqrt(2) / 2 of the top left corner (appendix A.2.1)."""
 
 import math
-from dataclasses import dataclass
 
-from magical.experts.goals._regions import missing_parts
-from magical.experts.planning import Goals, Move, Plan, Strategy
+from magical.experts.planning import Move, MovePlan, Planner, Strategy
 from magical.experts.state_view import StateView
+from magical.tasks.move_to_corner import GOAL
 
-CORNER = (-1.0, 1.0)  # units
-
-
-@dataclass(frozen=True, slots=True)
-class CornerSettings:
-    """Where the block is brought."""
-
-    done: float = 0.64  # units from the corner that are near enough; below 0.707 scores
-    goal_limit: float = 0.82  # units: largest coordinate of a goal; tuned
-    goal_range: float = 0.25  # units from there, in each coordinate, over which goals vary; tuned
-    tolerance: float = 0.25  # units; tuned
-    tolerance_range: float = 0.25  # units that are added at most; tuned
+DONE = 0.64  # units from the corner that are near enough; below 0.707 scores
+GOAL_LIMIT = 0.82  # units: largest coordinate of a goal; tuned
+GOAL_RANGE = 0.25  # units from there, in each coordinate, over which goals vary; tuned
+TOLERANCE = 0.25  # units; tuned
+TOLERANCE_RANGE = 0.25  # units that are added at most; tuned
 
 
-SETTINGS = CornerSettings()
+def plan(view: StateView, strategy: Strategy, last: MovePlan) -> MovePlan:
+    """Bring the block to a preferred place near the corner, with a preferred tolerance."""
+    if math.dist(view.blocks[0], GOAL) < DONE:
+        return MovePlan()
+    looseness, u, v = strategy.placements[:3]
+    goal = GOAL_RANGE * u - GOAL_LIMIT, GOAL_LIMIT - GOAL_RANGE * v
+    return MovePlan((Move(goal, TOLERANCE + TOLERANCE_RANGE * looseness, 0),))
 
 
-def plan(view: StateView, strategy: Strategy, last: Plan) -> Plan:
-    """Bring the block to a preferred place near the corner, as exactly as the strategy has it."""
-    if math.dist(view.blocks[0], CORNER) < SETTINGS.done:
-        return Plan()
-    exactness, u, v = strategy.placements[:3]
-    x = -SETTINGS.goal_limit + SETTINGS.goal_range * u
-    y = SETTINGS.goal_limit - SETTINGS.goal_range * v
-    return Plan((Move((x, y), SETTINGS.tolerance + SETTINGS.tolerance_range * exactness, 0),))
-
-
-GOALS = Goals(plan, unsolvable_fn=lambda scene: missing_parts(scene, regions=0, blocks=1))
+PLANNER = Planner(plan)

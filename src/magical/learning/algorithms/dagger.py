@@ -24,7 +24,7 @@ from magical.envs import EnvId
 from magical.errors import InvalidConfigError, RunFolderError
 from magical.evaluation import environments
 from magical.evaluation.variants import full_variant, short_variant
-from magical.experts import get_goals
+from magical.experts import get_planner
 from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.bc import BCConfig, BCTrainer, make_policy
 from magical.learning.config import IMAGE_OBSERVATIONS, option
@@ -77,7 +77,7 @@ class DAggerConfig(BCConfig):
         if not self.variants:
             raise InvalidConfigError("variants: expected at least one, found none")
         for task in self.tasks:
-            get_goals(task)  # raises for a task without an expert
+            get_planner(task)  # raises for a task without an expert
             env_ids = environments([task], self.variants)
             if self.episodes < len(env_ids):
                 raise InvalidConfigError(

@@ -14,8 +14,7 @@ from magical.demos.generate import demonstrate
 from magical.demos.store.reader import Frames
 from magical.envs import EnvId
 from magical.envs.vector.workers import defining_modules
-from magical.errors import NoExpertError
-from magical.experts import get_goals, modules_of
+from magical.experts import has_expert, modules_of
 from magical.processes import available_cores, map_in_processes
 from magical.render import render_frame
 from magical.report.figures.clips import Clip
@@ -80,7 +79,7 @@ def make_previews(
 def _make(modules: Sequence[str], seed: int, env_id: EnvId) -> EnvPreview:
     for module in modules:
         load_tasks(module)
-    if not _has_expert(env_id.task):
+    if not has_expert(env_id.task):
         scene, _ = env_id.task_spec.sample(env_id.variant, np_random(seed)[0])
         frame = render_frame(scene, Poses.at_rest(scene), View.ALLO, SIZE)
         return EnvPreview(env_id, describe_scene(scene), _webp(frame))
@@ -98,17 +97,9 @@ def _make(modules: Sequence[str], seed: int, env_id: EnvId) -> EnvPreview:
     )
 
 
-def _has_expert(task: str) -> bool:
-    try:
-        get_goals(task)
-    except NoExpertError:
-        return False
-    return True
-
-
 def _modules(task: Task) -> list[str]:
     """The modules from which a new process learns of the task and of its expert."""
-    return modules_of(task.name) if _has_expert(task.name) else defining_modules([task])
+    return modules_of(task.name) if has_expert(task.name) else defining_modules([task])
 
 
 def _webp(frame: NDArray[np.uint8]) -> bytes:

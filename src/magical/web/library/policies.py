@@ -17,14 +17,13 @@ from magical.envs.ids import EnvId
 from magical.errors import (
     MagicalError,
     MissingDependencyError,
-    NoExpertError,
     NotFoundError,
     PolicyError,
     RunFolderError,
 )
 from magical.evaluation.loading import load_policy
 from magical.evaluation.policy import Policy
-from magical.experts import get_goals
+from magical.experts import has_expert
 from magical.runs import is_run
 from magical.runs.folder import CHECKPOINT, CONFIG, read_json
 from magical.tasks import TASKS
@@ -72,7 +71,7 @@ class Policies:
                 raise RunFolderError(f"{folder}: expected a folder with runs, found none")
         names = unique_names(folders) if len(folders) > 1 else [""] * len(folders)
         self._folders = dict(zip(names, folders, strict=True))
-        self._entries = [PolicyEntry(EXPERT_NAME, _tasks_with_expert())]
+        self._entries = [PolicyEntry(EXPERT_NAME, tuple(filter(has_expert, TASKS)))]
         self._loaded: dict[tuple[int, int], Policy] = {}  # by number, and time of the checkpoint
         self._lock = threading.Lock()
         if folders:
@@ -146,18 +145,6 @@ def _entry(name: str, root: Path, folder: Path) -> PolicyEntry:
         return PolicyEntry(shown, tasks, str(config["algorithm"]), folder)
     except (MagicalError, LookupError, TypeError):
         return PolicyEntry(f"{shown} (damaged)", (), "unknown", folder)
-
-
-def _tasks_with_expert() -> tuple[str, ...]:
-    return tuple(name for name in TASKS if _has_expert(name))
-
-
-def _has_expert(task: str) -> bool:
-    try:
-        get_goals(task)
-    except NoExpertError:
-        return False
-    return True
 
 
 def _changed_at(path: Path) -> int:

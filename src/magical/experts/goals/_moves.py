@@ -1,69 +1,83 @@
-"""Moves into and out of goal regions."""
+"""Moves into and out of goal regions, and what moves of blocks cost in all tasks."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from magical.experts.array_geometry import Floats, lengths, project_on_segments
-from magical.experts.distances import BLOCK_SPACING
-from magical.experts.goals._move_costs import place_costs
+from magical.experts.geometry import (
+    BLOCK_SPACING,
+    DRIVE_STEP,
+    Floats,
+    excess,
+    lengths,
+    project_on_segments,
+)
 from magical.experts.planning import Move, Strategy
 from magical.experts.state_view import StateView
-from magical.scene import Colour, Region, Scene
+from magical.scene import Colour, Region
 from magical.scene.constants import BLOCK_SIZE
 from magical.scene.geometry import Point
 
+MOVE_COST = 40.0  # control steps besides the way, for driving up and grasping; swept
+DISTANCE_COST = 1.0 / DRIVE_STEP  # control steps per unit of way
+ROOM_COST = 150.0  # control steps per unit of missing room at the goal; tuned
+WALL_LIMIT = 0.85  # units: largest coordinate of a goal that costs nothing; tuned
+WALL_COST = 20.0  # control steps beyond it, where fingers do not open freely; tuned
 
-@dataclass(frozen=True, slots=True)
-class RegionSettings:
-    """Where blocks count as inside or outside, and where they are brought."""
+INSIDE = 0.02  # units inside the edge from which a block need not move; tuned
+DONE_INSIDE = 0.04  # units inside the edge where a move ends; tuned
+OUTSIDE = 0.02  # units outside the edge from which a block need not move; tuned
+AIM = BLOCK_SIZE  # units inside or outside the edge that are aimed at; tuned
+TOLERANCE = 0.08  # units; tuned
+PLACES_INSIDE = 5  # per side of a region's grid of places; for time
+PLACES_OUTSIDE = 15  # per side of the workspace's grid of places; for time
+OUTER_LIMIT = 0.84  # units: largest coordinate of these; tuned
+WAY_COST = 40.0  # control steps per unit of missing room to blocks on the way out; tuned
+INSIDE_PREFERENCE = 6.0  # control steps per unit from the preferred place; tuned
+OUTSIDE_PREFERENCE = 5.0  # the same for blocks that must leave; tuned
 
-    inside: float = 0.02  # units inside the edge from which a block need not move; tuned
-    done: float = 0.04  # units inside the edge where a move ends; tuned
-    outside: float = 0.02  # units outside the edge from which a block need not move; tuned
-    margin: float = BLOCK_SIZE  # units inside or outside the edge that are aimed at; tuned
-    tolerance: float = 0.08  # units; tuned
-    places_inside: int = 5  # per side of a region's grid of places; for time
-    places_outside: int = 15  # per side of the workspace's grid of places; for time
-    outer_limit: float = 0.84  # units: largest coordinate of these; tuned
-    way: float = 40.0  # control steps per unit of missing room to blocks on the way out; tuned
-    preference_inside: float = 6.0  # control steps per unit from the preferred place; tuned
-    preference_outside: float = 5.0  # the same for blocks that must leave; tuned
-
-
-REGION = RegionSettings()
-
-_SHARES = np.linspace(0.0, 1.0, REGION.places_inside)
-_TICKS = np.linspace(-REGION.outer_limit, REGION.outer_limit, REGION.places_outside)
+_SHARES = np.linspace(0.0, 1.0, PLACES_INSIDE)
+_TICKS = np.linspace(-OUTER_LIMIT, OUTER_LIMIT, PLACES_OUTSIDE)
 _OUTER = Region(Colour.BLUE, _TICKS[0], _TICKS[-1], *2 * [_TICKS[-1] - _TICKS[0]])
+
+
+def place_costs(places: Floats, block: Point, others: Floats) -> Floats:
+    """Control steps (P,) to bring a block to `places` (P, 2), and to set it down there.
+
+    Args:
+        places: where it could go.
+        block: where it is.
+        others: centres (M, 2) of the other blocks, which need room beside it.
+    """
+    room = lengths(places[:, None] - others)  # (P, M)
+    missing = np.maximum(0.0, BLOCK_SPACING - room).sum(axis=1)
+    is_at_wall = excess(places, WALL_LIMIT).any(axis=1)
+    costs: Floats = DISTANCE_COST * lengths(places - block) + ROOM_COST * missing
+    return costs + WALL_COST * is_at_wall
 
 
 def moves_in(
     view: StateView, strategy: Strategy, region: Region, blocks: Collection[int]
 ) -> list[Move]:
     """Moves that bring those of `blocks` that are outside into a region."""
-    kept, done = inset(region, REGION.inside), inset(region, REGION.done)
+    kept, done = inset(region, INSIDE), inset(region, DONE_INSIDE)
     outside = [i for i in blocks if not kept.contains(*view.blocks[i])]
     places = [_place_inside(view, strategy, region, i) for i in outside]
-    return [
-        Move(place, REGION.tolerance, i, area=done)
-        for i, place in zip(outside, places, strict=True)
-    ]
+    return [Move(place, TOLERANCE, i, area=done) for i, place in zip(outside, places, strict=True)]
 
 
 def moves_out(
     view: StateView, strategy: Strategy, region: Region, allowed: Collection[int]
 ) -> list[Move]:
     """Moves that take blocks out of a region, all but those that are `allowed` there."""
-    area = inset(region, -REGION.outside)
+    area = inset(region, -OUTSIDE)
     others = [i for i in range(len(view.blocks)) if i not in allowed]
     return [_move_out(view, strategy, i) for i in others if area.contains(*view.blocks[i])]
 
 
 def moves_out_of_all(view: StateView, strategy: Strategy, blocks: Collection[int]) -> list[Move]:
     """Moves that take those of `blocks` that are in any region out of all."""
-    areas = [inset(region, -REGION.outside) for region in view.scene.regions]
+    areas = [inset(region, -OUTSIDE) for region in view.scene.regions]
     inside = [i for i in blocks if any(area.contains(*view.blocks[i]) for area in areas)]
     return [_move_out(view, strategy, i) for i in inside]
 
@@ -87,36 +101,25 @@ def preferred_point(strategy: Strategy, region: Region, block: int) -> Point:
     return region.x + u * region.width, region.y - v * region.height
 
 
-def missing_parts(scene: Scene, regions: int, blocks: int) -> str:
-    """What a scene lacks of the goal regions and blocks that a task needs, or an empty text."""
-    found = len(scene.regions), len(scene.blocks)
-    if found[0] >= regions and found[1] >= blocks:
-        return ""
-    return (
-        f"expected at least {regions} goal regions and {blocks} blocks, found {found[0]} and "
-        f"{found[1]}; add some"
-    )
-
-
 def _move_out(view: StateView, strategy: Strategy, block: int) -> Move:
-    return Move(_place_outside(view, strategy, block), REGION.tolerance, block)
+    return Move(_place_outside(view, strategy, block), TOLERANCE, block)
 
 
 def _place_inside(view: StateView, strategy: Strategy, region: Region, block: int) -> Point:
     """A place in a region that is near, preferred, and clear of the blocks already there."""
-    inner = inset(region, REGION.margin)
+    inner = inset(region, AIM)
     start, others = view.blocks[block], _points(view.other_blocks(block))
     grid = _grid(inner.x + _SHARES * inner.width, inner.y - _SHARES * inner.height)
     places = np.concatenate(([_nearest(inner, start)], grid))  # (P, 2)
     preferred = preferred_point(strategy, inner, block)
     cost = place_costs(places, start, others)
-    cost += REGION.preference_inside * lengths(places - preferred)
+    cost += INSIDE_PREFERENCE * lengths(places - preferred)
     return _cheapest(places, cost)
 
 
 def _place_outside(view: StateView, strategy: Strategy, block: int) -> Point:
     """A place outside all regions that is near, preferred, and clear of other blocks."""
-    areas = [inset(region, -REGION.margin) for region in view.scene.regions]
+    areas = [inset(region, -AIM) for region in view.scene.regions]
     start, others = view.blocks[block], _points(view.other_blocks(block))
     grid = _grid(_TICKS, _TICKS).tolist()
     free = [place for place in grid if not any(area.contains(*place) for area in areas)]
@@ -124,8 +127,8 @@ def _place_outside(view: StateView, strategy: Strategy, block: int) -> Point:
     preferred = preferred_point(strategy, _OUTER, block)
     _, gaps = project_on_segments(np.array(start), places[:, None], others)  # (P, M)
     cost = place_costs(places, start, others)
-    cost += REGION.way * np.maximum(0.0, BLOCK_SPACING - gaps).sum(axis=1)
-    cost += REGION.preference_outside * lengths(places - preferred)
+    cost += WAY_COST * np.maximum(0.0, BLOCK_SPACING - gaps).sum(axis=1)
+    cost += OUTSIDE_PREFERENCE * lengths(places - preferred)
     return _cheapest(places, cost)
 
 
