@@ -7,11 +7,13 @@ from typing import Any, ClassVar, Literal, NoReturn
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import NDArray
 
 from magical.envs.episode import Episode, Scores
 from magical.envs.ids import EnvId
 from magical.envs.keys import KEYS_TO_ACTION
 from magical.envs.saved_state import parse_state
+from magical.envs.window import Window
 from magical.errors import (
     InvalidActionError,
     NotPicklableError,
@@ -56,15 +58,17 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         horizon: control steps in an episode; by default the task's; "published" takes the published
             code's, which differs for some tasks.
         reward: "none", "score" or "dense".
-        render_mode: "rgb_array" (both views side by side) or None.
+        render_mode: "rgb_array" (both views side by side), "human" (the same in a window, at the
+            control rate; needs the extra `window`) or None.
 
     Raises:
         UnknownNameError: there is no such task, variant, observation, reward or render mode.
         InvalidConfigError, ObservationError: an impossible horizon or observation.
+        MissingDependencyError: "human" without pygame.
     """
 
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
-        "render_modes": ["rgb_array"],
+        "render_modes": ["rgb_array", "human"],
         "render_fps": int(CONTROL_RATE),
     }
     action_names = ACTION_NAMES
@@ -84,9 +88,14 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         self.observation_spec = make_spec(observation, self.task)
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise UnknownNameError(
-                f"render mode {quoted(render_mode)} is unknown; expected rgb_array or None"
+                f"render mode {quoted(render_mode)} is unknown; expected rgb_array, human or None"
             )
         self.render_mode = render_mode
+        self._window = (
+            Window(str(self.env_id), self.metadata["render_fps"])
+            if render_mode == "human"
+            else None
+        )
         self.observation_space = self.observation_spec.space
         self.action_space = spaces.Discrete(NUM_ACTIONS)
         self._episode = Episode(self.task, variant, self.observation_spec, horizon, reward)
@@ -121,6 +130,7 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         self._running = False
         self._episode.start(self.np_random, options)
         self._running = True
+        self._show()
         return copy_arrays(self._episode.observer.out), score_info(Scores())
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -139,18 +149,32 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         truncated = self._episode.step(checked_action(action))
         self._running = not truncated
         reward, scores = self._episode.outcome(truncated)
+        self._show()
         return copy_arrays(self._episode.observer.out), reward, False, truncated, score_info(scores)
 
     def render(self) -> Any:
-        """Both views side by side, egocentric left: uint8 (384, 768, 3)."""
-        if self.render_mode is None:
-            return None
+        """Both views side by side, egocentric left: uint8 (384, 768, 3).
+
+        `None` without a render mode, and with "human": `reset` and `step` show each frame.
+        """
+        return self._frame() if self.render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._window is not None:
+            self._window.close()
+
+    def _frame(self) -> NDArray[np.uint8]:
         from magical.render import render_views  # imports numba: only when something is rendered
 
         self._require_episode("render")
         return render_views(
             self._episode.simulation.scene, self._episode.poses, size=RAW_FRAME_SIZE
         )
+
+    def _show(self) -> None:
+        if self._window is not None:
+            self._window.show(self._frame())
 
     def state(self) -> State:
         """The true state, for experts and privileged learners."""
