@@ -16,7 +16,7 @@ __version__ = "0.1.0"
 def register_task(task: Task) -> None:
     """Register a task from outside the package, and its environments with Gymnasium."""
     _register_task(task)
-    register_envs(task)
+    register_envs(task.name)
 
 
 register_all()

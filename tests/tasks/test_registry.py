@@ -40,7 +40,7 @@ def test_every_module_describes_itself_and_its_task_in_one_line() -> None:
 def test_an_unknown_task_raises_with_the_known_ones() -> None:
     with pytest.raises(UnknownNameError) as error:
         get_task("MakeLines")
-    assert "'MakeLines' is no task; expected one of: MoveToCorner, " in str(error.value)
+    assert "task 'MakeLines' is not registered; expected one of: MoveToCorner, " in str(error.value)
     assert str(error.value).endswith("did you mean 'MakeLine'?")
 
 

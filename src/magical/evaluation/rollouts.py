@@ -48,7 +48,9 @@ def environments(
     chosen = list(TASKS) if tasks is None else list(dict.fromkeys(tasks))
     wanted = None if variants is None else list(variants)
     return [
-        EnvId(name, variant) for name in chosen for variant in variants_of(get_task(name), wanted)
+        EnvId(task.name, variant)
+        for task in map(get_task, chosen)
+        for variant in variants_of(task, wanted)
     ]
 
 

@@ -15,6 +15,7 @@ from magical.tasks.registry import (
     discover,
     get_task,
     load_tasks,
+    possible_variants,
     register_task,
     unregister_task,
 )
@@ -36,6 +37,7 @@ __all__ = [
     "have_two_horizons",
     "load_tasks",
     "parse_horizon",
+    "possible_variants",
     "register_task",
     "require_two_horizons",
     "unregister_task",

@@ -1,16 +1,46 @@
-"""Every task by name: those of this package, and those registered from outside."""
+"""Every task by name: those of this package, of other distributions, and registered ones."""
 
 import importlib
 import pkgutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from difflib import get_close_matches
-from types import MappingProxyType
+from typing import Any
 
-from magical.errors import InvalidTaskError, UnknownNameError
+from magical.errors import InvalidTaskError, PluginError, UnknownNameError
+from magical.plugins import load_plugin, plugins
+from magical.tasks.axes import VARIANTS
 from magical.tasks.task import Task
 
+GROUP = "magical.tasks"  # of entry points, named like their tasks
+
 _tasks: dict[str, Task] = {}
-TASKS: Mapping[str, Task] = MappingProxyType(_tasks)  # in the order of the appendix
+
+
+class _Tasks(Mapping[str, Task]):
+    """Tasks by name: ours in the order of the appendix, then the others.
+
+    Iteration imports no module of another distribution; taking a task from here does.
+    """
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(dict.fromkeys((*_tasks, *plugins(GROUP))))
+
+    def __len__(self) -> int:
+        return len({*_tasks, *plugins(GROUP)})
+
+    def __contains__(self, name: object) -> bool:
+        return name in _tasks or name in plugins(GROUP)
+
+    def __getitem__(self, name: str) -> Task:
+        if name not in _tasks and name in plugins(GROUP):
+            task = _loaded(name)
+            if task.name != name:
+                raise PluginError(f"{GROUP}: expected the task {name!r}, found {task.name!r}")
+            _tasks[name] = task
+        return _tasks[name]
+
+
+TASKS: Mapping[str, Task] = _Tasks()
 
 
 def register_task(task: Task) -> Task:
@@ -19,7 +49,7 @@ def register_task(task: Task) -> Task:
     Raises:
         InvalidTaskError: another task has its name.
     """
-    if _tasks.get(task.name, task) is not task:
+    if TASKS.get(task.name, task) is not task:
         raise InvalidTaskError(
             f"expected a new task name, found {task.name!r}, which is registered already; "
             "choose another"
@@ -35,21 +65,32 @@ def unregister_task(name: str) -> Task:
         UnknownNameError: no such task.
     """
     task = get_task(name)
-    del _tasks[name]
+    del _tasks[task.name]
     return task
 
 
 def get_task(name: str) -> Task:
-    """The task of that exact name.
+    """The task of that exact name; that of `module:NAME` is registered.
 
     Raises:
-        UnknownNameError: no such task; the message lists the names.
+        UnknownNameError: no task of this name is registered; the message lists the names.
+        PluginError: the task of another distribution, or of `module:NAME`, cannot be imported.
     """
-    if name in _tasks:
-        return _tasks[name]
-    close = get_close_matches(str(name), _tasks, n=1)
-    hint = f"; did you mean {close[0]!r}?" if close else ""
-    raise UnknownNameError(f"{name!r} is no task; expected one of: {', '.join(_tasks)}{hint}")
+    if name in TASKS:
+        return TASKS[name]
+    if ":" in str(name):
+        return register_task(_loaded(name))
+    close = get_close_matches(str(name), TASKS, n=1)
+    hint = f"did you mean {close[0]!r}?" if close else "import the module that registers it"
+    raise UnknownNameError(
+        f"task {name!r} is not registered; expected one of: {', '.join(TASKS)}, or module:TASK; "
+        f"{hint}"
+    )
+
+
+def possible_variants(name: str) -> tuple[str, ...]:
+    """The variants that a registered task has, or may have where it is not imported yet."""
+    return _tasks[name].variants if name in _tasks else tuple(VARIANTS)
 
 
 def load_tasks(module: str) -> None:
@@ -66,3 +107,10 @@ def discover(package: str, path: Iterable[str]) -> None:
     tasks = [module.TASK for module in modules if hasattr(module, "TASK")]
     for task in sorted(tasks, key=lambda task: (not task.section, task.section, task.name)):
         register_task(task)
+
+
+def _loaded(name: str) -> Task:
+    task: Any = load_plugin(GROUP, name)
+    if not isinstance(task, Task):
+        raise PluginError(f"{GROUP}: {name!r}: expected a Task, found {type(task).__name__}")
+    return task
