@@ -15,9 +15,7 @@ if TYPE_CHECKING:
 
 # What needs the web extra cannot even be imported without it.
 INSTALLED = all(map(find_spec, ("starlette", "uvicorn", "websockets")))
-collect_ignore = (
-    [] if INSTALLED else ["test_browser.py", "test_command.py", "test_library.py", "test_server.py"]
-)
+collect_ignore_glob = [] if INSTALLED else ["test_*.py"]
 
 
 @pytest.fixture

@@ -19,13 +19,14 @@ from magical.web.messages import (
     Keep,
     Keys,
     Pause,
-    RateLimit,
     Restart,
     Show,
     Start,
     Watch,
     parse_message,
 )
+from magical.web.policies import Policies
+from magical.web.security import RateLimit
 from magical.web.session import Session
 
 ENV = "magical/FindDupe-TestAll-v0"
@@ -118,7 +119,9 @@ def malformed(rng: random.Random) -> str:
 
 def test_a_thousand_malformed_messages_change_nothing() -> None:
     rng = random.Random(0)
-    session = Session(EnvId("MoveToRegion", "Demo"), np.random.default_rng(0), 0.0, recording=True)
+    session = Session(
+        EnvId("MoveToRegion", "Demo"), np.random.default_rng(0), 0.0, Policies(), recording=True
+    )
     before, frame = session.status(), session.frame()
     for _ in range(1000):
         with pytest.raises(MessageError):

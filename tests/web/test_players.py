@@ -8,6 +8,7 @@ from magical.envs.keys import Control
 from magical.errors import ServerFullError
 from magical.web.messages import Keys
 from magical.web.players import RESUME_TIME, Player, Players
+from magical.web.policies import Policies
 from magical.web.session import Phase, Session
 
 ENV = EnvId("MoveToRegion", "Demo")
@@ -16,7 +17,7 @@ ENV = EnvId("MoveToRegion", "Demo")
 @pytest.fixture
 def players() -> Players:
     rng = np.random.default_rng(0)
-    return Players(lambda now: Session(ENV, rng, now, recording=True), limit=2)
+    return Players(lambda now: Session(ENV, rng, now, Policies(), recording=True), limit=2)
 
 
 def playing(players: Players, now: float) -> tuple[Player, int]:

@@ -13,10 +13,9 @@ from magical.demos import DatasetWriter
 from magical.demos.generate import demonstrate
 from magical.envs import EnvId
 from magical.errors import CheckpointError, NotFoundError, PolicyError, RunFolderError
-from magical.web.driver import Driver, Proposal, Seen
+from magical.web.driver import Driver, Proposal, Seen, episode_probabilities, roll_out
 from magical.web.episode import PlayedEpisode
-from magical.web.library.policies import EXPERT, Policies, episode_probabilities
-from magical.web.library.rollouts import roll_out
+from magical.web.policies import EXPERT, Policies
 
 ENV = EnvId("MoveToRegion", "Demo")
 
@@ -143,7 +142,7 @@ def test_pytorch_is_imported_at_the_start_where_there_are_runs(
     program = f"""
 import sys
 from pathlib import Path
-from magical.web.library.policies import Policies
+from magical.web.policies import Policies
 Policies({arguments})
 sys.exit(("torch" in sys.modules) is not {imported})
 """

@@ -14,8 +14,8 @@ def test_tokens_are_long_and_random() -> None:
     assert min(map(len, tokens)) >= TOKEN_BYTES * 8 / 6
 
 
-@pytest.mark.parametrize("token", [None, "", "secre", "secret ", "Secret", "sécret"])
-def test_other_tokens_are_refused(token: str | None) -> None:
+@pytest.mark.parametrize("token", ["", "secre", "secret ", "Secret", "sécret"])
+def test_other_tokens_are_refused(token: str) -> None:
     assert GUARD.knows("secret")
     assert not GUARD.knows(token)
 

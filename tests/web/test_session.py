@@ -13,6 +13,7 @@ from magical.experts import expert_for
 from magical.experts.rollout import EpisodeExpert
 from magical.scene import ACTION_NAMES, NUM_ACTIONS
 from magical.web.messages import Discard, Keep, Keys, Message, Pause, Restart, Show, Start
+from magical.web.policies import Policies
 from magical.web.session import IDLE_TIME, SILENCE_TIME, STEP_TIME, Phase, Session
 
 ENV = EnvId("MoveToRegion", "Demo")
@@ -24,7 +25,7 @@ class Clocked:
 
     def __init__(self, env_id: EnvId = ENV, **options: Any) -> None:
         self.now = 1000.0
-        self.session = Session(env_id, np.random.default_rng(0), self.now, **options)
+        self.session = Session(env_id, np.random.default_rng(0), self.now, Policies(), **options)
         self.session.joined(self.now)
 
     def send(self, message: Message) -> None:
@@ -38,7 +39,7 @@ class Clocked:
         """Let time pass while these controls are held."""
         end = self.now + seconds
         while self.now < end - 1e-9:
-            self.now = min(end, max(self.session.next_step, self.now + 1e-3))
+            self.now = min(end, max(self.session.step_at, self.now + 1e-3))
             self.hold(*held)
 
     @property
@@ -195,7 +196,7 @@ def play_expert(clocked: Clocked) -> None:
         held = controls_of(expert.act(session.episode.env.state()))
         if clocked.steps == 0 and not held:
             held = (Control.GRIP,)
-        clocked.now = max(clocked.now, session.next_step)
+        clocked.now = max(clocked.now, session.step_at)
         clocked.hold(*held)
 
 

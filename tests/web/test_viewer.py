@@ -10,7 +10,6 @@ from magical.demos import Actor, Dataset, DatasetWriter
 from magical.demos.generate import demonstrate
 from magical.envs import EnvId
 from magical.envs.keys import controls_of
-from magical.web.library.routes import LibrarySettings
 from magical.web.server import PlaySettings
 from tests.web.browser import Browser, Tab
 from tests.web.driving import names_and_focus, open_page, play_expert, text_of
@@ -182,8 +181,7 @@ def test_play_keep_load_scrub_train_and_watch(
     pytest.importorskip("torch")
     runs = tmp_path / "runs"
     runs.mkdir()
-    library = LibrarySettings(runs=(runs,))
-    settings = PlaySettings(EnvId("MoveToRegion", "Demo"), record=dataset, library=library)
+    settings = PlaySettings(EnvId("MoveToRegion", "Demo"), record=dataset, runs=[runs])
     with running(settings) as server, browser.open_tab() as tab:
         tab.resize(1280, 800)
         open_page(tab, server)

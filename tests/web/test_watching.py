@@ -18,7 +18,6 @@ from magical.experts import rollout
 from magical.web import driver as driver_module
 from magical.web import session as session_module
 from magical.web.driver import Driver
-from magical.web.library.policies import Policies
 from magical.web.messages import (
     Discard,
     HandBack,
@@ -30,6 +29,7 @@ from magical.web.messages import (
     Start,
     Watch,
 )
+from magical.web.policies import Policies
 from magical.web.session import IDLE_TIME, STEP_TIME, Phase, Session
 from tests.web.serving import RunningServer, close_code
 
@@ -42,12 +42,11 @@ class Watched:
 
     def __init__(self, seed: int = 3, **options: Any) -> None:
         self.now = 1000.0
-        policies = Policies()
         self.session = Session(
             ENV,
             np.random.default_rng(0),
             self.now,
-            make_driver=lambda *given: Driver(policies, *given),
+            Policies(),
             **options,
         )
         self.session.joined(self.now)
@@ -194,8 +193,6 @@ def test_unknown_policies_change_nothing() -> None:
     with pytest.raises(NotFoundError, match="policy"):
         watched.send(Watch(1))
     assert (watched.status["policy"], watched.session.episode.steps > 0) == (0, True)
-    with pytest.raises(NotFoundError, match="no policies"):
-        Session(ENV, np.random.default_rng(0), 0.0).handle(Watch(0), 0.0)
 
 
 def test_a_policy_that_fails_leaves_the_environment_to_the_person() -> None:

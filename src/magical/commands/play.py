@@ -76,17 +76,21 @@ def _configure_server(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Listen, print the address, answer until interrupted."""
     from magical.envs import parse_env_id
-    from magical.web.library.routes import LibrarySettings
-    from magical.web.security import make_guard, new_token, page_url
+    from magical.web.security import is_loopback, make_guard, new_token, page_url
     from magical.web.server import PlaySettings, create_app, listen, make_server
 
     env_id = parse_env_id(args.env).without_preset
     token = new_token()
-    library = LibrarySettings(tuple(args.datasets), tuple(args.runs))
-    settings = PlaySettings(env_id, args.record, args.max_players, library)
+    settings = PlaySettings(env_id, args.record, args.max_players, args.datasets, args.runs)
     app = create_app(settings, make_guard(args.host, token, frozenset(args.allow_host)))
     with listen(args.host, args.port) as listening:
         print(page_url(args.host, listening.getsockname()[1], token), flush=True)
         log(f"recording into {args.record}" if args.record else "not recording (see --record)")
+        if not is_loopback(args.host):
+            log(
+                "the token and everything else travel in clear: whoever sees the traffic can use "
+                "the server; put a proxy with HTTPS in front of a server on loopback, and name its "
+                "host with --allow-host (docs/play.md), or forward the port with ssh -L"
+            )
         make_server(app).run(sockets=[listening])
     return 0

@@ -16,14 +16,16 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from magical.demos.store.trajectory import Trajectory
 from magical.errors import MagicalError, MessageError
-from magical.web.messages import Keys, RateLimit, parse_message
+from magical.web.messages import Keys, parse_message
 from magical.web.players import Player
+from magical.web.security import RateLimit
 from magical.web.session import Session
 
 MESSAGE_RATE = 60.0  # messages a second; the page sends 8, and two for each tap of a key
 MESSAGE_BURST = 120.0  # messages
 COMMAND_RATE = 4.0  # messages a second that are no keys: these start episodes, or render anew
 COMMAND_BURST = 8.0  # messages
+FIRST_TIME = 30.0  # s within which the page must have sent its first message
 MAX_UNSEEN = 4  # frames that the page has not confirmed, beyond which none is sent
 
 Save = Callable[[Session, Trajectory], asyncio.Task[None]]
@@ -36,6 +38,7 @@ class Close(IntEnum):
     REPLACED = 4001  # the session was opened in another tab
     IDLE = 4002
     FULL = 4003
+    SILENT = 4004  # no message came; the page connects again
 
 
 class FrameWindow:
@@ -104,15 +107,17 @@ class Connection:
             await asyncio.gather(*tasks, return_exceptions=True)
         return next((task.result() for task in done if task.result() is not None), None)
 
-    async def _receive(self) -> None:
-        with suppress(WebSocketDisconnect):
-            while True:
-                event = await self._socket.receive()
-                if event["type"] == "websocket.disconnect":
-                    return
-                if self._messages.allows(self._clock()):
-                    self._handle(event.get("text"))
-                await asyncio.sleep(0)  # many messages at once must not stop the other players
+    async def _receive(self) -> Close | None:
+        try:
+            async with asyncio.timeout(FIRST_TIME) as first:
+                while (event := await self._socket.receive())["type"] != "websocket.disconnect":
+                    first.reschedule(None)
+                    if self._messages.allows(self._clock()):
+                        self._handle(event.get("text"))
+                    await asyncio.sleep(0)  # many messages at once must not stop other players
+        except TimeoutError:
+            return Close.SILENT
+        return None
 
     def _handle(self, text: str | None) -> None:
         try:
@@ -167,7 +172,7 @@ class Connection:
 
     async def _run_clock(self, number: int) -> Close:
         while True:
-            await asyncio.sleep(max(0.0, self._session.next_step - self._clock()))
+            await asyncio.sleep(max(0.0, self._session.step_at - self._clock()))
             now = self._clock()
             if not self._player.owned_by(number):
                 return Close.REPLACED

@@ -1,12 +1,17 @@
-"""A policy that acts in a session's episode, or watches while a person acts."""
+"""A policy that acts in an episode, watched by a person or alone, and its action probabilities."""
 
 import threading
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from magical.demos.store.trajectory import Actor
+from magical.demos.record import recorded_trajectory
+from magical.demos.store.reader import ObservationReader
+from magical.demos.store.trajectory import Actor, Trajectory
 from magical.envs.ids import EnvId
 from magical.errors import MagicalError, PolicyError
 from magical.evaluation.rollouts import observation_for
@@ -14,8 +19,10 @@ from magical.evaluation.seeds import RolloutRng
 from magical.experts import EpisodeExpert, expert_for
 from magical.observe import make_spec
 from magical.scene import State
-from magical.web.library.policies import Policies, act_on_one_thread, probabilities
-from magical.web.library.rollouts import as_batch
+from magical.web.episode import RECORDER, PlayedEpisode
+from magical.web.policies import Policies
+
+BATCH = 32  # steps whose probabilities are computed at once
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,11 +41,7 @@ class Seen:
     executed: int | None  # None: the first state
 
 
-class Chooser(Protocol):
-    """Chooses an action in every state of one episode, in their order."""
-
-    def choose(self, seen: Seen) -> Proposal:
-        """The action in the next state."""
+Chooser = Callable[[Seen], Proposal]  # called in every state of one episode, in their order
 
 
 class Driver:
@@ -65,7 +68,7 @@ class Driver:
         self.name = entry.name
         self.actor = Actor.EXPERT if entry.folder is None else Actor.POLICY
         self._policies, self._env_id, self._seed = policies, env_id, seed
-        self._chooser: Chooser | None = None
+        self._choose: Chooser | None = None
         self._latest: tuple[int, Proposal] | None = None  # the step, and what was chosen in it
         self._lock = threading.Lock()
 
@@ -77,51 +80,98 @@ class Driver:
         """
         with self._lock:
             if self._latest is None or self._latest[0] != seen.state.step:
-                self._latest = seen.state.step, self._choose(seen)
+                try:
+                    self._choose = self._choose or self._make_chooser()
+                    self._latest = seen.state.step, self._choose(seen)
+                except MagicalError:
+                    raise
+                except Exception as error:  # a policy may fail in any way; the session goes on
+                    raise PolicyError(f"{self.name}: {type(error).__name__}: {error}") from error
             return self._latest[1]
-
-    def _choose(self, seen: Seen) -> Proposal:
-        try:
-            if self._chooser is None:
-                self._chooser = self._make_chooser()
-            return self._chooser.choose(seen)
-        except MagicalError:
-            raise
-        except Exception as error:  # a policy may fail in any way, and the session goes on
-            raise PolicyError(f"{self.name}: {type(error).__name__}: {error}") from error
 
     def _make_chooser(self) -> Chooser:
         if self.actor is Actor.EXPERT:
-            return _ExpertChooser(self._env_id, self._seed)
-        return _NetworkChooser(self._policies.load(self.number), self._env_id, self._seed)
+            return _expert_chooser(self._env_id, self._seed)
+        return _network_chooser(self._policies.load(self.number), self._env_id, self._seed)
 
 
-class _ExpertChooser:
-    def __init__(self, env_id: EnvId, seed: int) -> None:
-        self._expert = EpisodeExpert(expert_for(env_id.task, seed=seed))
+def _expert_chooser(env_id: EnvId, seed: int) -> Chooser:
+    expert = EpisodeExpert(expert_for(env_id.task, seed=seed))
 
-    def choose(self, seen: Seen) -> Proposal:
+    def choose(seen: Seen) -> Proposal:
         if seen.executed is not None:
-            self._expert.note_executed(seen.executed)
-        return Proposal(self._expert.act(seen.state))
+            expert.note_executed(seen.executed)
+        return Proposal(expert.act(seen.state))
+
+    return choose
 
 
-class _NetworkChooser:
-    def __init__(self, policy: Any, env_id: EnvId, seed: int) -> None:
-        self._policy = policy
-        self._env_ids = [env_id]
-        spec = make_spec(observation_for(policy), env_id.task_spec)
-        self._observer = spec.observer()
-        self._rng = RolloutRng(self._env_ids, [seed])
-        policy.reset(np.ones(1, np.bool_))
+def _network_chooser(policy: Any, env_id: EnvId, seed: int) -> Chooser:
+    observer = make_spec(observation_for(policy), env_id.task_spec).observer()
+    rng = RolloutRng([env_id], [seed])
+    policy.reset(np.ones(1, np.bool_))
 
-    def choose(self, seen: Seen) -> Proposal:
+    def choose(seen: Seen) -> Proposal:
         bodies = np.hstack([seen.state.poses.bodies, seen.state.velocities])
         if seen.executed is None:
-            self._observer.start(seen.state.scene, bodies)
+            observer.start(seen.state.scene, bodies)
         else:
-            self._observer.update(bodies)
-        observation = as_batch(self._observer.out)
-        action = act_on_one_thread(self._policy, observation, self._env_ids, self._rng)
-        (row,) = probabilities(self._policy, observation, self._env_ids).round(3).tolist()
+            observer.update(bodies)
+        observations = _as_batch(observer.out)
+        with _one_thread():
+            action = int(policy.act(observations, [env_id], rng)[0])
+            (row,) = policy.probabilities(observations, [env_id]).round(3).tolist()
         return Proposal(action, tuple(row))
+
+    return choose
+
+
+def _as_batch(observation: object) -> object:
+    """One observation, an array or a dict of arrays, as a batch of one."""
+    if isinstance(observation, dict):
+        return {name: np.asarray(part)[None] for name, part in observation.items()}
+    return np.asarray(observation)[None]
+
+
+def _one_thread() -> AbstractContextManager[None]:
+    """For single observations one thread is faster, and leaves the other cores to the players."""
+    from magical.learning.running.devices import one_thread  # imports PyTorch: only for runs
+
+    return one_thread()
+
+
+def roll_out(policies: Policies, number: int, env_id: EnvId, seed: int) -> Trajectory:
+    """One episode of a policy, from the scene of `reset(seed=seed)`.
+
+    Actions are sampled as in an evaluation. The demonstrator is the policy's name.
+
+    Raises:
+        NotFoundError: there is no policy of that number.
+        MagicalError: it cannot be loaded, or cannot act in the environment.
+    """
+    driver, episode = Driver(policies, number, env_id, seed), PlayedEpisode(env_id, seed)
+    while True:
+        proposal = driver.propose(Seen(episode.env.state(), episode.last_action))
+        if episode.step(proposal.action, driver.actor):
+            break
+    remarks = {"recorder": RECORDER, "policy": driver.name}
+    return recorded_trajectory(
+        episode.env, episode.poses, seed=seed, demonstrator=driver.name, metadata=remarks
+    )
+
+
+def episode_probabilities(policy: Any, episode: Trajectory) -> NDArray[np.float64]:
+    """A run's distributions over actions before each step of an episode, (T, 18).
+
+    Raises:
+        PolicyError: the policy did not learn the episode's task.
+        TrajectoryError, ObservationError: the episode does not have the policy's observations.
+    """
+    reader = ObservationReader(episode, policy.observation)
+    parts = []
+    for first in range(0, len(episode), BATCH):
+        times = range(first, min(first + BATCH, len(episode)))
+        with _one_thread():
+            env_ids = [episode.env_id] * len(times)
+            parts.append(policy.probabilities(reader.read(list(times)), env_ids))
+    return np.concatenate(parts)

@@ -12,6 +12,8 @@ from magical.envs.env import MagicalEnv
 from magical.envs.ids import EnvId
 from magical.envs.keys import Control, controls_of
 
+RECORDER = "magical play"  # in the metadata of episodes
+
 
 class PlayedEpisode:
     """An episode from its reset to its last step, with all poses."""
@@ -66,7 +68,7 @@ class PlayedEpisode:
             view: what that person saw last.
             policy: the name of the policy that was watched, if one was.
         """
-        metadata = {"recorder": "magical play", "view": view}
+        metadata = {"recorder": RECORDER, "view": view}
         trajectory = recorded_trajectory(
             self.env,
             self.poses,

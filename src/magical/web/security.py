@@ -1,14 +1,22 @@
-"""Who may use the server: a secret token, and requests that come from its own page."""
+"""Who may use the server, how often, and how long requests may take to arrive."""
 
+import asyncio
 import hmac
 import ipaddress
 import secrets
 import socket
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
-from urllib.parse import SplitResult, urlsplit
+from urllib.parse import SplitResult, parse_qs, urlsplit
+
+import h11
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import PlainTextResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 TOKEN_BYTES = 32  # of randomness, twice the least that the token must have
+REQUEST_TIME = 10.0  # s within which a request must have arrived, its body too
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
 
 # Sent with every answer. Nothing is loaded from elsewhere, the page cannot be framed, and its
@@ -50,9 +58,9 @@ class Guard:
     hosts: frozenset[str] = LOOPBACK
     any_address: bool = False
 
-    def knows(self, token: str | None) -> bool:
+    def knows(self, token: str) -> bool:
         """Whether a token is the right one; takes the same time wherever they differ."""
-        return hmac.compare_digest((token or "").encode(), self.token.encode())
+        return hmac.compare_digest(token.encode(), self.token.encode())
 
     def accepts_host(self, headers: Mapping[str, str]) -> bool:
         """Whether the Host header names this server."""
@@ -79,9 +87,14 @@ class Guard:
 def make_guard(host: str, token: str, allowed: frozenset[str] = frozenset()) -> Guard:
     """The guard of a server that is bound to `host` and may also be called by the allowed names."""
     names = LOOPBACK | {host} | {name.lower() for name in allowed}
-    if host in LOOPBACK:
+    if is_loopback(host):
         return Guard(token, names)
     return Guard(token, names | {socket.gethostname().lower()}, any_address=True)
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a server that listens on this address is reachable from this machine alone."""
+    return host in LOOPBACK
 
 
 def page_url(host: str, port: int, token: str) -> str:
@@ -106,3 +119,108 @@ def _is_address(name: str) -> bool:
     except ValueError:
         return False
     return True
+
+
+class GuardMiddleware:
+    """Answers only what the guard accepts, and adds the security headers to every answer.
+
+    Args:
+        app: what answers the rest.
+        guard: decides what is refused.
+        public: paths that may be read without the token.
+    """
+
+    def __init__(self, app: ASGIApp, guard: Guard, public: Collection[str]) -> None:
+        self._app, self._guard, self._public = app, guard, public
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle one request or socket."""
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+        elif (problem := self._problem(scope)) is None:
+            await self._app(scope, receive, _with_headers(send))
+        elif scope["type"] == "websocket":
+            await receive()  # the request to connect
+            await send({"type": "websocket.close", "code": 1008})  # before accepting: status 403
+        else:
+            answer = PlainTextResponse(f"refused: {problem}\n", status_code=403)
+            await answer(scope, receive, _with_headers(send))
+
+    def _problem(self, scope: Scope) -> str | None:
+        """Why a request is refused; `None`: it is not."""
+        headers, guard = Headers(scope=scope), self._guard
+        reading = scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
+        if not guard.accepts_host(headers):
+            return "the Host header does not name this server; see --allow-host"
+        if not guard.accepts_origin(headers, required=not reading):
+            return "the Origin header does not name this server"
+        token = parse_qs(scope["query_string"].decode("latin-1")).get("token", [""])[0]
+        if not (reading and scope["path"] in self._public) and not guard.knows(token):
+            return "the token is missing or wrong; open the address that the server printed"
+        return None
+
+
+def _with_headers(send: Send) -> Send:
+    async def wrapped(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            MutableHeaders(scope=message).update(HEADERS)
+        await send(message)
+
+    return wrapped
+
+
+class RateLimit:
+    """A token bucket: `rate` messages a second on average, `burst` at once."""
+
+    def __init__(self, rate: float, burst: float, now: float) -> None:
+        self.rate, self.burst = rate, burst
+        self._available, self._updated = burst, now
+
+    def allows(self, now: float) -> bool:
+        """Whether one more message may be handled now, which then counts."""
+        elapsed, self._updated = now - self._updated, now
+        self._available = min(self.burst, self._available + elapsed * self.rate)
+        if self._available < 1.0:
+            return False
+        self._available -= 1.0
+        return True
+
+
+class TimedProtocol(H11Protocol):
+    """HTTP whose connections are closed when a request does not arrive within `REQUEST_TIME`.
+
+    Without it, somebody who sends a byte now and then keeps a connection for good.
+    """
+
+    _deadline: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Wait for a request from now on."""
+        super().connection_made(transport)
+        self._start()
+
+    def data_received(self, data: bytes) -> None:
+        """Wait for the rest of a request, from its first byte on."""
+        if self._deadline is None:
+            self._start()
+        super().data_received(data)
+        if self.conn.their_state not in (h11.IDLE, h11.SEND_BODY):
+            self._stop()
+
+    def handle_websocket_upgrade(self, event: h11.Request) -> None:
+        """Wait no longer: the socket's own protocol takes over."""
+        self._stop()
+        super().handle_websocket_upgrade(event)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Wait no longer."""
+        self._stop()
+        super().connection_lost(exc)
+
+    def _start(self) -> None:
+        self._deadline = self.loop.call_later(REQUEST_TIME, self.transport.abort)
+
+    def _stop(self) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
+            self._deadline = None

@@ -2,41 +2,36 @@
 
 import asyncio
 import json
-import os
 import socket as sockets
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import parse_qs
 
 import numpy as np
 import uvicorn
 from starlette.applications import Starlette
-from starlette.datastructures import Headers, MutableHeaders
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import JSONResponse, PlainTextResponse, Response
+from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from magical.demos.store.trajectory import Trajectory
+from magical.demos.store.writer import DatasetWriter
 from magical.envs.ids import EnvId
 from magical.errors import MagicalError, ServerError
 from magical.render import warm_up
 from magical.tasks import TASKS
 from magical.web import frames
 from magical.web.connection import Clock, Close, Connection
-from magical.web.driver import Driver
-from magical.web.library.routes import Library, LibrarySettings
+from magical.web.library.routes import Library
 from magical.web.messages import MAX_BYTES
 from magical.web.players import Players
-from magical.web.recorder import Recorder
-from magical.web.security import HEADERS, Guard
+from magical.web.policies import Policies
+from magical.web.security import Guard, GuardMiddleware, TimedProtocol
 from magical.web.session import Session
 
 PAGE = Path(__file__).parent / "page"
@@ -59,64 +54,15 @@ class PlaySettings:
         env_id: the environment that a new player starts in.
         record: the dataset's folder; `None`: nothing is recorded.
         max_players: the largest number of environments.
-        library: datasets and runs to look at; the dataset that is recorded is always listed.
+        datasets: to look at; the dataset that is recorded is always listed.
+        runs: run folders, or folders with run folders in them, whose policies can be watched.
     """
 
     env_id: EnvId
     record: Path | None = None
     max_players: int = 16
-    library: LibrarySettings = field(default_factory=LibrarySettings)
-
-
-class GuardMiddleware:
-    """Answers only what the guard accepts, and adds the security headers to every answer."""
-
-    def __init__(self, app: ASGIApp, guard: Guard) -> None:
-        self._app = app
-        self._guard = guard
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Handle one request or socket."""
-        if scope["type"] == "lifespan":
-            await self._app(scope, receive, send)
-        elif problem := self._problem(scope):
-            await self._refuse(problem, scope, receive, send)
-        else:
-            await self._app(scope, receive, _with_headers(send))
-
-    def _problem(self, scope: Scope) -> str | None:
-        """Why a request is refused; `None`: it is not."""
-        headers, guard = Headers(scope=scope), self._guard
-        reading = scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
-        if not guard.accepts_host(headers):
-            return "the Host header does not name this server; see --allow-host"
-        if not guard.accepts_origin(headers, required=not reading):
-            return "the Origin header does not name this server"
-        if not (reading and scope["path"] in PAGE_FILES) and not guard.knows(_token(scope)):
-            return "the token is missing or wrong; open the address that the server printed"
-        return None
-
-    async def _refuse(self, problem: str, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] == "websocket":
-            await receive()  # the request to connect
-            await send({"type": "websocket.close", "code": 1008})  # before accepting: status 403
-        else:
-            answer = PlainTextResponse(f"refused: {problem}\n", status_code=403)
-            await answer(scope, receive, _with_headers(send))
-
-
-def _token(scope: Scope) -> str | None:
-    query: dict[str, list[str]] = parse_qs(scope["query_string"].decode("latin-1"))
-    return query["token"][0] if "token" in query else None
-
-
-def _with_headers(send: Send) -> Send:
-    async def wrapped(message: Message) -> None:
-        if message["type"] == "http.response.start":
-            MutableHeaders(scope=message).update(HEADERS)
-        await send(message)
-
-    return wrapped
+    datasets: Sequence[Path] = ()
+    runs: Sequence[Path] = ()
 
 
 class PlayServer:
@@ -132,13 +78,17 @@ class PlayServer:
     """
 
     def __init__(self, settings: PlaySettings, clock: Clock) -> None:
-        self.settings = settings
-        self.recorder = Recorder(settings.record) if settings.record else None
-        self.players = Players(self._new_session, settings.max_players)
+        self._settings = settings
+        self._writer = DatasetWriter(settings.record) if settings.record else None
+        self._saving: set[asyncio.Task[None]] = set()
         self._clock = clock
         self._rng = np.random.default_rng()  # of the seeds of scenes
-        self._library = Library(_listed(settings), clock, self._rng)
+        self._policies = Policies(settings.runs)
+        recorded = [settings.record] if settings.record else []
+        folders = {path.resolve(): path for path in [*settings.datasets, *recorded]}
+        self._library = Library(list(folders.values()), self._policies, clock, self._rng)
         self._threads = ThreadPoolExecutor(DRIVING_THREADS, "driver")
+        self.players = Players(self._new_session, settings.max_players)
 
     def routes(self) -> list[BaseRoute]:
         """Every route. None takes a path from outside, so none can leave the page's folder."""
@@ -157,8 +107,7 @@ class PlayServer:
         sweep.cancel()
         self._library.close()
         self._threads.shutdown(wait=True, cancel_futures=True)
-        if self.recorder:
-            await self.recorder.finish()
+        await asyncio.gather(*self._saving)
 
     async def environments(self, _: Request) -> JSONResponse:
         """The tasks with their variants, as JSON."""
@@ -195,27 +144,29 @@ class PlayServer:
                 await socket.close(reason)
 
     def _new_session(self, now: float) -> Session:
-        recording = self.recorder is not None
-        make_driver = partial(Driver, self._library.policies)
-        return Session(
-            self.settings.env_id, self._rng, now, recording=recording, make_driver=make_driver
-        )
+        recording = self._writer is not None
+        return Session(self._settings.env_id, self._rng, now, self._policies, recording=recording)
 
     def _save(self, session: Session, trajectory: Trajectory) -> asyncio.Task[None]:
-        assert self.recorder is not None  # otherwise a session does not offer to keep anything
-        return self.recorder.store(session, trajectory)
+        """Start to store an episode in a thread, which the loss of a connection does not stop."""
+        task = asyncio.create_task(self._store(session, trajectory))
+        self._saving.add(task)
+        task.add_done_callback(self._saving.discard)
+        return task
+
+    async def _store(self, session: Session, trajectory: Trajectory) -> None:
+        assert self._writer is not None  # otherwise a session does not offer to keep anything
+        try:
+            await asyncio.to_thread(self._writer.append, trajectory)
+        except MagicalError as error:
+            session.not_stored(f"Not kept: {error}")
+        else:
+            session.stored()
 
     async def _drop_expired(self) -> None:
         while True:
             await asyncio.sleep(SWEEP_TIME)
             self.players.drop_expired(self._clock())
-
-
-def _listed(settings: PlaySettings) -> LibrarySettings:
-    """What the library lists: the recorded dataset too, and each dataset once."""
-    recorded = [settings.record] if settings.record else []
-    folders = {path.resolve(): path for path in [*settings.library.datasets, *recorded]}
-    return LibrarySettings(tuple(folders.values()), settings.library.runs)
 
 
 def create_app(settings: PlaySettings, guard: Guard, clock: Clock = time.monotonic) -> Starlette:
@@ -229,7 +180,7 @@ def create_app(settings: PlaySettings, guard: Guard, clock: Clock = time.monoton
     app = Starlette(
         routes=server.routes(),
         lifespan=server.lifespan,
-        middleware=[Middleware(GuardMiddleware, guard=guard)],
+        middleware=[Middleware(GuardMiddleware, guard=guard, public=PAGE_FILES)],
     )
     app.state.players = server.players
     return app
@@ -247,19 +198,11 @@ def listen(host: str, port: int) -> sockets.socket:
         ServerError: the address is not this machine's, or in use.
     """
     try:
-        info = sockets.getaddrinfo(host, port, type=sockets.SOCK_STREAM, flags=sockets.AI_PASSIVE)
-        family, _, _, _, address = info[0]
+        family = sockets.AF_INET6 if ":" in host else sockets.AF_INET
+        listening = sockets.create_server((host, port), family=family)
         # asyncio switches Nagle's algorithm off, but only where the protocol is said to be TCP.
-        listening = sockets.socket(family, sockets.SOCK_STREAM, sockets.IPPROTO_TCP)
-        try:
-            if os.name == "posix":  # elsewhere it would let others take the address
-                listening.setsockopt(sockets.SOL_SOCKET, sockets.SO_REUSEADDR, 1)
-            listening.bind(address)
-            listening.listen()
-        except BaseException:
-            listening.close()
-            raise
-        return listening
+        tcp = (family, sockets.SOCK_STREAM, sockets.IPPROTO_TCP)
+        return sockets.socket(*tcp, fileno=listening.detach())
     except OSError as error:
         raise ServerError(
             f"cannot listen on {host}, port {port}: {error.strerror or error}; choose another "
@@ -280,6 +223,7 @@ def make_server(app: Starlette) -> uvicorn.Server:
         access_log=False,  # it would show the token
         server_header=False,
         proxy_headers=False,
+        http=TimedProtocol,
         ws="websockets-sansio",
         ws_max_size=MAX_BYTES,
         ws_per_message_deflate=False,  # frames are compressed already

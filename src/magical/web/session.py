@@ -4,7 +4,6 @@ Time is passed in, in seconds of any steady clock; nothing here waits, reads a c
 sockets.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -12,28 +11,18 @@ from typing import Any
 import numpy as np
 
 from magical.demos.store.trajectory import Actor, Trajectory
-from magical.envs.ids import EnvId
+from magical.envs.ids import EnvId, parse_env_id
 from magical.envs.keys import Control, action_of, controls_of
 from magical.envs.seeds import sample_training_seeds
-from magical.errors import MessageError, NotFoundError
+from magical.errors import MessageError
 from magical.scene import Poses, State
 from magical.scene.constants import CONTROL_RATE
+from magical.web import messages
 from magical.web.driver import Driver, Proposal, Seen
 from magical.web.episode import PlayedEpisode
 from magical.web.frames import FrameEncoder
-from magical.web.messages import (
-    VIEWS,
-    Discard,
-    HandBack,
-    Keep,
-    Keys,
-    Message,
-    Pause,
-    Restart,
-    Show,
-    Start,
-    Watch,
-)
+from magical.web.messages import VIEWS, Message
+from magical.web.policies import Policies
 
 STEP_TIME = 1.0 / CONTROL_RATE  # s
 LOOK_TIME = STEP_TIME / 8  # s between looking whether a policy has chosen its action
@@ -49,9 +38,6 @@ class Phase(StrEnum):
     PAUSED = "paused"  # any key
     ENDED = "ended"  # keep or discard; without recording, the next episode
     SAVING = "saving"  # the disk
-
-
-MakeDriver = Callable[[int, EnvId, int], Driver]
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,9 +66,8 @@ class Session:
         env_id: the first environment.
         rng: samples the seeds of scenes.
         now: the time, in seconds.
+        policies: that can be watched.
         recording: whether episodes can be kept.
-        make_driver: makes the driver of an episode by the policy of a number; `None`: there is
-            none to watch.
     """
 
     def __init__(
@@ -90,9 +75,9 @@ class Session:
         env_id: EnvId,
         rng: np.random.Generator,
         now: float,
+        policies: Policies,
         *,
         recording: bool = False,
-        make_driver: MakeDriver | None = None,
     ) -> None:
         self.recording = recording
         self.phase = Phase.READY
@@ -103,17 +88,17 @@ class Session:
         self._rng = rng
         self._held: frozenset[Control] = frozenset()
         self._pressed: frozenset[Control] = frozenset()  # since the last step
-        self._step_at = now
+        self.step_at = now  # when `advance` should be called next
         self._heard_at = now
         self._input_at = now
         self._fixed_seed = False  # whether the next episode has the same seed
-        self._pending: Trajectory | None = None  # the episode that is to be stored
-        self._make_driver = make_driver
-        self._driver: Driver | None = None  # of the policy that is watched
-        self._is_handed = False  # whether the policy acts
-        self._proposal: Proposal | None = None  # what it chooses in the present state
-        self._asked = False  # for the proposal
-        self._begin(env_id, None)
+        self._pending: Trajectory | None  # the episode that is to be stored
+        self._policies = policies
+        self._driver: Driver | None  # of the policy that is watched
+        self._is_handed: bool  # whether the policy acts
+        self._proposal: Proposal | None  # what it chooses in the present state
+        self._asked: bool  # for the proposal
+        self._begin(env_id, None, None)
 
     def joined(self, now: float) -> None:
         """Note that a page was connected: it holds no keys, and a running episode is paused."""
@@ -144,41 +129,41 @@ class Session:
             MagicalError: an environment could not be started; the old one goes on.
         """
         self._heard_at = now
-        if isinstance(message, Keys):
+        if isinstance(message, messages.Keys):
             self._hold(message.held, now)
             return
         self._input_at = now
         self._follow(message)
-        if not isinstance(message, Show):
+        if not isinstance(message, messages.Show):
             self.notice = ""
         self._changed()
 
     def _follow(self, message: Message) -> None:
         match message:
-            case Start(env_id, seed):
+            case messages.Start(env_id, seed):
                 self._require_decision()
-                self._begin(env_id, seed, policy=self._policy)
-            case Restart():
+                self._begin(parse_env_id(env_id), seed, self._policy)
+                self._fixed_seed = seed is not None
+            case messages.Restart():
                 self._require_decision()
-                env_id, seed = self.episode.env_id, self.episode.seed
-                self._begin(env_id, seed, policy=self._policy, fixed=self._fixed_seed)
-            case Pause():
+                self._begin(self.episode.env_id, self.episode.seed, self._policy)
+            case messages.Pause():
                 self.pause()
-            case Show(view):
+            case messages.Show(view):
                 self.view = view
                 self._new_encoder()
-            case Keep(demonstrator):
+            case messages.Keep(demonstrator):
                 self._require(Phase.ENDED, "keep")
                 policy = self._driver.name if self._driver else None
                 self._pending = self.episode.trajectory(demonstrator, self.view, policy)
                 self.phase = Phase.SAVING
-            case Discard():
+            case messages.Discard():
                 self._require(Phase.ENDED, "discard")
                 self._next_episode(self._policy)
-            case Watch(policy):
+            case messages.Watch(policy):
                 self._require_decision()
                 self._next_episode(policy)
-            case HandBack():
+            case messages.HandBack():
                 self._hand_back()
 
     def note_problem(self, problem: str) -> None:
@@ -198,7 +183,7 @@ class Session:
         if started and self.phase in (Phase.READY, Phase.PAUSED):
             self.phase = Phase.PLAYING
             self.notice = ""
-            self._step_at = now
+            self.step_at = now
             self._changed()
 
     def _hand_back(self) -> None:
@@ -243,7 +228,7 @@ class Session:
     def note_failure(self, question: Question, problem: str) -> None:
         """Go on without a policy that has failed."""
         if question.driver is self._driver:
-            self._begin(self.episode.env_id, self.episode.seed, fixed=self._fixed_seed)
+            self._begin(self.episode.env_id, self.episode.seed, None)
             self.note_problem(problem)
 
     # Storing
@@ -266,30 +251,25 @@ class Session:
 
     # The clock
 
-    @property
-    def next_step(self) -> float:
-        """When `advance` should be called next."""
-        return self._step_at
-
     def advance(self, now: float) -> None:
         """Step the environment if a step is due; pause it if the page has fallen silent.
 
         After a delay no steps are made up for: the player could not have seen them.
         """
         if self.phase is not Phase.PLAYING:
-            self._step_at = now + STEP_TIME
+            self.step_at = now + STEP_TIME
             return
-        if now < self._step_at:
+        if now < self.step_at:
             return
         if now - self._heard_at > SILENCE_TIME:
             self.pause()
             self.note_problem("Paused: the page did not answer.")
             return
         if self._driver is not None and self._proposal is None:
-            self._step_at = now + LOOK_TIME
+            self.step_at = now + LOOK_TIME
             return
-        late = now - self._step_at > STEP_TIME
-        self._step_at = STEP_TIME + (now if late else self._step_at)
+        late = now - self.step_at > STEP_TIME
+        self.step_at = STEP_TIME + (now if late else self.step_at)
         self._step()
         self._changed()
 
@@ -309,8 +289,8 @@ class Session:
     def status(self) -> dict[str, Any]:
         """The session's state as plain JSON data."""
         episode, env = self.episode, self.episode.env
+        driver, proposal = self._driver, self._proposal
         return {
-            **self._watching(),
             "type": "status",
             "number": self.changes,
             "phase": self.phase,
@@ -328,11 +308,6 @@ class Session:
             "can_keep": self.can_keep,
             "kept": self.kept,
             "notice": self.notice,
-        }
-
-    def _watching(self) -> dict[str, Any]:
-        driver, proposal = self._driver, self._proposal
-        return {
             "policy": driver.number if driver else None,
             "policy_name": driver.name if driver else None,
             "policy_acts": self._is_handed,
@@ -346,26 +321,17 @@ class Session:
 
     def _next_episode(self, policy: int | None) -> None:
         seed = self.episode.seed if self._fixed_seed else None
-        self._begin(self.episode.env_id, seed, policy=policy)
+        self._begin(self.episode.env_id, seed, policy)
 
     @property
     def _policy(self) -> int | None:
         return self._driver.number if self._driver else None
 
-    def _begin(
-        self,
-        env_id: EnvId,
-        seed: int | None,
-        *,
-        policy: int | None = None,
-        fixed: bool | None = None,
-    ) -> None:
+    def _begin(self, env_id: EnvId, seed: int | None, policy: int | None) -> None:
         """Begin an episode; with a policy that acts, at once, and otherwise with the first key."""
         chosen = sample_training_seeds(self._rng, 1)[0] if seed is None else seed
-        driver = self._new_driver(policy, env_id, chosen)
-        episode = PlayedEpisode(env_id, chosen)
-        self._fixed_seed = seed is not None if fixed is None else fixed
-        self.episode = episode
+        driver = None if policy is None else Driver(self._policies, policy, env_id, chosen)
+        self.episode = PlayedEpisode(env_id, chosen)
         self._driver = driver
         self._is_handed = driver is not None
         self._proposal, self._asked = None, False
@@ -373,13 +339,6 @@ class Session:
         self.phase = Phase.READY if driver is None else Phase.PLAYING
         self._pressed = frozenset()
         self._new_encoder()
-
-    def _new_driver(self, policy: int | None, env_id: EnvId, seed: int) -> Driver | None:
-        if policy is None:
-            return None
-        if self._make_driver is None:
-            raise NotFoundError("watch: this server has no policies")
-        return self._make_driver(policy, env_id, seed)
 
     def _new_encoder(self) -> None:
         scene = self.episode.env.state().scene

@@ -1,37 +1,47 @@
 """The HTTP routes of the library. What takes long is computed in threads: the players go on."""
 
 import asyncio
-from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Route
 
 from magical.demos.store.trajectory import Actor
+from magical.envs.ids import parse_env_id
 from magical.envs.keys import controls_of
 from magical.envs.seeds import sample_training_seeds
 from magical.errors import BusyError, MagicalError, MessageError, NotFoundError
 from magical.scene.actions import ACTION_NAMES
-from magical.web.library.policies import Policies, episode_probabilities
-from magical.web.library.queries import (
+from magical.untrusted import parse_json
+from magical.web.driver import episode_probabilities, roll_out
+from magical.web.library.sources import (
+    ROLLOUTS,
+    DatasetSource,
+    RolloutSource,
+    Source,
+    summary,
+    unique_names,
+)
+from magical.web.library.viewing import ViewedEpisode
+from magical.web.messages import (
     PAGE,
     EpisodeQuery,
     FramesQuery,
     ListQuery,
+    NoQuery,
     ProbabilitiesQuery,
+    RolloutRequest,
+    bounded,
     parse_query,
-    parse_rollout,
 )
-from magical.web.library.rollouts import roll_out
-from magical.web.library.sources import ROLLOUTS, Sources
-from magical.web.library.viewing import ViewedEpisode
-from magical.web.messages import MAX_BYTES, RateLimit, json_object
+from magical.web.policies import Policies
+from magical.web.security import RateLimit
 
 REQUEST_RATE = 40.0  # requests a second, of all pages together
 REQUEST_BURST = 120.0  # requests
@@ -40,14 +50,7 @@ MAX_WAITING_ROLLOUTS = 4  # of these, rollouts and probabilities of policies
 OPEN_EPISODES = 8  # that are kept in memory
 
 _Result = TypeVar("_Result")
-
-
-@dataclass(frozen=True, slots=True)
-class LibrarySettings:
-    """What the page lists: folders of datasets, and folders of runs or with runs in them."""
-
-    datasets: tuple[Path, ...] = ()
-    runs: tuple[Path, ...] = ()
+_Query = TypeVar("_Query")
 
 
 class Worker:
@@ -55,20 +58,19 @@ class Worker:
 
     def __init__(self, name: str, limit: int) -> None:
         self._executor = ThreadPoolExecutor(1, name)
-        self._limit = limit
-        self._waiting = 0
+        self._free = limit
 
     async def run(self, work: Callable[..., _Result], *arguments: Any) -> _Result:
         """The result of the work in the thread; raises `BusyError` where the queue is full."""
-        if self._waiting >= self._limit:
+        if not self._free:
             raise BusyError("the server is busy with other requests; try again in a moment")
-        self._waiting += 1
+        self._free -= 1
         future = asyncio.get_running_loop().run_in_executor(self._executor, work, *arguments)
-        future.add_done_callback(lambda _: self._finished())
+        future.add_done_callback(self._note_done)  # also where the request was given up meanwhile
         return await future
 
-    def _finished(self) -> None:
-        self._waiting -= 1
+    def _note_done(self, _: object) -> None:
+        self._free += 1
 
     def close(self) -> None:
         """End the thread after what it is doing."""
@@ -79,36 +81,45 @@ class Library:
     """Datasets, runs and rollouts of a server, as its page asks for them.
 
     Args:
-        settings: what is listed.
+        datasets: the datasets' folders; their keys are `d0`, `d1`, ...
+        policies: that can be rolled out.
         clock: the time in seconds.
         rng: samples the seeds of scenes.
 
     Raises:
         DatasetError: a folder holds no dataset, or a damaged one.
-        RunFolderError: a folder of runs does not exist.
     """
 
     def __init__(
-        self, settings: LibrarySettings, clock: Callable[[], float], rng: np.random.Generator
+        self,
+        datasets: Sequence[Path],
+        policies: Policies,
+        clock: Callable[[], float],
+        rng: np.random.Generator,
     ) -> None:
-        self.sources = Sources(settings.datasets)
-        self.policies = Policies(settings.runs)
+        names = enumerate(zip(unique_names(datasets), datasets, strict=True))
+        self._rollouts = RolloutSource()
+        self._sources: dict[str, Source] = {f"d{i}": DatasetSource(*named) for i, named in names}
+        self._sources[ROLLOUTS] = self._rollouts
+        self._policies = policies
         self._clock = clock
         self._rng = rng
         self._limit = RateLimit(REQUEST_RATE, REQUEST_BURST, clock())
         self._reader = Worker("reader", MAX_WAITING)  # reads files, renders frames
         self._runner = Worker("runner", MAX_WAITING_ROLLOUTS)  # runs policies
-        self._open: OrderedDict[tuple[str, int], ViewedEpisode] = OrderedDict()
+        self._viewed = lru_cache(OPEN_EPISODES)(
+            lambda source, number: ViewedEpisode(self._find(source).read(number))
+        )
 
     def routes(self) -> list[BaseRoute]:
         """All routes; none takes a path."""
         return [
-            Route("/api/library", self._answering(self._list_library)),
-            Route("/api/episodes", self._answering(self._list_episodes)),
-            Route("/api/episode", self._answering(self._show_episode)),
-            Route("/api/frames", self._answering(self._send_frames)),
-            Route("/api/probabilities", self._answering(self._send_probabilities)),
-            Route("/api/rollouts", self._answering(self._roll_out), methods=["POST"]),
+            self._route("/api/library", NoQuery, self._list_library),
+            self._route("/api/episodes", ListQuery, self._list_episodes),
+            self._route("/api/episode", EpisodeQuery, self._show_episode),
+            self._route("/api/frames", FramesQuery, self._send_frames),
+            self._route("/api/probabilities", ProbabilitiesQuery, self._send_probabilities),
+            self._route("/api/rollouts", RolloutRequest, self._roll_out, "POST"),
         ]
 
     def close(self) -> None:
@@ -116,14 +127,37 @@ class Library:
         self._reader.close()
         self._runner.close()
 
+    def _route(
+        self,
+        path: str,
+        kind: type[_Query],
+        answer: Callable[[_Query], Coroutine[Any, Any, Response]],
+        method: str = "GET",
+    ) -> Route:
+        """A route that limits the rate of requests, and says what is wrong with one."""
+
+        async def respond(request: Request) -> Response:
+            if not self._limit.allows(self._clock()):
+                return _problem(429, "too many requests; try again in a moment")
+            try:
+                return await answer(await _parsed(kind, request))
+            except MagicalError as error:
+                return _problem(_status(error), str(error))
+
+        return Route(path, respond, methods=[method])
+
+    def _find(self, key: str) -> Source:
+        if key not in self._sources:
+            raise NotFoundError(f"source: expected one of {', '.join(self._sources)}")
+        return self._sources[key]
+
     # Answers
 
-    async def _list_library(self, request: Request) -> Response:
-        parse_no_query(request)
-        policies = await self._reader.run(self.policies.refresh)
+    async def _list_library(self, _: NoQuery) -> Response:
+        policies = await self._reader.run(self._policies.refresh)
         return JSONResponse(
             {
-                "sources": [{"key": key, "name": source.name} for key, source in self.sources],
+                "sources": [{"key": k, "name": source.name} for k, source in self._sources.items()],
                 "policies": [
                     {"number": i, "name": p.name, "tasks": p.tasks, "algorithm": p.algorithm}
                     for i, p in enumerate(policies)
@@ -136,103 +170,65 @@ class Library:
             }
         )
 
-    async def _list_episodes(self, request: Request) -> Response:
-        query = parse_query(ListQuery, fields(request))
-        source = self.sources.find(query.source)
-        found = await self._reader.run(source.summaries)
-        summaries = [one for one in found if query.task in ("", one.env_id.task)]
-        newest = summaries[::-1][query.skip : query.skip + PAGE]
-        return JSONResponse(
-            {"total": len(summaries), "episodes": [asdict(summary) for summary in newest]}
-        )
+    async def _list_episodes(self, query: ListQuery) -> Response:
+        found = await self._reader.run(self._find(query.source).episodes)
+        listed = [item for item in found.items() if query.task in ("", item[1].env_id.task)]
+        newest = listed[::-1][query.skip : query.skip + PAGE]
+        return JSONResponse({"total": len(listed), "episodes": [summary(*item) for item in newest]})
 
-    async def _show_episode(self, request: Request) -> Response:
-        query = parse_query(EpisodeQuery, fields(request))
-        return JSONResponse(await self._reader.run(self._details, query.source, query.episode))
+    async def _show_episode(self, query: EpisodeQuery) -> Response:
+        return JSONResponse(await self._reader.run(self._details, query))
 
-    async def _send_frames(self, request: Request) -> Response:
-        query = parse_query(FramesQuery, fields(request))
+    async def _send_frames(self, query: FramesQuery) -> Response:
         content = await self._reader.run(self._frames, query)
         return Response(content, media_type="application/octet-stream")
 
-    async def _send_probabilities(self, request: Request) -> Response:
-        query = parse_query(ProbabilitiesQuery, fields(request))
+    async def _send_probabilities(self, query: ProbabilitiesQuery) -> Response:
         return JSONResponse(await self._runner.run(self._probabilities, query))
 
-    async def _roll_out(self, request: Request) -> Response:
-        parse_no_query(request)
-        wanted = parse_rollout(json_object(await body(request)))
+    async def _roll_out(self, wanted: RolloutRequest) -> Response:
         seed = sample_training_seeds(self._rng, 1)[0] if wanted.seed is None else wanted.seed
-        arguments = (self.policies, wanted.policy, wanted.env_id, seed)
+        arguments = (self._policies, wanted.policy, parse_env_id(wanted.env_id), seed)
         episode = await self._runner.run(roll_out, *arguments)
-        return JSONResponse({"source": ROLLOUTS, "episode": self.sources.rollouts.add(episode)})
+        return JSONResponse({"source": ROLLOUTS, "episode": self._rollouts.add(episode)})
 
     # In threads
 
-    def _viewed(self, source: str, number: int) -> ViewedEpisode:
-        key = source, number
-        if key not in self._open:
-            self._open[key] = ViewedEpisode(self.sources.find(source).read(number))
-            while len(self._open) > OPEN_EPISODES:
-                self._open.popitem(last=False)
-        self._open.move_to_end(key)
-        return self._open[key]
-
-    def _details(self, source: str, number: int) -> dict[str, Any]:
-        return self._viewed(source, number).details
+    def _details(self, query: EpisodeQuery) -> dict[str, Any]:
+        return self._viewed(query.source, query.episode).details
 
     def _frames(self, query: FramesQuery) -> bytes:
         viewed = self._viewed(query.source, query.episode)
         return viewed.frames(query.view, query.first, query.count)
 
     def _probabilities(self, query: ProbabilitiesQuery) -> list[list[float]]:
-        policy = self.policies.load(query.policy)
-        episode = self.sources.find(query.source).read(query.episode)
-        self.policies.find(query.policy).check(episode.env_id)
+        policy = self._policies.load(query.policy)
+        episode = self._find(query.source).read(query.episode)
+        self._policies.find(query.policy).check(episode.env_id)
         rows: list[list[float]] = episode_probabilities(policy, episode).round(4).tolist()
         return rows
 
-    def _answering(self, answer: Callable[[Request], Any]) -> Callable[[Request], Any]:
-        """A route that limits the rate of requests, and says what is wrong with one."""
 
-        async def limited(request: Request) -> Response:
-            if not self._limit.allows(self._clock()):
-                return _problem(429, "too many requests; try again in a moment")
-            try:
-                response: Response = await answer(request)
-            except MagicalError as error:
-                return _problem(_status(error), str(error))
-            return response
-
-        return limited
-
-
-def fields(request: Request) -> dict[str, str]:
-    """The fields of a request's address without the token; each may be given once.
-
-    Raises:
-        MessageError: a field is there twice.
-    """
+async def _parsed(kind: type[_Query], request: Request) -> _Query:
+    """A request's query or, where it has one, its body; raises `MessageError`."""
     given = [item for item in request.query_params.multi_items() if item[0] != "token"]
     if len(dict(given)) < len(given):
         raise MessageError("expected each field once")
-    return dict(given)
+    if request.method != "POST":
+        return parse_query(kind, dict(given))
+    parse_query(NoQuery, dict(given))
+    return parse_json(await body(request), kind, "request", MessageError)
 
 
-def parse_no_query(request: Request) -> None:
-    """Raise `MessageError` where an address has fields other than the token."""
-    if fields(request):
-        raise MessageError("expected no fields but the token")
-
-
-async def body(request: Request) -> str:
-    """The text of a request's body, of at most `MAX_BYTES`; raises `MessageError`."""
+async def body(request: Request) -> bytes:
+    """A request's body, of at most `MAX_BYTES`; raises `MessageError`."""
     content = b""
-    async for part in request.stream():
-        content += part
-        if len(content) > MAX_BYTES:
-            raise MessageError(f"body: expected at most {MAX_BYTES} bytes")
-    return content.decode(errors="replace")
+    try:
+        async for part in request.stream():
+            content = bounded(content + part)
+    except ClientDisconnect as error:
+        raise MessageError("body: the connection was closed before its end") from error
+    return content
 
 
 def _status(error: MagicalError) -> int:

@@ -1,81 +1,49 @@
 """Where episodes come from, addressed by short keys: no path ever comes from the page."""
 
-import threading
-from collections import OrderedDict
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from itertools import count
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from magical.demos.store import manifest
 from magical.demos.store.dataset import Dataset
 from magical.demos.store.manifest import ManifestEntry
 from magical.demos.store.trajectory import Trajectory
-from magical.envs.ids import EnvId
 from magical.errors import NotFoundError
 
+ROLLOUTS = "rollouts"  # the key of a server's `RolloutSource`
 MAX_ROLLOUTS = 50  # that are kept; the oldest are dropped first
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class EpisodeSummary:
-    """One line of the list of episodes."""
-
-    number: int  # in its source, for good
-    env_id: EnvId
-    length: int  # control steps
-    score: float | None  # of the last state; None: poses unknown
-    published_code_score: float
-    demonstrator: str
-    seed: int | None
-
-    @staticmethod
-    def of(number: int, episode: Trajectory | ManifestEntry) -> "EpisodeSummary":
-        """The summary of an episode or of its entry in a manifest."""
-        return EpisodeSummary(
-            number=number,
-            env_id=episode.env_id,
-            length=episode.length if isinstance(episode, ManifestEntry) else len(episode),
-            score=episode.score,
-            published_code_score=episode.published_code_score,
-            demonstrator=episode.demonstrator,
-            seed=episode.seed,
-        )
-
-
 class Source(Protocol):
-    """Episodes that the page can list and open."""
+    """Episodes that the page can list and open, by numbers that they keep."""
 
     name: str
 
-    def summaries(self) -> Sequence[EpisodeSummary]:
-        """All episodes, oldest first.
-
-        Raises:
-            DatasetError: they cannot be read.
-        """
+    def episodes(self) -> Mapping[int, Trajectory | ManifestEntry]:
+        """All episodes, or their entries in a manifest, oldest first; raises `DatasetError`."""
 
     def read(self, number: int) -> Trajectory:
-        """The episode of a number.
-
-        Raises:
-            NotFoundError: there is none.
-            DatasetError: it cannot be read.
-        """
+        """The episode of a number; raises `NotFoundError` or `DatasetError`."""
 
 
 class DatasetSource:
-    """A dataset on disk, which may grow meanwhile."""
+    """A dataset on disk, which may grow meanwhile.
+
+    Raises:
+        DatasetError: the folder holds no dataset, or a damaged one.
+    """
 
     def __init__(self, name: str, folder: Path) -> None:
         self.name = name
         self._folder = folder
-        self._version: tuple[int, int] | None = None  # of the manifest that was read last
-        self._dataset: Dataset | None = None
+        self._opened = lru_cache(1)(lambda _version: Dataset.open(folder))
+        self._open()
 
-    def summaries(self) -> Sequence[EpisodeSummary]:
+    def episodes(self) -> Mapping[int, ManifestEntry]:
         """See `Source`."""
-        return [EpisodeSummary.of(entry.index, entry) for entry in self._open().entries]
+        return {entry.index: entry for entry in self._open().entries}
 
     def read(self, number: int) -> Trajectory:
         """See `Source`."""
@@ -86,17 +54,7 @@ class DatasetSource:
         raise NotFoundError(f"{self.name}: expected the number of an episode, found {number}")
 
     def _open(self) -> Dataset:
-        version = self._manifest_version()
-        if self._dataset is None or version is None or version != self._version:
-            self._dataset, self._version = Dataset.open(self._folder), version
-        return self._dataset
-
-    def _manifest_version(self) -> tuple[int, int] | None:
-        try:
-            found = (self._folder / manifest.NAME).stat()
-        except OSError:
-            return None  # opening the dataset says why
-        return found.st_mtime_ns, found.st_size
+        return self._opened(version_of(self._folder / manifest.NAME))
 
 
 class RolloutSource:
@@ -106,63 +64,37 @@ class RolloutSource:
 
     def __init__(self, limit: int = MAX_ROLLOUTS) -> None:
         self._limit = limit
-        self._episodes: OrderedDict[int, Trajectory] = OrderedDict()
-        self._next = 0
-        self._lock = threading.Lock()
+        self._episodes: Mapping[int, Trajectory] = {}  # replaced, never changed: threads read it
+        self._numbers = count()
 
     def add(self, episode: Trajectory) -> int:
         """Keep an episode; returns its number."""
-        with self._lock:
-            number, self._next = self._next, self._next + 1
-            self._episodes[number] = episode
-            while len(self._episodes) > self._limit:
-                self._episodes.popitem(last=False)
-            return number
+        number = next(self._numbers)
+        self._episodes = dict([*self._episodes.items(), (number, episode)][-self._limit :])
+        return number
 
-    def summaries(self) -> Sequence[EpisodeSummary]:
+    def episodes(self) -> Mapping[int, Trajectory]:
         """See `Source`."""
-        with self._lock:
-            episodes = list(self._episodes.items())
-        return [EpisodeSummary.of(number, episode) for number, episode in episodes]
+        return self._episodes
 
     def read(self, number: int) -> Trajectory:
         """See `Source`."""
-        with self._lock:
-            if number in self._episodes:
-                return self._episodes[number]
+        if episode := self._episodes.get(number):
+            return episode
         raise NotFoundError(f"rollout {number} is not kept any more; roll out again")
 
 
-ROLLOUTS = "rollouts"  # the key of a server's `RolloutSource`
-
-
-class Sources:
-    """All sources of a server by key: `d0`, `d1`, ... for datasets, and `rollouts`.
-
-    Args:
-        datasets: their folders.
-
-    Raises:
-        DatasetError: a folder holds no dataset, or a damaged one.
-    """
-
-    def __init__(self, datasets: Sequence[Path]) -> None:
-        names = unique_names(datasets)
-        found = [DatasetSource(*item) for item in zip(names, datasets, strict=True)]
-        for dataset in found:
-            dataset.summaries()
-        self.rollouts = RolloutSource()
-        self._sources: dict[str, Source] = {f"d{i}": dataset for i, dataset in enumerate(found)}
-        self._sources[ROLLOUTS] = self.rollouts
-
-    def __iter__(self) -> Iterator[tuple[str, Source]]:
-        return iter(self._sources.items())
-
-    def find(self, key: str) -> Source:
-        """The source of a key; raises `NotFoundError`."""
-        if key not in self._sources:
-            raise NotFoundError(f"source: expected one of {', '.join(self._sources)}")
-        return self._sources[key]
+def summary(number: int, episode: Trajectory | ManifestEntry) -> dict[str, Any]:
+    """One line of the list of episodes, as plain JSON data."""
+    return {
+        "number": number,
+        "env_id": episode.env_id,
+        "length": episode.length if isinstance(episode, ManifestEntry) else len(episode),
+        "score": episode.score,  # of the last state; None: poses unknown
+        "published_code_score": episode.published_code_score,
+        "demonstrator": episode.demonstrator,
+        "seed": episode.seed,
+    }
 
 
 def unique_names(folders: Sequence[Path]) -> list[str]:
@@ -173,3 +105,12 @@ def unique_names(folders: Sequence[Path]) -> list[str]:
         same = sum(other == name or other.startswith(f"{name} (") for other in names)
         names.append(f"{name} ({same + 1})" if same else name)
     return names
+
+
+def version_of(path: Path) -> tuple[int, int] | None:
+    """What changes when a file does; `None`: there is none, as reading it says."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_mtime_ns, found.st_size

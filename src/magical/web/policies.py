@@ -5,18 +5,13 @@ import threading
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from magical.demos.store.reader import ObservationReader
-from magical.demos.store.trajectory import Trajectory
 from magical.envs.ids import EnvId
 from magical.errors import (
     MagicalError,
-    MissingDependencyError,
     NotFoundError,
     PolicyError,
     RunFolderError,
@@ -25,16 +20,16 @@ from magical.evaluation.loading import load_policy
 from magical.evaluation.policy import Policy
 from magical.experts import has_expert
 from magical.runs import is_run
-from magical.runs.folder import CHECKPOINT, CONFIG, read_json
+from magical.runs.folder import CHECKPOINT, CONFIG
 from magical.tasks import TASKS
-from magical.web.library.sources import unique_names
+from magical.untrusted import read_json
+from magical.web.library.sources import unique_names, version_of
 
 EXPERT = 0  # the number of the scripted expert
 EXPERT_NAME = "expert"  # also the demonstrator of its episodes
 MAX_DEPTH = 3  # folders below a given one in which runs are looked for
 MAX_RUNS = 500  # that are listed
 MAX_LOADED = 4  # policies that are kept in memory
-BATCH = 32  # steps whose probabilities are computed at once
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,10 +67,11 @@ class Policies:
         names = unique_names(folders) if len(folders) > 1 else [""] * len(folders)
         self._folders = dict(zip(names, folders, strict=True))
         self._entries = [PolicyEntry(EXPERT_NAME, tuple(filter(has_expert, TASKS)))]
-        self._loaded: dict[tuple[int, int], Policy] = {}  # by number, and time of the checkpoint
-        self._lock = threading.Lock()
+        self._load = lru_cache(MAX_LOADED)(lambda folder, _version: load_policy(folder))
+        self._lock = threading.Lock()  # of the list, and so that no run is loaded twice at once
         if folders:
-            _import_learning()
+            with suppress(ImportError):  # later it would hold up all players for seconds
+                importlib.import_module("magical.learning.policy")
         self.refresh()
 
     def __len__(self) -> int:
@@ -110,21 +106,7 @@ class Policies:
         if entry.folder is None:
             raise PolicyError(f"{entry.name}: has no action probabilities; choose a run")
         with self._lock:
-            key = number, _changed_at(entry.folder / CHECKPOINT)
-            if key not in self._loaded:
-                self._loaded[key] = load_policy(entry.folder)
-                for old in list(self._loaded)[:-MAX_LOADED]:
-                    del self._loaded[old]
-            return self._loaded[key]
-
-
-def _import_learning() -> None:
-    """Import PyTorch, where it is installed: later it would hold up all players for seconds."""
-    from magical.extras import require
-
-    with suppress(MissingDependencyError):
-        require("learning")
-        importlib.import_module("magical.learning.policy")
+            return self._load(entry.folder, version_of(entry.folder / CHECKPOINT))
 
 
 def find_runs(root: Path) -> list[Path]:
@@ -140,51 +122,8 @@ def _entry(name: str, root: Path, folder: Path) -> PolicyEntry:
     parts = [name, *folder.relative_to(root).parts]
     shown = "/".join(filter(None, parts)) or root.resolve().name
     try:
-        config = read_json(folder / CONFIG)
+        config: dict[str, Any] = read_json(folder / CONFIG, dict[str, Any], RunFolderError)
         tasks = tuple(task for task in config["tasks"] if task in TASKS)
         return PolicyEntry(shown, tasks, str(config["algorithm"]), folder)
     except (MagicalError, LookupError, TypeError):
         return PolicyEntry(f"{shown} (damaged)", (), "unknown", folder)
-
-
-def _changed_at(path: Path) -> int:
-    try:
-        return path.stat().st_mtime_ns
-    except OSError:
-        return 0  # loading says why
-
-
-def act_on_one_thread(policy: Policy, *arguments: Any) -> int:
-    """The action of a run's policy in one environment.
-
-    One thread is faster for a single observation, and leaves the other cores to the players.
-    """
-    from magical.learning.running.devices import one_thread  # imports PyTorch: only for runs
-
-    with one_thread():
-        return int(policy.act(*arguments)[0])
-
-
-def probabilities(policy: Any, observations: Any, env_ids: Sequence[EnvId]) -> NDArray[np.float64]:
-    """A run's distributions over actions, (B, 18), computed on one thread."""
-    from magical.learning.running.devices import one_thread
-
-    with one_thread():
-        found: NDArray[np.float64] = policy.probabilities(observations, env_ids)
-        return found
-
-
-def episode_probabilities(policy: Any, episode: Trajectory) -> NDArray[np.float64]:
-    """A run's distributions over actions before each step of an episode, (T, 18).
-
-    Raises:
-        PolicyError: the policy did not learn the episode's task.
-        TrajectoryError, ObservationError: the episode does not have the policy's observations.
-    """
-    reader = ObservationReader(episode, policy.observation)
-    parts = []
-    for first in range(0, len(episode), BATCH):
-        times = range(first, min(first + BATCH, len(episode)))
-        env_ids = [episode.env_id] * len(times)
-        parts.append(probabilities(policy, reader.read(list(times)), env_ids))
-    return np.concatenate(parts)
