@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from magical.errors import WorkerDiedError, WorkerError
-from magical.processes import ProcessPool, WorkerTraceback, available_cores, map_in_processes
+from magical.errors import WorkerDiedError
+from magical.processes import ProcessPool, available_cores, map_in_processes
 from tests.processes import work
 from tests.waiting import gone, soon
 
@@ -101,25 +101,6 @@ def test_an_exception_is_raised_or_returned(workers: int) -> None:
     assert type(value) is ValueError
 
 
-def test_the_traceback_of_the_child_is_the_cause() -> None:
-    with pytest.raises(ValueError, match="not this one") as caught:
-        list(map_in_processes(work.raise_error, ["value"], 2))
-    assert isinstance(caught.value.__cause__, WorkerTraceback)
-    assert "in raise_error" in str(caught.value.__cause__)
-    assert "ValueError: not this one, 3" in str(caught.value.__cause__)
-
-
-def test_exceptions_that_cannot_be_sent_as_they_are() -> None:
-    kinds = ["foreign", "unprintable", "group", "huge"]
-    errors = list(map_in_processes(work.raise_error, kinds, 2, on_error="return"))
-    foreign, unprintable, group, huge = errors
-    assert [type(error) for error in errors] == [*[WorkerError] * 3, ValueError]
-    assert str(foreign).startswith("Foreign: 1, ")
-    assert str(unprintable).startswith("Unprintable: ")
-    assert str(group).startswith("ExceptionGroup: several, ")
-    assert len(str(huge)) < 5_000
-
-
 def test_what_cannot_be_pickled() -> None:
     with pytest.raises(AttributeError, match="local object"):
         list(map_in_processes(work.not_to_be_pickled, [1], 2))
@@ -161,6 +142,31 @@ def test_a_terminated_pool_lets_work_finish_and_starts_no_more(tmp_path: Path) -
         assert first.result() == "received [15]"
         with pytest.raises(WorkerDiedError, match="the pool of processes is closed"):
             second.result()
+
+
+def test_a_closed_pool_takes_no_tasks() -> None:
+    pool = ProcessPool(1)
+    assert pool.submit(abs, -1).result(20) == 1
+    pool.close()
+    with pytest.raises(WorkerDiedError, match="the pool of processes is closed"):
+        pool.submit(abs, -1).result(20)
+
+
+def test_a_cancelled_task_is_not_computed_and_the_next_one_is(tmp_path: Path) -> None:
+    file = tmp_path / "waiting"
+    with closing(ProcessPool(1)) as pool:
+        first = pool.submit(work.wait_for_sigterm, str(file))
+        cancelled, second = (pool.submit(Path.touch, tmp_path / name) for name in ("a", "b"))
+        assert soon(file.exists, 60.0)
+        assert cancelled.cancel()
+        os.kill(pool._children[0].process.pid, signal.SIGTERM)
+        assert (first.result(20), second.result(20)) == ("received [15]", None)
+    assert [(tmp_path / name).exists() for name in ("a", "b")] == [False, True]
+
+
+def test_a_result_that_cannot_be_unpickled_costs_one_task() -> None:
+    results = list(map_in_processes(work.one_way, [True, False] * 2, 2, on_error="return"))
+    assert [type(result) for result in results] == [ZeroDivisionError, bool] * 2
 
 
 def test_available_cores() -> None:

@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from magical.errors import UnknownNameError
+
 
 class Foreign(Exception):
     """An exception that can be neither pickled nor printed."""
@@ -37,22 +39,29 @@ def kill_itself(number: int) -> None:
 
 
 def raise_error(kind: str) -> None:
-    raise {
+    namesake = type("ValueError", (Exception,), {"__module__": "elsewhere"})
+    error = {
         "value": ValueError("not this one", 3),
         "file": FileNotFoundError(2, "No such file", "name.txt"),
+        "package": UnknownNameError("no task"),
         "foreign": Foreign(1, 2),
         "unprintable": Unprintable("text"),
-        "group": ExceptionGroup("several", [ValueError("a"), TypeError("b")]),
-        "huge": ValueError("x" * 50_000_000, 10**5_000),
-        "many": ValueError(*range(1000)),
-        "unicode": UnicodeDecodeError("utf-8", b"\xff", 0, 1, "invalid start byte"),
+        "argument": ValueError(lambda: 1),
+        "namesake": namesake("text"),
     }[kind]
-
-
-def raise_with_notes(kind: str) -> None:
-    error = KeyError("key")
-    error.__notes__ = {"text": ["x" * 50_000_000, 5], "none": 5}[kind]  # type: ignore[assignment]
+    error.add_note("in environment 2")
     raise error
+
+
+class OneWay:
+    """What can be pickled and not be made again."""
+
+    def __reduce__(self) -> Any:
+        return divmod, (1, 0)
+
+
+def one_way(wanted: bool) -> Any:
+    return OneWay() if wanted else wanted
 
 
 def large(size: int) -> bytes:

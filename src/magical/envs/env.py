@@ -29,6 +29,7 @@ from magical.scene.state import State
 from magical.tasks import Horizon, Task, get_task
 
 Reward = Literal["none", "score", "dense"]
+SCORE_KEYS = ("eval_score", "published_code_score")  # of `info`
 
 
 class MagicalEnv(gym.Env[Any, np.int64]):
@@ -249,4 +250,4 @@ def not_picklable(name: str, constructor: str) -> NotPicklableError:
 
 def score_info(scores: Scores) -> dict[str, Any]:
     """The keys that every `info` has."""
-    return {"eval_score": scores.score, "published_code_score": scores.published_code}
+    return dict(zip(SCORE_KEYS, (scores.score, scores.published_code), strict=True))

@@ -7,8 +7,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from magical.envs.env import SCORE_KEYS
 from magical.envs.vector import MagicalVectorEnv
-from magical.envs.vector.infos import SCORE_KEYS
 from magical.extras import require
 
 require("sb3")

@@ -3,6 +3,7 @@
 import dataclasses
 import os
 import time
+import traceback
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,12 +22,12 @@ from magical.learning import Config, TrainResult, is_run, load_policy, train
 from magical.learning.config import ImitationConfig
 from magical.learning.description import training_details
 from magical.messages import printable
-from magical.processes import describe
 from magical.runs.folder import versions, write_json
 from magical.runs.machine import machine, source_commit
 from magical.runs.provenance import provenance
 
 MAX_ERROR = 2_000  # characters of a recorded message
+MAX_TRACEBACK = 20_000  # and of a traceback, whose end says most
 
 
 def finish(run: PlannedRun, folder: Path, demos: Path | None) -> Outcome:
@@ -59,7 +60,8 @@ def record_failure(run: PlannedRun, folder: Path, error: Exception) -> str:
     """Write a failed run's final record; returns the message in it."""
     kind = "" if isinstance(error, MagicalError) else f"{type(error).__name__}: "
     message = printable(f"{kind}{error}", MAX_ERROR)
-    write_result(run, folder, state=FAILED, error=message, traceback=describe(error)["traceback"])
+    text = "".join(traceback.format_exception(error))[-MAX_TRACEBACK:]
+    write_result(run, folder, state=FAILED, error=message, traceback=text)
     return message
 
 

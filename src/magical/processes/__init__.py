@@ -2,12 +2,12 @@
 
 - `map_in_processes` maps a function over items in several processes.
 - `ProcessPool` takes tasks one at a time, and gives their results in any order.
-- `Child` is one child process, for those that need more than that (the vector environment).
-- `describe` and `rebuild` carry an exception from a child to its parent.
+- `Child` is one child process, for those that need more than that (the vector environment), and
+  `serve` its side of the pipes.
 """
 
+from magical.processes.channel import WorkerTraceback, serve
 from magical.processes.children import Child
-from magical.processes.exceptions import WorkerTraceback, describe, rebuild
 from magical.processes.pool import ProcessPool, available_cores, map_in_processes
 
 __all__ = [
@@ -15,7 +15,6 @@ __all__ = [
     "ProcessPool",
     "WorkerTraceback",
     "available_cores",
-    "describe",
     "map_in_processes",
-    "rebuild",
+    "serve",
 ]

@@ -10,11 +10,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
-from magical.processes.import_path import (
-    absolute_python_path,
-    folders_of_modules,
-    import_path,
-)
+from magical.errors import WorkerDiedError
+from magical.processes.channel import receive_result, send
+from magical.processes.import_path import absolute_python_path, folders_of_modules, import_path
 
 _START = Path(__file__).with_name("start.py")
 _WAIT = 2.0  # seconds that a child is given to end once its pipes are closed
@@ -25,13 +23,14 @@ _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM
 class Child:
     """A fresh interpreter that runs `main(requests, replies)` of a module.
 
-    `main` gets the descriptors of two pipes, one to read requests from and one to write replies
-    to; what it prints goes to standard error. The child imports what this process would, except
+    `main` gets two pipes, one to read requests from and one to write replies to (`serve`); what it
+    prints goes to standard error. The child imports what this process would, except
     from the working folder (see `import_path`). It ends when this process does, even in the middle
     of a computation, and ignores Ctrl-C, which is this process's to handle.
 
     Args:
         module: the module's name.
+        name: what messages call it.
         inherited: file descriptors to keep open in the child (not on Windows).
 
     Attributes:
@@ -40,7 +39,8 @@ class Child:
         replies: the reading end of the pipe of replies.
     """
 
-    def __init__(self, module: str, inherited: Sequence[int] = ()) -> None:
+    def __init__(self, module: str, name: str, inherited: Sequence[int] = ()) -> None:
+        self.name = name
         path = import_path()
         setup = {"module": module, "path": path, "folders": folders_of_modules(path)}
         read_end, write_end = _lifeline()
@@ -57,24 +57,35 @@ class Child:
         self.replies: IO[bytes] = self.process.stdout
         self._lifeline = os.fdopen(write_end, "wb")
 
-    def close_pipes(self) -> None:
-        """Close the pipes of requests and replies, at which `main` should return."""
-        for pipe in (self.requests, self.replies):
-            with suppress(OSError):  # what could not be written any more
-                pipe.close()
+    def send(self, message: bytes) -> None:
+        """Send a pickled request; raises `WorkerDiedError`."""
+        try:
+            send(self.requests, message)
+        except OSError:
+            raise self._died() from None
 
-    def kill(self) -> None:
-        """End the process at once, whatever it is doing, and wait for its end."""
-        self.process.kill()
-        self.process.wait()
+    def receive(self) -> tuple[bool, Any]:
+        """Wait for a reply: True and the result, or False and the exception.
+
+        Raises `WorkerDiedError`.
+        """
+        try:
+            return receive_result(self.replies)
+        except (EOFError, OSError):
+            raise self._died() from None
 
     def close(self) -> None:
         """Kill the process if it runs, and close all pipes."""
-        self.kill()
-        self.close_pipes()
-        self._lifeline.close()
+        self.process.kill()
+        self.process.wait()
+        for pipe in (self.requests, self.replies, self._lifeline):
+            with suppress(OSError):  # what could not be written any more
+                pipe.close()
 
-    def describe_end(self) -> str:
+    def _died(self) -> WorkerDiedError:
+        return WorkerDiedError(f"{self.name} {self._describe_end()}")
+
+    def _describe_end(self) -> str:
         """How the process ended, for a message: "was killed by signal 9 (SIGKILL)"."""
         try:
             code = self.process.wait(_WAIT)

@@ -3,7 +3,6 @@
 import atexit
 import os
 import pickle
-import struct
 from collections import deque
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future
@@ -13,12 +12,11 @@ from threading import Lock, Thread
 from typing import IO, Any, Literal, TypeVar, overload
 
 from magical.errors import WorkerDiedError
+from magical.processes.channel import serve
 from magical.processes.children import Child
-from magical.processes.exceptions import describe, rebuild
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-_LENGTH = struct.Struct("!Q")  # of a message, before it
 
 
 def available_cores() -> int:
@@ -116,11 +114,11 @@ class ProcessPool:
     def __init__(self, count: int) -> None:
         self._tasks: SimpleQueue[tuple[bytes, Future[Any]] | None] = SimpleQueue()
         self._children: list[Child] = []
-        self._idle: list[Child] = []  # those without a task
-        self._lock = Lock()  # held while a child is chosen, started or removed
+        self._lock = Lock()  # held while a task is added, or a child is started or removed
         self._closed = False
         self._owner = os.getpid()
         atexit.register(self.close)  # while the threads can still run
+        # Each has a child of its own, from its first task.
         self._threads = [Thread(target=self._serve, daemon=True) for _ in range(count)]
         for thread in self._threads:
             thread.start()
@@ -128,10 +126,16 @@ class ProcessPool:
     def submit(self, work: Callable[[Item], Result], item: Item) -> "Future[Result]":
         """Compute `work(item)` in a child as soon as one is idle.
 
-        See `map_in_processes` for what `work` may be and which exceptions the result has.
+        See `map_in_processes` for what `work` may be and which exceptions the result has; that of a
+        closed pool is a `WorkerDiedError`.
         """
         result: Future[Result] = Future()
-        self._tasks.put((pickle.dumps((work, item)), result))
+        message = pickle.dumps((work, item))
+        with self._lock:
+            if self._closed:
+                result.set_exception(_closed_error())
+            else:
+                self._tasks.put((message, result))
         return result
 
     def terminate(self) -> None:
@@ -153,79 +157,55 @@ class ProcessPool:
         with self._lock:
             self._closed = True
             for child in self._children:
-                child.kill()
+                child.process.kill()
         for _ in self._threads:
             self._tasks.put(None)
         for thread in self._threads:
             thread.join()
-        for child in self._children:
-            child.close()
 
     def _serve(self) -> None:
+        """Have a child do one task after another; one that dies is replaced."""
+        child: Child | None = None
         while task := self._tasks.get():
             message, result = task
+            if not result.set_running_or_notify_cancel():
+                continue
             try:
-                result.set_result(self._compute(message))
-            except BaseException as error:
-                result.set_exception(error)
+                child = self._open_child(child)
+                child.send(message)
+                succeeded, value = child.receive()
+            except WorkerDiedError as error:
+                self._remove(child)
+                child = None
+                succeeded, value = False, error
+            except BaseException as error:  # a result that cannot be unpickled here
+                succeeded, value = False, error
+            if succeeded:
+                result.set_result(value)
+            else:
+                result.set_exception(value)
+        self._remove(child)
 
-    def _compute(self, message: bytes) -> Any:
-        child = self._idle_child()
-        try:
-            _send(child.requests, message)
-            reply = _receive(child.replies)
-        except (EOFError, OSError):
-            end = child.describe_end()
+    def _open_child(self, child: Child | None) -> Child:
+        with self._lock:
+            if self._closed:
+                raise _closed_error()
+            if child is None:
+                child = Child(__name__, "a worker process")
+                self._children.append(child)
+            return child
+
+    def _remove(self, child: Child | None) -> None:
+        if child is not None:
             with self._lock:
                 self._children.remove(child)
             child.close()
-            raise WorkerDiedError(f"a worker process {end}") from None
-        self._idle.append(child)
-        succeeded, value = pickle.loads(reply)  # noqa: S301  (our own child's)
-        if succeeded:
-            return value
-        raise rebuild(value)
-
-    def _idle_child(self) -> Child:
-        """A child without a task, started if there is none."""
-        with self._lock:
-            if self._closed:
-                raise WorkerDiedError("the pool of processes is closed")
-            if self._idle:
-                return self._idle.pop()
-            self._children.append(Child(__name__))
-            return self._children[-1]
 
 
-def main(requests: int, replies: int) -> None:
-    """The child's side: compute one task after another until the parent closes the pipes."""
-    with os.fdopen(requests, "rb") as incoming, os.fdopen(replies, "wb") as outgoing:
-        while True:
-            _send(outgoing, _answer(_receive(incoming)))
+def _closed_error() -> WorkerDiedError:
+    return WorkerDiedError("the pool of processes is closed")
 
 
-def _answer(message: bytes) -> bytes:
-    try:
-        work, item = pickle.loads(message)  # noqa: S301  (our own parent's)
-        return pickle.dumps((True, work(item)))
-    except Exception as error:
-        return pickle.dumps((False, describe(error)))
-
-
-def _send(pipe: IO[bytes], message: bytes) -> None:
-    """Write a message; raises `BrokenPipeError` if the other process has ended."""
-    pipe.write(_LENGTH.pack(len(message)))
-    pipe.write(message)
-    pipe.flush()
-
-
-def _receive(pipe: IO[bytes]) -> bytes:
-    """Read a message; raises `EOFError` if the other process has ended."""
-    header = pipe.read(_LENGTH.size)
-    if len(header) < _LENGTH.size:
-        raise EOFError
-    (length,) = _LENGTH.unpack(header)
-    message = pipe.read(length)
-    if len(message) < length:
-        raise EOFError
-    return message
+def main(requests: IO[bytes], replies: IO[bytes]) -> None:
+    """The child's side: compute one task after another."""
+    serve(lambda task: task[0](task[1]), requests, replies)

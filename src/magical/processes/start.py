@@ -31,8 +31,12 @@ def main(module: str, path: Sequence[str], folders: Mapping[str, str], lifeline:
     sys.meta_path.append(_FolderFinder(folders))
     requests, replies = _take_pipes()
     serve = importlib.import_module(module).main
-    with contextlib.suppress(EOFError, BrokenPipeError):  # the parent has closed the pipes
-        serve(requests, replies)
+    with (
+        contextlib.suppress(EOFError, BrokenPipeError),  # the parent has closed the pipes
+        os.fdopen(requests, "rb") as incoming,
+        os.fdopen(replies, "wb") as outgoing,
+    ):
+        serve(incoming, outgoing)
 
 
 class _FolderFinder(MetaPathFinder):

@@ -18,12 +18,6 @@ class Unprintable(Exception):
         raise RuntimeError("no text")
     __repr__ = __str__
 
-def doubled(times):
-    value = ()
-    for _ in range(times):
-        value = (value, value)
-    return value
-
 def score_fn(scene, poses):
     {body}
 

@@ -68,10 +68,16 @@ def test_wrong_options_are_refused() -> None:
         ({"reward": "sparse"}, UnknownNameError),
         ({"render_mode": "human"}, UnknownNameError),
         ({"env_ids": ["MakeLine-Demo-v0", "FindDupe-Demo-v0"]}, MismatchedSpacesError),
-        ({"observation": StateSpec(12, 3), "workers": 1}, MismatchedSpacesError),
     ):
         with pytest.raises(error):
             vector(**wrong)
+
+
+def test_workers_make_state_vectors_of_any_size() -> None:
+    envs = vector(workers=1, observation=StateSpec(20, 8))
+    given = vector(observation=StateSpec(20, 8))
+    np.testing.assert_array_equal(envs.reset(seed=0)[0], given.reset(seed=0)[0])
+    envs.close()
 
 
 @pytest.mark.parametrize(

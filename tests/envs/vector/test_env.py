@@ -208,7 +208,7 @@ def test_a_saved_state_continues_in_another_environment(workers: int) -> None:
         np.testing.assert_array_equal(envs.step([0, 0, action])[0][2], expected)
     assert envs.states()[2].scene == other.state().scene
     with pytest.raises(InvalidStateError, match="MakeLine"):
-        envs.set_state(0, {"task": "FindDupe", "rng": other.get_state()["rng"]})
+        envs.set_state(0, {**other.get_state(), "task": "FindDupe"})
     with pytest.raises(ResetNeededError, match="in 1 of 3: 0 "):
         envs.step([0, 0, 0])
     with pytest.raises(IndexError):

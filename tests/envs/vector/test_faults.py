@@ -148,7 +148,7 @@ def test_an_exception_of_a_class_from_outside(
 ) -> None:
     monkeypatch.setenv("HOW", "custom")
     envs = make(("magical/Breaking-Demo-v0",), 1, horizon=1)
-    with pytest.raises(WorkerError, match="CustomError: strange, 5"):
+    with pytest.raises(WorkerError, match=r"CustomError: \('strange', 5\)"):
         envs.step([0])
     envs.close()
 
@@ -168,12 +168,12 @@ def test_a_task_that_workers_cannot_import(breaking: Task) -> None:
 
 
 def test_an_interrupted_exchange_closes(monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(descriptor: int, deadline: float | None) -> None:
+    def interrupted(worker: Any) -> None:
         raise KeyboardInterrupt
 
     envs = make()
     workers = process_ids(envs)
-    monkeypatch.setattr("magical.envs.vector.workers.receive", interrupted)
+    monkeypatch.setattr("magical.processes.Child.receive", interrupted)
     with pytest.raises(KeyboardInterrupt):
         envs.step([0] * 4)
     assert envs.closed

@@ -2,8 +2,9 @@
 
 - `env`: `MagicalVectorEnv`, what users call
 - `sub_envs`: some of its sub-environments, stepped one after the other in one process
-- `workers`, `worker`: the parent's and the child's side of worker processes
+- `workers`: worker processes, each with some of the sub-environments
 - `buffers`: the memory that sub-environments write to and the caller reads from
+- `checks`: arguments
 """
 
 from magical.envs.vector.env import MagicalVectorEnv, make_vector_env

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from threading import Lock
 from typing import Any, NoReturn
 
 import numpy as np
@@ -11,10 +12,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from magical.envs.env import MagicalEnv, Reward, not_picklable
+from magical.envs.env import SCORE_KEYS, MagicalEnv, Reward, not_picklable
 from magical.envs.ids import EnvId, parse_env_id
 from magical.envs.saved_state import parse_state
-from magical.envs.vector.buffers import SharedMemory, VectorBuffers
+from magical.envs.vector.buffers import Copies, SharedMemory, VectorBuffers
 from magical.envs.vector.checks import (
     check_timeout,
     checked_actions,
@@ -22,12 +23,10 @@ from magical.envs.vector.checks import (
     checked_seeds,
     require_episodes,
 )
-from magical.envs.vector.copies import Copies
-from magical.envs.vector.infos import Infos, same_step_infos, score_infos
-from magical.envs.vector.pending import PendingCall
 from magical.envs.vector.sub_envs import SubEnvs, VectorSpec, common_observation
 from magical.envs.vector.workers import RemoteSubEnvs, defining_modules
 from magical.errors import (
+    AlreadyPendingCallError,
     ClosedEnvironmentError,
     ForkedEnvironmentError,
     UnknownNameError,
@@ -46,6 +45,7 @@ from magical.scene.state import State
 from magical.tasks import Horizon
 
 Bools = NDArray[np.bool_]
+Infos = dict[str, Any]
 _CLOSING = (WorkerDiedError, WorkerTimeoutError)  # errors after which the environment is closed
 
 
@@ -117,10 +117,11 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         common = common_observation(parsed, observation)
         spec = VectorSpec(self.env_ids, common, horizon, reward, self.autoreset_mode, copy)
         layout = spec.layout()
-        self._set_spaces(layout.spec.space)
+        self._set_spaces(common.space)
         self._running = np.zeros(self.num_envs, np.bool_)
-        self._scenes: list[Any] = [None] * self.num_envs
-        self._pending = PendingCall()
+        self._scenes: list[Scene | None] = [None] * self.num_envs
+        self._lock = Lock()  # held by the call in progress
+        self._pending = ""  # its name
         self._process_id = os.getpid()
         self._sub_envs: SubEnvs | RemoteSubEnvs
         self.workers = min(available_cores() if workers is None else workers, self.num_envs)
@@ -170,7 +171,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             rows = np.flatnonzero(mask).tolist()
             wanted = [(row, seeds[row]) for row in rows]
             self._start(self._exchange(lambda: self._sub_envs.reset(wanted, chosen), rows))
-            return self._observations(-1), score_infos(np.zeros((2, self.num_envs)), mask)
+            return self._observations(-1), _score_infos(np.zeros((2, self.num_envs)), mask)
 
     def step(
         self, actions: Any, active: Bools | None = None
@@ -208,10 +209,9 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         counts, steps = self._buffers.body_counts.tolist(), self._buffers.steps.tolist()
         horizons = self._buffers.horizons.tolist()
         return [
-            State(
-                self._scene(i), Poses(bodies[i, :n, :3]), bodies[i, :n, 3:], steps[i], horizons[i]
-            )
-            for i, n in enumerate(counts)
+            State(scene, Poses(bodies[i, :n, :3]), bodies[i, :n, 3:], steps[i], horizons[i])
+            for i, (scene, n) in enumerate(zip(self._scenes, counts, strict=True))
+            if scene is not None
         ]
 
     @property
@@ -255,13 +255,13 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         """
         with self._call("set_state"):
             row = range(self.num_envs)[index]
-            self._start(self._exchange(lambda: self._set_state(row, state), [row]))
+            task = self.env_ids[row].task_spec
+            self._start(
+                self._exchange(
+                    lambda: self._sub_envs.set_state(row, parse_state(state, task)), [row]
+                )
+            )
             return copy_arrays(select(self._buffers.observations, index))
-
-    def _set_state(self, row: int, state: Mapping[str, Any]) -> Any:
-        # Workers get plain data only; what cannot be sent to them is not a state.
-        saved = parse_state(state, self.env_ids[row].task_spec)
-        return self._sub_envs.set_state(row, saved.to_dict())
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Both views of every sub-environment side by side: N arrays (384, 768, 3)."""
@@ -285,10 +285,21 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
 
     @contextmanager
     def _call(self, name: str) -> Iterator[None]:
-        """Refuse a call that cannot be made now; other calls are refused until it has ended."""
+        """Refuse a call that cannot be made now; other calls are refused until it has ended.
+
+        Every call writes the arrays.
+        """
         self._require_open(name)
-        with self._pending(name):
+        if not self._lock.acquire(blocking=False):
+            raise AlreadyPendingCallError(
+                f"{name}: expected no call in progress, found a pending call of {self._pending}; "
+                "use a vector environment from one thread at a time, or one for each thread"
+            )
+        try:
+            self._pending = name
             yield
+        finally:
+            self._lock.release()
 
     def _start(self, started: Sequence[tuple[int, Any]]) -> None:
         for row, scene in started:
@@ -298,18 +309,23 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             self._running[row] = not (ended and self.autoreset_mode is AutoresetMode.DISABLED)
 
     def _infos(self, acting: Bools, ended: Bools) -> Infos:
-        if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
-            return same_step_infos(self._buffers, acting, ended)
-        return score_infos(self._buffers.scores.copy(), acting)
+        """The infos of a step, as Gymnasium's own vector environments build them."""
+        scores = self._buffers.scores
+        if self.autoreset_mode is not AutoresetMode.SAME_STEP or not ended.any():
+            return _score_infos(scores.copy(), acting)
+        observations = np.full(self.num_envs, None, dtype=object)
+        for row in np.flatnonzero(ended).tolist():
+            observations[row] = copy_arrays(select(self._buffers.final_observations, row))
+        return {
+            **_score_infos(np.zeros_like(scores), acting),
+            "final_obs": observations,
+            "_final_obs": ended.copy(),
+            "final_info": _score_infos(np.where(ended, scores, 0.0), ended),
+            "_final_info": ended.copy(),
+        }
 
     def _observations(self, copy: int) -> Any:
         return self._copies.hand_out(copy) if self.copy else self._buffers.observations
-
-    def _scene(self, row: int) -> Scene:
-        scene = self._scenes[row]
-        if not isinstance(scene, Scene):  # from a worker, parsed when it is first needed
-            scene = self._scenes[row] = Scene.from_dict(scene)
-        return scene
 
     def _exchange(self, call: Callable[[], Any], rows: Iterable[int] = ()) -> Any:
         """Call the sub-environments; if that fails, those in `rows` need a reset."""
@@ -340,6 +356,15 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         if index is not None:
             running[np.arange(self.num_envs) != range(self.num_envs)[index]] = True
         require_episodes(what, running, self.env_ids)
+
+
+def _score_infos(scores: NDArray[np.float64], mask: Bools) -> Infos:
+    """Scores (2, N) under their names, each with its mask (N,)."""
+    infos: Infos = {}
+    for key, values in zip(SCORE_KEYS, scores, strict=True):
+        infos[key] = values
+        infos[f"_{key}"] = mask.copy()
+    return infos
 
 
 def make_vector_env(

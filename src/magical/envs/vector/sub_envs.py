@@ -1,7 +1,6 @@
 """Some of a vector environment's sub-environments, stepped one after the other in one process."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,15 +10,15 @@ from gymnasium.vector import AutoresetMode
 
 from magical.envs.env import Reward
 from magical.envs.episode import Episode, check_reward
-from magical.envs.ids import EnvId, parse_env_id
-from magical.envs.saved_state import parse_state
+from magical.envs.ids import EnvId
+from magical.envs.saved_state import SavedState
 from magical.envs.vector.buffers import BufferLayout, VectorBuffers
 from magical.errors import InvalidSceneError, MismatchedSpacesError
 from magical.observe import Observation, ObservationSpec, make_spec
 from magical.observe.arrays import assign, select
 from magical.scene.poses import FIRST_BLOCK
 from magical.scene.scene import Scene
-from magical.tasks import Horizon, Task
+from magical.tasks import Horizon, Task, parse_horizon
 
 # The current observations, the previous ones, and those of the step in progress: training loops
 # keep the first two.
@@ -30,73 +29,58 @@ Seeds = Sequence[tuple[int, int | None]]  # sub-environments to reset, and their
 
 @dataclass(frozen=True, slots=True)
 class VectorSpec:
-    """What a vector environment consists of."""
+    """What a vector environment consists of.
+
+    Raises `InvalidConfigError` or `UnknownNameError` for an impossible horizon or reward.
+    """
 
     env_ids: tuple[EnvId, ...]  # one for each sub-environment, without presets
-    observation: Observation
+    observation: ObservationSpec  # of all sub-environments
     horizon: Horizon
     reward: Reward
     autoreset_mode: AutoresetMode
     copy: bool
 
+    def __post_init__(self) -> None:
+        parse_horizon(self.horizon)
+        for task in self.tasks():
+            check_reward(task, self.reward)
+
     def tasks(self) -> list[Task]:
         """The sub-environments' tasks."""
         return [env_id.task_spec for env_id in self.env_ids]
 
-    def observation_spec(self) -> ObservationSpec:
-        """The observation that all sub-environments share.
-
-        Raises `MismatchedSpacesError` for state vectors of different lengths.
-        """
-        first, *others = {task.name: task for task in self.tasks()}.values()
-        for task in (first, *others):
-            check_reward(task, self.reward)
-        spec = make_spec(self.observation, first)
-        for task in others:
-            other = make_spec(self.observation, task)
-            if other.space != spec.space:
-                raise MismatchedSpacesError(
-                    "environments in one batch: expected one observation space, found "
-                    f"{spec.space} ({first.name}) and {other.space} ({task.name}); use a pixel "
-                    "observation or a batch for each task"
-                )
-        return spec
-
     def layout(self) -> BufferLayout:
         """The memory that all sub-environments need."""
-        most_blocks = max(task.max_blocks for task in self.tasks())
+        bodies = FIRST_BLOCK + max(task.max_blocks for task in self.tasks())
         keep_final = self.autoreset_mode is AutoresetMode.SAME_STEP
-        spec, bodies = self.observation_spec(), FIRST_BLOCK + most_blocks
-        copies = COPIES if self.copy and spec.num_images else 0
-        return BufferLayout(len(self.env_ids), spec, bodies, keep_final, copies)
+        copies = COPIES if self.copy and self.observation.num_images else 0
+        return BufferLayout(len(self.env_ids), self.observation, bodies, keep_final, copies)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON, from which worker processes make the same.
 
-        Raises `MismatchedSpacesError` for state vectors of other sizes than the tasks'.
-        """
-        spec = self.observation_spec()
-        for task in self.tasks():
-            if make_spec(spec.to_dict(), task) != spec:
-                raise MismatchedSpacesError(
-                    f"{task.name}: worker processes make state vectors of the task's size only; "
-                    "use workers=0, or observation='state'"
-                )
-        return {
-            "env_ids": list(self.env_ids),
-            "observation": spec.to_dict(),
-            "horizon": self.horizon,
-            "reward": self.reward,
-            "autoreset_mode": self.autoreset_mode.value,
-            "copy": self.copy,
-        }
+def common_observation(env_ids: Sequence[EnvId], observation: Observation) -> ObservationSpec:
+    """The observation given, or else the preset that the ids agree on, for all of their tasks.
 
-    @staticmethod
-    def from_dict(data: Mapping[str, Any]) -> "VectorSpec":
-        """The inverse of `to_dict`."""
-        mode = AutoresetMode(data["autoreset_mode"])
-        env_ids = tuple(map(parse_env_id, data["env_ids"]))
-        return VectorSpec(**{**data, "env_ids": env_ids, "autoreset_mode": mode})
+    Raises `MismatchedSpacesError` if the ids disagree, or for state vectors of different lengths.
+    """
+    presets = {env_id.preset for env_id in env_ids}
+    if observation is None and len(presets) > 1:
+        raise MismatchedSpacesError(
+            "environments in one batch: expected the same preset in all ids, found "
+            f"{', '.join(sorted(map(str, presets)))}; or give observation=..."
+        )
+    chosen = presets.pop() if observation is None else observation
+    first, *others = {env_id.task: env_id.task_spec for env_id in env_ids}.values()
+    spec = make_spec(chosen, first)
+    for task in others:
+        other = make_spec(chosen, task)
+        if other.space != spec.space:
+            raise MismatchedSpacesError(
+                "environments in one batch: expected one observation space, found "
+                f"{spec.space} ({first.name}) and {other.space} ({task.name}); use a pixel "
+                "observation or a batch for each task"
+            )
+    return spec
 
 
 class SubEnvs:
@@ -107,8 +91,7 @@ class SubEnvs:
     """
 
     def __init__(self, spec: VectorSpec, rows: Sequence[int], buffers: VectorBuffers) -> None:
-        observation_spec = spec.observation_spec()
-        self._envs = {row: _SubEnv(spec, row, observation_spec, buffers) for row in rows}
+        self._envs = {row: _SubEnv(spec, row, buffers) for row in rows}
         self._in_order = list(self._envs.values())
         self._same_step = spec.autoreset_mode is AutoresetMode.SAME_STEP
         part = slice(rows[0], rows[-1] + 1)
@@ -129,7 +112,7 @@ class SubEnvs:
                 if action >= 0 and self._advance(env, action):
                     started.append(env.reset())
             except Exception as error:
-                _add_note(error, f"in {env.name}")
+                error.add_note(f"in {env.name}")
                 raise
             if copy >= 0:
                 env.copy_observation(copy)
@@ -152,7 +135,7 @@ class SubEnvs:
             try:
                 started.append(env.reset(seed, options))
             except Exception as error:
-                _add_note(error, f"in {env.name}")
+                error.add_note(f"in {env.name}")
                 raise
         return started
 
@@ -161,8 +144,8 @@ class SubEnvs:
         env = self._envs[row]
         return env.episode.save(env.rng)
 
-    def set_state(self, row: int, state: Mapping[str, Any]) -> Started:
-        """Continue from `get_state`'s data; raises `InvalidStateError`."""
+    def set_state(self, row: int, state: SavedState) -> Started:
+        """Continue from a saved state; raises `InvalidStateError`."""
         return [self._envs[row].restore(state)]
 
     def close(self) -> None:
@@ -174,9 +157,7 @@ class SubEnvs:
 class _SubEnv:
     """One sub-environment and its row in the buffers."""
 
-    def __init__(
-        self, spec: VectorSpec, row: int, observation_spec: ObservationSpec, buffers: VectorBuffers
-    ) -> None:
+    def __init__(self, spec: VectorSpec, row: int, buffers: VectorBuffers) -> None:
         env_id = spec.env_ids[row]
         self._observation = select(buffers.observations, row)
         self._copies = [select(copy, row) for copy in buffers.copies]
@@ -184,7 +165,7 @@ class _SubEnv:
         self.episode = Episode(
             env_id.task_spec,
             env_id.variant,
-            observation_spec,
+            spec.observation,
             spec.horizon,
             spec.reward,
             self._observation,
@@ -218,11 +199,10 @@ class _SubEnv:
         self.episode.start(self.rng, options)
         return self._started()
 
-    def restore(self, state: Mapping[str, Any]) -> tuple[int, Scene]:
+    def restore(self, state: SavedState) -> tuple[int, Scene]:
         """Continue as `MagicalEnv.set_state` does."""
-        saved = parse_state(state, self.episode.task)
-        self.episode.restore(saved)
-        self.rng = saved.generator()
+        self.episode.restore(state)
+        self.rng = state.generator()
         return self._started()
 
     def keep_final_observation(self) -> None:
@@ -247,22 +227,3 @@ class _SubEnv:
         buffers.body_counts[row] = count
         buffers.steps[row], buffers.horizons[row] = len(episode.actions), episode.horizon
         return row, scene
-
-
-def common_observation(env_ids: Sequence[EnvId], observation: Observation) -> Observation:
-    """The observation given, or else the preset that the ids agree on.
-
-    Raises `MismatchedSpacesError` if they do not.
-    """
-    presets = {env_id.preset for env_id in env_ids}
-    if observation is not None or len(presets) == 1:
-        return presets.pop() if observation is None else observation
-    raise MismatchedSpacesError(
-        "environments in one batch: expected the same preset in all ids, found "
-        f"{', '.join(sorted(map(str, presets)))}; or give observation=..."
-    )
-
-
-def _add_note(error: Exception, note: str) -> None:
-    with suppress(TypeError):  # notes that the exception already has are no list
-        error.add_note(note)

@@ -1,27 +1,41 @@
-"""The parent's side of worker processes: how they are started, called and ended."""
+"""Worker processes: how they are started, called and ended, and what each of them does.
 
+Requests go to a worker on a pipe, replies come back on another (`magical.processes`); arrays travel
+in shared memory only.
+"""
+
+import contextlib
+import gc
 import os
+import pickle
 import select
 import subprocess
 import sys
 import time
 import weakref
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
+from threading import Timer
 from types import ModuleType
-from typing import Any, NoReturn
+from typing import IO, Any
+
+import numpy as np
 
 import magical.tasks
-from magical.envs.vector.buffers import SharedMemory
-from magical.envs.vector.sub_envs import Seeds, VectorSpec
-from magical.envs.vector.worker import CALL, ERROR, STEP, encode, receive, send
+from magical.envs.episode import Episode
+from magical.envs.saved_state import SavedState
+from magical.envs.vector.buffers import SharedMemory, VectorBuffers, open_memory
+from magical.envs.vector.sub_envs import Seeds, Started, SubEnvs, VectorSpec
 from magical.errors import InvalidTaskError, WorkerDiedError, WorkerTimeoutError
-from magical.processes import Child, rebuild
-from magical.scene.scene import Scene
-from magical.tasks import Task
+from magical.processes import Child, serve
+from magical.scene.actions import NOOP
+from magical.tasks import Task, load_tasks
 
 _GRACE_PERIOD = 2.0  # seconds that workers have to end by themselves
-Started = list[tuple[int, Scene | Mapping[str, Any]]]
+_STEP = pickle.dumps(("step", ()))
+# pymunk leaves the spaces of past episodes, some 80 kB each, to the garbage collector, which by
+# itself would run only after a few hundred.
+_EPISODES_KEPT = 16
 
 
 class RemoteSubEnvs:
@@ -46,132 +60,121 @@ class RemoteSubEnvs:
         plugins: Sequence[str],
         timeout: float | None = None,
     ) -> None:
-        self._timeout = timeout
+        self._timeout: float | None = None
         self._workers: list[_Worker] = []
         self.close = weakref.finalize(self, _end, self._workers, os.getpid())
-        setup = {"spec": spec.to_dict(), "handle": memory.handle, "plugins": list(plugins)}
         try:
             for rows in split(len(spec.env_ids), workers):
-                names = [spec.env_ids[row] for row in rows]
-                self._workers.append(_Worker(len(self._workers), rows, names, memory.inherited))
-                self._workers[-1].send(encode(CALL, {**setup, "rows": list(rows)}))
-            self._replies(self._workers, None)
+                self._workers.append(_Worker(len(self._workers), rows, spec, memory))
+            setup = plugins, spec, memory.handle
+            self._exchange(
+                {worker: pickle.dumps(("start", (*setup, worker.rows))) for worker in self._workers}
+            )
         except BaseException:
             self.close()
             raise
         finally:
             memory.release_handle()
+        self._timeout = timeout
 
     @property
     def process_ids(self) -> list[int]:
         """The workers' process ids."""
-        return [worker.child.process.pid for worker in self._workers]
+        return [worker.process.pid for worker in self._workers]
 
     def step(self) -> Started:
         """See `SubEnvs.step`."""
-        replies = self._exchange([(worker, STEP) for worker in self._workers])
-        return [started for reply in replies if reply for started in reply]
+        replies = self._exchange(dict.fromkeys(self._workers, _STEP))
+        return [started for reply in replies for started in reply]
 
     def reset(self, seeds: Seeds, options: Mapping[str, Any] | None) -> Started:
         """See `SubEnvs.reset`."""
-        messages = []
+        requests = {}
         for worker in self._workers:
             share = [(row, seed) for row, seed in seeds if row in worker.rows]
             if share:
-                message = encode(CALL, {"call": "reset", "args": [share, options]})
-                messages.append((worker, message))
-        return [started for reply in self._exchange(messages) for started in reply]
+                requests[worker] = pickle.dumps(("reset", (share, options)))
+        return [started for reply in self._exchange(requests) for started in reply]
 
     def get_state(self, row: int) -> dict[str, Any]:
         """See `SubEnvs.get_state`."""
-        state: dict[str, Any] = self._call(row, "get_state")
+        state: dict[str, Any] = self._call("get_state", row)
         return state
 
-    def set_state(self, row: int, state: Mapping[str, Any]) -> Started:
+    def set_state(self, row: int, state: SavedState) -> Started:
         """See `SubEnvs.set_state`."""
-        started: Started = self._call(row, "set_state", dict(state))
+        started: Started = self._call("set_state", row, state)
         return started
 
-    def _call(self, row: int, name: str, *args: Any) -> Any:
+    def _call(self, name: str, row: int, *args: Any) -> Any:
         """Call a method of the `SubEnvs` that sub-environment `row` belongs to."""
-        message = encode(CALL, {"call": name, "args": [row, *args]})
         (worker,) = (worker for worker in self._workers if row in worker.rows)
-        return self._exchange([(worker, message)])[0]
+        return self._exchange({worker: pickle.dumps((name, (row, *args)))})[0]
 
-    def _exchange(self, messages: "Sequence[tuple[_Worker, bytes]]") -> list[Any]:
-        """Send requests and wait for the replies, within the timeout."""
-        deadline = None if self._timeout is None else time.monotonic() + self._timeout
-        for worker, message in messages:
-            try:
-                worker.send(message, deadline)
-            except BrokenPipeError:
-                self._raise_died(worker)
-            except TimeoutError:
-                self._raise_timeout([worker])
-        return self._replies([worker for worker, _ in messages], deadline)
+    def _exchange(self, requests: "Mapping[_Worker, bytes]") -> list[Any]:
+        """Send requests and wait for the results, within the timeout; raise the first error."""
+        waiting, replies = list(requests), []
+        with self._limit(waiting):
+            for worker, request in requests.items():
+                worker.send(request)
+            for worker in requests:
+                replies.append(worker.receive())
+                waiting.remove(worker)
+        for succeeded, value in replies:
+            if not succeeded:
+                raise value
+        return [value for _, value in replies]
 
-    def _replies(self, workers: "Sequence[_Worker]", deadline: float | None) -> list[Any]:
-        """Every worker's reply, or the first error among them."""
-        replies = []
-        for worker in workers:
-            try:
-                replies.append(worker.receive(deadline))
-            except EOFError:
-                self._raise_died(worker)
-            except TimeoutError:
-                self._raise_timeout([w for w in workers[len(replies) :] if not w.has_replied()])
-        for kind, data in replies:
-            if kind == ERROR:
-                raise rebuild(data)
-        return [data for _, data in replies]
+    @contextmanager
+    def _limit(self, waiting: "list[_Worker]") -> Iterator[None]:
+        """Kill all workers at the timeout; raise an error that names those still `waiting` then."""
+        late: list[_Worker] = []
 
-    def _raise_died(self, worker: "_Worker") -> NoReturn:
-        end = worker.child.describe_end()
-        self.close()
-        raise WorkerDiedError(
-            f"{worker} {end}; all other workers were ended; make another vector environment"
-        )
+        def end() -> None:
+            late.extend([worker for worker in waiting if not worker.has_replied()] or waiting)
+            for worker in self._workers:
+                worker.process.kill()
 
-    def _raise_timeout(self, late: "Sequence[_Worker]") -> NoReturn:
-        for worker in late:
-            worker.child.process.kill()
-        self.close()
-        raise WorkerTimeoutError(
-            f"expected every worker to finish within {self._timeout:g} s, found at work: "
-            f"{'; '.join(map(str, late))}; all workers were ended; make another vector "
-            "environment, with a longer timeout if a call may take longer"
-        )
+        timer = None if self._timeout is None else Timer(self._timeout, end)
+        died = None
+        try:
+            if timer:
+                timer.daemon = True
+                timer.start()
+            yield
+        except WorkerDiedError as error:
+            died = error
+        finally:
+            if timer:
+                timer.cancel()
+                timer.join()
+        if late or died:
+            self.close()
+        if late:
+            raise WorkerTimeoutError(
+                f"expected every worker to finish within {self._timeout:g} s, found at work: "
+                f"{'; '.join(worker.name for worker in late)}; all workers were ended; make "
+                "another vector environment, with a longer timeout if a call may take longer"
+            )
+        if died:
+            raise WorkerDiedError(
+                f"{died}; all other workers were ended; make another vector environment"
+            )
 
 
-class _Worker:
-    """One worker process and the two pipes to it."""
+class _Worker(Child):
+    """One worker process, with the rows of its sub-environments."""
 
-    def __init__(
-        self, index: int, rows: range, env_ids: Sequence[str], inherited: tuple[int, ...]
-    ) -> None:
-        self.index = index
+    def __init__(self, index: int, rows: range, spec: VectorSpec, memory: SharedMemory) -> None:
         self.rows = rows
-        self.env_ids = env_ids
-        self.child = Child("magical.envs.vector.worker", inherited)
-        self._requests = self.child.requests.fileno()
-        self._replies = self.child.replies.fileno()
-
-    def __str__(self) -> str:
-        names = ", ".join(dict.fromkeys(self.env_ids))
-        return f"worker {self.index} (environments {self.rows[0]} to {self.rows[-1]}: {names})"
-
-    def send(self, message: bytes, deadline: float | None = None) -> None:
-        """Send a request; see `worker.send`."""
-        send(self._requests, message, deadline)
-
-    def receive(self, deadline: float | None = None) -> tuple[bytes, Any]:
-        """Wait for the reply; see `worker.receive`."""
-        return receive(self._replies, deadline)
+        names = ", ".join(dict.fromkeys(spec.env_ids[row] for row in rows))
+        name = f"worker {index} (environments {rows[0]} to {rows[-1]}: {names})"
+        super().__init__(__name__, name, memory.inherited)
 
     def has_replied(self) -> bool:
         """Whether a reply, or the end of the process, can be read."""
         poll = select.poll()
-        poll.register(self._replies, select.POLLIN)
+        poll.register(self.replies, select.POLLIN)
         return bool(poll.poll(0))
 
 
@@ -207,15 +210,63 @@ def _holds(module: ModuleType, task: Task) -> bool:
     return any(value is task for value in list(getattr(module, "__dict__", {}).values()))
 
 
-def _end(workers: list[_Worker], owner: int) -> None:
+def _end(workers: "list[_Worker]", owner: int) -> None:
     """End workers and wait until they have; kill those that take too long."""
     if os.getpid() != owner:  # a fork of the process they belong to
         return
     for worker in workers:
         with suppress(OSError):  # a request that could not be written
-            worker.child.requests.close()
+            worker.requests.close()
     deadline = time.monotonic() + _GRACE_PERIOD
     for worker in workers:
         with suppress(subprocess.TimeoutExpired):
-            worker.child.process.wait(max(0.0, deadline - time.monotonic()))
-        worker.child.close()
+            worker.process.wait(max(0.0, deadline - time.monotonic()))
+        worker.close()
+
+
+def main(requests: IO[bytes], replies: IO[bytes]) -> None:
+    """A worker's side: make its sub-environments at the first request, then call their methods."""
+    sub_envs: SubEnvs
+    episodes = 0  # since the last collection of garbage
+
+    def answer(request: tuple[str, tuple[Any, ...]]) -> Any:
+        nonlocal sub_envs, episodes
+        name, args = request
+        if name == "start":
+            sub_envs = _start(*args)
+            return []
+        result = getattr(sub_envs, name)(*args)
+        episodes += len(result) if isinstance(result, list) else 0
+        return result
+
+    def collect_garbage() -> None:
+        nonlocal episodes
+        if episodes >= _EPISODES_KEPT:
+            gc.collect()
+            episodes = 0
+
+    serve(answer, requests, replies, after=collect_garbage)
+
+
+def _start(plugins: Sequence[str], spec: VectorSpec, handle: int | str, rows: range) -> SubEnvs:
+    for plugin in plugins:
+        load_tasks(plugin)
+    layout = spec.layout()
+    memory = open_memory(handle, layout.size)
+    if isinstance(handle, int):
+        os.close(handle)
+    _warm_up(spec)
+    sub_envs = SubEnvs(spec, rows, VectorBuffers(layout, memory))
+    # What is loaded by now stays; without it collections take a millisecond or two.
+    gc.collect()
+    gc.freeze()
+    return sub_envs
+
+
+def _warm_up(spec: VectorSpec) -> None:
+    """Take one step in an episode of no further use, so that everything needed is loaded."""
+    variant = spec.env_ids[0].variant
+    episode = Episode(spec.tasks()[0], variant, spec.observation, spec.horizon, spec.reward)
+    with contextlib.suppress(Exception):  # an error here will be raised again by the first reset
+        episode.start(np.random.default_rng(0))
+        episode.step(NOOP)
