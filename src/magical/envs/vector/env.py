@@ -106,12 +106,13 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             )
         if workers is not None and workers < 0:
             raise ValueError(f"workers: expected at least 0, or None, found {workers}")
-        if render_mode not in (None, *MagicalEnv.metadata["render_modes"]):
+        if render_mode not in (None, "rgb_array"):
             raise UnknownNameError(f"render mode {quoted(render_mode)}: expected rgb_array or None")
         parsed = [parse_env_id(env_id) for env_id in env_ids]
         self.env_ids = tuple(env_id.without_preset for env_id in parsed)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.metadata = {**MagicalEnv.metadata, "autoreset_mode": self.autoreset_mode}
+        modes = {"render_modes": ["rgb_array"], "autoreset_mode": self.autoreset_mode}
+        self.metadata = {**MagicalEnv.metadata, **modes}
         self.copy = copy
         self.render_mode = render_mode
         common = common_observation(parsed, observation)
