@@ -6,8 +6,10 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from magical.report.figures import curves
 from magical.report.figures.curves import learning_curves, save_learning_curves
 
 pytest.importorskip("matplotlib", reason="the report extra is not installed")
@@ -51,8 +53,19 @@ def test_a_picture_of_every_metric_in_the_run_folder(tmp_path: Path) -> None:
 def test_reports_need_neither_pytorch_nor_learning() -> None:
     code = (
         "import pkgutil, sys, importlib, magical.report; "
-        "[importlib.import_module(f'magical.report.{m.name}') "
-        "for m in pkgutil.iter_modules(magical.report.__path__)]; "
+        "[importlib.import_module(module.name) "
+        "for module in pkgutil.walk_packages(magical.report.__path__, 'magical.report.')]; "
         "sys.exit(bool({'torch', 'safetensors', 'magical.learning'} & set(sys.modules)))"
     )
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+@pytest.mark.parametrize("count", [1, 9, 95, 100, 499, 500, 5000])
+def test_smoothing_keeps_the_newest_rows_and_draws_enough_points(count: int) -> None:
+    points = [(float(i), float(i)) for i in range(count)]
+    xs, ys = curves._smooth(points)
+    width = max(1, min(curves.SMOOTHING, count // 10))
+    assert xs[-1] == count - 1
+    assert ys[-1] == pytest.approx(np.mean([y for _, y in points[-width:]]))
+    assert min(count, curves.MOST_POINTS) <= len(xs) <= 2 * curves.MOST_POINTS
+    assert ys[0] == pytest.approx(np.mean([y for x, y in points[:width] if x <= xs[0]]))

@@ -33,6 +33,15 @@ def test_what_runs_have_in_common_is_said_once(write_entry: WriteEntry, tmp_path
     }
 
 
+def test_describing_a_run_twice_says_the_same(write_entry: WriteEntry, tmp_path: Path) -> None:
+    folder = write_entry("m", "m", LINE, seed=0)
+    (folder / "run.json").write_text('{"demonstrations": ["a", "b"]}')
+    results = find_results([tmp_path]).results
+    first, second = describe_methods(results), describe_methods(results)
+    assert Fact("demonstrations used", "2") in first[0].common
+    assert second == first
+
+
 def test_links_are_addresses_relative_to_the_page(write_entry: WriteEntry, tmp_path: Path) -> None:
     write_entry("a #1", "m", LINE)
     (method,) = describe_methods(find_results([tmp_path]).results, tmp_path / "site" / "page.html")

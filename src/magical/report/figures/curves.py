@@ -9,7 +9,10 @@ from pathlib import Path
 from typing import Any
 from warnings import catch_warnings, filterwarnings
 
+import numpy as np
+
 from magical.errors import RunFolderError
+from magical.evaluation.intervals import Floats
 from magical.files import write_atomically
 from magical.report.figures.plots import (
     legend,
@@ -25,7 +28,7 @@ from magical.runs.metrics import read_metrics
 
 PANELS = ("loss", "accuracy", "score")  # of `learning_curves`, where the metrics have them
 SMOOTHING = 50  # rows of metrics that a curve is averaged over, at most a tenth of all
-MOST_POINTS = 200  # of a curve
+MOST_POINTS = 200  # of a curve, up to twice as many
 LONGEST = 30  # characters of a name in the legend
 LARGEST = 1e300  # number that is plotted
 NOT_PLOTTED = ("step", "environment_steps", "warning")
@@ -148,12 +151,13 @@ def _shorten(name: str) -> str:
     return name if len(name) <= LONGEST else f"…{name[1 - LONGEST :]}"
 
 
-def _smooth(points: Sequence[tuple[float, float]]) -> tuple[list[float], list[float]]:
-    """Averages over neighbouring points: the metrics of single batches are noisy."""
-    width = max(1, min(SMOOTHING, len(points) // 10), len(points) // MOST_POINTS)
-    groups = [points[i : i + width] for i in range(0, len(points) - width + 1, width)]
-    xs = [sum(x for x, _ in group) / width for group in groups]
-    return xs, [sum(y for _, y in group) / width for group in groups]
+def _smooth(points: Sequence[tuple[float, float]]) -> tuple[Floats, Floats]:
+    """Means over each point and those before it: the metrics of single batches are noisy."""
+    steps, values = np.array(points, np.float64).T
+    width = max(1, min(SMOOTHING, len(points) // 10))
+    ends = np.arange(len(points), 0, -max(1, len(points) // MOST_POINTS))[::-1]
+    means = [values[max(end - width, 0) : end].mean() for end in ends]
+    return steps[ends - 1], np.array(means)
 
 
 def save_learning_curves(run: Path) -> Path | None:

@@ -76,7 +76,7 @@ def _describe(method: str, results: Sequence[Result], page: Path | None) -> Meth
 
 def _facts(result: Result) -> dict[str, str]:
     """All that is recorded about a run, flat, as text."""
-    entry, record = result.entry, result.record
+    entry, record = result.entry, dict(result.record)
     demonstrations = record.pop("demonstrations", [])
     used = len(demonstrations) if isinstance(demonstrations, list) else 0
     groups: Mapping[str, Any] = {
