@@ -1,7 +1,7 @@
 """Collect what a plan's runs scored into `studies/STUDY/results/PLAN`, without weights.
 
 python -m studies.collect RUNS [RUNS ...] --out studies/STUDY/results/PLAN [--plan FILE]
-    [--leaderboard] [--looks N]
+    [--leaderboard] [--looks N] [--dataset NAME]
 
 RUNS are results folders of `magical run`, finished or not; several hold parts of one plan. What is
 collected already stays and is not read again, so the command can be repeated while runs go on.
@@ -15,7 +15,8 @@ What was collected of runs that are no longer the plan's stays, and counts nowhe
 
 With --leaderboard each run that is done is first evaluated by the leaderboard's protocol, from its
 checkpoint, into a folder `leaderboard` in its own, unless that was done before. --looks states in
-the details of newly collected entries how often test variants had been evaluated before.
+the details of newly collected entries how often test variants had been evaluated before, --dataset
+whose demonstrations a dataset of the plan holds (`human`).
 
 Runs of another version of the package than those before are refused (exit status 1).
 """
@@ -34,7 +35,7 @@ from magical.evaluation.collection import read_collection, write_collection
 from magical.evaluation.entry import ENTRY_FILE
 from magical.experiments.demonstrations import DIGESTS, GENERATED
 from magical.experiments.one_run import evaluate_run
-from magical.experiments.plan import Evaluation, PlannedRun, planned_runs
+from magical.experiments.plan import DATASET, Evaluation, PlannedRun, planned_runs
 from magical.experiments.plan_file import read_plan
 from magical.experiments.results import (
     DONE,
@@ -50,6 +51,7 @@ from magical.experiments.results import (
 from magical.report.found.statements import LOOKS
 from magical.report.leaderboard.checks import NUDGE
 from magical.runs.folder import read_json, write_json
+from magical.runs.sources import DEMONSTRATIONS
 
 COLLECTED = "collected"  # in the plan's file: what is known of its runs
 LEADERBOARD = "leaderboard"  # in a run's folder: its evaluation by the leaderboard's protocol
@@ -98,7 +100,7 @@ def collect(
     out: Path,
     plan: Path,
     leaderboard: bool = False,
-    looks: int | None = None,
+    **stated: Any,
 ) -> Iterator[str]:
     """Collect the plan's runs that are done; yields what is left out or missing, and why.
 
@@ -107,7 +109,7 @@ def collect(
         out: the folder to collect into.
         plan: the plan's file.
         leaderboard: evaluate each run by the leaderboard's protocol first.
-        looks: what new entries state as `looks`; None: nothing.
+        stated: `looks` and `dataset`, as `_entry` takes them.
 
     Raises:
         ResultsError: a source is no results folder; its runs are of another version, or learned
@@ -122,7 +124,7 @@ def collect(
                 yield f"left out: {folder}: not a run of {plan}"
                 continue
             run = planned[folder.name] if leaderboard else None
-            if why := _collect_run(run, folder, collected, looks):
+            if why := _collect_run(run, folder, collected, stated):
                 yield f"left out: {why}"
     for runs in (collected.runs, collected.failed):
         for name in sorted(set(runs) - set(planned)):
@@ -139,7 +141,7 @@ def collect(
 
 
 def _collect_run(
-    run: PlannedRun | None, folder: Path, collected: Collected, looks: int | None
+    run: PlannedRun | None, folder: Path, collected: Collected, stated: Mapping[str, Any]
 ) -> str:
     """Collect a run if it is done and new, and its evaluation for the leaderboard; says why not.
 
@@ -154,7 +156,7 @@ def _collect_run(
         if name not in collected.runs and (state := read_state(folder)):
             record = read_json(folder / RESULT)
             if state == DONE:
-                collected.entries[key] = _entry(folder, collected.version, looks)
+                collected.entries[key] = _entry(folder, collected.version, **stated)
                 collected.failed.pop(name, None)
                 seconds = {part: round(float(s), 1) for part, s in record["seconds"].items()}
                 collected.runs[name] = {"seconds": seconds, "finished": record["finished"]}
@@ -162,7 +164,7 @@ def _collect_run(
                 collected.failed[name] = str(record["error"])
         new = second not in collected.entries and name in collected.runs
         if new and (folder / LEADERBOARD / ENTRY_FILE).exists():
-            collected.entries[second] = _entry(folder / LEADERBOARD, collected.version, looks)
+            collected.entries[second] = _entry(folder / LEADERBOARD, collected.version, **stated)
     except MagicalError as error:
         return str(error)
     return ""
@@ -179,12 +181,15 @@ def _commit(entry: Entry) -> str:
     return str(entry.details.get("commit") or "unknown")
 
 
-def _entry(folder: Path, version: str, looks: int | None) -> Entry:
-    """A run's entry, with `looks` if that is stated."""
+def _entry(folder: Path, version: str, looks: int | None = None, dataset: str = DATASET) -> Entry:
+    """A run's entry, with `looks` and a name for the dataset if they are stated."""
     entry = read_entry(folder)
     if entry.version != version:
         raise ResultsError(f"{folder}: expected an entry made by {version}, found {entry.version}")
-    return entry if looks is None else replace(entry, details={**entry.details, LOOKS: looks})
+    details = dict(entry.details) if looks is None else {**entry.details, LOOKS: looks}
+    if DEMONSTRATIONS in details:
+        details[DEMONSTRATIONS] = str(details[DEMONSTRATIONS]).replace(DATASET, dataset)
+    return replace(entry, details=details)
 
 
 def _require_same(source: Path, collected: Collected, out: Path) -> None:
@@ -220,13 +225,15 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument(
         "--looks", type=int, metavar="N", help="how often test variants were evaluated"
     )
+    parser.add_argument("--dataset", default=DATASET, metavar="NAME", help="such as human")
     args = parser.parse_args(arguments)
     if args.looks is not None and args.looks < 0:
         parser.error(f"--looks: expected 0 or more, found {args.looks}")
     name = f"{args.out.absolute().name}.toml"
     plan = args.plan or args.out.absolute().parents[1] / "plans" / name
+    stated = {"looks": args.looks, "dataset": args.dataset}
     try:
-        for line in collect(args.sources, args.out, plan, args.leaderboard, args.looks):
+        for line in collect(args.sources, args.out, plan, args.leaderboard, **stated):
             print(line)
         print(f"{args.out}: {len(Collected.read(args.out).runs)} runs collected")
     except MagicalError as error:

@@ -234,9 +234,15 @@ class Page:
         header = (*head, "Intervals over", "Demo", "TestAll", "Gap", "Rank by gap")
         rows = [
             [
-                *(row.rank, row.method, row.learning_class or "–", *_stated(row.statements)),
+                *(
+                    "reference" if row.is_reference else row.rank,
+                    row.method,
+                    row.learning_class or "–",
+                    *_stated(row.statements),
+                ),
                 *(", ".join(row.used) or "–", row.unit),
-                *(_mean(row.demo), _mean(row.test_all), signed(row.gap), row.gap_rank),
+                *(_mean(row.demo), _mean(row.test_all), signed(row.gap)),
+                "–" if row.is_reference else row.gap_rank,
             ]
             for row in make_boards(self.ranked)[0].standings
         ]

@@ -43,9 +43,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Check the folder, make the images, write the site."""
     from magical.evaluation import environments
+    from magical.extras import require
     from magical.progress import progress_bar
     from magical.report.gallery import Gallery, check_site, make_previews
 
+    require("report")
     env_ids = environments(args.task)
     check_site(args.out)
     previews = []

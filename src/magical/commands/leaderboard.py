@@ -17,22 +17,33 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
     parser.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="entries")
     parser.add_argument("--out", type=Path, metavar="DIR", help="write index.html and pages there")
+    parser.add_argument(
+        "--rerun",
+        nargs="+",
+        default=[],
+        metavar="METHOD",
+        help="mark methods whose scores you have run again (magical verify)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Check, rank, print, write."""
+    from magical.extras import require
     from magical.report.leaderboard import make_leaderboard
+    from magical.report.leaderboard.checks import by_reasons
     from magical.report.scores.aggregate import interval_text
 
-    board = make_leaderboard(args.folders, args.out)
+    if args.out:
+        require("report")
+    board = make_leaderboard(args.folders, args.out, args.rerun)
     for part in board.boards:
         rows = [
             (
-                row.rank,
+                "reference" if row.is_reference else row.rank,
                 row.method,
                 interval_text(row.test_all),
                 interval_text(row.gap),
-                row.gap_rank,
+                "–" if row.is_reference else row.gap_rank,
                 row.unit,
                 row.learning_class or "–",
                 ", ".join(row.used) or "–",
@@ -51,8 +62,9 @@ def run(args: argparse.Namespace) -> int:
         )
         print_table(header, rows)
         print()
-    for entry in board.rejected:
-        print(f"not ranked: {entry.folder}: {'; '.join(entry.reasons)}")
+    for reasons, entries in by_reasons(board.rejected):
+        more = f" and {len(entries) - 1} more" if entries[1:] else ""
+        print(f"not ranked: {entries[0].folder}{more}: {reasons}")
     if args.out:
         board.write(args.out)
         log(f"wrote {args.out / 'index.html'}")

@@ -5,6 +5,7 @@ at any depth. Folders with the same method are runs of it and share a row.
 """
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -53,20 +54,22 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Read, tabulate, write."""
+    from magical.extras import require
     from magical.report.found.search import find_results
 
-    if args.clips and (args.compare or not args.out or _kind(args) != "html"):
-        log("--clips is for a page (--out FILE.html); no rollouts are recorded")
+    is_page = bool(args.out) and (args.compare or _kind(args) == "html")
+    if args.clips and (args.compare or not is_page):
+        log("error: --clips is for a page (--out FILE.html); no rollouts are recorded")
+        return 1
+    if is_page:
+        require("report")
     found = find_results(args.folders)
     for item in found.skipped:
         log(f"skipped {item.folder}: {item.reason}")
     if args.compare:
         return _compare(args, found)
     _print_tables(args, found)
-    if args.out:
-        _write(args, found)
-        log(f"wrote {args.out}")
-    return 0
+    return _write(args, found) if args.out else 0
 
 
 def _compare(args: argparse.Namespace, found: "Found") -> int:
@@ -91,23 +94,29 @@ def _print_tables(args: argparse.Namespace, found: "Found") -> None:
         print(f"{grid.note}\n")
 
 
-def _write(args: argparse.Namespace, found: "Found") -> None:
+def _write(args: argparse.Namespace, found: "Found") -> int:
     from magical.report.pages.evaluated import evaluated_page
     from magical.report.pages.export import FORMATS
 
     kind, published = _kind(args), _published(args, found)
+    notes: Sequence[str] = ()
     if kind in FORMATS:
         FORMATS[kind](found, published, args.out)
-        return
-    page = evaluated_page(
-        args.title,
-        found,
-        published,
-        out=args.out,
-        load_policy=lambda result: policy_of(result.folder, result.entry, result.run),
-        clips=args.clips or 0,
-    )
-    page.write(args.out)
+    else:
+        page = evaluated_page(
+            args.title,
+            found,
+            published,
+            out=args.out,
+            load_policy=lambda result: policy_of(result.folder, result.entry, result.run),
+            clips=args.clips or 0,
+        )
+        page.write(args.out)
+        notes = page.clip_notes if args.clips and not page.extremes else ()
+    log(f"wrote {args.out}")
+    for note in notes:
+        log(f"error: no rollouts of {note}")
+    return int(bool(notes))
 
 
 def _kind(args: argparse.Namespace) -> str:

@@ -162,6 +162,17 @@ def test_a_training_run_counts_once_in_a_row(write_entry: WriteEntry, tmp_path: 
     assert found.skipped[0].reason.endswith("a: each run counts once in a row")
 
 
+def test_copies_with_other_seeds_are_one_run(write_entry: WriteEntry, tmp_path: Path) -> None:
+    telling = {"MakeLine-Demo": [i / 50 for i in range(50)]}
+    perfect = {"MoveToRegion-Demo": [1.0] * 45 + [0.5] * 5}
+    for seed in range(3):
+        write_entry(f"copy{seed}", "bc", telling, seed=seed)
+        write_entry(f"perfect{seed}", "bc", perfect, seed=seed)
+    found = find_results([tmp_path])
+    names = ["copy0", "perfect0", "perfect1", "perfect2"]
+    assert [result.folder.name for result in found.results] == names
+
+
 def test_runs_of_other_settings_are_other_runs(write_entry: WriteEntry, tmp_path: Path) -> None:
     for name in ("a", "b"):
         folder = write_entry(name, "bc", LINE, seed=0)

@@ -50,6 +50,19 @@ def test_methods_are_ranked_by_test_all_and_by_gap() -> None:
     assert board.standings[1].unit == "rollouts of 1 run"
 
 
+def test_what_learned_nothing_from_true_states_is_a_reference_without_a_rank() -> None:
+    expert = run("expert", 1.0, 0.9, details={"learned_from": []}, privileged=True)
+    learned = run("learned from states", 1.0, 0.8, privileged=True)
+    board = make_boards([run("b", 0.9, 0.5), expert, learned, run("a", 1.0, 0.7)])[1]
+    assert [(row.method, row.is_reference) for row in board.standings] == [
+        ("expert", True),
+        ("learned from states", False),
+        ("a", False),
+        ("b", False),
+    ]
+    assert [row.rank for row in board.standings[1:]] == [1, 2, 3]
+
+
 def test_equal_scores_share_a_rank() -> None:
     board = make_boards([run("b", 0.5, 0.5), run("a", 0.6, 0.5), run("c", 0.4, 0.4)])[1]
     assert [(row.method, row.rank) for row in board.standings] == [("b", 1), ("a", 1), ("c", 3)]

@@ -66,6 +66,34 @@ def test_the_site_is_whole(
     assert methods == {"<A> & b", "C"}
 
 
+def test_entries_that_are_not_ranked_stand_together_by_reason(
+    entries: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for number in range(20):
+        shutil.copytree(entries / "old", entries / f"old{number}")
+    site = tmp_path / "site"
+    assert cli.main(["leaderboard", str(entries), "--out", str(site)]) == 0
+    assert "old and 20 more: made by version 0.0.1" in capsys.readouterr().out
+    text = (site / "index.html").read_text()
+    assert "<details><summary>21 entries: made by version 0.0.1" in text
+    assert f"<li>{entries / 'old7'} (old)</li>" in text
+
+
+def test_the_page_explains_its_words_and_says_what_was_run_again(
+    entries: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    site = tmp_path / "site"
+    argv = ["leaderboard", str(entries), "--out", str(site), "--rerun"]
+    assert cli.main([*argv, "C"]) == 0
+    text = (site / "index.html").read_text()
+    for word in ("nudge", "class", "earlier looks", "gap", "reference"):
+        assert f"<dt>{word}</dt>" in text
+    assert "Scores are as submitted, unless marked" in text
+    assert text.count("<small>run again</small>") == 1
+    assert cli.main([*argv, "old"]) == 1
+    assert "expected ranked methods to mark as run again, found ['old']" in capsys.readouterr().err
+
+
 def test_the_site_may_lie_among_the_entries(entries: Path) -> None:
     site = entries / "site"
     argv = ["leaderboard", str(entries), "--out", str(site)]

@@ -1,6 +1,7 @@
 """Evaluated runs in folders, at any depth, each in a folder of its own or in a collection."""
 
 import os
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,6 +19,8 @@ from magical.runs.folder import CONFIG, RECORD
 PLAN = "plan.json"  # the planned runs
 FINAL = "result.json"  # a run's final record, in its folder
 RUNS = "runs"  # the folder of their folders
+
+TELLING = 20  # rollouts with another score than the most frequent one
 
 
 @dataclass(frozen=True)
@@ -90,17 +93,20 @@ class Found:
 def same_run(result: Result, others: Iterable[Result]) -> Result | None:
     """The first of some results that evaluates the same training run of a method, if any does.
 
-    That is decided by the seeds of training and by the configurations, as far as they are known;
-    where a seed is not, by equal scores on the tasks that both have.
+    Equal scores on the tasks that both have, which differ among each other, are of one run,
+    whatever the seeds. Otherwise the seeds of training and the configurations decide, as far as
+    they are known; where a seed is not, equal scores.
     """
     for other in others:
         shared = set(result.tasks) & set(other.tasks)
         if result.entry.method != other.entry.method or not shared:
             continue
-        if result.seed is None or other.seed is None:
-            if _scores_on(shared, result) == _scores_on(shared, other):
-                return other
-        elif result.seed == other.seed and not _differ(result.config, other.config):
+        first, second = _scores_on(shared, result), _scores_on(shared, other)
+        unknown = result.seed is None or other.seed is None
+        if first == second and (unknown or _is_telling(first)):
+            return other
+        differ = result.config and other.config and result.config != other.config
+        if not unknown and result.seed == other.seed and not differ:
             return other
     return None
 
@@ -109,8 +115,10 @@ def _scores_on(tasks: Iterable[str], result: Result) -> set[RolloutScore]:
     return {row for row in result.entry.scores if row.env_id.task in tasks}
 
 
-def _differ(first: dict[str, Any], second: dict[str, Any]) -> bool:
-    return bool(first and second) and first != second
+def _is_telling(scores: Iterable[RolloutScore]) -> bool:
+    """Whether another run would hardly get the same: good policies get 1 nearly everywhere."""
+    counts = Counter(row.score for row in scores)
+    return counts.total() - max(counts.values()) >= TELLING
 
 
 def find_results(folders: Iterable[Path | str]) -> Found:

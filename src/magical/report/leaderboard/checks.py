@@ -1,6 +1,6 @@
 """Whether entries are what the protocol asks for (docs/protocol.md)."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +9,7 @@ from magical.evaluation import Entry, by_variant
 from magical.evaluation.entry import APPENDIX
 from magical.evaluation.rollouts import ROLLOUTS
 from magical.evaluation.variants import short_variant
+from magical.grouping import group_by
 from magical.report.found.search import Found, Result, same_run
 from magical.report.found.statements import stated_looks
 from magical.runs.sources import learned_from
@@ -25,6 +26,12 @@ class Rejected:
     folder: str
     method: str
     reasons: Sequence[str]
+
+
+def by_reasons(rejected: Iterable[Rejected]) -> list[tuple[str, list[Rejected]]]:
+    """The entries with the same reasons together, the most first."""
+    groups = group_by(rejected, lambda entry: "; ".join(entry.reasons))
+    return sorted(groups.items(), key=lambda group: -len(group[1]))
 
 
 def check_entries(found: Found) -> tuple[list[Result], list[Rejected]]:

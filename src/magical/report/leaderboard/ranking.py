@@ -35,6 +35,11 @@ class Standing:
         """`P`, `R`, `X` or nothing: `magical.runs.sources.learning_class`."""
         return learning_class(self.used)
 
+    @property
+    def is_reference(self) -> bool:
+        """Whether it learned nothing and sees the true state, as the scripted experts."""
+        return self.used == (STATE,)
+
 
 @dataclass(frozen=True, slots=True)
 class Board:
@@ -93,16 +98,20 @@ def _standing(method: ComparedMethod, runs: Sequence[Result]) -> Standing:
 
 
 def _ranked(standings: Sequence[Standing]) -> list[Standing]:
-    """The standings with their ranks, by TestAll, then by the gap, then by name."""
+    """The standings with their ranks, by TestAll, then by the gap, then by name.
+
+    References have the rank that they would have, and take none from others.
+    """
+    others = [row for row in standings if not row.is_reference]
     ranked = [
         replace(
             row,
-            rank=_rank(row, standings, lambda other: -other.test_all.value),
-            gap_rank=_rank(row, standings, lambda other: other.gap.value),
+            rank=_rank(row, others, lambda other: -other.test_all.value),
+            gap_rank=_rank(row, others, lambda other: other.gap.value),
         )
         for row in standings
     ]
-    return sorted(ranked, key=lambda row: (row.rank, row.gap_rank, row.method))
+    return sorted(ranked, key=lambda r: (r.rank, not r.is_reference, r.gap_rank, r.method))
 
 
 def _rank(row: Standing, standings: Sequence[Standing], key: Callable[[Standing], float]) -> int:

@@ -9,15 +9,13 @@ from pathlib import Path
 from magical import __version__
 from magical.errors import ScoresError, SiteError
 from magical.evaluation.rollouts import ROLLOUTS
-from magical.files import write_atomically
-from magical.report.found.facts import FILES
 from magical.report.found.search import Found, Result, search_results
-from magical.report.leaderboard.checks import NUDGE, Rejected, check_entries
+from magical.report.leaderboard.checks import NUDGE, Rejected, by_reasons, check_entries
 from magical.report.leaderboard.ranking import STATE, Board, make_boards
 from magical.report.pages.evaluated import evaluated_page
 from magical.report.pages.page import render_template, write_text
 from magical.report.scores.differences import matching_methods
-from magical.runs.sources import SOURCES
+from magical.runs.sources import CLASSES, SOURCES
 
 INDEX = "index.html"
 METHODS, ENTRIES = "methods", "entries"  # folders of the site
@@ -33,6 +31,7 @@ class Leaderboard:
     boards: Sequence[Board]
     accepted: Sequence[Result]
     rejected: Sequence[Rejected]
+    rerun: frozenset[str] = frozenset()  # methods whose scores were run again
 
     def write(self, site: Path) -> None:
         """Write the pages, and copies of the entries that they link to, so that they stay together.
@@ -64,6 +63,8 @@ class Leaderboard:
         return render_template(
             "leaderboard.html.j2",
             board=self,
+            unranked=by_reasons(self.rejected),
+            classes={name: SOURCES[source] for name, source in CLASSES.items()},
             pages=pages,
             filters={name: text for name, text in filters.items() if name in used},
             rollouts=ROLLOUTS,
@@ -72,18 +73,28 @@ class Leaderboard:
         )
 
 
-def make_leaderboard(folders: Iterable[Path | str], site: Path | None = None) -> Leaderboard:
+def make_leaderboard(
+    folders: Iterable[Path | str], site: Path | None = None, rerun: Iterable[str] = ()
+) -> Leaderboard:
     """Check and rank all entries in or below the folders, except the copies in a site.
 
+    Args:
+        folders: with entries, at any depth.
+        site: where the pages will be written.
+        rerun: methods whose scores were run again, and are marked so.
+
     Raises:
-        ScoresError: a folder is missing.
+        ScoresError: a folder is missing, or no method to mark is ranked.
     """
     places = list(map(Path, folders))
     for place in places:
         if not place.is_dir():
             raise ScoresError(f"{place}: expected a folder with entries, found none")
     accepted, rejected = check_entries(search_results(places, without=site))
-    return Leaderboard(make_boards(accepted), accepted, rejected)
+    methods = {result.entry.method for result in accepted}
+    if unknown := sorted(set(rerun) - methods):
+        raise ScoresError(f"expected ranked methods to mark as run again, found {unknown}")
+    return Leaderboard(make_boards(accepted), accepted, rejected, frozenset(rerun))
 
 
 def _write_method(site: Path, method: str, results: Sequence[Result], name: str) -> set[str]:
@@ -91,9 +102,8 @@ def _write_method(site: Path, method: str, results: Sequence[Result], name: str)
     copied = []
     for number, result in enumerate(results, 1):
         folder = site / ENTRIES / f"{name}-{number}"
-        for file in FILES:
-            with write_atomically(folder / file) as target:
-                target.write((result.folder / file).read_bytes())
+        shutil.rmtree(folder, ignore_errors=True)  # of an earlier leaderboard
+        result.entry.write(folder)
         copied.append(replace(result, folder=folder))
     page = site / METHODS / f"{name}.html"
     published = matching_methods(result.entry for result in results)

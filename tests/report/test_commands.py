@@ -1,0 +1,52 @@
+"""`magical report`, `leaderboard` and `gallery`: what is checked before the work, and failures."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from magical import cli, extras
+
+WriteEntry = Callable[..., Path]
+
+
+def test_clips_of_nothing_are_an_error(
+    write_entry: WriteEntry, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("jinja2", reason="the report extra is not installed")
+    pytest.importorskip("matplotlib", reason="the report extra is not installed")
+    folder = write_entry("a", "mine", {"MoveToRegion-Demo": [1.0]})
+    page = tmp_path / "page.html"
+    argv = ["report", str(folder), "--clips", "2", "--out"]
+    assert cli.main([*argv, str(page)]) == 1
+    error = capsys.readouterr().err
+    assert "error: no rollouts of mine on MoveToRegion: " in error
+    assert "expected a run folder or one of" in error
+    assert "mine on MoveToRegion" in page.read_text()
+    assert cli.main([*argv, str(tmp_path / "page.csv")]) == 1
+    assert "--clips is for a page" in capsys.readouterr().err
+    policy = {"policy": "noop"}
+    folder = write_entry("b", "noop", {"MoveToRegion-Demo": [0.0]}, details=policy)
+    assert cli.main(["report", str(folder), "--clips", "2", "--out", str(page)]) == 0
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [
+        ["gallery", "--out", "site"],
+        ["report", "a", "--out", "page.html"],
+        ["report", "a", "--compare", "x", "y", "--out", "page.html"],
+        ["leaderboard", "a", "--out", "site"],
+    ],
+)
+def test_missing_libraries_are_named_before_the_work(
+    argv: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)  # there is no folder `a`: that would be found first
+    monkeypatch.setattr(extras, "_is_installed", lambda module: module != "jinja2")
+    assert cli.main(argv) == 1
+    assert "this needs jinja2, which is not installed" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
