@@ -17,7 +17,7 @@ from magical.evaluation.intervals import Interval
 from magical.evaluation.variants import SHORT_VARIANTS, short_variant
 from magical.report.found.search import Found, search_results
 from magical.report.found.statements import Statements
-from magical.report.leaderboard.checks import Rejected, check_entries
+from magical.report.leaderboard.checks import Rejected, by_reasons, check_entries
 from magical.report.leaderboard.ranking import make_boards
 from magical.report.scores.tables import signed
 from studies.plan_results import NOT_RUN, PlanResults
@@ -254,14 +254,15 @@ class Page:
 
     def rejections(self) -> str:
         """The entries that count nowhere, by reason."""
-        reasons: dict[str, list[str]] = {}
-        for entry in self.rejected:
-            folder = Path(entry.folder)
-            name = folder.relative_to(self.root) if folder.is_relative_to(self.root) else folder
-            shown = "; ".join(entry.reasons).replace(f"{self.root}/", "")
-            reasons.setdefault(shown, []).append(f"`{name}`")
-        lines = [f"- {_listed(names)}: {reason}" for reason, names in reasons.items()]
+        lines = [
+            f"- {_listed([self._name(entry) for entry in entries])}: "
+            f"{reasons.replace(f'{self.root}/', '')}"
+            for reasons, entries in by_reasons(self.rejected)
+        ]
         return "\n".join(lines) or "None."
+
+    def _name(self, entry: Rejected) -> str:
+        return f"`{entry.folder.removeprefix(f'{self.root}/')}`"
 
 
 def _evaluations(found: Found, leaderboard: bool) -> Found:
