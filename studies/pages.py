@@ -7,14 +7,13 @@ With --check nothing is written; the exit status is 1 if a page or the picture i
 
 import hashlib
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
 from magical.evaluation import published_tasks
-from magical.evaluation.intervals import Interval
-from magical.evaluation.variants import SHORT_VARIANTS, short_variant
+from magical.evaluation.variants import SHORT_VARIANTS
 from magical.report.found.search import Found, search_results
 from magical.report.found.statements import Statements
 from magical.report.leaderboard.checks import Rejected, by_reasons, check_entries
@@ -30,10 +29,20 @@ from studies.published_tables.cells import (
     distance_text,
     make_cells,
 )
-from studies.published_tables.claims import CLAIMS, PARTS, VARIATIONS, Finding, find, order
+from studies.published_tables.claims import CLAIMS, PARTS, VARIATIONS, find
 from studies.published_tables.generalisation import find_drops
 from studies.published_tables.picture import digest_of, write_picture
 from studies.published_tables.rows import Row, make_rows, published_row
+from studies.tables import (
+    cell_table,
+    claim_row,
+    listed_names,
+    mean_text,
+    order_table,
+    score_table,
+    variant_cell,
+    variation_row,
+)
 from tools import readme_tables
 from tools.readme_tables import table
 
@@ -68,7 +77,6 @@ PICTURE = Path("published_tables", "results.png")
 EXPERT = "expert"  # folder and method of the scripted experts' entry, which is no run of a plan
 LEADERBOARD = "leaderboard"  # in the folder of a run's entry
 NOTHING = f"Nothing yet: {NOT_RUN}."
-MAX_LISTED = 5  # entries with the same reason that are listed by name
 
 
 class Page:
@@ -180,19 +188,19 @@ class Page:
     def claim_table(self) -> str:
         """A row for each claim and part of the environments."""
         header = ("Claim", "On", "Published, all tasks", "Published, our tasks", "Ours", "Verdict")
-        return table(header, (list(_claim_row(found)) for found in find(CLAIMS, self.rows)))
+        return table(header, (list(claim_row(found)) for found in find(CLAIMS, self.rows)))
 
     def variation_table(self) -> str:
         """A row for each variation of BC and part of the environments."""
         header = ("Change", "Difference", "On", "Tasks", "Mean difference", "Verdict")
-        return table(header, (list(_variation_row(found)) for found in find(VARIATIONS, self.rows)))
+        return table(header, (list(variation_row(found)) for found in find(VARIATIONS, self.rows)))
 
     def variant_table(self) -> str:
         """What was not published against ours, variant by variant."""
         return table(
             ("Change", *SHORT_VARIANTS),
             (
-                [claim.text, *map(_variant_cell, find([claim], self.rows, SHORT_VARIANTS))]
+                [claim.text, *map(variant_cell, find([claim], self.rows, SHORT_VARIANTS))]
                 for claim in VARIATIONS
                 if any(finding.ours for finding in find([claim], self.rows))
             ),
@@ -203,7 +211,7 @@ class Page:
         named = [row for row in self.rows if row.published == row.method]
         complete = [row for row in named if self._is_complete(row)]
         groups = [complete] if len(complete) == len(named) else [complete, named]
-        tables = [text for rows in groups for part in PARTS if (text := _order(rows, part))]
+        tables = [text for rows in groups for part in PARTS if (text := order_table(rows, part))]
         return "\n\n".join(tables) or NOTHING
 
     def _is_complete(self, row: Row) -> bool:
@@ -211,7 +219,7 @@ class Page:
 
     def cell_tables(self) -> str:
         """A table for each method that has been run: tasks by variants."""
-        parts = [_cell_table(method, cells) for method, cells in self.cells.items() if cells]
+        parts = [cell_table(method, cells) for method, cells in self.cells.items() if cells]
         return "\n\n".join(parts) or NOTHING
 
     def gap_table(self) -> str:
@@ -222,7 +230,7 @@ class Page:
                 drop.method,
                 drop.learning_class or "–",
                 *_stated(drop.statements),
-                *(_mean(drop.demo), _mean(drop.test_all), signed(drop.gap)),
+                *(mean_text(drop.demo), mean_text(drop.test_all), signed(drop.gap)),
             ]
             for drop in find_drops([*self.rows, *self.others])
         )
@@ -241,7 +249,7 @@ class Page:
                     *_stated(row.statements),
                 ),
                 *(", ".join(row.used) or "–", row.unit),
-                *(_mean(row.demo), _mean(row.test_all), signed(row.gap)),
+                *(mean_text(row.demo), mean_text(row.test_all), signed(row.gap)),
                 "–" if row.is_reference else row.gap_rank,
             ]
             for row in make_boards(self.ranked)[0].standings
@@ -250,12 +258,12 @@ class Page:
 
     def other_tables(self) -> str:
         """A table for each row without a published counterpart: tasks by variants."""
-        return "\n\n".join(map(_score_table, self.others)) or NOTHING
+        return "\n\n".join(map(score_table, self.others)) or NOTHING
 
     def rejections(self) -> str:
         """The entries that count nowhere, by reason."""
         lines = [
-            f"- {_listed([self._name(entry) for entry in entries])}: "
+            f"- {listed_names([self._name(entry) for entry in entries])}: "
             f"{reasons.replace(f'{self.root}/', '')}"
             for reasons, entries in by_reasons(self.rejected)
         ]
@@ -291,95 +299,6 @@ def _task_cell(cells: Sequence[Cell]) -> str:
         return NOT_RUN
     mean = sum(cell.distance for cell in cells) / len(cells)
     return f"{count(cells).within[-1]} of {len(cells)} ({distance_text(mean)})"
-
-
-def _claim_row(finding: Finding) -> Iterator[str]:
-    claim, ours = finding.claim, finding.ours
-    yield f"{claim.text}: {claim.formula}"
-    yield finding.part
-    yield from ("–" if i is None else signed(i) for i in (finding.published, finding.same))
-    yield NOT_RUN if ours is None else f"{signed(ours)}, {_tasks(finding.tasks)}"
-    yield finding.verdict
-
-
-def _variation_row(finding: Finding) -> Iterator[str]:
-    verdicts = {"holds": "raises", "the opposite holds": "lowers"}
-    yield finding.claim.text
-    yield finding.claim.formula
-    yield finding.part
-    yield _tasks(finding.tasks) if finding.tasks else "–"
-    yield NOT_RUN if finding.ours is None else signed(finding.ours)
-    yield verdicts.get(finding.verdict, finding.verdict)
-
-
-def _variant_cell(finding: Finding) -> str:
-    """The difference over its interval; bold where 0 is outside."""
-    ours = finding.ours
-    if ours is None:
-        return ""
-    difference, _, interval = signed(ours).partition(" ")
-    if ours.low > 0 or ours.high < 0:
-        difference = f"**{difference}**"
-    return "<br>".join(filter(None, (difference, interval)))
-
-
-def _tasks(tasks: Sequence[str]) -> str:
-    return ", ".join(tasks) if len(tasks) < 3 else f"{len(tasks)} tasks"
-
-
-def _order(rows: Sequence[Row], part: str) -> str:
-    """A table of methods in the order of our means; empty for fewer than two."""
-    ordering = order(rows, part)
-    if len(ordering.places) < 2:
-        return ""
-    header = ("Rank", "Row", "Ours", "Published", "Published rank")
-    lines = (
-        (p.rank, p.method, _mean(p.ours), _mean(p.published), p.published_rank)
-        for p in ordering.places
-    )
-    return f"{part}, {_tasks(ordering.tasks)}:\n\n{table(header, lines)}"
-
-
-def _mean(interval: Interval) -> str:
-    return signed(interval).replace("+", "")
-
-
-def _cell_table(method: str, cells: Sequence[Cell]) -> str:
-    """A heading and a table; in each cell our mean, the published one, and the distance."""
-    rows = []
-    for task, of_task in by_task(cells).items():
-        texts = {cell.variant: _cell(cell) for cell in of_task}
-        runs = {len(cell.means) for cell in of_task}
-        name = f"{task} ({max(runs)} {'run' if runs == {1} else 'runs'})"
-        rows.append([name, *(texts.get(variant, "") for variant in SHORT_VARIANTS)])
-    return f"### {method}\n\n{table(('Task', *SHORT_VARIANTS), rows)}"
-
-
-def _score_table(row: Row) -> str:
-    """A heading and a table: means and standard deviations over runs."""
-    tasks: dict[str, dict[str, str]] = {}
-    for env_id in row.env_ids:
-        means = row.runs_in(env_id)
-        spread = f" ± {means.std(ddof=1):.2f}" if len(means) > 1 else ""
-        cells = tasks.setdefault(env_id.task, {})
-        cells[short_variant(env_id.variant)] = f"{means.mean():.2f}{spread}"
-    lines = [
-        [task, *(cells.get(variant, "") for variant in SHORT_VARIANTS)]
-        for task, cells in tasks.items()
-    ]
-    return f"### {row.method}\n\n{table(('Task', *SHORT_VARIANTS), lines)}"
-
-
-def _cell(cell: Cell) -> str:
-    ours = f"{cell.mean:.2f}" + (f" ± {cell.std:.2f}" if len(cell.means) > 1 else "")
-    distance = distance_text(cell.distance)
-    shown = f"**{distance}**" if abs(cell.distance) > LIMITS[-1] else distance
-    return f"{ours}<br>{cell.published.mean:.2f} ± {cell.published.std:.2f}<br>{shown}"
-
-
-def _listed(names: Sequence[str]) -> str:
-    more = len(names) - MAX_LISTED
-    return ", ".join(names[:MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def main(arguments: Sequence[str], root: Path = ROOT) -> int:

@@ -1,0 +1,103 @@
+"""Rows and cells of the studies' tables."""
+
+from collections.abc import Iterator, Sequence
+
+from magical.evaluation.intervals import Interval
+from magical.evaluation.variants import SHORT_VARIANTS, short_variant
+from magical.report.scores.tables import signed
+from studies.plan_results import NOT_RUN
+from studies.published_tables.cells import LIMITS, Cell, by_task, distance_text
+from studies.published_tables.claims import Finding, order
+from studies.published_tables.rows import Row
+from tools.readme_tables import table
+
+MAX_LISTED = 5  # entries with the same reason that are listed by name
+
+
+def claim_row(finding: Finding) -> Iterator[str]:
+    claim, ours = finding.claim, finding.ours
+    yield f"{claim.text}: {claim.formula}"
+    yield finding.part
+    yield from ("–" if i is None else signed(i) for i in (finding.published, finding.same))
+    yield NOT_RUN if ours is None else f"{signed(ours)}, {task_names(finding.tasks)}"
+    yield finding.verdict
+
+
+def variation_row(finding: Finding) -> Iterator[str]:
+    verdicts = {"holds": "raises", "the opposite holds": "lowers"}
+    yield finding.claim.text
+    yield finding.claim.formula
+    yield finding.part
+    yield task_names(finding.tasks) if finding.tasks else "–"
+    yield NOT_RUN if finding.ours is None else signed(finding.ours)
+    yield verdicts.get(finding.verdict, finding.verdict)
+
+
+def variant_cell(finding: Finding) -> str:
+    """The difference over its interval; bold where 0 is outside."""
+    ours = finding.ours
+    if ours is None:
+        return ""
+    difference, _, interval = signed(ours).partition(" ")
+    if ours.low > 0 or ours.high < 0:
+        difference = f"**{difference}**"
+    return "<br>".join(filter(None, (difference, interval)))
+
+
+def task_names(tasks: Sequence[str]) -> str:
+    return ", ".join(tasks) if len(tasks) < 3 else f"{len(tasks)} tasks"
+
+
+def order_table(rows: Sequence[Row], part: str) -> str:
+    """A table of methods in the order of our means; empty for fewer than two."""
+    ordering = order(rows, part)
+    if len(ordering.places) < 2:
+        return ""
+    header = ("Rank", "Row", "Ours", "Published", "Published rank")
+    lines = (
+        (p.rank, p.method, mean_text(p.ours), mean_text(p.published), p.published_rank)
+        for p in ordering.places
+    )
+    return f"{part}, {task_names(ordering.tasks)}:\n\n{table(header, lines)}"
+
+
+def mean_text(interval: Interval) -> str:
+    return signed(interval).replace("+", "")
+
+
+def cell_table(method: str, cells: Sequence[Cell]) -> str:
+    """A heading and a table; in each cell our mean, the published one, and the distance."""
+    rows = []
+    for task, of_task in by_task(cells).items():
+        texts = {cell.variant: cell_text(cell) for cell in of_task}
+        runs = {len(cell.means) for cell in of_task}
+        name = f"{task} ({max(runs)} {'run' if runs == {1} else 'runs'})"
+        rows.append([name, *(texts.get(variant, "") for variant in SHORT_VARIANTS)])
+    return f"### {method}\n\n{table(('Task', *SHORT_VARIANTS), rows)}"
+
+
+def score_table(row: Row) -> str:
+    """A heading and a table: means and standard deviations over runs."""
+    tasks: dict[str, dict[str, str]] = {}
+    for env_id in row.env_ids:
+        means = row.runs_in(env_id)
+        spread = f" ± {means.std(ddof=1):.2f}" if len(means) > 1 else ""
+        cells = tasks.setdefault(env_id.task, {})
+        cells[short_variant(env_id.variant)] = f"{means.mean():.2f}{spread}"
+    lines = [
+        [task, *(cells.get(variant, "") for variant in SHORT_VARIANTS)]
+        for task, cells in tasks.items()
+    ]
+    return f"### {row.method}\n\n{table(('Task', *SHORT_VARIANTS), lines)}"
+
+
+def cell_text(cell: Cell) -> str:
+    ours = f"{cell.mean:.2f}" + (f" ± {cell.std:.2f}" if len(cell.means) > 1 else "")
+    distance = distance_text(cell.distance)
+    shown = f"**{distance}**" if abs(cell.distance) > LIMITS[-1] else distance
+    return f"{ours}<br>{cell.published.mean:.2f} ± {cell.published.std:.2f}<br>{shown}"
+
+
+def listed_names(names: Sequence[str]) -> str:
+    more = len(names) - MAX_LISTED
+    return ", ".join(names[:MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
