@@ -1,13 +1,14 @@
 // Keys, touch, gamepad: whatever holds a control.
 
 import { element, isField } from "./common.js";
-import { COMMANDS, send } from "./play.js";
 
 const KEYS = {
   ArrowUp: "forward", ArrowDown: "back", ArrowLeft: "left", ArrowRight: "right", " ": "grip",
 };
 const sources = { keys: new Set(), touch: new Set(), gamepad: new Set() };
 let sentHeld = "";
+let send = () => {}; // a message to the server
+let commands = {}; // what other keys do
 
 function held() {
   return [...new Set(Object.values(sources).flatMap((source) => [...source]))].sort();
@@ -46,7 +47,7 @@ export function keyDown(event) {
     event.preventDefault();
     if (!event.repeat) hold("keys", control, true);
   } else if (!event.repeat) {
-    COMMANDS[event.key.toLowerCase()]?.();
+    commands[event.key.toLowerCase()]?.();
   }
 }
 
@@ -91,7 +92,9 @@ function readGamepads() {
   if (pads.length) requestAnimationFrame(readGamepads);
 }
 
-export function bind() {
+export function bind(sender, named) {
+  send = sender;
+  commands = named;
   window.addEventListener("blur", release);
   document.addEventListener("focusin", (event) => isField(event.target) && release());
   window.addEventListener("gamepadconnected", () => requestAnimationFrame(readGamepads));

@@ -55,7 +55,8 @@ async function start() {
   document.addEventListener("keydown", keyDown);
   document.addEventListener("keyup", input.keyUp);
   window.addEventListener("hashchange", showPage);
-  for (const part of [input, play, look]) part.bind();
+  play.bind();
+  look.bind();
   element("palette").checked = localStorage.getItem("palette") === "safe";
   element("palette").addEventListener("change", setPalette);
   setPalette();

@@ -4,7 +4,7 @@ import {
   element, envId, fill, fillTasks, fillVariants, inWords, offered, policyName, token,
 } from "./common.js";
 import { showGrid } from "./grid.js";
-import { forgetSent, sendKeys } from "./input.js";
+import * as input from "./input.js";
 
 const CLOSED = {
   4001: "This session was opened in another tab.",
@@ -45,7 +45,7 @@ function greet(session) {
   sessionStorage.setItem("session", session);
   lostSince = null;
   wait = 0.25;
-  forgetSent();
+  input.forgetSent();
   say("Connected", "good");
   const view = localStorage.getItem("view");
   if (view) send({ type: "view", view });
@@ -85,7 +85,7 @@ function showFrame(blob, shown) {
       document.body.classList.toggle("wide", image.width > image.height);
     }
     canvas.getContext("2d").drawImage(image, 0, 0);
-    sendKeys(shown.number);
+    input.sendKeys(shown.number);
   });
 }
 
@@ -176,7 +176,7 @@ export function fillWho() {
 
 // What buttons and keys ask for
 
-export const COMMANDS = {
+const COMMANDS = {
   r: () => send({ type: "restart" }),
   n: () => latest && send({ type: "start", env_id: latest.env_id, seed: null }),
   p: () => send({ type: "pause" }),
@@ -220,6 +220,7 @@ function remember(id, changed = () => {}) {
 }
 
 export function bind() {
+  input.bind(send, COMMANDS);
   document.addEventListener("visibilitychange", () => {
     if (document.hidden) send({ type: "pause" });
   });
