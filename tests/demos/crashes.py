@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from magical.demos.human import importing
+from magical.demos.store.manifest import ManifestEntry
 
 
-def convert(file: Path, **options: Any) -> importing._Converted:
+def convert(file: Path, **options: Any) -> tuple[ManifestEntry, bytes, str | None]:
     if file.name.startswith("segfault"):
         os.kill(os.getpid(), signal.SIGSEGV)
     if file.name.startswith("exit"):

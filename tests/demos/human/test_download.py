@@ -235,7 +235,7 @@ def test_foreign_file_under_a_published_name_is_not_imported(
 def test_file_replaced_after_it_was_fetched_is_not_imported(tmp_path: Path, published: Any) -> None:
     file = published().write(tmp_path / "demo.pkl.gz")
     report = import_published([file], tmp_path / "d", sums={file: "0" * 64}, workers=1)
-    assert report.imported == ()
+    assert report.imported == []
     assert "demo.pkl.gz: expected SHA-256 000000000000..." in report.failed[0][1]
 
 

@@ -59,4 +59,4 @@ def test_a_file_that_crashes_can_be_mended_later(
     assert [Path(file).name for file, _ in first.failed] == ["exit.pkl.gz"]
     monkeypatch.undo()
     second = import_published(paths, tmp_path / "out", workers=1)
-    assert (second.imported, second.failed) == (("exit.pkl.gz",), ())
+    assert (second.imported, second.failed) == (["exit.pkl.gz"], [])

@@ -29,7 +29,7 @@ def human(human_archive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
     out = tmp_path_factory.mktemp("human") / "dataset"
     report = import_published(find_published(human_archive), out, keep=Keep.FRAMES)
     assert len(report.imported) == 40
-    assert (report.failed, report.duplicates, report.already) == ((), (), ())
+    assert (report.failed, report.duplicates, report.already) == ([], [], [])
     return out
 
 

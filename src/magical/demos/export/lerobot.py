@@ -7,12 +7,9 @@ concatenated into large files; `meta/episodes` has the position of each. Needs t
 
 import json
 import tempfile
-from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, fields
 from fractions import Fraction
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import av
@@ -36,14 +33,27 @@ FRAMES_PER_FILE = 50_000  # at which the next files are started
 FPS = int(CONTROL_RATE)
 CAMERAS = {view: f"observation.images.{view}" for view in VIEWS}
 _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
-_STATE = ("robot_x", "robot_y", "robot_angle", "left_finger_angle", "right_finger_angle")
-_INDICES = ("frame_index", "episode_index", "index", "task_index")
+_STATE = ["robot_x", "robot_y", "robot_angle", "left_finger_angle", "right_finger_angle"]
+_FEATURES: dict[str, tuple[str, list[str] | None]] = {  # type, and names where it has some
+    "observation.state": ("float32", _STATE),
+    "action": ("int64", ["action"]),
+    "next.done": ("bool", None),
+    "executed_action": ("int64", None),
+    "timestamp": ("float32", None),
+    "frame_index": ("int64", None),
+    "episode_index": ("int64", None),
+    "index": ("int64", None),
+    "task_index": ("int64", None),
+}
 
 # Chroma at full resolution: with the usual subsampling, outlines two pixels wide lose their colour.
 CODEC, PIXEL_FORMAT = "libx264", "yuv444p"
 OPTIONS = {"crf": "12", "g": "2", "bf": "0"}  # nearly lossless; a key frame every other frame
-VIDEO_INFO = MappingProxyType(
-    {
+_CAMERA = {
+    "dtype": "video",
+    "shape": [FRAME_SIZE, FRAME_SIZE, 3],
+    "names": ["height", "width", "channels"],
+    "info": {
         "video.height": FRAME_SIZE,
         "video.width": FRAME_SIZE,
         "video.codec": "h264",
@@ -51,11 +61,12 @@ VIDEO_INFO = MappingProxyType(
         "is_depth_map": False,
         "video.channels": 3,
         "has_audio": False,
-    }
-)
+        "video.fps": FPS,
+    },
+}
 
 Columns = dict[str, NDArray[Any]]
-Floats = NDArray[np.float64]
+Stats = dict[str, NDArray[Any]]  # min, max, mean, std: (D,), or (3, 1, 1) for cameras; count (1,)
 
 
 def export_lerobot(
@@ -79,99 +90,107 @@ def export_lerobot(
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".part-") as temporary:
         root = Path(temporary) / folder.name
-        with _Writer(root, dataset) as writer:
-            for entry, trajectory in zip(dataset.entries, dataset, strict=True):
-                if writer.frames_in_file >= frames_per_file:
+        writer = _Writer(root, dataset)
+        with writer.files:
+            for trajectory in dataset:
+                if writer.total == 0 or writer.frames_in_file >= frames_per_file:
                     writer.start_files()
-                writer.add(trajectory, {"demonstrator": entry.demonstrator})
+                writer.add(trajectory)
         writer.finish()
         root.rename(folder)
     return writer.total
 
 
 class _Writer:
-    """The open files of an export: one table, and one video for each camera."""
+    """An export: its open files, one table and one video for each camera, and its metadata."""
 
     def __init__(self, root: Path, dataset: Dataset) -> None:
         self.root = root
         self.total = 0
         self.frames_in_file = 0
-        self._with_state = all(entry.has_poses for entry in dataset.entries)
-        self._with_executed = any(trajectory.expert_actions is not None for trajectory in dataset)
+        self.files = ExitStack()
+        missing = set()
+        if not all(entry.has_poses for entry in dataset.entries):
+            missing.add("observation.state")
+        if all(trajectory.expert_actions is None for trajectory in dataset):
+            missing.add("executed_action")
+        self._features = {name: _FEATURES[name] for name in _FEATURES if name not in missing}
         self._tasks: dict[str, int] = {}
         self._episodes: list[dict[str, Any]] = []
-        self._stats: list[dict[str, Stats]] = []
+        self._columns: list[Columns] = []
+        self._levels: dict[str, list[NDArray[np.int64]]] = {c: [] for c in CAMERAS.values()}
         self._file = -1
-        self._open = ExitStack()
-
-    def __enter__(self) -> "_Writer":
-        self.start_files()
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._open.close()
 
     def start_files(self) -> None:
         """Close the files, and start the next ones."""
-        self._open.close()
+        self.files.close()
         self._file += 1
         self.frames_in_file = 0
         path = self._path("data", "parquet")
-        self._table = self._open.enter_context(pq.ParquetWriter(path, self._schema()))
+        self._table = self.files.enter_context(pq.ParquetWriter(path, self._schema()))
         self._videos = {
-            view: self._open.enter_context(_Video(self._path(f"videos/{camera}", "mp4"), FPS))
+            view: self.files.enter_context(_Video(self._path(f"videos/{camera}", "mp4")))
             for view, camera in CAMERAS.items()
         }
 
-    def add(self, trajectory: Trajectory, columns: Mapping[str, Any]) -> None:
-        """Write one episode: the frame before each action, and the action.
-
-        `columns` are added to the episode's row in `meta/episodes`.
-        """
+    def add(self, trajectory: Trajectory) -> None:
+        """Write one episode: the frame before each action, and the action."""
         steps = len(trajectory)
         task = self._tasks.setdefault(trajectory.task.summary, len(self._tasks))
-        data = self._columns(trajectory, task)
-        stats = {name: Stats.of(column) for name, column in data.items()}
-        arrays = {name: _arrow(column) for name, column in data.items()}
+        columns = self._episode_columns(trajectory, task)
+        arrays = {name: _arrow(column) for name, column in columns.items()}
         self._table.write_table(pa.table(arrays, schema=self._schema()))
         for view, video in self._videos.items():
             frames = Frames(trajectory, view, FRAME_SIZE).take(np.arange(steps))
             video.write(frames)
-            stats[CAMERAS[view]] = Stats.of_frames(frames)
-        self._episodes.append({**self._episode(trajectory), **columns})
-        self._stats.append(stats)
+            self._levels[CAMERAS[view]].append(_levels(frames))
+        self._columns.append(columns)
+        self._episodes.append(self._episode(trajectory))
         self.total += steps
         self.frames_in_file += steps
 
     def finish(self) -> None:
         """Write the metadata of the closed files."""
         meta = self.root / "meta"
-        rows = [
-            {**row, **_flat(stats)} for row, stats in zip(self._episodes, self._stats, strict=True)
-        ]
         path = meta / "episodes" / f"{_FILE.format(chunk_index=0, file_index=0)}.parquet"
         path.parent.mkdir(parents=True)
+        episodes = range(len(self._episodes))
+        rows = [self._episodes[i] | _flat(self._stats(slice(i, i + 1))) for i in episodes]
         pq.write_table(pa.Table.from_pylist(rows), path)
         pq.write_table(_task_table(list(self._tasks)), meta / "tasks.parquet")
-        _write_json(meta / "stats.json", {k: v.plain() for k, v in merged(self._stats).items()})
-        _write_json(meta / "info.json", self._info())
+        plain = {
+            feature: {name: value.tolist() for name, value in stats.items()}
+            for feature, stats in self._stats(slice(None)).items()
+        }
+        for name, content in (("stats", plain), ("info", self._info())):
+            (meta / f"{name}.json").write_text(json.dumps(content, indent=4) + "\n")
 
-    def _columns(self, trajectory: Trajectory, task: int) -> Columns:
+    def _stats(self, episodes: slice) -> dict[str, Stats]:
+        """The statistics of each feature in some episodes together."""
+        parts = self._columns[episodes]
+        columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        frames = {camera: sum(levels[episodes]) for camera, levels in self._levels.items()}
+        return {
+            **{name: _column_stats(column) for name, column in columns.items()},
+            **{camera: _frame_stats(np.asarray(levels)) for camera, levels in frames.items()},
+        }
+
+    def _episode_columns(self, trajectory: Trajectory, task: int) -> Columns:
         steps = len(trajectory)
         frame = np.arange(steps)
-        columns: Columns = {"action": trajectory.labels, "next.done": frame == steps - 1}
-        if self._with_executed:
-            columns["executed_action"] = trajectory.actions
-        if self._with_state:
-            assert trajectory.poses is not None
-            columns["observation.state"] = _robot_states(trajectory.poses[:-1])
-        return columns | {
+        columns = {
+            "action": trajectory.labels,
+            "next.done": frame == steps - 1,
+            "executed_action": trajectory.actions,
             "timestamp": (frame / FPS).astype(np.float32),
             "frame_index": frame,
             "episode_index": np.full(steps, len(self._episodes)),
             "index": self.total + frame,
             "task_index": np.full(steps, task),
         }
+        if trajectory.poses is not None:
+            columns["observation.state"] = _robot_states(trajectory.poses[:-1])
+        return {name: columns[name] for name in self._features}
 
     def _episode(self, trajectory: Trajectory) -> dict[str, Any]:
         steps, start = len(trajectory), self.frames_in_file
@@ -189,6 +208,7 @@ class _Writer:
             "env_id": str(trajectory.env_id),
             "score": trajectory.score,
             "published_code_score": trajectory.published_code_score,
+            "demonstrator": trajectory.demonstrator,
         }
         for camera in CAMERAS.values():
             row[f"videos/{camera}/chunk_index"] = chunk
@@ -198,40 +218,17 @@ class _Writer:
         return row
 
     def _schema(self) -> Any:
-        state = [("observation.state", pa.list_(pa.float32(), len(_STATE)))]
-        executed = [("executed_action", pa.int64())]
-        return pa.schema(
-            [
-                ("action", pa.int64()),
-                ("next.done", pa.bool_()),
-                *(executed if self._with_executed else []),
-                *(state if self._with_state else []),
-                ("timestamp", pa.float32()),
-                *((name, pa.int64()) for name in _INDICES),
-            ]
-        )
-
-    def _features(self) -> dict[str, Any]:
-        def feature(dtype: str, names: Sequence[str] | None = None) -> dict[str, Any]:
-            return {"dtype": dtype, "shape": [len(names or "1")], "names": names}
-
-        camera = {
-            "dtype": "video",
-            "shape": [FRAME_SIZE, FRAME_SIZE, 3],
-            "names": ["height", "width", "channels"],
-            "info": VIDEO_INFO | {"video.fps": FPS},
-        }
-        return {
-            **dict.fromkeys(CAMERAS.values(), camera),
-            **({"observation.state": feature("float32", _STATE)} if self._with_state else {}),
-            "action": feature("int64", ["action"]),
-            "next.done": feature("bool"),
-            **({"executed_action": feature("int64")} if self._with_executed else {}),
-            "timestamp": feature("float32"),
-            **{name: feature("int64") for name in _INDICES},
-        }
+        types = {"bool": pa.bool_(), "int64": pa.int64(), "float32": pa.float32()}
+        columns = {name: types[kind] for name, (kind, _) in self._features.items()}
+        if "observation.state" in columns:
+            columns["observation.state"] = pa.list_(pa.float32(), len(_STATE))
+        return pa.schema(list(columns.items()))
 
     def _info(self) -> dict[str, Any]:
+        features = {
+            name: {"dtype": kind, "shape": [len(names or "1")], "names": names}
+            for name, (kind, names) in self._features.items()
+        }
         return {
             "codebase_version": VERSION,
             "robot_type": "magical",
@@ -245,7 +242,7 @@ class _Writer:
             "splits": {"train": f"0:{len(self._episodes)}"},
             "data_path": f"data/{_FILE}.parquet",
             "video_path": f"videos/{{video_key}}/{_FILE}.mp4",
-            "features": self._features(),
+            "features": {**dict.fromkeys(CAMERAS.values(), _CAMERA), **features},
             "exported_by": f"magical {magical.__version__}",
         }
 
@@ -258,23 +255,22 @@ class _Writer:
 
 
 class _Video:
-    """A video file being written; frame k has the timestamp k / fps seconds."""
+    """A video file being written; frame k has the timestamp k / FPS seconds."""
 
-    def __init__(self, path: Path, fps: int) -> None:
+    def __init__(self, path: Path) -> None:
         self._container = av.open(str(path), "w")
-        stream = self._container.add_stream(CODEC, rate=fps, options=dict(OPTIONS))
+        stream = self._container.add_stream(CODEC, rate=FPS, options=dict(OPTIONS))
         assert isinstance(stream, VideoStream)
         stream.width = stream.height = FRAME_SIZE
         stream.pix_fmt = PIXEL_FORMAT
         self._stream = stream
-        self._step = Fraction(1, fps)
         self._count = 0
 
     def write(self, frames: NDArray[np.uint8]) -> None:
         """Append frames (T, 96, 96, 3) uint8."""
         for array in frames:
             frame = av.VideoFrame.from_ndarray(array, format="rgb24")
-            frame.pts, frame.time_base = self._count, self._step
+            frame.pts, frame.time_base = self._count, Fraction(1, FPS)
             self._container.mux(self._stream.encode(frame))
             self._count += 1
 
@@ -286,66 +282,32 @@ class _Video:
         self._container.close()
 
 
-@dataclass(frozen=True, slots=True)
-class Stats:
-    """Statistics of one feature, as a LeRobotDataset has them."""
-
-    min: Floats  # (D,), or (3, 1, 1) for cameras, on [0, 1]
-    max: Floats
-    mean: Floats
-    std: Floats
-    count: NDArray[np.int64]  # (1,), number of values
-
-    @staticmethod
-    def of(values: NDArray[Any]) -> "Stats":
-        """The statistics of a column (T,) or (T, D)."""
-        table = values.reshape(len(values), -1).astype(np.float64)
-        return Stats(
-            table.min(0), table.max(0), table.mean(0), table.std(0), np.array([len(table)])
-        )
-
-    @staticmethod
-    def of_frames(frames: NDArray[np.uint8]) -> "Stats":
-        """The statistics of each channel of frames (T, H, W, 3), scaled to [0, 1]."""
-        counts = np.stack([np.bincount(frames[..., c].ravel(), minlength=256) for c in range(3)])
-        levels = np.arange(256) / 255.0
-        share = counts / counts.sum(1, keepdims=True)
-        mean = share @ levels
-        deviation = np.sqrt((share * (levels - mean[:, None]) ** 2).sum(1))
-        present = [np.flatnonzero(row) / 255.0 for row in counts]
-        low, high = np.array([row[0] for row in present]), np.array([row[-1] for row in present])
-        shape = (3, 1, 1)
-        return Stats(
-            low.reshape(shape),
-            high.reshape(shape),
-            mean.reshape(shape),
-            deviation.reshape(shape),
-            np.array([len(frames)]),
-        )
-
-    def plain(self) -> dict[str, Any]:
-        """The statistics as lists, for JSON and Parquet."""
-        return {field.name: getattr(self, field.name).tolist() for field in fields(self)}
+def _levels(frames: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """How often each of the 256 levels occurs in each channel of frames (T, H, W, 3): (3, 256)."""
+    return np.stack([np.bincount(frames[..., c].ravel(), minlength=256) for c in range(3)])
 
 
-def merged(episodes: Sequence[dict[str, Stats]]) -> dict[str, Stats]:
-    """The statistics of all episodes together."""
-    return {name: _merge([episode[name] for episode in episodes]) for name in episodes[0]}
+def _frame_stats(counts: NDArray[np.int64]) -> Stats:
+    """The statistics of frames by the counts of their levels (3, 256), scaled to [0, 1]."""
+    levels = np.arange(256) / 255.0
+    share = counts / counts.sum(1, keepdims=True)
+    mean = share @ levels
+    present = [levels[row > 0] for row in counts]
+    stats = {
+        "min": np.array([row[0] for row in present]),
+        "max": np.array([row[-1] for row in present]),
+        "mean": mean,
+        "std": np.sqrt((share * (levels - mean[:, None]) ** 2).sum(1)),
+    }
+    count = counts[:1].sum(1) // FRAME_SIZE**2
+    return {**{name: value.reshape(3, 1, 1) for name, value in stats.items()}, "count": count}
 
 
-def _merge(parts: list[Stats]) -> Stats:
-    counts = np.concatenate([part.count for part in parts])
-    weights = (counts / counts.sum()).reshape(-1, *([1] * parts[0].mean.ndim))
-    means = np.stack([part.mean for part in parts])
-    mean = (weights * means).sum(0)
-    squares = np.stack([part.std**2 for part in parts]) + (means - mean) ** 2
-    return Stats(
-        np.min([part.min for part in parts], axis=0),
-        np.max([part.max for part in parts], axis=0),
-        mean,
-        np.sqrt((weights * squares).sum(0)),
-        counts.sum(keepdims=True),
-    )
+def _column_stats(column: NDArray[Any]) -> Stats:
+    """The statistics of a column (N,) or (N, D)."""
+    table = column.reshape(len(column), -1).astype(np.float64)
+    stats = {name: getattr(table, name)(axis=0) for name in ("min", "max", "mean", "std")}
+    return {**stats, "count": np.array([len(table)])}
 
 
 def _robot_states(poses: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -378,13 +340,9 @@ def _task_table(tasks: list[str]) -> Any:
     return table.replace_schema_metadata({"pandas": json.dumps(pandas)})
 
 
-def _flat(stats: Mapping[str, Stats]) -> dict[str, Any]:
+def _flat(stats: dict[str, Stats]) -> dict[str, Any]:
     return {
-        f"stats/{feature}/{name}": value
+        f"stats/{feature}/{name}": value.tolist()
         for feature, one in stats.items()
-        for name, value in one.plain().items()
+        for name, value in one.items()
     }
-
-
-def _write_json(path: Path, content: Mapping[str, Any]) -> None:
-    path.write_text(json.dumps(content, indent=4) + "\n")

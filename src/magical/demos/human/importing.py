@@ -2,23 +2,21 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 from magical.demos.human.published import (
     MAX_PATH,
     MAX_UNPACKED,
-    Recording,
     naming_errors,
-    read_recording,
+    read_demonstration,
 )
 from magical.demos.store.codec import encode
 from magical.demos.store.dataset import Dataset
 from magical.demos.store.manifest import ManifestEntry
-from magical.demos.store.trajectory import RECOVERY, Trajectory
+from magical.demos.store.trajectory import RECOVERY
 from magical.demos.store.writer import DatasetWriter
 from magical.errors import DatasetError, MagicalError, WorkerError
 from magical.files import open_regular, sha256_sum
@@ -37,15 +35,17 @@ class Keep(StrEnum):
     FRAMES = "frames"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class ImportReport:
     """Names of the files, by outcome of the import."""
 
-    imported: tuple[str, ...]
-    already: tuple[str, ...]  # in the dataset before
-    duplicates: tuple[tuple[str, str], ...]  # (file, earlier one with the same actions and frames)
-    failed: tuple[tuple[str, str], ...]  # (file, reason)
-    without_poses: tuple[tuple[str, str], ...] = ()  # (imported file, why it keeps its frames)
+    imported: list[str] = field(default_factory=list)
+    already: list[str] = field(default_factory=list)  # in the dataset before
+    # (file, earlier one with the same actions and frames)
+    duplicates: list[tuple[str, str]] = field(default_factory=list)
+    failed: list[tuple[str, str]] = field(default_factory=list)  # (file, reason)
+    # (imported file, why it keeps its frames)
+    without_poses: list[tuple[str, str]] = field(default_factory=list)
 
 
 def find_published(source: Path) -> list[Path]:
@@ -91,66 +91,30 @@ def import_published(
     writer, entries = DatasetWriter(out), Dataset.open(out).entries
     known = {(entry.source, entry.source_sha256) for entry in entries}
     wanted = [file for file in files if (file.name, _sum(file)) not in known]
+    report = ImportReport(already=[file.name for file in files if file not in set(wanted)])
+    first = {entry.fingerprint: entry.source or entry.file for entry in entries}
     advance = progress or (lambda _: None)
-    advance(len(files) - len(wanted))
-    outcomes = _Outcomes(writer, entries, skip_duplicates)
+    advance(len(report.already))
     workers = min(workers or available_cores(), len(wanted))
     convert = partial(_convert, keep=keep, max_bytes=max_bytes, sums=sums)
     with closing(map_in_processes(convert, wanted, workers, on_error="return")) as results:
         for file, result in zip(wanted, results, strict=True):
             advance(1)
-            outcomes.add(file, result)
-    already = tuple(file.name for file in files if file not in set(wanted))
-    return outcomes.report(already)
-
-
-class _Converted(NamedTuple):
-    """One file as a trajectory, and why that has no poses, if so."""
-
-    entry: ManifestEntry
-    raw: bytes
-    problem: str | None
-
-
-class _Outcomes:
-    """Writes converted files, and keeps account of them."""
-
-    def __init__(
-        self, writer: DatasetWriter, entries: Sequence[ManifestEntry], skip_duplicates: bool
-    ) -> None:
-        self._writer = writer
-        self._skip_duplicates = skip_duplicates
-        self._first = {entry.fingerprint: entry.source or entry.file for entry in entries}
-        self._imported: list[str] = []
-        self._duplicates: list[tuple[str, str]] = []
-        self._failed: list[tuple[str, str]] = []
-        self._without_poses: list[tuple[str, str]] = []
-
-    def add(self, file: Path, result: _Converted | Exception) -> None:
-        """Write what came of a file, if it is wanted."""
-        if isinstance(result, Exception):
-            self._failed.append((str(file), _reason(file, result)))
-            return
-        if earlier := self._first.get(result.entry.fingerprint):  # perhaps of the same name
-            later = str(file) if earlier == file.name else file.name
-            self._duplicates.append((later, earlier))
-            if self._skip_duplicates:
-                return
-        self._first.setdefault(result.entry.fingerprint, file.name)
-        self._writer.append_encoded(result.entry, result.raw)
-        self._imported.append(file.name)
-        if result.problem:
-            self._without_poses.append((file.name, result.problem))
-
-    def report(self, already: tuple[str, ...]) -> ImportReport:
-        """The account."""
-        return ImportReport(
-            imported=tuple(self._imported),
-            already=already,
-            duplicates=tuple(self._duplicates),
-            failed=tuple(self._failed),
-            without_poses=tuple(self._without_poses),
-        )
+            if isinstance(result, Exception):
+                report.failed.append((str(file), _reason(file, result)))
+                continue
+            entry, raw, problem = result
+            if earlier := first.get(entry.fingerprint):  # perhaps of the same name
+                later = str(file) if earlier == file.name else file.name
+                report.duplicates.append((later, earlier))
+                if skip_duplicates:
+                    continue
+            first.setdefault(entry.fingerprint, file.name)
+            writer.append_encoded(entry, raw)
+            report.imported.append(file.name)
+            if problem:
+                report.without_poses.append((file.name, problem))
+    return report
 
 
 def _sum(file: Path) -> str:
@@ -162,25 +126,25 @@ def _sum(file: Path) -> str:
         return ""
 
 
-def _convert(file: Path, keep: Keep, max_bytes: int, sums: Mapping[Path, str] | None) -> _Converted:
-    recording = read_recording(file, max_bytes)
-    found = recording.source["source_sha256"]
+def _convert(
+    file: Path, keep: Keep, max_bytes: int, sums: Mapping[Path, str] | None
+) -> tuple[ManifestEntry, bytes, str | None]:
+    """One file as an encoded trajectory, and why that has no poses where they were wanted."""
+    demonstration = read_demonstration(file, max_bytes)
+    found = demonstration.source["source_sha256"]
     if sums is not None and found != sums[file]:
         raise DatasetError(f"expected SHA-256 {sums[file][:12]}..., found {found[:12]}...")
     with naming_errors(file):
-        trajectory = _trajectory(recording, keep)
+        if keep == Keep.FRAMES:
+            trajectory = demonstration.trajectory()
+        else:
+            # Imports numba, which only the recovery needs.
+            from magical.demos.human.recovery.recovery import recovered_trajectory
+
+            trajectory = recovered_trajectory(demonstration, keep_frames=keep == Keep.BOTH)
     raw = encode(trajectory)
     problem = trajectory.metadata.get(RECOVERY, {}).get("problem")
-    return _Converted(ManifestEntry.of(trajectory, raw), raw, problem)
-
-
-def _trajectory(recording: Recording, keep: Keep) -> Trajectory:
-    if keep == Keep.FRAMES:
-        return recording.trajectory()
-    # Imports numba, which only the recovery needs.
-    from magical.demos.human.recovery.recovery import recovered_trajectory
-
-    return recovered_trajectory(recording, keep_frames=keep == Keep.BOTH)
+    return ManifestEntry.of(trajectory, raw), raw, problem
 
 
 def _reason(file: Path, error: Exception) -> str:

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.demos.human.safe_pickle import Array, Record, load
+from magical.demos.human.safe_pickle import MAX_UNPACKED, Array, Record, load
 from magical.demos.store.trajectory import (
     MAX_NAME,
     Trajectory,
@@ -27,15 +27,13 @@ from magical.messages import printable, quoted
 from magical.scene import View
 from magical.scene.constants import FRAME_SIZE, RAW_FRAME_SIZE
 
-MAX_UNPACKED = 512 << 20  # bytes; the largest published file unpacks to 213 MB
 MAX_PATH = 1000  # characters of a path in a message
 BINNING = RAW_FRAME_SIZE // FRAME_SIZE  # pixels averaged along each axis
-_CHUNK = 1 << 17
 _SHAPE = (RAW_FRAME_SIZE, RAW_FRAME_SIZE, 3)
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
+class PublishedDemonstration:
     """A published demonstration of T actions, its frames compressed.
 
     Attributes:
@@ -79,14 +77,14 @@ def read_published(path: Path, max_bytes: int = MAX_UNPACKED) -> Trajectory:
     """Read one published file; frames are averaged 4 x 4 down to 96 x 96, exactly.
 
     The appendix's score is unknown (None), since the files hold frames, not poses. Arguments and
-    errors are those of `read_recording`.
+    errors are those of `read_demonstration`.
     """
-    recording = read_recording(path, max_bytes)
+    demonstration = read_demonstration(path, max_bytes)
     with naming_errors(path):
-        return recording.trajectory()
+        return demonstration.trajectory()
 
 
-def read_recording(path: Path, max_bytes: int = MAX_UNPACKED) -> Recording:
+def read_demonstration(path: Path, max_bytes: int = MAX_UNPACKED) -> PublishedDemonstration:
     """Read one published file. It takes little memory, however large the file is.
 
     Args:
@@ -101,11 +99,10 @@ def read_recording(path: Path, max_bytes: int = MAX_UNPACKED) -> Recording:
     with naming_errors(path):
         with open_regular(path, follow_links=True) as file:
             source = sha256_sum(file)
-            check_unpacked_size(file, max_bytes)
             file.seek(0)
             with gzip.open(file) as unpacked:
-                data = load(unpacked, pack)
-        return _recording(data, {"source": path.name, "source_sha256": source})
+                data = load(unpacked, pack, max_bytes)
+        return _demonstration(data, {"source": path.name, "source_sha256": source})
 
 
 @contextmanager
@@ -123,25 +120,6 @@ def naming_errors(path: Path) -> Iterator[None]:
         raise UnsafeFileError(f"{name}: cannot be read: {reason}") from error
     except MagicalError as error:
         raise TrajectoryError(f"{name}: {error}") from error
-
-
-def check_unpacked_size(file: IO[bytes], max_bytes: int) -> None:
-    """Count what a gzip file unpacks to, without keeping it in memory.
-
-    Raises:
-        UnsafeFileError: it is more than `max_bytes`.
-        EOFError, zlib.error, gzip.BadGzipFile: the file is damaged.
-    """
-    file.seek(0)
-    count = 0
-    with gzip.open(file) as unpacked:
-        while chunk := unpacked.read(_CHUNK):
-            count += len(chunk)
-            if count > max_bytes:
-                raise UnsafeFileError(
-                    f"unpacks to more than {max_bytes} bytes, more than any published "
-                    "demonstration; refused before reading it"
-                )
 
 
 def pack(array: NDArray[Any]) -> NDArray[Any]:
@@ -174,7 +152,7 @@ def average(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return mean
 
 
-def _recording(data: Any, source: Mapping[str, str]) -> Recording:
+def _demonstration(data: Any, source: Mapping[str, str]) -> PublishedDemonstration:
     if type(data) is not dict or not {"env_name", "score", "trajectory"} <= set(data):
         raise TrajectoryError("expected a dict of env_name, score and trajectory")
     record, env_name, score = data["trajectory"], data["env_name"], data["score"]
@@ -187,7 +165,7 @@ def _recording(data: Any, source: Mapping[str, str]) -> Recording:
         raise TrajectoryError(f"expected a Demo environment, found {quoted(env_name)}")
     actions = checked_actions("acts", _values(record.acts))
     packed = {view: _packed(record.obs, view, len(actions)) for view in View}
-    return Recording(env_id, actions, checked_score("score", score), source, packed)
+    return PublishedDemonstration(env_id, actions, checked_score("score", score), source, packed)
 
 
 def _values(array: Any) -> NDArray[Any]:

@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from magical.demos import Trajectory
 from magical.demos.generate import demonstrate
-from magical.demos.human.published import Recording, pack
+from magical.demos.human.published import PublishedDemonstration, pack
 from magical.render import Renderer
 from magical.scene import Scene, View
 
-Record = Callable[..., Recording]
+Record = Callable[..., PublishedDemonstration]
 
 
 def render(scene: Scene, bodies: NDArray[np.float64]) -> dict[View, NDArray[np.uint8]]:
@@ -28,10 +28,10 @@ def render(scene: Scene, bodies: NDArray[np.float64]) -> dict[View, NDArray[np.u
 def record() -> Record:
     """Renders the first time steps of a trajectory."""
 
-    def make(trajectory: Trajectory, steps: int) -> Recording:
+    def make(trajectory: Trajectory, steps: int) -> PublishedDemonstration:
         assert trajectory.poses is not None
         frames = [render(trajectory.scene, bodies) for bodies in trajectory.poses[: steps + 1]]
-        return Recording(
+        return PublishedDemonstration(
             env_id=trajectory.env_id,
             actions=trajectory.actions[:steps],
             score=1.0,

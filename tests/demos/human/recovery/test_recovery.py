@@ -10,7 +10,7 @@ import pytest
 
 from magical.demos import Frames, Trajectory, observations
 from magical.demos.generate import demonstrate
-from magical.demos.human.published import Recording, pack
+from magical.demos.human.published import PublishedDemonstration, pack
 from magical.demos.human.recovery.fit import FAR, PoseFitter
 from magical.demos.human.recovery.recovery import LIMIT, recover, recovered_trajectory
 from magical.demos.store.codec import decode, encode
@@ -18,7 +18,7 @@ from magical.scene import View
 from magical.scene.poses import EYES, FIRST_BLOCK, ROBOT
 from tests.demos.human.recovery.conftest import render
 
-Record = Callable[[Trajectory, int], Recording]
+Record = Callable[[Trajectory, int], PublishedDemonstration]
 STEPS = 30  # of the episode; the block moves from the twelfth on
 
 
@@ -124,10 +124,10 @@ def test_first_guess_may_be_pixels_off(pushing: Trajectory) -> None:
 
 @pytest.mark.parametrize("index", range(2))
 def test_published_demonstrations(human_archive: Path, index: int, tmp_path: Path) -> None:
-    from magical.demos.human.published import read_recording
+    from magical.demos.human.published import read_demonstration
 
     files = sorted((human_archive / "move-to-region").iterdir())
-    recording = read_recording(files[index])
+    recording = read_demonstration(files[index])
     trajectory = recovered_trajectory(recording)
     recovery: dict[str, Any] = trajectory.metadata["recovery"]
     assert trajectory.published_code_score == recording.score

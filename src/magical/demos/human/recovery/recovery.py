@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.demos.human.published import Recording
+from magical.demos.human.published import PublishedDemonstration
 from magical.demos.human.recovery.track import TOLERANCE, Tracker
 from magical.demos.store.trajectory import RECOVERY, Trajectory
 from magical.scene.poses import EYES, FINGERS, FIRST_BLOCK, ROBOT
@@ -56,14 +56,14 @@ class Recovery:
         }
 
 
-def recover(recording: Recording) -> Recovery:
+def recover(demonstration: PublishedDemonstration) -> Recovery:
     """Recover the poses of all bodies at every time step; stops at a frame that fits nowhere."""
-    tracker = Tracker(recording.env_id.task_spec.demo)
-    moments = [tracker.start(recording.frames(0))]
-    for time, action in enumerate(recording.actions.tolist(), 1):
+    tracker = Tracker(demonstration.env_id.task_spec.demo)
+    moments = [tracker.start(demonstration.frames(0))]
+    for time, action in enumerate(demonstration.actions.tolist(), 1):
         if moments[-1].wrong > LIMIT:
             break
-        moments.append(tracker.follow(action, recording.frames(time)))
+        moments.append(tracker.follow(action, demonstration.frames(time)))
     wrong = np.array([moment.wrong for moment in moments])
     return Recovery(
         np.stack([moment.bodies for moment in moments]),
@@ -75,27 +75,29 @@ def recover(recording: Recording) -> Recovery:
     )
 
 
-def recovered_trajectory(recording: Recording, keep_frames: bool = False) -> Trajectory:
+def recovered_trajectory(
+    demonstration: PublishedDemonstration, keep_frames: bool = False
+) -> Trajectory:
     """The trajectory of the recovered poses, or of the averaged frames if that was not possible.
 
     The metadata says how well the poses are known, or why they are missing.
 
     Args:
-        recording: the published recording.
+        demonstration: the published file.
         keep_frames: keep the frames beside the poses.
     """
-    recovery = recover(recording)
+    recovery = recover(demonstration)
     metadata: Mapping[str, Any] = {RECOVERY: recovery.metadata()}
     if recovery.problem:
-        return recording.trajectory(**metadata)
+        return demonstration.trajectory(**metadata)
     return Trajectory.from_poses(
-        str(recording.env_id),
-        recording.env_id.task_spec.demo,
-        recording.actions,
+        str(demonstration.env_id),
+        demonstration.env_id.task_spec.demo,
+        demonstration.actions,
         recovery.poses,
-        frames=recording.averaged() if keep_frames else None,
+        frames=demonstration.averaged() if keep_frames else None,
         demonstrator="human",
-        metadata={**recording.source, "recorded_score": recording.score, **metadata},
+        metadata={**demonstration.source, "recorded_score": demonstration.score, **metadata},
     )
 
 
