@@ -25,9 +25,10 @@ def text(value: str) -> bytes:
         (lambda p: setattr(p, "acts", b"]"), "acts"),
         (lambda p: setattr(p, "score", b"N"), "score"),
         (lambda p: setattr(p, "score", b"G" + np.array(np.nan, ">f8").tobytes()), "score"),
-        (lambda p: setattr(p, "env_name", text("MoveToCornr-Demo-v0")), "no task"),
+        (lambda p: setattr(p, "env_name", text("MoveToCornr-Demo-v0")), "not registered"),
         (lambda p: setattr(p, "env_name", text("MoveToCorner-TestAll-v0")), "Demo"),
-        (lambda p: setattr(p, "env_name", b"K\x01"), "name"),
+        (lambda p: setattr(p, "env_name", b"K\x01"), "expected an environment id, found 1"),
+        (lambda p: setattr(p, "env_name", text("json:tool-Demo-v0")), "expected an environment id"),
         (lambda p: setattr(p, "after", b"x"), "after the end"),
     ],
 )
@@ -61,6 +62,12 @@ def test_arrays_of_another_shape_or_type_are_refused(
     made.obs[0] = made.observation(values, shape)
     with pytest.raises(MagicalError, match=r"bad\.pkl\.gz"):
         read_published(made.write(tmp_path / "bad.pkl.gz"))
+
+
+def test_more_than_the_largest_size_is_refused(tmp_path: Path, published: Any) -> None:
+    file = published().write(tmp_path / "demo.pkl.gz")
+    with pytest.raises(UnsafeFileError, match="unpacks to more than 1000000 bytes"):
+        read_published(file, 1_000_000)
 
 
 def test_truncated_gzip_file_is_refused(tmp_path: Path, published: Any) -> None:

@@ -130,6 +130,18 @@ def test_damage_of_one_file_is_reported_and_repaired(
     assert (small_dataset / "damaged" / file.name).read_bytes() == raw
 
 
+@pytest.mark.parametrize("name", ["evil:X", "evil.py:X", "./evil.py:X"])
+def test_no_module_that_a_file_names_is_imported(
+    tmp_path: Path, make_trajectory: MakeTrajectory, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    Path("evil.py").write_text("open('executed', 'w').close()")
+    with pytest.raises(DatasetError, match="expected an environment id"):
+        decode(with_header(encode(make_trajectory()), env_id=f"magical/{name}-Demo-v0"))
+    assert not Path("executed").exists()
+
+
 def make_fifo(path: Path) -> None:
     path.unlink()
     os.mkfifo(path)

@@ -29,7 +29,8 @@ def run_download(args: argparse.Namespace) -> int:
     """`magical demos download`: fetch what the dataset lacks, import it, remove the archive."""
     from magical.demos import Dataset, DatasetWriter
     from magical.demos.human.download import BASE_URL, fetch_all
-    from magical.demos.human.published import MAX_UNPACKED, published_sums
+    from magical.demos.human.published import published_sums
+    from magical.demos.human.safe_pickle import MAX_UNPACKED
     from magical.progress import progress_bar
 
     wanted = {f: s for f, s in published_sums().items() if fnmatch.fnmatch(f, args.files)}

@@ -7,12 +7,8 @@ from enum import StrEnum
 from functools import partial
 from pathlib import Path
 
-from magical.demos.human.published import (
-    MAX_PATH,
-    MAX_UNPACKED,
-    naming_errors,
-    read_demonstration,
-)
+from magical.demos.human.published import MAX_PATH, naming_errors, read_demonstration
+from magical.demos.human.safe_pickle import MAX_UNPACKED
 from magical.demos.store.codec import encode
 from magical.demos.store.dataset import Dataset
 from magical.demos.store.manifest import ManifestEntry

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from magical.demos.human.safe_pickle import MAX_UNPACKED, Array, Record, load
 from magical.demos.store.trajectory import (
-    MAX_NAME,
     Trajectory,
     checked_actions,
     checked_score,
+    stored_env_id,
 )
-from magical.envs.ids import EnvId, parse_env_id
+from magical.envs.ids import EnvId
 from magical.errors import MagicalError, TrajectoryError, UnsafeFileError
 from magical.files import open_regular, sha256_sum
 from magical.messages import printable, quoted
@@ -156,11 +156,11 @@ def _demonstration(data: Any, source: Mapping[str, str]) -> PublishedDemonstrati
     if type(data) is not dict or not {"env_name", "score", "trajectory"} <= set(data):
         raise TrajectoryError("expected a dict of env_name, score and trajectory")
     record, env_name, score = data["trajectory"], data["env_name"], data["score"]
-    if type(record) is not Record or type(env_name) is not str or len(env_name) > MAX_NAME:
-        raise TrajectoryError("expected a trajectory of acts, obs, rews and infos, and a name")
+    if type(record) is not Record:
+        raise TrajectoryError("expected a trajectory of acts, obs, rews and infos")
     if type(score) not in (int, float):
         raise TrajectoryError(f"score: expected a number, found {quoted(score)}")
-    env_id = parse_env_id(env_name).without_preset
+    env_id = stored_env_id(env_name)
     if env_id.variant != "Demo":
         raise TrajectoryError(f"expected a Demo environment, found {quoted(env_name)}")
     actions = checked_actions("acts", _values(record.acts))

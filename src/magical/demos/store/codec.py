@@ -20,7 +20,7 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.demos.store.trajectory import MAX_NAME, VIEWS, Trajectory
+from magical.demos.store.trajectory import VIEWS, Trajectory, stored_env_id
 from magical.errors import DatasetError, MagicalError, TrajectoryError
 from magical.messages import printable, quoted
 from magical.scene import Dynamics, Scene
@@ -223,16 +223,13 @@ def _read_header(array: NDArray[Any]) -> dict[str, Any]:
     if any(header.get(name) != value for name, value in FORMAT.items()):
         found = ", ".join(quoted(header.get(name)) for name in FORMAT)
         raise DatasetError(f"expected {FORMAT}, found {found}; use a newer version of magical")
-    env_id = header["env_id"]
-    if not isinstance(env_id, str) or len(env_id) > MAX_NAME:
-        raise DatasetError(f"header: expected an environment id, found {quoted(env_id)}")
     return header
 
 
 def _trajectory(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Trajectory:
     frames = {view: arrays[f"frames_{view}"] for view in VIEWS if f"frames_{view}" in arrays}
     return Trajectory(
-        **{name: header[name] for name in _FIELDS},
+        **{name: header[name] for name in _FIELDS} | {"env_id": stored_env_id(header["env_id"])},
         scene=Scene.from_dict(header["scene"]),
         dynamics=Dynamics.from_dict(header["dynamics"]),
         actions=arrays["actions"],

@@ -1,6 +1,7 @@
 """The trajectory of one demonstration: initial scene, actions, and poses or recorded frames."""
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -22,6 +23,7 @@ VIEWS = tuple(str(view) for view in View)
 RECOVERY = "recovery"  # in the metadata: how poses were recovered from frames
 MAX_NAME = 1000  # characters of an environment id or a demonstrator's name
 MAX_POSE = (10.0, 10.0, 1e6)  # units, units and radians: the workspace is [-1, 1] x [-1, 1]
+_ENV_ID = re.compile(r"[\w/-]{1,200}")
 
 
 class Actor(IntEnum):
@@ -208,6 +210,18 @@ def _frozen(array: NDArray[Any]) -> NDArray[Any]:
     copied = array.copy() if array.flags.writeable or not array.flags.c_contiguous else array
     copied.flags.writeable = False
     return copied
+
+
+def stored_env_id(value: Any) -> EnvId:
+    """The environment id in a file; one that names a module is refused, as nothing is imported.
+
+    Raises:
+        TrajectoryError: anything but a string of letters, digits, `_`, `-` and `/`.
+        UnknownNameError: there is no such environment.
+    """
+    if not isinstance(value, str) or not _ENV_ID.fullmatch(value):
+        raise TrajectoryError(f"expected an environment id, found {quoted(value)}")
+    return parse_env_id(value).without_preset
 
 
 def checked_score(name: str, value: Any) -> float:
