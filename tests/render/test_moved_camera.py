@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from magical.errors import RenderError
 from magical.render import render_frame
 from magical.render.moved_camera import MovedCamera
-from magical.scene import View
+from magical.scene import Poses, View
 from tests.render.cases import Case, random_case
 
 SIZE = 96
@@ -132,10 +132,13 @@ def test_palette_holds_the_scene_s_colours(case: Case) -> None:
     assert len(palette) >= 2 * len(case[0].blocks)
 
 
-def test_poses_that_are_not_finite_are_an_error(case: Case) -> None:
-    case[1].bodies[0, 0] = np.nan
-    try:
-        with pytest.raises(RenderError, match="finite poses"):
-            moved(case, View.EGO)
-    finally:
-        case[1].bodies[0, 0] = 0.0
+def test_poses_that_do_not_fit_are_an_error(case: Case) -> None:
+    scene, poses = case
+    bad = poses.bodies.copy()
+    bad[0, 0] = np.nan
+    with pytest.raises(RenderError, match="finite poses"):
+        moved((scene, Poses(bad)), View.EGO)
+    with pytest.raises(RenderError, match=r"expected poses \(..., 9, 3\), found \(1, 1, 8, 3\)"):
+        moved((scene, Poses(poses.bodies[:-1])), View.EGO)
+    with pytest.raises(RenderError, match="expected a size from 1"):
+        MovedCamera(scene, View.EGO, 0)

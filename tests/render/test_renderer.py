@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,7 @@ from numpy.typing import NDArray
 
 from magical.errors import RenderError, UnknownNameError
 from magical.render import Renderer, default_samples, render_frame, render_views
-from magical.scene import Colour, Pose, Poses, Scene, Shape, View
-from magical.scene.scene import Block
+from magical.scene import Block, Colour, Pose, Poses, Region, Scene, Shape, View
 from tests.render.cases import Case, random_case
 
 Image = NDArray[np.uint8]
@@ -170,10 +170,30 @@ def test_poses_out_of_range(value: float, place: tuple[int, int], case: Case) ->
             Renderer(case[0], view).render(bodies, np.empty((96, 96, 3), np.uint8))
 
 
+@pytest.mark.parametrize("value", [1e308, 1e200, -1e9])
+def test_regions_out_of_range(value: float) -> None:
+    regions = (
+        Region(Colour.RED, 0.0, 0.0, 0.1, 0.1),
+        Region(Colour.BLUE, value, 0.0, 0.5, abs(value)),
+    )
+    with pytest.raises(RenderError, match=r"regions within 1e\+06 units"):
+        Renderer(Scene(Pose(0.0, 0.0, 0.0), (), regions), "ego")
+
+
+def test_more_bodies_than_can_be_rendered(case: Case) -> None:
+    scene = case[0]
+    for many in (
+        replace(scene, blocks=scene.blocks * 26),
+        replace(scene, regions=scene.regions * 16),
+    ):
+        with pytest.raises(RenderError, match="at most 100 blocks and 30 regions, found"):
+            render_frame(many, Poses.at_rest(many), "ego")
+
+
 def test_arrays_of_other_shapes_and_types(case: Case) -> None:
     scene, poses = case
     renderer, out = Renderer(scene, "allo"), np.empty((96, 96, 3), np.uint8)
-    for bodies in (poses.bodies[:-1], poses.bodies[:, :2]):
+    for bodies in (poses.bodies[:-1], poses.bodies[:, :2], poses.bodies[0]):
         with pytest.raises(RenderError, match="9 bodies"):
             renderer.render(bodies, out)
     read_only = out.copy()
@@ -183,12 +203,15 @@ def test_arrays_of_other_shapes_and_types(case: Case) -> None:
         with pytest.raises(RenderError, match="expected"):
             renderer.render(poses.bodies, bad)
     stack = np.empty((96, 96, 6), np.uint8)
-    for target in (out, np.empty((96, 96, 9), np.uint8), stack[:90]):
+    bad_stacks: tuple[Any, ...] = (out, np.empty((96, 96, 9), np.uint8), stack[:90], stack * 1.0)
+    for target in bad_stacks:
         with pytest.raises(RenderError, match="expected"):
             renderer.render_stacked(poses.bodies, stack, target)
 
 
-@pytest.mark.parametrize(("size", "samples"), [(0, 1), (-4, None), (96, 3), (96, 0), (9.5, 1)])
+@pytest.mark.parametrize(
+    ("size", "samples"), [(0, 1), (-4, None), (96, 3), (96, 0), (9.5, 1), (5000, 1)]
+)
 def test_invalid_sizes_and_samples(size: Any, samples: int | None, case: Case) -> None:
     with pytest.raises(RenderError, match="samples"):
         Renderer(case[0], "ego", size, samples)

@@ -40,7 +40,8 @@ class CompileCache:
 
     Args:
         function: the function that is compiled; its name and the values it closes over are part of
-            the key, with the signature, the processor, the versions of Python and numba, and the
+            the key, with the signature, the processor, the versions of Python and numba, whether
+            numba checks bounds, and the
             sources it is made of: those of its own folder and of the rooms `SHARED`.
         folder: where the files are. Default: `cache_folder()`.
     """
@@ -102,7 +103,8 @@ class CompileCache:
         folder = Path(self.cache_path)
         check_private(folder)
         versions = (sys.implementation.cache_tag, numba.__version__, source_digest(self._sources))
-        key = (self._key, str(signature), codegen.magic_tuple(), versions)
+        checked = bool(getattr(numba.config, "BOUNDSCHECK", False))
+        key = (self._key, str(signature), codegen.magic_tuple(), versions, checked)
         digest = hashlib.sha256(repr(key).encode()).hexdigest()
         return folder / f"{self._name}-{digest[:32]}.bin"
 

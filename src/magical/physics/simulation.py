@@ -14,10 +14,7 @@ from magical.scene import constants as c
 from magical.scene.poses import Poses
 from magical.scene.scene import Dynamics, Scene
 
-# Beyond these the solver takes minutes, or its results are no numbers. No more blocks fit into the
-# workspace than MAX_BLOCKS.
-MAX_BLOCKS = 100
-MAX_COORDINATE = 1e3  # units and radians
+MAX_COORDINATE = 1e3  # units and radians; beyond, the solver's results are no numbers
 
 
 class Simulation:
@@ -103,9 +100,9 @@ class Simulation:
 
 def _check(scene: Scene) -> None:
     """Raise `InvalidSceneError` for a scene that the solver cannot be given."""
-    if len(scene.blocks) > MAX_BLOCKS:
+    if len(scene.blocks) > c.MAX_BLOCKS:
         raise InvalidSceneError(
-            f"scene: expected at most {MAX_BLOCKS} blocks, found {len(scene.blocks)}"
+            f"scene: expected at most {c.MAX_BLOCKS} blocks, found {len(scene.blocks)}"
         )
     _check_range(np.array([scene.robot, *(block.pose for block in scene.blocks)]))
 

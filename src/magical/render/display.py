@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from magical.errors import RenderError
 from magical.render.palette import (
     GREY,
     GREY_OUTLINE,
@@ -42,6 +43,7 @@ EYE_RADIUS = 0.2 * c.ROBOT_RADIUS
 EYE_X, EYE_Y = 0.4 * c.ROBOT_RADIUS, 0.3 * c.ROBOT_RADIUS  # x times the side
 PUPIL_RADIUS = 0.12 * c.ROBOT_RADIUS
 PUPIL_AHEAD = 0.07 * c.ROBOT_RADIUS  # ahead of the eye's centre
+FAR = 1e6  # units: regions and poses beyond are rejected
 DISC_SIDES, EYE_SIDES, PUPIL_SIDES = 100, 20, 10  # discs are rendered as polygons
 
 Vertices = NDArray[np.float64]  # (2, n): x and y
@@ -72,7 +74,19 @@ class DisplayList(NamedTuple):
 
 
 def display_list(scene: Scene) -> DisplayList:
-    """All polygons of a scene, in rendering order (docs/specification.md, section 6)."""
+    """All polygons of a scene, in rendering order (docs/specification.md, section 6).
+
+    Raises:
+        RenderError: more than `MAX_BLOCKS` or `MAX_REGIONS`, or a region beyond `FAR`.
+    """
+    if len(scene.blocks) > c.MAX_BLOCKS or len(scene.regions) > c.MAX_REGIONS:
+        raise RenderError(
+            f"expected at most {c.MAX_BLOCKS} blocks and {c.MAX_REGIONS} regions, "
+            f"found {len(scene.blocks)} and {len(scene.regions)}"
+        )
+    ground = np.array([_corners(*_WORKSPACE), *(_corners(*_bounds(r)) for r in scene.regions)])
+    if not np.abs(ground).max() <= FAR:
+        raise RenderError(f"expected regions within {FAR:g} units, found one beyond")
     robot = _robot_parts()
     blocks = [part for row, block in enumerate(scene.blocks) for part in _block_parts(row, block)]
     parts = [*robot, *blocks] if scene.robot_first else [*blocks, *robot]
@@ -89,7 +103,7 @@ def display_list(scene: Scene) -> DisplayList:
         np.concatenate(polygons, axis=1),
         np.array(items, np.int64),
         np.array(offsets),
-        np.array([_corners(*_WORKSPACE), *(_corners(*_bounds(r)) for r in scene.regions)]),
+        ground,
         np.array(
             [
                 (lanes(WHITE), lanes(GREY)),

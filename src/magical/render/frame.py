@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from magical.compiled import entry_point, inlined
 from magical.render.canvas import Canvas, cover, finish_bodies, finish_ground, pack, paint
+from magical.render.display import FAR
 from magical.render.lines import dashes, outline, round_up
 from magical.render.palette import OUTSIDE, lanes
 from magical.render.polygons import MOST_SIDES, SUBSAMPLES, Floats, Ints, place, scan
@@ -16,7 +17,6 @@ from magical.scene.constants import RAW_FRAME_SIZE
 
 VIEW_WIDTH = 2.04  # units: both cameras show as much (docs/specification.md, section 6)
 ROBOT_HEIGHT = 0.15  # of the frame: where the egocentric camera has the robot, from below
-FAR = 1e6  # units: poses beyond are rejected
 EGO, GROUND, ALLO = 0, 1, 2  # modes of the compiled `render`
 BACKGROUND = lanes(OUTSIDE)
 

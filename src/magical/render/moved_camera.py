@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 from magical.compiled import inlined, nogil_entry_point
 from magical.errors import RenderError
 from magical.render.canvas import Canvas, blank, finish_bodies, finish_ground
-from magical.render.display import display_list
+from magical.render.display import FAR, display_list
 from magical.render.frame import (
     BACKGROUND,
-    FAR,
     Pixels,
     body_frames,
     render_bodies,
@@ -21,7 +20,8 @@ from magical.render.frame import (
 )
 from magical.render.output import CHANNELS
 from magical.render.polygons import MOST_SIDES, SUBSAMPLES, Floats, Ints
-from magical.render.renderer import default_samples
+from magical.render.renderer import checked_samples
+from magical.scene.poses import FIRST_BLOCK
 from magical.scene.scene import Scene
 from magical.scene.vocabulary import View
 
@@ -41,13 +41,17 @@ class MovedCamera:
         view: of the camera.
         size: height and width of the frames in pixels.
         samples: as for `Renderer`.
+
+    Raises:
+        RenderError: as for `Renderer`.
     """
 
     def __init__(self, scene: Scene, view: View, size: int, samples: int | None = None) -> None:
         self._size = size
-        self._samples = default_samples(size) if samples is None else samples
+        self._samples = checked_samples(size, samples)
         self._ego = view == View.EGO
         self._display = display_list(scene)
+        self._count = FIRST_BLOCK + len(scene.blocks)
         colours = self._display.items[:, 4], self._display.colours.ravel(), [BACKGROUND]
         packed = np.concatenate(colours)
         self._palette, self._entries = np.unique(packed, return_inverse=True)
@@ -82,8 +86,10 @@ class MovedCamera:
             channel: the first of its 3 * K channels.
 
         Raises:
-            RenderError: a pose is not finite.
+            RenderError: the poses are not finite, or not one for each body.
         """
+        if bodies.shape[2:] != (self._count, 3):
+            raise RenderError(f"expected poses (..., {self._count}, 3), found {bodies.shape}")
         packed, count = self._colours(palettes, without_walls), len(self._display.items)
         moves = np.stack([np.cos(angles), np.sin(angles), shifts[:, 0], -shifts[:, 1]], axis=1)
         good = compiled_render_moved(self._samples)(

@@ -7,11 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.errors import RenderError
+from magical.messages import quoted
 from magical.render.canvas import blank
-from magical.render.display import display_list
-from magical.render.frame import ALLO, EGO, FAR, GROUND, compiled_render
+from magical.render.display import FAR, display_list
+from magical.render.frame import ALLO, EGO, GROUND, compiled_render
 from magical.render.output import CHANNELS, compiled_store, push
-from magical.scene.constants import FRAME_SIZE, RAW_FRAME_SIZE, SAMPLES
+from magical.scene.constants import FRAME_SIZE, MAX_FRAME_SIZE, RAW_FRAME_SIZE, SAMPLES
 from magical.scene.poses import FIRST_BLOCK, Poses
 from magical.scene.scene import Pose, Scene
 from magical.scene.vocabulary import View, parse_word
@@ -22,6 +23,16 @@ Image = NDArray[np.uint8]
 def default_samples(size: int) -> int:
     """Samples across a pixel: as few as make the published 384 across a frame, at most 4."""
     return next((n for n in SAMPLES if n * size >= RAW_FRAME_SIZE), max(SAMPLES))
+
+
+def checked_samples(size: int, samples: int | None) -> int:
+    """The samples across a pixel, `default_samples` for None; raises `RenderError`."""
+    if isinstance(size, int) and 0 < size <= MAX_FRAME_SIZE and samples in (None, *SAMPLES):
+        return default_samples(size) if samples is None else samples
+    raise RenderError(
+        f"expected a size from 1 to {MAX_FRAME_SIZE} and samples among {SAMPLES}, "
+        f"found {quoted(size)} and {quoted(samples)}"
+    )
 
 
 class Renderer:
@@ -40,7 +51,8 @@ class Renderer:
 
     Raises:
         UnknownNameError: no such view.
-        RenderError: an invalid size or number of samples.
+        RenderError: an invalid size or number of samples, too many blocks or regions, or a region
+            far outside the workspace.
     """
 
     def __init__(
@@ -53,12 +65,7 @@ class Renderer:
     ) -> None:
         self.view = parse_word(View, view)
         self.size = size
-        self.samples = default_samples(size) if samples is None else samples
-        if not isinstance(size, int) or size < 1 or self.samples not in SAMPLES:
-            raise RenderError(
-                f"expected a whole, positive size and samples among {SAMPLES}, "
-                f"found {size!r} and {samples!r}"
-            )
+        self.samples = checked_samples(size, samples)
         self._compiled = compiled_render(self.samples)
         self._store = compiled_store()
         self._display = display_list(scene)
@@ -100,8 +107,11 @@ class Renderer:
         """
         out = stack if out is None else out
         self._check(out, stack.shape[-1])
-        if stack.shape != out.shape:
-            raise RenderError(f"expected a stack {out.shape} to shift, found {stack.shape}")
+        if stack.shape != out.shape or stack.dtype != out.dtype:
+            raise RenderError(
+                f"expected a stack {out.shape} of uint8 to shift, "
+                f"found {stack.shape} of {stack.dtype}"
+            )
         self._render_pixels(bodies)
         push(self._pixels, stack, out)
 
@@ -115,14 +125,16 @@ class Renderer:
 
     def _render_pixels(self, bodies: NDArray[np.float64]) -> None:
         mine = self._bodies
-        if len(bodies) != len(mine) or bodies.shape[1] < mine.shape[1]:
+        if bodies.ndim != 2 or len(bodies) != len(mine) or bodies.shape[1] < mine.shape[1]:
             raise RenderError(
                 f"expected the poses (x, y, angle) of {len(mine)} bodies, five of the robot's and "
                 f"one for each block, found an array {bodies.shape}"
             )
         mine[:] = bodies[:, :3]
         if self._compiled(mine, *self._arguments) < 0:
-            raise RenderError(f"expected finite poses within {FAR:g} units, found {mine.tolist()}")
+            raise RenderError(
+                f"expected finite poses within {FAR:g} units, found {quoted(mine.tolist())}"
+            )
 
     def _cached_ground(self, layers: int, whole_dashes: bool) -> "_Memory":
         """Render the ground once and keep it: the allocentric camera does not move."""

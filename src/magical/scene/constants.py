@@ -66,5 +66,8 @@ FRAME_SIZE = 96  # pixels: after averaging 4 x 4
 SAMPLES = (1, 2, 4)  # across a pixel, that can be rendered
 MAX_FRAME_SIZE = 4096  # pixels that can be asked for: some 50 MB a frame
 
+# Of a scene. No more blocks fit into the workspace; beyond, solver and renderer take minutes.
+MAX_BLOCKS, MAX_REGIONS = 100, 30
+
 # Of initial poses, in units and radians; more can be seen, and is what the Jitter variant is for.
 MAX_NUDGE = 0.01

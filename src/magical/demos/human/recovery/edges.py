@@ -23,11 +23,13 @@ from magical.demos.human.recovery.edge_search import (
     Labels,
     compiled_search,
 )
-from magical.render.display import DisplayList, display_list
+from magical.errors import RenderError
+from magical.render.display import FAR, DisplayList, display_list
 from magical.render.frame import ROBOT_HEIGHT
 from magical.render.palette import OUTSIDE, RGB, SHADES, WHITE, lanes
 from magical.render.polygons import Floats, Ints
 from magical.scene.constants import RAW_FRAME_SIZE
+from magical.scene.poses import FIRST_BLOCK
 from magical.scene.scene import Scene
 from magical.scene.vocabulary import View, parse_word
 
@@ -61,6 +63,7 @@ class EdgeFinder:
     def __init__(self, scene: Scene, view: View | str, size: int = RAW_FRAME_SIZE) -> None:
         self.view = parse_word(View, view)
         self.size = size
+        self._bodies = FIRST_BLOCK + len(scene.blocks)
         shown = display_list(scene)
         self._palette = _palette(shown, scene)
         self._layers = _layers(shown, scene, self._palette)
@@ -75,7 +78,12 @@ class EdgeFinder:
         Returns:
             (size, size) uint8, lowest row first: numbers of the scene's colours, and
             `edge_search.MIXED` for any other colour, as smoothed lines have it.
+
+        Raises:
+            RenderError: a frame of another shape.
         """
+        if frame.shape != (self.size, self.size, 3):
+            raise RenderError(f"expected a frame {self.size} across, found {frame.shape}")
         labels = np.empty((self.size, self.size), np.uint8)
         _compiled_label()(frame, self._palette, labels)
         return labels
@@ -94,7 +102,12 @@ class EdgeFinder:
             labels: a frame's, from `label`.
             band: pixels.
             wanted: (5 + blocks,), the bodies whose edges matter; by default all.
+
+        Raises:
+            RenderError: the poses are not finite, or not one for each body.
         """
+        if bodies.shape != (self._bodies, 3) or not np.abs(bodies).max() <= FAR:
+            raise RenderError(f"expected {self._bodies} finite poses within {FAR:g} units")
         if wanted is None:
             wanted = np.ones(len(bodies), np.bool_)
         *_, numbers, margins = self._memory
