@@ -1,8 +1,8 @@
 """A plan that is killed at random moments and started again, beside one that ran through.
 
-    python benchmarks/interrupted.py plans/quick.toml --out runs/through --kills 0
-    python benchmarks/interrupted.py plans/quick.toml --out runs/killed --beside runs/through
-    python benchmarks/interrupted.py plans/quick.toml --out runs/ray --kills 0 \
+    python benchmarks/interrupted.py quick --out runs/through --kills 0
+    python benchmarks/interrupted.py quick --out runs/killed --beside runs/through
+    python benchmarks/interrupted.py quick --out runs/ray --kills 0 \
         --beside runs/through --executor ray --workers 2
 
 `magical run` is killed with SIGKILL and given again, until the plan is complete. Prints the wall

@@ -23,8 +23,7 @@ from magical.envs import EnvId
 from magical.envs.seeds import evaluation_seed
 from magical.envs.vector import MagicalVectorEnv
 from magical.evaluation import RolloutScore, evaluate
-from magical.evaluation.policy import Policy
-from magical.evaluation.rollouts import observation_for
+from magical.evaluation.policy import Policy, observation_for
 from magical.evaluation.seeds import RolloutRng
 from magical.learning import load_policy
 from magical.scene import Scene

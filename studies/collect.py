@@ -33,9 +33,10 @@ from magical.errors import MagicalError, ResultsError
 from magical.evaluation import Entry, read_entry
 from magical.evaluation.collection import read_collection, write_collection
 from magical.evaluation.entry import ENTRY_FILE
+from magical.evaluation.protocol import NUDGE, Evaluation, environments
 from magical.experiments.demonstrations import DIGESTS, GENERATED
 from magical.experiments.one_run import evaluate_run
-from magical.experiments.plan import DATASET, Evaluation, PlannedRun, planned_runs
+from magical.experiments.plan import DATASET, PlannedRun, planned_runs
 from magical.experiments.plan_file import read_plan
 from magical.experiments.results import (
     DONE,
@@ -49,7 +50,6 @@ from magical.experiments.results import (
     run_folders,
 )
 from magical.report.found.statements import LOOKS
-from magical.report.leaderboard.checks import NUDGE
 from magical.runs.folder import read_json, write_json
 from magical.runs.sources import DEMONSTRATIONS
 
@@ -173,7 +173,9 @@ def _collect_run(
 def evaluate_for_leaderboard(run: PlannedRun, folder: Path) -> None:
     """Evaluate a run by the leaderboard's protocol, unless that was done before."""
     if not (folder / LEADERBOARD / ENTRY_FILE).exists():
-        evaluate_run(run, folder, folder / LEADERBOARD, Evaluation(nudge=NUDGE))
+        env_ids = tuple(environments(run.tasks))
+        evaluation = Evaluation(env_ids=env_ids, nudge=NUDGE)
+        evaluate_run(run, folder, folder / LEADERBOARD, evaluation)
 
 
 def _commit(entry: Entry) -> str:

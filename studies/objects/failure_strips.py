@@ -16,8 +16,6 @@ from magical.evaluation import Entry, RolloutScore, read_entry
 from magical.evaluation.variants import full_variant
 from magical.learning import load_policy
 from magical.report.figures.clips import Clip, record_rollouts
-from magical.report.scores.differences import steps
-from magical.tasks import get_task
 
 MARGIN, FONT_SIZE = 6, 13
 INK, PAPER = "#26262b", "#ffffff"
@@ -45,10 +43,8 @@ def main() -> None:
             continue
         recorded = record_rollouts(
             policy,
+            entry.evaluation(policy),
             [(row.env_id, row.rollout) for row in worst],
-            seed=entry.seed,
-            horizon=int(steps(get_task(task), entry)),
-            nudge=entry.nudge,
             size=args.size,
         )
         for row, clip in zip(worst, recorded, strict=True):

@@ -61,7 +61,7 @@ def test_without_both_variants_there_is_no_gap(capsys: pytest.CaptureFixture[str
 
 
 def test_json_of_several_tasks_is_by_task(capsys: pytest.CaptureFixture[str]) -> None:
-    argv = ["--task", "MoveToRegion", "--task", "FixColour", "--variants", "Demo", "TestJitter"]
+    argv = ["--task", "MoveToRegion", "FixColour", "--variants", "Demo", "TestJitter"]
     _, out, _ = evaluate(capsys, "noop", *argv, "--rollouts", "1", "--json")
     summary = json.loads(out.splitlines()[-1])
     assert {task: list(cells) for task, cells in summary.items()} == {
@@ -86,7 +86,6 @@ def test_out_holds_an_entry(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
         (["noop", "--task", "MoveToRegoin"], 2, "did you mean 'MoveToRegion'"),
         (["noop", "--task", "MoveToCorner", "--variants", "Layout"], 2, "MoveToCorner has none"),
         (["noop", "--variants", "Color"], 2, "'Color' is not a variant"),
-        (["noop", "--task", "MoveToRegion", "--observation", "HiRes"], 2, "LoRes4E"),
         (["no_module:thing"], 1, "cannot be imported"),
         (["noop", "--rollouts", "0"], 2, "at least 1"),
         (["noop", "--horizon", "soon"], 2, "soon"),

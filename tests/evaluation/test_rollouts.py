@@ -7,11 +7,12 @@ import gymnasium
 import numpy as np
 import pytest
 
-from magical.envs import parse_env_id
+from magical.envs import EnvId, parse_env_id
 from magical.envs.seeds import evaluation_seed
 from magical.envs.vector import MagicalVectorEnv
-from magical.errors import PolicyError, UnknownNameError
+from magical.errors import InvalidConfigError, PolicyError, UnknownNameError
 from magical.evaluation import (
+    Evaluation,
     NoopPolicy,
     RandomPolicy,
     environments,
@@ -100,7 +101,7 @@ def test_a_repeated_evaluation_gives_the_same_scores_in_the_same_environments(
     ids = [parse_env_id(DEMO), parse_env_id("magical/MoveToCorner-TestJitter-v0")]
     expected = evaluate(RandomPolicy(), ids, rollouts=3, seed=1, workers=0)
     monkeypatch.setattr("magical.evaluation.rollouts.MagicalVectorEnv", recorded)
-    evaluation = RepeatedEvaluation(RandomPolicy(), ids, rollouts=3, seed=1, workers=0)
+    evaluation = RepeatedEvaluation(RandomPolicy(), Evaluation.of(ids, rollouts=3, seed=1), 0)
     assert evaluation.scores() == expected
     assert evaluation.scores() == expected
     assert len(made) == 2  # one for each task
@@ -131,6 +132,12 @@ def test_policies_see_the_observation_they_were_made_for_and_are_told_of_episode
     observations, env_ids = policy.acts[0]
     assert observations.shape == (2 * variants, 96, 96, 12)
     assert env_ids[0] == "magical/MoveToRegion-Demo-v0"
+
+
+def test_a_policy_that_needs_nothing_gets_nothing() -> None:
+    policy = Watching(observation="nothing")
+    evaluate(policy, [DEMO], rollouts=1, horizon=1, observation="LoRes4A", workers=0)
+    assert policy.acts[0][0] is None
 
 
 def test_an_observation_asked_for_goes_before_the_policys_own() -> None:
@@ -172,8 +179,22 @@ def test_the_published_horizon_is_for_tasks_that_have_one_of_their_own() -> None
 
 @pytest.mark.parametrize("horizon", ["long", 0, -3])
 def test_a_wrong_horizon_is_named(horizon: Any) -> None:
-    with pytest.raises(UnknownNameError, match="'published' or None"):
+    with pytest.raises(InvalidConfigError, match="expected appendix, published or a number"):
         evaluate(NoopPolicy(), [DEMO], rollouts=1, horizon=horizon, workers=0)
+
+
+def test_an_unknown_observation_is_named() -> None:
+    with pytest.raises(UnknownNameError, match="LoRes4E"):
+        evaluate(Watching(), [DEMO], rollouts=1, observation="HiRes", workers=0)
+
+
+@pytest.mark.parametrize("horizon", [None, 320, "320", "appendix"])
+def test_the_appendix_s_steps_are_the_appendix_s_horizon(horizon: Any) -> None:
+    env_ids = [EnvId("ClusterColour", "Demo")]
+    assert Evaluation.of(env_ids, horizon=horizon).horizon_name == "appendix"
+    assert Evaluation.of([*env_ids, DEMO], horizon=320).horizon_name == "320"
+    assert Evaluation.of(env_ids, horizon=240).horizon_name == "240"
+    assert Evaluation.of([*env_ids, DEMO], horizon="published").horizon_name == "published"
 
 
 def test_an_environment_given_twice_counts_once() -> None:

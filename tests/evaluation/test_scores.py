@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,8 @@ from magical.envs.seeds import evaluation_seed
 from magical.errors import ScoresError
 from magical.evaluation import (
     Entry,
+    Evaluation,
+    FunctionPolicy,
     RolloutScore,
     read_entry,
     read_scores,
@@ -101,12 +104,39 @@ def test_details_of_another_policy_are_not_kept(tmp_path: Path) -> None:
 )
 def test_what_could_not_be_read_back_is_not_written(tmp_path: Path, fields: dict[str, Any]) -> None:
     Entry(method="mine", scores=SCORES).write(tmp_path)
-    entry = Entry(**{"method": "mine", "scores": SCORES[:1], **fields})
-    with pytest.raises((ScoresError, TypeError)):
-        entry.check_writable(tmp_path)
-    with pytest.raises((ScoresError, TypeError)):
-        entry.write(tmp_path)
+    with pytest.raises((ValueError, TypeError)):
+        Entry(**{"method": "mine", "scores": SCORES[:1], **fields}).check_writable(tmp_path)
+    with pytest.raises((ValueError, TypeError)):
+        Entry(**{"method": "mine", "scores": SCORES[:1], **fields}).write(tmp_path)
     assert read_entry(tmp_path).scores == SCORES
+
+
+def test_true_states_are_privileged_whatever_an_entry_says(tmp_path: Path) -> None:
+    Entry(method="mine", scores=SCORES).write(tmp_path)
+    stated = {"method": "mine", "observation": "state", "privileged": False}
+    (tmp_path / "entry.json").write_text(json.dumps(stated))
+    assert read_entry(tmp_path).privileged
+
+
+@pytest.mark.parametrize(
+    ("attributes", "observation", "expected"),
+    [
+        ({}, None, ("LoRes4E", False)),
+        ({"observation": "LoRes4A"}, None, ("LoRes4A", False)),
+        ({"observation": "LoRes4A"}, "LoResStack", ("LoResStack", False)),
+        ({"observation": "state"}, None, ("state", True)),
+        ({}, "state", ("state", True)),
+        ({"privileged": True}, "LoRes4E", ("state", True)),
+        ({"observation": "nothing"}, None, ("nothing", False)),
+    ],
+)
+def test_an_entry_says_what_the_policy_was_shown(
+    attributes: dict[str, Any], observation: str | None, expected: tuple[str, bool]
+) -> None:
+    policy = FunctionPolicy(print, SimpleNamespace(**attributes))
+    evaluation = Evaluation.of([DEMO], observation=observation)
+    entry = Entry.of(policy, evaluation, method="m", details={})
+    assert (entry.observation, entry.privileged) == expected
 
 
 def test_an_integer_nudge_is_read(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from magical.experiments.estimates import estimate
-from magical.experiments.plan import Evaluation, Method, Plan, planned_runs
+from magical.experiments.plan import Method, Plan, planned_runs
 from magical.learning.running.devices import Compute
 
 SPEED = 100.0  # samples a second, forward and backward
@@ -58,15 +58,3 @@ def test_algorithms_with_ppo(algorithm: str, more: int) -> None:
     steps = 3906 * 256 + ROLLOUT_STEPS
     samples = 3906 * 256 * 12 + more
     assert here == pytest.approx((samples + steps / 3) / SPEED + steps / 7_500)
-
-
-@pytest.mark.parametrize(
-    ("horizon", "steps", "given"),
-    [("appendix", (80, 320), None), ("published", (80, 240), "published"), (9, (9, 9), 9)],
-)
-def test_horizons(horizon: Any, steps: tuple[int, int], given: Any) -> None:
-    evaluation = Evaluation(horizon=horizon)
-    tasks = ("MoveToCorner", "ClusterColour")
-    assert tuple(evaluation.steps(task) for task in tasks) == steps
-    assert evaluation.horizon_of(tasks) == given
-    assert evaluation.horizon_of(("MoveToCorner",)) == (9 if horizon == 9 else None)

@@ -16,7 +16,6 @@ import magical
 from magical.cli import main
 from magical.errors import PlacementError, ResultsError
 from magical.evaluation import read_entry
-from magical.evaluation.verification import is_same_machine
 from magical.experiments import forecast, one_run, results
 from magical.experiments.estimates import Estimate
 from magical.experiments.execution import _outcome, execute
@@ -68,7 +67,8 @@ def test_every_run_is_a_run_folder_with_an_entry_and_a_record(
         assert entry.details["learned_from"] == ["demonstrations"]
         assert entry.details["policy"] == "."
         assert entry.nudge == 1e-9
-        assert is_same_machine(entry.details, machine(), versions())
+        assert entry.details["machine"] == machine()
+        assert entry.details["versions"] == versions()
         assert read_config(folder).seed == run.seed
         assert load_policy(folder).tasks == ("MoveToRegion",)
         record = records[run.folder]

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from magical.evaluation import Entry, environments, read_entry
+from magical.evaluation import Entry, Evaluation, environments, read_entry
 from magical.evaluation.collection import write_collection
 from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
-from magical.experiments.plan import Evaluation, PlannedRun
+from magical.experiments.plan import PlannedRun
 from magical.report.found.search import search_results
 from magical.report.leaderboard import make_leaderboard
 from studies import collect as collect_results

@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 
 from magical.evaluation import published_methods
-from magical.experiments.plan import Evaluation, Plan, planned_runs
+from magical.evaluation.protocol import Evaluation, environments
+from magical.experiments.plan import Plan, planned_runs
 from magical.experiments.plan_file import read_plan
 
 
@@ -37,7 +38,8 @@ def test_the_results_are_evaluated_as_the_published_scores_were(root: Path, name
     runs = planned_runs(read_study_plan(root, name))
     assert (len(runs), {str(run.source) for run in runs}) == (RESULTS[name][0], {RESULTS[name][1]})
     for run in runs:
-        assert run.evaluation == Evaluation(rollouts=100, horizon="published", nudge=0.0)
+        env_ids = tuple(environments(run.tasks))
+        assert run.evaluation == Evaluation(env_ids=env_ids, horizon="published")
         assert run.preset == ("paper" if name == "bc-human-paper" else "quick")
         assert run.config.threads == (2 if name == "bc-human-paper" else 1)
         if run.source.expert_demos is not None:
@@ -61,5 +63,6 @@ def test_the_objects_is_evaluated_in_the_same_way(
     runs = planned_runs(read_study_plan(root, name))
     assert len(runs) == 3 + 3 * 8
     for run in runs:
-        assert run.evaluation == Evaluation(rollouts=100, horizon="published", nudge=0.0)
+        env_ids = tuple(environments(run.tasks))
+        assert run.evaluation == Evaluation(env_ids=env_ids, horizon="published")
         assert (str(run.source), run.config.to_dict()["num_demos"]) == (source, num_demos)

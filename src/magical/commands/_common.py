@@ -22,7 +22,9 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 
 def add_tasks(parser: argparse.ArgumentParser, default: str = "all") -> None:
     """Add `--task A B`; `args.task` is a list of names, or `None` for the default."""
-    parser.add_argument("--task", nargs="+", metavar="TASK", help=f"default: {default}")
+    parser.add_argument(
+        "--task", nargs="+", action="extend", metavar="TASK", help=f"default: {default}"
+    )
 
 
 def add_seed(parser: argparse.ArgumentParser, meaning: str) -> None:

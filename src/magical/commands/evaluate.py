@@ -1,31 +1,36 @@
 """Evaluate a policy with fixed seeds: 100 rollouts on each variant of each task.
 
 POLICY is a run folder, `random`, `noop`, `expert`, or a policy of your own as `module:name` or
-`file.py:name` (docs/protocol.md).
+`file.py:name` (docs/own-policy.md).
 """
 
 import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from magical.commands._common import (
     add_json,
+    add_rollouts,
+    add_seed,
+    add_tasks,
+    add_workers,
     log,
     non_negative_int,
-    positive_int,
     print_json,
     print_table,
 )
-from magical.commands._policies import evaluation_details
 
 if TYPE_CHECKING:
-    from magical.evaluation import Entry, Policy, RolloutScore
+    from magical.evaluation import Entry, RolloutScore
+    from magical.evaluation.protocol import Evaluation
+    from magical.tasks import Horizon
 
 HELP = "score a policy on the test variants"
+USAGE = 2  # exit status
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -33,35 +38,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "policy", metavar="POLICY", help="a run folder, random, noop, expert or module:name"
     )
-    parser.add_argument(
-        "--task", action="append", metavar="TASK", help="may be repeated (default: the policy's)"
-    )
+    add_tasks(parser, "the policy's")
     parser.add_argument(
         "--variants", nargs="+", metavar="VARIANT", help="such as Demo Jitter (default: all)"
     )
-    _configure_episodes(parser)
-    parser.add_argument(
-        "--observation", metavar="PRESET", help="default: the policy's own, or LoRes4E"
-    )
-    parser.add_argument(
-        "--workers", type=non_negative_int, metavar="N", help="processes (default: the cores)"
-    )
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="write scores.csv and entry.json there"
-    )
-    parser.add_argument("--method", metavar="NAME", help="name in tables (default: the policy's)")
-    add_json(parser)
-
-
-def _configure_episodes(parser: argparse.ArgumentParser) -> None:
-    """The arguments that say which episodes are rolled out."""
-    parser.add_argument(
-        "--rollouts",
-        type=positive_int,
-        default=100,
-        metavar="N",
-        help="on each variant (default: 100)",
-    )
+    add_rollouts(parser)
     parser.add_argument(
         "--horizon",
         type=_horizon,
@@ -76,17 +57,49 @@ def _configure_episodes(parser: argparse.ArgumentParser) -> None:
         help="shift initial poses by up to X units and radians, sampled from each rollout's seed; "
         "1e-9 averages over what rounding decides (default: 0)",
     )
+    add_seed(parser, "which set of fixed seeds")
     parser.add_argument(
-        "--seed",
+        "--observation", metavar="PRESET", help="default: the policy's own, or LoRes4E"
+    )
+    add_workers(parser)
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR", help="write scores.csv and entry.json there"
+    )
+    _configure_entry(parser)
+    add_json(parser)
+
+
+def _configure_entry(parser: argparse.ArgumentParser) -> None:
+    """The arguments that say what is written to `--out`."""
+    parser.add_argument("--method", metavar="NAME", help="name in tables (default: the policy's)")
+    parser.add_argument(
+        "--leaderboard",
+        action="store_true",
+        help="by the leaderboard's protocol: with a nudge of 1e-9, and refused, before anything "
+        "runs, if the entry would not be ranked",
+    )
+    parser.add_argument(
+        "--learned-from",
+        nargs="*",
+        metavar="SOURCE",
+        help='what the policy learned from, such as demonstrations or "rendered states"; recorded '
+        "for run folders",
+    )
+    parser.add_argument(
+        "--looks",
         type=non_negative_int,
-        default=0,
         metavar="N",
-        help="which set of fixed seeds (default: 0)",
+        help="how often test variants were evaluated while the method was designed",
     )
 
 
-def _horizon(text: str) -> int | str:
-    return text if text == "published" else positive_int(text)
+def _horizon(text: str) -> "Horizon":
+    from magical.tasks import parse_horizon
+
+    try:
+        return parse_horizon(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
 
 
 def _nudge(text: str) -> float:
@@ -100,26 +113,29 @@ def _nudge(text: str) -> float:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate, print, write."""
-    from magical.evaluation import environments, evaluate, load_policy, summarise
+    from magical.evaluation import Entry, environments, load_policy, summarise
+    from magical.evaluation.protocol import NUDGE, Evaluation
+    from magical.evaluation.rollouts import roll_out
     from magical.progress import progress_bar
 
     policy = load_policy(args.policy)
-    env_ids = environments(args.task or getattr(policy, "tasks", None), args.variants)
+    evaluation = Evaluation.of(
+        environments(args.task or getattr(policy, "tasks", None), args.variants),
+        rollouts=args.rollouts,
+        seed=args.seed,
+        observation=args.observation,
+        horizon=args.horizon,
+        nudge=args.nudge or (NUDGE if args.leaderboard else 0.0),
+    )
+    method = args.method or Path(args.policy).absolute().name  # of "." too
     if args.out:
-        entry = make_entry(args, policy)
+        entry = Entry.of(policy, evaluation, method=method, details=_details(args))
         entry.check_writable(args.out)
-    with progress_bar("rollouts", len(env_ids) * args.rollouts) as advance:
-        scores = evaluate(
-            policy,
-            env_ids,
-            rollouts=args.rollouts,
-            seed=args.seed,
-            observation=args.observation,
-            horizon=args.horizon,
-            nudge=args.nudge,
-            workers=args.workers,
-            progress=advance,
-        )
+    if args.leaderboard and (why := _why_unranked(entry, evaluation) if args.out else ["no --out"]):
+        log(f"error: --leaderboard: the entry would not be ranked: {'; '.join(why)}")
+        return USAGE
+    with progress_bar("rollouts", len(evaluation.env_ids) * args.rollouts) as advance:
+        scores = roll_out(policy, evaluation, workers=args.workers, progress=advance)
     print_scores(scores)
     if args.out:
         replace(entry, scores=scores).write(args.out)
@@ -129,24 +145,25 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def make_entry(args: argparse.Namespace, policy: "Policy") -> "Entry":
-    """The evaluation as it is kept on disk, but for the scores."""
-    from magical import __version__
-    from magical.evaluation import Entry
-    from magical.evaluation.policy import is_privileged
-    from magical.evaluation.rollouts import observation_for
+def _details(args: argparse.Namespace) -> dict[str, Any]:
+    """What the entry records beside the evaluation."""
+    from magical.experiments.entries import evaluation_details
+    from magical.report.statements import LOOKS
+    from magical.runs.sources import LEARNED_FROM
 
-    return Entry(
-        method=args.method or Path(args.policy).absolute().name,  # of "." too
-        scores=(),
-        observation=str(observation_for(policy, args.observation)),
-        privileged=is_privileged(policy),
-        horizon="appendix" if args.horizon is None else str(args.horizon),
-        nudge=args.nudge,
-        seed=args.seed,
-        version=__version__,
-        details=evaluation_details(args.policy, args.out),
-    )
+    stated = {LEARNED_FROM: args.learned_from, LOOKS: args.looks}
+    given = {name: value for name, value in stated.items() if value is not None}
+    return {**evaluation_details(args.policy, args.out), **given}
+
+
+def _why_unranked(entry: "Entry", evaluation: "Evaluation") -> list[str]:
+    """Why the leaderboard would not rank an entry with the scores of this evaluation."""
+    from magical.evaluation import RolloutScore
+    from magical.report.leaderboard.checks import faults
+
+    last = evaluation.rollouts - 1
+    expected = [RolloutScore(env_id, last, 0, 0.0, 0.0) for env_id in evaluation.env_ids]
+    return faults(replace(entry, scores=expected))
 
 
 def print_scores(scores: "Sequence[RolloutScore]") -> None:

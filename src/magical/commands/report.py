@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from magical.commands._common import log, positive_int, print_table
-from magical.commands._policies import policy_of
 
 if TYPE_CHECKING:
     from magical.report.found.search import Found
@@ -95,6 +94,7 @@ def _print_tables(args: argparse.Namespace, found: "Found") -> None:
 
 
 def _write(args: argparse.Namespace, found: "Found") -> int:
+    from magical.experiments.entries import policy_of
     from magical.report.pages.evaluated import evaluated_page
     from magical.report.pages.export import FORMATS
 

@@ -1,7 +1,8 @@
 """Run a plan: train and evaluate every method on every task with every seed.
 
-PLAN is a TOML file (docs/experiments.md). Given again, the command continues: a run that is done is
-not done again, an interrupted one resumes from its last checkpoint.
+PLAN is a TOML file (docs/experiments.md), or the name of one of this package's plans: `quick`,
+`quickstart`, or `paper` for the appendix's whole grid. Given again, the command continues: a run
+that is done is not done again, an interrupted one resumes from its last checkpoint.
 """
 
 import argparse
@@ -21,7 +22,7 @@ INTERRUPTED = 130  # exit status after Ctrl-C or SIGTERM
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
-    parser.add_argument("plan", type=Path, metavar="PLAN", help="such as plans/quick.toml")
+    parser.add_argument("plan", metavar="PLAN", help="such as quick, or a file's path")
     parser.add_argument(
         "--out",
         type=Path,
@@ -81,10 +82,11 @@ def _share(text: str) -> float:
 def run(args: argparse.Namespace) -> int:
     """Execute the plan, or describe what it would do."""
     from magical.experiments.plan import planned_runs
-    from magical.experiments.plan_file import read_plan
+    from magical.experiments.plan_file import find_plan, read_plan
 
-    runs = planned_runs(read_plan(args.plan, args.demos))
-    out = args.out or Path("runs") / args.plan.stem
+    path = find_plan(args.plan)
+    runs = planned_runs(read_plan(path, args.demos))
+    out = args.out or Path("runs") / path.stem
     return _dry_run(args, runs, out) if args.dry_run else _execute(args, runs, out)
 
 

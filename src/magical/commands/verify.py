@@ -1,9 +1,9 @@
 """Run a sample of an entry's rollouts again, and say whether its scores are what they would be.
 
 ENTRY is a folder with scores.csv and entry.json. Its policy is that of the run folder that it names
-or lies in, a built-in one, or --policy. On the machine that the scores were made on they must be
-equal; on another one small differences of arithmetic may change single rollouts, and only their
-mean is judged.
+or lies in, a built-in one, or --policy. The scores must be equal. Only where the entry states that
+it was made on another machine, or with other versions, small differences of a network's arithmetic
+may change single rollouts, and the mean in every environment is judged.
 """
 
 import argparse
@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 
 from magical.commands._common import (
     add_json,
+    add_workers,
     non_negative_int,
     positive_int,
     print_json,
     print_table,
 )
-from magical.commands._policies import policy_of, recorded_threads
 
 if TYPE_CHECKING:
     from magical.evaluation.verification import Verification
@@ -44,9 +44,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="chooses the batches (default: others each time)",
     )
-    parser.add_argument(
-        "--workers", type=non_negative_int, metavar="N", help="processes (default: the cores)"
-    )
+    add_workers(parser)
     add_json(parser)
 
 
@@ -55,7 +53,8 @@ def run(args: argparse.Namespace) -> int:
     import numpy as np
 
     from magical.evaluation import load_policy, read_entry
-    from magical.evaluation.verification import is_same_machine, verify
+    from magical.evaluation.verification import is_elsewhere, verify
+    from magical.experiments.entries import policy_of, recorded_threads
     from magical.runs import versions
     from magical.runs.machine import machine
 
@@ -67,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
             policy,
             rounds=args.rounds,
             rng=np.random.default_rng(args.seed),
-            same_machine=is_same_machine(entry.details, machine(), versions()),
+            elsewhere=is_elsewhere(entry.details, machine(), versions()),
             workers=args.workers,
         )
     _print(found)
@@ -77,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
                 "confirmed": found.confirmed,
                 "rollouts": len(found.recorded),
                 "equal": found.equal,
-                "same_machine": found.same_machine,
+                "exact": found.exact,
             }
         )
     return 0 if found.confirmed else 1
@@ -103,14 +102,20 @@ def _verdict(found: "Verification") -> str:
     count = f"{found.equal} of {len(found.recorded)} rollouts have the recorded scores"
     if found.equal == len(found.recorded):
         return f"confirmed: {count}"
-    if found.same_machine:
-        return f"not confirmed: {count}; on the same machine with the same versions all should have"
-    value, low, high = found.mean_change
+    if found.exact:
+        return (
+            f"not confirmed: {count}; all should have, unless a network acts and the entry states "
+            "another machine or other versions"
+        )
+    value, low, high = found.mean_change()
     change = f"the mean score changed by {value:+.3f} ({low:+.3f} to {high:+.3f})"
-    elsewhere = "the entry was evaluated on another machine, with other versions, or says neither"
+    elsewhere = "the entry was evaluated on another machine or with other versions"
     if found.confirmed:
         return (
-            f"not contradicted: {count}; {change}, which chance explains; {elsewhere}, where "
-            "single rollouts may differ"
+            f"not contradicted: {count}; {change}, which chance explains, in every environment "
+            f"too; {elsewhere}, where single rollouts may differ"
         )
-    return f"not confirmed: {count}; {change}, more than chance explains, although {elsewhere}"
+    return (
+        f"not confirmed: {count}; {change}; this, or the change in an environment, is more than "
+        f"chance explains, although {elsewhere}"
+    )

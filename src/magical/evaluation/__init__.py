@@ -3,6 +3,7 @@
 from magical.evaluation.entry import Entry, read_entry
 from magical.evaluation.loading import BUILT_IN, as_policy, load_policy
 from magical.evaluation.policy import FunctionPolicy, NoopPolicy, Policy, RandomPolicy
+from magical.evaluation.protocol import Evaluation, environments
 from magical.evaluation.published import (
     difference_from_published,
     published_methods,
@@ -10,7 +11,7 @@ from magical.evaluation.published import (
     published_table,
     published_tasks,
 )
-from magical.evaluation.rollouts import environments, evaluate
+from magical.evaluation.rollouts import evaluate
 from magical.evaluation.scores import (
     RolloutScore,
     by_variant,
@@ -22,6 +23,7 @@ from magical.evaluation.scores import (
 __all__ = [
     "BUILT_IN",
     "Entry",
+    "Evaluation",
     "FunctionPolicy",
     "NoopPolicy",
     "Policy",

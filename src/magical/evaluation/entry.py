@@ -1,53 +1,123 @@
 """An evaluated run on disk: `scores.csv` and `entry.json` (docs/protocol.md)."""
 
 import json
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Self
 
+from msgspec import Meta
+
+from magical import __version__
+from magical.envs.episode import checked_nudge
 from magical.errors import ScoresError
+from magical.evaluation.policy import Policy, observed
+from magical.evaluation.protocol import Evaluation
 from magical.evaluation.scores import RolloutScore, check_protocol, read_scores, write_scores
 from magical.files import write_atomically
-from magical.scene.constants import MAX_NUDGE
-from magical.tasks import Horizon
-from magical.untrusted import check_plain
+from magical.messages import quoted
+from magical.observe import NAMED, PRESETS, STATE
+from magical.tasks import parse_horizon
+from magical.untrusted import convert, parse_json, read_json
 
-APPENDIX, PUBLISHED = "appendix", "published"  # horizons
+APPENDIX = "appendix"  # the horizon
 POLICY = "policy"  # in the details: a run folder relative to the entry's, or a policy's name
 THREADS = "threads"  # in the details: CPU threads of a network that acted
 SCORES_FILE, ENTRY_FILE = "scores.csv", "entry.json"
 
+Text = Annotated[str, Meta(max_length=200)]
 
-@dataclass(frozen=True, slots=True)
-class Entry:
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _EntryFile:
+    """What `entry.json` holds."""
+
+    method: Text
+    observation: Text = ""
+    privileged: bool = False
+    horizon: Text = APPENDIX
+    nudge: float = 0.0
+    seed: Annotated[int, Meta(ge=0)] = 0
+    version: Text = ""
+    details: dict[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("method", "observation", "version"):
+            if not (text := str(getattr(self, name))).isprintable():
+                raise ScoresError(f"{name}: expected printable characters, found {quoted(text)}")
+        checked_nudge(self.nudge)
+        parse_horizon(self.horizon)
+        if self.observation == STATE:
+            object.__setattr__(self, "privileged", True)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Entry(_EntryFile):
     """One training run's evaluation: how it was made, and every rollout's score.
 
     Entries with the same `row` are runs of one method and share a row of the tables.
+
+    Attributes:
+        method: the name in tables.
+        scores: of every rollout.
+        observation: what the policy was shown.
+        privileged: whether that was the true state.
+        horizon: `appendix`, `published`, or a number of control steps.
+        nudge: the largest shift of initial poses, in units and radians.
+        seed: which set of fixed seeds.
+        version: of this package.
+        details: demonstrations, training, authors, ...
+
+    Raises:
+        ScoresError, InvalidConfigError, ValueError: a text that cannot be printed, an impossible
+            horizon or nudge.
     """
 
-    method: str
     scores: Sequence[RolloutScore] = field(repr=False)
-    observation: str = ""  # the policy's observation; "state" for a privileged one
-    privileged: bool = False
-    horizon: str = APPENDIX  # or PUBLISHED, or a number of control steps
-    nudge: float = 0.0  # the largest shift of initial poses, in units and radians
-    seed: int = 0  # which set of fixed seeds
-    version: str = ""  # of this package
-    details: dict[str, Any] = field(default_factory=dict)  # demonstrations, training, authors, ...
+
+    @classmethod
+    def of(
+        cls,
+        policy: Policy,
+        evaluation: Evaluation,
+        *,
+        method: str,
+        scores: Sequence[RolloutScore] = (),
+        details: dict[str, Any],
+    ) -> Self:
+        """The entry of a policy that is evaluated so; raises as the class does."""
+        task = evaluation.env_ids[0].task_spec
+        observation, privileged = observed(policy, evaluation.observation, task)
+        return cls(
+            method=method,
+            scores=scores,
+            observation=observation,
+            privileged=privileged,
+            horizon=evaluation.horizon_name,
+            nudge=evaluation.nudge,
+            seed=evaluation.seed,
+            version=__version__,
+            details=details,
+        )
 
     @property
     def row(self) -> str:
         """The row's label: the method, and the nudge if there was one."""
         return f"{self.method}, nudge {self.nudge:g}" if self.nudge else self.method
 
-    @property
-    def steps(self) -> Horizon:
-        """The horizon as `magical.evaluation.evaluate` takes it."""
-        if self.horizon == APPENDIX:
-            return None
-        return "published" if self.horizon == PUBLISHED else int(self.horizon)
+    def evaluation(self, policy: Policy) -> Evaluation:
+        """How its policy is evaluated in the same way again."""
+        # The recorded name counts only where the policy has no observation of its own.
+        own = getattr(policy, "observation", None)
+        named = own is None and self.observation in (*PRESETS, *NAMED)
+        return Evaluation(
+            env_ids=tuple(dict.fromkeys(row.env_id for row in self.scores)),
+            rollouts=1 + max(row.rollout for row in self.scores),
+            seed=self.seed,
+            observation=self.observation if named else None,
+            horizon=parse_horizon(self.horizon),
+            nudge=self.nudge,
+        )
 
     def write(self, folder: Path | str) -> None:
         """Write both files.
@@ -69,26 +139,24 @@ class Entry:
         """
         self._json(Path(folder) / ENTRY_FILE)
 
-    def _kept(self, target: Path) -> dict[str, Any]:
-        """The details of an earlier entry of the same method and policy."""
-        old = _read_json(target) if target.exists() else {}
-        details = old.get("details")
-        if not isinstance(details, dict) or old.get("method") != self.method:
-            return {}
-        policies = {str(d[POLICY]) for d in (details, self.details) if POLICY in d}
-        return details if len(policies) < 2 else {}
-
     @property
     def stated(self) -> dict[str, Any]:
         """All but the scores, as plain data: what `entry.json` holds."""
-        names = (field.name for field in fields(self) if field.name != "scores")
-        return {name: getattr(self, name) for name in names}
+        return {field.name: getattr(self, field.name) for field in fields(_EntryFile)}
 
     def _json(self, target: Path) -> str:
         data = {**self.stated, "details": self._kept(target) | self.details}
         text = json.dumps(data, indent=2) + "\n"
-        _check_fields(target, _parse(target, text))
+        parse_json(text, _EntryFile, str(target), ScoresError)
         return text
+
+    def _kept(self, target: Path) -> dict[str, Any]:
+        """The details of an earlier entry of the same method and policy."""
+        if not target.exists():
+            return {}
+        old = read_json(target, _EntryFile, ScoresError)
+        policies = {str(d[POLICY]) for d in (old.details, self.details) if POLICY in d}
+        return old.details if old.method == self.method and len(policies) < 2 else {}
 
 
 def read_entry(folder: Path | str) -> Entry:
@@ -100,12 +168,12 @@ def read_entry(folder: Path | str) -> Entry:
     """
     source = Path(folder)
     for name in (SCORES_FILE, ENTRY_FILE):
-        if not (source / name).is_file():
+        if not (source / name).exists():
             raise ScoresError(
                 f"{source}: expected {SCORES_FILE} and {ENTRY_FILE}, found no {name}; "
                 f"`magical evaluate POLICY --out {source}` writes them"
             )
-    data = _read_json(source / ENTRY_FILE)
+    data = read_json(source / ENTRY_FILE, dict[str, Any], ScoresError)
     scores = read_scores(source / SCORES_FILE)
     return make_entry(data, scores, str(source / ENTRY_FILE), str(source / SCORES_FILE))
 
@@ -114,72 +182,9 @@ def make_entry(
     data: dict[str, Any], scores: Sequence[RolloutScore], stated_in: str, scored_in: str
 ) -> Entry:
     """An entry of what `entry.json` holds; raises `ScoresError` with the name of what is wrong."""
-    known = {field.name for field in fields(Entry)} - {"scores"}
-    if "method" not in data or set(data) - known:
-        raise ScoresError(
-            f"{stated_in}: expected method and some of {sorted(known)}, found {sorted(data)}; put "
-            "everything else into details"
-        )
-    _check_fields(Path(stated_in), data)
+    read = convert(data, _EntryFile, stated_in, ScoresError)
     try:
-        check_protocol(scores, data.get("seed", 0))
+        check_protocol(scores, read.seed)
     except ScoresError as error:
         raise ScoresError(f"{scored_in}: {error}") from error
-    return Entry(scores=scores, **data)
-
-
-_TYPES = {
-    "method": (str,),
-    "observation": (str,),
-    "privileged": (bool,),
-    "horizon": (str,),
-    "nudge": (float, int),
-    "seed": (int,),
-    "version": (str,),
-    "details": (dict,),
-}
-MAX_TEXT = 200  # characters of a text field
-
-
-def _check_fields(path: Path, data: dict[str, Any]) -> None:
-    """Raise `ScoresError` for a field of another type or range, or text that cannot be printed."""
-    for name, value in data.items():
-        expected = _TYPES[name]
-        if type(value) not in expected or (isinstance(value, int | float) and not value >= 0):
-            raise ScoresError(
-                f"{path}: {name}: expected {expected[0].__name__}, found {type(value).__name__}"
-            )
-        if isinstance(value, str) and (len(value) > MAX_TEXT or not value.isprintable()):
-            raise ScoresError(
-                f"{path}: {name}: expected at most {MAX_TEXT} printable characters, found "
-                f"{value!r:.{MAX_TEXT}}"
-            )
-    if not data.get("nudge", 0.0) <= MAX_NUDGE:
-        raise ScoresError(f"{path}: nudge: expected at most {MAX_NUDGE}, found {data['nudge']}")
-    _check_horizon(path, data.get("horizon", APPENDIX))
-
-
-def _check_horizon(path: Path, horizon: str) -> None:
-    if horizon not in (APPENDIX, PUBLISHED) and not re.fullmatch("[1-9][0-9]{0,5}", horizon):
-        raise ScoresError(
-            f"{path}: horizon: expected {APPENDIX}, {PUBLISHED} or a number of control steps, "
-            f"found {horizon!r}"
-        )
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    return _parse(path, path.read_bytes())
-
-
-def _parse(path: Path, text: str | bytes) -> dict[str, Any]:
-    try:
-        data = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise ScoresError(f"{path}: expected JSON, found none: {error}") from error
-    if not isinstance(data, dict):
-        raise ScoresError(f"{path}: expected a JSON object, found {type(data).__name__}")
-    try:
-        check_plain(data)
-    except ValueError as error:
-        raise ScoresError(f"{path}: {error}") from error
-    return data
+    return Entry(scores=scores, **{field.name: getattr(read, field.name) for field in fields(read)})

@@ -26,6 +26,7 @@ class ExpertPolicy:
     """
 
     privileged = True
+    exact = True
     in_processes = (
         True  # copies may run in several processes: it is fast to start and costly to run
     )

@@ -30,7 +30,10 @@ RUN_LOADER = "magical.learning:load_policy"
 GROUP = "magical.policies"  # of entry points of other distributions
 
 
-def load_policy(source: str | os.PathLike[str] | Policy | Callable[..., Any]) -> Policy:
+PolicySource = str | os.PathLike[str] | Policy | Callable[..., Any]  # for `load_policy`
+
+
+def load_policy(source: PolicySource) -> Policy:
     """Load a policy from whatever describes one.
 
     Args:
@@ -41,9 +44,9 @@ def load_policy(source: str | os.PathLike[str] | Policy | Callable[..., Any]) ->
               `magical.learning.load_policy` also chooses the device, or greedy actions);
             - `module:name` or `path/to/file.py:name`. The working directory is searched last for
               the module, and only if it is found nowhere else;
-            - a policy, or what such a name may stand for: an object with `act` and `reset`, a
-              class or function that returns one when called without arguments, or a plain
-              function `(observations, env_ids, rng) -> actions` for a policy without memory.
+            - a policy, or what such a name may stand for: an object with `act`, and `reset` if it
+              has memory; a class or function that returns one when called without arguments; or a
+              plain function `(observations, env_ids, rng) -> actions`.
 
     Raises:
         UnknownNameError: a text of none of these forms.
@@ -65,15 +68,15 @@ def load_policy(source: str | os.PathLike[str] | Policy | Callable[..., Any]) ->
 
 def as_policy(thing: Any, name: str = "policy") -> Policy:
     """Return or make a policy from what `load_policy` accepts; raises `PolicyError`."""
-    if not inspect.isclass(thing) and isinstance(thing, Policy):
-        return thing
+    if not inspect.isclass(thing) and callable(getattr(thing, "act", None)):
+        return thing if isinstance(thing, Policy) else FunctionPolicy(thing.act, thing)
     if not callable(thing):
         raise PolicyError(f"{name}: {_EXPECTED}, found {type(thing).__name__} {thing!r}")
     if not _needs_arguments(thing):
         made = thing()
-        if not isinstance(made, Policy):
+        if not callable(getattr(made, "act", None)):
             raise PolicyError(f"{name}: called without arguments; {_EXPECTED}, found {made!r}")
-        return made
+        return as_policy(made)
     if inspect.isclass(thing):
         raise PolicyError(
             f"{name}: expected a class that can be instantiated without arguments, found one with "
@@ -83,9 +86,8 @@ def as_policy(thing: Any, name: str = "policy") -> Policy:
 
 
 _EXPECTED = (
-    "expected an object with act(observations, env_ids, rng) and reset(mask), something that "
-    "returns one when called without arguments, or a function (observations, env_ids, rng) -> "
-    "actions"
+    "expected an object with act(observations, env_ids, rng), something that returns one when "
+    "called without arguments, or a function (observations, env_ids, rng) -> actions"
 )
 
 

@@ -7,11 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.envs import EnvId
+from magical.envs.vector import MagicalVectorEnv
 from magical.errors import PolicyError
+from magical.observe import STATE, Observation, make_spec
 from magical.scene import NOOP, NUM_ACTIONS
+from magical.tasks import Task
 
 Actions = NDArray[np.int64]  # (B,)
 Mask = NDArray[np.bool_]  # (B,)
+
+DEFAULT_OBSERVATION = "LoRes4E"
+NOTHING = "nothing"  # the observation of a policy that needs none
 
 
 @runtime_checkable
@@ -21,10 +27,13 @@ class Policy(Protocol):
     A policy may also have these attributes; what is missing counts as `False` or `None`:
 
     - `privileged` (bool): it gets true states; `observations` is then a list of B `State`s.
-    - `observation`: the observation it was made for, as in `gymnasium.make(..., observation=...)`.
+    - `observation`: the observation it was made for, as in `gymnasium.make(..., observation=...)`;
+      `"nothing"` for a policy that needs none: `observations` is then `None`.
     - `tasks` (sequence of names): the tasks it was made for.
     - `in_processes` (bool): copies of it may act in several processes; it can be pickled.
     - `modules(tasks)`: the modules that such processes must import first.
+    - `exact` (bool): its actions are the same on every machine, so `magical verify` expects equal
+      scores wherever it runs. Those of a network are not.
     """
 
     def act(self, observations: Any, env_ids: Sequence[EnvId], rng: np.random.Generator) -> Actions:
@@ -52,6 +61,39 @@ class Policy(Protocol):
 def is_privileged(policy: Policy) -> bool:
     """Whether the policy gets true states instead of observations."""
     return bool(getattr(policy, "privileged", False))
+
+
+def observation_for(policy: Policy, observation: Observation = None) -> Observation:
+    """The observation to make environments with: the one given, the policy's own, or `LoRes4E`.
+
+    Nothing is rendered for a policy that gets true states, or nothing.
+    """
+    own = getattr(policy, "observation", None)
+    if is_privileged(policy) or own == NOTHING:
+        return STATE
+    chosen: Observation = own if observation is None else observation
+    return DEFAULT_OBSERVATION if chosen is None else chosen
+
+
+def observed(policy: Policy, observation: Observation, task: Task) -> tuple[str, bool]:
+    """What a policy is shown, as entries name it, and whether that is the true state.
+
+    Args:
+        policy: see `Policy`.
+        observation: of its evaluation, as for `observation_for`.
+        task: that it is evaluated on.
+    """
+    if getattr(policy, "observation", None) == NOTHING and not is_privileged(policy):
+        return NOTHING, False
+    shown = observation_for(policy, observation)
+    return str(shown), make_spec(shown, task).num_images == 0
+
+
+def given_to(policy: Policy, envs: MagicalVectorEnv, observations: Any) -> Any:
+    """What `act` gets of environments that have returned these observations."""
+    if is_privileged(policy):
+        return envs.states()
+    return None if getattr(policy, "observation", None) == NOTHING else observations
 
 
 def checked_actions(actions: Any, count: int) -> Actions:
@@ -86,7 +128,8 @@ _EXPECTED = (
 class RandomPolicy:
     """Every action with equal probability at every step."""
 
-    observation = "state"  # unused: nothing is rendered
+    observation = NOTHING
+    exact = True
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
         """One uniform sample for each environment."""
@@ -99,7 +142,8 @@ class RandomPolicy:
 class NoopPolicy:
     """The no-op at every step: the score of the scene itself."""
 
-    observation = "state"
+    observation = NOTHING
+    exact = True
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
         """The no-op for each environment."""
@@ -112,14 +156,16 @@ class NoopPolicy:
 class FunctionPolicy:
     """A policy without memory from a function `(observations, env_ids, rng) -> actions`.
 
-    The function's own attributes `privileged`, `observation` and `tasks` are the policy's.
+    Its attributes `privileged`, `observation` and `tasks` are those of the function, or of the
+    object whose `act` that is.
     """
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Any], owner: object = None) -> None:
+        stated = function if owner is None else owner
         self.function = function
-        self.privileged = bool(getattr(function, "privileged", False))
-        self.observation = getattr(function, "observation", None)
-        self.tasks = getattr(function, "tasks", None)
+        self.privileged = bool(getattr(stated, "privileged", False))
+        self.observation = getattr(stated, "observation", None)
+        self.tasks = getattr(stated, "tasks", None)
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
         """Call the function."""

@@ -1,7 +1,7 @@
 """Whether an entry's scores are what its policy gets: a sample of its rollouts, run again."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,9 +10,10 @@ from magical.envs import EnvId
 from magical.errors import PolicyError
 from magical.evaluation.entry import Entry
 from magical.evaluation.intervals import CONFIDENCE, Interval, t_interval
-from magical.evaluation.policy import Policy, is_privileged
-from magical.evaluation.rollouts import evaluate_round, observation_again, observation_for
+from magical.evaluation.policy import NOTHING, Policy, observed
+from magical.evaluation.rollouts import evaluate_round
 from magical.evaluation.scores import RolloutScore
+from magical.grouping import group_by
 
 TOLERANCE = 1e-9  # between scores that are the same
 
@@ -24,13 +25,14 @@ class Verification:
     Attributes:
         recorded: the entry's.
         again: of the same rollouts, in the same order.
-        same_machine: whether the entry was evaluated on a machine and with versions like these, so
-            that its scores should be the same to the bit.
+        exact: whether all must be equal. That is so unless a network acts, on another machine or
+            with other versions than the entry states: then the last bit of its arithmetic may tip
+            sampled actions, and contact amplifies that.
     """
 
     recorded: Sequence[RolloutScore]
     again: Sequence[RolloutScore]
-    same_machine: bool
+    exact: bool
 
     @property
     def changes(self) -> Sequence[float]:
@@ -45,36 +47,31 @@ class Verification:
         """How many rollouts have the recorded scores."""
         return sum(abs(change) <= TOLERANCE for change in self.changes)
 
-    @property
-    def mean_change(self) -> Interval:
+    def mean_change(self, confidence: float = CONFIDENCE) -> Interval:
         """The mean change of the scores with a t interval over rollouts."""
         changes = np.array(self.changes)
-        return t_interval(float(changes.mean()), [changes / len(changes)], CONFIDENCE, (-1.0, 1.0))
+        return t_interval(float(changes.mean()), [changes / len(changes)], confidence, (-1.0, 1.0))
 
     @property
     def confirmed(self) -> bool:
         """Whether the scores are what they would be.
 
-        On a machine like the entry's all must be equal. On another one the last bit of a network's
-        arithmetic may tip sampled actions, and contact amplifies that: then the scores may differ,
-        and their mean must not differ by more than chance.
+        Unless all must be equal, the mean of all must not differ by more than chance, nor that of
+        any environment, for which `CONFIDENCE` is that of all environments together.
         """
-        if self.equal == len(self.recorded):
-            return True
-        change = self.mean_change
-        return not self.same_machine and change.low <= 0.0 <= change.high
+        if self.exact or self.equal == len(self.recorded):
+            return self.equal == len(self.recorded)
+        parts = [part for part in self.by_environment().values() if len(part.recorded) > 1]
+        each = 1.0 - (1.0 - CONFIDENCE) / max(1, len(parts))
+        changes = [self.mean_change(), *(part.mean_change(each) for part in parts)]
+        return all(change.low <= 0.0 <= change.high for change in changes)
 
     def by_environment(self) -> dict[EnvId, "Verification"]:
         """The part of each environment."""
-        ids = list(dict.fromkeys(row.env_id for row in self.recorded))
-        pairs = list(zip(self.recorded, self.again, strict=True))
+        pairs = group_by(zip(self.recorded, self.again, strict=True), lambda pair: pair[0].env_id)
         return {
-            env_id: Verification(
-                [old for old, _ in pairs if old.env_id == env_id],
-                [now for old, now in pairs if old.env_id == env_id],
-                self.same_machine,
-            )
-            for env_id in ids
+            env_id: replace(self, recorded=[old for old, _ in part], again=[now for _, now in part])
+            for env_id, part in pairs.items()
         }
 
 
@@ -84,7 +81,7 @@ def verify(
     *,
     rounds: int = 1,
     rng: np.random.Generator,
-    same_machine: bool = False,
+    elsewhere: bool = False,
     workers: int | None = None,
 ) -> Verification:
     """Run a sample of an entry's rollouts again.
@@ -94,67 +91,58 @@ def verify(
         policy: that they are said to be of.
         rounds: how many of each task's rounds (`evaluate_round`) are run again.
         rng: chooses them.
-        same_machine: see `Verification`.
+        elsewhere: see `is_elsewhere`.
         workers: processes.
 
     Raises:
         PolicyError: it is not shown what the entry says.
     """
     _check_policy(entry, policy)
-    again = []
-    for env_ids in _by_task(entry.scores):
-        rollouts = 1 + max(row.rollout for row in entry.scores if row.env_id == env_ids[0])
-        done: set[int] = set()
+    evaluation = entry.evaluation(policy)
+    again: list[RolloutScore] = []
+    for env_ids in evaluation.by_task.values():
+        part = replace(evaluation, env_ids=tuple(env_ids))
+        left = set(range(evaluation.rollouts))
         for _ in range(rounds):
-            left = sorted(set(range(rollouts)) - done)
-            if not left:
-                break
-            scores = evaluate_round(
-                policy,
-                env_ids,
-                int(rng.choice(left)),
-                rollouts=rollouts,
-                seed=entry.seed,
-                horizon=entry.steps,
-                nudge=entry.nudge,
-                observation=observation_again(policy, entry.observation),
-                workers=workers,
-            )
-            done |= {row.rollout for row in scores}
-            again += scores
-    recorded = {(row.env_id, row.rollout): row for row in entry.scores}
-    return Verification([recorded[row.env_id, row.rollout] for row in again], again, same_machine)
+            if left:
+                number = int(rng.choice(sorted(left)))
+                scores = evaluate_round(policy, part, number, workers)
+                left -= {row.rollout for row in scores}
+                again += scores
+    known = {(row.env_id, row.rollout): row for row in entry.scores}
+    recorded = [known[row.env_id, row.rollout] for row in again]
+    return Verification(recorded, again, not elsewhere or getattr(policy, "exact", False))
 
 
-def is_same_machine(
+def is_elsewhere(
     details: Mapping[str, Any], machine: Mapping[str, str], versions: Mapping[str, str]
 ) -> bool:
-    """Whether an entry's details record this machine and these versions; its name may differ."""
-    recorded = details.get("machine")
-    if not isinstance(recorded, dict) or details.get("versions") != dict(versions):
+    """Whether an entry's details state a machine and versions, and others than these.
+
+    A machine's name may differ.
+    """
+    stated, libraries = details.get("machine"), details.get("versions")
+    if not isinstance(stated, dict) or not isinstance(libraries, dict):
         return False
-    return {**recorded, "name": ""} == {**machine, "name": ""}
+    if not (stated.keys() >= machine.keys() and libraries):
+        return False
+    return {**stated, "name": ""} != {**machine, "name": ""} or libraries != dict(versions)
 
 
 def _check_policy(entry: Entry, policy: Policy) -> None:
     """Raise `PolicyError` where the policy is not shown what the entry says."""
-    shown = str(observation_for(policy, observation_again(policy, entry.observation)))
-    if is_privileged(policy) != entry.privileged:
+    evaluation = entry.evaluation(policy)
+    shown, privileged = observed(policy, evaluation.observation, evaluation.env_ids[0].task_spec)
+    if shown == NOTHING:
+        return  # whatever an entry says that it was shown, it needs less
+    if privileged != entry.privileged:
         words = {True: "privileged", False: "not privileged"}
         raise PolicyError(
             f"expected a policy that is {words[entry.privileged]}, as the entry says, found one "
-            f"that is {words[is_privileged(policy)]}"
+            f"that is {words[privileged]}"
         )
     if entry.observation and shown != entry.observation:
         raise PolicyError(
             f"expected a policy that is shown {entry.observation}, as the entry says, found one "
             f"that is shown {shown}"
         )
-
-
-def _by_task(scores: Iterable[RolloutScore]) -> list[list[EnvId]]:
-    """The environments of each task, in the entry's order."""
-    groups: dict[str, list[EnvId]] = {}
-    for env_id in dict.fromkeys(row.env_id for row in scores):
-        groups.setdefault(env_id.task, []).append(env_id)
-    return list(groups.values())

@@ -5,7 +5,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from magical.evaluation import environments
 from magical.experiments.plan import PlannedRun
 from magical.learning import Config
 from magical.learning.config import ImitationConfig
@@ -77,9 +76,10 @@ def _estimate(run: PlannedRun, speed: float) -> Estimate:
 
 def _evaluation_steps(run: PlannedRun) -> int:
     """The control steps of all rollouts after training."""
-    env_ids = environments(run.tasks, run.evaluation.variants or None)
-    horizons = [run.evaluation.steps(env_id.task) for env_id in env_ids]
-    return run.evaluation.rollouts * sum(horizons)
+    evaluation = run.evaluation
+    horizon = evaluation.horizon
+    steps = (env_id.task_spec.resolve_horizon(horizon) for env_id in evaluation.env_ids)
+    return evaluation.rollouts * sum(steps)
 
 
 def _way(config: Config) -> tuple[str, str, str, int]:

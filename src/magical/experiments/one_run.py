@@ -1,7 +1,6 @@
 """One run of a plan: training, evaluation, final record. Executed in a process of its own."""
 
 import dataclasses
-import os
 import time
 import traceback
 from collections.abc import Mapping
@@ -9,22 +8,20 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from magical import __version__
 from magical.errors import CheckpointError, MagicalError
-from magical.evaluation import Entry, environments, evaluate
-from magical.evaluation.entry import ENTRY_FILE, POLICY, SCORES_FILE, THREADS
-from magical.evaluation.policy import is_privileged
-from magical.evaluation.rollouts import observation_for
-from magical.experiments.plan import Evaluation, PlannedRun
+from magical.evaluation import Entry
+from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
+from magical.evaluation.protocol import Evaluation
+from magical.evaluation.rollouts import roll_out
+from magical.experiments.entries import evaluation_details
+from magical.experiments.plan import PlannedRun
 from magical.experiments.results import DONE, FAILED, RESULT, Outcome
 from magical.files import is_out_of_space, remove_partial_files
 from magical.learning import Config, TrainResult, is_run, load_policy, train
 from magical.learning.config import ImitationConfig
-from magical.learning.description import training_details
 from magical.messages import printable
 from magical.runs.folder import versions, write_json
 from magical.runs.machine import machine, source_commit
-from magical.runs.provenance import provenance
 
 MAX_ERROR = 2_000  # characters of a recorded message
 MAX_TRACEBACK = 20_000  # and of a traceback, whose end says most
@@ -93,7 +90,7 @@ def _train_and_evaluate(
     if _train(config, folder).interrupted:
         return None
     trained = time.perf_counter()
-    _evaluate(run, folder)
+    evaluate_run(run, folder, folder, run.evaluation)
     return {"training": trained - start, "evaluation": time.perf_counter() - trained}
 
 
@@ -104,11 +101,6 @@ def _train(config: Config, folder: Path) -> TrainResult:
         return train(config, folder, resume=resume)
     except CheckpointError:
         return train(config, folder, resume=resume, previous_checkpoint=resume)
-
-
-def _evaluate(run: PlannedRun, folder: Path) -> None:
-    """Evaluate the trained policy as the plan says."""
-    evaluate_run(run, folder, folder, run.evaluation)
 
 
 def evaluate_run(run: PlannedRun, folder: Path, out: Path, evaluation: Evaluation) -> None:
@@ -123,37 +115,10 @@ def evaluate_run(run: PlannedRun, folder: Path, out: Path, evaluation: Evaluatio
     from magical.learning.running.devices import cpu_threads
 
     policy = load_policy(folder, device=run.config.device)
-    horizon = evaluation.horizon_of(run.tasks)
     with cpu_threads(run.config.threads):
-        scores = evaluate(
-            policy,
-            environments(run.tasks, evaluation.variants or None),
-            rollouts=evaluation.rollouts,
-            horizon=horizon,
-            nudge=evaluation.nudge,
-            workers=0 if run.config.threads == 1 else run.config.threads,
-        )
-    entry = Entry(
-        method=run.method,
-        scores=scores,
-        observation=str(observation_for(policy)),
-        privileged=is_privileged(policy),
-        horizon="appendix" if horizon is None else str(horizon),
-        nudge=evaluation.nudge,
-        version=__version__,
-        details={**_details(run), POLICY: os.path.relpath(folder, out)},
-    )
-    entry.write(out)
-
-
-def _details(run: PlannedRun) -> dict[str, Any]:
-    """How the run was made, for `entry.json`; all settings are in `result.json`."""
-    details = {
-        THREADS: run.config.threads,
-        "preset": run.preset,
-        **training_details(run.config),
-        **provenance(),
-    }
-    if isinstance(run.config, ImitationConfig):
+        workers = 0 if run.config.threads == 1 else run.config.threads
+        scores = roll_out(policy, evaluation, workers=workers)
+        details = {**evaluation_details(str(folder), out), "preset": run.preset}
+    if isinstance(run.config, ImitationConfig):  # all settings are in `result.json`
         details["demonstrations"] = f"{run.config.num_demos} of each task ({run.source})"
-    return details
+    Entry.of(policy, evaluation, method=run.method, scores=scores, details=details).write(out)

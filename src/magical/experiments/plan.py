@@ -1,27 +1,41 @@
 """A plan: which methods are trained on which tasks with which seeds, and how they are evaluated.
 
-Plans are read from files by `magical.experiments.plan_file`; docs/experiments.md describes those.
+`magical.experiments.plan_file` reads plans; docs/experiments.md describes their files, which have
+the fields of `Plan` and `Method` as keys.
 """
 
-import dataclasses
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Annotated, Any, get_type_hints
 
+from msgspec import Meta
+
+from magical.envs.episode import checked_nudge
 from magical.errors import MagicalError, PlanError
-from magical.evaluation.rollouts import ROLLOUTS, environments
+from magical.evaluation.protocol import ROLLOUTS, Evaluation, environments
+from magical.evaluation.variants import full_variant
 from magical.experts import get_planner
+from magical.experts.noise import check_share
 from magical.learning import Config, find_algorithm
 from magical.learning.config import ImitationConfig, options
-from magical.tasks import Horizon, get_task
+from magical.messages import quoted
+from magical.tasks import TASKS, get_task, parse_horizon
+from magical.untrusted import convert
 
 EXPERT = "expert"  # as `demos`: the scripted experts' demonstrations, generated for the plan
 DATASET = "dataset"  # in records: demonstrations of a folder, whose path says nothing
 DIGITS = 10  # of a run's identity, hexadecimal
 MAX_SLUG = 40  # characters of a method's name in a folder's name
+MAX_RUNS = 100_000
+OF_THE_PLAN = ("tasks", "seed", "demos")  # settings that a method cannot change
+
+AtLeastOne = Meta(min_length=1)
+Count = Annotated[int, Meta(ge=1, le=2**31 - 1)]
+Seed = Annotated[int, Meta(ge=0, le=2**31 - 1)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,49 +45,35 @@ class Method:
     Attributes:
         name: the row's name; a name of the published tables is shown beside theirs.
         algorithm: for instance `bc`.
-        preset: of the algorithm's configuration.
+        preset: of the algorithm's configuration; empty for the plan's.
         multi_task: one run learns all tasks of the plan, instead of a run for each task.
         settings: fields of the configuration that differ from the preset.
+
+    Raises:
+        PlanError: an unknown algorithm or setting, or a value of another type.
     """
 
-    name: str
+    name: Annotated[str, Meta(max_length=100)]
     algorithm: str
-    preset: str = "paper"
+    preset: str = ""
     multi_task: bool = False
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Evaluation:
-    """How the policy of every run is evaluated.
-
-    Attributes:
-        rollouts: on each variant.
-        variants: names in ids; a task is evaluated on those of them that it has. Empty: all.
-        horizon: `appendix`, `published` (the published code's), or a number of control steps.
-        nudge: the largest shift of initial poses, in units and radians; the protocol's is 1e-9, and
-            0 is for comparison with published scores (docs/protocol.md).
-    """
-
-    rollouts: int = ROLLOUTS
-    variants: tuple[str, ...] = ()
-    horizon: int | Literal["appendix", "published"] = "appendix"
-    nudge: float = 0.0
-
-    def steps(self, task: str) -> int:
-        """The control steps of a task's episodes."""
-        if isinstance(self.horizon, int):
-            return self.horizon
-        found = get_task(task)
-        return found.horizon if self.horizon == "appendix" else found.published_horizon
-
-    def horizon_of(self, tasks: Sequence[str]) -> Horizon:
-        """The horizon as `magical.evaluation.evaluate` takes it; `None` where it is the appendix's.
-
-        The published code's is the same for most tasks.
-        """
-        same = all(self.steps(task) == get_task(task).horizon for task in tasks)
-        return None if same or self.horizon == "appendix" else self.horizon
+    def __post_init__(self) -> None:
+        if not self.name.strip() or not self.name.isprintable():
+            raise PlanError(f"name: expected printable characters, found {quoted(self.name)}")
+        with _plan_errors("algorithm: "):
+            config = find_algorithm(self.algorithm).config
+        known = [name for option in options(config) if (name := option.name) not in OF_THE_PLAN]
+        for name in self.settings:
+            if name not in known:
+                raise PlanError(f"settings.{name}: unknown; expected some of: {', '.join(known)}")
+        hints = get_type_hints(config)
+        settings = {
+            name: convert(value, hints[name], f"settings.{name}", PlanError)
+            for name, value in self.settings.items()
+        }
+        object.__setattr__(self, "settings", settings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,22 +90,64 @@ class Plan:
         expert_demos: the experts' demonstrations generated of each task, to choose from.
         perturb: the share of control steps in which these have a random action.
         min_score: those that score less are dropped, and others generated.
+        preset: of methods that name none.
         threads: CPU threads of each run. Scores are equal for the same number only, so it belongs
             to the plan, not to the machine.
-        evaluation: of every run.
+        rollouts: on each variant.
+        variants: a task is evaluated on those of them that it has. Empty: all.
+        horizon: of evaluation, as `magical.tasks.parse_horizon` takes it.
+        nudge: of evaluation, see `Evaluation`.
+
+    Raises:
+        PlanError: unknown names, values out of range, or the same name twice.
     """
 
-    methods: tuple[Method, ...]
-    tasks: tuple[str, ...]
-    seeds: tuple[int, ...] = (0,)
+    methods: Annotated[tuple[Method, ...], AtLeastOne]
+    tasks: Annotated[tuple[str, ...], AtLeastOne] = field(default_factory=lambda: tuple(TASKS))
+    seeds: Annotated[tuple[Seed, ...], AtLeastOne] = (0,)
     demos: str = EXPERT
     add_expert: bool = False
-    num_demos: int = 10
-    expert_demos: int = 25
+    num_demos: Count = 10
+    expert_demos: Count = 25
     perturb: float = 0.0
-    min_score: float = 0.0
-    threads: int = 1
-    evaluation: Evaluation = Evaluation()
+    min_score: Annotated[float, Meta(ge=0, le=1)] = 0.0
+    preset: str = "paper"
+    threads: Count = 1
+    rollouts: Count = ROLLOUTS
+    variants: tuple[str, ...] = ()
+    horizon: int | str | None = None
+    nudge: float = 0.0
+
+    def __post_init__(self) -> None:
+        with _plan_errors():
+            check_share("perturb", self.perturb)
+            checked_nudge(self.nudge)
+            object.__setattr__(self, "horizon", parse_horizon(self.horizon))
+        with _plan_errors("tasks: "):
+            for name in self.tasks:
+                get_task(name)
+        with _plan_errors("variants: "):
+            object.__setattr__(self, "variants", tuple(map(full_variant, self.variants)))
+        _require_each_once("methods: name", [method.name for method in self.methods])
+        for key in ("tasks", "seeds", "variants"):
+            _require_each_once(key, getattr(self, key))
+        if len(self.methods) * len(self.tasks) * len(self.seeds) > MAX_RUNS:
+            raise PlanError(f"expected at most {MAX_RUNS} runs, found more")
+
+
+@contextmanager
+def _plan_errors(prefix: str = "") -> Iterator[None]:
+    """Raise what is wrong with a value as `PlanError`."""
+    try:
+        yield
+    except ValueError as error:
+        raise PlanError(f"{prefix}{error}") from error
+
+
+def _require_each_once(key: str, values: Sequence[Any]) -> None:
+    for value in values:
+        if values.count(value) > 1:
+            raise PlanError(f"{key}: expected each once, found {quoted(value)} twice")
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,6 +198,7 @@ class PlannedRun:
         config: of training. `demos` is the plan's; the folder is known when the run is started.
         source: of the demonstrations.
         evaluation: of the policy.
+        variants: of the evaluation as the plan names them; empty for all.
     """
 
     method: str
@@ -163,6 +206,7 @@ class PlannedRun:
     config: Config
     source: Source
     evaluation: Evaluation
+    variants: tuple[str, ...] = ()
 
     @property
     def tasks(self) -> tuple[str, ...]:
@@ -196,8 +240,12 @@ class PlannedRun:
         config = self.config.to_dict()
         if "demos" in config:
             config["demos"] = self.source.kind
-        evaluation = dataclasses.asdict(self.evaluation)
-        evaluation["variants"] = list(self.evaluation.variants)
+        evaluation = {
+            "rollouts": self.evaluation.rollouts,
+            "variants": list(self.variants),
+            "horizon": self.evaluation.horizon or "appendix",
+            "nudge": self.evaluation.nudge,
+        }
         return {"config": config, **self.source.settings(), "evaluation": evaluation}
 
 
@@ -238,12 +286,26 @@ def _planned_run(plan: Plan, method: Method, tasks: tuple[str, ...]) -> PlannedR
         "workers": 0 if plan.threads == 1 else plan.threads,
     }
     given = {name: value for name, value in from_plan.items() if name in names}
-    config = kind.preset(method.preset, **{**given, **method.settings})
+    preset = method.preset or plan.preset
+    config = kind.preset(preset, **{**given, **method.settings})
     if config.threads < 1:
         raise PlanError(f"threads: expected at least 1, found {config.threads}")
-    environments(tasks, plan.evaluation.variants or None)  # raises for a task with none of them
     source = _source(plan, config) if isinstance(config, ImitationConfig) else Source()
-    return PlannedRun(method.name, method.preset, config, source, plan.evaluation)
+    evaluation = planned_evaluation(plan, tasks)
+    return PlannedRun(method.name, preset, config, source, evaluation, plan.variants)
+
+
+def planned_evaluation(plan: Plan, tasks: Sequence[str]) -> Evaluation:
+    """How a plan's runs on some tasks are evaluated.
+
+    Raises `UnknownNameError` for a task that has none of the plan's variants.
+    """
+    return Evaluation(
+        env_ids=tuple(environments(tasks, plan.variants or None)),
+        rollouts=plan.rollouts,
+        horizon=parse_horizon(plan.horizon),
+        nudge=plan.nudge,
+    )
 
 
 def _source(plan: Plan, config: ImitationConfig) -> Source:

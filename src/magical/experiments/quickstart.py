@@ -8,8 +8,7 @@ from pathlib import Path
 
 from magical import __version__
 from magical.evaluation import Entry, Policy, environments, evaluate, load_policy
-from magical.evaluation.policy import is_privileged
-from magical.evaluation.rollouts import observation_for
+from magical.evaluation.policy import is_privileged, observation_for
 from magical.experiments.demonstrations import generate_missing
 from magical.learning import NetworkPolicy, find_algorithm, is_run, train
 

@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from magical.envs import EnvId, parse_env_id
 from magical.errors import DivergedError, ObservationError, PolicyError, RunFolderError
 from magical.evaluation.policy import Actions, Mask
+from magical.evaluation.protocol import Evaluation
 from magical.evaluation.rollouts import RepeatedEvaluation
 from magical.learning.algorithms import find_algorithm, read_config
 from magical.learning.augmentation.augment import to_unit
@@ -185,17 +186,17 @@ class DemoEvaluation:
 
     def _start(self) -> RepeatedEvaluation:
         config = self._config
-        return RepeatedEvaluation(
-            NetworkPolicy(
-                self._network,
-                config.tasks,
-                config.observation,
-                config.observation_spec,
-                self._compute,
-            ),
-            [EnvId(task, "Demo") for task in config.tasks],
+        policy = NetworkPolicy(
+            self._network,
+            config.tasks,
+            config.observation,
+            config.observation_spec,
+            self._compute,
+        )
+        evaluation = Evaluation(
+            env_ids=tuple(EnvId(task, "Demo") for task in config.tasks),
             rollouts=config.evaluation_rollouts,
             seed=EVALUATION_SEED,
             horizon=config.env_horizon,
-            workers=config.workers,
         )
+        return RepeatedEvaluation(policy, evaluation, config.workers)

@@ -14,7 +14,7 @@ from magical.demos.store.reader import ObservationReader
 from magical.demos.store.trajectory import Actor, Trajectory
 from magical.envs.ids import EnvId
 from magical.errors import MagicalError, PolicyError
-from magical.evaluation.rollouts import observation_for
+from magical.evaluation.policy import observation_for
 from magical.evaluation.seeds import RolloutRng
 from magical.experts import EpisodeExpert, expert_for
 from magical.observe import make_spec

@@ -12,7 +12,8 @@ from torch import Tensor, nn
 
 from magical.cli import main
 from magical.errors import UnknownNameError
-from magical.evaluation import evaluate
+from magical.evaluation import Policy, evaluate
+from magical.evaluation.protocol import Evaluation
 from magical.evaluation.rollouts import RepeatedEvaluation
 from magical.learning import train
 from magical.learning.algorithms.bc import BCConfig, make_policy
@@ -115,9 +116,9 @@ def test_the_monitoring_evaluation_has_the_configured_horizon(
 ) -> None:
     asked = []
 
-    def recorded(*arguments: Any, **options: Any) -> Any:
-        asked.append(options["horizon"])
-        return RepeatedEvaluation(*arguments, **{**options, "horizon": 1})
+    def recorded(policy: Policy, evaluation: Evaluation, workers: int | None) -> Any:
+        asked.append(evaluation.horizon)
+        return RepeatedEvaluation(policy, replace(evaluation, horizon=1), workers)
 
     monkeypatch.setattr("magical.learning.policy.RepeatedEvaluation", recorded)
     for horizon in ("appendix", "published"):

@@ -8,6 +8,7 @@ from magical.envs import EnvId, parse_env_id
 from magical.errors import PolicyError
 from magical.evaluation import (
     Entry,
+    Evaluation,
     NoopPolicy,
     Policy,
     RandomPolicy,
@@ -15,6 +16,7 @@ from magical.evaluation import (
     environments,
     evaluate,
 )
+from magical.evaluation.rollouts import roll_out
 from magical.report.figures import reels
 from magical.report.figures.clips import record_rollouts
 from magical.report.figures.reels import extremes, record_reels
@@ -38,12 +40,10 @@ def test_extremes_are_chosen_by_score_then_number() -> None:
 
 
 def test_rollouts_are_recorded_as_they_were_evaluated() -> None:
-    scores = evaluate(
-        RandomPolicy(), environments(["MoveToRegion"], ["All"]), rollouts=6, workers=0
-    )
-    clips = record_rollouts(
-        RandomPolicy(), [(row.env_id, row.rollout) for row in scores[3:]], size=24, every=7
-    )
+    evaluation = Evaluation.of(environments(["MoveToRegion"], ["All"]), rollouts=6)
+    scores = roll_out(RandomPolicy(), evaluation, workers=0)
+    rollouts = [(row.env_id, row.rollout) for row in scores[3:]]
+    clips = record_rollouts(RandomPolicy(), evaluation, rollouts, size=24, every=7)
     assert [clip.score for clip in clips] == [row.score for row in scores[3:]]
     # The first frame, steps 7 to 35, and the last step, 40.
     assert all(clip.frames.shape == (7, 24, 24, 3) for clip in clips)
@@ -52,9 +52,10 @@ def test_rollouts_are_recorded_as_they_were_evaluated() -> None:
 
 def test_nudge_and_horizon_are_those_of_the_evaluation() -> None:
     ids = environments(["MoveToRegion"], ["Demo"])
-    scores = evaluate(RandomPolicy(), ids, rollouts=3, workers=0, horizon=20, nudge=0.01)
+    evaluation = Evaluation.of(ids, rollouts=3, horizon=20, nudge=0.01)
+    scores = roll_out(RandomPolicy(), evaluation, workers=0)
     rollouts = [(row.env_id, row.rollout) for row in scores]
-    clips = record_rollouts(RandomPolicy(), rollouts, size=16, horizon=20, nudge=0.01)
+    clips = record_rollouts(RandomPolicy(), evaluation, rollouts, size=16)
     assert [clip.score for clip in clips] == [row.score for row in scores]
     assert len(clips[0].frames) == 21
 

@@ -9,9 +9,9 @@ import pytest
 from magical import __version__
 from magical.envs import EnvId
 from magical.evaluation import Entry, RolloutScore
-from magical.evaluation.rollouts import ROLLOUTS
+from magical.evaluation.protocol import NUDGE, ROLLOUTS
 from magical.report.found.search import Found, Result, Skipped
-from magical.report.leaderboard.checks import NUDGE, check_entries, faults
+from magical.report.leaderboard.checks import check_entries, faults
 from magical.tasks import get_task
 
 

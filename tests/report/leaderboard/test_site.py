@@ -10,7 +10,7 @@ import pytest
 from magical import __version__, cli
 from magical.errors import SiteError
 from magical.evaluation import read_entry
-from magical.evaluation.rollouts import ROLLOUTS
+from magical.evaluation.protocol import ROLLOUTS
 from magical.report.leaderboard import make_leaderboard
 from magical.tasks import get_task
 

@@ -14,10 +14,16 @@ from PIL import Image
 from magical.envs import EnvId
 from magical.envs.seeds import evaluation_seed
 from magical.envs.vector import MagicalVectorEnv
-from magical.evaluation.policy import Policy, checked_actions, is_privileged
-from magical.evaluation.rollouts import observation_for
+from magical.evaluation.policy import (
+    Policy,
+    checked_actions,
+    given_to,
+    is_privileged,
+    observation_for,
+)
+from magical.evaluation.protocol import Evaluation
 from magical.evaluation.seeds import RolloutRng
-from magical.observe import Observation, ObservationSpec
+from magical.observe import ObservationSpec
 from magical.observe.arrays import select
 from magical.observe.presets import make_spec
 from magical.render import Renderer
@@ -74,17 +80,15 @@ def record_clips(
     Raises `PolicyError` where the policy returns something else than actions.
     """
     rollouts = [(env_id, rollout) for env_id in env_ids]
-    return record_rollouts(policy, rollouts, seed=seed, size=size)
+    evaluation = Evaluation(env_ids=tuple(env_ids), seed=seed)
+    return record_rollouts(policy, evaluation, rollouts, size=size)
 
 
 def record_rollouts(
     policy: Policy,
+    evaluation: Evaluation,
     rollouts: Sequence[tuple[EnvId, int]],
     *,
-    seed: int = 0,
-    horizon: int | None = None,
-    nudge: float = 0.0,
-    observation: Observation = None,
     size: int = SIZE,
     every: int = 1,
 ) -> list[Clip]:
@@ -92,11 +96,8 @@ def record_rollouts(
 
     Args:
         policy: see `Policy`.
+        evaluation: how it was evaluated.
         rollouts: the environment and the number of each.
-        seed: which set of fixed seeds.
-        horizon: control steps; by default the task's.
-        nudge: as for `magical.evaluation.evaluate`, and so is
-        observation: what the policy is shown.
         size: pixels across a frame.
         every: control steps between frames; the last step is always shown.
 
@@ -104,20 +105,22 @@ def record_rollouts(
         PolicyError: the policy returned something else than actions.
     """
     env_ids = [env_id for env_id, _ in rollouts]
-    seeds = [evaluation_seed(number, seed) for _, number in rollouts]
-    observation = observation_for(policy, observation)
+    seeds = [evaluation_seed(number, evaluation.seed) for _, number in rollouts]
+    observation = observation_for(policy, evaluation.observation)
+    options = {"nudge": evaluation.nudge} if evaluation.nudge else None
+    horizon = evaluation.horizon
     with closing(
         MagicalVectorEnv(env_ids, workers=0, observation=observation, horizon=horizon)
     ) as envs:
         rng = RolloutRng(env_ids, seeds)
-        observations, info = envs.reset(seed=seeds, options={"nudge": nudge} if nudge else None)
+        observations, info = envs.reset(seed=seeds, options=options)
         policy.reset(np.ones(len(env_ids), np.bool_))
         states = envs.states()
         film, last = _Film(states, size), states[0].horizon
         for step in range(1, last + 1):
             if step == (last + 1) // 2 and not is_privileged(policy):
                 film.shown = _pictures(make_spec(observation, env_ids[0].task_spec), observations)
-            given = states if is_privileged(policy) else observations
+            given = given_to(policy, envs, observations)
             actions = checked_actions(policy.act(given, env_ids, rng), len(env_ids))
             observations, _, _, _, info = envs.step(actions)
             states = envs.states()

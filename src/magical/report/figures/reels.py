@@ -6,14 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.envs import EnvId
 from magical.errors import MagicalError
 from magical.evaluation import Entry, Policy, RolloutScore, by_variant
-from magical.evaluation.rollouts import observation_again
 from magical.evaluation.variants import short_variant
 from magical.report.figures.clips import Clip, data_uri, png, record_rollouts
 from magical.report.found.search import Result
-from magical.report.scores.differences import steps
 from magical.tasks import get_task
 
 SIZE = 120  # pixels across
@@ -103,14 +100,16 @@ def _median_runs(results: Sequence[Result]) -> list[tuple[str, Result]]:
 
 def _record(policy: Policy, result: Result, task: str, title: str) -> Reel:
     entry = result.entry
-    horizon = int(steps(get_task(task), entry))
+    evaluation = entry.evaluation(policy)
+    steps = get_task(task).resolve_horizon(evaluation.horizon)
     named = [
         (short_variant(variant), name, row)
         for variant, cell in by_variant(entry.scores)[task].items()
         for name, row in extremes(cell)
     ]
     rollouts = [(row.env_id, row.rollout) for _, _, row in named]
-    clips = _recorded(policy, rollouts, entry, horizon)
+    every = -(-steps // MOST_FRAMES)
+    clips = record_rollouts(policy, evaluation, rollouts, size=SIZE, every=every)
     shown = [
         ShownClip(
             data_uri(clip.webp(quality=QUALITY), "image/webp"), _caption(variant, name, row, clip)
@@ -118,21 +117,6 @@ def _record(policy: Policy, result: Result, task: str, title: str) -> Reel:
         for (variant, name, row), clip in zip(named, clips, strict=True)
     ]
     return Reel(title, shown, *_what_was_shown(clips[0].shown, entry))
-
-
-def _recorded(
-    policy: Policy, rollouts: Sequence[tuple[EnvId, int]], entry: Entry, horizon: int
-) -> list[Clip]:
-    return record_rollouts(
-        policy,
-        rollouts,
-        seed=entry.seed,
-        horizon=horizon,
-        nudge=entry.nudge,
-        observation=observation_again(policy, entry.observation),
-        size=SIZE,
-        every=-(-horizon // MOST_FRAMES),
-    )
 
 
 def _caption(variant: str, name: str, row: RolloutScore, clip: Clip) -> str:

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from magical import __version__
 from magical.errors import ScoresError, SiteError
-from magical.evaluation.rollouts import ROLLOUTS
+from magical.evaluation.protocol import NUDGE, ROLLOUTS
 from magical.report.found.search import Found, Result, search_results
-from magical.report.leaderboard.checks import NUDGE, Rejected, by_reasons, check_entries
+from magical.report.leaderboard.checks import Rejected, by_reasons, check_entries
 from magical.report.leaderboard.ranking import STATE, Board, make_boards
 from magical.report.pages.evaluated import evaluated_page
 from magical.report.pages.page import render_template, write_text

@@ -1,13 +1,16 @@
-"""Shared by the commands: the policy that an evaluated run is of."""
+"""What entries record about policies and their making, and the policies of entries."""
 
 import os
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from magical.evaluation import Entry, Policy
-
+from magical.errors import PolicyError
+from magical.evaluation import BUILT_IN, Entry, Policy, load_policy
+from magical.evaluation.entry import POLICY, THREADS
+from magical.runs import is_run
+from magical.runs.provenance import provenance
+from magical.runs.sources import LEARNED_FROM
 
 MOST_THREADS = 1024  # that an entry can ask for
 
@@ -19,23 +22,19 @@ def evaluation_details(policy: str, out: Path) -> dict[str, Any]:
         policy: a run folder, which is recorded relative to `out`, or another policy's name.
         out: the entry's folder.
     """
-    from magical.evaluation import BUILT_IN
-    from magical.evaluation.entry import POLICY, THREADS
-    from magical.runs.provenance import provenance
-    from magical.runs.sources import LEARNED_FROM
+    if policy in BUILT_IN:
+        return {POLICY: policy, LEARNED_FROM: [], **provenance()}
+    if not Path(policy).is_dir():
+        return {POLICY: policy, **provenance()}
+    from magical.learning import read_config
+    from magical.learning.description import training_details
+    from magical.learning.running.devices import num_threads
 
-    if policy not in BUILT_IN and Path(policy).is_dir():
-        from magical.learning import read_config
-        from magical.learning.description import training_details
-        from magical.learning.running.devices import num_threads
-
-        details = {**training_details(read_config(Path(policy))), THREADS: num_threads()}
-        return {POLICY: os.path.relpath(policy, out), **details, **provenance()}
-    nothing: dict[str, Any] = {LEARNED_FROM: []} if policy in BUILT_IN else {}
-    return {POLICY: policy, **nothing, **provenance()}
+    details = {**training_details(read_config(Path(policy))), THREADS: num_threads()}
+    return {POLICY: os.path.relpath(policy, out), **details, **provenance()}
 
 
-def policy_of(folder: Path, entry: "Entry", run: Path | None = None) -> "Policy":
+def policy_of(folder: Path, entry: Entry, run: Path | None = None) -> Policy:
     """The policy of an evaluated run: that of its run folder, or a built-in one by name.
 
     Code that an entry names is not run, since entries come from anywhere.
@@ -49,35 +48,25 @@ def policy_of(folder: Path, entry: "Entry", run: Path | None = None) -> "Policy"
         PolicyError: the entry has no such policy.
         RunFolderError, CheckpointError: the run cannot be loaded.
     """
-    from magical.errors import PolicyError
-    from magical.evaluation import BUILT_IN, load_policy
-    from magical.evaluation.entry import POLICY
-    from magical.runs import is_run
-
     name = entry.details.get(POLICY)
     if isinstance(name, str) and name in BUILT_IN:
         return load_policy(name)
     recorded = [folder / name] if isinstance(name, str) else []
     for place in (*recorded, run or folder):
         if is_run(place):
-            from magical.learning import load_policy as load_run  # imports PyTorch
-
-            policy: Policy = load_run(place)
-            return policy
+            return load_policy(place)
     raise PolicyError(
         f"{folder}: expected a run folder or one of {', '.join(BUILT_IN)} as the policy "
         f"that was evaluated, found {name!r}"
     )
 
 
-def recorded_threads(entry: "Entry") -> AbstractContextManager[None]:
+def recorded_threads(entry: Entry) -> AbstractContextManager[None]:
     """A context in which PyTorch uses as many CPU threads as in an entry's evaluation.
 
     Another number may change the last bit of a network's arithmetic. Without a record, nothing
     changes, and PyTorch is not imported.
     """
-    from magical.evaluation.entry import THREADS
-
     number = entry.details.get(THREADS)
     if not isinstance(number, int) or not 1 <= number <= MOST_THREADS:
         return nullcontext()

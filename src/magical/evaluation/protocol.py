@@ -1,0 +1,99 @@
+"""How a policy is evaluated: one record, from which rollouts, entries, plans and clips are made."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import Any, Self
+
+from magical.envs import EnvId, parse_env_id
+from magical.envs.episode import checked_nudge
+from magical.evaluation.variants import variants_of
+from magical.grouping import group_by
+from magical.observe import Observation
+from magical.tasks import (
+    TASKS,
+    Horizon,
+    format_horizon,
+    get_task,
+    parse_horizon,
+    require_two_horizons,
+)
+
+ROLLOUTS = 100  # on each variant (appendix C)
+SEED = 0  # the set of fixed seeds that results are reported for
+NUDGE = 1e-9  # the leaderboard's, in units and radians
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Evaluation:
+    """How a policy is evaluated (docs/protocol.md).
+
+    Attributes:
+        env_ids: the environments, without presets, each once.
+        rollouts: of each environment.
+        seed: which set of fixed seeds.
+        observation: what the policy is shown; `None` for its own, or `LoRes4E`.
+        horizon: control steps, "published", or `None` for the appendix's.
+        nudge: the largest shift of initial poses, in units and radians: `NUDGE` for the
+            leaderboard, 0 for comparison with published scores.
+
+    Raises:
+        InvalidConfigError: an impossible horizon.
+        ValueError: a nudge out of range, or less than one rollout.
+    """
+
+    env_ids: tuple[EnvId, ...]
+    rollouts: int = ROLLOUTS
+    seed: int = SEED
+    observation: Observation = None
+    horizon: Horizon = None
+    nudge: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.rollouts < 1:
+            raise ValueError(f"rollouts: expected at least 1, found {self.rollouts}")
+        object.__setattr__(self, "horizon", parse_horizon(self.horizon))
+        object.__setattr__(self, "nudge", checked_nudge(self.nudge))
+
+    @classmethod
+    def of(cls, env_ids: Iterable[str], **settings: Any) -> Self:
+        """An evaluation in environments given by ids of any form, each of which counts once.
+
+        Raises:
+            UnknownNameError: an unknown environment, or the published horizon for tasks that have
+                one horizon only.
+            InvalidConfigError, ValueError: as for the class.
+        """
+        ids = dict.fromkeys(parse_env_id(env_id).without_preset for env_id in env_ids)
+        evaluation = cls(env_ids=tuple(ids), **settings)
+        if evaluation.horizon == "published":
+            require_two_horizons(env_id.task for env_id in ids)
+        return evaluation
+
+    @property
+    def horizon_name(self) -> str:
+        """The horizon as text; `appendix` wherever the steps are as many as the appendix's."""
+        tasks = [env_id.task_spec for env_id in self.env_ids]
+        same = all(task.resolve_horizon(self.horizon) == task.horizon for task in tasks)
+        return format_horizon(None if same else self.horizon)
+
+    @property
+    def by_task(self) -> dict[str, list[EnvId]]:
+        """The environments of each task, both in the given order."""
+        return group_by(self.env_ids, attrgetter("task"))
+
+
+def environments(
+    tasks: Iterable[str] | None = None, variants: Iterable[str] | None = None
+) -> list[EnvId]:
+    """Environment ids of the tasks' variants, by default all; short names are accepted.
+
+    Raises `UnknownNameError` for unknown names, and for a task with none of the variants.
+    """
+    chosen = list(TASKS) if tasks is None else list(dict.fromkeys(tasks))
+    wanted = None if variants is None else list(variants)
+    return [
+        EnvId(task.name, variant)
+        for task in map(get_task, chosen)
+        for variant in variants_of(task, wanted)
+    ]
