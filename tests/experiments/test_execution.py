@@ -200,7 +200,7 @@ def test_no_space_stops_the_plan_and_says_so(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     runs = planned()
-    monkeypatch.setattr(one_run, "_evaluate", full)
+    monkeypatch.setattr(one_run, "evaluate_run", full)
     with pytest.raises(ResultsError, match=r"no space left on the device.* free some space"):
         execute(runs, out)
     assert [run.seed for run in inline] == [0]

@@ -148,7 +148,7 @@ def run(args: argparse.Namespace) -> int:
 def _details(args: argparse.Namespace) -> dict[str, Any]:
     """What the entry records beside the evaluation."""
     from magical.experiments.entries import evaluation_details
-    from magical.report.statements import LOOKS
+    from magical.report.found.statements import LOOKS
     from magical.runs.sources import LEARNED_FROM
 
     stated = {LEARNED_FROM: args.learned_from, LOOKS: args.looks}

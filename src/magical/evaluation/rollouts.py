@@ -43,9 +43,8 @@ def evaluate(
 ) -> list[RolloutScore]:
     """Score a policy on environments, all variants of a task together.
 
-    Rollout i of every environment is reset with `evaluation_seed(i, seed)`. Scores depend neither
-    on `workers` nor, for policies that sample row by row (`RolloutRng`), on `num_envs` or on what
-    else is evaluated, but for the last bit of a network's arithmetic.
+    Rollout i of every environment is reset with `evaluation_seed(i, seed)`. On what scores depend
+    is said in docs/protocol.md.
 
     Args:
         policy: a policy, or anything that `load_policy` accepts.
@@ -53,8 +52,8 @@ def evaluate(
         rollouts: of each environment.
         seed: which set of fixed seeds; results are reported for 0.
         observation: by default the policy's own, or `LoRes4E`; states for a privileged policy.
-        horizon: control steps; `"published"` takes the published code's, for comparison with
-            published tables; for at least one of the tasks it must be another.
+        horizon: control steps; `"published"` for those of the published tables, which must be
+            others for at least one of the tasks.
         nudge: shift each rollout's initial poses by up to so many units and radians, sampled from
             its seed; with 1e-9 Demo's score is no matter of rounding (docs/determinism.md).
         num_envs: the most environments to step together (at least one for each environment id).
@@ -68,8 +67,7 @@ def evaluate(
     Raises:
         PolicyError: no policy, or it returned something else than actions.
         UnknownNameError: an unknown environment, observation or policy, or tasks with one horizon.
-        InvalidConfigError: an impossible horizon.
-        ValueError: a nudge out of range, or less than one rollout.
+        ValueError: a horizon or nudge out of range, or less than one rollout.
     """
     loaded = load_policy(policy)
     evaluation = Evaluation.of(
