@@ -43,8 +43,7 @@ def evaluate(
 ) -> list[RolloutScore]:
     """Score a policy on environments, all variants of a task together.
 
-    Rollout i of every environment is reset with `evaluation_seed(i, seed)`. On what scores depend
-    is said in docs/protocol.md.
+    Rollout i of every environment is reset with `evaluation_seed(i, seed)` (docs/protocol.md).
 
     Args:
         policy: a policy, or anything that `load_policy` accepts.

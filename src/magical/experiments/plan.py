@@ -124,8 +124,8 @@ class Plan:
             checked_nudge(self.nudge)
             object.__setattr__(self, "horizon", parse_horizon(self.horizon))
         with _plan_errors("tasks: "):
-            for name in self.tasks:
-                get_task(name)
+            names = tuple(get_task(name).name for name in self.tasks)
+            object.__setattr__(self, "tasks", names)
         with _plan_errors("variants: "):
             object.__setattr__(self, "variants", tuple(map(full_variant, self.variants)))
         _require_each_once("methods: name", [method.name for method in self.methods])
