@@ -207,6 +207,9 @@ def test_arrays_of_other_shapes_and_types(case: Case) -> None:
     for target in bad_stacks:
         with pytest.raises(RenderError, match="expected"):
             renderer.render_stacked(poses.bodies, stack, target)
+    for channels in (0, 2, 4):
+        with pytest.raises(RenderError, match="of whole frames"):
+            renderer.render_stacked(poses.bodies, np.empty((96, 96, channels), np.uint8))
 
 
 @pytest.mark.parametrize(

@@ -107,9 +107,10 @@ class Renderer:
         """
         out = stack if out is None else out
         self._check(out, stack.shape[-1])
-        if stack.shape != out.shape or stack.dtype != out.dtype:
+        whole_frames = stack.shape[-1] % CHANNELS == 0 < stack.shape[-1]
+        if stack.shape != out.shape or stack.dtype != out.dtype or not whole_frames:
             raise RenderError(
-                f"expected a stack {out.shape} of uint8 to shift, "
+                f"expected a stack {out.shape} of uint8 to shift, of whole frames, "
                 f"found {stack.shape} of {stack.dtype}"
             )
         self._render_pixels(bodies)
