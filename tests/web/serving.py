@@ -94,14 +94,19 @@ class Player:
         self.held = list(controls)
         self.send(type="keys", held=self.held, seen=0)
 
-    def next_frame(self) -> dict[str, Any]:
+    def receive(self) -> dict[str, Any]:
         """The next status, when its frame has come too."""
-        status = json.loads(self.socket.recv(timeout=TIMEOUT))
+        self.status = json.loads(self.socket.recv(timeout=TIMEOUT))
         frame = self.socket.recv(timeout=TIMEOUT)
         assert isinstance(frame, bytes)
-        self.frame, self.status = frame, status
-        self.send(type="keys", held=self.held, seen=status["number"])
+        self.frame = frame
         return self.status
+
+    def next_frame(self) -> dict[str, Any]:
+        """The next status, whose frame is confirmed."""
+        status = self.receive()
+        self.send(type="keys", held=self.held, seen=status["number"])
+        return status
 
     def wait_for(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
         """The first status of which the condition holds, the present one included."""

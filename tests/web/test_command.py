@@ -11,6 +11,7 @@ import urllib.request
 from pathlib import Path
 
 import pytest
+from uvicorn import Server
 
 from magical import cli
 from magical.demos import Dataset
@@ -28,10 +29,10 @@ def test_the_first_line_is_the_address_with_the_token(tmp_path: Path) -> None:
         found = ADDRESS.fullmatch(process.stdout.readline())
         assert found is not None
         url, token = found.groups()
-        with urllib.request.urlopen(f"{url}api/environments?token={token}", timeout=60) as answer:
+        with urllib.request.urlopen(f"{url}api/library?token={token}", timeout=60) as answer:
             assert json.load(answer)["tasks"]
         with pytest.raises(urllib.error.HTTPError, match="403"):
-            urllib.request.urlopen(f"{url}api/environments?token={token[:-1]}", timeout=60)
+            urllib.request.urlopen(f"{url}api/library?token={token[:-1]}", timeout=60)
         process.send_signal(signal.SIGINT)
         out, errors = process.communicate(timeout=60)
     finally:
@@ -39,6 +40,16 @@ def test_the_first_line_is_the_address_with_the_token(tmp_path: Path) -> None:
     assert (process.returncode, out) == (130, "")
     assert errors == "recording into demos\ninterrupted\n"
     assert len(Dataset.open(tmp_path / "demos")) == 0
+
+
+def test_a_server_that_others_reach_says_what_they_can_read(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(Server, "run", lambda *_, **__: None)
+    for host, is_said in (("127.0.0.1", False), ("0.0.0.0", True)):
+        assert cli.main(["play", "--host", host, "--port", "0"]) == 0
+        said = capsys.readouterr().err
+        assert all((words in said) is is_said for words in ("in clear", "HTTPS", "--allow-host"))
 
 
 def test_an_address_that_is_in_use_is_an_error(capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,13 +3,13 @@
 import asyncio
 import json
 import random
-import string
 import struct
 import threading
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlencode
 
 import numpy as np
 import pytest
@@ -17,6 +17,8 @@ from PIL import Image
 
 from magical.demos import Dataset, DatasetWriter, Frames, Trajectory
 from magical.demos.generate import demonstrate
+from magical.demos.store.codec import encode
+from magical.demos.store.manifest import ManifestEntry
 from magical.envs import EnvId
 from magical.errors import MessageError
 from magical.scene import Poses
@@ -24,13 +26,6 @@ from magical.tasks import TASKS
 from magical.web.library import routes
 from magical.web.library.routes import MAX_WAITING_ROLLOUTS
 from magical.web.library.sources import RolloutSource, unique_names
-from magical.web.messages import (
-    EpisodeQuery,
-    FramesQuery,
-    ListQuery,
-    ProbabilitiesQuery,
-    parse_query,
-)
 from magical.web.security import RateLimit
 from magical.web.server import PlaySettings
 from tests.web.serving import TOKEN, RunningServer, running
@@ -314,28 +309,48 @@ def test_a_body_is_read_no_further_than_is_allowed() -> None:
     assert request.parts == 2
 
 
-GOOD = {"source": "d0", "task": "", "skip": "0", "episode": "0", "policy": "1"}
-GOOD |= {"view": "allo", "first": "0", "count": "1"}
+FIELDS: dict[str, dict[str, Any]] = {
+    "/api/library": {},
+    "/api/episodes": {"source": "d0", "task": "", "skip": "0"},
+    "/api/episode": {"source": "d0", "episode": "0"},
+    "/api/frames": {"source": "d0", "episode": "0", "view": "allo", "first": "0", "count": "1"},
+    "/api/probabilities": {"source": "d0", "episode": "0", "policy": "1"},
+    "/api/rollouts": {"policy": 0, "env_id": REGION, "seed": 1},
+}
 
 
-def test_a_thousand_malformed_queries_are_refused() -> None:
+def hostile(rng: random.Random) -> str:
+    """A text that stands for no number, name or key."""
+    return rng.choice(
+        ["\0", "\ud800", "\u00b2", "1e5", "-1", "9" * 30, "[" * 40, "\U0001f916", "\r\n", "nan"]
+    ) * rng.randrange(1, 5)
+
+
+def test_a_thousand_malformed_requests_are_refused(
+    library: RunningServer, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(RateLimit, "allows", lambda *_: True)
     rng = random.Random(0)
-    kinds = (ListQuery, EpisodeQuery, FramesQuery, ProbabilitiesQuery)
     for number in range(1000):
-        kind = kinds[number % len(kinds)]
-        given = {name: GOOD[name] for name in kind.__struct_fields__}
-        assert isinstance(parse_query(kind, given), kind)
-        name = rng.choice(list(given))
-        choice = rng.randrange(3)
+        path = list(FIELDS)[number % len(FIELDS)]
+        fields = dict(FIELDS[path])
+        choice = rng.randrange(3) if fields else 0
         if choice == 0:
-            del given[name]
+            fields[hostile(rng)] = hostile(rng)
         elif choice == 1:
-            given[rng.choice(string.ascii_letters)] = given[name]
+            del fields[rng.choice(list(fields))]
         else:
-            given[name] = "\0" + "".join(rng.choices(string.printable, k=rng.randrange(60)))
-            given[name] *= 1 if name != "source" else 25  # any short key may be looked up
-        with pytest.raises(MessageError):
-            parse_query(kind, given)
+            fields[rng.choice([name for name in fields if name != "task"])] = hostile(rng)
+        if path == "/api/rollouts":
+            text = json.dumps(fields, ensure_ascii=rng.random() < 0.5)
+            status, answer = post(library, text.encode(errors="surrogatepass")[:1024])
+        else:
+            query = urlencode(fields, errors="surrogatepass")
+            found = library.get(f"{path}?{query}")
+            status, answer = found.status, json.loads(found.body)
+        assert status in (400, 404), (path, fields, answer)
+        assert len(answer["problem"]) < 1000
+    assert "Traceback" not in capfd.readouterr().err
 
 
 def test_requests_are_limited_in_rate(
@@ -354,3 +369,24 @@ def test_a_damaged_dataset_says_so(server: RunningServer, dataset: Path) -> None
     assert "cut off" in json.loads(answer.body)["problem"]
     (dataset / "manifest.jsonl").write_text("nothing\n")
     assert server.get("/api/episodes?source=d0&task=&skip=0").status == 422
+
+
+def test_a_hostile_episode_is_an_error_for_who_opens_it_alone(
+    server: RunningServer, dataset: Path
+) -> None:
+    stored = demonstrate("magical/MoveToCorner-Demo-v0", 1)
+    raw = encode(stored)
+    arrays = dict(np.load(BytesIO(raw)))
+    header = json.loads(arrays["header"].tobytes())
+    header["scene"]["blocks"][0][2] = 1e308
+    arrays["header"] = np.frombuffer(json.dumps(header).encode(), np.uint8)
+    file = BytesIO()
+    np.savez_compressed(file, allow_pickle=False, **arrays)
+    entry = ManifestEntry.of(stored, file.getvalue())
+    DatasetWriter(dataset).append_encoded(entry, file.getvalue())
+    with server.player() as player:
+        player.hold("forward")
+        for path in ("episode?", "frames?view=both&first=0&count=16&"):
+            answer = server.get(f"/api/{path}source=d0&episode=0")
+            assert (answer.status, bool(json.loads(answer.body)["problem"])) == (422, True)
+        player.wait_for(lambda status: status["steps"] == 2)

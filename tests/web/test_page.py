@@ -1,6 +1,7 @@
 """The page's files: nothing from elsewhere, colours that can be read."""
 
 import re
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,14 @@ def test_the_page_loads_nothing_from_elsewhere() -> None:
         text = path.read_text()
         assert re.findall(r"(?:https?:)?//[\w.]+\.\w+", text) == []
         assert not re.search(r"innerHTML|eval\(|<script>|\son\w+=\"", text)
+
+
+def test_no_module_imports_one_that_imports_it() -> None:
+    imports = {
+        path.name: set(re.findall(r'from "./([\w.]+)"', path.read_text()))
+        for path in PAGE.glob("*.js")
+    }
+    assert set(TopologicalSorter(imports).static_order()) == set(imports)  # raises for a circle
 
 
 def contrast(first: tuple[int, ...], second: tuple[int, ...]) -> float:

@@ -13,7 +13,7 @@ from magical.demos import DatasetWriter
 from magical.demos.generate import demonstrate
 from magical.envs import EnvId
 from magical.errors import CheckpointError, NotFoundError, PolicyError, RunFolderError
-from magical.web.driver import Driver, Proposal, Seen, episode_probabilities, roll_out
+from magical.web.driver import Driver, Proposal, episode_probabilities, roll_out
 from magical.web.episode import PlayedEpisode
 from magical.web.policies import EXPERT, Policies
 
@@ -106,7 +106,7 @@ def test_a_watched_run_acts_as_in_its_rollout_with_the_same_probabilities(
     np.testing.assert_allclose(judged.sum(axis=1), 1.0)
     driver, episode = Driver(trained, 1, ENV, seed), PlayedEpisode(ENV, seed)
     for action, row in zip(alone.actions.tolist(), judged, strict=True):
-        proposal = driver.propose(Seen(episode.env.state(), episode.last_action))
+        proposal = driver.propose(*episode.seen)
         assert proposal.action == action
         np.testing.assert_allclose(proposal.probabilities or (), row, atol=1e-3)
         episode.step(proposal.action, driver.actor, proposal.action)
@@ -115,9 +115,9 @@ def test_a_watched_run_acts_as_in_its_rollout_with_the_same_probabilities(
 
 def test_a_state_that_is_asked_for_twice_gets_one_answer(trained: Policies) -> None:
     driver, episode = Driver(trained, 1, ENV, 11), PlayedEpisode(ENV, 11)
-    first = driver.propose(Seen(episode.env.state(), None))
+    first = driver.propose(*episode.seen)
     assert isinstance(first, Proposal)
-    assert driver.propose(Seen(episode.env.state(), None)) is first
+    assert driver.propose(*episode.seen) is first
 
 
 def test_a_new_checkpoint_is_loaded(trained: Policies) -> None:

@@ -3,7 +3,9 @@
 import errno
 import json
 import random
+import socket
 import threading
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +18,9 @@ from magical.demos.store import writer
 from magical.envs.keys import controls_of
 from magical.experts import rollout
 from magical.tasks import TASKS
+from magical.web import connection, security
 from magical.web import session as session_module
-from magical.web.connection import MAX_UNSEEN, FrameWindow
+from magical.web.connection import MAX_UNSEEN
 from magical.web.messages import MAX_BYTES
 from magical.web.security import HEADERS
 from magical.web.server import PAGE, PAGE_FILES
@@ -56,7 +59,7 @@ def test_the_page_is_sent_with_headers_that_protect_it(server: RunningServer) ->
 
 
 def test_environments_are_listed_from_the_registry(server: RunningServer) -> None:
-    tasks = json.loads(server.get("/api/environments").body)["tasks"]
+    tasks = json.loads(server.get("/api/library").body)["tasks"]
     assert [task["name"] for task in tasks] == list(TASKS)
     assert tasks[0]["env_ids"]["Demo"] == "magical/MoveToCorner-Demo-v0"
 
@@ -65,7 +68,7 @@ def test_environments_are_listed_from_the_registry(server: RunningServer) -> Non
 def test_without_the_token_nothing_but_the_page_is_sent(
     server: RunningServer, token: str | None
 ) -> None:
-    assert server.get("/api/environments", token=token).status == 403
+    assert server.get("/api/library", token=token).status == 403
     assert server.get("/elsewhere", token=token).status == 403
     with pytest.raises(InvalidStatus, match="403"):
         server.connect("" if token is None else f"token={token}")
@@ -73,7 +76,7 @@ def test_without_the_token_nothing_but_the_page_is_sent(
 
 @pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "", "10.0.0.1"])
 def test_other_hosts_are_refused(server: RunningServer, host: str) -> None:
-    for path in ("/", "/api/environments", "/socket"):
+    for path in ("/", "/api/library", "/socket"):
         assert server.get(path, Host=host).status == 403
 
 
@@ -82,11 +85,11 @@ def test_sockets_of_other_origins_are_refused(server: RunningServer, origin: str
     with pytest.raises(InvalidStatus, match="403"):
         server.connect(origin=origin)
     if origin:
-        assert server.get("/api/environments", Origin=origin).status == 403
+        assert server.get("/api/library", Origin=origin).status == 403
 
 
 def test_requests_that_could_change_something_need_an_origin(server: RunningServer) -> None:
-    for path in ("/", "/api/environments"):
+    for path in ("/", "/api/library"):
         assert server.get(path, method="POST").status == 403
         origin = f"http://{server.host}"
         assert server.get(path, method="POST", Origin=origin).status == 405
@@ -290,20 +293,15 @@ def test_a_message_that_is_too_long_ends_the_connection(server: RunningServer) -
         assert close_code(player.socket) == 1009
 
 
-def test_a_page_that_confirms_no_frames_gets_no_more_of_them() -> None:
-    window = FrameWindow()
-    for number in range(10, 10 + MAX_UNSEEN):
-        assert window.is_open
-        window.note_sent(number)
-    assert not window.is_open
-    window.note_seen(9)
-    assert not window.is_open
-    window.note_seen(12)
-    assert window.is_open
-    window.note_seen(10**6)
-    for number in range(20, 20 + MAX_UNSEEN):
-        window.note_sent(number)
-    assert not window.is_open
+def test_a_page_that_confirms_no_frames_gets_no_more_of_them(server: RunningServer) -> None:
+    with server.player() as player:
+        (served,) = server.players
+        player.hold("forward")
+        while served.session.episode.steps < 3 * MAX_UNSEEN:
+            server.get("/")  # lets some time pass
+        numbers = [player.receive()["number"] for _ in range(MAX_UNSEEN)]
+        player.send(type="keys", held=["forward"], seen=numbers[-1] + 10**6)
+        assert player.receive()["steps"] >= 3 * MAX_UNSEEN  # those between were never sent
 
 
 def test_starting_over_and_over_is_limited_and_disturbs_no_one(server: RunningServer) -> None:
@@ -315,6 +313,56 @@ def test_starting_over_and_over_is_limited_and_disturbs_no_one(server: RunningSe
         player.send(type="keys", held=[], seen=player.status["number"])
         player.wait_for(lambda status: status["number"] > 1)
         assert player.status["number"] < 100
+
+
+GET = b"GET /play.js HTTP/1.1\r\nHost: localhost\r\n"
+
+
+@pytest.mark.parametrize(
+    ("sent", "status"),
+    [
+        (b"", b""),
+        (GET, b""),
+        (GET + b"\r\n" + GET, b"200"),
+        (GET + b"Upgrade: websocket\r\nConnection: Upgrade\r\n", b""),
+        (
+            b"POST /api/rollouts?token=%b HTTP/1.1\r\nHost: localhost\r\n"
+            b"Origin: http://localhost\r\nContent-Length: 50\r\n\r\n{" % TOKEN.encode(),
+            b"",
+        ),
+    ],
+    ids=["nothing", "half the headers", "half of a second request", "half a handshake", "body"],
+)
+def test_a_request_that_does_not_arrive_is_given_up(
+    server: RunningServer, sent: bytes, status: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(security, "REQUEST_TIME", 0.2)
+    with socket.create_connection(("127.0.0.1", server.port), TIMEOUT) as client:
+        client.sendall(sent)
+        answer = b""
+        with suppress(ConnectionResetError):
+            while part := client.recv(1 << 16):
+                answer += part
+    assert answer.startswith(b"HTTP/1.1 " + status if status else b"")
+    assert answer.count(b"HTTP/1.1") == bool(status)
+
+
+def test_connections_that_are_used_outlive_the_deadlines(
+    server: RunningServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(security, "REQUEST_TIME", 0.1)
+    monkeypatch.setattr(connection, "FIRST_TIME", 0.1)
+    with server.player() as player:
+        player.hold("forward")
+        player.wait_for(lambda status: status["steps"] == 5)  # half a second later
+
+
+def test_a_socket_on_which_nothing_is_said_is_closed(
+    server: RunningServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connection, "FIRST_TIME", 0.1)
+    with server.connect() as silent:
+        assert close_code(silent) == 4004
 
 
 def test_scenes_are_sampled_anew_for_every_player(server: RunningServer) -> None:

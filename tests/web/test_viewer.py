@@ -110,6 +110,39 @@ def test_two_episodes_are_compared_in_step(tab: Tab, dataset: Path) -> None:
     assert tab.evaluate("document.activeElement.className") == "close"
 
 
+CLIPPED = """[...document.querySelectorAll('select')].filter((one) => one.offsetParent
+  && [...one.options].some((option) => {
+    const pen = document.createElement('canvas').getContext('2d');
+    pen.font = getComputedStyle(one).font;
+    return pen.measureText(option.text).width > one.clientWidth - 36;  // the arrow's room
+  })).map((one) => one.id)"""
+
+
+@pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844)])
+def test_texts_of_choices_fit_and_the_list_stays_near(
+    width: int, height: int, tmp_path: Path, browser: Browser
+) -> None:
+    folder = tmp_path / "human-demonstrations"
+    DatasetWriter(folder).append(demonstrate("magical/ClusterColour-TestDynamics-v0", 1))
+    run = tmp_path / "runs" / "bc-augmented"
+    run.mkdir(parents=True)
+    (run / "config.json").write_text('{"algorithm": "bc", "tasks": ["MoveToRegion"]}')
+    start = EnvId("MoveToRegion", "Demo")
+    settings = PlaySettings(start, datasets=[folder], runs=[tmp_path / "runs"])
+    with running(settings) as server, browser.open_tab() as tab:
+        tab.resize(width, height, mobile=width < 400)
+        open_page(tab, server)
+        tab.wait_for("latest?.phase === 'ready'")
+        assert tab.evaluate(CLIPPED) == []
+        look(tab)
+        tab.evaluate("document.querySelector('#episodes .open').click()")
+        tab.wait_for("panes[0]?.painted")
+        assert tab.evaluate(CLIPPED) == []
+        box = "element('{}').getBoundingClientRect().{}"
+        below = f"{box.format('panes', 'top')} - {box.format('episodes', 'bottom')}"
+        assert tab.evaluate(below) < 150
+
+
 @pytest.mark.parametrize("palette", ["", "safe"])
 def test_every_probability_can_be_read(tab: Tab, palette: str) -> None:
     tab.evaluate(f"document.documentElement.dataset.palette = '{palette}'")

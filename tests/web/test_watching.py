@@ -276,9 +276,9 @@ def test_a_slow_policy_does_not_hold_up_other_players(
     release = threading.Event()
     propose = Driver.propose
 
-    def slow(self: Driver, seen: Any) -> Any:
+    def slow(self: Driver, *seen: Any) -> Any:
         assert release.wait(60)
-        return propose(self, seen)
+        return propose(self, *seen)
 
     monkeypatch.setattr(Driver, "propose", slow)
     with server.player() as watching, server.player() as playing:

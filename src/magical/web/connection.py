@@ -41,32 +41,11 @@ class Close(IntEnum):
     SILENT = 4004  # no message came; the page connects again
 
 
-class FrameWindow:
-    """Frames that were sent and that the page has not confirmed.
-
-    A page on a slow connection gets fewer frames, always the newest, rather than a growing queue.
-    """
-
-    def __init__(self) -> None:
-        self._unseen: deque[int] = deque()
-
-    @property
-    def is_open(self) -> bool:
-        """Whether another frame may be sent."""
-        return len(self._unseen) < MAX_UNSEEN
-
-    def note_sent(self, number: int) -> None:
-        """Note that the frame of this number was sent."""
-        self._unseen.append(number)
-
-    def note_seen(self, number: int) -> None:
-        """Note that the page shows this frame; all earlier ones are settled too."""
-        while self._unseen and self._unseen[0] <= number:
-            self._unseen.popleft()
-
-
 class Connection:
     """One WebSocket that a player's page has opened.
+
+    The page confirms each frame. One on a slow connection gets fewer of them, always the newest,
+    rather than a growing queue.
 
     Args:
         socket: accepted.
@@ -85,7 +64,7 @@ class Connection:
         self._save = save
         self._clock = clock
         self._threads = threads
-        self._window = FrameWindow()
+        self._unseen: deque[int] = deque()  # frames that were sent and not confirmed
         self._messages = RateLimit(MESSAGE_RATE, MESSAGE_BURST, clock())
         self._commands = RateLimit(COMMAND_RATE, COMMAND_BURST, clock())
         self._wake = asyncio.Event()  # there may be something to send
@@ -125,7 +104,8 @@ class Connection:
         except MessageError:
             return  # the page sends none such, and to answer each would help to flood
         if isinstance(message, Keys):
-            self._window.note_seen(message.seen)
+            while self._unseen and self._unseen[0] <= message.seen:
+                self._unseen.popleft()
         elif not self._commands.allows(self._clock()):
             return
         try:
@@ -157,14 +137,13 @@ class Connection:
                 self._step.clear()
 
     async def _send(self) -> None:
-        shown = None
+        shown, session = None, self._session
         with suppress(WebSocketDisconnect):
             while True:
-                session = self._session
-                if session.changes != shown and self._window.is_open:
+                if session.changes != shown and len(self._unseen) < MAX_UNSEEN:
                     shown = session.changes
                     status, frame = session.status(), session.frame()
-                    self._window.note_sent(shown)
+                    self._unseen.append(shown)
                     await self._socket.send_text(json.dumps(status))
                     await self._socket.send_bytes(frame)
                 await self._wake.wait()

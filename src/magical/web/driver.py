@@ -33,15 +33,8 @@ class Proposal:
     probabilities: tuple[float, ...] | None = None  # (18,); None: it has none
 
 
-@dataclass(frozen=True, slots=True)
-class Seen:
-    """A state of an episode, and the action that led to it."""
-
-    state: State
-    executed: int | None  # None: the first state
-
-
-Chooser = Callable[[Seen], Proposal]  # called in every state of one episode, in their order
+# Called in every state of one episode, in their order, with the action that led to it, if any.
+Chooser = Callable[[State, int | None], Proposal]
 
 
 class Driver:
@@ -72,17 +65,21 @@ class Driver:
         self._latest: tuple[int, Proposal] | None = None  # the step, and what was chosen in it
         self._lock = threading.Lock()
 
-    def propose(self, seen: Seen) -> Proposal:
+    def propose(self, state: State, executed: int | None) -> Proposal:
         """What the policy chooses in the next state of the episode.
+
+        Args:
+            state: the state.
+            executed: the action that led to it; `None`: the first state.
 
         Raises:
             MagicalError: the policy cannot be loaded, or fails.
         """
         with self._lock:
-            if self._latest is None or self._latest[0] != seen.state.step:
+            if self._latest is None or self._latest[0] != state.step:
                 try:
                     self._choose = self._choose or self._make_chooser()
-                    self._latest = seen.state.step, self._choose(seen)
+                    self._latest = state.step, self._choose(state, executed)
                 except MagicalError:
                     raise
                 except Exception as error:  # a policy may fail in any way; the session goes on
@@ -98,10 +95,10 @@ class Driver:
 def _expert_chooser(env_id: EnvId, seed: int) -> Chooser:
     expert = EpisodeExpert(expert_for(env_id.task, seed=seed))
 
-    def choose(seen: Seen) -> Proposal:
-        if seen.executed is not None:
-            expert.note_executed(seen.executed)
-        return Proposal(expert.act(seen.state))
+    def choose(state: State, executed: int | None) -> Proposal:
+        if executed is not None:
+            expert.note_executed(executed)
+        return Proposal(expert.act(state))
 
     return choose
 
@@ -111,10 +108,10 @@ def _network_chooser(policy: Any, env_id: EnvId, seed: int) -> Chooser:
     rng = RolloutRng([env_id], [seed])
     policy.reset(np.ones(1, np.bool_))
 
-    def choose(seen: Seen) -> Proposal:
-        bodies = np.hstack([seen.state.poses.bodies, seen.state.velocities])
-        if seen.executed is None:
-            observer.start(seen.state.scene, bodies)
+    def choose(state: State, executed: int | None) -> Proposal:
+        bodies = np.hstack([state.poses.bodies, state.velocities])
+        if executed is None:
+            observer.start(state.scene, bodies)
         else:
             observer.update(bodies)
         observations = _as_batch(observer.out)
@@ -150,10 +147,8 @@ def roll_out(policies: Policies, number: int, env_id: EnvId, seed: int) -> Traje
         MagicalError: it cannot be loaded, or cannot act in the environment.
     """
     driver, episode = Driver(policies, number, env_id, seed), PlayedEpisode(env_id, seed)
-    while True:
-        proposal = driver.propose(Seen(episode.env.state(), episode.last_action))
-        if episode.step(proposal.action, driver.actor):
-            break
+    while not episode.step(driver.propose(*episode.seen).action, driver.actor):
+        pass
     remarks = {"recorder": RECORDER, "policy": driver.name}
     return recorded_trajectory(
         episode.env, episode.poses, seed=seed, demonstrator=driver.name, metadata=remarks

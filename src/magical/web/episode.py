@@ -11,6 +11,7 @@ from magical.demos.store.trajectory import Actor, Trajectory
 from magical.envs.env import MagicalEnv
 from magical.envs.ids import EnvId
 from magical.envs.keys import Control, controls_of
+from magical.scene import Poses, State
 
 RECORDER = "magical play"  # in the metadata of episodes
 
@@ -24,7 +25,6 @@ class PlayedEpisode:
         self.env = MagicalEnv(env_id.task, env_id.variant, observation="state")
         self.env.reset(seed=seed)
         self.poses: list[NDArray[np.float64]] = []
-        self.executed: Sequence[Control] | None = None  # in the last step; None: none yet
         self.last_action: int | None = None
         self.actors: list[Actor] = []  # who chose each action
         self.policy_actions: list[int] = []  # of the policy that is watched, if any
@@ -43,12 +43,23 @@ class PlayedEpisode:
             self.policy_actions.append(chosen)
         self.last_action = action
         truncated = self.env.step(action)[3]
-        self.executed = controls_of(action)
         self._note_poses()
         return truncated
 
     def _note_poses(self) -> None:
         self.poses.append(self.env.state().poses.bodies.copy())
+
+    @property
+    def seen(self) -> tuple[State, int | None]:
+        """A copy of the present state, and the action that led to it."""
+        state = self.env.state()
+        poses, velocities = Poses(state.poses.bodies.copy()), state.velocities.copy()
+        return replace(state, poses=poses, velocities=velocities), self.last_action
+
+    @property
+    def executed(self) -> Sequence[Control] | None:
+        """The controls of the last step; `None`: there was none yet."""
+        return None if self.last_action is None else controls_of(self.last_action)
 
     @property
     def steps(self) -> int:

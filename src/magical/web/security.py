@@ -7,12 +7,12 @@ import secrets
 import socket
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
-from urllib.parse import SplitResult, parse_qs, urlsplit
+from urllib.parse import parse_qs, urlsplit
 
 import h11
-from starlette.datastructures import Headers, MutableHeaders
+from starlette.datastructures import Headers
 from starlette.responses import PlainTextResponse
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 TOKEN_BYTES = 32  # of randomness, twice the least that the token must have
@@ -64,10 +64,14 @@ class Guard:
 
     def accepts_host(self, headers: Mapping[str, str]) -> bool:
         """Whether the Host header names this server."""
-        name = _split(f"//{headers.get('host', '')}").hostname
-        if not name:
+        try:
+            parts = urlsplit(f"//{headers.get('host', '')}")
+            name = parts.hostname if parts.port != 0 else None  # raises where it is no number
+            if name in self.hosts or not self.any_address:
+                return name in self.hosts
+            return bool(ipaddress.ip_address(name or ""))
+        except ValueError:
             return False
-        return name in self.hosts or (self.any_address and _is_address(name))
 
     def accepts_origin(self, headers: Mapping[str, str], *, required: bool) -> bool:
         """Whether a request comes from this server's own page.
@@ -80,8 +84,7 @@ class Guard:
         origin = headers.get("origin")
         if origin is None:
             return not required
-        parts = _split(origin)
-        return parts.scheme in ("http", "https") and parts.netloc == headers.get("host", "")
+        return origin in (f"http://{headers.get('host')}", f"https://{headers.get('host')}")
 
 
 def make_guard(host: str, token: str, allowed: frozenset[str] = frozenset()) -> Guard:
@@ -103,26 +106,8 @@ def page_url(host: str, port: int, token: str) -> str:
     return f"http://{f'[{name}]' if ':' in name else name}:{port}/?token={token}"
 
 
-def _split(url: str) -> SplitResult:
-    """The parts of a URL; all empty where it is none."""
-    try:
-        parts = urlsplit(url)
-        _ = parts.port  # raises where it is no number
-    except ValueError:
-        return SplitResult("", "", "", "", "")
-    return parts
-
-
-def _is_address(name: str) -> bool:
-    try:
-        ipaddress.ip_address(name)
-    except ValueError:
-        return False
-    return True
-
-
 class GuardMiddleware:
-    """Answers only what the guard accepts, and adds the security headers to every answer.
+    """Answers only what the guard accepts.
 
     Args:
         app: what answers the rest.
@@ -135,16 +120,14 @@ class GuardMiddleware:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle one request or socket."""
-        if scope["type"] == "lifespan":
+        if scope["type"] == "lifespan" or (problem := self._problem(scope)) is None:
             await self._app(scope, receive, send)
-        elif (problem := self._problem(scope)) is None:
-            await self._app(scope, receive, _with_headers(send))
         elif scope["type"] == "websocket":
             await receive()  # the request to connect
             await send({"type": "websocket.close", "code": 1008})  # before accepting: status 403
         else:
             answer = PlainTextResponse(f"refused: {problem}\n", status_code=403)
-            await answer(scope, receive, _with_headers(send))
+            await answer(scope, receive, send)
 
     def _problem(self, scope: Scope) -> str | None:
         """Why a request is refused; `None`: it is not."""
@@ -158,15 +141,6 @@ class GuardMiddleware:
         if not (reading and scope["path"] in self._public) and not guard.knows(token):
             return "the token is missing or wrong; open the address that the server printed"
         return None
-
-
-def _with_headers(send: Send) -> Send:
-    async def wrapped(message: Message) -> None:
-        if message["type"] == "http.response.start":
-            MutableHeaders(scope=message).update(HEADERS)
-        await send(message)
-
-    return wrapped
 
 
 class RateLimit:

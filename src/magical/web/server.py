@@ -15,7 +15,7 @@ import uvicorn
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import Response
 from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
@@ -24,14 +24,13 @@ from magical.demos.store.writer import DatasetWriter
 from magical.envs.ids import EnvId
 from magical.errors import MagicalError, ServerError
 from magical.render import warm_up
-from magical.tasks import TASKS
 from magical.web import frames
 from magical.web.connection import Clock, Close, Connection
 from magical.web.library.routes import Library
 from magical.web.messages import MAX_BYTES
 from magical.web.players import Players
 from magical.web.policies import Policies
-from magical.web.security import Guard, GuardMiddleware, TimedProtocol
+from magical.web.security import HEADERS, Guard, GuardMiddleware, TimedProtocol
 from magical.web.session import Session
 
 PAGE = Path(__file__).parent / "page"
@@ -86,7 +85,7 @@ class PlayServer:
         self._policies = Policies(settings.runs)
         recorded = [settings.record] if settings.record else []
         folders = {path.resolve(): path for path in [*settings.datasets, *recorded]}
-        self._library = Library(list(folders.values()), self._policies, clock, self._rng)
+        self._library = Library(list(folders.values()), self._policies, clock)
         self._threads = ThreadPoolExecutor(DRIVING_THREADS, "driver")
         self.players = Players(self._new_session, settings.max_players)
 
@@ -94,7 +93,6 @@ class PlayServer:
         """Every route. None takes a path from outside, so none can leave the page's folder."""
         return [
             *(Route(path, _page_file(*file)) for path, file in PAGE_FILES.items()),
-            Route("/api/environments", self.environments),
             *self._library.routes(),
             WebSocketRoute("/socket", self.play),
         ]
@@ -108,19 +106,6 @@ class PlayServer:
         self._library.close()
         self._threads.shutdown(wait=True, cancel_futures=True)
         await asyncio.gather(*self._saving)
-
-    async def environments(self, _: Request) -> JSONResponse:
-        """The tasks with their variants, as JSON."""
-        tasks = [
-            {
-                "name": task.name,
-                "summary": task.summary,
-                "horizon": task.horizon,
-                "env_ids": {name: EnvId(task.name, name) for name in task.variants},
-            }
-            for task in TASKS.values()
-        ]
-        return JSONResponse({"tasks": tasks})
 
     async def play(self, socket: WebSocket) -> None:
         """Play over a socket; `session` in its address resumes the session of that key."""
@@ -222,6 +207,7 @@ def make_server(app: Starlette) -> uvicorn.Server:
         log_level="warning",
         access_log=False,  # it would show the token
         server_header=False,
+        headers=list(HEADERS.items()),
         proxy_headers=False,
         http=TimedProtocol,
         ws="websockets-sansio",

@@ -15,10 +15,10 @@ from magical.envs.ids import EnvId, parse_env_id
 from magical.envs.keys import Control, action_of, controls_of
 from magical.envs.seeds import sample_training_seeds
 from magical.errors import MessageError
-from magical.scene import Poses, State
+from magical.scene import State
 from magical.scene.constants import CONTROL_RATE
 from magical.web import messages
-from magical.web.driver import Driver, Proposal, Seen
+from magical.web.driver import Driver, Proposal
 from magical.web.episode import PlayedEpisode
 from magical.web.frames import FrameEncoder
 from magical.web.messages import VIEWS, Message
@@ -45,11 +45,12 @@ class Question:
     """What a policy chooses in the present state; to be answered in a thread."""
 
     driver: Driver
-    seen: Seen
+    state: State
+    executed: int | None  # the action that led to the state
 
     def answer(self) -> Proposal:
         """Ask the policy; raises `MagicalError`."""
-        return self.driver.propose(self.seen)
+        return self.driver.propose(self.state, self.executed)
 
 
 class Session:
@@ -213,15 +214,11 @@ class Session:
         if self._driver is None or self._asked or self.phase in (Phase.ENDED, Phase.SAVING):
             return None
         self._asked = True
-        state = self.episode.env.state()
-        poses = Poses(state.poses.bodies.copy())  # the episode goes on while the thread reads
-        copied = State(state.scene, poses, state.velocities.copy(), state.step, state.horizon)
-        return Question(self._driver, Seen(copied, self.episode.last_action))
+        return Question(self._driver, *self.episode.seen)
 
     def note_proposal(self, question: Question, proposal: Proposal) -> None:
         """Note the answer to a question; one that comes too late has no effect."""
-        same_state = question.seen.state.step == self.episode.steps
-        if question.driver is self._driver and same_state:
+        if question.driver is self._driver and question.state.step == self.episode.steps:
             self._proposal = proposal
             self._changed()
 

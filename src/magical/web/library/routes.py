@@ -1,7 +1,7 @@
 """The HTTP routes of the library. What takes long is computed in threads: the players go on."""
 
 import asyncio
-from collections.abc import Callable, Coroutine, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from pathlib import Path
@@ -13,11 +13,12 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Route
 
 from magical.demos.store.trajectory import Actor
-from magical.envs.ids import parse_env_id
+from magical.envs.ids import EnvId, parse_env_id
 from magical.envs.keys import controls_of
 from magical.envs.seeds import sample_training_seeds
 from magical.errors import BusyError, MagicalError, MessageError, NotFoundError
 from magical.scene.actions import ACTION_NAMES
+from magical.tasks import TASKS, Task
 from magical.untrusted import parse_json
 from magical.web.driver import episode_probabilities, roll_out
 from magical.web.library.sources import (
@@ -84,18 +85,13 @@ class Library:
         datasets: the datasets' folders; their keys are `d0`, `d1`, ...
         policies: that can be rolled out.
         clock: the time in seconds.
-        rng: samples the seeds of scenes.
 
     Raises:
         DatasetError: a folder holds no dataset, or a damaged one.
     """
 
     def __init__(
-        self,
-        datasets: Sequence[Path],
-        policies: Policies,
-        clock: Callable[[], float],
-        rng: np.random.Generator,
+        self, datasets: Sequence[Path], policies: Policies, clock: Callable[[], float]
     ) -> None:
         names = enumerate(zip(unique_names(datasets), datasets, strict=True))
         self._rollouts = RolloutSource()
@@ -103,7 +99,7 @@ class Library:
         self._sources[ROLLOUTS] = self._rollouts
         self._policies = policies
         self._clock = clock
-        self._rng = rng
+        self._rng = np.random.default_rng()  # of the seeds of scenes
         self._limit = RateLimit(REQUEST_RATE, REQUEST_BURST, clock())
         self._reader = Worker("reader", MAX_WAITING)  # reads files, renders frames
         self._runner = Worker("runner", MAX_WAITING_ROLLOUTS)  # runs policies
@@ -114,12 +110,12 @@ class Library:
     def routes(self) -> list[BaseRoute]:
         """All routes; none takes a path."""
         return [
-            self._route("/api/library", NoQuery, self._list_library),
-            self._route("/api/episodes", ListQuery, self._list_episodes),
-            self._route("/api/episode", EpisodeQuery, self._show_episode),
-            self._route("/api/frames", FramesQuery, self._send_frames),
-            self._route("/api/probabilities", ProbabilitiesQuery, self._send_probabilities),
-            self._route("/api/rollouts", RolloutRequest, self._roll_out, "POST"),
+            self._route("/api/library", NoQuery, self._reader, self._list_library),
+            self._route("/api/episodes", ListQuery, self._reader, self._list_episodes),
+            self._route("/api/episode", EpisodeQuery, self._reader, self._show_episode),
+            self._route("/api/frames", FramesQuery, self._reader, self._send_frames),
+            self._route("/api/probabilities", ProbabilitiesQuery, self._runner, self._judge),
+            self._route("/api/rollouts", RolloutRequest, self._runner, self._roll_out, "POST"),
         ]
 
     def close(self) -> None:
@@ -131,7 +127,8 @@ class Library:
         self,
         path: str,
         kind: type[_Query],
-        answer: Callable[[_Query], Coroutine[Any, Any, Response]],
+        worker: Worker,
+        answer: Callable[[_Query], Response],
         method: str = "GET",
     ) -> Route:
         """A route that limits the rate of requests, and says what is wrong with one."""
@@ -140,7 +137,7 @@ class Library:
             if not self._limit.allows(self._clock()):
                 return _problem(429, "too many requests; try again in a moment")
             try:
-                return await answer(await _parsed(kind, request))
+                return await worker.run(answer, await _parsed(kind, request))
             except MagicalError as error:
                 return _problem(_status(error), str(error))
 
@@ -151,16 +148,16 @@ class Library:
             raise NotFoundError(f"source: expected one of {', '.join(self._sources)}")
         return self._sources[key]
 
-    # Answers
+    # Answers, computed in threads
 
-    async def _list_library(self, _: NoQuery) -> Response:
-        policies = await self._reader.run(self._policies.refresh)
+    def _list_library(self, _: NoQuery) -> Response:
         return JSONResponse(
             {
+                "tasks": [_described(task) for task in TASKS.values()],
                 "sources": [{"key": k, "name": source.name} for k, source in self._sources.items()],
                 "policies": [
                     {"number": i, "name": p.name, "tasks": p.tasks, "algorithm": p.algorithm}
-                    for i, p in enumerate(policies)
+                    for i, p in enumerate(self._policies.refresh())
                 ],
                 "actions": [
                     {"name": name, "controls": controls_of(action)}
@@ -170,47 +167,39 @@ class Library:
             }
         )
 
-    async def _list_episodes(self, query: ListQuery) -> Response:
-        found = await self._reader.run(self._find(query.source).episodes)
-        listed = [item for item in found.items() if query.task in ("", item[1].env_id.task)]
+    def _list_episodes(self, query: ListQuery) -> Response:
+        found = self._find(query.source).episodes().items()
+        listed = [item for item in found if query.task in ("", item[1].env_id.task)]
         newest = listed[::-1][query.skip : query.skip + PAGE]
         return JSONResponse({"total": len(listed), "episodes": [summary(*item) for item in newest]})
 
-    async def _show_episode(self, query: EpisodeQuery) -> Response:
-        return JSONResponse(await self._reader.run(self._details, query))
+    def _show_episode(self, query: EpisodeQuery) -> Response:
+        return JSONResponse(self._viewed(query.source, query.episode).details)
 
-    async def _send_frames(self, query: FramesQuery) -> Response:
-        content = await self._reader.run(self._frames, query)
+    def _send_frames(self, query: FramesQuery) -> Response:
+        viewed = self._viewed(query.source, query.episode)
+        content = viewed.frames(query.view, query.first, query.count)
         return Response(content, media_type="application/octet-stream")
 
-    async def _send_probabilities(self, query: ProbabilitiesQuery) -> Response:
-        return JSONResponse(await self._runner.run(self._probabilities, query))
-
-    async def _roll_out(self, wanted: RolloutRequest) -> Response:
-        seed = sample_training_seeds(self._rng, 1)[0] if wanted.seed is None else wanted.seed
-        arguments = (self._policies, wanted.policy, parse_env_id(wanted.env_id), seed)
-        episode = await self._runner.run(roll_out, *arguments)
-        return JSONResponse({"source": ROLLOUTS, "episode": self._rollouts.add(episode)})
-
-    # In threads
-
-    def _details(self, query: EpisodeQuery) -> dict[str, Any]:
-        return self._viewed(query.source, query.episode).details
-
-    def _frames(self, query: FramesQuery) -> bytes:
-        viewed = self._viewed(query.source, query.episode)
-        return viewed.frames(query.view, query.first, query.count)
-
-    def _probabilities(self, query: ProbabilitiesQuery) -> list[list[float]]:
+    def _judge(self, query: ProbabilitiesQuery) -> Response:
         policy = self._policies.load(query.policy)
         episode = self._find(query.source).read(query.episode)
         self._policies.find(query.policy).check(episode.env_id)
-        rows: list[list[float]] = episode_probabilities(policy, episode).round(4).tolist()
-        return rows
+        return JSONResponse(episode_probabilities(policy, episode).round(4).tolist())
+
+    def _roll_out(self, wanted: RolloutRequest) -> Response:
+        seed = sample_training_seeds(self._rng, 1)[0] if wanted.seed is None else wanted.seed
+        episode = roll_out(self._policies, wanted.policy, parse_env_id(wanted.env_id), seed)
+        return JSONResponse({"source": ROLLOUTS, "episode": self._rollouts.add(episode)})
+
+
+def _described(task: Task) -> dict[str, Any]:
+    env_ids = {name: EnvId(task.name, name) for name in task.variants}
+    return {"name": task.name, "summary": task.summary, "env_ids": env_ids}
 
 
 async def _parsed(kind: type[_Query], request: Request) -> _Query:
-    """A request's query or, where it has one, its body; raises `MessageError`."""
+    """What a request asks for, by its address or its body; raises `MessageError`."""
     given = [item for item in request.query_params.multi_items() if item[0] != "token"]
     if len(dict(given)) < len(given):
         raise MessageError("expected each field once")

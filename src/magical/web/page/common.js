@@ -25,10 +25,7 @@ export async function ask(path, fields = {}, options = {}) {
 }
 
 export async function loadNames() {
-  const [environments, library] = await Promise.all(
-    ["environments", "library"].map(async (path) => (await ask(path)).json()),
-  );
-  Object.assign(offered, environments, library);
+  Object.assign(offered, await (await ask("library")).json());
 }
 
 export function fill(select, options, chosen = select.value) {
