@@ -6,7 +6,12 @@ Importing registers the environments with Gymnasium and does nothing else:
     env = gymnasium.make("magical/MoveToCorner-Demo-LoRes4E-v0")
 """
 
-from magical.envs import all_env_ids, parse_env_id, register_all, register_envs
+import warnings
+from functools import cache
+from typing import NoReturn
+
+from magical.envs import all_env_ids, parse_env_id, register_all
+from magical.envs import register_envs as _register_envs
 from magical.tasks import TASKS, Task, get_task
 from magical.tasks import register_task as _register_task
 
@@ -16,7 +21,35 @@ __version__ = "0.1.0"
 def register_task(task: Task) -> None:
     """Register a task from outside the package, and its environments with Gymnasium."""
     _register_task(task)
-    register_envs(task.name)
+    _register_envs(task.name)
+
+
+@cache
+def register_envs() -> None:
+    """Do nothing: importing the package registers its environments. Says so once."""
+    warnings.warn(
+        "magical.register_envs() does nothing: importing magical registers the environments",
+        DeprecationWarning,
+        stacklevel=2,
+    )
+
+
+# What code for the published package imports, and what to use instead.
+_REPLACED = {
+    "saved_trajectories": "magical.demos.Dataset, or `magical demos import` for published files",
+    "load_demos": "magical.demos.Dataset, or `magical demos import` for published files",
+    "try_download_demos": "`magical demos download`",
+    "EvaluationProtocol": "magical.evaluation.evaluate, or `magical evaluate`",
+}
+
+
+def __getattr__(name: str) -> NoReturn:
+    if name in _REPLACED:
+        raise ImportError(
+            f"magical.{name} is of the published package; use {_REPLACED[name]} "
+            "(docs/from-the-published-package.md)"
+        )
+    raise AttributeError(f"module 'magical' has no attribute {name!r}")
 
 
 register_all()

@@ -12,6 +12,7 @@ import pkgutil
 import sys
 from collections.abc import Iterator, Sequence
 from types import ModuleType
+from typing import Any, NoReturn
 
 from magical import __version__, commands
 from magical.errors import MagicalError, PlanError, UnknownNameError
@@ -55,12 +56,20 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action="version", version=f"magical {__version__}")
     _add_import(parser)
+    parser.add_argument("--env-name", action=_PublishedOption, help=argparse.SUPPRESS)
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name, module in find_commands():
         sub = subparsers.add_parser(name, help=module.HELP, description=module.__doc__)
         module.configure(sub)
         sub.set_defaults(run=module.run)
     return parser
+
+
+class _PublishedOption(argparse.Action):
+    """The one option of the published package, whose `python -m magical` let a person play."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *args: Any, **kwargs: Any) -> NoReturn:
+        parser.error("--env-name is of the published package; use `magical play --env ID`")
 
 
 def _import_modules(argv: Sequence[str] | None) -> list[str]:

@@ -1,14 +1,19 @@
 """Registration with Gymnasium; it imports no environment."""
 
+import warnings
 from contextlib import suppress
 from itertools import product
+from typing import Any
 
 import gymnasium as gym
+from gymnasium.envs.registration import EnvSpec
 
-from magical.envs.ids import EnvId
+from magical.envs.ids import NAMESPACE, EnvId
 from magical.errors import PluginError
 from magical.observe.presets import PRESETS
+from magical.plugins import plugins
 from magical.tasks import TASKS, possible_variants
+from magical.tasks.registry import GROUP
 
 
 def register_envs(task: str) -> None:
@@ -33,7 +38,34 @@ def register_envs(task: str) -> None:
 
 
 def register_all() -> None:
-    """Register the environments of every known task; no other distribution is imported."""
+    """Register the environments of every known task; no other distribution is imported.
+
+    Tasks of the appendix are registered by the ids of the published package as well.
+    """
     with suppress(PluginError):  # two offer the same task: raised where one is asked for
         for task in TASKS:
             register_envs(task)
+    published = [name for name in TASKS if name not in plugins(GROUP) and TASKS[name].section]
+    for name, preset in product(published, (None, *PRESETS)):
+        for variant in TASKS[name].variants:
+            env_id = EnvId(name, variant, preset)
+            old_id = env_id.removeprefix(f"{NAMESPACE}/")
+            gym.registry[old_id] = EnvSpec(
+                id=old_id,
+                entry_point="magical.envs.registration:make_by_published_id",
+                vector_entry_point="magical.envs.registration:make_by_published_id",
+                order_enforce=False,
+                kwargs={**gym.registry[env_id].kwargs, "new_id": str(env_id)},
+            )
+
+
+def make_by_published_id(new_id: str, num_envs: int | None = None, **options: Any) -> Any:
+    """What `gymnasium.make` and `make_vec` return for an id of the published package."""
+    from magical.envs.env import MagicalEnv
+    from magical.envs.vector import make_vector_env
+
+    old_id = new_id.removeprefix(f"{NAMESPACE}/")
+    warnings.warn(f"{old_id} is now {new_id}", DeprecationWarning, stacklevel=3)
+    if num_envs is None:
+        return MagicalEnv(**options)
+    return make_vector_env(num_envs=num_envs, **options)
