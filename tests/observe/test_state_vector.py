@@ -65,3 +65,12 @@ def test_writes_into_the_given_array() -> None:
     SPEC.observer(out).start(SCENE, Simulation(SCENE).read())
     assert out[0] == np.float32(0.1)
     assert len(SPEC.names) == SPEC.size == SPEC.space.shape[0]
+
+
+def test_bounds_are_finite_where_the_quantity_has_them() -> None:
+    box = SPEC.space
+    for name, low, high in zip(SPEC.names, box.low, box.high, strict=True):
+        assert np.isfinite([low, high]).all() == ("velocity" not in name), name
+    observer = SPEC.observer()
+    observer.start(SCENE, Simulation(SCENE).read())
+    assert observer.out in box

@@ -50,7 +50,8 @@ class MagicalEnv(gym.Env[Any, np.int64]):
     Episodes are truncated at the horizon and never terminate.
 
     ## Info
-    `eval_score` and `published_code_score`, both 0.0 before the last step.
+    `eval_score` and `published_code_score` at every step, as in the published environments: 0.0
+    before the last step, then the final state's scores (`scores()` has the current state's).
 
     Args:
         task: the task's name.

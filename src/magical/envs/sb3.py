@@ -24,7 +24,7 @@ class MagicalSB3VecEnv(VecEnv):
     Observations, actions and autoreset follow its conventions: a step that ends an episode
     returns the next episode's first observation, and `infos[i]` holds the last one as
     `terminal_observation`, `TimeLimit.truncated` (always True: episodes end at the horizon only)
-    and the scores. Images keep their layout; Stable-Baselines3 transposes
+    and the scores (0.0 in all other infos). Images keep their layout; Stable-Baselines3 transposes
     channels-last images itself where its networks need it.
 
     `get_attr` returns attributes of the vector environment, and for `env_ids` each

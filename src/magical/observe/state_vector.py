@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from magical.errors import InvalidSceneError, ObservationError
 from magical.observe.arrays import SINGLE, ArrayFields
 from magical.observe.spec import EpisodeSource
+from magical.scene.constants import WORKSPACE_HALF
 from magical.scene.poses import FINGERS, FIRST_BLOCK, ROBOT
 from magical.scene.scene import Scene
 from magical.scene.vocabulary import COLOURS, SHAPES
@@ -34,6 +35,17 @@ _ROBOT = (*_POSE, *_VELOCITY, "left_angle", "right_angle", "left_velocity", "rig
 _KIND = ("present", *SHAPES, *COLOURS)
 _BLOCK = (*_KIND, *_POSE, *_VELOCITY)
 _REGION = ("present", *COLOURS, "left", "top", "height", "width")
+
+
+def _bounds(entry: str) -> tuple[float, float]:
+    """The least and the largest value of an entry; only velocities have none."""
+    if "velocity" in entry:
+        return -np.inf, np.inf
+    if entry in _POSE or entry in ("left", "top"):
+        return -WORKSPACE_HALF, WORKSPACE_HALF  # of sine and cosine too
+    if entry in ("left_angle", "right_angle"):
+        return -np.pi, np.pi
+    return 0.0, 2 * WORKSPACE_HALF if entry in ("height", "width") else 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +71,9 @@ class StateSpec:
     @property
     def space(self) -> spaces.Box:
         """See `ObservationSpec`."""
-        return spaces.Box(-np.inf, np.inf, (self.size,), np.float32)
+        entries = (name.split(".")[1] for name in self.names)
+        low, high = np.array([_bounds(entry) for entry in entries], np.float32).T
+        return spaces.Box(low, high, dtype=np.float32)
 
     @property
     def fields(self) -> ArrayFields:

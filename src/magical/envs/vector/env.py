@@ -54,8 +54,8 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
 
     Sub-environment i behaves as `MagicalEnv` of `env_ids[i]` does when it is reset with the same
     seed and given the same actions, to the last bit, whatever the number of workers. Observations
-    are batched as Gymnasium batches them; `infos` holds `eval_score` and `published_code_score` as
-    arrays with their masks.
+    are batched as Gymnasium batches them; `infos` holds `eval_score` and `published_code_score`,
+    0.0 before an episode's last step, as arrays with their masks.
 
     Args:
         env_ids: the sub-environments' ids, with or without a preset.
