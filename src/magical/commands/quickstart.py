@@ -1,15 +1,20 @@
 """From nothing to a result: demonstrations, training, evaluation, and a page that shows it.
 
 Scripted experts demonstrate MoveToRegion and MoveToCorner; behavioural cloning learns each from
-pixels; both policies are evaluated on all variants. An interrupted quickstart is continued.
+pixels; its policies, the expert and a random policy are evaluated on all variants. It is
+`magical run quickstart`, then `magical report`; an interrupted quickstart is continued.
 """
 
 import argparse
+import time
+from dataclasses import replace
 from pathlib import Path
 
-from magical.commands._common import log, non_negative_int, positive_int, print_table
+from magical.commands import report
+from magical.commands._common import add_rollouts, add_seed, add_tasks, log, positive_int
 
 HELP = "train, evaluate and report, from nothing"
+INTERRUPTED = 130  # exit status after Ctrl-C or SIGTERM
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -21,69 +26,52 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="default: runs/quickstart",
     )
-    parser.add_argument(
-        "--task",
-        action="append",
-        metavar="TASK",
-        help="may be repeated (default: MoveToRegion and MoveToCorner)",
-    )
-    parser.add_argument("--seed", metavar="N", type=non_negative_int, default=0, help="default: 0")
-    parser.add_argument(
-        "--rollouts",
-        metavar="N",
-        type=positive_int,
-        default=100,
-        help="on each variant (default: 100)",
-    )
+    add_tasks(parser, "MoveToRegion and MoveToCorner")
+    add_seed(parser, "of training")
+    add_rollouts(parser)
     parser.add_argument(
         "--batches", metavar="N", type=positive_int, help="of training (default: the preset's)"
     )
     parser.add_argument(
-        "--workers", metavar="N", type=non_negative_int, help="processes (default: the cores)"
+        "--workers", metavar="N", type=positive_int, help="processes (default: the cores)"
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the quickstart, print the tables, write the page."""
-    from magical.experiments.quickstart import TASKS, Settings, Stopwatch, quickstart
-    from magical.report import text_rows
-    from magical.report.quickstart import quickstart_facts, quickstart_page, quickstart_tables
+    """Execute the plan, print the tables, write the page."""
+    from magical.experiments.execution import Resources, execute
+    from magical.experiments.plan import planned_references, planned_runs
+    from magical.experiments.plan_file import find_plan, read_plan
+    from magical.extras import require
 
-    settings = Settings(
-        args.out,
-        tasks=args.task or TASKS,
-        seed=args.seed,
+    require("report")
+    plan = read_plan(find_plan("quickstart"))
+    settings = {"batches": args.batches} if args.batches else {}
+    plan = replace(
+        plan,
+        methods=tuple(replace(method, settings=settings) for method in plan.methods),
+        tasks=tuple(args.task or plan.tasks),
+        seeds=(args.seed,),
         rollouts=args.rollouts,
-        batches=args.batches,
-        workers=args.workers,
     )
-    stopwatch = Stopwatch(log)
-    result = quickstart(settings, stopwatch)
-    tables = quickstart_tables(result.entries)
-    path = settings.out / "report.html"
-    facts = quickstart_facts(
-        demos=settings.demos,
-        rollouts=settings.rollouts,
-        observation=result.policies[settings.tasks[0]].observation,
-        seed=settings.seed,
-        seconds=stopwatch.seconds,
+    references = planned_references(plan)
+    resources = Resources(workers=args.workers)
+    summary = execute(planned_runs(plan), args.out, resources, references=references)
+    log(str(summary))
+    if not summary.complete:
+        return INTERRUPTED if summary.interrupted else 1
+    start = time.perf_counter()
+    page = argparse.Namespace(
+        folders=[args.out],
+        published=["BC (ST)"],
+        title="MAGICAL quickstart",
+        out=args.out / "report.html",
+        format="html",
+        compare=None,
+        clips=len(plan.tasks) * (len(plan.methods) + len(plan.references)),
     )
-    with stopwatch.part("the page"):
-        page = quickstart_page(
-            settings.out,
-            tables=tables,
-            policies=result.policies,
-            runs={task: settings.run_folder(task) for task in settings.tasks},
-            rollouts=settings.rollouts,
-            facts=facts,
-        )
-        page.write(path)
-    for name, spent in stopwatch.seconds.items():
-        log(f"{spent:6.0f} s  {name}")
-    log(f"{sum(stopwatch.seconds.values()):6.0f} s  in all")
-    for table in tables:
-        print_table((table.task, *table.variants), text_rows(table))
-        print(table.note)
-        print()
-    print(f"report: {path.resolve()}")
-    return 0
+    status = report.run(page)
+    for name, seconds in {**summary.seconds, "the page": time.perf_counter() - start}.items():
+        log(f"{seconds:6.0f} s  {name}")
+    print(f"report: {page.out.resolve()}")
+    return status

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from magical.commands._common import add_json, log, positive_int, print_json, print_table
 
 if TYPE_CHECKING:
-    from magical.experiments.plan import PlannedRun
+    from magical.experiments.plan import Plan, PlannedRun
 
 HELP = "run a plan of training runs, here or on a Ray cluster"
 INTERRUPTED = 130  # exit status after Ctrl-C or SIGTERM
@@ -85,9 +85,11 @@ def run(args: argparse.Namespace) -> int:
     from magical.experiments.plan_file import find_plan, read_plan
 
     path = find_plan(args.plan)
-    runs = planned_runs(read_plan(path, args.demos))
+    plan = read_plan(path, args.demos)
     out = args.out or Path("runs") / path.stem
-    return _dry_run(args, runs, out) if args.dry_run else _execute(args, runs, out)
+    if args.dry_run:
+        return _dry_run(args, planned_runs(plan), out)
+    return _execute(args, plan, out)
 
 
 def _dry_run(args: argparse.Namespace, runs: "Sequence[PlannedRun]", out: Path) -> int:
@@ -102,8 +104,9 @@ def _dry_run(args: argparse.Namespace, runs: "Sequence[PlannedRun]", out: Path) 
     return 0
 
 
-def _execute(args: argparse.Namespace, runs: "Sequence[PlannedRun]", out: Path) -> int:
+def _execute(args: argparse.Namespace, plan: "Plan", out: Path) -> int:
     from magical.experiments.execution import Resources, execute
+    from magical.experiments.plan import planned_references, planned_runs
 
     resources = Resources(
         executor="ray" if args.address else args.executor,
@@ -111,7 +114,13 @@ def _execute(args: argparse.Namespace, runs: "Sequence[PlannedRun]", out: Path) 
         workers=args.workers,
         gpus=args.gpus,
     )
-    summary = execute(runs, out, resources, retry_failed=args.retry_failed)
+    summary = execute(
+        planned_runs(plan),
+        out,
+        resources,
+        references=planned_references(plan),
+        retry_failed=args.retry_failed,
+    )
     log(str(summary))
     if args.json:
         print_json(summary.to_dict())

@@ -1,20 +1,23 @@
 """Executing the runs of a plan, wherever: which are started when, and what becomes of them."""
 
 import shlex
+import time
 from collections import Counter, deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
-from magical.errors import UnknownNameError
+from magical.errors import ClusterError, UnknownNameError
+from magical.evaluation import Evaluation
 from magical.experiments.demonstrations import prepare_demonstrations, require_same_demonstrations
 from magical.experiments.display import Display
 from magical.experiments.one_run import record_failure
 from magical.experiments.plan import PlannedRun
+from magical.experiments.references import evaluate_reference
 from magical.experiments.results import (
     DONE,
     FAILED,
@@ -25,6 +28,7 @@ from magical.experiments.results import (
 from magical.files import is_out_of_space
 from magical.learning.running.interrupts import Interrupts
 
+TRIES = 3  # of a run that the cluster, not the run itself, has ended
 POLL = 1.0  # seconds between checks for signals, and between refreshes of the display
 LOCAL, RAY = "local", "ray"  # executors
 
@@ -77,12 +81,14 @@ class Summary:
         counts: the number of runs by state: `done` and `failed`; the rest has not been finished.
         total: the number of runs of the plan.
         interrupted: by Ctrl-C or SIGTERM.
+        seconds: that each part of this execution took, by its name.
     """
 
     out: Path
     counts: Counter[str]
     total: int
     interrupted: bool
+    seconds: Mapping[str, float]
 
     @property
     def complete(self) -> bool:
@@ -116,6 +122,7 @@ def execute(
     out: Path,
     resources: Resources = Resources(),
     *,
+    references: Sequence[tuple[str, Evaluation]] = (),
     retry_failed: bool = False,
 ) -> Summary:
     """Finish all runs that are not done yet, in a results folder.
@@ -126,6 +133,7 @@ def execute(
         runs: of a plan.
         out: the results folder, new or of an earlier version of the plan.
         resources: where to execute them.
+        references: of the plan; they are evaluated at the end, on this machine.
         retry_failed: try those again that have failed; they continue from their last checkpoint.
 
     Raises:
@@ -133,26 +141,38 @@ def execute(
         ClusterError: the Ray cluster cannot be reached.
         DatasetError, DemonstrationsError: no demonstrations to learn from, or too few.
     """
+    seconds: dict[str, float] = {}
     with Interrupts() as stop, opened(out, runs) as results:
         states = {run: results.state(run) for run in runs}
         require_same_demonstrations([run for run in runs if states[run] == DONE], results)
         again = (None, FAILED) if retry_failed else (None,)
         waiting = [run for run in runs if states[run] in again]
-        if waiting:
-            executor = _executor(waiting, results, resources)
-            with closing(executor), suppress(_Interrupted):
-                demos = prepare_demonstrations(
-                    waiting, results, resources.workers, partial(_go_on, stop)
-                )
-                with Display(results.path) as display:
-                    _finish_all(waiting, demos, results, executor, display, stop)
-        return Summary(
-            results.path, Counter(filter(None, map(results.state, runs))), len(runs), stop.seen
-        )
+        go_on = partial(_go_on, stop)
+        with suppress(_Interrupted):
+            if waiting:
+                with closing(_executor(waiting, results, resources)) as executor:
+                    with _timed("demonstrations", seconds):
+                        demos = prepare_demonstrations(waiting, results, resources.workers, go_on)
+                    with _timed("training and evaluation", seconds), Display(out) as display:
+                        _finish_all(waiting, demos, results, executor, display, stop)
+            for name, evaluation in references:
+                with _timed("reference policies", seconds):
+                    go_on(0)
+                    evaluate_reference(name, evaluation, results.path, resources.workers, go_on)
+        counts = Counter(filter(None, map(results.state, runs)))
+        return Summary(results.path, counts, len(runs), stop.seen, seconds)
+
+
+@contextmanager
+def _timed(part: str, seconds: dict[str, float]) -> Iterator[None]:
+    """Add the seconds that the context takes to those of a part."""
+    start = time.perf_counter()
+    yield
+    seconds[part] = seconds.get(part, 0.0) + time.perf_counter() - start
 
 
 class _Interrupted(Exception):
-    """A signal came while demonstrations were generated; what was generated is kept."""
+    """A signal came outside training; what was generated or evaluated is kept."""
 
 
 def _go_on(stop: Interrupts, _: int) -> None:
@@ -170,6 +190,7 @@ def _finish_all(
     stop: Interrupts,
 ) -> None:
     waiting = deque(runs)
+    lost: Counter[PlannedRun] = Counter()
     running: dict[Future[Outcome], PlannedRun] = {}
     stopping = full = False  # full: no space is left
     while running or (waiting and not (full or stop.seen)):
@@ -182,6 +203,10 @@ def _finish_all(
             run = running.pop(future)
             outcome = _outcome(run, future, results, stopping or stop.seen)
             full = full or outcome.state == "no space"
+            if outcome.state == "lost":
+                lost[run] += 1
+                _require_executor(lost[run], outcome)
+                waiting.append(run)
             display.ended(run, outcome)
             results.write_progress(running.values(), executor.slots())
         display.refresh()
@@ -190,6 +215,15 @@ def _finish_all(
             executor.stop()
     if full:
         raise results.full()
+
+
+def _require_executor(times_lost: int, outcome: Outcome) -> None:
+    """Raise `ClusterError` where a run has been lost too often."""
+    if times_lost >= TRIES:
+        raise ClusterError(
+            f"the cluster lost a run {TRIES} times, last with: {outcome.error}. No run failed by "
+            "itself: mend the cluster, then give the same command again"
+        )
 
 
 def _outcome(run: PlannedRun, future: Future[Outcome], results: Results, stopping: bool) -> Outcome:

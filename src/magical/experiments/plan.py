@@ -16,6 +16,7 @@ from msgspec import Meta
 
 from magical.envs.episode import checked_nudge
 from magical.errors import MagicalError, PlanError
+from magical.evaluation import BUILT_IN
 from magical.evaluation.protocol import ROLLOUTS, Evaluation, environments
 from magical.evaluation.variants import full_variant
 from magical.experts import get_planner
@@ -97,6 +98,7 @@ class Plan:
         variants: a task is evaluated on those of them that it has. Empty: all.
         horizon: of evaluation, as `magical.tasks.parse_horizon` takes it.
         nudge: of evaluation, see `Evaluation`.
+        references: built-in policies that are evaluated beside the methods, such as `expert`.
 
     Raises:
         PlanError: unknown names, values out of range, or the same name twice.
@@ -117,6 +119,7 @@ class Plan:
     variants: tuple[str, ...] = ()
     horizon: int | str | None = None
     nudge: float = 0.0
+    references: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         with _plan_errors():
@@ -128,8 +131,12 @@ class Plan:
             object.__setattr__(self, "tasks", names)
         with _plan_errors("variants: "):
             object.__setattr__(self, "variants", tuple(map(full_variant, self.variants)))
+        if unknown := [name for name in self.references if name not in BUILT_IN]:
+            raise PlanError(
+                f"references: expected some of {', '.join(BUILT_IN)}, found {quoted(unknown[0])}"
+            )
         _require_each_once("methods: name", [method.name for method in self.methods])
-        for key in ("tasks", "seeds", "variants"):
+        for key in ("tasks", "seeds", "variants", "references"):
             _require_each_once(key, getattr(self, key))
         if len(self.methods) * len(self.tasks) * len(self.seeds) > MAX_RUNS:
             raise PlanError(f"expected at most {MAX_RUNS} runs, found more")
@@ -271,6 +278,12 @@ def planned_runs(plan: Plan) -> list[PlannedRun]:
             runs += [replace(first, config=replace(first.config, seed=s)) for s in plan.seeds]
     _require_distinct(runs)
     return runs
+
+
+def planned_references(plan: Plan) -> list[tuple[str, Evaluation]]:
+    """The policies that are evaluated beside a plan's methods, and how: one task at a time."""
+    evaluations = [planned_evaluation(plan, (task,)) for task in plan.tasks]
+    return [(name, evaluation) for name in plan.references for evaluation in evaluations]
 
 
 def _planned_run(plan: Plan, method: Method, tasks: tuple[str, ...]) -> PlannedRun:

@@ -14,6 +14,13 @@ from pathlib import Path
 from typing import Any
 
 import ray
+from ray.exceptions import (
+    OutOfMemoryError,
+    RayError,
+    RayTaskError,
+    TaskCancelledError,
+    WorkerCrashedError,
+)
 
 from magical.errors import ClusterError, RunFolderError
 from magical.experiments.one_run import finish
@@ -21,9 +28,11 @@ from magical.experiments.plan import PlannedRun
 from magical.experiments.results import DONE, EXPERIMENT, RESULT, Outcome, Results
 from magical.files import LOCK
 from magical.learning.running.interrupts import SIGNALS
+from magical.messages import printable
 from magical.runs.folder import CHECKPOINT, read_json
 
 RETRIES = 3  # after the end of a node or of a process on it
+MAX_ERROR = 500  # characters of Ray's own messages
 TIMEOUT = 10.0  # seconds to reach a cluster's port
 
 Returned = tuple[Outcome, bytes | None]  # with the run's folder, packed, unless it is shared
@@ -68,7 +77,8 @@ class RayExecutor:
 
     def slots(self) -> int:
         """How many runs the present nodes can have in progress at a time."""
-        resources = ray.cluster_resources()
+        with _cluster_needed():
+            resources = ray.cluster_resources()
         slots = int(resources.get("CPU", 0) // self._threads)
         if self._gpus:
             slots = min(slots, int(resources.get("GPU", 0) / self._gpus))
@@ -83,12 +93,13 @@ class RayExecutor:
             max_retries=RETRIES,
         )
         folder = self._results.folder(run)
-        if demos and demos not in self._packed:
-            self._packed[demos] = ray.put(pack(demos))
-        # References in a list are not fetched before they are needed.
-        dataset = (str(demos), [self._packed[demos]]) if demos else None
-        reference = task.remote(run, str(folder), self._results.id, dataset)
-        ended: Future[Returned] = reference.future()
+        with _cluster_needed():
+            if demos and demos not in self._packed:
+                self._packed[demos] = ray.put(pack(demos))
+            # References in a list are not fetched before they are needed.
+            dataset = (str(demos), [self._packed[demos]]) if demos else None
+            reference = task.remote(run, str(folder), self._results.id, dataset)
+            ended: Future[Returned] = reference.future()
         self._tasks[ended] = reference
         outcome: Future[Outcome] = Future()
         ended.add_done_callback(lambda _: self._settle(ended, folder, outcome))
@@ -112,8 +123,24 @@ class RayExecutor:
                 begun_here = result.state != DONE and (folder / CHECKPOINT).is_file()
                 unpack(packed, folder, RESULT if begun_here else None)
             outcome.set_result(result)
+        except (RayTaskError, TaskCancelledError, WorkerCrashedError, OutOfMemoryError) as error:
+            outcome.set_exception(error)  # the run's own doing, RETRIES times
+        except RayError as error:
+            outcome.set_result(Outcome("lost", error=printable(str(error), MAX_ERROR)))
         except Exception as error:
             outcome.set_exception(error)
+
+
+@contextmanager
+def _cluster_needed() -> Iterator[None]:
+    """Raise what a cluster that is gone causes as `ClusterError`."""
+    try:
+        yield
+    except (RayError, ConnectionError) as error:
+        raise ClusterError(
+            f"the Ray cluster is gone: {printable(str(error), MAX_ERROR)}; give the same command "
+            "again to continue"
+        ) from error
 
 
 def pack(folder: Path) -> bytes:
@@ -162,7 +189,9 @@ def _init(address: str | None, cores: int | None) -> None:
         else:
             ray.init(address=address, log_to_driver=False)
     except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
-        raise ClusterError(_unreachable(address or "this machine", str(error)[:500])) from error
+        raise ClusterError(
+            _unreachable(address or "this machine", str(error)[:MAX_ERROR])
+        ) from error
 
 
 @contextmanager

@@ -63,12 +63,13 @@ class Outcome:
     """How the attempt to finish a run ended.
 
     Attributes:
-        state: `interrupted` by Ctrl-C or SIGTERM with a checkpoint left; `no space` on the device.
+        state: `interrupted` by Ctrl-C or SIGTERM with a checkpoint left; `no space` on the device;
+            `lost` with a node of a cluster.
         seconds: of this attempt.
         error: the message, if it failed.
     """
 
-    state: Literal["done", "failed", "interrupted", "no space"]
+    state: Literal["done", "failed", "interrupted", "no space", "lost"]
     seconds: float = 0.0
     error: str = ""
 
