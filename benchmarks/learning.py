@@ -86,9 +86,10 @@ class Setup:
             **changes,
         )
         (folder / name).mkdir()
-        self.trainer = BCTrainer(self.config, Run(folder / name))
+        self.trainer = BCTrainer(self.config, Run(folder / name, self.config))
         self.trainer.network.train()
-        trajectories = sample_demonstrations(self.config.demos, (TASK,), DEMOS, 0).trajectories
+        demos = self.config.demonstrations.demos
+        trajectories = sample_demonstrations(demos, (TASK,), DEMOS, 0).trajectories
         self.data = self.trainer.expert_data(trajectories, remove_noops=True)
         if way == "pytorch":
             spec = self.config.observation_spec
@@ -154,8 +155,9 @@ def main() -> None:
     for setup in setups:
         making, learning, whole = map(median, (setup.making, setup.learning, setup.whole))
         print(
-            f"| {setup.name} | {setup.config.network} | {1e3 * making:.1f} | {1e3 * learning:.1f} "
-            f"| {making / (making + learning):.0%} | {size / whole:.0f} | {first / whole:.2f} |"
+            f"| {setup.name} | {setup.config.networks.network} | {1e3 * making:.1f} "
+            f"| {1e3 * learning:.1f} | {making / (making + learning):.0%} | {size / whole:.0f} "
+            f"| {first / whole:.2f} |"
         )
 
 

@@ -21,8 +21,7 @@ SECTION_B: Mapping[str, Any] = {
     "num_demos": 10,
     "observation": "LoRes4E",
     "network": "paper",
-    "pixel_range": "unit",
-    "borders": "mirror",
+    "conventions": "appendix",
 }
 TABLE_3: Mapping[str, Any] = {
     "batches": 20_000,
@@ -34,15 +33,15 @@ TABLE_3: Mapping[str, Any] = {
 }
 TABLE_4: Mapping[str, Any] = {
     "num_envs": 32,
-    "time_steps": 8,
+    "num_steps": 8,
     "epochs": 12,
     "minibatch_size": 64,
     "learning_rate": 6e-5,
     "anneal": True,
-    "discount": 0.8,
+    "gamma": 0.8,
     "gae_lambda": 0.8,
-    "entropy_bonus": 1e-5,
-    "clip": 0.01,
+    "ent_coef": 1e-5,
+    "clip_range": 0.01,
     "max_grad_norm": 1.0,
     "total_steps": 1_000_000,
     "horizon": "appendix",
@@ -52,7 +51,6 @@ DISCRIMINATOR: Mapping[str, Any] = {  # of Table 4
     "discriminator_learning_rate": 2.5e-5,
     "discriminator_steps": 12,
     "augment": "all",
-    "action_input": "one-hot",
     "reward_std": 0.1,
     "penalty_weight": 100.0,
 }
@@ -61,7 +59,6 @@ AUTOENCODER: Mapping[str, Any] = {  # of section B, "Apprenticeship learning bas
     "pretraining_batch_size": 24,
     "feature_samples": 512,
     "reward_std": 0.1,
-    "action_input": "one-hot",
 }
 SOURCES = {
     "bc": [TABLE_3],

@@ -15,12 +15,14 @@ import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from importlib.machinery import PathFinder
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import Any, Generic, TypeVar
 
 from magical.errors import PluginError, UnknownNameError
+from magical.messages import quoted
 
 T = TypeVar("T")
 
@@ -175,3 +177,35 @@ def _import_file(path: Path) -> ModuleType:
 def _search_last(folder: Path) -> None:
     if str(folder) not in sys.path:
         sys.path.append(str(folder))
+
+
+def require_known_module(name: str, what: str) -> None:
+    """Check that what a file names may be imported on its word.
+
+    Entry points may, and `module:NAME` of a module that is installed, or that the user has imported
+    before. A module of the working folder or a file may not: both may have come with the file.
+
+    Args:
+        name: of a thing of any kind.
+        what: names the file in the message.
+
+    Raises:
+        PluginError: it may not.
+    """
+    module, colon, _ = name.rpartition(":")
+    package = module.partition(".")[0]
+    if not colon or module in sys.modules or _is_installed(package):
+        return
+    raise PluginError(
+        f"{what} names {quoted(name)}, of a module that is not installed; if you trust it, import "
+        "it first: magical --import MODULE or FILE.py before the command"
+    )
+
+
+def _is_installed(package: str) -> bool:
+    """Whether a package outside the standard library and the working folder is importable."""
+    if not package.isidentifier() or package in sys.stdlib_module_names:
+        return False
+    here = Path.cwd()
+    paths = [path for path in sys.path if path and Path(path).resolve() != here.resolve()]
+    return PathFinder.find_spec(package, paths) is not None

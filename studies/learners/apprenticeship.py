@@ -23,10 +23,12 @@ from torch.nn import functional
 from magical.envs.vector import MagicalVectorEnv
 from magical.learning.algorithms import read_config
 from magical.learning.algorithms.al import WEIGHTS, ALConfig, make_autoencoder
-from magical.learning.algorithms.ppo import make_samples, ppo_loss
+from magical.learning.algorithms.ppo import ppo_loss
 from magical.learning.augmentation.augment import to_unit
 from magical.learning.data.expert_data import ExpertData, sample_demonstrations
-from magical.learning.reinforcement.reward_normalisation import RewardNormaliser
+from magical.learning.reinforcement.advantages import make_samples
+from magical.learning.reinforcement.replay_buffer import ROLLOUTS
+from magical.learning.reinforcement.reward_normalisation import RewardNormaliser, reward_floor
 from magical.learning.reinforcement.rollouts import Rollout
 from magical.learning.running.checkpoints import load_checkpoint, load_module
 from magical.runs.folder import CHECKPOINT
@@ -55,7 +57,8 @@ def main() -> None:
     torch.set_num_threads(1)
     config = read_config(args.run)
     assert isinstance(config, ALConfig)
-    chosen = sample_demonstrations(config.demos, config.tasks, config.num_demos, config.seed)
+    wanted = config.demonstrations
+    chosen = sample_demonstrations(wanted.demos, config.tasks, wanted.num_demos, config.seed)
     expert = ExpertData(chosen.trajectories, config.tasks, config.observation_spec)
     encoder = args.features == "encoder"
     encode = load_encoder(config, args.run) if encoder else principal_components(expert)
@@ -105,7 +108,7 @@ class PoseEnvs:
     """Environments that show images, for the rewards, and the robot's pose, for the policy."""
 
     def __init__(self, config: ALConfig, rng: np.random.Generator) -> None:
-        size = config.num_envs
+        size = config.ppo.num_envs
         self.envs = MagicalVectorEnv(
             [DEMO] * size, workers=0, observation=config.observation, autoreset_mode="SameStep"
         )
@@ -154,10 +157,10 @@ def imitate(
     torch.manual_seed(seed)
     envs, network = PoseEnvs(config, rng), PoseActorCritic()
     optimizer = torch.optim.Adam(network.parameters(), LEARNING_RATE)
-    normaliser = RewardNormaliser(1, config.reward_std, "cpu", config.reward_floor)
+    normaliser = RewardNormaliser(1, config.reward_std, "cpu", reward_floor(config.networks))
     expert_features = encode_expert(expert, encode)
-    novice: deque[Tensor] = deque(maxlen=config.replay_batches)
-    updates = steps // config.steps_per_update
+    novice: deque[Tensor] = deque(maxlen=ROLLOUTS)
+    updates = steps // config.ppo.steps_per_update
     for update in range(updates):
         rollout, features = collect_rollout(config, envs, network, encode)
         novice.append(features.flatten(0, 1))
@@ -184,7 +187,7 @@ def collect_rollout(
 ) -> tuple[Rollout, Tensor]:
     """A rollout whose observations are poses, and its features (T, N, F)."""
     poses, taken, log_probs, values, dones, features = [], [], [], [], [], []
-    for _ in range(config.time_steps):
+    for _ in range(config.ppo.num_steps):
         images = envs.images()
         logits, value = network(envs.poses)
         policy = logits.log_softmax(dim=1)
@@ -222,19 +225,20 @@ def improve_policy(
     rng: np.random.Generator,
 ) -> None:
     """PPO's update with the run's settings; `left` anneals learning rate and clip range."""
-    samples = make_samples(rollout, rewards, config)
+    ppo = config.ppo
+    samples = make_samples(rollout, rewards, ppo.gamma, ppo.gae_lambda, ppo.normalise_advantages)
     for group in optimizer.param_groups:
         group["lr"] = LEARNING_RATE * left
-    for _ in range(config.epochs):
+    for _ in range(ppo.epochs):
         order = torch.from_numpy(rng.permutation(len(samples.actions)))
-        for rows in torch.split(order, config.minibatch_size):
+        for rows in torch.split(order, ppo.minibatch_size):
             minibatch = samples.select(rows)
             logits, values = network(minibatch.observations)
-            clip = config.clip * left
-            loss, _ = ppo_loss(logits, values, minibatch, torch.tensor(clip), config.entropy_bonus)
+            clip_range = torch.tensor(ppo.clip_range * left)
+            loss, _ = ppo_loss(logits, values, minibatch, clip_range, ppo.ent_coef)
             optimizer.zero_grad()
             torch.autograd.backward(loss)
-            nn.utils.clip_grad_norm_(network.parameters(), config.max_grad_norm)
+            nn.utils.clip_grad_norm_(network.parameters(), ppo.max_grad_norm)
             optimizer.step()
 
 

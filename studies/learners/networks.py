@@ -64,11 +64,12 @@ def curve(arguments: argparse.Namespace, network: str, task: str, seed: int) -> 
         return list(json.loads(file.read_text()))
     config = configuration(arguments, network, task, seed)
     env_id = EnvId(task, "Demo")
-    if not Path(config.demos).exists():
-        generate(env_id, config.num_demos, config.demos, seed=seed, min_score=1.0)
+    wanted = config.demonstrations
+    if not Path(wanted.demos).exists():
+        generate(env_id, wanted.num_demos, wanted.demos, seed=seed, min_score=1.0)
     folder = file.with_suffix("")
     scores: list[float] = []
-    while len(scores) * EVERY < config.batches and (not scores or scores[-1] < SOLVED):
+    while len(scores) * EVERY < config.num_updates and (not scores or scores[-1] < SOLVED):
         train(config, folder, resume=folder.exists(), stop_after=EVERY)
         rollouts = evaluate(
             load_policy(folder),
@@ -106,13 +107,13 @@ def training_step(network: str, precision: str) -> Callable[[], None]:
         "quick", tasks=TASKS[:1], demos="", network=network, precision=precision
     )
     policy = make_policy(config)
-    optimizer = make_optimizer(config, policy)
+    optimizer = make_optimizer(config.cloning, policy)
     compute = choose_compute("cpu", precision, 1)
     rng = np.random.default_rng(0)
-    shape = (config.batch_size, *config.input_shape)
+    shape = (config.cloning.batch_size, *config.input_shape)
     images = torch.rand(shape).contiguous(memory_format=torch.channels_last)
-    actions = torch.from_numpy(rng.integers(0, 18, config.batch_size))
-    tasks = torch.zeros(config.batch_size, dtype=torch.int64)
+    actions = torch.from_numpy(rng.integers(0, 18, config.cloning.batch_size))
+    tasks = torch.zeros(config.cloning.batch_size, dtype=torch.int64)
 
     def step() -> None:
         with compute.autocast():

@@ -15,7 +15,8 @@ import torch
 
 from magical.evaluation import environments, evaluate
 from magical.learning.algorithms.object_bc import ObjectPolicy
-from magical.learning.policy import NetworkPolicy, load_policy
+from magical.learning.policy import NetworkPolicy
+from magical.learning.running.loading import load_policy
 
 
 def main() -> None:

@@ -29,7 +29,8 @@ from magical.learning.algorithms.object_bc import ObjectPolicy
 from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.objects.parser import FAR, MAX_BLOCKS, MAX_REGIONS
 from magical.learning.objects.table import ObjectTable, parse_table, to_tensor
-from magical.learning.policy import NetworkPolicy, load_policy, sample_actions
+from magical.learning.policy import NetworkPolicy, sample_actions
+from magical.learning.running.loading import load_policy
 from magical.observe.pixels import STACK
 from magical.render import Renderer
 from magical.scene import State, View

@@ -92,7 +92,7 @@ def test_what_is_done_is_not_done_again_and_a_changed_plan_runs_what_changed(
     assert (status.counts["done"], status.others, status.active) == (2, 1, False)
     inline.clear()
     execute(planned(("seeds = [0, 1]", "seeds = [0]"), ("batches = 6", "batches = 7")), copied)
-    assert [run.config.total for run in inline] == [7]
+    assert [run.config.num_updates for run in inline] == [7]
 
 
 def test_the_same_plan_gives_the_same_scores(

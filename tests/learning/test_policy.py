@@ -41,7 +41,8 @@ class Fixed(nn.Module):
 
 def fixed(logits: Any, preset: str = "LoRes4E", greedy: bool = False) -> NetworkPolicy:
     network = Fixed(torch.as_tensor(logits, dtype=torch.float32))
-    return NetworkPolicy(network, TASKS, preset, PRESETS[preset], CPU, greedy)
+    config = BCConfig.preset("paper", tasks=TASKS, demos="", observation=preset)
+    return NetworkPolicy(network, config, CPU, greedy)
 
 
 def test_actions_are_sampled_from_the_distribution_of_the_right_task() -> None:

@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
-from magical.learning.reinforcement.config import ReinforcementConfig
+from magical.learning.algorithms.ppo import ReinforcementConfig
 from magical.learning.running.checkpoints import load_checkpoint
 from magical.runs.folder import CHECKPOINT
 
@@ -18,7 +18,7 @@ def tiny(kind: type[AnyConfig], preset: str = "quick", **fields: Any) -> AnyConf
     settings = {
         "tasks": ("MoveToRegion",),
         "num_envs": 3,
-        "time_steps": 2,
+        "num_steps": 2,
         "epochs": 1,
         "minibatch_size": 3,
         "total_steps": 18,
@@ -26,7 +26,6 @@ def tiny(kind: type[AnyConfig], preset: str = "quick", **fields: Any) -> AnyConf
         "evaluate_every": 0,
         "device": "cpu",
         "precision": "float32",
-        "decorrelate": False,
     }
     return kind.preset(preset, **{**settings, **fields})
 

@@ -31,6 +31,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     for name in algorithm_names():
         algorithms.add_parser(name, help=f"magical train {name} --help", algorithm=name)
+    algorithms.choices = algorithms._name_parser_map = _Parsers(algorithms)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -67,6 +68,20 @@ def run(args: argparse.Namespace) -> int:
     again = f"magical train {args.algorithm} --out {shlex.quote(str(result.folder))} --resume"
     log(f"{result.folder}: stopped at step {result.step}; to continue: {again}")
     return INTERRUPTED if result.interrupted else 0
+
+
+class _Parsers(dict[str, "_AlgorithmParser"]):
+    """The algorithms' parsers by name; one is made for any `module:NAME`."""
+
+    def __init__(self, algorithms: "argparse._SubParsersAction[_AlgorithmParser]") -> None:
+        super().__init__(algorithms._name_parser_map)
+        self._algorithms = algorithms
+
+    def __contains__(self, name: object) -> bool:
+        return super().__contains__(name) or ":" in str(name)
+
+    def __missing__(self, name: str) -> "_AlgorithmParser":
+        return self._algorithms.add_parser(name, algorithm=name)
 
 
 class _AlgorithmParser(argparse.ArgumentParser):
@@ -142,9 +157,9 @@ def _add_option(parser: argparse.ArgumentParser, option: "Option") -> None:
         dest=option.name,
         type=option.kind,
         nargs="+" if option.several else None,
-        choices=option.choices or None,
-        metavar=option.metavar,
-        help=text,
+        choices=None if option.open else option.choices or None,
+        metavar=f"{{{','.join(option.choices)}}}" if option.open else option.metavar,
+        help=f"{text}; or module:NAME" if option.open else text,
     )
 
 
@@ -165,9 +180,9 @@ def _config(args: argparse.Namespace) -> "Config":
         if (value := getattr(args, option.name, None)) is not None
     }
     if args.resume and args.preset is None and is_run(args.out):
-        return kind.from_dict({**read_config(args.out).to_dict(), **given})
+        return read_config(args.out).replace(**given)
     _require([o.name for o in fields if o.required and o.name not in given], args.algorithm)
-    return kind.preset(args.preset or "paper", **given)
+    return kind.preset(args.preset or "paper", algorithm=args.algorithm, **given)
 
 
 def _require(missing: Sequence[str], algorithm: str) -> None:

@@ -3,7 +3,6 @@
 import hashlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from itertools import chain, islice
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from magical.errors import DatasetError, DemonstrationsError, ResultsError
 from magical.evaluation import environments
 from magical.experiments.plan import PlannedRun, Source
 from magical.experiments.results import DEMOS, EXPERIMENT, Results
-from magical.learning.config import ImitationConfig
+from magical.learning.config import DemonstrationSettings
 from magical.runs.folder import read_json, write_json
 
 DIGESTS = "demonstrations"  # in `experiment.json`: task -> digest of the user's dataset
@@ -87,9 +86,10 @@ def require_same_demonstrations(runs: Sequence[PlannedRun], results: Results) ->
         ResultsError: they learned from others.
     """
     for config in [run.config for run in runs if run.source.dataset][:1]:
-        if isinstance(config, ImitationConfig) and Path(config.demos).exists():
+        wanted = config.part(DemonstrationSettings)
+        if wanted and Path(wanted.demos).exists():
             known = read_json(results.path / EXPERIMENT).get(DIGESTS, {})
-            _require_same(Dataset.open(Path(config.demos)), known, results)
+            _require_same(Dataset.open(Path(wanted.demos)), known, results)
 
 
 def prepare_demonstrations(
@@ -107,25 +107,28 @@ def prepare_demonstrations(
         DemonstrationsError: it has too few demonstrations for a run.
         ResultsError: the results folder holds runs that learned from others.
     """
-    imitating = [(run, run.config) for run in runs if isinstance(run.config, ImitationConfig)]
-    if not imitating:
+    counts: dict[str, int] = {}  # by task: the most that a run learns from
+    for run in runs:
+        wanted = run.config.part(DemonstrationSettings)
+        if wanted:
+            folder, source = wanted.demos, run.source  # the plan's
+            counts |= {task: max(wanted.num_demos, counts.get(task, 0)) for task in run.tasks}
+    if not counts:
         return None
-    configs = [config for _, config in imitating]
-    tasks = list(dict.fromkeys(task for config in configs for task in config.tasks))
-    source = imitating[0][0].source  # the plan's, as is the folder in the configuration
+    tasks = list(counts)
     if not source.dataset:
         return _generated(source, tasks, results, workers, progress)
-    dataset = Dataset.open(Path(configs[0].demos).absolute())
+    dataset = Dataset.open(Path(folder).absolute())
     if source.expert_demos is None:
-        _require_enough(dataset, configs)
+        _require_enough(dataset, counts)
         _require_same(dataset, tasks, results)
         return dataset.path
-    _require_enough(dataset, [replace(config, num_demos=1) for config in configs])
+    _require_enough(dataset, dict.fromkeys(counts, 1))
     _require_same(dataset, tasks, results)
     generated = Dataset.open(_generated(source, tasks, results, workers, progress))
     pooled = results.path / DEMOS / f"dataset-and-{generated.path.name}"
     _pool([dataset, generated], tasks, pooled)
-    _require_enough(Dataset.open(pooled), configs)
+    _require_enough(Dataset.open(pooled), counts)
     return pooled
 
 
@@ -185,16 +188,16 @@ def _demos(dataset: Dataset) -> list[ManifestEntry]:
     return [entry for entry in dataset.entries if entry.variant == "Demo"]
 
 
-def _require_enough(dataset: Dataset, configs: Iterable[ImitationConfig]) -> None:
-    counts = Counter(entry.task for entry in _demos(dataset))
-    for config in configs:
-        for task in config.tasks:
-            if counts[task] < config.num_demos:
-                raise DemonstrationsError(
-                    f"{dataset.path}: expected at least {config.num_demos} demonstrations of "
-                    f"{task} (Demo), found {counts[task]}; add demonstrations, give another folder "
-                    "(--demos), or lower num_demos in the plan"
-                )
+def _require_enough(dataset: Dataset, counts: Mapping[str, int]) -> None:
+    """Raise `DemonstrationsError` unless the dataset has so many of each task."""
+    found = Counter(entry.task for entry in _demos(dataset))
+    for task, count in counts.items():
+        if found[task] < count:
+            raise DemonstrationsError(
+                f"{dataset.path}: expected at least {count} demonstrations of {task} (Demo), "
+                f"found {found[task]}; add demonstrations, give another folder (--demos), or lower "
+                "num_demos in the plan"
+            )
 
 
 def _require_same(dataset: Dataset, tasks: Iterable[str], results: Results) -> None:

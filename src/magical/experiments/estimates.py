@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 from magical.experiments.plan import PlannedRun
 from magical.learning import Config
-from magical.learning.config import ImitationConfig
-from magical.learning.reinforcement.config import ReinforcementConfig
+from magical.learning.config import DemonstrationSettings, NetworkSettings
 
 ROUNDS = 2  # timed batches of a network
 FORWARD = 1 / 3  # time of a forward pass, of that of a forward and backward pass
@@ -59,9 +58,9 @@ def _estimate(run: PlannedRun, speed: float) -> Estimate:
     config = run.config
     samples, steps = config.training_samples, _evaluation_steps(run)
     prepared = 0
-    if isinstance(config, ReinforcementConfig):
-        steps += config.updates * config.steps_per_update
-    elif isinstance(config, ImitationConfig):
+    if config.environment_steps:
+        steps += config.environment_steps
+    elif config.part(DemonstrationSettings):
         prepared = samples
     if config.seconds_each:
         per_sample, per_action = config.seconds_each
@@ -89,7 +88,9 @@ def _way(config: Config) -> tuple[str, str, str, int]:
     device = choose_device(config.device)
     compute = choose_compute(device, config.precision, config.threads)
     threads = compute.threads if device == "cpu" else 0
-    return config.network, device, compute.precision, threads
+    networks = config.part(NetworkSettings)
+    network = networks.network if networks else "paper"
+    return network, device, compute.precision, threads
 
 
 def _measure(ways: set[tuple[str, str, str, int]]) -> dict[tuple[str, str, str, int], float]:

@@ -1,6 +1,5 @@
 """One run of a plan: training, evaluation, final record. Executed in a process of its own."""
 
-import dataclasses
 import time
 import traceback
 from collections.abc import Mapping
@@ -18,7 +17,7 @@ from magical.experiments.plan import PlannedRun
 from magical.experiments.results import DONE, FAILED, RESULT, Outcome
 from magical.files import is_out_of_space, remove_partial_files
 from magical.learning import Config, TrainResult, is_run, load_policy, train
-from magical.learning.config import ImitationConfig
+from magical.learning.config import DemonstrationSettings
 from magical.messages import printable
 from magical.runs.folder import versions, write_json
 from magical.runs.machine import machine, source_commit
@@ -84,8 +83,8 @@ def _train_and_evaluate(
 ) -> Mapping[str, float] | None:
     """The seconds of training and evaluation; `None` if training was interrupted."""
     config = run.config
-    if demos is not None and isinstance(config, ImitationConfig):
-        config = dataclasses.replace(config, demos=str(demos))
+    if demos is not None and config.part(DemonstrationSettings):
+        config = config.replace(demos=str(demos))
     start = time.perf_counter()
     if _train(config, folder).interrupted:
         return None
@@ -119,6 +118,6 @@ def evaluate_run(run: PlannedRun, folder: Path, out: Path, evaluation: Evaluatio
         workers = 0 if run.config.threads == 1 else run.config.threads
         scores = roll_out(policy, evaluation, workers=workers)
         details = {**evaluation_details(str(folder), out), "preset": run.preset}
-    if isinstance(run.config, ImitationConfig):  # all settings are in `result.json`
-        details["demonstrations"] = f"{run.config.num_demos} of each task ({run.source})"
+    if run.source.kind:  # all settings are in `result.json`
+        details["demonstrations"] += f" ({run.source})"
     Entry.of(policy, evaluation, method=run.method, scores=scores, details=details).write(out)

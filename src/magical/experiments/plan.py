@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any
 
 from msgspec import Meta
 
@@ -22,7 +22,8 @@ from magical.evaluation.variants import full_variant
 from magical.experts import get_planner
 from magical.experts.noise import check_share
 from magical.learning import Config, find_algorithm
-from magical.learning.config import ImitationConfig, options
+from magical.learning.config import DemonstrationSettings, options
+from magical.learning.settings import option_types
 from magical.messages import quoted
 from magical.tasks import TASKS, get_task, parse_horizon
 from magical.untrusted import convert
@@ -69,9 +70,9 @@ class Method:
         for name in self.settings:
             if name not in known:
                 raise PlanError(f"settings.{name}: unknown; expected some of: {', '.join(known)}")
-        hints = get_type_hints(config)
+        types = option_types(config)
         settings = {
-            name: convert(value, hints[name], f"settings.{name}", PlanError)
+            name: convert(value, types[name], f"settings.{name}", PlanError)
             for name, value in self.settings.items()
         }
         object.__setattr__(self, "settings", settings)
@@ -300,10 +301,11 @@ def _planned_run(plan: Plan, method: Method, tasks: tuple[str, ...]) -> PlannedR
     }
     given = {name: value for name, value in from_plan.items() if name in names}
     preset = method.preset or plan.preset
-    config = kind.preset(preset, **{**given, **method.settings})
+    given |= {"algorithm": method.algorithm, **method.settings}
+    config = kind.preset(preset, **given)
     if config.threads < 1:
         raise PlanError(f"threads: expected at least 1, found {config.threads}")
-    source = _source(plan, config) if isinstance(config, ImitationConfig) else Source()
+    source = _source(plan, config) if config.part(DemonstrationSettings) else Source()
     evaluation = planned_evaluation(plan, tasks)
     return PlannedRun(method.name, preset, config, source, evaluation, plan.variants)
 
@@ -321,7 +323,7 @@ def planned_evaluation(plan: Plan, tasks: Sequence[str]) -> Evaluation:
     )
 
 
-def _source(plan: Plan, config: ImitationConfig) -> Source:
+def _source(plan: Plan, config: Config) -> Source:
     """Where the demonstrations of a run come from."""
     dataset = plan.demos != EXPERT
     if plan.add_expert and not dataset:
@@ -338,9 +340,10 @@ def _source(plan: Plan, config: ImitationConfig) -> Source:
         return Source(dataset=True)
     for task in config.tasks:
         get_planner(task)  # raises for a task without an expert
-    if not dataset and plan.expert_demos < config.num_demos:
+    demonstrations = config.part(DemonstrationSettings)
+    if demonstrations and not dataset and plan.expert_demos < demonstrations.num_demos:
         raise PlanError(
-            f"expert_demos: expected at least num_demos, {config.num_demos}, "
+            f"expert_demos: expected at least num_demos, {demonstrations.num_demos}, "
             f"found {plan.expert_demos}"
         )
     return Source(dataset, plan.expert_demos, plan.perturb, plan.min_score)

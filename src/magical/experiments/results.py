@@ -195,7 +195,7 @@ def listed(run: PlannedRun) -> Mapping[str, Any]:
         "method": run.method,
         "tasks": list(run.tasks),
         "seed": run.seed,
-        "total": run.config.total,
+        "total": run.config.num_updates,
     }
 
 

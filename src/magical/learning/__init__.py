@@ -14,7 +14,8 @@ from magical.runs import is_run
 
 if TYPE_CHECKING:
     from magical.learning.ensemble import EnsemblePolicy
-    from magical.learning.policy import NetworkPolicy, load_policy
+    from magical.learning.policy import NetworkPolicy
+    from magical.learning.running.loading import load_policy
     from magical.learning.running.training import TrainResult, train
 
 __all__ = [
@@ -34,7 +35,7 @@ __all__ = [
 _NEEDS_TORCH = {
     "EnsemblePolicy": "ensemble",
     "NetworkPolicy": "policy",
-    "load_policy": "policy",
+    "load_policy": "running.loading",
     "TrainResult": "running.training",
     "train": "running.training",
 }

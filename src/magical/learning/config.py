@@ -1,94 +1,136 @@
-"""What the configurations of all algorithms share: options, presets, conversion to plain data.
+"""Configurations: composed of small records, flat on the command line and in run folders.
 
-The configuration of an algorithm is one frozen dataclass: its fields are the command line's
-options, the Python signature, and the record in the run folder. Defaults are the published
-settings. Nothing here needs PyTorch.
+The configuration of an algorithm is a frozen dataclass. Its own fields, and those of the records
+that it is composed of, are the command line's options, the settings of `preset` and of plans, and
+the record in the run folder. Defaults are the published settings. Nothing here needs PyTorch.
 """
 
 import dataclasses
 import types
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass
 from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
 
 from magical.errors import InvalidConfigError, UnknownNameError
-from magical.learning.augmentation.names import BORDERS, Augmentations, parse_augmentations
+from magical.learning.augmentation.names import Augmentations, parse_augmentations
 from magical.learning.networks import network_names
+from magical.learning.settings import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    Part,
+    Settings,
+    all_fields,
+    by_part,
+    default_of,
+    name_of,
+    option,
+)
+from magical.messages import quoted
 from magical.observe import PRESETS, ObservationSpec, make_spec
+from magical.observe.presets import GROUP
+from magical.plugins import is_plugin
 from magical.runs.sources import DEMONSTRATIONS
 from magical.tasks import get_task
+from magical.untrusted import convert
 
 DEVICES = ("auto", "cpu", "cuda")
 PRECISIONS = ("auto", "float32", "bfloat16")
+APPENDIX, PUBLISHED = "appendix", "published"
+CONVENTIONS = (APPENDIX, PUBLISHED)
 PIXEL_RANGES = {"unit": (0.0, 1.0), "symmetric": (-1.0, 1.0)}
-AUTO, RENDERING, RESAMPLING = "auto", "rendering", "resampling"  # how images are augmented
-LAST_LAYER_INITS = ("default", "normal")
 IMAGE_OBSERVATIONS = tuple(name for name, spec in PRESETS.items() if not spec.separate)
-
-# What the published code does in all algorithms, where it differs from the appendix
-# (docs/specification.md, section 11; docs/presets.md).
-PUBLISHED_CODE_IMAGES: Mapping[str, Any] = {
-    "pixel_range": "symmetric",
-    "last_layer_init": "normal",
-    "borders": "repeat",
-    "linear_light": False,
-}
 
 CHECKPOINT_SECONDS = 30  # between checkpoints, unless a number of steps is configured
 
 METAVARS = {int: "N", float: "X", str: "NAME", bool: None}
 
-
-def option(
-    default: Any,
-    text: str,
-    *,
-    choices: tuple[str, ...] | Callable[[], tuple[str, ...]] = (),
-    metavar: str | None = None,
-    added: bool = False,
-) -> Any:
-    """A configuration field.
-
-    Args:
-        default: the published setting.
-        text: a line of help for the command line.
-        choices: the allowed values, if there are only a few, or a function that finds them.
-        metavar: what stands for the value in the command line's help.
-        added: older runs lack the field, and did what the default does.
-    """
-    metadata = {"help": text, "choices": choices, "metavar": metavar, "added": added}
-    return dataclasses.field(default=default, metadata=metadata)
+# Options that configurations of older versions have under other names.
+RENAMED = {
+    "time_steps": "num_steps",
+    "discount": "gamma",
+    "clip": "clip_range",
+    "entropy_bonus": "ent_coef",
+    "block_sight": "block_range",
+    "wall_sight": "wall_range",
+}
+# Options of older versions that are constants now, or follow from `conventions` and `autoencoder`.
+REMOVED = {
+    *("compile", "pixel_range", "last_layer_init", "borders", "linear_light", "action_input"),
+    *("reward_floor", "replay_batches", "decorrelate", "evaluation_rollouts"),
+    *("penalty_batch_norm", "decoder_batch_norm", "augment_features", "feature_batch_norm"),
+    *("pretraining_anneal", "relative_image_error", "linear_features", "statistics_batches"),
+    # of object-bc
+    *("network", "observation", "graphs", "augment", "weight_decay", "hidden", "goal_every"),
+    *("goal_batch_size", "goal_learning_rate", "goal_smoothness", "destination_noise"),
+}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Config:
-    """Settings of every algorithm."""
+class NetworkSettings(Settings):
+    """What networks observe, and how they are built."""
 
-    algorithm: ClassVar[str]
+    observation: str = option("LoRes4E", "observation")
+    network: str = option(
+        "paper", "network architecture", choices=network_names, others="magical.networks"
+    )
+    conventions: str = option(
+        APPENDIX,
+        "of images, initialisation and batch norm, where the published code's differ "
+        "(docs/presets.md)",
+        choices=CONVENTIONS,
+    )
+    graphs: str = option(
+        "off",
+        "record training steps as CUDA graphs; auto: on a GPU (not tried on one yet)",
+        choices=("auto", "on", "off"),
+    )
+
+    @property
+    def published(self) -> bool:
+        """Whether the published code's conventions apply."""
+        return self.conventions == PUBLISHED
+
+    @property
+    def pixel_range(self) -> str:
+        """The range of the networks' images, of `PIXEL_RANGES`."""
+        return "symmetric" if self.published else "unit"
+
+    @property
+    def action_input(self) -> str:
+        """How networks of rewards take actions, of `magical.learning.models.JOINED`."""
+        return "embedding" if self.published else "one-hot"
+
+    def augmentations(self, names: str) -> Augmentations:
+        """The augmentations of these names, with the borders and colours of the conventions."""
+        if self.published:
+            return parse_augmentations(names, "repeat", linear_light=False)
+        return parse_augmentations(names)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemonstrationSettings(Settings):
+    """Which demonstrations are learned from."""
+
+    demos: str = option(MISSING, "folder with a dataset of demonstrations", metavar="FOLDER")
+    num_demos: int = option(10, "demonstrations of each task, sampled by the seed", check=POSITIVE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config(Settings):
+    """Settings of every algorithm's runs."""
+
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {"paper": {}}
+    observations: ClassVar[tuple[str, ...]] = IMAGE_OBSERVATIONS  # of this package, that it takes
     # Seconds of a core for a sample in training and for an action, where no network of the
     # registry decides on them; only to estimate the time of a run.
     seconds_each: ClassVar[tuple[float, float] | None] = None
-    # Fields of this class and others above that mean nothing to an algorithm: no options of it.
-    without: ClassVar[tuple[str, ...]] = ()
 
-    tasks: tuple[str, ...] = option(
-        dataclasses.MISSING, "tasks to learn, one or several", metavar="TASK"
-    )
-    observation: str = option("LoRes4E", "observation preset", choices=IMAGE_OBSERVATIONS)
-    seed: int = option(0, "determines demonstrations, initialisation, minibatches and episodes")
-    network: str = option("paper", "network architecture", choices=network_names)
-    pixel_range: str = option(
-        "unit",
-        "of the networks' images: [0, 1] or [-1, 1]",
-        choices=tuple(PIXEL_RANGES),
-        added=True,
-    )
-    last_layer_init: str = option(
-        "default",
-        "initialisation of the last layers: the other layers', or N(0, 1)",
-        choices=LAST_LAYER_INITS,
-        added=True,
+    algorithm: str = ""  # its name, that of an entry point, or `module:NAME`
+    tasks: tuple[str, ...] = option(MISSING, "tasks to learn, one or several", metavar="TASK")
+    seed: int = option(
+        0,
+        "determines demonstrations, initialisation, minibatches and episodes",
+        check=NOT_NEGATIVE,
     )
     device: str = option("auto", "where to compute", choices=DEVICES)
     # PPO compares ratios with a clip range of 0.01: bfloat16's resolution is nearly as coarse.
@@ -97,105 +139,59 @@ class Config:
         "of the forward and backward pass; auto: bfloat16 where the processor has it",
         choices=PRECISIONS,
     )
-    threads: int = option(0, "CPU threads; 0: PyTorch's own number")
-    compile: bool = option(False, "compile the networks (torch.compile)")
-    graphs: str = option(
-        "auto",
-        "record training steps as CUDA graphs; auto: on a GPU",
-        choices=("auto", "on", "off"),
-        added=True,
+    threads: int = option(0, "CPU threads; 0: PyTorch's own number", check=NOT_NEGATIVE)
+    checkpoint_every: int = option(
+        0,
+        f"batches or updates between checkpoints; 0: one every {CHECKPOINT_SECONDS} s",
+        check=NOT_NEGATIVE,
     )
 
     def __post_init__(self) -> None:
-        if isinstance(self.tasks, str):
-            object.__setattr__(self, "tasks", (self.tasks,))
-        names = tuple(get_task(name).name for name in self.tasks)
+        super().__post_init__()
+        given = (self.tasks,) if isinstance(self.tasks, str) else self.tasks
+        names = tuple(get_task(name).name for name in given)
         object.__setattr__(self, "tasks", names)
         if not names or len(set(names)) < len(names):
             raise InvalidConfigError(f"tasks: expected each task once, found {names}")
-        if self.seed < 0:
-            raise InvalidConfigError(f"seed: expected at least 0, found {self.seed}")
-        self.require_at_least_zero("threads")
-        self._require_choices()
-        for name in self.without:
-            default = type(self).__dataclass_fields__[name].default
-            if getattr(self, name) != default:
-                raise InvalidConfigError(
-                    f"{name}: {self.algorithm} has no such setting; expected the default "
-                    f"{default!r}, found {getattr(self, name)!r}"
-                )
+        networks = self.part(NetworkSettings)
+        known = not networks or networks.observation in self.observations
+        if networks and not known and not is_plugin(GROUP, networks.observation):
+            raise UnknownNameError(
+                f"observation {quoted(networks.observation)} is unknown; expected one of: "
+                f"{', '.join(self.observations)}"
+            )
+
+    def part(self, kind: type[Part]) -> Part | None:
+        """The record of a type that the configuration is composed of; `None` if it has none."""
+        values = (getattr(self, field.name) for field in dataclasses.fields(self))
+        return next((value for value in values if isinstance(value, kind)), None)
 
     @property
     def learned_from(self) -> tuple[str, ...]:
         """What is learned from, in the words of `magical.runs.sources`."""
-        return ()
-
-    def _require_choices(self) -> None:
-        for field in dataclasses.fields(self):
-            choices, value = _choices(field), getattr(self, field.name)
-            if choices and value not in choices:
-                raise UnknownNameError(
-                    f"{field.name} {value!r} is unknown; expected one of: {', '.join(choices)}"
-                )
-
-    @classmethod
-    def preset(cls, name: str, **fields: Any) -> Self:
-        """A preset's settings, some of them replaced.
-
-        Raises `UnknownNameError` for an unknown preset.
-        """
-        if name not in cls.presets:
-            raise UnknownNameError(
-                f"preset {name!r} is unknown; {cls.algorithm} has: {', '.join(cls.presets)}"
-            )
-        return cls(**{**cls.presets[name], **fields})
-
-    def require_positive(self, *names: str) -> None:
-        """Raise `InvalidConfigError` unless the named numbers are above 0."""
-        for name in names:
-            if not getattr(self, name) > 0:
-                raise InvalidConfigError(
-                    f"{name}: expected a number above 0, found {getattr(self, name)}"
-                )
-
-    def require_at_least_zero(self, *names: str) -> None:
-        """Raise `InvalidConfigError` unless the named numbers are at least 0 (or `None`)."""
-        for name in names:
-            if (getattr(self, name) or 0) < 0:
-                raise InvalidConfigError(
-                    f"{name}: expected at least 0, found {getattr(self, name)}"
-                )
-
-    def require_fraction(self, *names: str) -> None:
-        """Raise `InvalidConfigError` unless the named numbers are from 0 to 1."""
-        for name in names:
-            if not 0 <= getattr(self, name) <= 1:
-                raise InvalidConfigError(
-                    f"{name}: expected a number from 0 to 1, found {getattr(self, name)}"
-                )
-
-    def require_augmentations(self, *names: str) -> None:
-        """Raise `UnknownNameError` unless the named fields are sets of augmentations."""
-        for name in names:
-            parse_augmentations(getattr(self, name))
-
-    def require_one_task(self) -> None:
-        """Raise `InvalidConfigError` for several tasks."""
-        if len(self.tasks) > 1:
-            raise InvalidConfigError(
-                f"{self.algorithm}: expected one task (it is not defined for several), found "
-                f"{', '.join(self.tasks)}; use gail, or a run for each task"
-            )
+        return (DEMONSTRATIONS,) if self.part(DemonstrationSettings) else ()
 
     @property
-    def total(self) -> int:
+    def num_updates(self) -> int:
         """The number of steps (batches or updates) of a whole run."""
         raise NotImplementedError
 
     @property
     def training_samples(self) -> int:
         """The samples of all forward and backward passes of a whole run, to estimate its time."""
-        raise NotImplementedError
+        return 0
+
+    @property
+    def environment_steps(self) -> int:
+        """The steps of environments in a whole run, to estimate its time."""
+        return 0
+
+    @property
+    def observation(self) -> str:
+        """The observation's name."""
+        networks = self.part(NetworkSettings)
+        assert networks is not None
+        return networks.observation
 
     @property
     def observation_spec(self) -> ObservationSpec:
@@ -207,64 +203,84 @@ class Config:
         """The shape of one observation as a network input."""
         return self.observation_spec.network_shape
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
-        plain = {"algorithm": self.algorithm, **dataclasses.asdict(self)}
-        return {name: list(v) if isinstance(v, tuple) else v for name, v in plain.items()}
+    def require_one_task(self) -> None:
+        """Raise `InvalidConfigError` for several tasks."""
+        if len(self.tasks) > 1:
+            raise InvalidConfigError(
+                f"{self.algorithm}: expected one task (it is not defined for several), found "
+                f"{', '.join(self.tasks)}; use gail, or a run for each task"
+            )
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Self:
-        """The inverse of `to_dict`; fields that older runs lack get their defaults.
+    def preset(cls, name: str, **settings: Any) -> Self:
+        """A preset's settings, by the options' names, some of them replaced.
 
-        Raises `InvalidConfigError` for other missing fields, and for unknown ones.
+        Raises:
+            UnknownNameError: an unknown preset or setting.
+            InvalidConfigError: settings that cannot be.
         """
-        fields = {name: value for name, value in data.items() if name != "algorithm"}
-        known = {field.name for field in dataclasses.fields(cls)}
-        added = {field.name for field in dataclasses.fields(cls) if field.metadata["added"]}
-        odd = sorted((set(fields) ^ known) - (added - set(fields)))
-        if odd or data.get("algorithm") != cls.algorithm:
-            raise InvalidConfigError(
-                f"expected a configuration of {cls.algorithm}, found one of "
-                f"{data.get('algorithm')!r} with other fields: {odd}"
+        if name not in cls.presets:
+            raise UnknownNameError(
+                f"preset {name!r} is unknown; {cls.algorithm} has: {', '.join(cls.presets)}"
             )
-        values: dict[str, Any] = {
-            name: tuple(v) if isinstance(v, list) else v for name, v in fields.items()
-        }
-        return cls(**values)
+        fields, parts = by_part(cls, {**cls.presets[name], **settings})
+        hints = get_type_hints(cls)
+        for field in dataclasses.fields(cls):
+            if field.name in parts:
+                record, given = default_of(field), parts[field.name]
+                fields[field.name] = (
+                    dataclasses.replace(record, **given) if record else hints[field.name](**given)
+                )
+        return cls(**fields)
 
+    def replace(self, **settings: Any) -> Self:
+        """The same configuration with some settings, by the options' names, replaced."""
+        fields, parts = by_part(type(self), settings)
+        changed = {n: dataclasses.replace(getattr(self, n), **given) for n, given in parts.items()}
+        return dataclasses.replace(self, **fields, **changed)
 
-@dataclass(frozen=True, kw_only=True)
-class ImitationConfig(Config):
-    """Settings of the algorithms that learn from demonstrations."""
+    def to_dict(self) -> dict[str, Any]:
+        """Plain data for JSON: a mapping of all options, and the algorithm."""
+        plain: dict[str, Any] = {"algorithm": self.algorithm}
+        for part, field, _ in all_fields(type(self)):
+            value = getattr(getattr(self, part) if part else self, field.name)
+            plain[name_of(field)] = list(value) if isinstance(value, tuple) else value
+        return plain
 
-    demos: str = option(
-        dataclasses.MISSING, "folder with a dataset of demonstrations", metavar="FOLDER"
-    )
-    num_demos: int = option(10, "demonstrations of each task, sampled by the seed")
-    augment: str = option(
-        "all", "augmentation: all, none, no-trans-rot, or names joined by +", metavar="NAMES"
-    )
-    borders: str = option(
-        "mirror", "how augmented images go on beyond their borders", choices=BORDERS, added=True
-    )
-    linear_light: bool = option(
-        True, "convert sRGB to linear light for the colour jitter", added=True
-    )
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any], what: str = "configuration") -> Self:
+        """The inverse of `to_dict`; reads what older versions have written, too.
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.require_positive("num_demos")
-        self.require_augmentations("augment")
+        Args:
+            data: checked here, as it may come from a file of any origin.
+            what: what it came in, for messages.
 
-    @property
-    def augmentations(self) -> Augmentations:
-        """The augmentations of images."""
-        return parse_augmentations(self.augment, self.borders, self.linear_light)
+        Raises:
+            InvalidConfigError: unknown or missing settings, or settings that cannot be.
+        """
+        try:
+            fields, parts = by_part(cls, cls.modernised(data))
+        except UnknownNameError as error:
+            raise InvalidConfigError(f"{what}: {error}") from error
+        for field in dataclasses.fields(cls):
+            if not field.metadata and field.name != "algorithm":
+                record = default_of(field)
+                given = parts.get(field.name, {})
+                fields[field.name] = {**(dataclasses.asdict(record) if record else {}), **given}
+        return convert(fields, cls, what, InvalidConfigError)
 
-    @property
-    def learned_from(self) -> tuple[str, ...]:
-        """See `Config`."""
-        return (*super().learned_from, DEMONSTRATIONS)
+    @classmethod
+    def modernised(cls, data: Mapping[str, Any]) -> dict[str, Any]:
+        """The settings that a configuration of an older version means, by today's names.
+
+        What it did in training with options that are constants now is not kept; `runs` refuses to
+        resume such a run.
+        """
+        known = {name_of(field) for _, field, _ in all_fields(cls)}
+        settings = {RENAMED.get(name, name): value for name, value in data.items()}
+        if "conventions" not in settings and settings.get("pixel_range") == "symmetric":
+            settings["conventions"] = PUBLISHED
+        return {n: value for n, value in settings.items() if n in known or n not in REMOVED}
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,7 +293,8 @@ class Option:
     required: bool
     default: Any
     help: str
-    choices: tuple[str, ...]
+    choices: tuple[str, ...]  # those of this package
+    open: bool  # whether other values can come from other distributions
     metavar: str | None
 
     @property
@@ -288,24 +305,30 @@ class Option:
 
 def options(kind: type[Config]) -> list[Option]:
     """The options of a configuration class: required ones first, then in the fields' order."""
-    hints = get_type_hints(kind)
-    fields = (field for field in dataclasses.fields(kind) if field.name not in kind.without)
-    found = [_option(field, hints[field.name]) for field in fields]
+    found = []
+    records = {field.name: default_of(field) for field in dataclasses.fields(kind)}
+    for part, field, hint in all_fields(kind):
+        record = records[part] if part else None
+        default = getattr(record, field.name) if record else field.default
+        found.append(_option(kind, field, hint, default))
     return sorted(found, key=lambda option: not option.required)
 
 
-def _choices(field: "dataclasses.Field[Any]") -> tuple[str, ...]:
-    choices = field.metadata["choices"]
-    found: tuple[str, ...] = choices() if callable(choices) else choices
-    return found
-
-
-def _option(field: "dataclasses.Field[Any]", hint: Any) -> Option:
+def _option(kind: type[Config], field: "dataclasses.Field[Any]", hint: Any, default: Any) -> Option:
     several = get_origin(hint) is tuple
     if several or isinstance(hint, types.UnionType):  # tuple[str, ...] or int | None
         hint = next(kind for kind in get_args(hint) if kind not in (Ellipsis, types.NoneType))
-    required = field.default is dataclasses.MISSING
-    default = None if required else field.default
-    text, choices = field.metadata["help"], _choices(field)
-    metavar = None if choices else field.metadata["metavar"] or METAVARS[hint]
-    return Option(field.name, hint, several, required, default, text, choices, metavar)
+    name, choices = name_of(field), field.metadata["choices"]()
+    if name == "observation":
+        choices = kind.observations
+    return Option(
+        name,
+        hint,
+        several,
+        default is MISSING,
+        None if default is MISSING else default,
+        field.metadata["help"],
+        choices,
+        bool(field.metadata["others"]) or name == "observation",
+        None if choices else field.metadata["metavar"] or METAVARS[hint],
+    )

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from magical.learning.config import Config, ImitationConfig
+from magical.learning.config import Config, DemonstrationSettings
 from magical.runs.sources import LEARNED_FROM
 
 
@@ -13,6 +13,7 @@ def training_details(config: Config) -> dict[str, Any]:
         "training_seed": config.seed,
         LEARNED_FROM: list(config.learned_from),
     }
-    if isinstance(config, ImitationConfig):
-        details["demonstrations"] = f"{config.num_demos} of each task"
+    demonstrations = config.part(DemonstrationSettings)
+    if demonstrations:
+        details["demonstrations"] = f"{demonstrations.num_demos} of each task"
     return details

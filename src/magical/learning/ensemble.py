@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from magical.errors import PolicyError
 from magical.evaluation.policy import Actions, Mask
-from magical.learning.policy import NetworkPolicy, load_policy, sample_actions
+from magical.learning.policy import NetworkPolicy, sample_actions
+from magical.learning.running.loading import load_policy
 
 
 class EnsemblePolicy:

@@ -7,13 +7,16 @@ scores. Images are float (B, C, H, W) in [0, 1], which a trunk may map to [-1, 1
 float (B, size); `tasks` is int64 (B,), the position of each row's task in the configuration.
 """
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
+from torch.nn.modules.batchnorm import _BatchNorm
 
-from magical.learning.config import PIXEL_RANGES, Config
+from magical.learning.config import PIXEL_RANGES, Config, NetworkSettings
 from magical.learning.networks import find_network
-from magical.learning.reinforcement.config import ReinforcementConfig
 from magical.learning.running.streams import seeded_init
 from magical.scene import NUM_ACTIONS
 
@@ -195,26 +198,27 @@ class Discriminator(nn.Module):
         return logits.squeeze(1)
 
 
-def make_actor_critic(config: ReinforcementConfig) -> ActorCritic:
+def make_actor_critic(config: Config, networks: NetworkSettings, init: str) -> ActorCritic:
     """The policy of PPO and the algorithms built on it, initialised from the seed.
 
-    It has no batch norm (appendix B).
+    It has no batch norm (appendix B). Under `init` "centred" it can tell images apart from the
+    start (`centre`).
     """
     with seeded_init(config.seed):
-        trunk = Trunk(config.network, config.input_shape, pixel_range=config.pixel_range)
+        trunk = Trunk(networks.network, config.input_shape, pixel_range=networks.pixel_range)
         network = ActorCritic(trunk, len(config.tasks))
-        if config.init == "centred" and trunk.convolutions is not None:
-            centre(network, config.pixel_range)
-        init_last_layers(config, network.policy, network.value)
+        if init == "centred" and trunk.convolutions is not None:
+            centre(network, networks.pixel_range)
+        if networks.published:
+            init_normal(network.policy, network.value)
         return network
 
 
-def init_last_layers(config: Config, *layers: TaskLinear) -> None:
-    """Initialise weights and biases from N(0, 1) if the configuration says so."""
-    if config.last_layer_init == "normal":
-        for layer in layers:
-            nn.init.normal_(layer.linear.weight)
-            nn.init.normal_(layer.linear.bias)
+def init_normal(*layers: TaskLinear) -> None:
+    """Initialise weights and biases from N(0, 1), as the published code does with last layers."""
+    for layer in layers:
+        nn.init.normal_(layer.linear.weight)
+        nn.init.normal_(layer.linear.bias)
 
 
 def centre(network: ActorCritic, pixel_range: str = "unit") -> None:
@@ -236,6 +240,25 @@ def centre(network: ActorCritic, pixel_range: str = "unit") -> None:
         brightness = low + (high - low) * MEAN_BRIGHTNESS
         first.bias.copy_(-brightness * first.weight.flatten(1).sum(dim=1))
         network.policy.linear.weight.mul_(POLICY_GAIN)
+
+
+@contextmanager
+def new_statistics(network: nn.Module) -> Iterator[None]:
+    """A context in which batch norm's running statistics are computed anew, as means over batches.
+
+    Those of training are of other weights, which have changed since or are averaged now (Izmailov
+    et al., "Averaging weights leads to wider optima and better generalization", UAI 2018), or of
+    augmented images. Within the context the network must be in training mode.
+    """
+    layers = [module for module in network.modules() if isinstance(module, _BatchNorm)]
+    momenta = [layer.momentum for layer in layers]
+    for layer in layers:
+        layer.reset_running_stats()
+        layer.momentum = None  # the mean over all batches
+    with torch.no_grad():
+        yield
+    for layer, momentum in zip(layers, momenta, strict=True):
+        layer.momentum = momentum
 
 
 def sample_actions(logits: Tensor, uniforms: Tensor) -> tuple[Tensor, Tensor]:

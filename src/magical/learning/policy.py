@@ -1,28 +1,20 @@
 """Trained networks as policies."""
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from magical.envs import EnvId, parse_env_id
-from magical.errors import DivergedError, ObservationError, PolicyError, RunFolderError
+from magical.envs import parse_env_id
+from magical.errors import DivergedError, ObservationError, PolicyError
 from magical.evaluation.policy import Actions, Mask
-from magical.evaluation.protocol import Evaluation
-from magical.evaluation.rollouts import RepeatedEvaluation
-from magical.learning.algorithms import find_algorithm, read_config
 from magical.learning.augmentation.augment import to_unit
-from magical.learning.reinforcement.config import ReinforcementConfig
-from magical.learning.running.checkpoints import load_module, load_newest_checkpoint
-from magical.learning.running.devices import Compute, choose_device, full_float32
+from magical.learning.config import Config
+from magical.learning.running.devices import Compute, full_float32
 from magical.observe import ObservationSpec
-from magical.runs.folder import CHECKPOINT, CONFIG, RECORD, is_run, read_json
-
-EVALUATION_SEED = 1  # of `DemoEvaluation`; not the seed of reported results
 
 
 class NetworkPolicy:
@@ -31,9 +23,7 @@ class NetworkPolicy:
     def __init__(
         self,
         network: nn.Module,
-        tasks: Sequence[str],
-        observation: str,
-        spec: ObservationSpec,
+        config: Config,
         compute: Compute,
         greedy: bool = False,
     ) -> None:
@@ -42,17 +32,15 @@ class NetworkPolicy:
         Args:
             network: maps observations (B, ...) and tasks (B,) to logits (B, 18). Pixels are scaled
                 to [0, 1] before, but for a network whose attribute `takes_pixels` is true.
-            tasks: the tasks it was trained on, in the configuration's order.
-            observation: the observation's name, and
-            spec: its specification.
+            config: of its training: the tasks and the observation.
             compute: device and precision.
             greedy: take the most probable action instead of sampling.
         """
         self.network = network.eval()
-        self.tasks = tuple(tasks)
-        self.observation = observation
+        self.tasks = config.tasks
+        self.observation = config.observation
         self.greedy = greedy
-        self._spec = spec
+        self._spec = config.observation_spec
         self._compute = compute
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
@@ -125,78 +113,3 @@ def to_inputs(observations: Any, spec: ObservationSpec) -> Tensor:
         return torch.from_numpy(spec.network_input(observations))
     except ObservationError as error:
         raise PolicyError(str(error)) from error
-
-
-def load_policy(run: Path | str, device: str = "auto", greedy: bool = False) -> NetworkPolicy:
-    """Load the policy from the newest checkpoint of a run folder.
-
-    Args:
-        run: the run folder.
-        device: `auto`, `cpu` or `cuda`.
-        greedy: take the most probable action instead of sampling.
-
-    Raises:
-        RunFolderError: no run folder, or a damaged one.
-        CheckpointError: no checkpoint yet, a damaged one, or one of another network.
-    """
-    folder = Path(run)
-    if not is_run(folder):
-        raise RunFolderError(f"{folder}: expected a run folder with {CONFIG}, found none")
-    config = read_config(folder)
-    network = find_algorithm(config.algorithm).make_policy(config)
-    chosen = choose_device(device)
-    state = load_newest_checkpoint(folder)
-    load_module(network, state["policy"], str(folder / CHECKPOINT))
-    recorded = read_json(folder / RECORD)["compute"]
-    precision = recorded["precision"] if chosen == recorded["device"] else "float32"
-    return NetworkPolicy(
-        network.to(chosen),
-        config.tasks,
-        config.observation,
-        config.observation_spec,
-        Compute(chosen, precision),
-        greedy,
-    )
-
-
-class DemoEvaluation:
-    """The score of a network over its tasks' Demo variants, again and again during training.
-
-    The environments are made for the first score and kept for the next ones.
-    """
-
-    def __init__(self, network: nn.Module, config: ReinforcementConfig, compute: Compute) -> None:
-        self._network, self._config, self._compute = network, config, compute
-        self._evaluation: RepeatedEvaluation | None = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self._evaluation:
-            self._evaluation.close()
-
-    def score(self) -> float:
-        """The mean score of the present weights; the network is in training mode afterwards."""
-        self._evaluation = self._evaluation or self._start()
-        self._network.eval()
-        scores = self._evaluation.scores()
-        self._network.train()
-        return float(np.mean([score.score for score in scores]))
-
-    def _start(self) -> RepeatedEvaluation:
-        config = self._config
-        policy = NetworkPolicy(
-            self._network,
-            config.tasks,
-            config.observation,
-            config.observation_spec,
-            self._compute,
-        )
-        evaluation = Evaluation(
-            env_ids=tuple(EnvId(task, "Demo") for task in config.tasks),
-            rollouts=config.evaluation_rollouts,
-            seed=EVALUATION_SEED,
-            horizon=config.env_horizon,
-        )
-        return RepeatedEvaluation(policy, evaluation, config.workers)

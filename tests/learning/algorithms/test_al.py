@@ -26,6 +26,7 @@ from magical.learning.algorithms.al import (
     unaugmented,
 )
 from magical.learning.autoencoder import Autoencoder, autoencoder_loss
+from magical.learning.config import CONVENTIONS
 from magical.learning.data.expert_data import ExpertData
 from magical.learning.reinforcement.replay_buffer import ReplayBuffer
 from magical.learning.running.devices import Compute
@@ -162,7 +163,7 @@ def test_paper_settings_are_appendix_bs() -> None:
     config = ALConfig.preset("paper", tasks=("MoveToCorner",), demos="")
     assert (config.pretraining_batches, config.pretraining_batch_size) == (8192, 24)
     assert (config.pretraining_learning_rate, config.feature_samples) == (3e-4, 512)
-    assert config.total == 8192 + 3906
+    assert config.num_updates == 8192 + 3906
 
 
 def test_not_defined_for_several_tasks() -> None:
@@ -186,7 +187,7 @@ def running_means(autoencoder: torch.nn.Module) -> list[torch.Tensor]:
 def test_published_code_settings() -> None:
     config = ALConfig.preset("published-code", tasks=("MoveToCorner",), demos="")
     assert (config.pretraining_batch_size, config.feature_samples) == (12, 264)
-    assert (config.action_input, config.pixel_range) == ("embedding", "symmetric")
+    assert (config.networks.action_input, config.networks.pixel_range) == ("embedding", "symmetric")
     network = make_autoencoder(config)
     assert network.encoder.embedding is not None
     kinds = [type(module) for module in network.image]
@@ -203,8 +204,8 @@ def test_published_code_preset_for_two_iterations(tmp_path: Path) -> None:
 
 def test_annealing_lowers_the_autoencoders_learning_rate(expert: ExpertData) -> None:
     rates = []
-    for anneal in (True, False):
-        config = small("", pretraining_anneal=anneal, pretraining_learning_rate=0.5)
+    for kind in ("refined", "appendix"):
+        config = small("", autoencoder=kind, pretraining_learning_rate=0.5)
         autoencoder = make_autoencoder(config)
         optimizer = torch.optim.Adam(autoencoder.parameters(), fused=True)
         pretraining_step(config, CPU, expert, autoencoder, optimizer, number=1)  # of two
@@ -213,12 +214,9 @@ def test_annealing_lowers_the_autoencoders_learning_rate(expert: ExpertData) -> 
 
 
 def test_statistics_are_those_of_unaugmented_expert_batches(expert: ExpertData) -> None:
-    config = small("", statistics_batches=0)
+    config = small("")
     autoencoder = make_autoencoder(config)
-    compute_statistics(config, CPU, expert, autoencoder)
-    (before, *_), count = running_means(autoencoder), 30
-    assert before.abs().sum() == 0  # as initialised
-    config = small("", statistics_batches=count)
+    assert running_means(autoencoder)[0].abs().sum() == 0  # as initialised
     compute_statistics(config, CPU, expert, autoencoder)
     first = autoencoder.encoder.convolutions
     assert first is not None
@@ -232,12 +230,12 @@ def test_images_for_w_are_augmented_if_configured(expert: ExpertData) -> None:
     replay_buffer.add(expert.images(np.arange(4)).view(2, 2, 12, 96, 96), torch.zeros(2, 2).long())
     plain, augmented = (
         sample_batch(
-            small("", feature_samples=3, augment="noise", augment_features=on),
+            small("", feature_samples=3, augment="noise", conventions=conventions),
             expert,
             replay_buffer,
             np.random.default_rng(0),
         )[0]
-        for on in (False, True)
+        for conventions in CONVENTIONS
     )
     assert plain.shape == augmented.shape == (6, 12, 96, 96)
     torch.testing.assert_close(plain * 255, (plain * 255).round())
@@ -245,9 +243,9 @@ def test_images_for_w_are_augmented_if_configured(expert: ExpertData) -> None:
 
 
 def test_batch_norm_moves_on_in_training_mode_alone(demos: Path, tmp_path: Path) -> None:
-    for mode, moves in (("evaluation", False), ("training", True)):
-        config = small(demos, feature_batch_norm=mode)
-        folder = tmp_path / mode
+    for conventions, moves in zip(CONVENTIONS, (False, True), strict=True):
+        config = small(demos, conventions=conventions)
+        folder = tmp_path / conventions
         train(config, folder, stop_after=config.pretraining_batches)
         pretrained = checkpoint(folder)["autoencoder"]
         train(config, folder, resume=True)
@@ -276,16 +274,15 @@ def test_image_error_is_relative_to_the_mean_images(expert: ExpertData) -> None:
 
 
 def test_decoder_adds_the_mean_image(demos: Path, tmp_path: Path) -> None:
-    for relative in (False, True):
-        config = small(demos, relative_image_error=relative, pretraining_batches=1)
-        train(config, tmp_path / str(relative), stop_after=1)
-        mean = checkpoint(tmp_path / str(relative))["autoencoder"]["mean_image"]
-        assert (mean.abs().sum() > 0) == relative
+    for kind in ("appendix", "refined"):
+        train(small(demos, autoencoder=kind, pretraining_batches=1), tmp_path / kind, stop_after=1)
+        mean = checkpoint(tmp_path / kind)["autoencoder"]["mean_image"]
+        assert (mean.abs().sum() > 0) == (kind == "refined")
 
 
 def test_linear_features_may_be_negative(expert: ExpertData) -> None:
     rows = np.arange(8)
     images, actions = unaugmented(expert, rows), expert.labels(rows)[0]
-    for linear in (False, True):
-        features = make_autoencoder(small("", linear_features=linear)).encoder(images, actions)
-        assert (features.min() < 0) == linear
+    for kind in ("appendix", "refined"):
+        features = make_autoencoder(small("", autoencoder=kind)).encoder(images, actions)
+        assert (features.min() < 0) == (kind == "refined")

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from magical.evaluation import evaluate
 from magical.learning import load_policy, train
 from magical.learning.algorithms.bc import (
     BCConfig,
+    CloningSettings,
     bc_loss,
 )
 from magical.learning.running import run
@@ -122,9 +122,16 @@ def test_the_optimiser_gets_the_learning_rate_of_the_batch(demos: Path, tmp_path
 
 def test_paper_preset_is_table_3() -> None:
     config = BCConfig.preset("paper", tasks=("FindDupe",), demos="d")
-    assert (config.batches, config.batch_size, config.learning_rate) == (20_000, 32, 1e-3)
-    assert (config.optimizer, config.momentum, config.anneal) == ("sgd", 0.1, False)
-    assert (config.augment, config.network, config.num_demos) == ("all", "paper", 10)
+    assert config.cloning == CloningSettings(
+        batches=20_000,
+        batch_size=32,
+        learning_rate=1e-3,
+        optimizer="sgd",
+        momentum=0.1,
+        anneal=False,
+        augment="all",
+    )
+    assert (config.networks.network, config.demonstrations.num_demos) == ("paper", 10)
 
 
 # Every field of the configuration that changes what is learned, with another value.
@@ -154,7 +161,7 @@ def plain(demos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("name", CHANGES)
 def test_every_setting_matters(name: str, demos: Path, tmp_path: Path, plain: Path) -> None:
-    config = replace(tiny(demos, batches=2), **{name: CHANGES[name]})
+    config = tiny(demos, batches=2).replace(**{name: CHANGES[name]})
     train(config, tmp_path / "run", stop_after=2)
     before, after = weights(plain), weights(tmp_path / "run")
     same = before.keys() == after.keys() and all(
@@ -313,6 +320,8 @@ def test_divergence_stops_and_keeps_the_last_good_checkpoint(demos: Path, tmp_pa
     config = tiny(demos, optimizer="sgd", learning_rate=1e30, log_every=1, checkpoint_every=1)
     with pytest.raises(DivergedError, match="diverged: at step"):
         train(config, tmp_path / "run")
+    newest = read_metrics(tmp_path / "run")[-1]
+    assert newest["step"] > 1 or newest["loss"] is None
     if (tmp_path / "run" / CHECKPOINT).exists():
         assert all(torch.isfinite(tensor).all() for tensor in weights(tmp_path / "run").values())
 
@@ -339,7 +348,7 @@ def test_other_demonstrations_cannot_continue_a_run(demos: Path, tmp_path: Path)
     config = tiny(demos)
     train(config, tmp_path / "run", stop_after=2)
     others = [picture_demo("MoveToCorner", seed) for seed in range(10, 14)]
-    moved = replace(config, demos=str(write_demos(tmp_path / "others", others)))
+    moved = config.replace(demos=str(write_demos(tmp_path / "others", others)))
     with pytest.raises(RunFolderError, match="other demonstrations"):
         train(moved, tmp_path / "run", resume=True)
 

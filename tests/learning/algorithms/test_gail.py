@@ -16,7 +16,9 @@ from magical.errors import InvalidConfigError
 from magical.evaluation import evaluate
 from magical.learning import train
 from magical.learning.algorithms.gail import (
+    AdversarialConfig,
     DiscriminatorBatch,
+    DiscriminatorSettings,
     DiscriminatorTrainer,
     GAILConfig,
     gail_loss,
@@ -32,7 +34,7 @@ from magical.learning.algorithms.wgail_gp import (
 )
 from magical.learning.augmentation.randoms import Randoms
 from magical.learning.data.expert_data import ExpertData
-from magical.learning.reinforcement.replay_buffer import ReplayBuffer
+from magical.learning.reinforcement.replay_buffer import ROLLOUTS, ReplayBuffer
 from magical.learning.running.devices import Compute
 from magical.observe import PRESETS
 from tests.learning.conftest import TASKS, picture_demo, write_demos
@@ -209,7 +211,7 @@ def test_the_discriminator_is_trained(trajectories: list[Trajectory]) -> None:
     ],
 )
 def test_resumed_runs_are_bit_equal(
-    demos: Path, tmp_path: Path, kind: type[GAILConfig], fields: dict[str, Any]
+    demos: Path, tmp_path: Path, kind: type[AdversarialConfig], fields: dict[str, Any]
 ) -> None:
     settings = {"discriminator_steps": 2, "discriminator_batch_size": 4, **fields}
     config = tiny(kind, demos=str(demos), num_demos=2, **settings)
@@ -225,7 +227,7 @@ def test_resumed_runs_are_bit_equal(
     ("kind", "tasks"), [(GAILConfig, THREE[:1]), (GAILConfig, THREE), (WGAILGPConfig, THREE[1:2])]
 )
 def test_paper_preset_for_three_iterations(
-    tmp_path: Path, kind: type[GAILConfig], tasks: tuple[str, ...]
+    tmp_path: Path, kind: type[AdversarialConfig], tasks: tuple[str, ...]
 ) -> None:
     """The published networks and settings, in a few environments: run, resumed, evaluated."""
     data = write_demos(tmp_path / "data", [picture_demo(task, 0) for task in tasks])
@@ -253,9 +255,10 @@ def test_paper_preset_for_three_iterations(
 
 def test_paper_settings_are_table_4s() -> None:
     config = GAILConfig.preset("paper", tasks=("MoveToRegion",), demos="")
-    assert (config.discriminator_steps, config.discriminator_batch_size) == (12, 24)
-    assert (config.discriminator_learning_rate, config.reward_std) == (2.5e-5, 0.1)
-    assert (config.augment, config.replay_batches, config.num_demos) == ("all", 4, 10)
+    assert config.discriminator == DiscriminatorSettings(
+        steps=12, batch_size=24, learning_rate=2.5e-5, augment="all", reward_std=0.1
+    )
+    assert (config.demonstrations.num_demos, ROLLOUTS) == (10, 4)
     norms = [m for m in make_discriminator(config).modules() if isinstance(m, nn.BatchNorm2d)]
     assert len(norms) == 5
     wasserstein = WGAILGPConfig.preset("paper", tasks=("MoveToRegion",), demos="")

@@ -1,7 +1,6 @@
 """Proximal policy optimisation: its parts against slow or hand-made ones, then whole runs."""
 
 import math
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +13,10 @@ from magical.errors import DivergedError, InvalidConfigError, UnknownNameError
 from magical.evaluation import evaluate
 from magical.learning import load_policy, train
 from magical.learning.algorithms import ppo
-from magical.learning.algorithms.ppo import PPOConfig, Samples, collect_rollout, ppo_loss
+from magical.learning.algorithms.ppo import PPOConfig, make_policy, ppo_loss
 from magical.learning.augmentation.augment import to_unit
-from magical.learning.models import make_actor_critic
-from magical.learning.reinforcement.rollouts import RolloutEnvs
+from magical.learning.reinforcement.advantages import Samples
+from magical.learning.reinforcement.rollouts import RolloutEnvs, collect_rollout
 from magical.runs import read_metrics
 from magical.runs.folder import METRICS
 from tests.learning.tiny_runs import assert_same, checkpoint, tiny
@@ -48,12 +47,12 @@ def test_loss_by_hand() -> None:
     values = torch.tensor([0.0, 3.0])  # squared errors 1 and 4
     entropy = -(0.8 * math.log(0.8) + 0.2 * math.log(0.2))
     gains = minibatch([0, 1], [half, half], [2.0, 5.0])
-    loss, parts = ppo_loss(logits, values, gains, clip=torch.tensor(0.1), entropy_bonus=0.01)
+    loss, parts = ppo_loss(logits, values, gains, clip_range=torch.tensor(0.1), ent_coef=0.01)
     policy = -(1.1 * 2.0 + 0.4 * 5.0) / 2  # the minimum: clipped above, not below
     assert loss.item() == pytest.approx(policy + 0.5 * 2.5 - 0.01 * entropy, abs=1e-6)
     assert parts.tolist() == pytest.approx([policy, 1.25, entropy, 1.0], abs=1e-6)
     losses = minibatch([0, 1], [half, half], [-2.0, -5.0])
-    _, parts = ppo_loss(logits, values, losses, clip=torch.tensor(0.1), entropy_bonus=0.0)
+    _, parts = ppo_loss(logits, values, losses, clip_range=torch.tensor(0.1), ent_coef=0.0)
     assert parts[0].item() == pytest.approx((1.6 * 2.0 + 0.9 * 5.0) / 2, abs=1e-6)
 
 
@@ -69,12 +68,14 @@ def scripted(value: float = 0.0, action: int = 1) -> Any:
 
 
 @pytest.mark.parametrize("bootstrap", [False, True])
-def test_rollouts_against_the_environment(bootstrap: bool) -> None:
+def test_rollouts_against_the_environment(bootstrap: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     horizon = 40
-    config = tiny(PPOConfig, observation="state", time_steps=horizon + 2, bootstrap=bootstrap)
-    with RolloutEnvs(config, "cpu", "dense") as envs:
+    config = tiny(PPOConfig, observation="state")
+    monkeypatch.setattr("magical.learning.reinforcement.rollouts.NUM_ACTIONS", 1)
+    with RolloutEnvs(config, 3, "cpu", reward="dense", workers=0) as envs:
+        monkeypatch.setattr(envs, "_horizons", np.ones(3, np.int64))  # all start at once
         envs.reset()
-        rollout = collect_rollout(envs, scripted(value=0.25), config, rng())
+        rollout = collect_rollout(envs, scripted(value=0.25), horizon + 2, bootstrap, rng())
         states = [envs.envs.get_state(row) for row in range(3)]
     assert rollout.actions.eq(1).all()
     assert rollout.log_probs.eq(0).all()
@@ -94,8 +95,8 @@ def test_rollouts_against_the_environment(bootstrap: bool) -> None:
 
 
 def test_environments_start_at_different_times() -> None:
-    config = tiny(PPOConfig, observation="state", num_envs=8, decorrelate=True)
-    with RolloutEnvs(config, "cpu") as envs:
+    config = tiny(PPOConfig, observation="state")
+    with RolloutEnvs(config, 8, "cpu", workers=0) as envs:
         envs.reset()
         steps = [len(envs.envs.get_state(row)["actions"]) for row in range(8)]
     assert max(steps) < 40
@@ -105,17 +106,17 @@ def test_environments_start_at_different_times() -> None:
 @pytest.mark.parametrize(
     "fields",
     [
-        {"observation": "state", "decorrelate": True, "time_steps": 30, "minibatch_size": 45},
+        {"observation": "state", "num_steps": 30, "minibatch_size": 45},
         {"observation": "LoRes4A", "tasks": ("MoveToCorner", "MoveToRegion")},
     ],
 )
 def test_resumed_runs_are_bit_equal(tmp_path: Path, fields: dict[str, Any]) -> None:
     config = tiny(PPOConfig, **fields)
-    config = replace(config, total_steps=3 * config.steps_per_update)
+    config = config.replace(total_steps=3 * config.ppo.steps_per_update)
     whole = train(config, tmp_path / "whole")
     assert (whole.step, whole.total, whole.finished) == (3, 3, True)
     assert not train(config, tmp_path / "parts", stop_after=1).finished
-    again = train(replace(config, workers=config.workers), tmp_path / "parts", resume=True)
+    again = train(config, tmp_path / "parts", resume=True)
     assert again.finished
     assert_same(checkpoint(tmp_path / "whole"), checkpoint(tmp_path / "parts"))
     for key in ("environment_steps", "reward", "entropy", "clip_fraction", "explained_variance"):
@@ -141,7 +142,7 @@ def test_learns_from_states(tmp_path: Path) -> None:
 
 
 def test_evaluations_are_logged(tmp_path: Path) -> None:
-    config = tiny(PPOConfig, observation="state", evaluate_every=1, evaluation_rollouts=2)
+    config = tiny(PPOConfig, observation="state", evaluate_every=1, total_steps=6)
     trained = train(config, tmp_path / "run")
     assert {"evaluation_score", "entropy", "sample_seconds"} < trained.metrics.keys()
     assert load_policy(tmp_path / "run").observation == "state"
@@ -149,13 +150,14 @@ def test_evaluations_are_logged(tmp_path: Path) -> None:
 
 def test_paper_settings_are_table_4s() -> None:
     config = PPOConfig.preset("paper", tasks=("MoveToRegion",))
-    assert (config.num_envs, config.time_steps, config.epochs) == (32, 8, 12)
-    assert (config.minibatch_size, config.learning_rate, config.clip) == (64, 6e-5, 0.01)
-    assert (config.discount, config.gae_lambda, config.entropy_bonus) == (0.8, 0.8, 1e-5)
-    assert (config.max_grad_norm, config.total_steps, config.updates) == (1.0, 10**6, 3906)
-    assert config.init == "torch"
-    assert (config.bootstrap, config.normalise_advantages, config.anneal) == (False, False, True)
-    network = make_actor_critic(config)
+    ppo = config.ppo
+    assert (ppo.num_envs, ppo.num_steps, ppo.epochs) == (32, 8, 12)
+    assert (ppo.minibatch_size, ppo.learning_rate, ppo.clip_range) == (64, 6e-5, 0.01)
+    assert (ppo.gamma, ppo.gae_lambda, ppo.ent_coef) == (0.8, 0.8, 1e-5)
+    assert (ppo.max_grad_norm, ppo.total_steps, config.num_updates) == (1.0, 10**6, 3906)
+    assert ppo.init == "torch"
+    assert (ppo.bootstrap, ppo.normalise_advantages, ppo.anneal) == (False, False, True)
+    network = make_policy(config)
     assert not any(isinstance(m, torch.nn.BatchNorm2d) for m in network.modules())
     assert [type(m).__name__ for m in network.trunk.modules()].count("Conv2d") == 5
 
@@ -170,7 +172,9 @@ def test_learning_rate_and_clip_range_are_annealed_to_0(
         return ppo_loss(*args)
 
     monkeypatch.setattr(ppo, "ppo_loss", spy)
-    config = tiny(PPOConfig, observation="state", clip=0.3, learning_rate=0.9, minibatch_size=6)
+    config = tiny(
+        PPOConfig, observation="state", clip_range=0.3, learning_rate=0.9, minibatch_size=6
+    )
     train(config, tmp_path / "run")
     assert seen == pytest.approx([0.3, 0.2, 0.1])
     (group,) = checkpoint(tmp_path / "run")["ppo"]["optimizer"]["param_groups"]
@@ -185,8 +189,7 @@ def test_a_collapse_is_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr("magical.learning.reinforcement.monitoring.COLLAPSE_UPDATES", 5)
     monkeypatch.setattr(
-        ppo,
-        "sample_actions",
+        "magical.learning.reinforcement.rollouts.sample_actions",
         lambda logits, uniforms: (torch.full((3,), 5), torch.zeros(3)),
     )
     config = tiny(PPOConfig, observation="state", total_steps=6 * 6)
@@ -201,11 +204,11 @@ def test_divergence_is_an_error_and_keeps_the_checkpoint(tmp_path: Path) -> None
     config = tiny(PPOConfig, observation="state", checkpoint_every=1)
     train(config, tmp_path / "run", stop_after=1)
     before = checkpoint(tmp_path / "run")
-    network = make_actor_critic(config)
+    network = make_policy(config)
     broken = {name: torch.full_like(w, 1e38) for name, w in network.state_dict().items()}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(torch.nn.Module, "load_state_dict", lambda self, state: None)
-        patch.setattr(ppo, "make_actor_critic", lambda config: _loaded(network, broken))
+        patch.setattr(ppo, "make_policy", lambda config: _loaded(network, broken))
         with pytest.raises(DivergedError, match="not finite"):
             train(config, tmp_path / "run", resume=True)
     assert_same(before, checkpoint(tmp_path / "run"))
@@ -223,10 +226,10 @@ def _loaded(network: torch.nn.Module, weights: dict[str, torch.Tensor]) -> torch
 @pytest.mark.parametrize(
     ("fields", "named"),
     [
-        ({"discount": 1.5}, "discount"),
+        ({"gamma": 1.5}, "gamma"),
         ({"total_steps": 0}, "total_steps"),
         ({"num_envs": 1, "tasks": ("MoveToCorner", "MoveToRegion")}, "num_envs"),
-        ({"entropy_bonus": -1.0}, "entropy_bonus"),
+        ({"ent_coef": -1.0}, "ent_coef"),
         ({"workers": -1}, "workers"),
     ],
 )
@@ -248,13 +251,12 @@ def test_no_dense_reward(tmp_path: Path) -> None:
 
 
 def test_the_centred_init_tells_frames_apart() -> None:
-    config = tiny(PPOConfig, num_envs=8, decorrelate=True)
-    with RolloutEnvs(config, "cpu") as envs:
+    with RolloutEnvs(tiny(PPOConfig), 8, "cpu", workers=0) as envs:
         envs.reset()
-        frames = collect_rollout(envs, scripted(), config, rng()).observations[0]
+        frames = collect_rollout(envs, scripted(), 2, False, rng()).observations[0]
     spreads = {}
     for init in ("torch", "centred"):
-        network = make_actor_critic(tiny(PPOConfig, init=init))
+        network = make_policy(tiny(PPOConfig, init=init))
         with torch.no_grad():
             images = to_unit(frames)
             spreads[init] = network.trunk(images).std(dim=0).mean().item()

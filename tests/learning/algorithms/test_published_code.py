@@ -1,6 +1,7 @@
 """What the published code does differently: each setting changes something, presets, whole runs."""
 
-import json
+import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,15 +17,15 @@ from magical.evaluation import Policy, evaluate
 from magical.evaluation.protocol import Evaluation
 from magical.evaluation.rollouts import RepeatedEvaluation
 from magical.learning import train
-from magical.learning.algorithms.bc import BCConfig, make_policy
+from magical.learning.algorithms import bc, ppo
+from magical.learning.algorithms.bc import BCConfig
 from magical.learning.algorithms.gail import DiscriminatorBatch, GAILConfig, make_discriminator
-from magical.learning.algorithms.ppo import PPOConfig
+from magical.learning.algorithms.ppo import PPOConfig, ReinforcementConfig
 from magical.learning.algorithms.wgail_gp import WGAILGPConfig, critic_loss, gradient_penalty
 from magical.learning.augmentation.randoms import Randoms
-from magical.learning.config import PUBLISHED_CODE_IMAGES, ImitationConfig
-from magical.learning.models import EMBEDDING, Trunk, make_actor_critic
-from magical.learning.reinforcement.config import PUBLISHED_CODE
-from magical.learning.reinforcement.reward_normalisation import RewardNormaliser
+from magical.learning.config import CONVENTIONS, Config, NetworkSettings
+from magical.learning.models import EMBEDDING, Trunk
+from magical.learning.reinforcement.reward_normalisation import RewardNormaliser, reward_floor
 from magical.learning.reinforcement.rollouts import RolloutEnvs
 from magical.scene import NUM_ACTIONS
 from tests.learning.conftest import TASKS
@@ -32,56 +33,44 @@ from tests.learning.tiny_runs import assert_same, checkpoint, tiny
 
 ONE = TASKS[:1]
 IMAGE = (12, 96, 96)
-DISCRIMINATOR = {"discriminator_steps": 2, "discriminator_batch_size": 4}
+KINDS = [BCConfig, GAILConfig, WGAILGPConfig]
 
 
-def small(kind: type[ImitationConfig], demos: Path, preset: str = "quick", **fields: Any) -> Any:
+def small(kind: type[Config], demos: Path, preset: str = "quick", **settings: Any) -> Any:
     """A configuration of a run of a few seconds, with all augmentations."""
-    settings = {"tasks": ONE, "demos": str(demos), "num_demos": 2, "augment": "all", **fields}
-    if issubclass(kind, GAILConfig):
-        return tiny(kind, preset, **{**DISCRIMINATOR, **settings})
-    small_batches = {"batches": 4, "batch_size": 4, "device": "cpu", "precision": "float32"}
-    return kind.preset(preset, **{**small_batches, **settings})
+    settings = {"tasks": ONE, "demos": str(demos), "num_demos": 2, "augment": "all", **settings}
+    if issubclass(kind, ReinforcementConfig):
+        steps = {"discriminator_steps": 2, "discriminator_batch_size": 4}
+        return tiny(kind, preset, **{**steps, **settings})
+    sizes: dict[str, Any] = {"batches": 4, "batch_size": 4, "device": "cpu", "precision": "float32"}
+    return kind.preset(preset, **{**sizes, **settings})
 
 
-# Each algorithm's settings that are part of what is trained; the horizon has a test of its own.
-CHANGED = [
-    *((BCConfig, name) for name in PUBLISHED_CODE_IMAGES),
-    *((GAILConfig, name) for name in PUBLISHED_CODE if name not in ("horizon", "reward_floor")),
-    (GAILConfig, "discriminator_learning_rate"),
-    (WGAILGPConfig, "penalty_batch_norm"),
-]
-
-
-@pytest.fixture(scope="module")
-def plain(demos: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """Checkpoints of short runs with the presets `quick`, by algorithm."""
-    found = {}
-    for kind in (BCConfig, GAILConfig, WGAILGPConfig):
-        folder = tmp_path_factory.mktemp("plain") / "run"
-        train(small(kind, demos), folder)
-        found[kind.algorithm] = checkpoint(folder)
-    return found
-
-
-@pytest.mark.parametrize(("kind", "name"), CHANGED)
-def test_every_setting_matters(
-    kind: type[ImitationConfig], name: str, demos: Path, tmp_path: Path, plain: dict[str, Any]
-) -> None:
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        (BCConfig, "conventions"),
+        (WGAILGPConfig, "conventions"),
+        *((GAILConfig, name) for name in ("conventions", "ent_coef", "reward_std")),
+        (GAILConfig, "discriminator_learning_rate"),
+    ],
+)
+def test_every_setting_matters(kind: type[Config], name: str, demos: Path, tmp_path: Path) -> None:
     config = small(kind, demos)
-    changed = replace(config, **{name: kind.presets["published-code"][name]})
+    changed = config.replace(**{name: kind.presets["published-code"][name]})
     assert changed != config
+    train(config, tmp_path / "plain")
     train(changed, tmp_path / "run")
     with pytest.raises(AssertionError):
-        assert_same(checkpoint(tmp_path / "run"), plain[kind.algorithm])
+        assert_same(checkpoint(tmp_path / "run"), checkpoint(tmp_path / "plain"))
 
 
-@pytest.mark.parametrize("kind", [BCConfig, GAILConfig, WGAILGPConfig])
+@pytest.mark.parametrize("kind", KINDS)
 def test_published_code_trains_resumes_and_is_evaluated(
-    kind: type[ImitationConfig], demos: Path, tmp_path: Path
+    kind: type[Config], demos: Path, tmp_path: Path
 ) -> None:
     config = small(kind, demos, "published-code")
-    assert config.network == "paper"
+    assert config.networks == NetworkSettings(conventions="published")
     train(config, tmp_path / "whole")
     assert not train(config, tmp_path / "parts", stop_after=1).finished
     result = train(config, tmp_path / "parts", resume=True)
@@ -100,13 +89,14 @@ def test_published_code_trains_resumes_and_is_evaluated(
     ],
 )
 def test_the_preset_s_horizon_is_for_tasks_that_have_two(tasks: Any, horizon: str) -> None:
-    assert GAILConfig.preset("published-code", tasks=tasks, demos="d").horizon == horizon
+    assert GAILConfig.preset("published-code", tasks=tasks, demos="d").ppo.horizon == horizon
 
 
 def test_training_episodes_have_the_configured_horizon() -> None:
     tasks = ("MoveToRegion", "ClusterColour")
     config = tiny(PPOConfig, tasks=tasks, reward="score", horizon="published")
-    with RolloutEnvs(config, "cpu") as envs:
+    how: Any = {"horizon": config.ppo.env_horizon, "workers": 0}
+    with RolloutEnvs(config, 3, "cpu", **how) as envs:
         envs.reset()
         assert [state.horizon for state in envs.envs.states()] == [40, 40, 240]
 
@@ -118,9 +108,11 @@ def test_the_monitoring_evaluation_has_the_configured_horizon(
 
     def recorded(policy: Policy, evaluation: Evaluation, workers: int | None) -> Any:
         asked.append(evaluation.horizon)
-        return RepeatedEvaluation(policy, replace(evaluation, horizon=1), workers)
+        return RepeatedEvaluation(policy, replace(evaluation, horizon=1, rollouts=1), workers)
 
-    monkeypatch.setattr("magical.learning.policy.RepeatedEvaluation", recorded)
+    monkeypatch.setattr(
+        "magical.learning.reinforcement.demo_evaluation.RepeatedEvaluation", recorded
+    )
     for horizon in ("appendix", "published"):
         config = tiny(
             PPOConfig,
@@ -128,7 +120,6 @@ def test_the_monitoring_evaluation_has_the_configured_horizon(
             reward="score",
             horizon=horizon,
             evaluate_every=3,
-            evaluation_rollouts=1,
         )
         train(config, tmp_path / horizon)
     assert asked == [None, "published"]
@@ -156,14 +147,6 @@ def test_what_an_algorithm_or_task_lacks_is_wrong_usage(
 def test_a_preset_that_an_algorithm_lacks_is_named() -> None:
     with pytest.raises(UnknownNameError, match=r"published-code.*ppo has: paper, quick"):
         PPOConfig.preset("published-code", tasks=ONE)
-
-
-def test_runs_from_before_a_setting_existed_did_what_its_default_does(demos: Path) -> None:
-    config = small(GAILConfig, demos)
-    data = json.loads(json.dumps(config.to_dict()))
-    for name in (*PUBLISHED_CODE_IMAGES, "action_input", "reward_floor", "horizon"):
-        del data[name]
-    assert GAILConfig.from_dict(data) == config
 
 
 def first_input(trunk: Trunk, images: Tensor, *actions: Tensor) -> Tensor:
@@ -204,20 +187,36 @@ def test_the_action_s_embedding_is_joined_before_the_last_layer(
     assert torch.equal(seen[0][:, -EMBEDDING:], trunk.embedding(actions))
 
 
-def test_last_layers_are_normal_and_the_others_as_before() -> None:
-    for made in (
-        lambda **f: make_actor_critic(tiny(GAILConfig, "paper", demos="", **f)),
-        lambda **f: make_discriminator(tiny(GAILConfig, "paper", demos="", **f)),
-        lambda **f: make_policy(BCConfig(tasks=ONE, demos="", **f)),
+def last_layers(make: Callable[[str], nn.Module]) -> dict[str, Tensor]:
+    """The weights that the published code's conventions initialise otherwise, under these."""
+    published, default = (make(name).state_dict() for name in ("published", "appendix"))
+    shared = [name for name in default if published[name].shape == default[name].shape]
+    return {n: published[n] for n in shared if not torch.equal(default[n], published[n])}
+
+
+@pytest.mark.parametrize("tasks", [ONE, TASKS])
+def test_last_layers_are_normal(tasks: tuple[str, ...]) -> None:
+    settings: dict[str, Any] = {"tasks": tasks, "demos": ""}
+    for make in (
+        lambda name: ppo.make_policy(tiny(GAILConfig, "paper", conventions=name, **settings)),
+        lambda name: bc.make_policy(BCConfig.preset("paper", conventions=name, **settings)),
     ):
-        default = made().state_dict()
-        normal = made(last_layer_init="normal").state_dict()
-        last = [name for name in default if not torch.equal(default[name], normal[name])]
-        assert last
-        assert not any("trunk" in name for name in last)
-        values = torch.cat([normal[name].flatten() for name in last])
+        changed = last_layers(make)
+        assert changed
+        assert not any("trunk" in name for name in changed)
+        values = torch.cat([values.flatten() for values in changed.values()])
         assert abs(float(values.std()) - 1.0) < 0.15
         assert abs(float(values.mean())) < 0.15
+
+
+def test_a_discriminator_s_last_layer_is_normal_in_multi_task_runs_alone() -> None:
+    spreads = []
+    for tasks in (ONE, TASKS):
+        config = tiny(GAILConfig, "published-code", tasks=tasks, demos="")
+        last = make_discriminator(config).last.linear
+        spreads.append(torch.cat([last.weight.flatten(), last.bias]).std().item())
+    plain = 1.0 / math.sqrt(3.0 * 256)  # of PyTorch's default, uniform within 256 ** -0.5
+    assert spreads == pytest.approx([plain, 1.0], rel=0.15)
 
 
 def test_the_reward_s_floor() -> None:
@@ -228,11 +227,9 @@ def test_the_reward_s_floor() -> None:
     assert high.std(correction=0).item() == pytest.approx(0.001, rel=1e-3)
 
 
-def test_the_reward_s_floor_is_the_configured_one(demos: Path, tmp_path: Path) -> None:
-    result = train(small(GAILConfig, demos, reward_floor=0.1), tmp_path / "run")
-    raw, normalised = (float(result.metrics[name]) for name in ("raw_reward_std", "reward_std"))
-    assert normalised == pytest.approx(raw, abs=2e-6)  # times 0.1, divided by the floor
-    assert raw < 0.05
+def test_the_reward_s_floor_follows_the_conventions() -> None:
+    floors = [reward_floor(NetworkSettings(conventions=name)) for name in CONVENTIONS]
+    assert floors == [1e-3, 1e-5]
 
 
 def test_the_penalty_is_on_the_gradient_with_respect_to_the_network_s_pixels() -> None:
@@ -247,8 +244,8 @@ def test_the_penalty_is_on_the_gradient_with_respect_to_the_network_s_pixels() -
     assert penalty.item() == pytest.approx((weight.norm().item() - 1.0) ** 2, rel=1e-5)
 
 
-@pytest.mark.parametrize(("mode", "forward_passes"), [("evaluation", 1), ("training", 2)])
-def test_batch_norm_in_the_gradient_penalty(mode: str, forward_passes: int) -> None:
+@pytest.mark.parametrize(("mode", "forward_passes"), [(False, 1), (True, 2)])
+def test_batch_norm_in_the_gradient_penalty(mode: bool, forward_passes: int) -> None:
     critic = make_discriminator(tiny(WGAILGPConfig, demos="", tasks=ONE))
     images, zeros = torch.rand(4, *IMAGE), torch.zeros(4, dtype=torch.int64)
     batch = DiscriminatorBatch(images, zeros, zeros)

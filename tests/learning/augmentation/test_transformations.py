@@ -22,9 +22,9 @@ from magical.learning.augmentation.transformations import (
     StackTransformations,
     parse_transformations,
 )
-from magical.learning.averaging import renew_statistics
 from magical.learning.data.expert_data import ExpertData
 from magical.learning.data.rendered_data import RenderedExpertData
+from magical.learning.models import new_statistics
 from magical.learning.running.checkpoints import load_newest_checkpoint
 from magical.observe import PRESETS
 from magical.render.palette import SHADES
@@ -210,23 +210,16 @@ def test_each_setting_changes_what_is_learned(tmp_path: Path, change: dict[str, 
 
 
 def test_statistics_are_renewed_from_all_batches_alike() -> None:
-    class Network(nn.Module):
-        def __init__(self) -> None:
-            super().__init__()
-            self.norm = nn.BatchNorm1d(2)
-
-        def forward(self, images: torch.Tensor, tasks: torch.Tensor) -> torch.Tensor:
-            found: torch.Tensor = self.norm(images)
-            return found
-
-    network = Network()
+    norm = nn.BatchNorm1d(2)
     images = [torch.randn(64, 2) * scale + scale for scale in (1.0, 3.0)]
-    renew_statistics(network, [(batch, torch.zeros(64)) for batch in images])
+    with new_statistics(nn.Sequential(norm)):
+        for batch in images:
+            norm(batch)
     means = torch.stack([batch.mean(dim=0) for batch in images]).mean(dim=0)
     variances = torch.stack([batch.var(dim=0) for batch in images]).mean(dim=0)
-    torch.testing.assert_close(network.norm.running_mean, means)
-    torch.testing.assert_close(network.norm.running_var, variances)
-    assert not network.training
+    torch.testing.assert_close(norm.running_mean, means)
+    torch.testing.assert_close(norm.running_var, variances)
+    assert norm.momentum == nn.BatchNorm1d(2).momentum
 
 
 def test_averaged_weights_are_the_policy_and_survive_an_interruption(tmp_path: Path) -> None:

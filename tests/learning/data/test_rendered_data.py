@@ -107,7 +107,8 @@ def test_auto_renders_where_all_poses_are_known(pairs: Pairs) -> None:
 
 def test_rendering_of_state_vectors_is_an_error() -> None:
     with pytest.raises(InvalidConfigError, match="augment_by: state vectors are not rendered"):
-        BCConfig(
+        BCConfig.preset(
+            "paper",
             tasks=("MoveToRegion",),
             demos="d",
             observation="state",

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from magical.learning.reinforcement.config import REWARD_FLOOR
 from magical.learning.reinforcement.monitoring import (
     COLLAPSE_UPDATES,
     CollapseDetector,
     mean_by_task,
 )
 from magical.learning.reinforcement.replay_buffer import ReplayBuffer
-from magical.learning.reinforcement.reward_normalisation import RewardNormaliser
+from magical.learning.reinforcement.reward_normalisation import FLOOR, RewardNormaliser
 
 
 def test_rewards_are_normalised_as_two_passes_would() -> None:
@@ -35,7 +34,7 @@ def test_rewards_are_normalised_as_two_passes_would() -> None:
 
 def test_equal_rewards_are_not_blown_up() -> None:
     normaliser = RewardNormaliser(1, std=0.1)
-    rewards = torch.tensor([[1.0, 1.0 + REWARD_FLOOR / 10]])
+    rewards = torch.tensor([[1.0, 1.0 + FLOOR / 10]])
     found = normaliser(rewards, torch.zeros(2, dtype=torch.int64))
     np.testing.assert_allclose(found.numpy(), [[-0.005, 0.005]], rtol=1e-3)
 

@@ -48,8 +48,8 @@ def test_training_with_graphs_on_a_cpu_is_an_error(
     algorithm: str, demos: Path, tmp_path: Path
 ) -> None:
     data: Any = {} if algorithm == "ppo" else {"demos": str(demos), "num_demos": 2}
-    config = find_algorithm(algorithm).config(
-        tasks=("MoveToCorner",), device="cpu", graphs="on", network="light", **data
+    config = find_algorithm(algorithm).config.preset(
+        "paper", tasks=("MoveToCorner",), device="cpu", graphs="on", network="light", **data
     )
     with pytest.raises(DeviceError, match="graphs"):
         train(config, tmp_path / "run")
@@ -121,7 +121,7 @@ def test_graphs_give_the_losses_of_plain_steps(algorithm: str, demos: Path, tmp_
         else {
             "total_steps": 8 * 32,
             "num_envs": 8,
-            "time_steps": 4,
+            "num_steps": 4,
             "evaluate_every": 0,
             "workers": 0,
         }

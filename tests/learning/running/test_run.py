@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from magical.errors import DivergedError, InvalidConfigError, RunFolderError, UnknownNameError
+from magical.learning import algorithm_names, find_algorithm
 from magical.learning.algorithms.bc import BCConfig
 from magical.learning.config import CHECKPOINT_SECONDS, options
 from magical.learning.running.devices import restored_threads
@@ -18,11 +19,17 @@ from magical.learning.running.run import Run
 from magical.runs import opened_folder, read_metrics
 from magical.runs.folder import CONFIG, METRICS, RECORD
 
-CONFIGURATION = BCConfig(tasks=("MoveToCorner",), demos="demos")
+CONFIGURATION = BCConfig.preset("paper", tasks=("MoveToCorner",), demos="demos")
 
 
-def opened(folder: Path, stop_after: int | None = None, tensorboard: bool = False) -> Run:
-    return Run(folder, stop_after=stop_after, tensorboard=tensorboard)
+def opened(folder: Path, checkpoint_every: int = 100, **options: Any) -> Run:
+    return Run(folder, CONFIGURATION.replace(checkpoint_every=checkpoint_every), **options)
+
+
+def finish(run: Run, step: int, state: dict[str, Any] | None = None, **metrics: float) -> bool:
+    """End a step; with a state, at the end of a part, so that it is saved."""
+    last = state is not None
+    return run.finish_step(step, lambda: metrics, lambda: state or {}, last=last)
 
 
 @pytest.fixture
@@ -40,9 +47,8 @@ def test_a_new_folder_holds_configuration_and_versions(folder: Path) -> None:
 
 def test_metrics_after_the_checkpoint_are_dropped(folder: Path) -> None:
     with opened(folder) as run:
-        run.log(1, 9, loss=0.5)
-        run.checkpoint(1, {"a": torch.ones(2)})
-        run.log(2, 9, loss=0.25)
+        finish(run, 1, {"a": torch.ones(2)}, loss=0.5)
+        finish(run, 2, loss=0.25)
     with (folder / METRICS).open("a") as file:
         file.write('{"step": 3, "lo')
     assert [line["step"] for line in read_metrics(folder)] == [1, 2]
@@ -50,16 +56,18 @@ def test_metrics_after_the_checkpoint_are_dropped(folder: Path) -> None:
         assert run.step == 1
         assert run.saved is not None
         assert torch.equal(run.saved["a"], torch.ones(2))
-        run.log(2, 9, loss=math.nan)
-    assert read_metrics(folder) == [{"step": 1, "loss": 0.5}, {"step": 2, "loss": None}]
+    assert read_metrics(folder) == [{"step": 1, "loss": 0.5}]
 
 
-def test_what_is_not_finite_never_becomes_a_checkpoint(folder: Path) -> None:
+def test_what_is_not_finite_is_logged_and_never_becomes_a_checkpoint(folder: Path) -> None:
     with opened(folder) as run:
-        run.checkpoint(5, {"a": torch.ones(2)})
+        finish(run, 5, {"a": torch.ones(2)})
         for bad in ({"a": torch.tensor([1.0, math.inf])}, {"b": [{"c": math.nan}]}):
             with pytest.raises(DivergedError, match=r"at step 6 .*keeps the checkpoint of step 5"):
-                run.checkpoint(6, bad)
+                finish(run, 6, bad)
+        with pytest.raises(DivergedError, match="at step 7"):
+            finish(run, 7, loss=math.nan)
+    assert read_metrics(folder)[-1] == {"step": 7, "loss": None}
     with opened(folder) as run:
         assert run.step == 5
 
@@ -92,27 +100,40 @@ def test_checkpoints_are_due_by_number_or_by_time(
 ) -> None:
     now = 100.0
     monkeypatch.setattr("magical.learning.running.run.time.monotonic", lambda: now)
-    with opened(folder) as run:
-        assert [run.checkpoint_is_due(step, 3) for step in (2, 3, 4, 6)] == [False, True] * 2
-        assert not run.checkpoint_is_due(3, 0)
+    saved = []
+    with opened(folder, checkpoint_every=3) as run:
+        for step in range(1, 8):
+            finish(run, step)
+            saved.append(run.step)
+    assert saved == [0, 0, 3, 3, 3, 6, 6]
+    with opened(folder, checkpoint_every=0) as run:
+        finish(run, 7)
+        assert run.step == 6
         now += CHECKPOINT_SECONDS
-        assert run.checkpoint_is_due(4, 0)
-        run.checkpoint(4, {})
-        assert not run.checkpoint_is_due(5, 0)
+        finish(run, 8)
+        finish(run, 9)
+        assert run.step == 8
+
+
+def test_metrics_are_logged_every_so_many_steps_and_at_the_last(folder: Path) -> None:
+    with opened(folder) as run:
+        for step in range(1, 6):
+            run.finish_step(step, dict, dict, log_every=2, last=step == 5)
+        assert run.step == 5
+    assert [line["step"] for line in read_metrics(folder)] == [2, 4, 5]
 
 
 def test_stop_after_counts_from_the_checkpoint(folder: Path) -> None:
-    with opened(folder, stop_after=3) as run:
-        assert [run.stops(step) for step in (2, 3)] == [False, True]
-        run.checkpoint(3, {})
-    with opened(folder, stop_after=3) as run:
-        assert [run.stops(step) for step in (5, 6)] == [False, True]
+    for steps in ((1, 2, 3), (4, 5, 6)):
+        with opened(folder, stop_after=3) as run:
+            assert [finish(run, step) for step in steps] == [False, False, True]
+            assert run.step == steps[-1]
 
 
 def test_tensorboard_gets_the_metrics(folder: Path) -> None:
     pytest.importorskip("tensorboard")
     with opened(folder, tensorboard=True) as run:
-        run.log(1, 9, loss=0.5)
+        finish(run, 1, loss=0.5)
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
     events = EventAccumulator(str(folder / "tensorboard"))
@@ -125,7 +146,7 @@ def test_configurations_are_checked() -> None:
         return BCConfig.preset("quick", **{"tasks": "MoveToCorner", "demos": "d", **fields})
 
     assert made().tasks == ("MoveToCorner",)
-    assert made().network == "narrow"
+    assert made().networks.network == "narrow"
     for name, value in (("batches", 0), ("learning_rate", -1.0), ("seed", -1), ("num_demos", 0)):
         with pytest.raises(InvalidConfigError, match=name):
             made(**{name: value})
@@ -136,8 +157,13 @@ def test_configurations_are_checked() -> None:
         made(tasks=("MoveToCorner", "MoveToCorner"))
     with pytest.raises(UnknownNameError, match="preset 'slow'"):
         BCConfig.preset("slow", tasks=("MoveToCorner",), demos="d")
-    with pytest.raises(InvalidConfigError, match="configuration of bc"):
-        BCConfig.from_dict({"algorithm": "bc", "tasks": ["MoveToCorner"]})
+    for settings, message in (({}, "demos"), ({"demos": 5}, "demos: expected str, found 5")):
+        with pytest.raises(InvalidConfigError, match=f"^configuration: .*{message}"):
+            BCConfig.from_dict({"algorithm": "bc", "tasks": ["MoveToCorner"], **settings})
+    with pytest.raises(
+        InvalidConfigError, match="setting 'odd' is unknown; expected one of: tasks"
+    ):
+        BCConfig.from_dict({**made().to_dict(), "odd": 1})
 
 
 def test_options_follow_the_fields() -> None:
@@ -155,11 +181,27 @@ def test_every_field_with_choices_accepts_these_alone() -> None:
     for option in options(BCConfig):
         for value in option.choices:
             fields: dict[str, Any] = {option.name: value, "augment": "none"}
-            made = BCConfig(tasks=("MoveToCorner",), demos="d", **fields)
-            assert getattr(made, option.name) == value
+            made = BCConfig.preset("paper", tasks=("MoveToCorner",), demos="d", **fields)
+            assert made.to_dict()[option.name] == value
         if option.choices:
             with pytest.raises(UnknownNameError, match=f"{option.name} 'odd' is unknown"):
                 BCConfig.preset("paper", tasks=("MoveToCorner",), demos="d", **{option.name: "odd"})
+
+
+@pytest.mark.parametrize("name", algorithm_names())
+def test_every_option_is_in_the_record_once_and_replaced_by_its_name(name: str) -> None:
+    kind = find_algorithm(name).config
+    names = [option.name for option in options(kind)]
+    assert len(names) == len(set(names))
+    config = kind.preset(
+        "quick", tasks="MoveToRegion", **({"demos": "d"} if "demos" in names else {})
+    )
+    assert set(config.to_dict()) == {"algorithm", *names}
+    assert kind.from_dict(json.loads(json.dumps(config.to_dict()))) == config
+    assert hash(config.replace(seed=1)) != hash(config)
+    assert (
+        config.replace(**{n: v for n, v in config.to_dict().items() if n != "algorithm"}) == config
+    )
 
 
 def test_learning_is_imported_without_pytorch() -> None:

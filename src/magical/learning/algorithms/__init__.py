@@ -1,19 +1,19 @@
 """The algorithms, a file each; the file's name is the algorithm's (`_` for `-`).
 
 Such a file has a configuration class, `train(config, run)`, `make_policy(config)` and at its end
-`ALGORITHM = Algorithm(...)`.
+`ALGORITHM = Algorithm(...)`. Those of other distributions are found by entry points of the group
+`magical.algorithms`, and any other by `module:NAME`.
 """
 
-import importlib
-import pkgutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from magical.errors import UnknownNameError
+from magical.errors import RunFolderError
 from magical.extras import require
 from magical.learning.config import Config
+from magical.plugins import Registry, require_known_module
 from magical.runs.folder import CONFIG, read_json
 
 if TYPE_CHECKING:
@@ -38,36 +38,43 @@ class Algorithm:
     train: "Callable[[Any, Run], None]"
     make_policy: "Callable[[Any], nn.Module]"
 
-    @property
-    def name(self) -> str:
-        """For instance `bc` or `wgail-gp`."""
-        return self.config.algorithm
+
+_ALGORITHMS = Registry("algorithm", Algorithm, "magical.algorithms", __name__, "ALGORITHM")
 
 
 def algorithm_names() -> list[str]:
-    """Every algorithm, alphabetically; imports none."""
-    found = (entry.name for entry in pkgutil.iter_modules(__path__))
-    return sorted(name.replace("_", "-") for name in found if not name.startswith("_"))
+    """Every algorithm, of this and of other distributions, alphabetically; imports none."""
+    return _ALGORITHMS.names()
 
 
 def find_algorithm(name: str) -> Algorithm:
-    """An algorithm by name.
+    """An algorithm by name, or by `module:NAME`.
 
     Raises:
         UnknownNameError: there is none of this name.
+        PluginError: it is another distribution's and cannot be imported.
         MissingDependencyError: PyTorch is not installed.
     """
-    if name not in algorithm_names():
-        raise UnknownNameError(
-            f"algorithm {name!r} is unknown; expected one of: {', '.join(algorithm_names())}"
-        )
-    require("learning")
-    module = importlib.import_module(f"{__name__}.{name.replace('-', '_')}")
-    algorithm: Algorithm = module.ALGORITHM
-    return algorithm
+    if ":" in name or name in algorithm_names():
+        require("learning")
+    return _ALGORITHMS.get(name)
 
 
 def read_config(folder: Path) -> Config:
-    """The configuration recorded in a run folder."""
-    data = read_json(folder / CONFIG)
-    return find_algorithm(str(data.get("algorithm"))).config.from_dict(data)
+    """The configuration recorded in a run folder.
+
+    It may name modules of others, which are not imported from the working folder on its word.
+
+    Raises:
+        RunFolderError: the record is missing, damaged, or names a module that is not installed.
+        InvalidConfigError: its settings cannot be.
+    """
+    path = folder / CONFIG
+    data = read_json(path)
+    names = {key: data.get(key) for key in ("algorithm", "network", "observation")}
+    for key, name in names.items():
+        if key == "algorithm" and not isinstance(name, str):
+            raise RunFolderError(f"{path}: expected the name of an algorithm, found none")
+        if isinstance(name, str):
+            require_known_module(name, str(path))
+    return find_algorithm(str(names["algorithm"])).config.from_dict(data, str(path))

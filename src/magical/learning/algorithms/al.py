@@ -9,25 +9,31 @@ First an autoencoder is trained on the expert's samples; its encoder phi is then
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 from torch.optim import Adam
 
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
-from magical.learning.algorithms.ppo import PPOTrainer
+from magical.learning.algorithms.ppo import (
+    PUBLISHED_CODE,
+    QUICK,
+    PPOTrainer,
+    ReinforcementConfig,
+    make_policy,
+)
 from magical.learning.augmentation.augment import augment, to_unit
-from magical.learning.augmentation.names import SETS
+from magical.learning.augmentation.names import SETS, Augmentations, parse_augmentations
 from magical.learning.autoencoder import SIZE, Autoencoder, autoencoder_loss, save_reconstructions
-from magical.learning.config import option
+from magical.learning.config import APPENDIX, DemonstrationSettings
 from magical.learning.data.expert_data import ExpertData, Rows, load_demonstrations
-from magical.learning.models import make_actor_critic
-from magical.learning.reinforcement.config import PUBLISHED_CODE, QUICK, LearnedRewardConfig
-from magical.learning.reinforcement.replay_buffer import ReplayBuffer
-from magical.learning.reinforcement.reward_normalisation import RewardNormaliser
+from magical.learning.models import new_statistics
+from magical.learning.reinforcement.replay_buffer import ROLLOUTS, ReplayBuffer
+from magical.learning.reinforcement.reward_normalisation import RewardNormaliser, reward_floor
 from magical.learning.running.checkpoints import (
     StateDict,
     load_module,
@@ -37,6 +43,7 @@ from magical.learning.running.checkpoints import (
 from magical.learning.running.devices import Compute
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
+from magical.learning.settings import POSITIVE, option
 
 AUTOENCODER_INIT = 1  # number of the initialisation; the policy's is 0
 WEIGHT_NORM = 2.0  # of w (appendix B, equation 1)
@@ -45,91 +52,68 @@ RIDGE = 1e-3  # of the features' mean variance, added to each one's in `discrimi
 LOG_EVERY = 50  # batches of pretraining
 NUM_RECONSTRUCTIONS = 10  # frames in the picture
 PICTURE = "reconstructions.png"
+STATISTICS_BATCHES = 60
+REFINED = "refined"
 CHUNK = 64  # samples per forward pass without gradients and batch statistics
 
 
 @dataclass(frozen=True, kw_only=True)
-class ALConfig(LearnedRewardConfig):
+class ALConfig(ReinforcementConfig):
     """Settings of apprenticeship learning; the defaults are appendix B's and Table 4's."""
 
-    algorithm: ClassVar[str] = "al"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {},
         "quick": {
             **QUICK,
             "total_steps": 45_000,
-            "discount": 0.95,
-            "entropy_bonus": 3e-3,
+            "gamma": 0.95,
+            "ent_coef": 3e-3,
             "pretraining_batches": 200,
             "pretraining_learning_rate": 1e-3,
-            "pretraining_anneal": True,
-            "relative_image_error": True,
-            "linear_features": True,
-            "statistics_batches": 60,
+            "autoencoder": REFINED,
             "weight_metric": "covariance",
         },
         "published-code": {
             **PUBLISHED_CODE,
             "pretraining_batch_size": 12,
-            "decoder_batch_norm": True,
             "augment": "all",
             "feature_samples": 264,
-            "augment_features": True,
-            "feature_batch_norm": "training",
         },
     }
 
-    pretraining_batches: int = option(8192, "batches that the autoencoder is trained on")
-    pretraining_batch_size: int = option(24, "expert samples per such batch")
-    pretraining_learning_rate: float = option(3e-4, "Adam's, for the autoencoder")
+    algorithm: str = "al"
+    demonstrations: DemonstrationSettings
+    pretraining_batches: int = option(
+        8192, "batches that the autoencoder is trained on", check=POSITIVE
+    )
+    pretraining_batch_size: int = option(24, "expert samples per such batch", check=POSITIVE)
+    pretraining_learning_rate: float = option(3e-4, "Adam's, for the autoencoder", check=POSITIVE)
     augment: str = option(
         "none",
         "of the autoencoder's images: all, none, no-trans-rot, or names joined by +",
         metavar="NAMES",
     )
-    pretraining_anneal: bool = option(
-        False, "anneal the autoencoder's learning rate linearly to 0", added=True
+    autoencoder: str = option(
+        APPENDIX,
+        "refined: its learning rate is annealed linearly to 0, it decodes the difference from the "
+        "expert's mean image with an error relative to that image's, there is no ReLU after its "
+        f"features, and batch norm's statistics are of {STATISTICS_BATCHES} unaugmented batches "
+        "after pretraining",
+        choices=(APPENDIX, REFINED),
     )
-    relative_image_error: bool = option(
-        False,
-        "decode the difference from the expert's mean image; the image error is relative to that "
-        "of the mean image",
-        added=True,
-    )
-    linear_features: bool = option(
-        False, "no ReLU after the encoder's last layer, so that no feature is always 0", added=True
-    )
-    statistics_batches: int = option(
-        0,
-        "unaugmented expert batches that the encoder's batch norm statistics are computed from "
-        "after pretraining; 0: keep the running ones of pretraining",
-        added=True,
-    )
-    decoder_batch_norm: bool = option(
-        False, "use batch norm in the autoencoder's decoder too", added=True
-    )
-    feature_samples: int = option(512, "samples, each of expert and novice, to compute w from")
-    augment_features: bool = option(
-        False, "augment the images that w is computed from, as in pretraining", added=True
-    )
-    feature_batch_norm: str = option(
-        "evaluation",
-        "mode of the encoder's batch norm where w is computed; rewards: always evaluation",
-        choices=("evaluation", "training"),
-        added=True,
+    feature_samples: int = option(
+        512, "samples, each of expert and novice, to compute w from", check=POSITIVE
     )
     weight_metric: str = option(
         "euclidean",
         "norm of w that is bounded: |w|, or the standard deviation of w^T phi over the samples",
         choices=("euclidean", "covariance"),
-        added=True,
     )
+    reward_std: float = option(0.1, "standard deviation of the normalised rewards", check=POSITIVE)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.require_positive("pretraining_batches", "pretraining_batch_size")
-        self.require_positive("pretraining_learning_rate", "feature_samples")
-        self.require_at_least_zero("statistics_batches")
+        parse_augmentations(self.augment)
         self.require_one_task()
         if self.input_shape[1:] != (SIZE, SIZE):
             raise InvalidConfigError(
@@ -137,15 +121,31 @@ class ALConfig(LearnedRewardConfig):
             )
 
     @property
-    def total(self) -> int:
-        """The batches of pretraining and the updates."""
-        return self.pretraining_batches + self.updates
+    def refined(self) -> bool:
+        """Whether the autoencoder is the refined one."""
+        return self.autoencoder == REFINED
+
+    @property
+    def augmentations(self) -> Augmentations:
+        """The augmentations of the autoencoder's images."""
+        return self.networks.augmentations(self.augment)
+
+    @property
+    def num_updates(self) -> int:
+        """The batches of pretraining and the updates of the policy."""
+        return self.pretraining_batches + self.ppo.num_updates
 
     @property
     def training_samples(self) -> int:
         """Those of the autoencoder, with a decoder as large as the encoder, and of the policy."""
         pretraining = self.pretraining_batches * self.pretraining_batch_size
         return 2 * pretraining + super().training_samples
+
+    @classmethod
+    def modernised(cls, data: Mapping[str, Any]) -> dict[str, Any]:
+        """As `Config.modernised`; older versions had an option for each refinement."""
+        refined = {"autoencoder": REFINED} if data.get("linear_features") is True else {}
+        return super().modernised({**refined, **data})
 
 
 def train(config: ALConfig, run: Run) -> None:
@@ -176,32 +176,33 @@ def pretrain(
         if "autoencoder_optimizer" in run.saved:
             load_optimizer(optimizer, run.saved["autoencoder_optimizer"])
     scale = 1.0
-    if config.relative_image_error:
+    if config.refined:
         autoencoder.mean_image, scale = mean_image(expert)
+
+    def state_dict() -> StateDict:
+        return {
+            "policy": ppo.network.state_dict(),
+            "autoencoder": autoencoder.state_dict(),
+            "autoencoder_optimizer": optimizer_state(optimizer),
+        }
+
     for number in range(run.step, config.pretraining_batches):
-        metrics = pretraining_step(
+        losses = pretraining_step(
             config, ppo.compute, expert, autoencoder, optimizer, number, scale
         )
         done = number + 1
-        stops = run.stops(done)
-        complete = done == config.pretraining_batches
-        if complete:
+        last = done == config.pretraining_batches
+        if last and config.refined:
             compute_statistics(config, ppo.compute, expert, autoencoder)
-        if complete or stops or done % LOG_EVERY == 0:
-            values = {name: value.item() for name, value in metrics.items()}
-            run.log(done, config.total, **values)
-            run.require_finite(done, values)
-        if complete or stops or run.checkpoint_is_due(done, 0):
-            state = {
-                "policy": ppo.network.state_dict(),
-                "autoencoder": autoencoder.state_dict(),
-                "autoencoder_optimizer": optimizer_state(optimizer),
-            }
-            run.checkpoint(done, state)
-        if stops:
+        metrics = partial(_values, losses)
+        if run.finish_step(done, metrics, state_dict, log_every=LOG_EVERY, last=last):
             return False
     autoencoder.eval().requires_grad_(False)
     return True
+
+
+def _values(losses: Mapping[str, Tensor]) -> dict[str, float]:
+    return {name: loss.item() for name, loss in losses.items()}
 
 
 def pretraining_step(
@@ -217,7 +218,7 @@ def pretraining_step(
 
     The image error is divided by `scale` first.
     """
-    left = 1.0 - number / config.pretraining_batches if config.pretraining_anneal else 1.0
+    left = 1.0 - number / config.pretraining_batches if config.refined else 1.0
     for group in optimizer.param_groups:
         group["lr"] = config.pretraining_learning_rate * left
     rng = stream(config.seed, Purpose.PRETRAINING, number)
@@ -245,32 +246,21 @@ def mean_image(expert: ExpertData) -> tuple[Tensor, float]:
 def compute_statistics(
     config: ALConfig, compute: Compute, expert: ExpertData, autoencoder: Autoencoder
 ) -> None:
-    """Replace batch norm's running statistics by means over unaugmented expert batches.
-
-    The running ones are of augmented images, and of weights that have changed since.
-    """
-    if not config.statistics_batches:
-        return
-    layers = [m for m in autoencoder.modules() if isinstance(m, nn.BatchNorm2d)]
-    momenta = [layer.momentum for layer in layers]
-    for layer in layers:
-        layer.reset_running_stats()
-        layer.momentum = None  # the mean over all batches
+    """Replace batch norm's running statistics by means over unaugmented expert batches."""
     rng = stream(config.seed, Purpose.PRETRAINING, config.pretraining_batches)
-    for _ in range(config.statistics_batches):
-        rows = expert.sample_counts([config.pretraining_batch_size], rng)
-        with torch.no_grad(), compute.autocast():
+    with new_statistics(autoencoder), compute.autocast():
+        for _ in range(STATISTICS_BATCHES):
+            rows = expert.sample_counts([config.pretraining_batch_size], rng)
             autoencoder(unaugmented(expert, rows), expert.labels(rows)[0])
-    for layer, momentum in zip(layers, momenta, strict=True):
-        layer.momentum = momentum
 
 
 def imitate(
     config: ALConfig, run: Run, ppo: PPOTrainer, expert: ExpertData, autoencoder: Autoencoder
 ) -> None:
     """Compute w and update the policy, in alternation."""
-    replay_buffer = ReplayBuffer(config.replay_batches, ppo.envs.task_of)
-    normaliser = RewardNormaliser(1, config.reward_std, ppo.device, config.reward_floor)
+    replay_buffer = ReplayBuffer(ROLLOUTS, ppo.envs.task_of)
+    floor = reward_floor(config.networks)
+    normaliser = RewardNormaliser(1, config.reward_std, ppo.device, floor)
     if run.saved and "apprentice" in run.saved:
         saved = run.saved["apprentice"]
         replay_buffer.load_state_dict(saved["replay_buffer"], ppo.device)
@@ -293,7 +283,7 @@ def imitate(
         with ppo.monitor.timed("features"):
             replay_buffer.add(rollout.observations, rollout.actions)
             rng = stream(config.seed, Purpose.DISCRIMINATOR, update)
-            training = config.feature_batch_norm == "training"
+            training = config.networks.published
             size = 2 * config.feature_samples if training else CHUNK
             batch = sample_batch(config, expert, replay_buffer, rng)
             autoencoder.train(training)
@@ -321,7 +311,7 @@ def sample_batch(
     rows = expert.sample_counts([config.feature_samples], rng)
     novice_images, novice_actions, _ = replay_buffer.sample([config.feature_samples], rng)
     images = torch.cat([expert.images(rows), novice_images])
-    augmentations = config.augmentations if config.augment_features else SETS["none"]
+    augmentations = config.augmentations if config.networks.published else SETS["none"]
     return augment(images, augmentations, rng), torch.cat([expert.labels(rows)[0], novice_actions])
 
 
@@ -382,15 +372,16 @@ def draw_reconstructions(
 
 def make_autoencoder(config: ALConfig) -> Autoencoder:
     """The autoencoder, initialised from the seed."""
+    networks = config.networks
     with seeded_init(config.seed, AUTOENCODER_INIT):
         return Autoencoder(
-            config.network,
+            networks.network,
             config.input_shape,
-            action_input=config.action_input,
-            pixel_range=config.pixel_range,
-            decoder_batch_norm=config.decoder_batch_norm,
-            linear_features=config.linear_features,
+            action_input=networks.action_input,
+            pixel_range=networks.pixel_range,
+            decoder_batch_norm=networks.published,
+            linear_features=config.refined,
         )
 
 
-ALGORITHM = Algorithm(ALConfig, train, make_actor_critic)
+ALGORITHM = Algorithm(ALConfig, train, make_policy)

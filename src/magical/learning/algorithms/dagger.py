@@ -14,7 +14,8 @@ tasks; `paper` has behavioural cloning's (Table 3), its 20,000 batches split bet
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from statistics import fmean
 from typing import Any, ClassVar
 
@@ -26,13 +27,14 @@ from magical.evaluation import environments
 from magical.evaluation.variants import full_variant, short_variant
 from magical.experts import get_planner
 from magical.learning.algorithms import Algorithm
-from magical.learning.algorithms.bc import BCConfig, BCTrainer, make_policy
-from magical.learning.config import IMAGE_OBSERVATIONS, option
+from magical.learning.algorithms.bc import BCConfig, BCTrainer, CloningSettings, make_policy
+from magical.learning.config import IMAGE_OBSERVATIONS
 from magical.learning.data.expert_data import TaskTrajectories, load_demonstrations
 from magical.learning.data.supervision import LabelledEpisodes
 from magical.learning.policy import NetworkPolicy
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, stream
+from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
 from magical.runs.sources import EXPERT_LABELS, INTERACTION, TEST_VARIANTS
 
 AGGREGATE = "aggregate"  # in the run folder
@@ -42,23 +44,33 @@ AGGREGATE = "aggregate"  # in the run folder
 class DAggerConfig(BCConfig):
     """Settings of DAgger; the defaults are those of behavioural cloning (Table 3)."""
 
-    algorithm: ClassVar[str] = "dagger"
+    observations: ClassVar[tuple[str, ...]] = IMAGE_OBSERVATIONS
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {},
         "quick": {**BCConfig.presets["quick"], "rounds": 6, "batches": 400, "episodes": 5},
     }
 
-    observation: str = option("LoRes4E", "observation preset", choices=IMAGE_OBSERVATIONS)
-    batches: int = option(2_000, "batches per round")
-    rounds: int = option(10, "rounds; all but the first collect episodes before training")
-    episodes: int = option(10, "episodes of each task per round, variants in rotation")
+    algorithm: str = "dagger"
+    cloning: CloningSettings = field(
+        default_factory=partial(CloningSettings, batches=2_000)
+    )  # of a round
+    rounds: int = option(
+        10, "rounds, of so many batches each; all but the first collect episodes", check=POSITIVE
+    )
+    episodes: int = option(
+        10, "episodes of each task per round, variants in rotation", check=POSITIVE
+    )
     variants: tuple[str, ...] = option(
         ("Demo",), "variants that episodes are collected in", metavar="VARIANT"
     )
-    beta_decay: float = option(0.5, "round i takes the expert's actions with probability decay^i")
+    beta_decay: float = option(
+        0.5, "round i takes the expert's actions with probability decay^i", check=FRACTION
+    )
     restart: bool = option(False, "train from the initialisation in each round")
     keep_noops: bool = option(False, "train on no-op labels too")
-    workers: int | None = option(None, "environment processes (default: one per core)")
+    workers: int | None = option(
+        None, "environment processes (default: one per core)", check=NOT_NEGATIVE
+    )
 
     @property
     def learned_from(self) -> tuple[str, ...]:
@@ -68,9 +80,6 @@ class DAggerConfig(BCConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.require_positive("rounds", "episodes")
-        self.require_fraction("beta_decay")
-        self.require_at_least_zero("workers")
         names = (self.variants,) if isinstance(self.variants, str) else self.variants
         unique = dict.fromkeys(map(full_variant, names))
         object.__setattr__(self, "variants", tuple(map(short_variant, unique)))
@@ -86,9 +95,9 @@ class DAggerConfig(BCConfig):
                 )
 
     @property
-    def total(self) -> int:
+    def num_updates(self) -> int:
         """The batches of all rounds."""
-        return self.rounds * self.batches
+        return self.rounds * self.cloning.batches
 
     @property
     def env_ids(self) -> list[EnvId]:
@@ -105,10 +114,11 @@ class DAggerConfig(BCConfig):
 
         With `restart` it is annealed in each round.
         """
-        if not self.anneal:
-            return self.learning_rate
-        span = self.batches if self.restart else self.total
-        return self.learning_rate * (1.0 - batch % span / span)
+        cloning = self.cloning
+        if not cloning.anneal:
+            return cloning.learning_rate
+        span = cloning.batches if self.restart else self.num_updates
+        return cloning.learning_rate * (1.0 - batch % span / span)
 
 
 def train(config: DAggerConfig, run: Run) -> None:
@@ -116,16 +126,16 @@ def train(config: DAggerConfig, run: Run) -> None:
     demonstrations = load_demonstrations(config, run)
     trainer = BCTrainer(config, run)
     aggregated = AggregatedDataset(config, run)
-    if run.step == config.total:
+    if run.step == config.num_updates:
         return
     with LabelledEpisodes(config.env_ids, config.observation, config.workers) as episodes:
-        for number in range(run.step // config.batches, config.rounds):
+        for number in range(run.step // config.cloning.batches, config.rounds):
             if aggregated.rounds < number:
                 rng = stream(config.seed, Purpose.ENVIRONMENTS, number)
-                policy = make_network_policy(config, trainer)
+                policy = NetworkPolicy(trainer.policy, config, trainer.compute)
                 beta = config.beta(number)
                 aggregated.add_round(episodes.collect(policy, beta, rng, round=number))
-            if config.restart and run.step == number * config.batches:
+            if config.restart and run.step == number * config.cloning.batches:
                 trainer.reset()
             if train_round(config, number, trainer, demonstrations, aggregated):
                 break
@@ -148,19 +158,8 @@ def train_round(
         "samples": len(data),
         **aggregated.score(number),
     }
-    until = (number + 1) * config.batches
+    until = (number + 1) * config.cloning.batches
     return trainer.fit(data, until, metrics, {"aggregate": aggregated.checksums(number)})
-
-
-def make_network_policy(config: DAggerConfig, trainer: BCTrainer) -> NetworkPolicy:
-    """The present network as a policy for the environments."""
-    return NetworkPolicy(
-        trainer.policy,
-        config.tasks,
-        config.observation,
-        config.observation_spec,
-        trainer.compute,
-    )
 
 
 class AggregatedDataset:
@@ -182,7 +181,7 @@ class AggregatedDataset:
         expected = run.saved["aggregate"] if run.saved else []
         # One more round may be there, whole or in part, if the run ended while it was collected;
         # and another one, if the run is resumed from the previous checkpoint.
-        at_most = self._per_round * min(run.step // config.batches + 1, config.rounds - 1)
+        at_most = self._per_round * min(run.step // config.cloning.batches + 1, config.rounds - 1)
         found = [entry.sha256 for entry in self._dataset.entries]
         if found[: len(expected)] != expected or len(found) > at_most:
             raise RunFolderError(

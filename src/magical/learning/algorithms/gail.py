@@ -14,7 +14,7 @@ maximises the reward log D(s, a). One iteration:
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -24,17 +24,24 @@ from torch.nn import functional
 
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
-from magical.learning.algorithms.ppo import PPOTrainer
+from magical.learning.algorithms.ppo import (
+    PUBLISHED_CODE,
+    QUICK,
+    PPOTrainer,
+    ReinforcementConfig,
+    make_policy,
+)
 from magical.learning.augmentation.augment import to_unit
+from magical.learning.augmentation.names import parse_augmentations
 from magical.learning.augmentation.randoms import Randoms
-from magical.learning.config import option
+from magical.learning.config import DemonstrationSettings
 from magical.learning.data.expert_data import ExpertData, load_demonstrations, split_evenly
-from magical.learning.models import Discriminator, Trunk, init_last_layers, make_actor_critic
-from magical.learning.reinforcement.config import PUBLISHED_CODE, QUICK, LearnedRewardConfig
+from magical.learning.models import Discriminator, Trunk, init_normal
 from magical.learning.reinforcement.monitoring import Metrics
-from magical.learning.reinforcement.replay_buffer import ReplayBuffer
-from magical.learning.reinforcement.reward_normalisation import RewardNormaliser
+from magical.learning.reinforcement.replay_buffer import ROLLOUTS, ReplayBuffer
+from magical.learning.reinforcement.reward_normalisation import RewardNormaliser, reward_floor
 from magical.learning.reinforcement.rollouts import Rollout
+from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import (
     StateDict,
     load_module,
@@ -46,15 +53,68 @@ from magical.learning.running.graphs import GraphedStep, use_graphs
 from magical.learning.running.optimizers import make_adam
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
+from magical.learning.settings import POSITIVE, Settings, option
 
 DISCRIMINATOR_INIT = 1  # number of the initialisation; the policy's is 0
 
 
 @dataclass(frozen=True, kw_only=True)
-class GAILConfig(LearnedRewardConfig):
+class DiscriminatorSettings(Settings):
+    """How a discriminator is trained and its rewards are normalised; the defaults are Table 4's."""
+
+    steps: int = option(
+        12,
+        "the discriminator's optimiser steps per update",
+        check=POSITIVE,
+        name="discriminator_steps",
+    )
+    batch_size: int = option(
+        24, "samples per such step, half of them the expert's", name="discriminator_batch_size"
+    )
+    learning_rate: float = option(
+        2.5e-5,
+        "Adam's, for the discriminator",
+        check=POSITIVE,
+        name="discriminator_learning_rate",
+    )
+    augment: str = option(
+        "all",
+        "of the discriminator's images: all, none, no-trans-rot, or names joined by +",
+        metavar="NAMES",
+    )
+    reward_std: float = option(0.1, "standard deviation of the normalised rewards", check=POSITIVE)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        parse_augmentations(self.augment)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdversarialConfig(ReinforcementConfig):
+    """What the configurations of the algorithms with a discriminator are composed of."""
+
+    demonstrations: DemonstrationSettings
+    discriminator: DiscriminatorSettings = field(default_factory=DiscriminatorSettings)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        size = self.discriminator.batch_size
+        if size < 2 * len(self.tasks) or size % 2:
+            raise InvalidConfigError(
+                "discriminator_batch_size: expected an even number, at least two for each task, "
+                f"found {size}"
+            )
+
+    @property
+    def discriminator_samples(self) -> int:
+        """Those of all batches of the discriminator."""
+        return self.num_updates * self.discriminator.steps * self.discriminator.batch_size
+
+
+@dataclass(frozen=True, kw_only=True)
+class GAILConfig(AdversarialConfig):
     """Settings of generative adversarial imitation learning; the defaults are Table 4's."""
 
-    algorithm: ClassVar[str] = "gail"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {},
         "quick": {
@@ -65,30 +125,12 @@ class GAILConfig(LearnedRewardConfig):
         "published-code": {**PUBLISHED_CODE, "discriminator_learning_rate": 2e-5},
     }
 
-    discriminator_steps: int = option(12, "the discriminator's optimiser steps per update")
-    discriminator_batch_size: int = option(24, "samples per such step, half of them the expert's")
-    discriminator_learning_rate: float = option(2.5e-5, "Adam's, for the discriminator")
-    augment: str = option(
-        "all",
-        "of the discriminator's images: all, none, no-trans-rot, or names joined by +",
-        metavar="NAMES",
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.require_positive("discriminator_steps", "discriminator_learning_rate")
-        least = 2 * len(self.tasks)
-        if self.discriminator_batch_size < least or self.discriminator_batch_size % 2:
-            raise InvalidConfigError(
-                "discriminator_batch_size: expected an even number, at least two for each task, "
-                f"found {self.discriminator_batch_size}"
-            )
+    algorithm: str = "gail"
 
     @property
     def training_samples(self) -> int:
         """Those of the policy and of the discriminator."""
-        steps = self.updates * self.discriminator_steps
-        return super().training_samples + steps * self.discriminator_batch_size
+        return super().training_samples + self.discriminator_samples
 
 
 def train(config: GAILConfig, run: Run) -> None:
@@ -131,14 +173,14 @@ def gail_reward(logits: Tensor) -> Tensor:
     return functional.logsigmoid(logits)
 
 
-def train_adversarially(config: GAILConfig, run: Run, loss: Loss, reward: Reward) -> None:
+def train_adversarially(config: AdversarialConfig, run: Run, loss: Loss, reward: Reward) -> None:
     """Train policy and discriminator in alternation."""
     demonstrations = load_demonstrations(config, run)
     with PPOTrainer(config, run) as ppo:
         expert = ExpertData(
             demonstrations, config.tasks, config.observation_spec, device=ppo.device
         )
-        replay_buffer = ReplayBuffer(config.replay_batches, ppo.envs.task_of)
+        replay_buffer = ReplayBuffer(ROLLOUTS, ppo.envs.task_of)
         discriminator = DiscriminatorTrainer(
             config, expert, replay_buffer, ppo.compute, loss, reward
         )
@@ -161,7 +203,7 @@ class DiscriminatorTrainer:
 
     def __init__(
         self,
-        config: GAILConfig,
+        config: AdversarialConfig,
         expert: ExpertData,
         replay_buffer: ReplayBuffer,
         compute: Compute,
@@ -170,18 +212,22 @@ class DiscriminatorTrainer:
     ) -> None:
         self.config = config
         self.network = make_discriminator(config).to(compute.device)
-        self.optimizer = make_adam(self.network.parameters(), config.discriminator_learning_rate)
+        self.optimizer = make_adam(self.network.parameters(), config.discriminator.learning_rate)
         self._expert = expert
         self._replay_buffer = replay_buffer
         self._normaliser = RewardNormaliser(
-            len(config.tasks), config.reward_std, compute.device, config.reward_floor
+            len(config.tasks),
+            config.discriminator.reward_std,
+            compute.device,
+            reward_floor(config.networks),
         )
+        self._augmentations = config.networks.augmentations(config.discriminator.augment)
         self._compute = compute
         self._loss = loss
         self._reward = reward
         self._randoms = Randoms(compute.device)
         self._logged: tuple[str, ...] = ()  # names of what a step returns
-        enabled = use_graphs(config.graphs, compute.device)
+        enabled = use_graphs(config.networks.graphs, compute.device)
         self._graphed_step = GraphedStep(self._step, enabled, self._randoms.generators)
 
     def rewards(self, rollout: Rollout) -> tuple[Tensor, Metrics]:
@@ -209,21 +255,19 @@ class DiscriminatorTrainer:
         return self._normaliser(raw, rollout.tasks), metrics
 
     def train(self, rng: np.random.Generator) -> Metrics:
-        """Take `discriminator_steps` optimiser steps; returns the means of what is logged."""
-        steps = self.config.discriminator_steps
-        sums: Tensor | None = None
-        for _ in range(steps):
+        """Take the optimiser's steps of an update; returns the means of what is logged."""
+        averages = Averages()
+        for _ in range(self.config.discriminator.steps):
             batch = self.sample_batch(rng)
             self._randoms.start(rng)
             (logged,) = self._graphed_step(*batch)
-            sums = logged.clone() if sums is None else sums + logged
-        assert sums is not None
-        return dict(zip(self._logged, (sums / steps).tolist(), strict=True))
+            averages.add(1, **dict(zip(self._logged, logged, strict=True)))
+        return {**averages.reset()}
 
     def _step(self, *inputs: Tensor) -> tuple[Tensor]:
         """Take one step of the optimiser on a batch; returns what is logged, by `_logged`."""
         images, actions, tasks = inputs
-        images = self._randoms.augment(images, self.config.augmentations)
+        images = self._randoms.augment(images, self._augmentations)
         with self._compute.autocast():
             batch = DiscriminatorBatch(images, actions, tasks)
             loss, logged = self._loss(self.network, batch, self._randoms)
@@ -236,7 +280,7 @@ class DiscriminatorTrainer:
 
     def sample_batch(self, rng: np.random.Generator) -> DiscriminatorBatch:
         """A batch as it is stored; both halves are split between the tasks in the same way."""
-        half = self.config.discriminator_batch_size // 2
+        half = self.config.discriminator.batch_size // 2
         counts = split_evenly(half, len(self.config.tasks), rng)
         rows = self._expert.sample_counts(counts, rng)
         expert_actions, expert_tasks = self._expert.labels(rows)
@@ -265,19 +309,25 @@ class DiscriminatorTrainer:
         self._normaliser.load_state_dict(state["reward_statistics"])
 
 
-def make_discriminator(config: GAILConfig) -> Discriminator:
-    """The discriminator, with batch norm and action input, initialised from the seed."""
+def make_discriminator(config: AdversarialConfig) -> Discriminator:
+    """The discriminator, with batch norm and action input, initialised from the seed.
+
+    In the published code its last layer is a row of a table, initialised from N(0, 1), in
+    multi-task runs only; with one task it is a plain linear layer.
+    """
+    networks = config.networks
     with seeded_init(config.seed, DISCRIMINATOR_INIT):
         trunk = Trunk(
-            config.network,
+            networks.network,
             config.input_shape,
             batch_norm=True,
-            action_input=config.action_input,
-            pixel_range=config.pixel_range,
+            action_input=networks.action_input,
+            pixel_range=networks.pixel_range,
         )
         discriminator = Discriminator(trunk, len(config.tasks))
-        init_last_layers(config, discriminator.last)
+        if networks.published and len(config.tasks) > 1:
+            init_normal(discriminator.last)
         return discriminator
 
 
-ALGORITHM = Algorithm(GAILConfig, train, make_actor_critic)
+ALGORITHM = Algorithm(GAILConfig, train, make_policy)

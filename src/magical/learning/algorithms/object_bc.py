@@ -10,7 +10,6 @@ The goal model has functions for each task, the controller is shared by all. The
 settings.
 """
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -21,9 +20,9 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from magical.learning.algorithms import Algorithm
-from magical.learning.config import CHECKPOINT_SECONDS, ImitationConfig, option
+from magical.learning.config import Config, DemonstrationSettings
 from magical.learning.data.expert_data import load_demonstrations
-from magical.learning.objects.control import Controller, Sight, control_inputs
+from magical.learning.objects.control import Controller, Ranges, control_inputs
 from magical.learning.objects.data import ObjectData
 from magical.learning.objects.goals import (
     BORDER,
@@ -35,6 +34,7 @@ from magical.learning.objects.goals import (
 from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.objects.parser import Pixels, parse_robot
 from magical.learning.objects.table import ObjectTable, parse_table
+from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import (
     StateDict,
     load_module,
@@ -45,80 +45,71 @@ from magical.learning.running.devices import choose_device, one_thread
 from magical.learning.running.optimizers import set_learning_rate
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
+from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
 from magical.observe.pixels import CHANNELS, STACK
 from magical.runs.sources import OBJECT_PARSER
 from magical.scene.actions import MIRRORED_ACTIONS
 
 STANDS, STANDS_ANGLE = 0.01, 0.05  # units, rad: a robot that moved less over the stack stands still
 OBSERVATION = "LoRes4A"  # the allocentric camera sees every object
+HIDDEN = 256  # units in the controller's layers
+WEIGHT_DECAY = 1e-2  # of the controller
+DESTINATION_NOISE = 0.03  # units: standard deviation of the noise on the controller's destinations
+GOAL_EVERY = 8  # batches between updates of the goal model
+GOAL_BATCH_SIZE = 64  # samples of each task in an update of the goal model
+GOAL_LEARNING_RATE = 0.05  # of the goal model; annealed linearly to 0
+GOAL_SMOOTHNESS = 0.01  # weight of the goal model's squared second differences
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObjectBCConfig(ImitationConfig):
+class ObjectBCConfig(Config):
     """Settings of object-centred behavioural cloning."""
 
-    algorithm: ClassVar[str] = "object-bc"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {},
         "quick": {"batches": 3000, "precision": "auto"},
     }
     seconds_each: ClassVar[tuple[float, float] | None] = 1e-4, 1.5e-3  # measured
-    without: ClassVar[tuple[str, ...]] = (
-        "network",
-        "pixel_range",
-        "last_layer_init",
-        "compile",
-        "graphs",
-        "borders",
-        "linear_light",
-    )
 
-    observation: str = option(OBSERVATION, "observation preset", choices=(OBSERVATION,))
-    augment: str = option("none", "objects are parsed from plain frames", choices=("none",))
-    batches: int = option(6000, "batches in all")
-    batch_size: int = option(256, "samples per batch of the controller")
-    learning_rate: float = option(2e-3, "of the controller; annealed linearly to 0")
-    weight_decay: float = option(1e-2, "of the controller")
-    hidden: int = option(256, "units in the controller's layers")
+    algorithm: str = "object-bc"
+    demonstrations: DemonstrationSettings
+    batches: int = option(6000, "batches in all", check=POSITIVE)
+    batch_size: int = option(256, "samples per batch of the controller", check=POSITIVE)
+    learning_rate: float = option(2e-3, "of the controller; annealed linearly to 0", check=POSITIVE)
     mirror: bool = option(True, "exchange left and right in half of the controller's samples")
-    destination_noise: float = option(
-        0.03, "standard deviation of the noise on the controller's destinations, units"
+    block_range: float = option(
+        0.6,
+        "units from the robot's centre or its grip: no block farther away is an input of the "
+        "controller",
+        check=POSITIVE,
     )
-    block_sight: float = option(
-        0.6, "units from the robot's centre or its grip: the controller sees no block farther away"
-    )
-    wall_sight: float = option(
-        0.4, "units from robot, target and destination: it sees no wall farther away"
+    wall_range: float = option(
+        0.4, "units from robot, target and destination, likewise for walls", check=POSITIVE
     )
     drop_blocks: float = option(
-        0.3, "share of the blocks, but for targets, that are removed from the controller's samples"
+        0.3,
+        "share of the blocks, but for targets, that are removed from the controller's samples",
+        check=FRACTION,
     )
-    goal_every: int = option(8, "batches between updates of the goal model")
-    goal_batch_size: int = option(64, "samples of each task in an update of the goal model")
-    goal_learning_rate: float = option(0.05, "of the goal model; annealed linearly to 0")
     goal_sparsity: float = option(
-        0.01, "weight of the goal model's group lasso; a fifth of it in the second half"
+        0.01,
+        "weight of the goal model's group lasso; a fifth of it in the second half",
+        check=NOT_NEGATIVE,
     )
-    goal_smoothness: float = option(0.01, "weight of its squared second differences")
-    temperature: float = option(0.7, "of the distribution that actions are sampled from")
+    temperature: float = option(
+        0.7, "of the distribution that actions are sampled from", check=POSITIVE
+    )
     stuck_temperature: float = option(
-        4.0, "the same where a block is left to move and the robot has not moved"
+        4.0,
+        "the same where a block is left to move and the robot has not moved",
+        check=POSITIVE,
     )
-    log_every: int = option(50, "batches between lines of metrics")
-    checkpoint_every: int = option(
-        0, f"batches between checkpoints; 0: one every {CHECKPOINT_SECONDS} s"
-    )
+    log_every: int = option(50, "batches between lines of metrics", check=POSITIVE)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        self.require_positive(
-            "batches", "batch_size", "learning_rate", "hidden", "goal_every", "goal_batch_size"
-        )
-        self.require_positive("goal_learning_rate", "temperature", "stuck_temperature", "log_every")
-        self.require_at_least_zero("weight_decay", "destination_noise", "checkpoint_every")
-        self.require_at_least_zero("goal_sparsity", "goal_smoothness")
-        self.require_positive("block_sight", "wall_sight")
-        self.require_fraction("drop_blocks")
+    @property
+    def observation(self) -> str:
+        """See `Config`."""
+        return OBSERVATION
 
     @property
     def learned_from(self) -> tuple[str, ...]:
@@ -126,19 +117,19 @@ class ObjectBCConfig(ImitationConfig):
         return (*super().learned_from, OBJECT_PARSER)
 
     @property
-    def sight(self) -> Sight:
-        """How far the controller sees."""
-        return Sight(self.block_sight, self.wall_sight)
+    def ranges(self) -> Ranges:
+        """How far from the robot blocks and walls are inputs of the controller."""
+        return Ranges(self.block_range, self.wall_range)
 
     @property
-    def total(self) -> int:
+    def num_updates(self) -> int:
         """All batches."""
         return self.batches
 
     @property
     def training_samples(self) -> int:
         """The samples of all the controller's batches."""
-        return self.total * self.batch_size
+        return self.batches * self.batch_size
 
     def annealed(self, learning_rate: float, batch: int) -> float:
         """A learning rate in a batch: annealed linearly to 0."""
@@ -153,8 +144,8 @@ class ObjectPolicy(nn.Module):
     def __init__(self, config: ObjectBCConfig) -> None:
         super().__init__()
         self.goals = GoalModel(len(config.tasks))
-        self.controller = Controller(config.hidden)
-        self.sight = config.sight
+        self.controller = Controller(HIDDEN)
+        self.ranges = config.ranges
         self.temperature, self.stuck_temperature = config.temperature, config.stuck_temperature
 
     def forward(self, observations: Tensor, tasks: Tensor) -> Tensor:
@@ -177,7 +168,7 @@ class ObjectPolicy(nn.Module):
         randomly: it is stuck.
         """
         with torch.autocast(table.robot.device.type, enabled=False):
-            inputs = control_inputs(table, targets, destinations, self.sight)
+            inputs = control_inputs(table, targets, destinations, self.ranges)
         logits: Tensor = self.controller(*inputs).float()
         stuck = _stands(table.robot, before) & (targets != ROBOT_TARGET)
         hot, cool = (logits.new_tensor(t) for t in (self.stuck_temperature, self.temperature))
@@ -224,13 +215,11 @@ class ObjectBCTrainer:
         self.config, self.run, self.device = config, run, device
         self.policy = make_policy(config).to(device)
         self.compute = run.compute(device, config.precision, config.threads)
-        self.goal_optimizer = torch.optim.Adam(
-            self.policy.goals.parameters(), config.goal_learning_rate
-        )
+        self.goal_optimizer = torch.optim.Adam(self.policy.goals.parameters(), GOAL_LEARNING_RATE)
         self.optimizer = torch.optim.AdamW(
             self.policy.controller.parameters(),
             config.learning_rate,
-            weight_decay=config.weight_decay,
+            weight_decay=WEIGHT_DECAY,
         )
         if run.saved:
             load_module(self.policy, run.saved["policy"], str(run.folder))
@@ -240,39 +229,36 @@ class ObjectBCTrainer:
     def fit(self, data: ObjectData) -> None:
         """Train from the run's step to the last batch, or until the run stops."""
         config, run = self.config, self.run
-        metrics = _Metrics()
+        averages = Averages()
         for number in range(run.step, config.batches):
             rng = stream(config.seed, Purpose.BATCHES, number)
-            metrics.add(config.batch_size, **self.control_step(data, number, rng))
-            if number % config.goal_every == 0:
-                metrics.add(0, **self.goal_step(data, number, rng))
-            done = number + 1
-            stops = run.stops(done)
-            last = stops or done == config.batches
-            if last or done % config.log_every == 0:
-                means = metrics.reset()
-                run.require_finite(done, means)
-                run.log(done, config.total, **means)
-            if last or run.checkpoint_is_due(done, config.checkpoint_every):
-                run.checkpoint(done, self.state_dict())
-            if stops:
+            averages.add(config.batch_size, **self.control_step(data, number, rng))
+            if number % GOAL_EVERY == 0:
+                averages.add(1, **self.goal_step(data, number, rng))
+            if run.finish_step(
+                number + 1,
+                lambda: averages.reset(speed_of="loss"),
+                self.state_dict,
+                log_every=config.log_every,
+                last=number + 1 == config.batches,
+            ):
                 return
 
     def control_step(
         self, data: ObjectData, number: int, rng: np.random.Generator
-    ) -> dict[str, float]:
+    ) -> dict[str, Tensor]:
         """Clone a batch of actions, given the goals of hindsight."""
         config = self.config
         set_learning_rate(self.optimizer, config.annealed(config.learning_rate, number))
         rows = data.sample_eventful(config.batch_size, rng)
-        noise = rng.normal(0.0, config.destination_noise, (len(rows), 2)).astype(np.float32)
+        noise = rng.normal(0.0, DESTINATION_NOISE, (len(rows), 2)).astype(np.float32)
         destinations = data.destinations[rows] + torch.from_numpy(noise).to(self.device)
         mirrored = torch.from_numpy(rng.random(len(rows)) < 0.5 * config.mirror).to(self.device)
         table, targets = data.table.select(rows), data.targets[rows]
         numbers = torch.arange(table.blocks.shape[1], device=self.device)
         dropped = torch.from_numpy(rng.random(table.colours.shape) < config.drop_blocks)
         table = table.without(dropped.to(self.device) & (numbers != targets[:, None]))
-        inputs = control_inputs(table, targets, destinations, config.sight, mirrored)
+        inputs = control_inputs(table, targets, destinations, config.ranges, mirrored)
         with self.compute.autocast():
             logits = self.policy.controller(*inputs).float()
         actions = data.actions[rows]
@@ -283,18 +269,18 @@ class ObjectBCTrainer:
         torch.autograd.backward(loss)
         self.optimizer.step()
         accuracy = (logits.argmax(dim=1) == actions).float().mean()
-        return {"loss": loss.item(), "accuracy": accuracy.item()}
+        return {"loss": loss, "accuracy": accuracy}
 
     def goal_step(
         self, data: ObjectData, number: int, rng: np.random.Generator
-    ) -> dict[str, float]:
+    ) -> dict[str, Tensor]:
         """Increase the likelihood of a batch of goals."""
         config, goals = self.config, self.policy.goals
         refit = number - config.batches // 2
-        if config.goal_sparsity and 0 <= refit < config.goal_every:  # its first step
+        if config.goal_sparsity and 0 <= refit < GOAL_EVERY:  # its first step
             goals.leave_out()
-        set_learning_rate(self.goal_optimizer, config.annealed(config.goal_learning_rate, number))
-        rows = data.sample_each(config.goal_batch_size, rng)
+        set_learning_rate(self.goal_optimizer, config.annealed(GOAL_LEARNING_RATE, number))
+        rows = data.sample_each(GOAL_BATCH_SIZE, rng)
         places = rng.uniform(-BORDER, BORDER, (len(rows), CANDIDATES, 2)).astype(np.float32)
         target_loss, destination_loss = goal_losses(
             goals,
@@ -306,11 +292,11 @@ class ObjectBCTrainer:
             torch.from_numpy(places).to(self.device),
         )
         sparsity = config.goal_sparsity * (REFITTED if refit >= 0 else 1.0)
-        penalty = goals.penalty(sparsity, config.goal_smoothness)
+        penalty = goals.penalty(sparsity, GOAL_SMOOTHNESS)
         self.goal_optimizer.zero_grad()
         torch.autograd.backward(target_loss + destination_loss + penalty)
         self.goal_optimizer.step()
-        return {"target_loss": target_loss.item(), "destination_loss": destination_loss.item()}
+        return {"target_loss": target_loss, "destination_loss": destination_loss}
 
     def state_dict(self) -> StateDict:
         """The state of the policy and both optimisers."""
@@ -319,28 +305,6 @@ class ObjectBCTrainer:
             "optimizer": optimizer_state(self.optimizer),
             "goal_optimizer": optimizer_state(self.goal_optimizer),
         }
-
-
-class _Metrics:
-    """Means of metrics since the last reset, and samples per second."""
-
-    def __init__(self) -> None:
-        self._clear()
-
-    def _clear(self) -> None:
-        self._values: dict[str, list[float]] = {}
-        self._samples, self._start = 0, time.perf_counter()
-
-    def add(self, samples: int, **values: float) -> None:
-        self._samples += samples
-        for name, value in values.items():
-            self._values.setdefault(name, []).append(value)
-
-    def reset(self) -> dict[str, float]:
-        means = {name: float(np.mean(values)) for name, values in self._values.items()}
-        means["samples_per_second"] = self._samples / (time.perf_counter() - self._start)
-        self._clear()
-        return means
 
 
 ALGORITHM = Algorithm(ObjectBCConfig, train, make_policy)

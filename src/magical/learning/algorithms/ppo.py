@@ -11,27 +11,29 @@ One update:
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
-from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, Self
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Self, cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from magical.envs.env import Reward
+from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
-from magical.learning.augmentation.augment import to_unit
-from magical.learning.config import IMAGE_OBSERVATIONS, option
-from magical.learning.models import make_actor_critic, sample_actions
-from magical.learning.policy import DemoEvaluation
-from magical.learning.reinforcement.config import QUICK, ReinforcementConfig
+from magical.learning.config import IMAGE_OBSERVATIONS, PUBLISHED, Config, NetworkSettings
+from magical.learning.models import ActorCritic, make_actor_critic
+from magical.learning.policy import NetworkPolicy
+from magical.learning.reinforcement.advantages import Samples, make_samples
+from magical.learning.reinforcement.demo_evaluation import DemoEvaluation
 from magical.learning.reinforcement.monitoring import Metrics, Monitor, explained_variance
 from magical.learning.reinforcement.rollouts import (
     Rollout,
-    RolloutBuffer,
     RolloutEnvs,
+    collect_rollout,
     shuffle_evenly,
 )
+from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import (
     StateDict,
     load_module,
@@ -43,28 +45,152 @@ from magical.learning.running.graphs import GraphedStep, use_graphs
 from magical.learning.running.optimizers import make_adam, set_learning_rate
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, stream
+from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, Settings, option
 from magical.observe import NAMED
-from magical.runs.sources import SCORE
+from magical.runs.sources import INTERACTION, SCORE
+from magical.tasks import Horizon, have_two_horizons, require_two_horizons
 
-ADVANTAGE_EPSILON = 1e-8
-Forward = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]  # as `PPOTrainer.forward`
+VF_COEF = 0.5
 LOSS_PARTS = ("policy_loss", "value_loss", "entropy", "clip_fraction")
+
+# What the presets `quick` of PPO and the algorithms with learned rewards change.
+QUICK: Mapping[str, Any] = {
+    "network": "light",
+    "init": "centred",
+    "precision": "auto",
+    "total_steps": 100_000,
+    "num_steps": 16,
+    "epochs": 4,
+    "minibatch_size": 64,
+    "learning_rate": 5e-4,
+    "clip_range": 0.2,
+    "gamma": 0.9,
+    "gae_lambda": 0.8,
+    "ent_coef": 1e-3,
+    "normalise_advantages": True,
+    "bootstrap": True,
+    "evaluate_every": 50,
+}
+
+# What `published-code` changes in those with learned rewards (docs/specification.md, section 11).
+PUBLISHED_CODE: Mapping[str, Any] = {
+    "conventions": PUBLISHED,
+    "ent_coef": 2.5e-5,
+    "reward_std": 0.01,
+    "horizon": PUBLISHED,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class PPOSettings(Settings):
+    """How a policy is improved by PPO; the defaults are Table 4's."""
+
+    init: str = option(
+        "torch", "initialisation of a policy of images", choices=("torch", "centred")
+    )
+    total_steps: int = option(1_000_000, "environment steps in all", check=POSITIVE)
+    num_envs: int = option(
+        32, "N: parallel environments, split evenly between the tasks", check=POSITIVE
+    )
+    num_steps: int = option(8, "T: steps of each environment per update", check=POSITIVE)
+    horizon: str = option(
+        "appendix",
+        "of training episodes and evaluations; published: 240 steps for the Cluster tasks",
+        choices=("appendix", PUBLISHED),
+    )
+    epochs: int = option(12, "passes over the samples per update", check=POSITIVE)
+    minibatch_size: int = option(64, "samples per step of the optimiser", check=POSITIVE)
+    learning_rate: float = option(6e-5, "Adam's initial learning rate", check=POSITIVE)
+    clip_range: float = option(
+        0.01, "epsilon: initial clip range of the probability ratio", check=POSITIVE
+    )
+    anneal: bool = option(True, "anneal learning rate and clip range linearly to 0")
+    gamma: float = option(0.8, "discount factor", check=FRACTION)
+    gae_lambda: float = option(0.8, "lambda of generalised advantage estimation", check=FRACTION)
+    ent_coef: float = option(1e-5, "weight of the policy's entropy", check=NOT_NEGATIVE)
+    max_grad_norm: float = option(1.0, "gradients are clipped to this L2 norm", check=POSITIVE)
+    normalise_advantages: bool = option(False, "to mean 0 and standard deviation 1 per update")
+    bootstrap: bool = option(False, "bootstrap the value at the time limit instead of using 0")
+    workers: int | None = option(
+        None, "environment processes (default: one per core)", check=NOT_NEGATIVE
+    )
+    evaluate_every: int = option(200, "updates between evaluations; 0: never", check=NOT_NEGATIVE)
+
+    @property
+    def env_horizon(self) -> Horizon:
+        """The horizon as environments take it."""
+        return "published" if self.horizon == PUBLISHED else None
+
+    @property
+    def steps_per_update(self) -> int:
+        """Environment steps per update of the policy."""
+        return self.num_envs * self.num_steps
+
+    @property
+    def num_updates(self) -> int:
+        """Updates of the policy in a whole run."""
+        return max(1, self.total_steps // self.steps_per_update)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReinforcementConfig(Config):
+    """What the configurations of PPO and of all algorithms with PPO as a part are composed of."""
+
+    networks: NetworkSettings = field(default_factory=NetworkSettings)
+    ppo: PPOSettings = field(default_factory=PPOSettings)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.ppo.num_envs < len(self.tasks):
+            raise InvalidConfigError(
+                f"num_envs: expected at least one for each of {len(self.tasks)} tasks, "
+                f"found {self.ppo.num_envs}"
+            )
+        if self.ppo.horizon == PUBLISHED:
+            require_two_horizons(self.tasks)
+
+    @classmethod
+    def preset(cls, name: str, **settings: Any) -> Self:
+        """As `Config.preset`; a preset's `published` horizon is for tasks that have one."""
+        tasks = settings.get("tasks", ())
+        one_horizon = not have_two_horizons((tasks,) if isinstance(tasks, str) else tasks)
+        if cls.presets.get(name, {}).get("horizon") == PUBLISHED and one_horizon:
+            settings = {"horizon": "appendix", **settings}
+        return super().preset(name, **settings)
+
+    @property
+    def learned_from(self) -> tuple[str, ...]:
+        """See `Config`."""
+        return (*super().learned_from, INTERACTION)
+
+    @property
+    def num_updates(self) -> int:
+        """All updates of the policy."""
+        return self.ppo.num_updates
+
+    @property
+    def environment_steps(self) -> int:
+        """Those of all updates."""
+        return self.ppo.num_updates * self.ppo.steps_per_update
+
+    @property
+    def training_samples(self) -> int:
+        """Every step of an environment, once in each epoch."""
+        return self.environment_steps * self.ppo.epochs
 
 
 @dataclass(frozen=True, kw_only=True)
 class PPOConfig(ReinforcementConfig):
     """Settings of proximal policy optimisation; the defaults are Table 4's."""
 
-    algorithm: ClassVar[str] = "ppo"
+    observations: ClassVar[tuple[str, ...]] = (*IMAGE_OBSERVATIONS, *NAMED)
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {},
         # The environment's rewards are sparser than a discriminator's: a longer time scale.
-        "quick": {**QUICK, "minibatch_size": 128, "discount": 0.95, "gae_lambda": 0.95},
+        "quick": {**QUICK, "minibatch_size": 128, "gamma": 0.95, "gae_lambda": 0.95},
     }
 
-    observation: str = option(
-        "LoRes4E", "observation preset", choices=(*IMAGE_OBSERVATIONS, *NAMED)
-    )
+    algorithm: str = "ppo"
     reward: str = option("dense", "the environment's reward", choices=("dense", "score"))
 
     @property
@@ -75,12 +201,17 @@ class PPOConfig(ReinforcementConfig):
 
 def train(config: PPOConfig, run: Run) -> None:
     """Maximise the environment's reward."""
-    with PPOTrainer(config, run, config.reward) as ppo:  # type: ignore[arg-type]
+    with PPOTrainer(config, run, cast(Reward, config.reward)) as ppo:
         for update in ppo.remaining_updates():
             rollout = ppo.collect_rollout(update)
             metrics = ppo.improve_policy(update, rollout, rollout.rewards)
             if ppo.finish_update(update, metrics):
                 break
+
+
+def make_policy(config: ReinforcementConfig) -> ActorCritic:
+    """The policy of PPO and the algorithms built on it, initialised from the seed."""
+    return make_actor_critic(config, config.networks, config.ppo.init)
 
 
 class PPOTrainer:
@@ -100,23 +231,25 @@ class PPOTrainer:
         """
         self.config, self.run, self.previous_steps = config, run, previous_steps
         self.device = choose_device(config.device)
-        self.network = make_actor_critic(config).to(self.device)
-        self.optimizer = make_adam(self.network.parameters(), config.learning_rate)
+        self.network = make_policy(config).to(self.device)
+        self.optimizer = make_adam(self.network.parameters(), config.ppo.learning_rate)
         vectors = len(config.input_shape) == 1
         # Positions need more digits than pixels.
         precision = "float32" if vectors and config.precision == "auto" else config.precision
         self.compute = run.compute(self.device, precision, config.threads)
-        forward = self.network.logits_and_values
-        self._forward = torch.compile(forward) if config.compile else forward
-        self._graphed_step = GraphedStep(self._step, use_graphs(config.graphs, self.device))
+        graphs = use_graphs(config.networks.graphs, self.device)
+        self._graphed_step = GraphedStep(self._step, graphs)
         self.monitor = Monitor()
+        how: Any = {"horizon": config.ppo.env_horizon, "workers": config.ppo.workers}
         with ExitStack() as stack:
             if vectors:
                 stack.enter_context(one_thread())
-            self.envs = stack.enter_context(RolloutEnvs(config, self.device, reward))
-            self._demo_evaluation = stack.enter_context(
-                DemoEvaluation(self.network, config, self.compute)
+            self.envs = stack.enter_context(
+                RolloutEnvs(config, config.ppo.num_envs, self.device, reward=reward, **how)
             )
+            policy = NetworkPolicy(self.network, config, self.compute)
+            self.network.train()
+            self._demo_evaluation = stack.enter_context(DemoEvaluation(policy, **how))
             self._start_or_resume()
             self._stack = stack.pop_all()
 
@@ -128,46 +261,47 @@ class PPOTrainer:
 
     def remaining_updates(self) -> Iterator[int]:
         """The numbers of the updates that are not done yet."""
-        yield from range(max(self.run.step - self.previous_steps, 0), self.config.updates)
+        yield from range(max(self.run.step - self.previous_steps, 0), self.config.ppo.num_updates)
 
     def forward(self, observations: Tensor, tasks: Tensor) -> tuple[Tensor, Tensor]:
         """Logits (B, 18) and values (B,), float32, of network inputs (B, ...)."""
         with self.compute.autocast():
-            logits, values = self._forward(observations, tasks)
+            logits, values = self.network.logits_and_values(observations, tasks)
         return logits.float(), values.float()
 
     def collect_rollout(self, update: int) -> Rollout:
         """Step all environments T times with actions sampled from the present policy."""
-        rng = stream(self.config.seed, Purpose.ACTIONS, update)
+        ppo, rng = self.config.ppo, stream(self.config.seed, Purpose.ACTIONS, update)
         with self.monitor.timed("sample"):
-            rollout = collect_rollout(self.envs, self.forward, self.config, rng)
+            rollout = collect_rollout(self.envs, self.forward, ppo.num_steps, ppo.bootstrap, rng)
         self.monitor.add_rollout(rollout)
         return rollout
 
     def improve_policy(self, update: int, rollout: Rollout, rewards: Tensor) -> Metrics:
         """Take `epochs` passes of minibatch steps on a rollout with rewards (T, N)."""
+        config, ppo = self.config, self.config.ppo
+        averages = Averages()
         with self.monitor.timed("policy"):
-            config = self.config
-            samples = make_samples(rollout, rewards, config)
+            samples = make_samples(
+                rollout, rewards, ppo.gamma, ppo.gae_lambda, ppo.normalise_advantages
+            )
             # Autocast would convert unit pixels in every epoch; others are converted when mapped.
-            if self.compute.precision == "bfloat16" and config.pixel_range == "unit":
+            if self.compute.precision == "bfloat16" and not config.networks.published:
                 samples = samples._replace(observations=samples.observations.bfloat16())
-            left = 1.0 - update / config.updates if config.anneal else 1.0
-            set_learning_rate(self.optimizer, config.learning_rate * left)
-            clip = torch.tensor(config.clip * left, device=self.device)
+            left = 1.0 - update / ppo.num_updates if ppo.anneal else 1.0
+            set_learning_rate(self.optimizer, ppo.learning_rate * left)
+            clip_range = torch.tensor(ppo.clip_range * left, device=self.device)
             rng = stream(config.seed, Purpose.MINIBATCHES, update)
-            tasks = np.tile(self.envs.task_of, config.time_steps)  # (T * N,)
-            sums = torch.zeros(len(LOSS_PARTS), device=self.device)
-            for _ in range(config.epochs):
+            tasks = np.tile(self.envs.task_of, ppo.num_steps)  # (T * N,)
+            for _ in range(ppo.epochs):
                 order = torch.from_numpy(shuffle_evenly(tasks, rng)).to(self.device)
-                for rows in torch.split(order, config.minibatch_size):
-                    (parts,) = self._graphed_step(*samples, rows, clip)
-                    sums += parts * len(rows)
-            means = (sums / (config.epochs * len(tasks))).tolist()
+                for rows in torch.split(order, ppo.minibatch_size):
+                    (parts,) = self._graphed_step(*samples, rows, clip_range)
+                    averages.add(len(rows), **dict(zip(LOSS_PARTS, parts, strict=True)))
         return {
             "reward": rewards.mean().item(),
             "reward_std": rewards.std(correction=0).item(),
-            **dict(zip(LOSS_PARTS, means, strict=True)),
+            **averages.reset(),
             "explained_variance": explained_variance(rollout.values.flatten(), samples.returns),
         }
 
@@ -176,33 +310,32 @@ class PPOTrainer:
 
         The inputs are all samples, the rows of the minibatch (B,), and the clip range.
         """
-        *samples, rows, clip = inputs
+        *samples, rows, clip_range = inputs
         minibatch = Samples(*samples).select(rows)
         logits, values = self.forward(minibatch.observations, minibatch.tasks)
-        loss, parts = ppo_loss(logits, values, minibatch, clip, self.config.entropy_bonus)
+        loss, parts = ppo_loss(logits, values, minibatch, clip_range, self.config.ppo.ent_coef)
         self.optimizer.zero_grad()
         torch.autograd.backward(loss)
-        nn.utils.clip_grad_norm_(self.network.parameters(), self.config.max_grad_norm)
+        nn.utils.clip_grad_norm_(self.network.parameters(), self.config.ppo.max_grad_norm)
         self.optimizer.step()
         return (parts,)
 
     def finish_update(
         self, update: int, metrics: Metrics, extra_state: Callable[[], StateDict] = dict
     ) -> bool:
-        """Log, evaluate and save checkpoints (with the extra state); true if the run stops."""
-        config, done = self.config, update + 1
-        step = self.previous_steps + done
-        stops = done == config.updates or self.run.stops(step)
+        """Evaluate, log and save checkpoints (with the extra state); true if the run stops."""
+        ppo, done = self.config.ppo, update + 1
         metrics |= self.monitor.metrics()
-        every = config.evaluate_every
-        if every and (done % every == 0 or done == config.updates):
+        every, last = ppo.evaluate_every, done == ppo.num_updates
+        if every and (done % every == 0 or last):
             metrics["evaluation_score"] = self._demo_evaluation.score()
-        steps: Metrics = {"environment_steps": done * config.steps_per_update}
-        self.run.log(step, config.total, **self.monitor.warning(metrics), **steps, **metrics)
-        self.run.require_finite(step, metrics)
-        if stops or self.run.checkpoint_is_due(done, config.checkpoint_every):
-            self.run.checkpoint(step, {**self.state_dict(), **extra_state()})
-        return stops
+        steps: Metrics = {"environment_steps": done * ppo.steps_per_update}
+        return self.run.finish_step(
+            self.previous_steps + done,
+            lambda: {**self.monitor.warning(metrics), **steps, **metrics},
+            lambda: {**self.state_dict(), **extra_state()},
+            last=last,
+        )
 
     def state_dict(self) -> StateDict:
         """Everything that the next update depends on."""
@@ -224,104 +357,35 @@ class PPOTrainer:
         self.monitor.load_state_dict(saved["ppo"]["monitor"])
 
 
-def collect_rollout(
-    envs: RolloutEnvs, forward: Forward, config: ReinforcementConfig, rng: np.random.Generator
-) -> Rollout:
-    """Step the environments T times with actions sampled from the logits of `forward`."""
-    buffer = RolloutBuffer(config.time_steps, envs)
-    uniforms = torch.from_numpy(rng.random(buffer.shape, np.float32)).to(envs.device)  # (T, N)
-    with torch.no_grad():
-        for t in range(config.time_steps):
-            observations = buffer.add_observations(t, envs.observations())
-            logits, values = forward(to_unit(observations), envs.tasks)
-            actions, log_probs = sample_actions(logits, uniforms[t])
-            step = envs.step(actions)
-            buffer.add(t, actions, log_probs, values, step)
-            if config.bootstrap and step.final_observations is not None:
-                rows = torch.from_numpy(np.flatnonzero(step.dones)).to(envs.device)
-                final = to_unit(step.final_observations.to(envs.device))
-                buffer.final_values[t, rows] = forward(final, envs.tasks[rows])[1]
-        _, next_values = forward(to_unit(envs.observations().to(envs.device)), envs.tasks)
-    return buffer.rollout(next_values)
-
-
-class Samples(NamedTuple):
-    """The samples of a rollout, B = T * N, or a minibatch of them."""
-
-    observations: Tensor  # (B, ...) network inputs
-    actions: Tensor  # (B,) int64
-    log_probs: Tensor  # (B,), of the actions under the policy that collected them
-    advantages: Tensor  # (B,)
-    returns: Tensor  # (B,), the value targets
-    tasks: Tensor  # (B,) int64
-
-    def select(self, rows: Tensor) -> "Samples":
-        """A minibatch."""
-        return Samples(*(part[rows] for part in self))
-
-
-def make_samples(rollout: Rollout, rewards: Tensor, config: ReinforcementConfig) -> Samples:
-    """Flatten a rollout, time-major, with the advantages and value targets of rewards (T, N)."""
-    advantages = compute_gae(rollout, rewards, config.discount, config.gae_lambda)
-    returns = advantages + rollout.values
-    if config.normalise_advantages:
-        advantages = (advantages - advantages.mean()) / (advantages.std() + ADVANTAGE_EPSILON)
-    return Samples(
-        to_unit(rollout.observations.flatten(0, 1)),
-        rollout.actions.flatten(),
-        rollout.log_probs.flatten(),
-        advantages.flatten(),
-        returns.flatten(),
-        rollout.tasks.repeat(len(rewards)),
-    )
-
-
-def compute_gae(rollout: Rollout, rewards: Tensor, discount: float, gae_lambda: float) -> Tensor:
-    """Generalised advantage estimates (T, N) for rewards (T, N).
-
-    A_t = delta_t + discount * gae_lambda * (1 - done_t) * A_{t+1}, where
-    delta_t = r_t + discount * V(s_{t+1}) - V(s_t). At the end of an episode V(s_{t+1}) is 0 or the
-    value of the final observation: `Rollout.next_values` already contains the choice.
-    """
-    deltas = rewards + discount * rollout.next_values - rollout.values
-    weights = discount * gae_lambda * ~rollout.dones
-    advantages = torch.empty_like(deltas)
-    following = torch.zeros_like(deltas[0])
-    for t in reversed(range(len(deltas))):
-        following = deltas[t] + weights[t] * following
-        advantages[t] = following
-    return advantages
-
-
 def ppo_loss(
-    logits: Tensor, values: Tensor, minibatch: Samples, clip: Tensor, entropy_bonus: float
+    logits: Tensor, values: Tensor, minibatch: Samples, clip_range: Tensor, ent_coef: float
 ) -> tuple[Tensor, Tensor]:
     """The loss to be minimised, and its parts (4,) as in `LOSS_PARTS`.
 
     With ratio = pi(a | s) / pi_old(a | s),
 
-        policy loss = -mean(min(ratio * A, clip(ratio, 1 - clip, 1 + clip) * A))
+        policy loss = -mean(min(ratio * A, clip(ratio, 1 - epsilon, 1 + epsilon) * A))
         value loss = 0.5 * mean((V(s) - return)^2)
-        loss = policy loss + value loss - entropy_bonus * entropy
+        loss = policy loss + value loss - ent_coef * entropy
 
     Args:
         logits: (B, 18) of the present policy pi.
         values: (B,) of the present value function V.
         minibatch: the samples.
-        clip: (), the clip range.
-        entropy_bonus: the weight of the entropy.
+        clip_range: (), epsilon.
+        ent_coef: the weight of the entropy.
     """
     log_policy = logits.log_softmax(dim=1)  # (B, 18)
     log_probs = log_policy.gather(1, minibatch.actions[:, None]).squeeze(1)
     ratio = (log_probs - minibatch.log_probs).exp()
-    clipped = ratio.clamp(1.0 - clip, 1.0 + clip)
+    clipped = ratio.clamp(1.0 - clip_range, 1.0 + clip_range)
     advantages = minibatch.advantages
     policy_loss = -torch.minimum(ratio * advantages, clipped * advantages).mean()
-    value_loss = 0.5 * (values - minibatch.returns).square().mean()
+    value_loss = VF_COEF * (values - minibatch.returns).square().mean()
     entropy = -(log_policy.exp() * log_policy).sum(dim=1).mean()
-    loss = policy_loss + value_loss - entropy_bonus * entropy
-    clip_fraction = ((ratio - 1.0).abs() > clip).float().mean()
+    loss = policy_loss + value_loss - ent_coef * entropy
+    clip_fraction = ((ratio - 1.0).abs() > clip_range).float().mean()
     return loss, torch.stack([policy_loss, value_loss, entropy, clip_fraction]).detach()
 
 
-ALGORITHM = Algorithm(PPOConfig, train, make_actor_critic)
+ALGORITHM = Algorithm(PPOConfig, train, make_policy)

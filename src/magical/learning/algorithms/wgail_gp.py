@@ -17,50 +17,44 @@ from torch import Tensor
 
 from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.gail import (
+    AdversarialConfig,
     DiscriminatorBatch,
     GAILConfig,
     train_adversarially,
 )
+from magical.learning.algorithms.ppo import make_policy
 from magical.learning.augmentation.randoms import Randoms
-from magical.learning.config import PIXEL_RANGES, option
-from magical.learning.models import Discriminator, make_actor_critic
+from magical.learning.config import PIXEL_RANGES
+from magical.learning.models import Discriminator
 from magical.learning.running.run import Run
+from magical.learning.settings import POSITIVE, option
 
 Critic = Callable[[Tensor, Tensor, Tensor], Tensor]  # images, actions, tasks -> logits (B,)
 
 
 @dataclass(frozen=True, kw_only=True)
-class WGAILGPConfig(GAILConfig):
+class WGAILGPConfig(AdversarialConfig):
     """Settings of Wasserstein GAIL with a gradient penalty; the defaults are Table 4's."""
 
-    algorithm: ClassVar[str] = "wgail-gp"
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         **GAILConfig.presets,
         "published-code": {
             **GAILConfig.presets["published-code"],
             "penalty_weight": 200.0,  # 100 beside half the difference of the means
-            "penalty_batch_norm": "training",
         },
     }
 
-    penalty_weight: float = option(100.0, "weight of the gradient penalty")
-    penalty_batch_norm: str = option(
-        "evaluation",
-        "mode of batch norm in the gradient penalty",
-        choices=("evaluation", "training"),
-        added=True,
-    )
+    algorithm: str = "wgail-gp"
+    penalty_weight: float = option(100.0, "lambda: weight of the gradient penalty", check=POSITIVE)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.require_positive("penalty_weight")
         self.require_one_task()
 
     @property
     def training_samples(self) -> int:
         """Those of GAIL, and for the penalty half a batch with two backward passes."""
-        steps = self.updates * self.discriminator_steps
-        return super().training_samples + steps * self.discriminator_batch_size
+        return super().training_samples + 2 * self.discriminator_samples
 
 
 def train(config: WGAILGPConfig, run: Run) -> None:
@@ -68,8 +62,8 @@ def train(config: WGAILGPConfig, run: Run) -> None:
     loss = partial(
         critic_loss,
         penalty_weight=config.penalty_weight,
-        penalty_batch_norm=config.penalty_batch_norm,
-        pixel_range=config.pixel_range,
+        penalty_batch_norm=config.networks.published,
+        pixel_range=config.networks.pixel_range,
     )
     train_adversarially(config, run, loss, critic_reward)
 
@@ -84,14 +78,14 @@ def critic_loss(
     batch: DiscriminatorBatch,
     randoms: Randoms,
     penalty_weight: float,
-    penalty_batch_norm: str = "evaluation",
+    penalty_batch_norm: bool = False,
     pixel_range: str = "unit",
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """Mean f(novice) - mean f(expert) + penalty_weight * penalty: to be minimised.
 
-    Batch norm is in evaluation mode in the penalty, unless configured otherwise: the function that
-    gives the rewards is what has to be Lipschitz, a row's gradient must not depend on other rows,
-    and the statistics must remain those of real images.
+    Batch norm is in evaluation mode in the penalty: the function that gives the rewards is what has
+    to be Lipschitz, a row's gradient must not depend on other rows, and the statistics must remain
+    those of real images. With `penalty_batch_norm` it is in training mode, as in published code.
 
     Logs the estimated distance, mean f(expert) - mean f(novice), the penalty, and the accuracy of
     a threshold midway between the two means.
@@ -99,7 +93,7 @@ def critic_loss(
     logits = critic(batch.images, batch.actions, batch.tasks).float()  # (2B,)
     expert, novice = logits[: batch.half], logits[batch.half :]
     distance = expert.mean() - novice.mean()
-    critic.train(penalty_batch_norm == "training")
+    critic.train(penalty_batch_norm)
     penalty = gradient_penalty(critic, *interpolate(batch, randoms), pixel_range)
     critic.train()
     threshold = (expert.mean() + novice.mean()) / 2
@@ -141,4 +135,4 @@ def gradient_penalty(
     return (norms - 1.0).square().mean()
 
 
-ALGORITHM = Algorithm(WGAILGPConfig, train, make_actor_critic)
+ALGORITHM = Algorithm(WGAILGPConfig, train, make_policy)

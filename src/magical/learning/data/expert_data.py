@@ -22,7 +22,7 @@ from magical.learning.augmentation.augment import augment
 from magical.learning.augmentation.names import Augmentations
 from magical.learning.augmentation.palette import permute_palette
 from magical.learning.augmentation.transformations import StackTransformations
-from magical.learning.config import ImitationConfig
+from magical.learning.config import Config, DemonstrationSettings
 from magical.learning.running.streams import Purpose, stream
 from magical.observe import Component, ObservationSpec
 from magical.observe.arrays import stack_indices
@@ -43,14 +43,16 @@ class Demonstrations:
     record: tuple[dict[str, Any], ...]  # task, file and SHA-256 of each
 
 
-def load_demonstrations(config: ImitationConfig, run: "Run") -> TaskTrajectories:
+def load_demonstrations(config: Config, run: "Run") -> TaskTrajectories:
     """Sample the demonstrations that the configuration asks for, and record them in `run.json`.
 
     Raises:
         RunFolderError: the run was started with other demonstrations.
         DemonstrationsError, DatasetError: see `sample_demonstrations`.
     """
-    found = sample_demonstrations(config.demos, config.tasks, config.num_demos, config.seed)
+    settings = config.part(DemonstrationSettings)
+    assert settings is not None
+    found = sample_demonstrations(settings.demos, config.tasks, settings.num_demos, config.seed)
     run.describe(demonstrations=list(found.record))
     return found.trajectories
 

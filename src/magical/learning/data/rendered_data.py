@@ -28,12 +28,13 @@ from magical.learning.augmentation.names import SETS, Augmentations
 from magical.learning.augmentation.noise import add_noise
 from magical.learning.augmentation.palette import PERMUTATIONS
 from magical.learning.augmentation.transformations import StackTransformations
-from magical.learning.config import AUTO, RENDERING, RESAMPLING
 from magical.learning.data.expert_data import ExpertData, Rows
 from magical.observe import PixelSpec
 from magical.render.moved_camera import MovedCamera
 from magical.render.palette import permuted
 from magical.scene import Scene
+
+AUTO, RENDERING, RESAMPLING = "auto", "rendering", "resampling"  # how images are augmented
 
 
 def choose_augment_by(augment_by: str, demonstrations: Iterable[tuple[str, Trajectory]]) -> str:

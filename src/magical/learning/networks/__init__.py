@@ -6,20 +6,21 @@ Such a file defines
 - `make_convolutions(channels, batch_norm)`: a module from images (B, channels, H, W), float in
   [0, 1] or [-1, 1], to feature maps of any shape (B, ...).
 
-`magical.learning.models.Trunk` puts the two together and adds what all architectures share: the
-action input of discriminators, and linear layers alone for state vectors.
+Other distributions offer a module or an object with these two by entry points of the group
+`magical.networks`, and any other is named by `module:NAME`. `magical.learning.models.Trunk` puts
+the two together and adds what all architectures share: the action input of discriminators, and
+linear layers alone for state vectors.
 """
 
-import importlib
-import pkgutil
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-from magical.errors import UnknownNameError
+from magical.plugins import Registry
 
 if TYPE_CHECKING:
     from torch import nn
 
 
+@runtime_checkable
 class Architecture(Protocol):
     """What a file in this folder defines."""
 
@@ -29,16 +30,24 @@ class Architecture(Protocol):
         """A module from images (B, channels, H, W) to feature maps (B, ...)."""
 
 
+_NETWORKS: Registry[Architecture] = Registry(
+    "network",
+    Architecture,  # type: ignore[type-abstract]
+    "magical.networks",
+    __name__,
+)
+
+
 def network_names() -> tuple[str, ...]:
-    """Every architecture, alphabetically; imports none."""
-    names = (entry.name for entry in pkgutil.iter_modules(__path__))
-    return tuple(sorted(name.replace("_", "-") for name in names))
+    """Every architecture, of this and of other distributions, alphabetically; imports none."""
+    return tuple(_NETWORKS.names())
 
 
 def find_network(name: str) -> Architecture:
-    """An architecture by name; raises `UnknownNameError`."""
-    if name not in network_names():
-        raise UnknownNameError(
-            f"network {name!r} is unknown; expected one of: {', '.join(network_names())}"
-        )
-    return cast(Architecture, importlib.import_module(f"{__name__}.{name.replace('-', '_')}"))
+    """An architecture by name, or by `module:NAME`.
+
+    Raises:
+        UnknownNameError: there is none of this name.
+        PluginError: it is another distribution's and cannot be imported.
+    """
+    return _NETWORKS.get(name)

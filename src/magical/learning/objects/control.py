@@ -1,8 +1,8 @@
 """The network that moves a target to its destination: actions from what the robot sees of it.
 
 Its inputs are in the robot's frame and know neither task, colours nor shapes: target, destination,
-fingers, and the walls and blocks within sight. So it is the same for all tasks, and left and right
-are interchangeable. Sight is short: in a single scene, distant walls and blocks would tell where
+fingers, and the walls and blocks within ranges. So it is the same for all tasks, and left and right
+are interchangeable. Ranges are short: in a single scene, distant walls and blocks would tell where
 the robot is, and the network would learn what was done there.
 """
 
@@ -19,7 +19,7 @@ FOCUS = 0.15  # units: the length scale of nearness
 HELD = 2  # blocks nearest to the fingers, which have inputs of their own
 
 
-class Sight(NamedTuple):
+class Ranges(NamedTuple):
     """How far the controller sees, in units."""
 
     blocks: float  # from the robot's centre, and from between its fingers
@@ -30,7 +30,7 @@ def control_inputs(
     table: ObjectTable,
     targets: Tensor,
     destinations: Tensor,
-    sight: Sight,
+    ranges: Ranges,
     mirrored: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """What the controller sees.
@@ -39,7 +39,7 @@ def control_inputs(
         table: B scenes.
         targets: (B,), a block's number or ROBOT_TARGET.
         destinations: (B, 2).
-        sight: what lies farther away is left out, but for target and destination.
+        ranges: what lies farther away is left out, but for target and destination.
         mirrored: (B,) bool, the scenes whose left and right are exchanged.
 
     Returns:
@@ -59,14 +59,14 @@ def control_inputs(
             _polar(target),
             _polar(end),
             _polar(end - target),
-            _held(blocks, is_target, table.present, sight.blocks),
+            _held(blocks, is_target, table.present, ranges.blocks),
             view.fingers(),
-            *(view.walls(p, sight.walls) for p in (table.robot[:, :2], start, destinations)),
+            *(view.walls(p, ranges.walls) for p in (table.robot[:, :2], start, destinations)),
         ],
         dim=1,
     )
     parts = _polar(blocks), _polar(blocks - end[:, None]), _polar(blocks - target[:, None])
-    near = table.present & (blocks.norm(dim=2) < sight.blocks)
+    near = table.present & (blocks.norm(dim=2) < ranges.blocks)
     return own, torch.cat([*parts, is_target], dim=2), near
 
 
@@ -103,7 +103,7 @@ class _RobotView:
             return values
         return torch.where(self._mirrored[:, None], values.flip(1), values)
 
-    def walls(self, places: Tensor, sight: float) -> Tensor:
+    def walls(self, places: Tensor, limit: float) -> Tensor:
         """Direction and nearness of the two walls next to each place, nearer one first: (B, 6)."""
         across = torch.where(places > 0, 1.0 - places, -1.0 - places)  # (B, 2)
         vectors = self.turn(torch.diag_embed(across))  # (B, 2, 2)
@@ -111,7 +111,7 @@ class _RobotView:
         order = distances.argsort(dim=1)
         vectors = vectors.gather(1, order[..., None].expand(-1, -1, 2))
         distances = distances.gather(1, order)[..., None]
-        nearness = (1.0 - distances / sight).clamp(0.0, 1.0)
+        nearness = (1.0 - distances / limit).clamp(0.0, 1.0)
         return torch.cat([vectors / (distances + 0.05) * nearness, nearness], dim=2).flatten(1)
 
 
@@ -123,14 +123,14 @@ def _polar(vectors: Tensor) -> Tensor:
     )
 
 
-def _held(blocks: Tensor, is_target: Tensor, present: Tensor, sight: float) -> Tensor:
+def _held(blocks: Tensor, is_target: Tensor, present: Tensor, limit: float) -> Tensor:
     """The blocks nearest to the fingers: (B, HELD * 5)."""
     offsets = blocks - torch.tensor([0.0, GRIP], device=blocks.device)
-    distances = offsets.norm(dim=2).masked_fill(~present, sight)
+    distances = offsets.norm(dim=2).masked_fill(~present, limit)
     nearest = distances.argsort(dim=1)[:, :HELD, None]
-    near = (distances[..., None].gather(1, nearest) < sight).float()
+    near = (distances[..., None].gather(1, nearest) < limit).float()
     offsets = offsets.gather(1, nearest.expand(-1, -1, 2))
-    length = offsets.norm(dim=2, keepdim=True).clamp(max=sight)
+    length = offsets.norm(dim=2, keepdim=True).clamp(max=limit)
     parts = torch.cat([offsets, length, torch.ones_like(near), is_target.gather(1, nearest)], dim=2)
     held: Tensor = (parts * near).flatten(1)
     return held

@@ -11,6 +11,8 @@ from torch import Tensor
 
 from magical.learning.running.checkpoints import StateDict
 
+ROLLOUTS = 4  # that the learners with learned rewards keep
+
 
 class ReplayBuffer:
     """Observations (or features) and actions of the newest rollouts, on their device."""

@@ -6,15 +6,23 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from magical.learning.reinforcement.config import REWARD_FLOOR
+from magical.learning.config import NetworkSettings
 from magical.learning.running.checkpoints import StateDict
+
+FLOOR = 1e-3  # smallest standard deviation that rewards are divided by (docs/specification.md, 10)
+PUBLISHED_FLOOR = 1e-5  # the published floor, 1e-3, is of the running deviation / 0.01
+
+
+def reward_floor(networks: NetworkSettings) -> float:
+    """The smallest standard deviation that rewards are divided by, under the conventions."""
+    return PUBLISHED_FLOOR if networks.published else FLOOR
 
 
 class RewardNormaliser:
     """Normalises by running statistics over all rewards of a run, separately for each task."""
 
     def __init__(
-        self, num_tasks: int, std: float, device: str = "cpu", floor: float = REWARD_FLOOR
+        self, num_tasks: int, std: float, device: str = "cpu", floor: float = FLOOR
     ) -> None:
         """Start without statistics.
 

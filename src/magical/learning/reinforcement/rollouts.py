@@ -1,6 +1,6 @@
 """The environments that rollouts are collected in, and the rollouts."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -13,13 +13,17 @@ from magical.envs import EnvId
 from magical.envs.env import Reward
 from magical.envs.seeds import sample_training_seeds
 from magical.envs.vector import MagicalVectorEnv
-from magical.learning.reinforcement.config import ReinforcementConfig
+from magical.learning.augmentation.augment import to_unit
+from magical.learning.config import Config
+from magical.learning.models import sample_actions
 from magical.learning.reinforcement.staging import Staging
 from magical.learning.running.checkpoints import StateDict
 from magical.learning.running.streams import Purpose, stream
 from magical.observe import ObservationSpec
 from magical.scene import NUM_ACTIONS
-from magical.tasks import get_task
+from magical.tasks import Horizon, get_task
+
+Forward = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]  # -> logits (B, 18), values (B,)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,26 +63,43 @@ class RolloutEnvs:
         staging: copies observations there.
     """
 
-    def __init__(self, config: ReinforcementConfig, device: str, reward: Reward = "none") -> None:
-        self.task_of = np.sort(np.arange(config.num_envs) % len(config.tasks))  # (N,)
+    def __init__(
+        self,
+        config: Config,
+        num_envs: int,
+        device: str,
+        *,
+        horizon: Horizon = None,
+        workers: int | None = None,
+        reward: Reward = "none",
+    ) -> None:
+        """Create the environments.
+
+        Args:
+            config: tasks, observation and seed.
+            num_envs: N.
+            device: where networks compute.
+            horizon: of episodes.
+            workers: processes; by default one for each core.
+            reward: the environment's.
+        """
+        self.task_of = np.sort(np.arange(num_envs) % len(config.tasks))  # (N,)
         self.tasks = torch.from_numpy(self.task_of).to(device)
         names = [config.tasks[number] for number in self.task_of]
         self.envs = MagicalVectorEnv(
             [EnvId(name, "Demo") for name in names],
-            workers=config.workers,
+            workers=workers,
             observation=config.observation,
-            horizon=config.env_horizon,
+            horizon=horizon,
             reward=reward,
             autoreset_mode="SameStep",
             copy=False,
         )
-        self._config = config
+        self._seed = config.seed
         self._spec: ObservationSpec = config.observation_spec
         self.device = device
         self.staging = Staging(device)
-        self._horizons = np.array(
-            [get_task(name).resolve_horizon(config.env_horizon) for name in names]
-        )
+        self._horizons = np.array([get_task(name).resolve_horizon(horizon) for name in names])
 
     def __enter__(self) -> Self:
         return self
@@ -87,14 +108,14 @@ class RolloutEnvs:
         self.envs.close()
 
     def reset(self) -> None:
-        """Start the first episodes; with `decorrelate`, each with a number of random actions.
+        """Start the first episodes, each with a number of random actions.
 
         Otherwise all environments of a task would end their episodes in the same update.
         """
-        rng = stream(self._config.seed, Purpose.ENVIRONMENTS)
+        rng = stream(self._seed, Purpose.ENVIRONMENTS)
         seeds = sample_training_seeds(rng, self.envs.num_envs)
         self._observations, _ = self.envs.reset(seed=seeds)
-        delays = rng.integers(self._horizons) * self._config.decorrelate
+        delays = rng.integers(self._horizons)
         for time in range(delays.max()):
             actions = rng.integers(NUM_ACTIONS, size=self.envs.num_envs)
             self._observations, *_ = self.envs.step(actions, active=time < delays)
@@ -132,13 +153,13 @@ class RolloutEnvs:
 class RolloutBuffer:
     """The storage of a rollout while it is collected, on the environments' device."""
 
-    def __init__(self, time_steps: int, envs: RolloutEnvs) -> None:
+    def __init__(self, num_steps: int, envs: RolloutEnvs) -> None:
         self._envs = envs
         self._staging = envs.staging
-        self.shape = time_steps, len(envs.tasks)  # T, N
+        self.shape = num_steps, len(envs.tasks)  # T, N
         first = envs.observations()
         self._observations = torch.empty_strided(  # in the memory layout of the environments
-            (time_steps, *first.shape),
+            (num_steps, *first.shape),
             (first.numel(), *first.stride()),
             dtype=first.dtype,
             device=envs.device,
@@ -177,6 +198,34 @@ class RolloutBuffer:
             self._envs.tasks,
             tuple(self._scores),
         )
+
+
+def collect_rollout(
+    envs: RolloutEnvs,
+    forward: Forward,
+    num_steps: int,
+    bootstrap: bool,
+    rng: np.random.Generator,
+) -> Rollout:
+    """Step the environments T times with actions sampled from the logits of `forward`.
+
+    With `bootstrap`, the value of an episode's final observation is estimated, too.
+    """
+    buffer = RolloutBuffer(num_steps, envs)
+    uniforms = torch.from_numpy(rng.random(buffer.shape, np.float32)).to(envs.device)  # (T, N)
+    with torch.no_grad():
+        for t in range(num_steps):
+            observations = buffer.add_observations(t, envs.observations())
+            logits, values = forward(to_unit(observations), envs.tasks)
+            actions, log_probs = sample_actions(logits, uniforms[t])
+            step = envs.step(actions)
+            buffer.add(t, actions, log_probs, values, step)
+            if bootstrap and step.final_observations is not None:
+                rows = torch.from_numpy(np.flatnonzero(step.dones)).to(envs.device)
+                final = to_unit(step.final_observations.to(envs.device))
+                buffer.final_values[t, rows] = forward(final, envs.tasks[rows])[1]
+        _, next_values = forward(to_unit(envs.observations().to(envs.device)), envs.tasks)
+    return buffer.rollout(next_values)
 
 
 def shuffle_evenly(tasks: NDArray[np.int64], rng: np.random.Generator) -> NDArray[np.int64]:

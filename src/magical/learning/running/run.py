@@ -12,7 +12,7 @@ from typing import Any, Self
 import torch
 
 from magical.errors import DivergedError, RunFolderError
-from magical.learning.config import CHECKPOINT_SECONDS
+from magical.learning.config import CHECKPOINT_SECONDS, Config
 from magical.learning.running.checkpoints import (
     StateDict,
     load_newest_checkpoint,
@@ -39,6 +39,7 @@ class Run:
     def __init__(
         self,
         folder: Path,
+        config: Config,
         *,
         on_metrics: OnMetrics = lambda step, total, metrics: None,
         interrupts: Interrupts | None = None,
@@ -51,6 +52,7 @@ class Run:
             CheckpointError: the newest checkpoint is damaged.
         """
         self.folder = folder
+        self._total, self._checkpoint_every = config.num_updates, config.checkpoint_every
         self._on_metrics = on_metrics
         self._interrupts = interrupts or Interrupts()
         self.record = read_json(folder / RECORD) if (folder / RECORD).exists() else {}
@@ -104,32 +106,62 @@ class Run:
         self.record = {**self.record, **facts}
         write_json(self.folder / RECORD, self.record)
 
-    def log(self, step: int, total: int, **metrics: float | str) -> None:
-        """Log metrics to `metrics.jsonl`, to TensorBoard (numbers only) and to the callbacks."""
+    def finish_step(
+        self,
+        step: int,
+        metrics: Callable[[], Metrics],
+        state: Callable[[], StateDict],
+        *,
+        log_every: int = 1,
+        last: bool = False,
+    ) -> bool:
+        """End a step: log metrics, check them, save a checkpoint; each if it is due.
+
+        All three are done at the last step, and where the run is interrupted or is to stop.
+
+        Args:
+            step: the steps that have been done.
+            metrics: called for the metrics since they were last logged.
+            state: called for the state to save.
+            log_every: steps between lines of metrics.
+            last: whether the algorithm, or a part of it, ends with this step.
+
+        Returns:
+            Whether the run stops here.
+
+        Raises:
+            DivergedError: metrics or state are not finite; the checkpoints stay as they were.
+        """
+        stops = self._interrupts.seen or step >= self._last
+        if stops or last or step % log_every == 0:
+            found = metrics()
+            self._log(step, found)
+            self._require_finite(step, found)
+        if stops or last or self._checkpoint_is_due(step):
+            self._checkpoint(step, state())
+        return stops
+
+    def _log(self, step: int, metrics: Metrics) -> None:
+        """Log metrics to `metrics.jsonl`, to TensorBoard (numbers only) and to the callback."""
         self._metrics.write(step, metrics)
         if self._tensorboard:
             for name, value in metrics.items():
                 if not isinstance(value, str):
                     self._tensorboard.add_scalar(name, value, step)
-        self._on_metrics(step, total, metrics)
+        self._on_metrics(step, self._total, metrics)
 
-    def checkpoint_is_due(self, step: int, every: int) -> bool:
-        """Whether to save a checkpoint after `step` steps: by number, or with 0 by time."""
-        if every:
-            return step % every == 0
+    def _checkpoint_is_due(self, step: int) -> bool:
+        if self._checkpoint_every:
+            return step % self._checkpoint_every == 0
         return time.monotonic() - self._saved_at >= CHECKPOINT_SECONDS
 
-    def checkpoint(self, step: int, state: StateDict) -> None:
-        """Save the state after `step` steps as the newest checkpoint; the one before is kept too.
-
-        Raises `DivergedError` if its tensors are not all finite; the checkpoints stay as they were.
-        """
-        self.require_finite(step, state)
+    def _checkpoint(self, step: int, state: StateDict) -> None:
+        self._require_finite(step, state)
         replace_checkpoint(self.folder, {**state, "step": step})
         self.step = step
         self._saved_at = time.monotonic()
 
-    def require_finite(self, step: int, state: Any) -> None:
+    def _require_finite(self, step: int, state: Any) -> None:
         """Raise `DivergedError` if any number or tensor in nested dicts and lists is not finite."""
         if not _is_finite(state):
             kept = f"the checkpoint of step {self.step}" if self.step else "no checkpoint"
@@ -137,10 +169,6 @@ class Run:
                 f"training diverged: at step {step} the loss or the weights are not finite; "
                 f"{self.folder} keeps {kept}. Try a smaller learning rate or --precision float32"
             )
-
-    def stops(self, step: int) -> bool:
-        """Whether to save a checkpoint and stop: after an interrupt, or at `stop_after`."""
-        return self._interrupts.seen or step >= self._last
 
 
 def _is_finite(node: Any) -> bool:

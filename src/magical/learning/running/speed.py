@@ -38,7 +38,9 @@ def training_speeds(
         DeviceError: `cuda` was asked for and there is none.
     """
     chosen = choose_device(device)
-    config = BCConfig(tasks=tuple(TASKS)[:1], demos="", network=network, batch_size=batch_size)
+    config = BCConfig.preset(
+        "paper", tasks=tuple(TASKS)[:1], demos="", network=network, batch_size=batch_size
+    )
     policy = make_policy(config).to(chosen)
     counts = sorted(set(threads) or {1, torch.get_num_threads()}) if chosen == "cpu" else [0]
     ways = [Compute(chosen, name, count) for name in ("float32", "bfloat16") for count in counts]
@@ -58,8 +60,8 @@ def _batch_time(
     """The time of a forward and backward pass in seconds."""
     compute.set_threads()
     device = compute.device
-    images = torch.zeros(config.batch_size, *config.input_shape, device=device)
-    tasks = torch.zeros(config.batch_size, dtype=torch.int64, device=device)
+    images = torch.zeros(config.cloning.batch_size, *config.input_shape, device=device)
+    tasks = torch.zeros(config.cloning.batch_size, dtype=torch.int64, device=device)
     start = clock()
     with compute.autocast():
         logits = policy(images, tasks)

@@ -10,10 +10,11 @@ from typing import Any
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import find_algorithm
 from magical.learning.config import Config
-from magical.learning.policy import NetworkPolicy, load_policy
+from magical.learning.policy import NetworkPolicy
 from magical.learning.running.checkpoints import restore_previous_checkpoint
 from magical.learning.running.devices import full_float32, restored_threads
 from magical.learning.running.interrupts import Interrupts
+from magical.learning.running.loading import load_policy
 from magical.learning.running.run import Metrics, Run
 from magical.progress import ProgressBar
 from magical.runs.folder import opened_folder
@@ -73,19 +74,16 @@ def train(
         out: a new or an empty folder; with `resume`, one that holds this run.
         resume: continue from the newest checkpoint; on a CPU the result is bit-equal to that of a
             run without interruption.
-        previous_checkpoint: with `resume`, drop the newest checkpoint and continue from the one
-            before it.
+        previous_checkpoint: with `resume`, continue from the checkpoint before the newest.
         stop_after: save a checkpoint and return after this many more batches or updates.
         progress: show a progress bar on standard error.
-        callback: called as `callback(step, metrics)` after each line of `metrics.jsonl`, for
-            instance to report to a hyperparameter search. What it raises ends the training; the
-            run can be resumed from its newest checkpoint.
+        callback: called as `callback(step, metrics)` after each line of `metrics.jsonl`. What it
+            raises ends the training; the run can be resumed from its newest checkpoint.
         tensorboard: log the metrics for TensorBoard too (needs the extra).
 
     Raises:
-        RunFolderError: the folder holds another run or other files, another process trains this
-            run, or the disk is full.
-        CheckpointError: the checkpoint is damaged; says whether the previous one is intact.
+        RunFolderError: the folder holds something else, or is in use, or the disk is full.
+        CheckpointError: the checkpoint is damaged.
         DemonstrationsError, DatasetError: too few demonstrations, or damaged ones.
         DivergedError: the loss or the weights are not finite; the newest good checkpoint is kept.
         InvalidConfigError: `previous_checkpoint` without `resume`.
@@ -95,11 +93,16 @@ def train(
     with _opened(folder, config, resume, previous_checkpoint), Interrupts() as stop, display as bar:
         show = partial(_show, bar, callback)
         with Run(
-            folder, on_metrics=show, interrupts=stop, stop_after=stop_after, tensorboard=tensorboard
+            folder,
+            config,
+            on_metrics=show,
+            interrupts=stop,
+            stop_after=stop_after,
+            tensorboard=tensorboard,
         ) as run:
             algorithm.train(config, run)
     newest = (read_metrics(folder) or [{"step": run.step}])[-1]
-    return TrainResult(folder, run.step, config.total, stop.seen, newest)
+    return TrainResult(folder, run.step, config.num_updates, stop.seen, newest)
 
 
 @contextmanager

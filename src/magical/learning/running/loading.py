@@ -1,0 +1,35 @@
+"""Policies from run folders."""
+
+from pathlib import Path
+
+from magical.errors import RunFolderError
+from magical.learning.algorithms import find_algorithm, read_config
+from magical.learning.policy import NetworkPolicy
+from magical.learning.running.checkpoints import load_module, load_newest_checkpoint
+from magical.learning.running.devices import Compute, choose_device
+from magical.runs.folder import CHECKPOINT, CONFIG, RECORD, is_run, read_json
+
+
+def load_policy(run: Path | str, device: str = "auto", greedy: bool = False) -> NetworkPolicy:
+    """Load the policy from the newest checkpoint of a run folder.
+
+    Args:
+        run: the run folder.
+        device: `auto`, `cpu` or `cuda`.
+        greedy: take the most probable action instead of sampling.
+
+    Raises:
+        RunFolderError: no run folder, or a damaged one.
+        CheckpointError: no checkpoint yet, a damaged one, or one of another network.
+    """
+    folder = Path(run)
+    if not is_run(folder):
+        raise RunFolderError(f"{folder}: expected a run folder with {CONFIG}, found none")
+    config = read_config(folder)
+    network = find_algorithm(config.algorithm).make_policy(config)
+    chosen = choose_device(device)
+    state = load_newest_checkpoint(folder)
+    load_module(network, state["policy"], str(folder / CHECKPOINT))
+    recorded = read_json(folder / RECORD)["compute"]
+    precision = recorded["precision"] if chosen == recorded["device"] else "float32"
+    return NetworkPolicy(network.to(chosen), config, Compute(chosen, precision), greedy)

@@ -1,0 +1,119 @@
+"""Records of options: what configurations are composed of, and how they are flattened."""
+
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import MISSING, dataclass
+from typing import Any, TypeVar, get_type_hints
+
+from magical.errors import InvalidConfigError, UnknownNameError
+from magical.messages import quoted
+from magical.plugins import is_plugin
+
+Check = tuple[Callable[[float], bool], str]
+POSITIVE: Check = (lambda number: number > 0, "a number above 0")
+NOT_NEGATIVE: Check = (lambda number: number >= 0, "at least 0")
+FRACTION: Check = (lambda number: 0 <= number <= 1, "a number from 0 to 1")
+Part = TypeVar("Part", bound="Settings")
+
+
+def option(
+    default: Any,
+    text: str,
+    *,
+    check: Check | None = None,
+    choices: tuple[str, ...] | Callable[[], tuple[str, ...]] = (),
+    others: str = "",
+    metavar: str | None = None,
+    name: str | None = None,
+) -> Any:
+    """A configuration field.
+
+    Args:
+        default: the published setting.
+        text: a line of help for the command line.
+        check: what a number must be.
+        choices: the allowed values, if there are only a few, or a function that finds them.
+        others: the group of entry points that other values are allowed from, or `module:NAME`.
+        metavar: what stands for the value in the command line's help.
+        name: of the option; the field's, unless it would be ambiguous outside its record.
+    """
+    metadata = {
+        "help": text,
+        "check": check,
+        "choices": choices if callable(choices) else lambda: choices,
+        "others": others,
+        "metavar": metavar,
+        "name": name,
+    }
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """A record of options: a part of a configuration, or a configuration."""
+
+    def __post_init__(self) -> None:
+        for field in dataclasses.fields(self):
+            if field.metadata:
+                _check_value(field, getattr(self, field.name))
+
+
+def _check_value(field: "dataclasses.Field[Any]", value: Any) -> None:
+    """Raise `InvalidConfigError` or `UnknownNameError` unless a field may have the value."""
+    name, choices = name_of(field), field.metadata["choices"]()
+    others = field.metadata["others"]
+    if choices and value not in choices and not (others and is_plugin(others, value)):
+        raise UnknownNameError(
+            f"{name} {quoted(value)} is unknown; expected one of: {', '.join(choices)}"
+        )
+    if field.metadata["check"] and value is not None:
+        is_right, expected = field.metadata["check"]
+        if not is_right(value):
+            raise InvalidConfigError(f"{name}: expected {expected}, found {quoted(value)}")
+
+
+def all_fields(kind: type[Settings]) -> Iterator[tuple[str, "dataclasses.Field[Any]", Any]]:
+    """Every option's field: the name of its record, empty for the class's own; itself; its type."""
+    hints = get_type_hints(kind)
+    for field in dataclasses.fields(kind):
+        if field.metadata:
+            yield "", field, hints[field.name]
+        elif field.name != "algorithm":
+            for _, inner, hint in all_fields(hints[field.name]):
+                yield field.name, inner, hint
+
+
+def option_types(kind: type[Settings]) -> dict[str, Any]:
+    """The type of each option's value, by the option's name."""
+    return {name_of(field): hint for _, field, hint in all_fields(kind)}
+
+
+def name_of(field: "dataclasses.Field[Any]") -> str:
+    """The name of a field's option."""
+    name: str = field.metadata["name"] or field.name
+    return name
+
+
+def by_part(
+    kind: type[Settings], settings: Mapping[str, Any]
+) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    """Settings by the options' names as fields: the class's own, and those of each record."""
+    places = {name_of(field): (part, field.name) for part, field, _ in all_fields(kind)}
+    own: dict[str, Any] = {}
+    parts: dict[str, dict[str, Any]] = {}
+    for name, value in settings.items():
+        if name == "algorithm":
+            own[name] = value
+        elif name in places:
+            part, field = places[name]
+            (parts.setdefault(part, {}) if part else own)[field] = value
+        else:
+            raise UnknownNameError(
+                f"setting {quoted(name)} is unknown; expected one of: {', '.join(places)}"
+            )
+    return own, parts
+
+
+def default_of(field: "dataclasses.Field[Any]") -> Any:
+    """The default of a field that is a record; `None` if it has none."""
+    return None if field.default_factory is MISSING else field.default_factory()
