@@ -13,7 +13,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from magical.web.players import Players
 from magical.web.security import make_guard
-from magical.web.server import PlaySettings, create_app, listen, make_server
+from magical.web.server import PlayServer, PlaySettings, listen, make_server
 
 TOKEN = "a-token-of-the-tests"
 TIMEOUT = 60.0  # s
@@ -128,12 +128,12 @@ def close_code(socket: ClientConnection) -> int:
 def running(settings: PlaySettings) -> Iterator[RunningServer]:
     """A server on a free port of loopback."""
     with listen("127.0.0.1", 0) as listening:
-        app = create_app(settings, make_guard("127.0.0.1", TOKEN))
-        server = make_server(app)
+        playing = PlayServer(settings, make_guard("127.0.0.1", TOKEN))
+        server = make_server(playing.app)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
         thread.start()
         try:
-            yield RunningServer(listening.getsockname()[1], app.state.players)
+            yield RunningServer(listening.getsockname()[1], playing.players)
         finally:
             server.should_exit = True
             thread.join()

@@ -90,6 +90,8 @@ def png_sizes(content: bytes) -> list[tuple[int, int]]:
 
 def test_sources_policies_and_actions_are_listed(library: RunningServer) -> None:
     found = get(library, "/api/library")
+    assert [task["name"] for task in found["tasks"]] == list(TASKS)
+    assert found["tasks"][0]["env_ids"]["Demo"] == "magical/MoveToCorner-Demo-v0"
     assert found["sources"] == [
         {"key": "d0", "name": "demos"},
         {"key": "rollouts", "name": "Rollouts of policies"},
@@ -231,16 +233,17 @@ PATHS = (
 )
 
 
-@pytest.mark.parametrize("path", [*PATHS, "/api/rollouts"])
+@pytest.mark.parametrize("path", ["/", *PATHS, "/api/rollouts"])
 def test_every_route_needs_token_host_and_origin(library: RunningServer, path: str) -> None:
     method = "POST" if path == "/api/rollouts" else "GET"
     origin = f"http://{library.host}"
-    for token in (None, "wrong", TOKEN[:-1]):
+    for token in (None, "wrong", TOKEN[:-1]) if path != "/" else ():
         assert library.get(path, method, token=token, Origin=origin).status == 403
     assert library.get(path, method, Host="evil.example", Origin=origin).status == 403
     assert library.get(path, method, Origin="http://evil.example").status == 403
-    if method == "POST":
-        assert library.get(path, method).status == 403
+    assert library.get(path, "POST").status == 403
+    if method == "GET":
+        assert library.get(path, "POST", Origin=origin).status == 405
 
 
 @pytest.mark.parametrize(

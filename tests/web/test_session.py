@@ -1,7 +1,5 @@
 """A session, with time that is passed in."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -12,43 +10,9 @@ from magical.errors import MessageError
 from magical.experts import expert_for
 from magical.experts.rollout import EpisodeExpert
 from magical.scene import ACTION_NAMES, NUM_ACTIONS
-from magical.web.messages import Discard, Keep, Keys, Message, Pause, Restart, Show, Start
-from magical.web.policies import Policies
-from magical.web.session import IDLE_TIME, SILENCE_TIME, STEP_TIME, Phase, Session
-
-ENV = EnvId("MoveToRegion", "Demo")
-FORWARD, LEFT, GRIP = Control.FORWARD, Control.LEFT, Control.GRIP
-
-
-class Clocked:
-    """A session with a clock of its own, whose page confirms every frame."""
-
-    def __init__(self, env_id: EnvId = ENV, **options: Any) -> None:
-        self.now = 1000.0
-        self.session = Session(env_id, np.random.default_rng(0), self.now, Policies(), **options)
-        self.session.joined(self.now)
-
-    def send(self, message: Message) -> None:
-        self.session.handle(message, self.now)
-        self.session.advance(self.now)
-
-    def hold(self, *held: Control) -> None:
-        self.send(Keys(frozenset(held), 0))
-
-    def wait(self, seconds: float, *held: Control) -> None:
-        """Let time pass while these controls are held."""
-        end = self.now + seconds
-        while self.now < end - 1e-9:
-            self.now = min(end, max(self.session.step_at, self.now + 1e-3))
-            self.hold(*held)
-
-    @property
-    def phase(self) -> str:
-        return str(self.session.phase)
-
-    @property
-    def steps(self) -> int:
-        return self.session.episode.steps
+from magical.web.messages import Discard, Keep, Message, Pause, Restart, Show, Start
+from magical.web.session import IDLE_TIME, SILENCE_TIME, STEP_TIME, Phase
+from tests.web.clocked import ENV, FORWARD, GRIP, LEFT, Clocked
 
 
 def executed(clocked: Clocked) -> list[str]:
@@ -112,10 +76,10 @@ def test_no_steps_are_made_up_for_after_a_delay() -> None:
 
 def test_time_left_score_and_last_action_are_shown() -> None:
     clocked = Clocked(recording=True)
-    first = clocked.session.status()
+    first = clocked.status
     assert (first["phase"], first["seconds_left"], first["executed"]) == ("ready", 5.0, None)
     clocked.hold(FORWARD, GRIP)
-    status = clocked.session.status()
+    status = clocked.status
     assert (status["steps"], status["horizon"], status["seconds_left"]) == (1, 40, 4.875)
     assert status["executed"] == (Control.FORWARD, Control.GRIP)
     assert status["score"] == clocked.session.episode.env.scores().score
@@ -175,7 +139,7 @@ def test_a_silent_page_pauses_the_episode() -> None:
     clocked.now += SILENCE_TIME + 0.1
     clocked.session.advance(clocked.now)
     assert (clocked.phase, clocked.steps) == (Phase.PAUSED, 1)
-    assert "did not answer" in clocked.session.status()["notice"]
+    assert "did not answer" in clocked.status["notice"]
 
 
 def test_sessions_become_idle_without_keys() -> None:
@@ -204,7 +168,7 @@ def play_expert(clocked: Clocked) -> None:
 def test_a_kept_episode_replays_bit_equally(task: str) -> None:
     clocked = Clocked(EnvId(task, "TestDynamics"), recording=True)
     play_expert(clocked)
-    assert clocked.session.status()["score"] == 1.0
+    assert clocked.status["score"] == 1.0
     clocked.send(Keep("Ada"))
     assert clocked.phase == Phase.SAVING
     trajectory = clocked.session.take_pending()
@@ -236,7 +200,7 @@ def test_a_failure_to_store_leaves_the_episode_to_be_kept() -> None:
     clocked.send(Keep("Ada"))
     first = clocked.session.take_pending()
     clocked.session.not_stored("the disk is full")
-    assert clocked.session.status()["notice"] == "the disk is full"
+    assert clocked.status["notice"] == "the disk is full"
     clocked.send(Keep("Ada"))
     second = clocked.session.take_pending()
     assert first is not None

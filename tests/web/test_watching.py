@@ -11,8 +11,7 @@ import pytest
 from magical.demos import Actor, Dataset
 from magical.demos.replay import replay
 from magical.demos.store.codec import decode, encode
-from magical.envs import EnvId
-from magical.envs.keys import Control, controls_of
+from magical.envs.keys import controls_of
 from magical.errors import MessageError, NotFoundError
 from magical.experts import rollout
 from magical.web import driver as driver_module
@@ -23,94 +22,50 @@ from magical.web.messages import (
     HandBack,
     Keep,
     Keys,
-    Message,
     Pause,
     Restart,
-    Start,
     Watch,
 )
-from magical.web.policies import Policies
-from magical.web.session import IDLE_TIME, STEP_TIME, Phase, Session
+from magical.web.session import IDLE_TIME, STEP_TIME
+from tests.web.clocked import GRIP, LEFT, watched
 from tests.web.serving import RunningServer, close_code
-
-ENV = EnvId("MoveToRegion", "Demo")
-FORWARD, LEFT, GRIP = Control.FORWARD, Control.LEFT, Control.GRIP
-
-
-class Watched:
-    """A session that watches the expert, with a clock of its own; policies answer at once."""
-
-    def __init__(self, seed: int = 3, **options: Any) -> None:
-        self.now = 1000.0
-        self.session = Session(
-            ENV,
-            np.random.default_rng(0),
-            self.now,
-            Policies(),
-            **options,
-        )
-        self.session.joined(self.now)
-        self.send(Start(ENV, seed))
-        self.send(Watch(0))
-
-    def send(self, message: Message) -> None:
-        self.session.handle(message, self.now)
-        self.run()
-
-    def run(self) -> None:
-        if question := self.session.take_question():
-            self.session.note_proposal(question, question.answer())
-        self.session.advance(self.now)
-
-    def step(self, count: int, *held: Control) -> None:
-        for _ in range(count):
-            self.now += STEP_TIME
-            self.send(Keys(frozenset(held), 0))
-
-    @property
-    def status(self) -> dict[str, Any]:
-        return self.session.status()
-
-    def finish(self) -> None:
-        while self.session.phase is Phase.PLAYING:
-            self.step(1)
 
 
 def test_a_watched_policy_acts_from_the_start_as_it_would_alone() -> None:
-    watched = Watched(seed=3)
-    assert (watched.status["phase"], watched.status["policy_acts"]) == ("playing", True)
-    watched.finish()
-    actions = watched.session.episode.env.get_state()["actions"]
+    clocked = watched()
+    assert (clocked.status["phase"], clocked.status["policy_acts"]) == ("playing", True)
+    clocked.finish()
+    actions = clocked.session.episode.env.get_state()["actions"]
     assert actions == rollout("MoveToRegion", "Demo", 3).actions.tolist()
-    assert watched.status["score"] == 1.0
+    assert clocked.status["score"] == 1.0
 
 
 def test_a_key_takes_over_and_the_policy_goes_on_when_it_is_handed_back_to() -> None:
-    watched = Watched()
-    watched.step(3)
-    watched.step(4, LEFT)
-    assert watched.status["policy_acts"] is False
-    assert watched.status["executed"] == (LEFT,)
-    watched.step(2)  # no key: still the person's turn
-    assert watched.status["executed"] == ()
-    watched.send(HandBack())
-    assert watched.status["policy_acts"] is True
-    watched.finish()
-    actors = watched.session.episode.actors
+    clocked = watched()
+    clocked.step(3)
+    clocked.step(4, LEFT)
+    assert clocked.status["policy_acts"] is False
+    assert clocked.status["executed"] == (LEFT,)
+    clocked.step(2)  # no key: still the person's turn
+    assert clocked.status["executed"] == ()
+    clocked.send(HandBack())
+    assert clocked.status["policy_acts"] is True
+    clocked.finish()
+    actors = clocked.session.episode.actors
     taken = [step for step, actor in enumerate(actors) if actor is Actor.HUMAN]
     assert taken == list(range(taken[0], taken[0] + 6))
     assert set(actors) == {Actor.EXPERT, Actor.HUMAN}
-    assert watched.status["score"] == 1.0  # the expert recovered from where it was led
+    assert clocked.status["score"] == 1.0  # the expert recovered from where it was led
 
 
 def test_an_intervention_is_recorded_as_such() -> None:
-    watched = Watched(recording=True)
-    watched.step(3)
-    watched.step(5, LEFT, GRIP)
-    watched.send(HandBack())
-    watched.finish()
-    watched.send(Keep("Ada"))
-    found = watched.session.take_pending()
+    clocked = watched(recording=True)
+    clocked.step(3)
+    clocked.step(5, LEFT, GRIP)
+    clocked.send(HandBack())
+    clocked.finish()
+    clocked.send(Keep("Ada"))
+    found = clocked.session.take_pending()
     assert found is not None
     stored = decode(encode(found))
     assert stored.actors is not None
@@ -127,91 +82,91 @@ def test_an_intervention_is_recorded_as_such() -> None:
 
 
 def test_only_episodes_in_which_a_person_acted_are_kept() -> None:
-    watched = Watched(recording=True)
-    watched.finish()
-    assert (watched.status["phase"], watched.status["can_keep"]) == ("ended", False)
+    clocked = watched(recording=True)
+    clocked.finish()
+    assert (clocked.status["phase"], clocked.status["can_keep"]) == ("ended", False)
     for message in (Keep("Ada"), Discard()):
         with pytest.raises(MessageError, match="no finished episode"):
-            watched.send(message)
-    watched.send(Restart())
-    assert (watched.status["phase"], watched.status["policy_acts"]) == ("playing", True)
+            clocked.send(message)
+    clocked.send(Restart())
+    assert (clocked.status["phase"], clocked.status["policy_acts"]) == ("playing", True)
 
 
 def test_a_paused_policy_goes_on_when_it_is_handed_back_to() -> None:
-    watched = Watched()
-    watched.step(2)
-    watched.send(Pause())
-    steps = watched.session.episode.steps
-    watched.step(3)
-    assert (watched.status["phase"], watched.session.episode.steps) == ("paused", steps)
-    watched.send(HandBack())
-    watched.step(3)
-    assert (watched.status["phase"], watched.status["policy_acts"]) == ("playing", True)
-    assert watched.session.episode.steps >= steps + 3
+    clocked = watched()
+    clocked.step(2)
+    clocked.send(Pause())
+    steps = clocked.session.episode.steps
+    clocked.step(3)
+    assert (clocked.status["phase"], clocked.session.episode.steps) == ("paused", steps)
+    clocked.send(HandBack())
+    clocked.step(3)
+    assert (clocked.status["phase"], clocked.status["policy_acts"]) == ("playing", True)
+    assert clocked.session.episode.steps >= steps + 3
 
 
 def test_the_environment_waits_for_a_slow_policy_and_late_answers_have_no_effect() -> None:
-    watched = Watched()
-    session = watched.session
-    watched.step(2)
+    clocked = watched()
+    session = clocked.session
+    clocked.step(2)
     question = session.take_question()
     assert question is not None
     assert session.take_question() is None  # asked once for each state
     steps = session.episode.steps
     for _ in range(10):
-        watched.now += STEP_TIME
-        session.advance(watched.now)
+        clocked.now += STEP_TIME
+        session.advance(clocked.now)
     assert session.episode.steps == steps
-    session.handle(Restart(), watched.now)
+    session.handle(Restart(), clocked.now)
     session.note_proposal(question, question.answer())
-    session.advance(watched.now + STEP_TIME)
+    session.advance(clocked.now + STEP_TIME)
     assert session.episode.steps == 0
 
 
 def test_a_state_is_asked_for_again_after_a_lost_connection() -> None:
-    watched = Watched()
-    watched.step(2)
-    lost = watched.session.take_question()
+    clocked = watched()
+    clocked.step(2)
+    lost = clocked.session.take_question()
     assert lost is not None
-    watched.session.joined(watched.now)
-    again = watched.session.take_question()
+    clocked.session.joined(clocked.now)
+    again = clocked.session.take_question()
     assert again is not None
     assert again.answer() == lost.answer()
 
 
 def test_playing_without_a_policy_again() -> None:
-    watched = Watched()
-    watched.send(Watch(None))
-    assert (watched.status["policy"], watched.status["phase"]) == (None, "ready")
+    clocked = watched()
+    clocked.send(Watch(None))
+    assert (clocked.status["policy"], clocked.status["phase"]) == (None, "ready")
     with pytest.raises(MessageError, match="no policy to hand back to"):
-        watched.send(HandBack())
+        clocked.send(HandBack())
 
 
 def test_unknown_policies_change_nothing() -> None:
-    watched = Watched()
-    watched.step(2)
+    clocked = watched()
+    clocked.step(2)
     with pytest.raises(NotFoundError, match="policy"):
-        watched.send(Watch(1))
-    assert (watched.status["policy"], watched.session.episode.steps > 0) == (0, True)
+        clocked.send(Watch(1))
+    assert (clocked.status["policy"], clocked.session.episode.steps > 0) == (0, True)
 
 
 def test_a_policy_that_fails_leaves_the_environment_to_the_person() -> None:
-    watched = Watched()
-    watched.session.joined(watched.now)
-    question = watched.session.take_question()
+    clocked = watched()
+    clocked.session.joined(clocked.now)
+    question = clocked.session.take_question()
     assert question is not None
-    watched.session.note_failure(question, "no checkpoint")
-    assert (watched.status["policy"], watched.status["phase"]) == (None, "ready")
-    assert (watched.status["notice"], watched.status["seed"]) == ("no checkpoint", 3)
+    clocked.session.note_failure(question, "no checkpoint")
+    assert (clocked.status["policy"], clocked.status["phase"]) == (None, "ready")
+    assert (clocked.status["notice"], clocked.status["seed"]) == ("no checkpoint", 3)
 
 
 def test_watching_becomes_idle_like_playing() -> None:
-    watched = Watched()
-    while watched.now < 1000.0 + IDLE_TIME - 1.0:
-        watched.now += 1.0
-        watched.send(Keys(frozenset(), 0))
-    assert not watched.session.idle(watched.now)
-    assert watched.session.idle(watched.now + 2.0)
+    clocked = watched()
+    while clocked.now < 1000.0 + IDLE_TIME - 1.0:
+        clocked.now += 1.0
+        clocked.send(Keys(frozenset(), 0))
+    assert not clocked.session.idle(clocked.now)
+    assert clocked.session.idle(clocked.now + 2.0)
 
 
 # Over real connections

@@ -77,12 +77,12 @@ def run(args: argparse.Namespace) -> int:
     """Listen, print the address, answer until interrupted."""
     from magical.envs import parse_env_id
     from magical.web.security import is_loopback, make_guard, new_token, page_url
-    from magical.web.server import PlaySettings, create_app, listen, make_server
+    from magical.web.server import PlayServer, PlaySettings, listen, make_server
 
     env_id = parse_env_id(args.env).without_preset
     token = new_token()
     settings = PlaySettings(env_id, args.record, args.max_players, args.datasets, args.runs)
-    app = create_app(settings, make_guard(args.host, token, frozenset(args.allow_host)))
+    server = PlayServer(settings, make_guard(args.host, token, frozenset(args.allow_host)))
     with listen(args.host, args.port) as listening:
         print(page_url(args.host, listening.getsockname()[1], token), flush=True)
         log(f"recording into {args.record}" if args.record else "not recording (see --record)")
@@ -92,5 +92,5 @@ def run(args: argparse.Namespace) -> int:
                 "the server; put a proxy with HTTPS in front of a server on loopback, and name its "
                 "host with --allow-host (docs/play.md), or forward the port with ssh -L"
             )
-        make_server(app).run(sockets=[listening])
+        make_server(server.app).run(sockets=[listening])
     return 0

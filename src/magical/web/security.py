@@ -66,10 +66,8 @@ class Guard:
         """Whether the Host header names this server."""
         try:
             parts = urlsplit(f"//{headers.get('host', '')}")
-            name = parts.hostname if parts.port != 0 else None  # raises where it is no number
-            if name in self.hosts or not self.any_address:
-                return name in self.hosts
-            return bool(ipaddress.ip_address(name or ""))
+            name, _ = parts.hostname or "", parts.port  # raises where the port is no number
+            return name in self.hosts or (self.any_address and bool(ipaddress.ip_address(name)))
         except ValueError:
             return False
 

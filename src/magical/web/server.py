@@ -8,6 +8,7 @@ from collections.abc import AsyncIterator, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from starlette.applications import Starlette
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import Response
-from starlette.routing import BaseRoute, Route, WebSocketRoute
+from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket
 
 from magical.demos.store.trajectory import Trajectory
@@ -65,10 +66,11 @@ class PlaySettings:
 
 
 class PlayServer:
-    """The routes of a server, and what they share.
+    """A server's application and what its routes share.
 
     Args:
         settings: what is offered.
+        guard: decides which requests are answered.
         clock: the time in seconds.
 
     Raises:
@@ -76,29 +78,29 @@ class PlayServer:
         RunFolderError: a folder of runs does not exist.
     """
 
-    def __init__(self, settings: PlaySettings, clock: Clock) -> None:
-        self._settings = settings
+    def __init__(self, settings: PlaySettings, guard: Guard, clock: Clock = time.monotonic) -> None:
+        recorded = [settings.record] if settings.record else []
+        folders = {path.resolve(): path for path in [*settings.datasets, *recorded]}
+        policies, rng = Policies(settings.runs), np.random.default_rng()  # of scenes' seeds
         self._writer = DatasetWriter(settings.record) if settings.record else None
         self._saving: set[asyncio.Task[None]] = set()
         self._clock = clock
-        self._rng = np.random.default_rng()  # of the seeds of scenes
-        self._policies = Policies(settings.runs)
-        recorded = [settings.record] if settings.record else []
-        folders = {path.resolve(): path for path in [*settings.datasets, *recorded]}
-        self._library = Library(list(folders.values()), self._policies, clock)
+        self._library = Library(list(folders.values()), policies, clock)
         self._threads = ThreadPoolExecutor(DRIVING_THREADS, "driver")
-        self.players = Players(self._new_session, settings.max_players)
-
-    def routes(self) -> list[BaseRoute]:
-        """Every route. None takes a path from outside, so none can leave the page's folder."""
-        return [
-            *(Route(path, _page_file(*file)) for path, file in PAGE_FILES.items()),
-            *self._library.routes(),
-            WebSocketRoute("/socket", self.play),
-        ]
+        new_session = partial(Session, settings.env_id, rng, policies, settings.record is not None)
+        self.players = Players(new_session, settings.max_players)
+        self.app = Starlette(
+            routes=[  # none takes a path from outside, so none can leave the page's folder
+                *(Route(path, _page_file(*file)) for path, file in PAGE_FILES.items()),
+                *self._library.routes(),
+                WebSocketRoute("/socket", self._play),
+            ],
+            lifespan=self._lifespan,
+            middleware=[Middleware(GuardMiddleware, guard=guard, public=PAGE_FILES)],
+        )
 
     @asynccontextmanager
-    async def lifespan(self, _: Starlette) -> AsyncIterator[None]:
+    async def _lifespan(self, _: Starlette) -> AsyncIterator[None]:
         """Drop lost sessions in time; at the end, wait for what is being stored."""
         sweep = asyncio.create_task(self._drop_expired())
         yield
@@ -107,7 +109,7 @@ class PlayServer:
         self._threads.shutdown(wait=True, cancel_futures=True)
         await asyncio.gather(*self._saving)
 
-    async def play(self, socket: WebSocket) -> None:
+    async def _play(self, socket: WebSocket) -> None:
         """Play over a socket; `session` in its address resumes the session of that key."""
         await socket.accept()
         try:
@@ -120,17 +122,12 @@ class PlayServer:
         if key and key != player.key:
             player.session.note_problem("Your former session was not resumed in time and is gone.")
         await socket.send_text(json.dumps({"type": "hello", "session": player.key}))
-        connection = Connection(socket, player, self._save, self._clock, self._threads)
-        reason = await connection.run()
+        reason = await Connection(socket, player, self._save, self._clock, self._threads).run()
         if reason is Close.IDLE:
             self.players.remove(player)
         if reason is not None:
             with suppress(RuntimeError):  # closed from the other side meanwhile
                 await socket.close(reason)
-
-    def _new_session(self, now: float) -> Session:
-        recording = self._writer is not None
-        return Session(self._settings.env_id, self._rng, now, self._policies, recording=recording)
 
     def _save(self, session: Session, trajectory: Trajectory) -> asyncio.Task[None]:
         """Start to store an episode in a thread, which the loss of a connection does not stop."""
@@ -154,23 +151,6 @@ class PlayServer:
             self.players.drop_expired(self._clock())
 
 
-def create_app(settings: PlaySettings, guard: Guard, clock: Clock = time.monotonic) -> Starlette:
-    """The application, for any ASGI server; `app.state.players` has the sessions.
-
-    Raises:
-        DatasetError: the folder to record in cannot be written, or another one holds no dataset.
-        RunFolderError: a folder of runs does not exist.
-    """
-    server = PlayServer(settings, clock)
-    app = Starlette(
-        routes=server.routes(),
-        lifespan=server.lifespan,
-        middleware=[Middleware(GuardMiddleware, guard=guard, public=PAGE_FILES)],
-    )
-    app.state.players = server.players
-    return app
-
-
 def _page_file(name: str, media_type: str) -> Callable[[Request], Response]:
     content = (PAGE / name).read_bytes()
     return lambda _: Response(content, media_type=media_type)
@@ -188,10 +168,10 @@ def listen(host: str, port: int) -> sockets.socket:
         # asyncio switches Nagle's algorithm off, but only where the protocol is said to be TCP.
         tcp = (family, sockets.SOCK_STREAM, sockets.IPPROTO_TCP)
         return sockets.socket(*tcp, fileno=listening.detach())
-    except OSError as error:
+    except (OSError, OverflowError) as error:
         raise ServerError(
-            f"cannot listen on {host}, port {port}: {error.strerror or error}; choose another "
-            "--host or --port (0 takes a free port)"
+            f"cannot listen on {host}, port {port}: {error}; choose another --host or --port (0 "
+            "takes a free port)"
         ) from error
 
 

@@ -66,19 +66,18 @@ class Session:
     Args:
         env_id: the first environment.
         rng: samples the seeds of scenes.
-        now: the time, in seconds.
         policies: that can be watched.
         recording: whether episodes can be kept.
+        now: the time, in seconds.
     """
 
     def __init__(
         self,
         env_id: EnvId,
         rng: np.random.Generator,
-        now: float,
         policies: Policies,
-        *,
-        recording: bool = False,
+        recording: bool,
+        now: float,
     ) -> None:
         self.recording = recording
         self.phase = Phase.READY
