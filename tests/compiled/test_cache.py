@@ -147,10 +147,17 @@ def test_without_a_place_to_keep_it(tmp_path: Path) -> None:
     assert hits(tmp_path / "file") == 0
 
 
-def test_a_folder_in_the_files_place(folder: Path) -> None:
+@POSIX
+@pytest.mark.parametrize("kind", ["folder", "FIFO", "endless device"])
+def test_something_else_in_the_files_place(kind: str, folder: Path) -> None:
     path = only_file(folder)
     path.unlink()
-    path.mkdir()
+    if kind == "folder":
+        path.mkdir()
+    elif kind == "FIFO":
+        os.mkfifo(path)
+    else:
+        path.symlink_to("/dev/zero")
     assert hits(folder) == 0
 
 

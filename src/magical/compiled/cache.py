@@ -28,9 +28,10 @@ from typing import Any
 
 import numba
 
-from magical.files import write_atomically
+from magical.files import read_regular, write_atomically
 
 DIGEST_BYTES = hashlib.sha256().digest_size
+MOST_BYTES = 1 << 26  # of a file: many times what a function takes
 MOST_FILES = 64  # in the folder: those of older sources and other machines are removed
 SHARED = ("compiled", "render", "scene")  # rooms whose code and constants kernels elsewhere use
 
@@ -65,7 +66,7 @@ class CompileCache:
             from numba.core import compiler
 
             rebuild: Callable[..., Any] = compiler.CompileResult._rebuild
-            content = self._path(signature, target_context.codegen()).read_bytes()
+            content = read_regular(self._path(signature, target_context.codegen()), MOST_BYTES)
             digest, payload = content[:DIGEST_BYTES], content[DIGEST_BYTES:]
             if hashlib.sha256(payload).digest() != digest:
                 return None

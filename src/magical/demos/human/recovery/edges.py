@@ -137,9 +137,10 @@ class EdgeFinder:
             -1 - item[ground], x[ground], y[ground], workspace
         )
         nx, ny = sign * nx, sign * ny
-        anchor = np.where(ground, -1, self._layers.items[item, ANCHOR])
-        turn = np.where(ground, -1, self._layers.items[item, TURN])
-        own_x, own_y = np.where(anchor == turn, (x, y), origins[item].T)
+        polygon = np.where(ground, 0, item)
+        anchor = np.where(ground, -1, self._layers.items[polygon, ANCHOR])
+        turn = np.where(ground, -1, self._layers.items[polygon, TURN])
+        own_x, own_y = np.where(anchor == turn, (x, y), origins[polygon].T)
         anchor_x, anchor_y = frames[anchor, 2:].T
         camera = np.zeros_like(margins)
         if self.view == View.EGO:
