@@ -23,6 +23,22 @@ def test_a_file_appears_whole_in_a_new_folder(tmp_path: Path) -> None:
     assert list(path.parent.iterdir()) == [path]
 
 
+@pytest.mark.parametrize(
+    ("path", "what"),
+    [
+        ("link/x.json", "link: expected a folder, found a symbolic link to nothing"),
+        ("link/a/b/x.json", "link: expected a folder, found a symbolic link to nothing"),
+        ("file/x.json", "file: expected a folder, found a file"),
+    ],
+)
+def test_a_folder_that_is_something_else_is_named(tmp_path: Path, path: str, what: str) -> None:
+    (tmp_path / "link").symlink_to("nowhere")
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError, match=re.escape(what)), write_atomically(tmp_path / path):
+        pass
+    assert not (tmp_path / "nowhere").exists()
+
+
 def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
     path = tmp_path / "x.bin"
     path.write_bytes(b"old")

@@ -6,7 +6,13 @@
 - `regular`: opening and reading regular files only.
 """
 
-from magical.files.atomic import is_partial, link_atomically, remove_partial_files, write_atomically
+from magical.files.atomic import (
+    is_partial,
+    link_atomically,
+    make_folder,
+    remove_partial_files,
+    write_atomically,
+)
 from magical.files.lock import LockedError, is_locked, lock_now, locked
 from magical.files.owned import LOCK, OwnedFolder, is_out_of_space
 from magical.files.regular import open_regular, read_regular, sha256_sum
@@ -21,6 +27,7 @@ __all__ = [
     "link_atomically",
     "lock_now",
     "locked",
+    "make_folder",
     "open_regular",
     "read_regular",
     "remove_partial_files",

@@ -24,7 +24,7 @@ def write_atomically(path: Path | str) -> Iterator[IO[bytes]]:
         OSError: the folder cannot be made or written to, or the disk is full.
     """
     target = Path(path)
-    target.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(target.parent)
     temporary = _temporary(target)
     file = temporary.open("xb")  # x: never a file or link that is there already
     with _removed(temporary), file:
@@ -33,6 +33,20 @@ def write_atomically(path: Path | str) -> Iterator[IO[bytes]]:
         with temporary.open("r+b") as whole:
             os.fsync(whole.fileno())
         temporary.replace(target)
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder and those above it, where they are missing.
+
+    Raises:
+        OSError: a folder cannot be made; a message of ours where something else is in its place.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except FileExistsError as error:
+        found = Path(error.filename)
+        what = "a symbolic link to nothing" if found.is_symlink() else "a file"
+        raise FileExistsError(f"{found}: expected a folder, found {what}") from error
 
 
 def link_atomically(source: Path, target: Path) -> None:

@@ -9,7 +9,7 @@ from magical.demos.store.dataset import stored_files
 from magical.demos.store.manifest import ManifestEntry
 from magical.demos.store.trajectory import Trajectory
 from magical.errors import DatasetError
-from magical.files import LOCK, locked, remove_partial_files, write_atomically
+from magical.files import LOCK, locked, make_folder, remove_partial_files, write_atomically
 
 
 class DatasetWriter:
@@ -63,7 +63,7 @@ class DatasetWriter:
             raise
 
     def _create(self) -> None:
-        (self.path / manifest.FOLDER).mkdir(parents=True, exist_ok=True)
+        make_folder(self.path / manifest.FOLDER)
         with locked(self.path / LOCK):  # which all writers of these files hold
             remove_partial_files(self.path, manifest.NAME)
             remove_partial_files(self.path / manifest.FOLDER, "*.npz")
