@@ -20,7 +20,6 @@ from magical.messages import printable
 from magical.processes import available_cores, map_in_processes
 
 SUFFIX = ".pkl.gz"
-Progress = Callable[[int], None]  # called with the number of files finished since the last call
 
 
 class Keep(StrEnum):
@@ -65,7 +64,7 @@ def import_published(
     max_bytes: int = MAX_UNPACKED,
     skip_duplicates: bool = False,
     sums: Mapping[Path, str] | None = None,
-    progress: Progress | None = None,
+    progress: Callable[[int], None] = lambda _: None,
 ) -> ImportReport:
     """Append published files to a dataset, in their order; a bad file does not stop the others.
 
@@ -79,7 +78,7 @@ def import_published(
         max_bytes: the most that one file may unpack to.
         skip_duplicates: leave out files with the actions and frames of an earlier one.
         sums: the SHA-256 sum of every file; a file with another one is not imported.
-        progress: called with the number of files finished since the last call.
+        progress: called with the number of files that were finished since it was last called.
 
     Raises:
         DatasetError: the dataset cannot be written; what was imported before stays.
@@ -89,28 +88,34 @@ def import_published(
     wanted = [file for file in files if (file.name, _sum(file)) not in known]
     report = ImportReport(already=[file.name for file in files if file not in set(wanted)])
     first = {entry.fingerprint: entry.source or entry.file for entry in entries}
-    advance = progress or (lambda _: None)
-    advance(len(report.already))
+    progress(len(report.already))
     workers = min(workers or available_cores(), len(wanted))
     convert = partial(_convert, keep=keep, max_bytes=max_bytes, sums=sums)
     with closing(map_in_processes(convert, wanted, workers, on_error="return")) as results:
         for file, result in zip(wanted, results, strict=True):
-            advance(1)
+            progress(1)
             if isinstance(result, Exception):
                 report.failed.append((str(file), _reason(file, result)))
                 continue
             entry, raw, problem = result
-            if earlier := first.get(entry.fingerprint):  # perhaps of the same name
-                later = str(file) if earlier == file.name else file.name
-                report.duplicates.append((later, earlier))
-                if skip_duplicates:
-                    continue
-            first.setdefault(entry.fingerprint, file.name)
+            if _is_copy(entry, file, first, report.duplicates) and skip_duplicates:
+                continue
             writer.append_encoded(entry, raw)
             report.imported.append(file.name)
             if problem:
                 report.without_poses.append((file.name, problem))
     return report
+
+
+def _is_copy(
+    entry: ManifestEntry, file: Path, first: dict[str, str], copies: list[tuple[str, str]]
+) -> bool:
+    """Note whether an earlier file, perhaps of the same name, has the actions and frames of one."""
+    if earlier := first.get(entry.fingerprint):
+        copies.append((str(file) if earlier == file.name else file.name, earlier))
+        return True
+    first[entry.fingerprint] = file.name
+    return False
 
 
 def _sum(file: Path) -> str:

@@ -1,0 +1,79 @@
+"""Every command that writes takes a relative path, with spaces, into another folder."""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from magical.cli import main
+from magical.conformance.recordings import recording_path
+from magical.demos.generate import generate
+from tests.demos.conftest import Published
+
+ENV = "magical/MoveToRegion-Demo-v0"
+PLAN = """
+tasks = ["MoveToRegion"]
+seeds = [0]
+num_demos = 1
+preset = "quick"
+rollouts = 1
+variants = ["Demo"]
+
+[[methods]]
+name = "BC"
+algorithm = "bc"
+settings = { batches = 2, batch_size = 2 }
+"""
+EVALUATED = "--task MoveToRegion --variants Demo --rollouts 1"
+TRAINED = "--task MoveToRegion --num-demos 1 --batches 2 --batch-size 2 --preset quick"
+RECORDED = recording_path("scores.json.gz")
+COMMANDS = {  # the command, what it needs, what it writes below --out
+    "import": ("demos import {in}/published --frames-only --workers 1", "", "manifest.jsonl"),
+    "generate": (f"demos generate --env {ENV} -n 1 --workers 1", "", "manifest.jsonl"),
+    "video": ("demos video {in}/demos", "", ".webp"),
+    "lerobot": ("demos export {in}/demos --to lerobot", "av pyarrow", "meta/info.json"),
+    "minari": ("demos export {in}/demos --to minari", "minari", "magical"),
+    "evaluate": (f"evaluate noop {EVALUATED}", "", "entry.json"),
+    "report": ("report {in}/entry", "jinja2 matplotlib", ".html"),
+    "leaderboard": ("leaderboard {in}/entry", "jinja2 matplotlib", "index.html"),
+    "gallery": ("gallery --task MoveToRegion", "jinja2", "index.html"),
+    "show": (f"show {ENV}", "", ".png"),
+    "train": (f"train bc {TRAINED} --demos {{in}}/demos", "torch", "config.json"),
+    "run": ("run {in}/plan.toml --demos {in}/demos --workers 1", "torch", "plan.json"),
+    "conformance": (f"conformance scores {RECORDED}", "", ".json"),
+}
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset, a published file, an entry and a plan, in a folder with a space in its name."""
+    folder = tmp_path_factory.mktemp("other") / "the inputs"
+    generate(ENV, 1, folder / "demos", workers=1)
+    (folder / "published").mkdir()
+    Published().write(folder / "published" / "demo.pkl.gz")
+    assert main(["evaluate", "noop", *EVALUATED.split(), "--out", str(folder / "entry")]) == 0
+    (folder / "plan.toml").write_text(PLAN)
+    return folder
+
+
+@pytest.mark.parametrize("out", ["out", "../else where/the out"])
+@pytest.mark.parametrize("command", COMMANDS)
+def test_paths_are_the_callers(
+    tmp_path: Path, inputs: Path, monkeypatch: pytest.MonkeyPatch, command: str, out: str
+) -> None:
+    words, needed, written = COMMANDS[command]
+    if missing := [module for module in needed.split() if not find_spec(module)]:
+        pytest.skip(f"needs {', '.join(missing)}, of an optional extra")
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    suffix = written if written.startswith(".") else ""
+    relative = f"../{inputs.parent.name}/{inputs.name}"
+    (tmp_path / inputs.parent.name).symlink_to(inputs.parent)
+    arguments = [word.replace("{in}", relative) for word in words.split()]
+    assert main([*arguments, "--out", f"{out}{suffix}"]) == 0
+    target = here / f"{out}{suffix}"
+    assert target.is_file() if suffix else (target / written).exists()
+    folders = [path.name for path in (here, tmp_path) for path in path.iterdir()]
+    expected = {"here", inputs.parent.name, Path(out).parts[-2] if ".." in out else target.name}
+    assert set(folders) == expected
