@@ -3,12 +3,14 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from types import MappingProxyType
 
 import numpy as np
 
 from magical.demos.store.trajectory import Trajectory
 from magical.envs.ids import EnvId
+from magical.grouping import group_by
 from magical.physics import Simulation
 
 # Mean scores (published code's rule) of 25 human demonstrations per task, replayed in the published
@@ -89,9 +91,7 @@ def replay(trajectory: Trajectory, file: str = "") -> Replay:
 
 def mean_replays(replays: Sequence[Replay]) -> list[MeanReplay]:
     """Means for each environment, sorted by id."""
-    groups: dict[EnvId, list[Replay]] = {}
-    for replayed in replays:
-        groups.setdefault(replayed.env_id, []).append(replayed)
+    groups = group_by(replays, attrgetter("env_id"))
     return [_mean(env_id, groups[env_id]) for env_id in sorted(groups)]
 
 

@@ -21,8 +21,13 @@ from magical.demos import Dataset
 from magical.demos.human.published import read_published
 from magical.demos.human.safe_pickle import Record, load
 from magical.errors import MagicalError, UnsafeFileError
+from tests.demos.conftest import name, text
 
 MARKER = Path("executed")  # in the working folder, which is the test's own
+P4 = b"\x80\x04"  # PROTO
+RECONSTRUCT = name("numpy.core.multiarray", "_reconstruct")
+RECORD = name("milbench.baselines.saved_trajectories", "MILBenchTrajectory")
+ORDERED_DICT, DTYPE = name("collections", "OrderedDict"), name("numpy", "dtype")
 SCRIPT = f"open({str(MARKER)!r}, 'w').close()"
 
 
@@ -40,25 +45,20 @@ def dumped(function: Any, *arguments: Any, protocol: int = 4) -> bytes:
     return pickle.dumps(Calls(function, *arguments), protocol)
 
 
-def text(value: str) -> bytes:
-    return b"\x8c" + bytes([len(value)]) + value.encode()
-
-
 def called(module: str, attribute: str, *arguments: str) -> bytes:
-    """STACK_GLOBAL and REDUCE, without the pickle's frame."""
-    packed = b"(" + b"".join(text(argument) for argument in arguments) + b"t"
-    return text(module) + text(attribute) + b"\x93" + packed + b"R"
+    """STACK_GLOBAL and REDUCE."""
+    packed = b"(" + b"".join(map(text, arguments)) + b"t"
+    return name(module, attribute) + packed + b"R"
 
 
 def nested(payload: bytes) -> bytes:
     """A payload where a trajectory's observations should be."""
-    record = text("milbench.baselines.saved_trajectories") + text("MILBenchTrajectory") + b"\x93"
-    return b"\x80\x04}" + text("trajectory") + record + b"(N" + payload + b"]]t\x81s."
+    return b"\x80\x04}" + text("trajectory") + RECORD + b"(N" + payload + b"]]t\x81s."
 
 
 def memoised() -> bytes:
     """The names lie in the memo long before STACK_GLOBAL takes them from there."""
-    first = b"\x80\x04" + text("os") + b"\x940" + text("system") + b"\x940"
+    first = P4 + text("os") + b"\x940" + text("system") + b"\x940"
     return first + b"h\x00h\x01\x93" + b"(" + text(f"touch {MARKER}") + b"tR."
 
 
@@ -86,97 +86,57 @@ MALICIOUS: dict[str, Callable[[], bytes]] = {
         b"c__builtin__\nexec\n(S" + repr(SCRIPT).encode() + b"\ntR."
     ),
     "getattr chain": lambda: (
-        b"\x80\x04"
-        + text("builtins")
-        + text("getattr")
-        + b"\x93("
+        P4
+        + name("builtins", "getattr")
+        + b"("
         + called("importlib", "import_module", "os")
         + text("system")
         + b"tR("
         + text(TOUCH)
         + b"tR."
     ),
-    "dotted name": lambda: b"\x80\x04" + called("os", "path.os.system", TOUCH) + b".",
+    "dotted name": lambda: P4 + called("os", "path.os.system", TOUCH) + b".",
     "subprocess": lambda: dumped(subprocess.check_call, ["touch", str(MARKER)]),
     "nested in the trajectory": lambda: nested(called(OS, "system", TOUCH)),
     "memoised STACK_GLOBAL": memoised,
     "extension code": extended,
     "INST": lambda: b"(S" + repr(TOUCH).encode() + b"\ni" + OS.encode() + b"\nsystem\n.",
     "OBJ": lambda: b"(c" + OS.encode() + b"\nsystem\nS" + repr(TOUCH).encode() + b"\no.",
-    "open for writing": lambda: b"\x80\x04" + called("io", "open", str(MARKER), "w") + b".",
+    "open for writing": lambda: P4 + called("io", "open", str(MARKER), "w") + b".",
     "numpy saving a file": lambda: (
-        b"\x80\x04"
-        + text("numpy")
-        + text("save")
-        + b"\x93("
-        + text(str(MARKER))
-        + b"]K\x01aK\x00tR0N."
+        P4 + name("numpy", "save") + b"(" + text(str(MARKER)) + b"]K\x01aK\x00tR0N."
     ),
-    "runpy": lambda: b"\x80\x04" + called("runpy", "run_path", "evil.py") + b".",
+    "runpy": lambda: P4 + called("runpy", "run_path", "evil.py") + b".",
     "state of an object": lambda: pickle.dumps(
         Calls(copyreg._reconstructor, object, object, None, state=Calls(os.system, TOUCH))  # type: ignore[attr-defined]
     ),
 }
 UNSUPPORTED: dict[str, bytes] = {
-    "NEWOBJ_EX": b"\x80\x04"
-    + text("subprocess")
-    + text("Popen")
-    + b"\x93)}"
+    "NEWOBJ_EX": P4
+    + name("subprocess", "Popen")
+    + b")}"
     + text("args")
     + b"]("
     + text("touch")
     + text(str(MARKER))
     + b"es\x92.",
-    "persistent id": b"\x80\x04" + text("x") + b"Q.",
+    "persistent id": P4 + text("x") + b"Q.",
     "persistent id as text": b"Pos.system\n.",
-    "numpy loading a file": b"\x80\x04" + called("numpy", "load", "evil.npy") + b".",
-    "BUILD on a function": b"\x80\x04"
-    + text("numpy.core.multiarray")
-    + text("_reconstruct")
-    + b"\x93}"
-    + text("__code__")
-    + b"Nsb.",
-    "BUILD on a function by slots": b"\x80\x04"
-    + text("numpy.core.multiarray")
-    + text("_reconstruct")
-    + b"\x93N}"
-    + text("__code__")
-    + b"Ns\x86b.",
-    "BUILD on a class": b"\x80\x04"
-    + text("collections")
-    + text("OrderedDict")
-    + b"\x93}"
-    + text("__setitem__")
-    + b"Nsb.",
-    "calling ndarray": b"\x80\x04"
-    + text("numpy")
-    + text("ndarray")
-    + b"\x93J\xff\xff\xff\x7f\x85R.",
-    "reconstructing another class": b"\x80\x04"
-    + text("numpy.core.multiarray")
-    + text("_reconstruct")
-    + b"\x93"
-    + text("collections")
-    + text("OrderedDict")
-    + b"\x93K\x00\x85C\x01b\x87R.",
-    "object dtype": b"\x80\x04"
-    + text("numpy")
-    + text("dtype")
-    + b"\x93"
-    + text("O8")
-    + b"K\x00K\x01\x87R.",
-    "allowed module, other name": b"\x80\x04" + text("numpy") + text("fromfile") + b"\x93.",
-    "the five under another module": b"\x80\x04"
-    + text("numpy._core.multiarray")
-    + text("_reconstruct")
-    + b"\x93.",
-    "dotted from an allowed name": b"\x80\x04"
-    + text("collections")
-    + text("OrderedDict.__init__.__globals__")
-    + b"\x93.",
+    "numpy loading a file": P4 + called("numpy", "load", "evil.npy") + b".",
+    "BUILD on a function": P4 + RECONSTRUCT + b"}" + text("__code__") + b"Nsb.",
+    "BUILD on a function by slots": P4 + RECONSTRUCT + b"N}" + text("__code__") + b"Ns\x86b.",
+    "BUILD on a class": P4 + ORDERED_DICT + b"}" + text("__setitem__") + b"Nsb.",
+    "calling ndarray": P4 + name("numpy", "ndarray") + b"J\xff\xff\xff\x7f\x85R.",
+    "reconstructing another class": P4 + RECONSTRUCT + ORDERED_DICT + b"K\x00\x85C\x01b\x87R.",
+    "object dtype": P4 + DTYPE + text("O8") + b"K\x00K\x01\x87R.",
+    "allowed module, other name": P4 + name("numpy", "fromfile") + b".",
+    "the five under another module": P4 + name("numpy._core.multiarray", "_reconstruct") + b".",
+    "dotted from an allowed name": P4
+    + name("collections", "OrderedDict.__init__.__globals__")
+    + b".",
     "a buffer out of band": b"\x80\x05\x97.",
     "a set": b"\x80\x04\x8f.",
-    "terminal escapes": b"\x80\x04" + text("os\x1b[2J\x07") + text("system") + b"\x93.",
+    "terminal escapes": P4 + name("os\x1b[2J\x07", "system") + b".",
     "underflow": b"\x80\x04R.",
     "no end": b"\x80\x04]",
     "two values": b"\x80\x04]].",
@@ -245,7 +205,7 @@ def test_message_names_the_byte_and_the_reason() -> None:
     with pytest.raises(
         UnsafeFileError, match=r"byte 2\d.*expected only numpy .*, found the name os\.system"
     ):
-        load(io.BytesIO(b"\x80\x04" + text("a" * 8) + called("os", "system")), lambda a: a)
+        load(io.BytesIO(P4 + text("a" * 8) + called("os", "system")), lambda a: a)
 
 
 def test_bad_file_does_not_stop_the_others(
@@ -271,37 +231,27 @@ def test_bad_file_does_not_stop_the_others(
 
 DEEP = b")" + b"\x85" * 100_000  # a tuple in a tuple in a tuple ...
 DOUBLED = b")" + b"".join(b"\x94h" + bytes([i]) + b"\x86" for i in range(100))  # 2^100 elements
-NUMPY_DTYPE = text("numpy") + text("dtype") + b"\x93"
-UINT8 = NUMPY_DTYPE + text("u1") + b"K\x00K\x01\x87R"
-NEW_ARRAY = (
-    text("numpy.core.multiarray")
-    + text("_reconstruct")
-    + b"\x93"
-    + text("numpy")
-    + text("ndarray")
-    + b"\x93K\x00\x85C\x01b\x87R"
-)
+UINT8 = DTYPE + text("u1") + b"K\x00K\x01\x87R"
+NEW_ARRAY = RECONSTRUCT + name("numpy", "ndarray") + b"K\x00\x85C\x01b\x87R"
 
 
 def in_every_place(value: bytes) -> Iterator[bytes]:
     """Pickles with a value in every place that is checked."""
-    record = text("milbench.baselines.saved_trajectories") + text("MILBenchTrajectory") + b"\x93"
-    reconstruct = text("numpy.core.multiarray") + text("_reconstruct") + b"\x93"
-    trajectory = text("trajectory") + record + b"(" + value + b"]]]t\x81"
+    trajectory = text("trajectory") + RECORD + b"(" + value + b"]]]t\x81"
     fields = (trajectory, text("score") + value, text("env_name") + value)
     yield b"\x80\x04}(" + b"".join(fields) + b"u."
     yield b"\x80\x04}(" + trajectory + text("score") + value
-    yield b"\x80\x04" + value + b"."
+    yield P4 + value + b"."
     yield b"\x80\x04}(" + value + b"Nu."
-    yield b"\x80\x04" + value + text("system") + b"\x93."
-    yield b"\x80\x04" + NUMPY_DTYPE + value + b"K\x00K\x01\x87R."
-    yield b"\x80\x04" + reconstruct + value + b"K\x00K\x01\x87R."
-    yield b"\x80\x04" + UINT8 + b"(K\x03" + value + b"NNNtb."
-    yield b"\x80\x04" + UINT8 + b"(K\x03" + text("|") + value + b"NNtb."
-    yield b"\x80\x04" + NEW_ARRAY + b"(" + value + b")" + UINT8 + b"\x89C\x00tb."
-    yield b"\x80\x04" + NEW_ARRAY + b"(K\x01" + value + UINT8 + b"\x89C\x00tb."
-    yield b"\x80\x04" + NEW_ARRAY + b"(K\x01" + value + b"\x85" + UINT8 + b"\x89C\x00tb."
-    yield b"\x80\x04" + NEW_ARRAY + b"(K\x01)" + value + b"\x89C\x00tb."
+    yield P4 + value + text("system") + b"\x93."
+    yield P4 + DTYPE + value + b"K\x00K\x01\x87R."
+    yield P4 + RECONSTRUCT + value + b"K\x00K\x01\x87R."
+    yield P4 + UINT8 + b"(K\x03" + value + b"NNNtb."
+    yield P4 + UINT8 + b"(K\x03" + text("|") + value + b"NNtb."
+    yield P4 + NEW_ARRAY + b"(" + value + b")" + UINT8 + b"\x89C\x00tb."
+    yield P4 + NEW_ARRAY + b"(K\x01" + value + UINT8 + b"\x89C\x00tb."
+    yield P4 + NEW_ARRAY + b"(K\x01" + value + b"\x85" + UINT8 + b"\x89C\x00tb."
+    yield P4 + NEW_ARRAY + b"(K\x01)" + value + b"\x89C\x00tb."
 
 
 def test_nested_and_shared_values_are_refused_at_once(here: Path, published: Any) -> None:
@@ -336,18 +286,16 @@ def test_nested_and_shared_values_are_refused_at_once(here: Path, published: Any
 
 def test_shape_that_overflows_is_refused(here: Path) -> None:
     huge = b"\x8a\xfa" + b"\x00" * 249 + b"\x01"  # LONG1
-    refuse(
-        here, b"\x80\x04" + NEW_ARRAY + b"(K\x01K\x00" + huge + b"\x86" + UINT8 + b"\x89C\x00tb."
-    )
+    refuse(here, P4 + NEW_ARRAY + b"(K\x01K\x00" + huge + b"\x86" + UINT8 + b"\x89C\x00tb.")
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs FIFOs and device files")
 def test_special_files_are_refused(here: Path) -> None:
     os.mkfifo(here / "fifo.pkl.gz")
     (here / "link.pkl.gz").symlink_to("/dev/zero")
-    for name in ("fifo", "link"):
+    for file in ("fifo", "link"):
         with pytest.raises(UnsafeFileError, match="not a regular file"):
-            read_published(here / f"{name}.pkl.gz")
+            read_published(here / f"{file}.pkl.gz")
 
 
 def test_linked_file_is_read(here: Path, published: Any) -> None:

@@ -49,8 +49,9 @@ def video_frames(trajectory: Trajectory) -> Iterator[Image]:
     With poses, both views are rendered at this size with the score at each time step; recorded
     frames are enlarged, and only the final score is known.
     """
-    views = [view for view in VIEWS if _has(trajectory, view)]
-    size = SIZE if trajectory.poses is not None else FRAME_SIZE
+    known = VIEWS if trajectory.frames is None else trajectory.frames
+    views = [view for view in VIEWS if trajectory.poses is not None or view in known]
+    size = FRAME_SIZE if trajectory.poses is None else SIZE
     sources = [Frames(trajectory, view, size) for view in views]
     frame: Any = None
     for time in range(len(trajectory) + 1):
@@ -61,10 +62,6 @@ def video_frames(trajectory: Trajectory) -> Iterator[Image]:
         yield frame
     for _ in range(LAST_FRAME_REPEATS):
         yield frame
-
-
-def _has(trajectory: Trajectory, view: str) -> bool:
-    return trajectory.poses is not None or view in (trajectory.frames or {})
 
 
 def _banner(trajectory: Trajectory, time: int, width: int) -> Image:

@@ -163,24 +163,18 @@ def _demonstration(data: Any, source: Mapping[str, str]) -> PublishedDemonstrati
     env_id = stored_env_id(env_name)
     if env_id.variant != "Demo":
         raise TrajectoryError(f"expected a Demo environment, found {quoted(env_name)}")
-    actions = checked_actions("acts", _values(record.acts))
-    packed = {view: _packed(record.obs, view, len(actions)) for view in View}
-    return PublishedDemonstration(env_id, actions, checked_score("score", score), source, packed)
-
-
-def _values(array: Any) -> NDArray[Any]:
-    if type(array) is not Array or array.values is None or array.values.ndim != 1:
-        raise TrajectoryError("acts: expected a one-dimensional array")
-    return array.values
-
-
-def _packed(observations: Any, view: View, actions: int) -> list[NDArray[np.uint8]]:
-    if type(observations) is not list or len(observations) != actions + 1:
+    acts = record.acts.values if type(record.acts) is Array else None
+    if acts is None:
+        raise TrajectoryError("acts: expected an array")
+    actions, observations = checked_actions("acts", acts), record.obs
+    if type(observations) is not list or len(observations) != len(actions) + 1:
         found = len(observations) if type(observations) is list else "none"
         raise TrajectoryError(
-            f"obs: expected {actions + 1} observations for {actions} actions, found {found}"
+            f"obs: expected {len(actions) + 1} observations for {len(actions)} actions, "
+            f"found {found}"
         )
-    return [_frame(observation, str(view)) for observation in observations]
+    packed = {view: [_frame(observed, str(view)) for observed in observations] for view in View}
+    return PublishedDemonstration(env_id, actions, checked_score("score", score), source, packed)
 
 
 def _frame(observation: Any, view: str) -> NDArray[np.uint8]:

@@ -1,13 +1,14 @@
 """Summaries of a dataset, and duplicates in it."""
 
-from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 
 from magical.demos.store.dataset import Dataset
 from magical.demos.store.manifest import ManifestEntry
+from magical.grouping import group_by
 from magical.scene import ACTION_NAMES, NUM_ACTIONS
 
 
@@ -41,19 +42,8 @@ def summarise_dataset(dataset: Dataset) -> list[DatasetSummary]:
         DatasetError: a trajectory is damaged; `Dataset.open(..., skip_damaged=True)` leaves those
             out.
     """
-    groups: dict[str, list[ManifestEntry]] = {}
-    actions: dict[str, np.ndarray[tuple[int], np.dtype[np.int64]]] = {}
-    labelled: Counter[str] = Counter()
-    for entry in dataset.entries:
-        groups.setdefault(entry.env_id, []).append(entry)
-        trajectory = dataset.read(entry)
-        counts = np.bincount(trajectory.actions, minlength=NUM_ACTIONS)
-        actions[entry.env_id] = actions.get(entry.env_id, 0) + counts
-        labelled[entry.env_id] += trajectory.expert_actions is not None
-    return [
-        _summary(env_id, groups[env_id], labelled[env_id], actions[env_id].tolist())
-        for env_id in sorted(groups)
-    ]
+    groups = group_by(dataset.entries, attrgetter("env_id"))
+    return [_summary(Dataset(dataset.path, groups[env_id])) for env_id in sorted(groups)]
 
 
 def find_duplicates(entries: Iterable[ManifestEntry]) -> list[tuple[str, str]]:
@@ -67,13 +57,16 @@ def find_duplicates(entries: Iterable[ManifestEntry]) -> list[tuple[str, str]]:
     return pairs
 
 
-def _summary(
-    env_id: str, entries: list[ManifestEntry], labelled: int, actions: list[int]
-) -> DatasetSummary:
+def _summary(part: Dataset) -> DatasetSummary:
+    entries = part.entries
     lengths = [entry.length for entry in entries]
     scores = [entry.score for entry in entries if entry.score is not None]
+    actions, labelled = np.zeros(NUM_ACTIONS, np.int64), 0
+    for trajectory in part:
+        actions += np.bincount(trajectory.actions, minlength=NUM_ACTIONS)
+        labelled += trajectory.expert_actions is not None
     return DatasetSummary(
-        env_id=env_id,
+        env_id=entries[0].env_id,
         count=len(entries),
         with_poses=sum(entry.has_poses for entry in entries),
         with_expert_actions=labelled,
@@ -82,5 +75,5 @@ def _summary(
         score=float(np.mean(scores)) if scores else None,
         published_code_score=float(np.mean([entry.published_code_score for entry in entries])),
         size=sum(entry.size for entry in entries),
-        actions=tuple(actions),
+        actions=tuple(actions.tolist()),
     )

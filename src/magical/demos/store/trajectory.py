@@ -86,7 +86,12 @@ class Trajectory:
             object.__setattr__(self, "poses", self._checked_poses(self.poses))
         if self.frames is not None:
             object.__setattr__(self, "frames", self._checked_frames(self.frames))
-        self._check_scores()
+        if self.score is not None:
+            object.__setattr__(self, "score", checked_score("score", self.score))
+        elif self.poses is not None:
+            raise TrajectoryError("score: expected a number where poses are known; use from_poses")
+        published = checked_score("published_code_score", self.published_code_score)
+        object.__setattr__(self, "published_code_score", published)
         object.__setattr__(self, "seed", _checked_seed(self.seed))
         if not isinstance(self.demonstrator, str) or not 0 < len(self.demonstrator) <= MAX_NAME:
             raise TrajectoryError(
@@ -193,17 +198,6 @@ class Trajectory:
                     f"{len(self.actions)} actions), found {array.dtype} {array.shape}"
                 )
         return {view: _frozen(array) for view, array in arrays.items()}
-
-    def _check_scores(self) -> None:
-        if self.score is None and self.poses is not None:
-            raise TrajectoryError(
-                "score: expected the appendix's score, found None; use from_poses"
-            )
-        for name in ("score", "published_code_score"):
-            value = getattr(self, name)
-            if value is None and name == "score":
-                continue
-            object.__setattr__(self, name, checked_score(name, value))
 
 
 def _frozen(array: NDArray[Any]) -> NDArray[Any]:
