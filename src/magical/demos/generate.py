@@ -44,7 +44,7 @@ def generate(
     perturb: float = 0.0,
     min_score: float = 0.0,
     workers: int | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], None] = lambda _: None,
 ) -> GenerateReport:
     """Append `number` demonstrations by the task's scripted expert to a dataset.
 
@@ -66,10 +66,9 @@ def generate(
     check_share("perturb", perturb)
     workers = available_cores() if workers is None else workers
     modules = modules_of(parsed.task) if workers > 1 else []
-    writer = DatasetWriter(out)
     attempt = partial(_attempt, modules, parsed, seed, skill, perturb)
+    writer, dropped = DatasetWriter(out), 0
     scores: list[float] = []
-    dropped = 0
     with closing(map_in_processes(attempt, count(first), workers)) as results:
         while len(scores) < number:
             if dropped > MAX_DROPPED * number:
@@ -83,8 +82,7 @@ def generate(
                 continue
             writer.append_encoded(entry, raw)
             scores.append(entry.final_score)
-            if progress:
-                progress(1)
+            progress(1)
     return GenerateReport(env_id, len(scores), dropped, tuple(scores))
 
 
