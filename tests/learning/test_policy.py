@@ -187,7 +187,7 @@ def test_folders_that_hold_no_usable_run_are_named(run: Path, tmp_path: Path) ->
     with pytest.raises(CheckpointError, match="expected a file, found none"):
         load_policy(copy)
     (copy / "config.json").write_text("{")
-    with pytest.raises(RunFolderError, match=r"config\.json: expected a file of a run"):
+    with pytest.raises(RunFolderError, match=r"config\.json: expected JSON"):
         load_policy(copy)
 
 

@@ -113,8 +113,17 @@ def test_a_run_that_was_there_before_is_kept(folder: Path) -> None:
     assert is_run(folder)
 
 
-@pytest.mark.parametrize(("text", "found"), [("{", "Expecting property"), ("[]", "list")])
-def test_damaged_files_are_named(tmp_path: Path, text: str, found: str) -> None:
-    (tmp_path / CONFIG).write_text(text)
-    with pytest.raises(RunFolderError, match=rf"config\.json: expected .* found .*{found}"):
-        read_json(tmp_path / CONFIG)
+def test_damaged_and_special_files_are_named(tmp_path: Path) -> None:
+    (tmp_path / "damaged").write_text("{")
+    (tmp_path / "list").write_text("[]")
+    os.mkfifo(tmp_path / "fifo")
+    (tmp_path / "endless").symlink_to("/dev/zero")
+    for name, problem in {
+        "damaged": "expected JSON, found something else",
+        "list": r"expected object, found \[\]",
+        "fifo": "expected a readable file, found not a regular file",
+        "endless": "expected a readable file, found not a regular file",
+        "missing": "expected a readable file, found No such file",
+    }.items():
+        with pytest.raises(RunFolderError, match=f"{name}: {problem}"):
+            read_json(tmp_path / name)

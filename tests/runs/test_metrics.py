@@ -46,9 +46,19 @@ def test_metrics_after_the_checkpoint_are_dropped(tmp_path: Path) -> None:
     assert [row["loss"] for row in read_metrics(tmp_path)] == [0.5, 0.25, 0.75]
 
 
-@pytest.mark.parametrize("line", ["{half", "[]", '{"loss": 1}'])
-def test_a_damaged_line_is_named(tmp_path: Path, line: str) -> None:
+@pytest.mark.parametrize(
+    ("line", "found"),
+    [
+        (b"{half", "expected JSON, found something else"),
+        (b"[]", "expected object, found []"),
+        (b'{"loss": 1}', "expected a step, found {'loss': 1}"),
+        (b'{"step": "1"}', "expected a step, found {'step': '1'}"),
+        (b'{"step": 1, "loss": "\xff"}', "expected JSON, found something else"),
+    ],
+)
+def test_a_damaged_line_is_named(tmp_path: Path, line: bytes, found: str) -> None:
     write(tmp_path, 0, (1, 0.5))
-    append(tmp_path, f"{line}\n")
-    with pytest.raises(RunFolderError, match=f"line 2: .* found {re.escape(line)}"):
+    with (tmp_path / METRICS).open("ab") as file:
+        file.write(line + b"\n")
+    with pytest.raises(RunFolderError, match=re.escape(f"line 2: {found}")):
         read_metrics(tmp_path)

@@ -20,10 +20,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from magical import __version__
+from magical import __version__, untrusted
 from magical.errors import RunFolderError
 from magical.files import LOCK, OwnedFolder, write_atomically
-from magical.untrusted import check_plain
 
 CONFIG = "config.json"
 RECORD = "run.json"
@@ -137,15 +136,8 @@ def versions() -> dict[str, str]:
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON object; raises `RunFolderError` if it is missing or damaged."""
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        check_plain(data)
-    except (OSError, ValueError, RecursionError) as error:
-        raise RunFolderError(f"{path}: expected a file of a run, found {error}") from error
-    if not isinstance(data, dict):
-        raise RunFolderError(f"{path}: expected a JSON object, found {type(data).__name__}")
-    return data
+    """Read a JSON object of a run; raises `RunFolderError` if it is missing or damaged."""
+    return untrusted.read_json(path, dict[str, Any], RunFolderError)
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:

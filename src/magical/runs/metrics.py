@@ -8,7 +8,9 @@ from typing import Any
 
 from magical.errors import RunFolderError
 from magical.files import write_atomically
+from magical.messages import quoted
 from magical.runs.folder import METRICS
+from magical.untrusted import read_json_lines
 
 
 class MetricsWriter:
@@ -43,18 +45,12 @@ def read_metrics(run: Path | str) -> list[dict[str, Any]]:
         RunFolderError: another line is no JSON object with a step.
     """
     path = Path(run) / METRICS
-    if not path.is_file():
+    if not path.exists():
         return []
-    rows = []
-    for number, line in enumerate(path.read_text(encoding="utf-8").split("\n")[:-1], 1):
-        try:
-            row = json.loads(line)
-            row["step"]
-        except (ValueError, TypeError, KeyError, RecursionError) as error:
-            raise RunFolderError(
-                f"{path}, line {number}: expected a JSON object with a step, found {line:.60}"
-            ) from error
-        rows.append(row)
+    rows = list(read_json_lines(path, dict[str, Any], RunFolderError))
+    for number, row in enumerate(rows, 1):
+        if not isinstance(row.get("step"), int):
+            raise RunFolderError(f"{path}: line {number}: expected a step, found {quoted(row)}")
     return rows
 
 

@@ -1,6 +1,7 @@
 """State dicts on disk."""
 
 import errno
+import os
 from contextlib import suppress
 from pathlib import Path
 
@@ -53,6 +54,14 @@ def test_missing_cut_and_foreign_files_are_named(tmp_path: Path) -> None:
         path.write_bytes(damaged)
         with pytest.raises(CheckpointError, match=r"c is damaged"):
             load_checkpoint(path)
+
+
+def test_special_files_are_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "fifo")
+    (tmp_path / "endless").symlink_to("/dev/zero")
+    for name in ("fifo", "endless"):
+        with pytest.raises(CheckpointError, match="not a regular file"):
+            load_checkpoint(tmp_path / name)
 
 
 def test_a_changed_bit_anywhere_is_refused_before_anything_is_read(tmp_path: Path) -> None:

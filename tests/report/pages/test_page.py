@@ -157,7 +157,7 @@ def test_the_report_of_a_folder_says_everything(
     for seed in (0, 1):
         folder = write_entry(f"runs/a{seed}", "<a>", scores, seed, details={"policy": "."})
         rows = [json.dumps({"step": step, "loss": 1 / (step + 1)}) for step in range(20)]
-        rows += ['{"step": "late", "loss": 1}', '{"step": 21, "loss": NaN}']
+        rows += ['{"step": 21, "loss": null}']
         (folder / "metrics.jsonl").write_text("\n".join(rows) + "\n")
     write_entry("runs/b", "$b_1", scores, details={"policy": "noop"})
     (write_entry("runs/bad", "bad", scores) / "scores.csv").write_text("bad")
@@ -180,7 +180,7 @@ def test_the_report_of_a_folder_says_everything(
     for words in (
         "3 evaluated runs of 2 methods; 2 skipped",
         "expected the header",
-        "expected a JSON object with a step",
+        "expected JSON, found something else",
         "1 of 2 runs",
         "not evaluated on Jitter, Layout, Colour, Dynamics",
         "Generalisation gaps",

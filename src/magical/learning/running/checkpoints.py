@@ -21,13 +21,14 @@ from torch import Tensor, nn
 from torch.optim import Optimizer
 
 from magical.errors import CheckpointError
-from magical.files import link_atomically, write_atomically
+from magical.files import link_atomically, read_regular, write_atomically
 from magical.runs.folder import CHECKPOINT, PREVIOUS
 
 StateDict = dict[str, Any]  # dicts with string keys, lists, tensors, and what JSON can hold
 
 _TENSOR = "__tensor__"
 _HEADER = "state"  # the key in the header
+MAX_BYTES = 1 << 34  # of a file
 DEVICE_OPTIONS = ("fused", "capturable")  # of optimisers
 
 # A file begins with the header's length and its JSON; the digest is the first entry in that.
@@ -65,7 +66,7 @@ def load_checkpoint(path: Path) -> StateDict:
         CheckpointError: the file is missing, damaged, or no checkpoint.
     """
     try:
-        data = path.read_bytes()
+        data = read_regular(path, MAX_BYTES)
     except FileNotFoundError as error:
         raise CheckpointError(f"checkpoint {path}: expected a file, found none") from error
     except OSError as error:
