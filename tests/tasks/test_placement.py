@@ -7,8 +7,9 @@ import pytest
 
 from magical.errors import InvalidSceneError, PlacementError
 from magical.scene import Block, Colour, Pose, Region, Scene, Shape
-from magical.tasks import TASKS, Axis, Placement, Task, check_placement, placement
+from magical.tasks import TASKS, Axis, Placement, Task, placement
 from magical.tasks.placement import sample_placement
+from tests.tasks.placement_rules import check_placement
 
 SCENES = 1000  # of each environment
 ENVIRONMENTS = [(task, variant) for task in TASKS.values() for variant in task.variants]

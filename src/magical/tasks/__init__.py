@@ -1,7 +1,6 @@
 """The tasks: Demo scenes, variants and scores. One file for each task; see `Task`."""
 
 from magical.tasks.axes import CHANGES, VARIANTS, Axis
-from magical.tasks.checking import check_placement
 from magical.tasks.horizons import (
     MAX_HORIZON,
     format_horizon,
@@ -31,7 +30,6 @@ __all__ = [
     "Horizon",
     "Placement",
     "Task",
-    "check_placement",
     "format_horizon",
     "get_task",
     "have_two_horizons",

@@ -35,7 +35,7 @@ CHANGES: Mapping[Axis, str] = MappingProxyType(
 NOTHING = Axis(0)
 EVERYTHING = ~NOTHING
 DEMO = "Demo"
-ALL = "TestAll"
+TEST_ALL = "TestAll"
 
 # The names used in environment ids. `TestAll` is what a task that supports every axis varies; see
 # `Task.axes_of` for the others.
@@ -48,7 +48,7 @@ VARIANTS: Mapping[str, Axis] = MappingProxyType(
         "TestShape": Axis.SHAPE,
         "TestCountPlus": Axis.LAYOUT | Axis.COLOUR | Axis.SHAPE | Axis.COUNT,
         "TestDynamics": Axis.DYNAMICS,
-        ALL: EVERYTHING & ~Axis.JITTER,
+        TEST_ALL: EVERYTHING & ~Axis.JITTER,
     }
 )
 

@@ -17,8 +17,6 @@ Variants: all.
 
 from magical.scene import SHAPES, Block, Colour, Pose, Poses, Scene, Shape
 from magical.tasks import clustering
-from magical.tasks.axes import EVERYTHING
-from magical.tasks.task import Task
 
 DEMO = Scene(
     robot=Pose(0.286, -0.202, -1.878),
@@ -45,28 +43,4 @@ def score(scene: Scene, poses: Poses) -> float:
     return clustering.score(scene, poses, shape_of)
 
 
-def published_score(scene: Scene, poses: Poses) -> float:
-    """The published code's score by shape (docs/specification.md, section 9)."""
-    return clustering.published_score(scene, poses, shape_of)
-
-
-def validate(scene: Scene) -> str:
-    """The reason why the scene does not fit the task, or an empty string."""
-    return clustering.validate(scene, shape_of, SHAPES)
-
-
-TASK = Task(
-    name="ClusterShape",
-    summary="Push the blocks into clusters of the same shape.",
-    section="A.2.7",
-    horizon=clustering.HORIZON,
-    published_horizon=clustering.PUBLISHED_HORIZON,
-    demo=DEMO,
-    axes=EVERYTHING,
-    randomise_fn=clustering.randomise,
-    score_fn=score,
-    published_score_fn=published_score,
-    max_blocks=clustering.BLOCKS[1],
-    max_regions=0,
-    validate_fn=validate,
-)
+TASK = clustering.make_task("shape", DEMO, shape_of, SHAPES, score)

@@ -1,4 +1,4 @@
-"""What ClusterColour and ClusterShape share: sampled attributes and both scores (appendix A.2.7).
+"""ClusterColour and ClusterShape but for their Demo scenes: attributes, scores (appendix A.2.7).
 
 A block of attribute value a is correctly clustered when its squared distance to the centroid of
 the blocks of value a is less than a third of that to the nearest other value's centroid. With f
@@ -10,14 +10,16 @@ squared distances, and scores from f = 0.75 (docs/specification.md, section 9).
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from magical.scene import COLOURS, SHAPES, Block, Poses, Scene
 from magical.tasks.attributes import cycle_blocks, sample_count, sample_covering
-from magical.tasks.axes import Axis
+from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.scoring import positions
+from magical.tasks.task import ScoreFn, Task
 
 HORIZON = 320  # control steps
 PUBLISHED_HORIZON = 240  # control steps
@@ -83,3 +85,24 @@ def validate(scene: Scene, attribute: Attribute, expected: Sequence[str]) -> str
     """The reason why the scene does not fit the task, or an empty string."""
     missing = [value for value in expected if value not in map(attribute, scene.blocks)]
     return f"expected at least one {' and one '.join(missing)} block, found none" if missing else ""
+
+
+def make_task(
+    what: str, demo: Scene, attribute: Attribute, values: Sequence[str], score_fn: ScoreFn
+) -> Task:
+    """The task that clusters blocks by `what`, an attribute with these values."""
+    return Task(
+        name=f"Cluster{what.capitalize()}",
+        summary=f"Push the blocks into clusters of the same {what}.",
+        section="A.2.7",
+        horizon=HORIZON,
+        published_horizon=PUBLISHED_HORIZON,
+        demo=demo,
+        axes=EVERYTHING,
+        randomise_fn=randomise,
+        score_fn=score_fn,
+        published_score_fn=partial(published_score, attribute=attribute),
+        max_blocks=BLOCKS[1],
+        max_regions=0,
+        validate_fn=partial(validate, attribute=attribute, expected=values),
+    )

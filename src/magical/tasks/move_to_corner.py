@@ -25,8 +25,8 @@ from magical.tasks.scoring import positions
 from magical.tasks.task import Task
 
 GOAL = (-WORKSPACE_HALF, WORKSPACE_HALF)  # the top left corner
-FAR = math.sqrt(2.0)  # units: no score from here on
-NEAR = FAR / 2  # units: full score within
+NO_SCORE = math.sqrt(2.0)  # units: no score from here on
+FULL_SCORE = NO_SCORE / 2  # units: full score within
 
 DEMO = Scene(
     robot=Pose(0.4, 0.0, 0.55 * math.pi),
@@ -43,7 +43,7 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
 def score(scene: Scene, poses: Poses) -> float:
     """How near the block is to the top left corner, 0 to 1 (appendix A.2.1)."""
     (block,) = positions(scene, poses)
-    return min(max((FAR - math.dist(block, GOAL)) / (FAR - NEAR), 0.0), 1.0)
+    return min(max((NO_SCORE - math.dist(block, GOAL)) / (NO_SCORE - FULL_SCORE), 0.0), 1.0)
 
 
 def progress(scene: Scene, poses: Poses) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 
 from magical.errors import InvalidSceneError, InvalidTaskError, UnknownNameError
 from magical.scene import Dynamics, Poses, Scene
-from magical.tasks.axes import ALL, VARIANTS, Axis
+from magical.tasks.axes import TEST_ALL, VARIANTS, Axis
 from magical.tasks.placement import Placement, sample_placement
 from magical.tasks.validation import validate_scene
 
@@ -60,15 +60,12 @@ class Task:
             raise InvalidTaskError(
                 f"{self.name}: expected a positive horizon, found {self.horizon}"
             )
-        self._check_axes()
-        self.validate(self.demo)
-
-    def _check_axes(self) -> None:
         needed = VARIANTS["TestCountPlus"]
         if Axis.COUNT in self.axes and needed not in self.axes:
             raise InvalidTaskError(
                 f"{self.name}: expected {needed} for the axis COUNT, found {self.axes}"
             )
+        self.validate(self.demo)
 
     @property
     def has_two_horizons(self) -> bool:
@@ -84,7 +81,9 @@ class Task:
     @property
     def variants(self) -> tuple[str, ...]:
         """Names of the variants that the task has, in the order of `VARIANTS`."""
-        return tuple(name for name, axes in VARIANTS.items() if name == ALL or axes in self.axes)
+        return tuple(
+            name for name, axes in VARIANTS.items() if name == TEST_ALL or axes in self.axes
+        )
 
     def axes_of(self, variant: str) -> Axis:
         """The axes along which a variant differs from Demo.
@@ -98,7 +97,9 @@ class Task:
         if variant not in self.variants:
             raise UnknownNameError(self._unknown_variant(variant))
         axes = VARIANTS[variant] & self.axes
-        return axes if variant != ALL or Axis.LAYOUT in axes else axes | self.axes & Axis.JITTER
+        if variant == TEST_ALL and Axis.LAYOUT not in axes:
+            return axes | self.axes & Axis.JITTER
+        return axes
 
     def _unknown_variant(self, variant: str) -> str:
         known = ", ".join(self.variants)

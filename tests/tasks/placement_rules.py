@@ -1,0 +1,85 @@
+"""Checks of a scene against a variant's placement rules (docs/specification.md, section 8).
+
+The counterpart of `magical.tasks.placement`, written from the rules and not from the sampler.
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import combinations, product
+from math import inf, pi
+
+from magical.errors import InvalidSceneError
+from magical.scene import Scene
+from magical.scene.solids import Solid
+from magical.tasks import Axis, Task
+from magical.tasks import validation as v
+from magical.tasks.placement import ANGLE_JITTER, POSITION_JITTER, SIZE_JITTER
+
+Pair = tuple[tuple[str, Solid], tuple[str, Solid]]
+
+
+def check_placement(task: Task, variant: str, scene: Scene, slack: float = v.ROUNDING) -> None:
+    """Raise `InvalidSceneError` for a scene that the task's variant may not start from.
+
+    `slack` is in units and radians, for rounded coordinates as in recordings.
+    """
+    task.validate(scene)
+    axes, demo = task.axes_of(variant), task.demo
+    if Axis.COUNT not in axes:
+        counts = [(len(s.blocks), len(s.regions)) for s in (demo, scene)]
+        near("counts", counts[0], counts[1], (0, 0), 0.0)
+    if axes & (Axis.JITTER | Axis.LAYOUT):
+        v.check_inside({**v.named_bodies(scene), **v.named_regions(scene)}, slack)
+        v.check_apart(kept_apart(task, scene), slack)
+        low, high = task.placement.region_size
+        sizes = [size for region in scene.regions for size in (region.height, region.width)]
+        middle, half = (low + high) / 2, (high - low) / 2
+        near("sizes", [middle] * len(sizes), sizes, [half] * len(sizes), slack)
+    jitter = POSITION_JITTER if Axis.JITTER in axes else inf
+    enclosed = task.placement.enclosed(len(scene.blocks))
+    if axes & (Axis.JITTER | Axis.LAYOUT):
+        for i, r in enclosed.items():
+            limit = min(task.placement.limit(scene.regions[r]), jitter)
+            block = scene.blocks[i].pose
+            near("enclosed", scene.regions[r].centre, block[:2], (limit, limit), slack)
+    if Axis.LAYOUT in axes:
+        angles = [scene.robot.angle, *(block.pose.angle for block in scene.blocks)]
+        near("angles", [0.0] * len(angles), angles, [pi] * len(angles), slack)
+    else:
+        check_near_demo(task, Axis.JITTER in axes, scene, slack)
+
+
+def kept_apart(task: Task, scene: Scene) -> Iterator[Pair]:
+    bodies, regions = list(v.named_bodies(scene).items()), list(v.named_regions(scene).items())
+    enclosed = {i + 1: r for i, r in task.placement.enclosed(len(scene.blocks)).items()}
+    yield from combinations(bodies, 2)
+    yield from combinations(regions, 2)
+    for (i, body), (j, region) in product(enumerate(bodies), enumerate(regions)):
+        if enclosed.get(i) != j:
+            yield body, region
+
+
+def check_near_demo(task: Task, jitter: bool, scene: Scene, slack: float) -> None:
+    position, angle, size = (
+        jitter * limit for limit in (POSITION_JITTER, ANGLE_JITTER, SIZE_JITTER)
+    )
+    limits = (position, position, angle)
+    enclosed = task.placement.enclosed(len(scene.blocks)) if jitter else {}
+    near("the robot", task.demo.robot, scene.robot, limits, slack)
+    for i, (old, new) in enumerate(zip(task.demo.blocks, scene.blocks, strict=True)):
+        first = 2 if i in enclosed else 0  # an enclosed block's position follows its region instead
+        near(f"block {i}", old.pose[first:], new.pose[first:], limits[first:], slack)
+    for before, after in zip(task.demo.regions, scene.regions, strict=True):
+        found = [(r.x, r.y, r.height, r.width) for r in (before, after)]
+        near("the region", found[0], found[1], (position, position, size, size), slack)
+
+
+def near(
+    what: str,
+    expected: Sequence[float],
+    found: Sequence[float],
+    limits: Sequence[float],
+    slack: float,
+) -> None:
+    for centre, value, limit in zip(expected, found, limits, strict=True):
+        if abs(value - centre) > limit + slack:
+            raise InvalidSceneError(f"{what}: expected {centre:g} +- {limit:g}, found {value:g}")
