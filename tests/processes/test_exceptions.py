@@ -5,13 +5,13 @@ from typing import Any
 import pytest
 
 from magical.errors import UnknownNameError, WorkerError
-from magical.processes import WorkerTraceback, map_in_processes
+from magical.processes import WorkerTraceback, map_in_processes, outcomes_in_processes
 from tests.processes import work
 
 
 def sent(*kinds: str) -> list[Any]:
     """The exceptions that children have raised."""
-    return list(map_in_processes(work.raise_error, kinds, 2, on_error="return"))
+    return list(outcomes_in_processes(work.raise_error, kinds, 2))
 
 
 def test_built_in_exceptions_and_the_packages_own_keep_everything() -> None:

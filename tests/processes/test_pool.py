@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from magical.errors import WorkerDiedError
-from magical.processes import ProcessPool, available_cores, map_in_processes
+from magical.processes import ProcessPool, available_cores, map_in_processes, outcomes_in_processes
 from tests.processes import work
 from tests.waiting import gone, soon
 
@@ -68,7 +68,7 @@ def test_closing_kills_the_processes_in_the_middle_of_their_work(tmp_path: Path)
 
 
 def test_a_dead_process_costs_one_item_and_is_replaced() -> None:
-    results = map_in_processes(partial(work.exit_at, 5), range(30), 2, on_error="return")
+    results = outcomes_in_processes(partial(work.exit_at, 5), range(30), 2)
     items = [result if isinstance(result, Exception) else result[0] for result in results]
     died = items.pop(5)
     assert isinstance(died, WorkerDiedError)
@@ -78,7 +78,7 @@ def test_a_dead_process_costs_one_item_and_is_replaced() -> None:
 
 def test_all_processes_may_die() -> None:
     numbers = [signal.SIGSEGV, signal.SIGKILL, 35, signal.SIGSEGV, signal.SIGTERM]
-    results = list(map_in_processes(work.kill_itself, numbers, 2, on_error="return"))
+    results = list(outcomes_in_processes(work.kill_itself, numbers, 2))
     assert [str(result) for result in results] == [
         f"a worker process was killed by signal {end}"
         for end in ("11 (SIGSEGV)", "9 (SIGKILL)", "35", "11 (SIGSEGV)", "15 (SIGTERM)")
@@ -95,7 +95,7 @@ def test_an_exception_is_raised_or_returned(workers: int) -> None:
     with pytest.raises(ValueError, match="not this one") as caught:
         list(map_in_processes(work.raise_error, ["value"], workers))
     assert caught.value.args == ("not this one", 3)
-    file, value = map_in_processes(work.raise_error, ["file", "value"], workers, on_error="return")
+    file, value = outcomes_in_processes(work.raise_error, ["file", "value"], workers)
     assert type(file) is FileNotFoundError
     assert str(file) == "[Errno 2] No such file: 'name.txt'"
     assert type(value) is ValueError
@@ -165,7 +165,7 @@ def test_a_cancelled_task_is_not_computed_and_the_next_one_is(tmp_path: Path) ->
 
 
 def test_a_result_that_cannot_be_unpickled_costs_one_task() -> None:
-    results = list(map_in_processes(work.one_way, [True, False] * 2, 2, on_error="return"))
+    results = list(outcomes_in_processes(work.one_way, [True, False] * 2, 2))
     assert [type(result) for result in results] == [ZeroDivisionError, bool] * 2
 
 

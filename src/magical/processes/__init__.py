@@ -1,6 +1,7 @@
 """Child processes: one pool for finite work, and how every child is started and ended.
 
-- `map_in_processes` maps a function over items in several processes.
+- `map_in_processes` maps a function over items in several processes; `outcomes_in_processes` yields
+  exceptions too.
 - `ProcessPool` takes tasks one at a time, and gives their results in any order.
 - `Child` is one child process, for those that need more than that (the vector environment), and
   `serve` its side of the pipes.
@@ -8,7 +9,12 @@
 
 from magical.processes.channel import WorkerTraceback, serve
 from magical.processes.children import Child
-from magical.processes.pool import ProcessPool, available_cores, map_in_processes
+from magical.processes.pool import (
+    ProcessPool,
+    available_cores,
+    map_in_processes,
+    outcomes_in_processes,
+)
 
 __all__ = [
     "Child",
@@ -16,5 +22,6 @@ __all__ = [
     "WorkerTraceback",
     "available_cores",
     "map_in_processes",
+    "outcomes_in_processes",
     "serve",
 ]

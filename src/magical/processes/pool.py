@@ -9,7 +9,7 @@ from concurrent.futures import Future
 from contextlib import closing
 from queue import SimpleQueue
 from threading import Lock, Thread
-from typing import IO, Any, Literal, TypeVar, overload
+from typing import IO, Any, TypeVar
 
 from magical.errors import WorkerDiedError
 from magical.processes.channel import serve
@@ -26,33 +26,9 @@ def available_cores() -> int:
     return os.cpu_count() or 1
 
 
-@overload
 def map_in_processes(
-    work: Callable[[Item], Result],
-    items: Iterable[Item],
-    workers: int | None = None,
-    *,
-    on_error: Literal["raise"] = "raise",
-) -> Generator[Result, None, None]: ...
-
-
-@overload
-def map_in_processes(
-    work: Callable[[Item], Result],
-    items: Iterable[Item],
-    workers: int | None = None,
-    *,
-    on_error: Literal["return"],
-) -> Generator[Result | Exception, None, None]: ...
-
-
-def map_in_processes(
-    work: Callable[[Item], Result],
-    items: Iterable[Item],
-    workers: int | None = None,
-    *,
-    on_error: Literal["raise", "return"] = "raise",
-) -> Generator[Result | Exception, None, None]:
+    work: Callable[[Item], Result], items: Iterable[Item], workers: int | None = None
+) -> Generator[Result, None, None]:
     """Yield `work(item)` for each item, in the items' order, computed in child processes.
 
     Only a few results wait at any time, so items may be infinite; closing the generator kills the
@@ -65,20 +41,32 @@ def map_in_processes(
         items: what can be pickled.
         workers: the number of processes; with 1 everything is done in this process. Default: one
             for each available core.
-        on_error: what to do with an exception in `work`, and with the `WorkerDiedError` of a
-            process that died: "raise" it, or "return" it as the item's result and go on. From a
-            child, an exception that is neither built in nor of `magical.errors` is a
-            `WorkerError`; its cause is the child's traceback.
 
     Raises:
         WorkerDiedError: a process ended by itself or was killed.
+        Exception: what `work` raises. From a child, an exception that is neither built in nor of
+            `magical.errors` is a `WorkerError`; its cause is the child's traceback.
     """
+    with closing(_futures(work, items, workers)) as futures:
+        for future in futures:
+            yield future.result()
+
+
+def outcomes_in_processes(
+    work: Callable[[Item], Result], items: Iterable[Item], workers: int | None = None
+) -> Generator[Result | Exception, None, None]:
+    """As `map_in_processes`, but an exception is yielded as the item's result."""
+    with closing(_futures(work, items, workers)) as futures:
+        for future in futures:
+            error = future.exception()
+            yield error if isinstance(error, Exception) else future.result()
+
+
+def _futures(
+    work: Callable[[Item], Result], items: Iterable[Item], workers: int | None
+) -> Generator["Future[Result]", None, None]:
     count = available_cores() if workers is None else workers
-    results = _map_here(work, items) if count <= 1 else _map_in_pool(work, items, count)
-    with closing(results):
-        for result in results:
-            error = result.exception() if on_error == "return" else None
-            yield error if isinstance(error, Exception) else result.result()
+    return _map_here(work, items) if count <= 1 else _map_in_pool(work, items, count)
 
 
 def _map_here(

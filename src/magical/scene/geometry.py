@@ -5,12 +5,12 @@ discs (one vertex grown by a radius). Source: docs/specification.md, sections 2,
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from functools import cache
 from typing import NamedTuple
 
 from magical.scene import constants as c
-from magical.scene.scene import Block, Pose, Region
+from magical.scene.scene import Pose
 from magical.scene.vocabulary import Shape
 
 Point = tuple[float, float]
@@ -111,29 +111,6 @@ def place(pieces: Iterable[Piece], pose: Pose) -> tuple[Piece, ...]:
     return tuple(Piece(tuple(to_workspace(v, pose) for v in p.vertices), p.radius) for p in pieces)
 
 
-def placed_block(block: Block) -> tuple[Piece, ...]:
-    """A block's pieces in workspace coordinates."""
-    return place(block_pieces(block.shape), block.pose)
-
-
-def placed_robot(pose: Pose) -> tuple[Piece, ...]:
-    """The robot's pieces, fingers open, in workspace coordinates."""
-    return place(robot_pieces(), pose)
-
-
-def placed_region(region: Region) -> tuple[Piece, ...]:
-    """A goal region's rectangle in workspace coordinates."""
-    return (Piece(shift(rectangle(region.width, region.height), *region.centre)),)
-
-
-def inside_workspace(pieces: Iterable[Piece], slack: float = 0.0) -> bool:
-    """Whether every piece lies within the walls (up to `slack` units beyond them)."""
-    limit = c.WORKSPACE_HALF + slack
-    return all(
-        max(abs(x), abs(y)) + piece.radius <= limit for piece in pieces for x, y in piece.vertices
-    )
-
-
 def depth(a: Piece, b: Piece) -> float:
     """How far two pieces overlap along the best separating direction; negative when apart.
 
@@ -145,11 +122,6 @@ def depth(a: Piece, b: Piece) -> float:
 def penetrates(a: Piece, b: Piece, slack: float = 0.0) -> bool:
     """Whether `depth(a, b) > slack`; stops at the first direction that separates the two."""
     return all(along > slack for along in _depths(a, b))
-
-
-def overlap(first: Sequence[Piece], second: Sequence[Piece], slack: float = 0.0) -> bool:
-    """Whether any two pieces overlap by more than `slack` units."""
-    return any(penetrates(a, b, slack) for a in first for b in second)
 
 
 def _depths(a: Piece, b: Piece) -> Iterable[float]:

@@ -17,7 +17,7 @@ from magical.demos.store.writer import DatasetWriter
 from magical.errors import DatasetError, MagicalError, WorkerError
 from magical.files import open_regular, sha256_sum
 from magical.messages import printable
-from magical.processes import available_cores, map_in_processes
+from magical.processes import available_cores, outcomes_in_processes
 
 SUFFIX = ".pkl.gz"
 
@@ -91,7 +91,7 @@ def import_published(
     progress(len(report.already))
     workers = min(workers or available_cores(), len(wanted))
     convert = partial(_convert, keep=keep, max_bytes=max_bytes, sums=sums)
-    with closing(map_in_processes(convert, wanted, workers, on_error="return")) as results:
+    with closing(outcomes_in_processes(convert, wanted, workers)) as results:
         for file, result in zip(wanted, results, strict=True):
             progress(1)
             if isinstance(result, Exception):
