@@ -10,13 +10,10 @@ import importlib
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from magical.commands._common import add_json, log, print_json, print_table
-from magical.conformance.recordings import RECORDINGS, recording_path
-
-if TYPE_CHECKING:
-    from magical.conformance.comparison import Comparison
+from magical.conformance.recordings import RECORDINGS, Comparison, recording_path
 
 HELP = "compare with recordings of the published environments"
 
@@ -89,7 +86,7 @@ def _check(kind: str, path: Path, out: Path | None) -> dict[str, Any]:
     }
 
 
-def _print(comparisons: "Sequence[Comparison]") -> None:
+def _print(comparisons: Sequence[Comparison]) -> None:
     header = ("", "what", "figure", "limit", "unit", "detail")
     rows = [
         (

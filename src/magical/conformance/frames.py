@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.conformance.comparison import Comparison
+from magical.conformance.recordings import Comparison, expecting
 from magical.envs.ids import parse_env_id
-from magical.errors import MagicalError, RecordingError
+from magical.errors import RecordingError
 from magical.files import write_atomically
 from magical.render import Renderer
 from magical.scene import Pose, Poses, Scene, View
@@ -52,21 +52,18 @@ def load(path: Path | str, size: int | None = None) -> Recording:
     """
     arrays = _read(path)
     frames = {view: arrays[view] for view in View if view in arrays}
-    try:
+    with expecting(
+        path, "`records`, a JSON list, and perhaps `allo`, `ego` (N, size, size, 3) uint8"
+    ):
         records = json.loads(str(arrays["records"][()]))
         if not isinstance(records, list) or not records:
             raise ValueError(f"records: expected a list, found {str(records)[:80]}")
         found = {_check_frames(view, array, len(records)) for view, array in frames.items()}
         if len(found) > 1:
             raise ValueError(f"views of different sizes {sorted(found)}")
-        scenes, poses = zip(*map(_state, range(len(records)), records), strict=True)
-        tasks = tuple(_task(record["env"]) for record in records)
+        scenes, poses = zip(*map(_state, records), strict=True)
+        tasks = tuple(parse_env_id(str(record["env"])).task for record in records)
         names = tuple(f"{r['env']} seed {r.get('seed')} step {r.get('step')}" for r in records)
-    except (KeyError, IndexError, TypeError, ValueError, MagicalError) as error:
-        raise RecordingError(
-            f"{path}: expected `records`, a JSON list of states, and perhaps `allo` and `ego`, "
-            f"(N, size, size, 3) uint8; found: {error}"
-        ) from error
     wanted = size or (SIZES[1] if str(SIZES[1]) in Path(path).name else SIZES[0])
     return Recording(scenes, poses, tasks, names, frames, next(iter(found), wanted))
 
@@ -134,21 +131,12 @@ def _check_frames(view: View, frames: NDArray[Any], count: int) -> int:
     return size
 
 
-def _task(env_id: Any) -> str:
-    if not isinstance(env_id, str):
-        raise TypeError(f"env: expected an environment id, found {env_id!r}")
-    return parse_env_id(env_id).task
-
-
-def _state(index: int, record: Mapping[str, Any]) -> tuple[Scene, Poses]:
+def _state(record: Mapping[str, Any]) -> tuple[Scene, Poses]:
     """The scene and the poses of one record."""
-    try:
-        order = record["draw_order"]
-        robot_first = "Shape" in order and order.index("Robot") < order.index("Shape")
-        scene = Scene.from_dict({**record, "robot_first": robot_first})
-        return scene, Poses(_bodies(scene, record))
-    except (KeyError, IndexError, TypeError, ValueError, MagicalError) as error:
-        raise ValueError(f"record {index} is damaged: {error!r}") from error
+    order = record["draw_order"]
+    robot_first = "Shape" in order and order.index("Robot") < order.index("Shape")
+    scene = Scene.from_dict({**record, "robot_first": robot_first})
+    return scene, Poses(_bodies(scene, record))
 
 
 def _bodies(scene: Scene, record: Mapping[str, Any]) -> NDArray[np.float64]:

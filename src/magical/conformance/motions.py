@@ -1,6 +1,5 @@
 """Compares the physics with recorded motions (`motions.json`)."""
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -9,10 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.conformance.comparison import Comparison
-from magical.conformance.files import read_json
-from magical.errors import MagicalError, RecordingError
-from magical.files import write_atomically
+from magical.conformance.recordings import Comparison, expecting, read_json, write_json
+from magical.grouping import group_by
 from magical.physics import Simulation
 from magical.scene.actions import NUM_ACTIONS
 from magical.scene.scene import Block, Pose, Scene
@@ -39,23 +36,23 @@ def load(path: Path | str) -> dict[str, Motion]:
     Raises:
         RecordingError: The file cannot be read, or is not in the documented format.
     """
-    data = read_json(path)
-    if not isinstance(data, dict):
-        raise RecordingError(f"{path}: expected an object of motions, found {type(data).__name__}")
-    for name, motion in data.items():
-        try:
-            _scene(motion)
-            if not all(a in range(NUM_ACTIONS) for a in motion["actions"]):
-                raise ValueError(f"actions: expected integers from 0 to {NUM_ACTIONS - 1}")
-            for key in _RESULTS:
-                if key in motion and len(motion[key]) != len(motion["actions"]) + 1:
-                    raise ValueError(f"{key}: expected one more than actions")
-        except (KeyError, IndexError, TypeError, ValueError, MagicalError) as error:
-            raise RecordingError(
-                f"{path}: motion {name!r} is damaged; expected robot [[x, y], angle], blocks "
-                f"[[shape, [x, y], angle], ...] and actions: {error!r}"
-            ) from error
+    data: dict[str, Motion] = read_json(path, dict)
+    with expecting(path, "robot [[x, y], angle], blocks [[shape, [x, y], angle], ...], actions"):
+        for name, motion in data.items():
+            _check(name, motion)
     return data
+
+
+def _check(name: str, motion: Motion) -> None:
+    _scene(motion)
+    if not all(a in range(NUM_ACTIONS) for a in motion["actions"]):
+        raise ValueError(f"{name}: actions that are not integers from 0 to {NUM_ACTIONS - 1}")
+    for key in _RESULTS:
+        if key in motion and len(motion[key]) != len(motion["actions"]) + 1:
+            raise ValueError(f"{name}: {key} not one more than actions")
+
+
+write = write_json
 
 
 def compute(data: Mapping[str, Motion]) -> dict[str, Motion]:
@@ -65,21 +62,13 @@ def compute(data: Mapping[str, Motion]) -> dict[str, Motion]:
 
 def compare(data: Mapping[str, Motion], computed: Mapping[str, Motion]) -> list[Comparison]:
     """The largest difference in the first steps and at any step, for each kind and quantity."""
-    groups: dict[str, list[str]] = {}
-    for name, motion in data.items():
-        if all(key in motion for key in _RESULTS):
-            groups.setdefault(_kind(name), []).append(name)
+    complete = [name for name, motion in data.items() if all(key in motion for key in _RESULTS)]
+    groups = group_by(complete, _kind)
     return [
         comparison
         for kind, names in groups.items()
         for comparison in _compare_kind(kind, names, data, computed)
     ]
-
-
-def write(computed: Mapping[str, Motion], out: Path | str) -> None:
-    """Write the simulated motions as JSON."""
-    with write_atomically(out) as file:
-        file.write(json.dumps(computed).encode())
 
 
 def _compare_kind(

@@ -5,7 +5,6 @@ counts; what is constant in the recordings must be equal. One exception: FixColo
 colour, which was sampled with a bias in the recordings; only which block is mismatched is compared.
 """
 
-import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import astuple, dataclass
@@ -15,11 +14,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from magical.conformance.comparison import Comparison
-from magical.conformance.files import read_json
+from magical.conformance.recordings import Comparison, expecting, read_json, write_json
 from magical.envs.ids import parse_env_id
-from magical.errors import MagicalError, RecordingError
-from magical.files import write_atomically
 from magical.scene import Dynamics, Scene
 from magical.tasks import get_task
 from magical.tasks.axes import DEMO
@@ -58,26 +54,18 @@ def load(path: Path | str) -> dict[str, list[Row]]:
     Raises:
         RecordingError: The file cannot be read, or is not in the documented format.
     """
-    data = read_json(path)
+    data = read_json(path, dict, list)
     if isinstance(data, list):
         data = {str(name): [] for name in data}
-    if not isinstance(data, dict):
-        raise RecordingError(
-            f"{path}: expected environments with lists of scenes, found {type(data).__name__}"
-        )
-    try:
+    with expecting(path, "<Task>-<Variant>-v0 with {robot, blocks, regions, dynamics} each"):
         for env, rows in data.items():
             parse_env_id(env)
             data[env] = list(rows or ())
             for row in filter(None, data[env]):
                 Scene.from_dict(row)
                 Dynamics.from_dict(row["dynamics"])
-    except (KeyError, TypeError, ValueError, MagicalError) as error:
-        raise RecordingError(
-            f"{path}: environment {env!r} is damaged; expected <Task>-<Variant>-v0 with a list of "
-            f"{{robot, blocks, regions, dynamics}}, found: {error!r}"
-        ) from error
-    return data
+    recorded: dict[str, list[Row]] = data
+    return recorded
 
 
 def compute(
@@ -109,9 +97,7 @@ def row_of(scene: Scene, dynamics: Dynamics) -> Row:
 
 def write(computed: SampledScenes, out: Path | str) -> None:
     """Write as many scenes of each environment as were recorded, in the recordings' format."""
-    scenes = {env: rows[: computed.wanted[env]] for env, rows in computed.scenes.items()}
-    with write_atomically(out) as file:
-        file.write(json.dumps(scenes).encode())
+    write_json({env: rows[: computed.wanted[env]] for env, rows in computed.scenes.items()}, out)
 
 
 def compare(data: Mapping[str, Sequence[Row]], computed: SampledScenes) -> list[Comparison]:

@@ -1,15 +1,11 @@
 """Compares both scoring rules with recorded final states (`scores.json.gz`)."""
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from magical.conformance.comparison import Comparison
-from magical.conformance.files import read_json
-from magical.errors import MagicalError, RecordingError
-from magical.files import write_atomically
+from magical.conformance.recordings import Comparison, expecting, read_json, write_json
 from magical.scene import Poses, Scene
 from magical.tasks import get_task
 
@@ -25,28 +21,26 @@ def load(path: Path | str) -> list[ScoredState]:
     Raises:
         RecordingError: The file cannot be read, or is not in the documented format.
     """
-    data = read_json(path)
-    if not isinstance(data, list):
-        raise RecordingError(f"{path}: expected a list of states, found {type(data).__name__}")
-    for i, state in enumerate(data):
-        try:
-            _check(state)
-        except (KeyError, TypeError, ValueError, MagicalError) as error:
-            raise RecordingError(
-                f"{path}: state {i} is damaged; expected task, scene and final {{robot, blocks}}, "
-                f"and the scores, if any, as numbers; found: {error!r}"
-            ) from error
+    data: list[ScoredState] = read_json(path, list)
+    with expecting(path, "a list of states with task, scene, final and perhaps scores"):
+        for i, state in enumerate(data):
+            _check(i, state)
     return data
 
 
-def _check(state: ScoredState) -> None:
+write = write_json
+
+
+def _check(index: int, state: ScoredState) -> None:
     task = get_task(state["task"])
     scene, final = Scene.from_dict(state["scene"]), Scene.from_dict(state["final"])
     task.validate(scene)
     if len(scene.blocks) != len(final.blocks):
-        raise ValueError(f"{len(scene.blocks)} blocks in scene, {len(final.blocks)} in final")
+        raise ValueError(
+            f"state {index}: {len(scene.blocks)} blocks in scene, {len(final.blocks)} in final"
+        )
     if not all(math.isfinite(state[rule]) for rule in RULES if rule in state):
-        raise ValueError("a score that is not finite")
+        raise ValueError(f"state {index}: a score that is not finite")
 
 
 def compute(data: Sequence[ScoredState]) -> list[dict[str, float]]:
@@ -76,9 +70,3 @@ def compare(
         Comparison.at_most(task, max(values), LIMIT, "score", f"{len(values)} states")
         for task, values in differences.items()
     ]
-
-
-def write(computed: Sequence[Mapping[str, float]], out: Path | str) -> None:
-    """Write the computed scores as a JSON list."""
-    with write_atomically(out) as file:
-        file.write(json.dumps(computed).encode())
