@@ -9,12 +9,16 @@ from magical import cli
 from magical.commands.evaluate import print_scores
 from magical.envs import EnvId
 from magical.evaluation import RolloutScore, read_entry
+from magical.report.leaderboard.checks import faults
 
 POLICY = """
 import numpy as np
 def wrong(observations, env_ids, rng):
     return np.zeros(len(env_ids))
 wrong.observation = "state"
+def still(observations, env_ids, rng):
+    return np.zeros(len(env_ids), int)
+still.observation = "nothing"
 """
 
 
@@ -102,6 +106,50 @@ def test_wrong_arguments(
     found, _, err = evaluate(capsys, *argv)
     assert found == status
     assert message in err
+
+
+def test_one_command_writes_an_entry_that_ranks(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "own.py").write_text(POLICY)
+    argv = [f"{tmp_path / 'own.py'}:still", "--task", "MoveToRegion", "--leaderboard"]
+    stated = ["--method", "mine", "--learned-from", "demonstrations", "--looks", "2"]
+    status, _, _ = evaluate(capsys, *argv, *stated, "--out", str(tmp_path / "entry"))
+    assert status == 0
+    entry = read_entry(tmp_path / "entry")
+    assert faults(entry) == []
+    assert (entry.method, entry.nudge, entry.details["looks"]) == ("mine", 1e-9, 2)
+
+
+@pytest.mark.parametrize(
+    ("argv", "message"),
+    [
+        ([], "expected learned_from in the details"),
+        (["--learned-from", "magic"], "found ['magic']"),
+        (["--learned-from", "--rollouts", "3"], "3 rollouts of each environment"),
+        (["--learned-from", "--variants", "Demo"], "MoveToRegion without Jitter"),
+        (["--learned-from", "--horizon", "9"], "horizon 9, expected appendix"),
+        (["--learned-from", "--seed", "1"], "set 1 of fixed seeds"),
+        (["--learned-from", "--nudge", "0.01"], "nudge 0.01, expected 1e-09"),
+    ],
+)
+def test_what_would_not_rank_is_refused_before_anything_runs(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, argv: list[str], message: str
+) -> None:
+    (tmp_path / "own.py").write_text(POLICY)
+    policy = [f"{tmp_path / 'own.py'}:wrong", "--task", "MoveToRegion", "--leaderboard"]
+    status, _, err = evaluate(capsys, *policy, *argv, "--out", str(tmp_path / "entry"))
+    assert (status, (tmp_path / "entry").exists()) == (2, False)
+    assert message in err
+    assert "no --out" in evaluate(capsys, *policy, *argv)[2]
+
+
+def test_the_appendix_s_number_of_steps_ranks(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    argv = ["--task", "ClusterColour", "--variants", "Demo", "--rollouts", "1"]
+    evaluate(capsys, "noop", *argv, "--horizon", "320", "--out", str(tmp_path))
+    assert read_entry(tmp_path).horizon == "appendix"
 
 
 def test_a_policy_with_wrong_outputs_says_what_was_expected(

@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 
 from magical.envs import EnvId
 from magical.errors import PluginError, PolicyError, UnknownNameError
-from magical.evaluation import FunctionPolicy, NoopPolicy, Policy, RandomPolicy, load_policy
+from magical.evaluation import (
+    FunctionPolicy,
+    NoopPolicy,
+    Policy,
+    RandomPolicy,
+    evaluate,
+    load_policy,
+)
 from magical.evaluation.policy import checked_actions, is_privileged
 
 MODULE = """
@@ -23,6 +30,9 @@ class Still:
         return np.zeros(len(env_ids), int)
     def reset(self, mask):
         pass
+
+class OnlyActs:
+    act = Still.act
 
 class Needy(Still):
     def __init__(self, network):
@@ -129,6 +139,34 @@ def test_what_a_name_may_stand_for_is_taken_itself(module: str) -> None:
     assert isinstance(load_policy(Path(f"{module}.py:function")), FunctionPolicy)
     with pytest.raises(PolicyError, match="found int 7"):
         load_policy(7)  # type: ignore[arg-type]
+
+
+class OnlyActs:
+    """Has no memory, so nothing to reset."""
+
+    observation = "nothing"
+
+    def act(self, observations: object, env_ids: Sequence[str], rng: np.random.Generator) -> Any:
+        return np.zeros(len(env_ids), np.int64)
+
+
+@pytest.mark.parametrize(
+    "source", [function, OnlyActs, OnlyActs(), "noop", "{}:function", "{}:OnlyActs", "{}.py:make"]
+)
+def test_python_evaluates_what_the_command_line_does(module: str, source: Any) -> None:
+    named = source.format(module) if isinstance(source, str) else source
+    assert len(evaluate(named, [DEMO], rollouts=2, horizon=1, workers=0)) == 2
+
+
+def test_a_policy_s_file_may_import_its_neighbour(module: str, tmp_path: Path) -> None:
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "helper_of_a_policy.py").write_text("ACTION = 3")
+    (tmp_path / "other" / "own.py").write_text(
+        "import numpy as np\nfrom helper_of_a_policy import ACTION\n"
+        "def policy(observations, env_ids, rng):\n    return np.full(len(env_ids), ACTION)\n"
+    )
+    policy = load_policy(tmp_path / "other" / "own.py:policy")
+    np.testing.assert_array_equal(policy.act(None, [DEMO], np.random.default_rng(0)), [3])
 
 
 @pytest.mark.parametrize(

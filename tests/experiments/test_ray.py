@@ -2,6 +2,7 @@
 
 import signal
 import socket
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,11 +10,15 @@ import pytest
 
 pytest.importorskip("ray", reason="the extra ray is not installed")
 
+from ray.cluster_utils import Cluster
+
 from magical.cli import main
+from magical.errors import ClusterError
 from magical.experiments.execution import Resources, execute
 from magical.experiments.plan import PlannedRun
 from magical.experiments.ray_cluster import RayExecutor, pack, unpack
 from magical.experiments.results import Results, opened
+from magical.experiments.status import read_status
 from tests.experiments.processes import TIMEOUT, reached, running
 
 Planned = Callable[..., list[PlannedRun]]
@@ -84,6 +89,35 @@ def test_sigterm_leaves_checkpoints(
         assert process.wait(TIMEOUT) == 130
     assert (out / "runs" / planned()[0].folder / "checkpoint.safetensors").is_file()
     assert execute(planned(), out, Resources(executor="ray", workers=2)).complete
+    assert scores(out)
+
+
+def killed(cluster: Cluster, out: Path) -> threading.Thread:
+    """A thread that kills the raylet of the cluster's head when a run has begun in `out`."""
+
+    def kill() -> None:
+        assert reached(out, 1)
+        cluster.head_node.kill_raylet()
+
+    thread = threading.Thread(target=kill)
+    thread.start()
+    return thread
+
+
+def test_a_dead_cluster_is_no_failure_of_its_runs(
+    planned: Planned, tmp_path: Path, scores: Callable[[Path], bool]
+) -> None:
+    out = tmp_path / "out"
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+    thread = killed(cluster, out)
+    try:
+        with pytest.raises(ClusterError, match="give the same command again"):
+            execute(planned(), out, Resources(executor="ray", address=cluster.address))
+    finally:
+        thread.join()
+        cluster.shutdown()
+    assert read_status(out).counts["failed"] == 0
+    assert execute(planned(), out, Resources(executor="ray", workers=1)).complete
     assert scores(out)
 
 

@@ -1,5 +1,6 @@
 """Whether entries are what the protocol asks for."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,20 @@ def test_a_right_entry_has_no_faults() -> None:
 def test_every_fault_is_named(fields: dict[str, Any], message: str) -> None:
     (found,) = faults(entry(**fields))
     assert message in found
+
+
+@pytest.mark.parametrize(("trained", "refused"), [("LoRes4E", False), ("state", True)])
+def test_what_a_policy_was_shown_is_what_its_run_says(
+    tmp_path: Path, trained: str, refused: bool
+) -> None:
+    (tmp_path / "config.json").write_text(json.dumps({"observation": trained}))
+    _, rejected = check_entries(Found([Result(tmp_path, entry(), tmp_path)]))
+    reasons = [reason for item in rejected for reason in item.reasons]
+    assert reasons == ["shown LoRes4E, but its run was trained on state"] * refused
+
+
+def test_true_states_are_of_no_class() -> None:
+    assert entry(observation="state", privileged=False).privileged
 
 
 def test_missing_variants_and_rollouts_are_named() -> None:

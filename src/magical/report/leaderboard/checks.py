@@ -36,7 +36,7 @@ def check_entries(found: Found) -> tuple[list[Result], list[Rejected]]:
     rejected = [Rejected(str(item.folder), "", [item.reason]) for item in found.skipped]
     candidates = []
     for result in found.results:
-        if reasons := faults(result.entry):
+        if reasons := [*faults(result.entry), *_misobserved(result)]:
             rejected.append(Rejected(str(result.folder), result.entry.method, reasons))
         else:
             candidates.append(result)
@@ -56,6 +56,13 @@ def faults(entry: Entry) -> list[str]:
         *incompleteness(entry),
         *misstatements(entry, learned_from, stated_looks),
     ]
+
+
+def _misobserved(result: Result) -> Iterator[str]:
+    """What an entry says that its policy was shown, unlike its run."""
+    trained, stated = result.config.get("observation"), result.entry.observation
+    if trained is not None and trained != stated:
+        yield f"shown {stated or 'nothing stated'}, but its run was trained on {trained}"
 
 
 def incompleteness(entry: Entry) -> Iterator[str]:
