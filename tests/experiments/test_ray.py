@@ -13,7 +13,6 @@ pytest.importorskip("ray", reason="the extra ray is not installed")
 from ray.cluster_utils import Cluster
 
 from magical.cli import main
-from magical.errors import ClusterError
 from magical.experiments.execution import Resources, execute
 from magical.experiments.plan import PlannedRun
 from magical.experiments.ray_cluster import RayExecutor, pack, unpack
@@ -92,29 +91,44 @@ def test_sigterm_leaves_checkpoints(
     assert scores(out)
 
 
-def killed(cluster: Cluster, out: Path) -> threading.Thread:
-    """A thread that kills the raylet of the cluster's head when a run has begun in `out`."""
+def replace_node(cluster: Cluster, node: object, out: Path) -> None:
+    """Kill a node once a run has begun in `out`, then add another."""
+    assert reached(out, 1)
+    cluster.remove_node(node, allow_graceful=False)
+    cluster.add_node(num_cpus=1)
 
-    def kill() -> None:
-        assert reached(out, 1)
-        cluster.head_node.kill_raylet()
 
-    thread = threading.Thread(target=kill)
-    thread.start()
-    return thread
+def test_runs_of_a_dead_node_are_done_by_another(
+    planned: Planned,
+    tmp_path: Path,
+    scores: Callable[[Path], bool],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("magical.experiments.ray_cluster.RETRIES", 0)  # Ray's own
+    out = tmp_path / "out"
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
+    node = cluster.add_node(num_cpus=1)
+    thread = threading.Thread(target=replace_node, args=(cluster, node, out))
+    try:
+        thread.start()
+        assert execute(planned(), out, Resources(executor="ray", address=cluster.address)).complete
+    finally:
+        thread.join()
+        cluster.shutdown()
+    assert scores(out)
 
 
 def test_a_dead_cluster_is_no_failure_of_its_runs(
-    planned: Planned, tmp_path: Path, scores: Callable[[Path], bool]
+    tiny: Path, planned: Planned, tmp_path: Path, scores: Callable[[Path], bool]
 ) -> None:
     out = tmp_path / "out"
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
-    thread = killed(cluster, out)
     try:
-        with pytest.raises(ClusterError, match="give the same command again"):
-            execute(planned(), out, Resources(executor="ray", address=cluster.address))
+        with running(tiny, out, "--address", cluster.address) as process:
+            assert reached(out, 1)
+            cluster.head_node.kill_raylet()
+            assert process.wait(TIMEOUT) == 1
     finally:
-        thread.join()
         cluster.shutdown()
     assert read_status(out).counts["failed"] == 0
     assert execute(planned(), out, Resources(executor="ray", workers=1)).complete

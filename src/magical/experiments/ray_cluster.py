@@ -126,7 +126,9 @@ class RayExecutor:
         except (RayTaskError, TaskCancelledError, WorkerCrashedError, OutOfMemoryError) as error:
             outcome.set_exception(error)  # the run's own doing, RETRIES times
         except RayError as error:
-            outcome.set_result(Outcome("lost", error=printable(str(error), MAX_ERROR)))
+            # If it was this machine's node, Ray ends the process next: this line is the last.
+            why = f"{printable(str(error), MAX_ERROR)} It is tried again, or by the same command"
+            outcome.set_result(Outcome("lost", error=why))
         except Exception as error:
             outcome.set_exception(error)
 
