@@ -2,8 +2,8 @@
 
     magical evaluate examples/third_party_policy.py:SeekColour --task MoveToRegion
 
-A policy is any object with `act` and `reset` (docs/own-policy.md). This one sees pixels only, keeps a
-memory for each environment, and needs no learning; on MoveToRegion it is a hard baseline to beat.
+A policy is any object with `act` and `reset` (docs/own-policy.md). This one sees pixels only, keeps
+a memory for each environment, and needs no learning; on MoveToRegion it is a hard baseline to beat.
 """
 
 from collections.abc import Sequence

@@ -43,14 +43,34 @@ def t_interval(
     Returns:
         The interval with Welch's degrees of freedom; without bounds where a stratum has one run.
     """
+    freedom = [len(stratum) - 1.0 for stratum in strata]
+    if not all(freedom):
+        return Interval(value, math.nan, math.nan)
+    variances = [len(stratum) * stratum.var(ddof=1) for stratum in strata]
+    return welch_interval(value, variances, freedom, confidence, bounds)
+
+
+def welch_interval(
+    value: float,
+    variances: ArrayLike,
+    freedom: ArrayLike,
+    confidence: float,
+    bounds: tuple[float, float],
+) -> Interval:
+    """Student's t interval of a sum of independent parts, with Welch's degrees of freedom.
+
+    Args:
+        value: the estimate.
+        variances: of the parts, (parts,).
+        freedom: degrees of freedom of each variance, or of all.
+        confidence: nominal coverage.
+        bounds: the least and the greatest value that is possible.
+    """
     from scipy.special import stdtrit  # slow to import
 
-    freedom = np.array([len(stratum) - 1.0 for stratum in strata])
-    if not freedom.all():
-        return Interval(value, math.nan, math.nan)
-    variances = np.array([len(stratum) * stratum.var(ddof=1) for stratum in strata])
-    total = variances.sum()
-    welch = total**2 / (variances**2 / freedom).sum() if total > 0.0 else 1.0
+    parts = np.asarray(variances, np.float64)
+    total = float(parts.sum())
+    welch = total**2 / (parts**2 / np.asarray(freedom)).sum() if total > 0.0 else 1.0
     half = float(stdtrit(welch, (1.0 + confidence) / 2.0)) * math.sqrt(total)
     return Interval(value, max(value - half, bounds[0]), min(value + half, bounds[1]))
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magical.errors import UnknownNameError
-from magical.evaluation.intervals import CONFIDENCE, Interval
+from magical.evaluation.intervals import CONFIDENCE, Interval, welch_interval
 from magical.evaluation.statistics import Spread
 from magical.evaluation.variants import full_variant, short_variant
 
@@ -80,18 +80,13 @@ def difference_from_published(
         published: the mean and standard deviation of the tables.
         confidence: nominal coverage.
     """
-    from scipy.special import stdtrit  # slow to import
-
     ours = np.asarray(means, np.float64)
     value = float(ours.mean()) - published.mean
     if len(ours) < 2:
         return Interval(value, math.nan, math.nan)
-    variances = np.array([ours.var(ddof=1) / len(ours), published.std**2 / (RUNS - 1)])
-    total = variances.sum()
-    freedom = np.array([len(ours) - 1, RUNS - 1])
-    welch = total**2 / (variances**2 / freedom).sum() if total > 0.0 else 1.0
-    half = float(stdtrit(welch, (1.0 + confidence) / 2.0)) * math.sqrt(total)
-    return Interval(value, value - half, value + half)
+    variances = ours.var(ddof=1) / len(ours), published.std**2 / (RUNS - 1)
+    unbounded = -math.inf, math.inf
+    return welch_interval(value, variances, (len(ours) - 1, RUNS - 1), confidence, unbounded)
 
 
 def pooled_std(means: ArrayLike, published: Spread) -> float:
@@ -126,8 +121,6 @@ def published_contrast(
         cells: tasks and variants, of which the tables have all.
         confidence: nominal coverage of the interval.
     """
-    from scipy.special import stdtrit  # slow to import
-
     table = published_table()
     value = 0.0
     deviations: list[float] = []  # of the independent parts: by method, and by task
@@ -140,8 +133,5 @@ def published_contrast(
             parts[key] = parts.get(key, 0.0) + abs(weight) * std / len(cells)
         deviations += parts.values()
     variances = np.array(deviations) ** 2 / (RUNS - 1)
-    total = float(variances.sum())
-    freedom = total**2 / float((variances**2).sum() / (RUNS - 1)) if total else 1.0
-    half = float(stdtrit(freedom, (1.0 + confidence) / 2.0)) * math.sqrt(total)
-    least, greatest = (sum(f(w, 0.0) for w in weights.values()) for f in (min, max))
-    return Interval(value, max(value - half, least), min(value + half, greatest))
+    bounds = sum(min(w, 0.0) for w in weights.values()), sum(max(w, 0.0) for w in weights.values())
+    return welch_interval(value, variances, RUNS - 1, confidence, bounds)

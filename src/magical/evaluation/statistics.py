@@ -32,6 +32,7 @@ from magical.evaluation.intervals import (
 )
 from magical.evaluation.scores import RolloutScore
 from magical.evaluation.variants import full_variant
+from magical.grouping import group_by
 
 ROUNDING = 1e-12  # means that differ by less are equal
 
@@ -177,10 +178,8 @@ def gap_weights(env_ids: Sequence[str], variant: str = "TestAll") -> Floats:
     """
     parsed = [parse_env_id(env_id) for env_id in env_ids]
     signs = {full_variant(variant): -1.0, "Demo": 1.0}
-    variants: dict[str, set[str]] = {}
-    for env_id in parsed:
-        variants.setdefault(env_id.task, set()).add(env_id.variant)
-    tasks = [task for task, found in variants.items() if signs.keys() <= found]
+    found = group_by(parsed, attrgetter("task"))
+    tasks = [task for task, ids in found.items() if signs.keys() <= {i.variant for i in ids}]
     if not tasks or len(signs) == 1:
         raise ValueError(
             f"expected Demo and another variant of the same task, here {variant}, found "
@@ -313,10 +312,8 @@ def _contributions(table: Floats, weights: Floats) -> Floats:
 
 def _by_stratum(table: Floats, contributions: Floats) -> list[Floats]:
     """The contributions of each stratum's runs, that is of rows with NaN at the same places."""
-    strata: dict[bytes, list[float]] = {}
-    for missing, contribution in zip(np.isnan(table), contributions, strict=True):
-        strata.setdefault(missing.tobytes(), []).append(contribution)
-    return [np.array(stratum) for stratum in strata.values()]
+    strata = group_by(range(len(table)), lambda run: np.isnan(table[run]).tobytes())
+    return [contributions[runs] for runs in strata.values()]
 
 
 def _share_won(first: Floats, second: Floats) -> float:
