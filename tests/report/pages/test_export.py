@@ -11,7 +11,7 @@ import pytest
 from magical import cli
 from magical.evaluation import published_score
 from magical.report.pages.export import COLUMNS, escape_latex, format_of, latex, markdown
-from magical.report.scores.breakdown import Grid
+from magical.report.scores.grids import Grid
 
 WriteEntry = Callable[..., Path]
 BC = "BC (ST)"

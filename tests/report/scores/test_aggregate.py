@@ -6,12 +6,9 @@ import pytest
 
 from magical.envs import EnvId
 from magical.evaluation import Entry, RolloutScore
-from magical.report.scores.aggregate import (
-    aggregate_header,
-    aggregate_rows,
-    aggregates,
-    interval_text,
-)
+from magical.evaluation.statistics import probability_of_improvement
+from magical.report.scores.grids import Grid, aggregate_grid, interval_text
+from magical.report.scores.methods import ComparedMethod, compared_methods
 
 LINE, LINE_ALL = EnvId("MakeLine", "Demo"), EnvId("MakeLine", "TestAll")
 DUPE, DUPE_ALL = EnvId("FindDupe", "Demo"), EnvId("FindDupe", "TestAll")
@@ -28,104 +25,106 @@ def entry(method: str, **scores: list[float]) -> Entry:
     return Entry(method=method, scores=rows)
 
 
+def compared(entries: list[Entry]) -> tuple[list[ComparedMethod], Grid]:
+    methods = compared_methods(entries)
+    return methods, aggregate_grid(methods, entries)
+
+
 def test_one_run_each_is_compared_over_rollouts() -> None:
     first = entry("first", line=[0.0, 0.0, 0.5, 1.0], dupe=[0.0] * 4)
     second = entry("second", line=[1.0] * 4, dupe=[0.0] * 4)
-    rows, note = aggregates([first, second])
-    assert note.startswith("Over 2 environments.")
-    assert "does not include the spread between training runs" in note
+    rows, grid = compared([first, second])
+    assert grid.note.startswith("Over 2 environments.")
+    assert "does not include the spread between training runs" in grid.note
     assert [row.unit for row in rows] == ["rollouts of 1 run"] * 2
-    assert rows[0].mean.value == pytest.approx(1.5 / 8)
-    assert rows[0].mean.low < 1.5 / 8 < rows[0].mean.high
-    assert rows[0].interquartile_mean.value == pytest.approx(1.5 / 8)
-    assert math.isnan(rows[0].interquartile_mean.low)
-    assert rows[1].optimality_gap.value == 0.5
-    assert rows[0].improvement is rows[0].difference is None
-    assert rows[1].difference is not None
-    assert rows[1].difference.value == pytest.approx(0.5 - 1.5 / 8)
+    assert rows[0].mean().value == pytest.approx(1.5 / 8)
+    assert rows[0].mean().low < 1.5 / 8 < rows[0].mean().high
+    assert rows[1].difference(rows[0]).value == pytest.approx(0.5 - 1.5 / 8)
+    # The interquartile mean; no comparison with itself.
+    assert grid.rows[0][3:] == ("0.19", "0.81", "–", "–", "–")
     # Better on line, the same on dupe.
-    assert rows[1].improvement is not None
-    assert rows[1].improvement.value == 0.75
+    assert [cell.split()[0] for cell in grid.rows[1][4:]] == ["0.50", "–", "0.31", "0.75"]
 
 
 def test_several_runs_each_are_compared_over_runs() -> None:
     runs = [entry("a", line=[0.2, 0.4]), entry("a", line=[0.4]), entry("a", line=[0.5, 0.5])]
     others = [entry("b", line=[score]) for score in (0.4, 0.5, 0.6)]
-    rows, _ = aggregates([*runs, *others])
+    rows, grid = compared([*runs, *others])
     half = T2 * 0.1 / math.sqrt(3)
     assert [row.unit for row in rows] == ["3 runs"] * 2
-    assert rows[0].mean == pytest.approx((0.4, 0.4 - half, 0.4 + half))
+    assert rows[0].mean() == pytest.approx((0.4, 0.4 - half, 0.4 + half))
     half = T4 * math.sqrt(2 * 0.01 / 3)
-    assert rows[1].difference == pytest.approx((0.1, 0.1 - half, 0.1 + half))
-    assert rows[1].improvement is not None
+    assert rows[1].difference(rows[0]) == pytest.approx((0.1, 0.1 - half, 0.1 + half))
     # 0.4 beats one and ties with one, 0.5 beats two and ties with one, 0.6 beats three.
-    assert rows[1].improvement.value == pytest.approx((1.5 + 2.5 + 3) / 9)
+    better = probability_of_improvement(rows[1].means, rows[0].means)
+    assert better.value == pytest.approx((1.5 + 2.5 + 3) / 9)
+    assert grid.rows[1][-1] == interval_text(better)
 
 
 def test_a_method_with_one_run_leaves_others_their_intervals_over_runs() -> None:
     runs = [entry("a", line=[score]) for score in (0.3, 0.4, 0.5)]
-    rows, _ = aggregates([*runs, entry("b", line=[0.0, 1.0])])
+    rows, _grid = compared([*runs, entry("b", line=[0.0, 1.0])])
     assert [row.unit for row in rows] == ["3 runs", "rollouts of 1 run"]
-    assert rows[1].difference is not None
-    below = math.hypot(rows[1].mean.value - rows[1].mean.low, rows[0].mean.high - 0.4)
-    assert rows[1].difference.low == pytest.approx(0.1 - below)
+    below = math.hypot(rows[1].mean().value - rows[1].mean().low, rows[0].mean().high - 0.4)
+    assert rows[1].difference(rows[0]).low == pytest.approx(0.1 - below)
 
 
 def test_runs_of_single_tasks_are_strata_and_those_of_several_tasks_are_not() -> None:
     line = [entry("single", line=[score]) for score in (0.3, 0.4, 0.5)]
     dupe = [entry("single", dupe=[score]) for score in (0.5, 0.6, 0.7)]
     multi = [entry("multi", line=[s], dupe=[s + 0.2]) for s in (0.3, 0.4, 0.5)]
-    rows, _ = aggregates([*line, *dupe, *multi])
+    rows, _grid = compared([*line, *dupe, *multi])
     assert [row.unit for row in rows] == ["3 runs", "3 runs"]
     half = T4 * math.sqrt(2 * 0.01 / 3) / 2
-    assert rows[0].mean == pytest.approx((0.5, 0.5 - half, 0.5 + half))
+    assert rows[0].mean() == pytest.approx((0.5, 0.5 - half, 0.5 + half))
     half = T2 * 0.1 / math.sqrt(3)
-    assert rows[1].mean == pytest.approx((0.5, 0.5 - half, 0.5 + half))
+    assert rows[1].mean() == pytest.approx((0.5, 0.5 - half, 0.5 + half))
 
 
 def test_the_generalisation_gap_is_demo_less_all_by_task() -> None:
     cells = {"line": [0.9], "line_all": [0.5], "dupe": [1.0], "dupe_all": [0.8]}
-    (row,), _ = aggregates([entry("a", **cells)])
-    assert row.generalisation_gap is not None
-    assert row.generalisation_gap.value == pytest.approx(0.3)
-    (row,), _ = aggregates([entry("a", **cells), entry("a", **cells)])
-    assert row.generalisation_gap == pytest.approx((0.3, 0.3, 0.3))
-    (row,), _ = aggregates([entry("a", line=[0.9], dupe_all=[0.1])])
-    assert row.generalisation_gap is None
+    (row,), _ = compared([entry("a", **cells)])
+    gap = row.generalisation_gap()
+    assert gap is not None
+    assert gap.value == pytest.approx(0.3)
+    (row,), _ = compared([entry("a", **cells), entry("a", **cells)])
+    assert row.generalisation_gap() == pytest.approx((0.3, 0.3, 0.3))
+    (row,), _ = compared([entry("a", line=[0.9], dupe_all=[0.1])])
+    assert row.generalisation_gap() is None
 
 
 def test_only_environments_that_all_have_count() -> None:
-    rows, note = aggregates([entry("a", line=[1.0], dupe=[0.0]), entry("b", line=[0.0])])
-    assert note.startswith("Over 1 environment.")
-    assert [row.mean.value for row in rows] == [1.0, 0.0]
-    assert aggregates([entry("a", line=[1.0]), entry("b", dupe=[0.0])])[0] == []
-    assert aggregates([])[0] == []
+    rows, grid = compared([entry("a", line=[1.0], dupe=[0.0]), entry("b", line=[0.0])])
+    assert grid.note.startswith("Over 1 environment.")
+    assert [row.mean().value for row in rows] == [1.0, 0.0]
+    assert compared_methods([entry("a", line=[1.0]), entry("b", dupe=[0.0])]) == []
+    assert compared_methods([]) == []
 
 
 def test_only_environments_that_all_runs_on_a_task_have_count() -> None:
     runs = [entry("a", line=[1.0], line_all=[0.0]), entry("a", line=[1.0]), entry("a", dupe=[0.4])]
-    rows, note = aggregates(runs)
-    assert note.startswith("Over 2 environments.")
-    assert rows[0].mean.value == pytest.approx((1.0 + 0.4) / 2)
+    rows, grid = compared(runs)
+    assert grid.note.startswith("Over 2 environments.")
+    assert rows[0].mean().value == pytest.approx((1.0 + 0.4) / 2)
     assert rows[0].unit == "1 to 2 runs"  # two runs on one task, one on the other
-    assert math.isnan(rows[0].mean.low)
-    assert interval_text(rows[0].mean) == "0.70"
+    assert math.isnan(rows[0].mean().low)
+    assert interval_text(rows[0].mean()) == "0.70"
 
 
 def test_a_run_without_one_task_takes_the_interval_away() -> None:
     whole = [entry("a", line=[p], dupe=[p]) for p in (0.2, 0.5, 0.8)]
-    (row,), note = aggregates([*whole, entry("a", line=[0.9])])
+    (row,), grid = compared([*whole, entry("a", line=[0.9])])
     assert row.unit == "3 to 4 runs"
-    assert math.isnan(row.mean.low)
-    assert "there is no interval" in note
-    (row,), _ = aggregates(whole)
-    assert row.mean.high - row.mean.low > 0.5
+    assert math.isnan(row.mean().low)
+    assert "there is no interval" in grid.note
+    (row,), _ = compared(whole)
+    assert row.mean().high - row.mean().low > 0.5
 
 
 def test_rows_and_header_fit() -> None:
     runs = [entry("a", line=[0.5], line_all=[0.5])] * 2 + [entry("b", line=[0.5], line_all=[0.5])]
-    rows, _ = aggregates(runs)
-    assert aggregate_header(rows) == (
+    _, grid = compared(runs)
+    assert grid.header == (
         "method",
         "intervals over",
         "mean",
@@ -136,7 +135,7 @@ def test_rows_and_header_fit() -> None:
         "P(better than a)",
     )
     even = "0.50 [0.50, 0.50]"
-    assert aggregate_rows(rows)[0] == (
+    assert grid.rows[0] == (
         "a",
         "2 runs",
         even,
@@ -146,18 +145,16 @@ def test_rows_and_header_fit() -> None:
         "–",
         "–",
     )
-    assert aggregate_rows(rows)[1][1:5] == (
+    assert grid.rows[1][1:5] == (
         "rollouts of 1 run",
         "0.50 [0.19, 0.81]",
         "0.50",
         "0.50",
     )
-    assert {len(row) for row in aggregate_rows(rows)} == {8}
+    assert {len(row) for row in grid.rows} == {8}
 
 
 def test_one_method_has_no_comparisons() -> None:
-    rows, _ = aggregates([entry("a", line=[0.5])])
-    assert aggregate_header(rows)[-1] == "generalisation gap"
-    assert aggregate_rows(rows) == [
-        ("a", "rollouts of 1 run", "0.50 [0.05, 0.95]", "0.50", "0.50", "–")
-    ]
+    _, grid = compared([entry("a", line=[0.5])])
+    assert grid.header[-1] == "generalisation gap"
+    assert grid.rows == [("a", "rollouts of 1 run", "0.50 [0.05, 0.95]", "0.50", "0.50", "–")]

@@ -6,7 +6,7 @@ import pytest
 
 from magical.envs import EnvId
 from magical.evaluation import Entry, RolloutScore
-from magical.report.scores.breakdown import THRESHOLDS, gap_grid, improvement_table, profiles
+from magical.report.scores.grids import THRESHOLDS, gap_grid, improvement_table, profiles
 from magical.report.scores.methods import compared_methods
 
 VARIANTS = ("Demo", "TestJitter", "TestAll")

@@ -13,8 +13,15 @@ from magical.report.figures.plots import interval_plot, profile_plot
 from magical.report.found.facts import MethodFacts, describe_methods
 from magical.report.found.search import Result
 from magical.report.pages.page import Figure, render_template, write_text
-from magical.report.scores.aggregate import NOTE, interval_text
-from magical.report.scores.breakdown import AXES, THRESHOLDS, Grid, gap_grid, profiles
+from magical.report.scores.grids import (
+    AXES,
+    NOTE,
+    THRESHOLDS,
+    Grid,
+    gap_grid,
+    interval_text,
+    profiles,
+)
 from magical.report.scores.methods import ComparedMethod, compared_methods
 from magical.report.scores.tables import signed
 

@@ -17,8 +17,14 @@ from magical.report.found.facts import describe_methods
 from magical.report.found.missing import find_missing
 from magical.report.found.search import Found, Result
 from magical.report.pages.page import Figure, Page
-from magical.report.scores.aggregate import aggregate_header, aggregate_rows, aggregates
-from magical.report.scores.breakdown import THRESHOLDS, Grid, gap_grid, improvement_table, profiles
+from magical.report.scores.grids import (
+    THRESHOLDS,
+    Grid,
+    aggregate_grid,
+    gap_grid,
+    improvement_table,
+    profiles,
+)
 from magical.report.scores.methods import ComparedMethod, compared_methods
 from magical.report.scores.tables import report_tables
 
@@ -44,7 +50,6 @@ def evaluated_page(
     """
     entries = found.entries
     methods = compared_methods(entries)
-    lines, note = aggregates(entries)
     curves, damaged = _curves(found.results)
     reels, notes = (
         record_reels(found.results, load_policy, clips) if load_policy and clips else ([], [])
@@ -56,8 +61,7 @@ def evaluated_page(
         subtitle=_subtitle(found, len(skipped)),
         tables=report_tables(entries, published),
         rollouts=_rollouts(entries),
-        aggregate=[aggregate_header(lines), *aggregate_rows(lines)] if lines else (),
-        aggregate_note=note,
+        aggregate=aggregate_grid(methods, entries) if methods else None,
         aggregate_figures=_figures(methods) if methods else (),
         gaps=gap_grid(methods) if methods else None,
         improvement=improvement_table(methods) if methods else None,

@@ -15,9 +15,8 @@ from magical.evaluation.intervals import Interval, rollout_mean
 from magical.evaluation.statistics import mean, over_runs
 from magical.report.found.search import Found
 from magical.report.pages.page import write_text
-from magical.report.scores.aggregate import aggregate_header, aggregate_rows, aggregates
-from magical.report.scores.breakdown import Grid, gap_grid, improvement_table
 from magical.report.scores.differences import RULE, counterparts, differences
+from magical.report.scores.grids import Grid, aggregate_grid, gap_grid, improvement_table
 from magical.report.scores.methods import compared_methods
 from magical.report.scores.tables import Table, entry_tasks, report_tables, text_rows
 from magical.tasks import get_task
@@ -48,11 +47,9 @@ def all_grids(found: Found, published: Sequence[str]) -> list[Grid]:
     """Every table of a page, as plain text."""
     entries = found.entries
     grids = [_grid(table) for table in report_tables(entries, published)]
-    lines, note = aggregates(entries)
-    if lines:
-        methods = compared_methods(entries)
-        grids.append(Grid("All together", aggregate_header(lines), aggregate_rows(lines), note))
+    if methods := compared_methods(entries):
         improvement = improvement_table(methods)
+        grids.append(aggregate_grid(methods, entries))
         grids += [grid for grid in (gap_grid(methods),) if grid]
         grids += [_grid(improvement)] if improvement else []
     return grids

@@ -12,7 +12,7 @@ from magical.files import write_atomically
 from magical.report.figures.clips import Clip, data_uri, png
 from magical.report.figures.reels import Reel, ShownClip
 from magical.report.found.facts import MethodFacts
-from magical.report.scores.breakdown import Grid
+from magical.report.scores.grids import Grid
 from magical.report.scores.tables import DARKEST, LIGHTEST, Table
 
 
@@ -32,8 +32,7 @@ class Page:
     subtitle: str
     tables: Sequence[Table]
     rollouts: int | str  # on each variant, "3 to 100" where they differ
-    aggregate: Sequence[Sequence[str]] = ()  # a header and a row for each method
-    aggregate_note: str = ""
+    aggregate: Grid | None = None  # a row for each method
     aggregate_figures: Sequence[Figure] = ()
     gaps: Grid | None = None
     improvement: Table | None = None

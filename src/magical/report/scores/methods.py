@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from magical.evaluation.statistics import (
     over_rollouts,
     run_means,
 )
+from magical.grouping import group_by
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,22 +84,13 @@ class ComparedMethod:
         return over_rollouts([run.scores for run in self.runs], self.env_ids, weights)
 
 
-def left_out(entries: Iterable[Entry], env_ids: Iterable[EnvId]) -> list[EnvId]:
-    """The environments that some entries have and that are not compared."""
-    found = dict.fromkeys(row.env_id for entry in entries for row in entry.scores)
-    compared = set(env_ids)
-    return [env_id for env_id in found if env_id not in compared]
-
-
 def compared_methods(entries: Iterable[Entry]) -> list[ComparedMethod]:
     """Every method on the environments that all have; empty where there is none.
 
     Entries with the same row are runs of a method, each on all of its tasks or on some. A method
     has an environment if all its runs on that task do.
     """
-    groups: dict[str, list[Entry]] = {}
-    for entry in entries:
-        groups.setdefault(entry.row, []).append(entry)
+    groups = group_by(entries, attrgetter("row"))
     found = [_environments(runs) for runs in groups.values()]
     shared = [env_id for env_id in (found[0] if found else []) if all(env_id in i for i in found)]
     return [_method(name, group, shared) for name, group in groups.items()] if shared else []

@@ -1,0 +1,131 @@
+"""Tables of plain text: methods over all environments, along each axis, and pair by pair.
+
+Intervals as in Agarwal et al. (2021).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from magical.evaluation import Entry
+from magical.evaluation.intervals import Interval
+from magical.evaluation.statistics import (
+    interquartile_mean,
+    optimality_gap,
+    performance_profile,
+    probability_of_improvement,
+)
+from magical.evaluation.variants import short_variant
+from magical.report.scores.methods import ComparedMethod
+from magical.report.scores.tables import Cell, Row, Table
+from magical.tasks import VARIANTS
+
+THRESHOLDS = np.linspace(0.0, 1.0, 50, endpoint=False)  # no score exceeds 1
+AXES = tuple(variant for variant in VARIANTS if variant != "Demo")
+SHOWN = 6  # names in a note
+NOTE = (
+    "95% intervals over training runs. Where a method has one run, the intervals of its mean, its "
+    "generalisation gap and its difference are over rollouts, which does not include the spread "
+    "between training runs; its interquartile mean has none. Where some environments have several "
+    "runs and others one, there is no interval."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """A table of plain text with a heading, and what it says."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: Sequence[tuple[str, ...]]
+    note: str = ""
+
+
+def interval_text(interval: Interval | None) -> str:
+    """An interval as text; without brackets where there is only the estimate."""
+    if interval is None:
+        return "–"
+    if math.isnan(interval.low):
+        return f"{interval.value:.2f}"
+    return f"{interval.value:.2f} [{interval.low:.2f}, {interval.high:.2f}]"
+
+
+def aggregate_grid(methods: Sequence[ComparedMethod], entries: Sequence[Entry]) -> Grid:
+    """A row for each method over all environments that the methods have in common.
+
+    Args:
+        methods: of the entries, at least one. Those after the first are compared with it.
+        entries: all; what is left out of the comparison is named.
+    """
+    first = methods[0]
+    header = ["method", "intervals over", "mean", "interquartile mean", "optimality gap"]
+    header += ["generalisation gap"]
+    if len(methods) > 1:
+        header += [f"difference from {first.name}", f"P(better than {first.name})"]
+    rows = []
+    for method in methods:
+        found: list[Interval | None] = [method.mean(), interquartile_mean(method.means)]
+        found += [optimality_gap(method.means), method.generalisation_gap()]
+        if method is not first:
+            better = probability_of_improvement(method.means, first.means)
+            found += [method.difference(first), better]
+        found += [None] * (len(header) - 2 - len(found))
+        rows.append((method.name, method.unit, *map(interval_text, found)))
+    count = len(first.env_ids)
+    over = f"Over {count} environment{'s' if count != 1 else ''}."
+    return Grid("All together", tuple(header), rows, f"{over}{_left_out(first, entries)} {NOTE}")
+
+
+def _left_out(method: ComparedMethod, entries: Sequence[Entry]) -> str:
+    """A sentence on the environments that some entries have and that are not compared."""
+    env_ids = dict.fromkeys(row.env_id for entry in entries for row in entry.scores)
+    names = [f"{i.task} {short_variant(i.variant)}" for i in env_ids if i not in method.env_ids]
+    if not names:
+        return ""
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return f" Left out, since not all runs and methods have them: {', '.join(names[:SHOWN])}{more}."
+
+
+def gap_grid(methods: Sequence[ComparedMethod]) -> Grid | None:
+    """Each method's generalisation gap along each axis; `None` where there is none."""
+    axes = [axis for axis in AXES if methods[0].generalisation_gap(axis) is not None]
+    if not axes:
+        return None
+    rows = [
+        (method.name, *(interval_text(method.generalisation_gap(axis)) for axis in axes))
+        for method in methods
+    ]
+    note = (
+        "Demo's mean score minus the variant's, by task, then the mean over the tasks that have "
+        "the variant: the larger, the worse the method generalises along that axis. Intervals as "
+        "above."
+    )
+    return Grid("Generalisation gaps", ("method", *map(short_variant, axes)), rows, note)
+
+
+def improvement_table(methods: Sequence[ComparedMethod]) -> Table | None:
+    """How probably a run of the row's method beats one of the column's; `None` for one method."""
+    if len(methods) < 2:
+        return None
+    names = tuple(method.name for method in methods)
+    rows = tuple(
+        Row(row.name, {o.name: _improvement(row, o) for o in methods if o is not row}, row.unit)
+        for row in methods
+    )
+    note = (
+        "How probably a run of the row's method scores more than one of the column's, averaged "
+        "over environments; ties count half. 95% intervals over runs."
+    )
+    return Table("Probability of improvement", names, rows, note)
+
+
+def _improvement(method: ComparedMethod, other: ComparedMethod) -> Cell:
+    value, low, high = probability_of_improvement(method.means, other.means)
+    return Cell(value, f"[{low:.2f}, {high:.2f}]")
+
+
+def profiles(methods: Sequence[ComparedMethod]) -> dict[str, list[Interval]]:
+    """Each method's performance profile at `THRESHOLDS`, by name."""
+    return {method.name: performance_profile(method.means, THRESHOLDS) for method in methods}
