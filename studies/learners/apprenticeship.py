@@ -30,7 +30,7 @@ from magical.learning.reinforcement.advantages import make_samples
 from magical.learning.reinforcement.replay_buffer import ROLLOUTS
 from magical.learning.reinforcement.reward_normalisation import RewardNormaliser, reward_floor
 from magical.learning.reinforcement.rollouts import Rollout
-from magical.learning.running.checkpoints import load_checkpoint, load_module
+from magical.learning.running.checkpoints import load_checkpoint
 from magical.runs.folder import CHECKPOINT
 from magical.scene import NUM_ACTIONS
 from magical.scene.poses import FINGERS, ROBOT
@@ -70,7 +70,7 @@ def main() -> None:
 def load_encoder(config: ALConfig, folder: Path) -> Encode:
     """The run's encoder."""
     autoencoder = make_autoencoder(config)
-    load_module(autoencoder, load_checkpoint(folder / CHECKPOINT)["autoencoder"], str(folder))
+    autoencoder.load_state_dict(load_checkpoint(folder / CHECKPOINT)["autoencoder"])
     encoder = autoencoder.eval().encoder
     return lambda images, actions: encoder(images, actions)
 

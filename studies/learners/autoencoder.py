@@ -19,7 +19,7 @@ from magical.learning.algorithms.al import ALConfig, make_autoencoder
 from magical.learning.augmentation.augment import to_unit
 from magical.learning.autoencoder import save_reconstructions
 from magical.learning.data.expert_data import ExpertData, sample_demonstrations
-from magical.learning.running.checkpoints import load_checkpoint, load_module
+from magical.learning.running.checkpoints import load_checkpoint
 from magical.runs import is_run
 from magical.runs.folder import CHECKPOINT
 
@@ -53,7 +53,7 @@ def main() -> None:
     folder = args.out / f"al-{args.task}-{args.batches}"
     train(config, folder, stop_after=config.pretraining_batches, resume=is_run(folder))
     autoencoder = make_autoencoder(config).eval()
-    load_module(autoencoder, load_checkpoint(folder / CHECKPOINT)["autoencoder"], str(folder))
+    autoencoder.load_state_dict(load_checkpoint(folder / CHECKPOINT)["autoencoder"])
     chosen = sample_demonstrations(str(demos), config.tasks, NUMBER, config.seed)
     seen = ExpertData(chosen.trajectories, config.tasks, config.observation_spec)
     held_out = ExpertData(

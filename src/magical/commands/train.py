@@ -81,7 +81,8 @@ class _Parsers(dict[str, "_AlgorithmParser"]):
         return super().__contains__(name) or ":" in str(name)
 
     def __missing__(self, name: str) -> "_AlgorithmParser":
-        return self._algorithms.add_parser(name, algorithm=name)
+        prog = f"{self._algorithms._prog_prefix} {name}"
+        return self.setdefault(name, _AlgorithmParser(prog=prog, algorithm=name))
 
 
 class _AlgorithmParser(argparse.ArgumentParser):
@@ -169,6 +170,7 @@ def _shown(value: object) -> object:
 
 def _config(args: argparse.Namespace) -> "Config":
     """The preset's or the resumed run's configuration, with the given options replaced."""
+    from magical.errors import RunFolderError
     from magical.learning import find_algorithm, is_run, read_config
     from magical.learning.config import options
 
@@ -179,7 +181,9 @@ def _config(args: argparse.Namespace) -> "Config":
         for option in fields
         if (value := getattr(args, option.name, None)) is not None
     }
-    if args.resume and args.preset is None and is_run(args.out):
+    if args.resume and not is_run(args.out):
+        raise RunFolderError(f"{args.out}: expected a run to resume, found none")
+    if args.resume and args.preset is None:
         return read_config(args.out).replace(**given)
     _require([o.name for o in fields if o.required and o.name not in given], args.algorithm)
     return kind.preset(args.preset or "paper", algorithm=args.algorithm, **given)

@@ -97,7 +97,7 @@ def _measure(ways: set[tuple[str, str, str, int]]) -> dict[tuple[str, str, str, 
     """Samples a second of forward and backward passes."""
     from magical.learning.running.speed import training_speeds
 
-    found = {}
+    found: dict[tuple[str, str, str, int], float] = {}
     for network, device, threads in {(network, device, n) for network, device, _, n in ways}:
         # Of one thread, the processor time is measured: what else runs here does not matter.
         clock = time.process_time if threads == 1 else time.perf_counter

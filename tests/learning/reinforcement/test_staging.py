@@ -1,5 +1,8 @@
 """Copies through pinned memory, with plain memory in its place."""
 
+from typing import Any
+
+import pytest
 import torch
 from torch import Tensor
 
@@ -40,3 +43,20 @@ def test_both_slots_of_a_shape_hold_the_newest_copies() -> None:
     for number, target in enumerate(targets):
         staging.copy(torch.full((2,), float(number)), target)
     assert [target[0].item() for target in targets] == [0.0, 1.0, 2.0, 3.0]
+
+
+def test_without_pinned_memory_copies_go_through_ordinary_memory(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    plain = torch.empty_strided
+
+    def failing(*arguments: Any, pin_memory: bool = False, **options: Any) -> Tensor:
+        if pin_memory:
+            raise RuntimeError("cannot lock memory")
+        return plain(*arguments, **options)
+
+    monkeypatch.setattr(torch, "empty_strided", failing)
+    target = torch.zeros(3)
+    with pytest.warns(UserWarning, match="no pinned memory.*cannot lock memory"):
+        Staging("cpu", on=True).copy(torch.ones(3), target)
+    assert target.tolist() == [1.0, 1.0, 1.0]

@@ -14,12 +14,12 @@ from torch.optim import SGD, Adam, Optimizer
 from magical.errors import CheckpointError
 from magical.learning.running.checkpoints import (
     load_checkpoint,
-    load_module,
     load_newest_checkpoint,
     load_optimizer,
     optimizer_state,
     replace_checkpoint,
     restore_previous_checkpoint,
+    restoring,
     save_checkpoint,
 )
 from magical.runs.folder import CHECKPOINT, PREVIOUS
@@ -168,8 +168,11 @@ def test_the_previous_checkpoint_replaces_a_damaged_one_only_if_it_is_intact(
 
 
 def test_weights_of_another_network_are_refused() -> None:
-    with pytest.raises(CheckpointError, match="run: the checkpoint is of another network"):
-        load_module(nn.Linear(3, 2), nn.Linear(4, 2).state_dict(), "run")
+    with (
+        pytest.raises(CheckpointError, match="run: the checkpoint is of another network"),
+        restoring(Path("run")),
+    ):
+        nn.Linear(3, 2).load_state_dict(nn.Linear(4, 2).state_dict())
 
 
 @pytest.mark.parametrize("kind", ["sgd", "adam"])
@@ -196,7 +199,7 @@ def test_optimisers_continue_bit_for_bit(kind: str, tmp_path: Path) -> None:
             save_checkpoint(tmp_path / "c", state)
     resumed, again = made()
     saved = load_checkpoint(tmp_path / "c")
-    load_module(resumed, saved["net"], "c")
+    resumed.load_state_dict(saved["net"])
     load_optimizer(again, saved["optimizer"])
     for number in range(3, 6):
         step(resumed, again, number)

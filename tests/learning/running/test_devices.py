@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,15 @@ from magical.evaluation import evaluate
 from magical.learning import algorithm_names, find_algorithm, load_policy, train
 from magical.learning.algorithms.bc import BCConfig
 from magical.learning.config import options
-from magical.learning.running.devices import Compute, choose_compute, has_bfloat16, restored_threads
+from magical.learning.running.devices import (
+    Compute,
+    choose_compute,
+    cpu_threads,
+    full_float32,
+    has_bfloat16,
+    one_thread,
+    restored_threads,
+)
 from magical.learning.running.speed import training_speeds
 from magical.runs import read_json
 from magical.runs.folder import RECORD
@@ -128,3 +137,37 @@ def test_every_paper_preset_is_float32() -> None:
         for preset in kind.presets:
             config = kind.preset(preset, **{field: fields[field] for field in given})
             assert config.precision == ("auto" if preset == "quick" else "float32")
+
+
+def test_overlapping_contexts_of_several_threads_leave_everything_as_it_was() -> None:
+    parts = (torch.backends.cudnn.conv, torch.backends.cuda.matmul)  # type: ignore[attr-defined]
+    before = torch.get_num_threads(), [part.fp32_precision for part in parts]
+    began, overlaps, done = (threading.Event() for _ in range(3))
+
+    def first() -> None:
+        with one_thread(), full_float32():
+            began.set()
+            overlaps.wait()
+        done.set()
+
+    def second() -> None:
+        began.wait()
+        with one_thread(), full_float32():
+            overlaps.set()
+            done.wait()  # the other one, which began before, has ended
+            assert torch.get_num_threads() == 1
+            assert parts[0].fp32_precision == "ieee"
+
+    with one_thread(), cpu_threads(3):
+        assert torch.get_num_threads() == 3
+    threads = [threading.Thread(target=target) for target in (first, second)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    later: list[int] = []
+    third = threading.Thread(target=lambda: later.append(torch.get_num_threads()))
+    third.start()
+    third.join()
+    assert (torch.get_num_threads(), [part.fp32_precision for part in parts]) == before
+    assert later == [before[0]]

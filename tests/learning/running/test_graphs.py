@@ -74,6 +74,18 @@ def test_a_step_is_recorded_once_for_each_shape_and_computes_the_same() -> None:
     assert len(seen) == 2 * (WARM_UP + 3)
 
 
+def test_a_step_that_cannot_be_recorded_is_run_as_it_is() -> None:
+    def unrecordable(*_: Any) -> Any:
+        raise RuntimeError("operation not permitted when stream is capturing")
+
+    graphed = GraphedStep(lambda a: (a * 2,), enabled=True, backend=unrecordable)
+    for _ in range(WARM_UP):
+        graphed(torch.ones(2))
+    with pytest.warns(UserWarning, match="graphs: .* cannot be recorded .*: operation"):
+        (out,) = graphed(torch.ones(2))
+    assert out.tolist() == graphed(torch.ones(2))[0].tolist() == [2.0, 2.0]
+
+
 def test_disabled_steps_are_plain_calls() -> None:
     graphed = GraphedStep(lambda a: (a,), enabled=False, backend=Replay)
     same = torch.ones(3)

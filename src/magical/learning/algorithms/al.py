@@ -36,9 +36,9 @@ from magical.learning.reinforcement.replay_buffer import ROLLOUTS, ReplayBuffer
 from magical.learning.reinforcement.reward_normalisation import RewardNormaliser, reward_floor
 from magical.learning.running.checkpoints import (
     StateDict,
-    load_module,
     load_optimizer,
     optimizer_state,
+    restoring,
 )
 from magical.learning.running.devices import Compute
 from magical.learning.running.run import Run
@@ -172,9 +172,10 @@ def pretrain(
     """
     optimizer = Adam(autoencoder.parameters(), config.pretraining_learning_rate, fused=True)
     if run.saved:
-        load_module(autoencoder, run.saved["autoencoder"], str(run.folder))
-        if "autoencoder_optimizer" in run.saved:
-            load_optimizer(optimizer, run.saved["autoencoder_optimizer"])
+        with restoring(run.folder):
+            autoencoder.load_state_dict(run.saved["autoencoder"])
+            if "autoencoder_optimizer" in run.saved:
+                load_optimizer(optimizer, run.saved["autoencoder_optimizer"])
     scale = 1.0
     if config.refined:
         autoencoder.mean_image, scale = mean_image(expert)
@@ -263,8 +264,9 @@ def imitate(
     normaliser = RewardNormaliser(1, config.reward_std, ppo.device, floor)
     if run.saved and "apprentice" in run.saved:
         saved = run.saved["apprentice"]
-        replay_buffer.load_state_dict(saved["replay_buffer"], ppo.device)
-        normaliser.load_state_dict(saved["reward_statistics"])
+        with restoring(run.folder):
+            replay_buffer.load_state_dict(saved["replay_buffer"], ppo.device)
+            normaliser.load_state_dict(saved["reward_statistics"])
 
     def encode(images: Tensor, actions: Tensor) -> Tensor:
         with torch.no_grad(), ppo.compute.autocast():

@@ -43,9 +43,9 @@ from magical.learning.models import PolicyNetwork, Trunk, init_normal, new_stati
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import (
     StateDict,
-    load_module,
     load_optimizer,
     optimizer_state,
+    restoring,
 )
 from magical.learning.running.devices import choose_device
 from magical.learning.running.graphs import GraphedStep, use_graphs
@@ -230,11 +230,12 @@ class BCTrainer:
         self.reset()
         self.compute = run.compute(self.device, config.precision, config.threads)
         if run.saved:
-            load_module(self.policy, run.saved["policy"], str(run.folder))
-            if self._average:
-                load_module(self.network, run.saved["network"], str(run.folder))
-                self._average.n_averaged.fill_(run.step)
-            load_optimizer(self.optimizer, run.saved["optimizer"])
+            with restoring(run.folder):
+                self.policy.load_state_dict(run.saved["policy"])
+                if self._average:
+                    self.network.load_state_dict(run.saved["network"])
+                    self._average.n_averaged.fill_(run.step)
+                load_optimizer(self.optimizer, run.saved["optimizer"])
 
     def reset(self) -> None:
         """Initialise network and optimiser."""

@@ -32,6 +32,7 @@ from magical.learning.config import IMAGE_OBSERVATIONS
 from magical.learning.data.expert_data import TaskTrajectories, load_demonstrations
 from magical.learning.data.supervision import LabelledEpisodes
 from magical.learning.policy import NetworkPolicy
+from magical.learning.running.checkpoints import restoring
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, stream
 from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
@@ -178,7 +179,8 @@ class AggregatedDataset:
             open_mended(self.folder)
         self._writer = DatasetWriter(self.folder)
         self._dataset = Dataset.open(self.folder)
-        expected = run.saved["aggregate"] if run.saved else []
+        with restoring(run.folder):
+            expected = list(run.saved["aggregate"]) if run.saved else []
         # One more round may be there, whole or in part, if the run ended while it was collected;
         # and another one, if the run is resumed from the previous checkpoint.
         at_most = self._per_round * min(run.step // config.cloning.batches + 1, config.rounds - 1)

@@ -44,9 +44,9 @@ from magical.learning.reinforcement.rollouts import Rollout
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import (
     StateDict,
-    load_module,
     load_optimizer,
     optimizer_state,
+    restoring,
 )
 from magical.learning.running.devices import Compute
 from magical.learning.running.graphs import GraphedStep, use_graphs
@@ -185,7 +185,8 @@ def train_adversarially(config: AdversarialConfig, run: Run, loss: Loss, reward:
             config, expert, replay_buffer, ppo.compute, loss, reward
         )
         if run.saved:
-            discriminator.load_state_dict(run.saved["discriminator"], str(run.folder))
+            with restoring(run.folder):
+                discriminator.load_state_dict(run.saved["discriminator"])
         for update in ppo.remaining_updates():
             rollout = ppo.collect_rollout(update)
             rewards, metrics = discriminator.rewards(rollout)
@@ -301,9 +302,9 @@ class DiscriminatorTrainer:
             "reward_statistics": self._normaliser.state_dict(),
         }
 
-    def load_state_dict(self, state: Mapping[str, Any], what: str) -> None:
-        """Restore what `state_dict` returned; `what` names the checkpoint in errors."""
-        load_module(self.network, state["network"], what)
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Restore what `state_dict` returned."""
+        self.network.load_state_dict(state["network"])
         load_optimizer(self.optimizer, state["optimizer"])
         self._replay_buffer.load_state_dict(state["replay_buffer"], self._compute.device)
         self._normaliser.load_state_dict(state["reward_statistics"])

@@ -37,11 +37,11 @@ from magical.learning.objects.table import ObjectTable, parse_table
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import (
     StateDict,
-    load_module,
     load_optimizer,
     optimizer_state,
+    restoring,
 )
-from magical.learning.running.devices import choose_device, one_thread
+from magical.learning.running.devices import Device, choose_device, one_thread
 from magical.learning.running.optimizers import set_learning_rate
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
@@ -210,7 +210,7 @@ def train(config: ObjectBCConfig, run: Run) -> None:
 class ObjectBCTrainer:
     """Goal model and controller, each with its optimiser."""
 
-    def __init__(self, config: ObjectBCConfig, run: Run, device: str) -> None:
+    def __init__(self, config: ObjectBCConfig, run: Run, device: Device) -> None:
         """Create a new trainer, or resume from the run's checkpoint."""
         self.config, self.run, self.device = config, run, device
         self.policy = make_policy(config).to(device)
@@ -222,9 +222,10 @@ class ObjectBCTrainer:
             weight_decay=WEIGHT_DECAY,
         )
         if run.saved:
-            load_module(self.policy, run.saved["policy"], str(run.folder))
-            load_optimizer(self.optimizer, run.saved["optimizer"])
-            load_optimizer(self.goal_optimizer, run.saved["goal_optimizer"])
+            with restoring(run.folder):
+                self.policy.load_state_dict(run.saved["policy"])
+                load_optimizer(self.optimizer, run.saved["optimizer"])
+                load_optimizer(self.goal_optimizer, run.saved["goal_optimizer"])
 
     def fit(self, data: ObjectData) -> None:
         """Train from the run's step to the last batch, or until the run stops."""

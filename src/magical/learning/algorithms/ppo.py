@@ -36,9 +36,9 @@ from magical.learning.reinforcement.rollouts import (
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import (
     StateDict,
-    load_module,
     load_optimizer,
     optimizer_state,
+    restoring,
 )
 from magical.learning.running.devices import choose_device, one_thread
 from magical.learning.running.graphs import GraphedStep, use_graphs
@@ -351,10 +351,11 @@ class PPOTrainer:
         if "ppo" not in saved:
             self.envs.reset()
             return
-        load_module(self.network, saved["policy"], str(self.run.folder))
-        load_optimizer(self.optimizer, saved["ppo"]["optimizer"])
-        self.envs.load_state_dict(saved["ppo"]["envs"])
-        self.monitor.load_state_dict(saved["ppo"]["monitor"])
+        with restoring(self.run.folder):
+            self.network.load_state_dict(saved["policy"])
+            load_optimizer(self.optimizer, saved["ppo"]["optimizer"])
+            self.envs.load_state_dict(saved["ppo"]["envs"])
+            self.monitor.load_state_dict(saved["ppo"]["monitor"])
 
 
 def ppo_loss(

@@ -29,6 +29,7 @@ from magical.learning.augmentation.noise import add_noise
 from magical.learning.augmentation.palette import PERMUTATIONS
 from magical.learning.augmentation.transformations import StackTransformations
 from magical.learning.data.expert_data import ExpertData, Rows
+from magical.learning.running.devices import pinned_like
 from magical.observe import PixelSpec
 from magical.render.moved_camera import MovedCamera
 from magical.render.palette import permuted
@@ -114,8 +115,9 @@ class RenderedExpertData(ExpertData):
         transformed = transformed or StackTransformations.none(len(rows))
         channels, height, width = self.spec.network_shape
         parameters = sample_parameters(len(rows), which, rng)
-        pinned = self.device == "cuda"
-        images = torch.empty((len(rows), height, width, channels), pin_memory=pinned)
+        images = torch.empty((len(rows), height, width, channels))
+        if self.device == "cuda":
+            images = pinned_like(images)
         out = images.numpy()
         stacks = [stack.cpu().numpy()[rows] for stack in self._stacks]  # (B, K) each
         for stack in stacks:

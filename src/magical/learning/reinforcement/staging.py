@@ -5,6 +5,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from magical.learning.running.devices import pinned_like
+
 SLOTS = 2  # one is filled while the other is copied
 
 
@@ -21,7 +23,7 @@ class Staging:
         self, device: str, empty: Callable[[Tensor], Tensor] | None = None, on: bool | None = None
     ) -> None:
         self._on = device != "cpu" if on is None else on
-        self._empty = empty or _pinned
+        self._empty = empty or pinned_like
         self._slots: dict[object, list[_Slot]] = {}
 
     def copy(self, source: Tensor, target: Tensor) -> None:
@@ -54,7 +56,3 @@ class _Slot:
         target.copy_(self._memory, non_blocking=True)
         if self._copied:
             self._copied.record()
-
-
-def _pinned(like: Tensor) -> Tensor:
-    return torch.empty_strided(like.shape, like.stride(), dtype=like.dtype, pin_memory=True)

@@ -10,18 +10,21 @@ A run folder holds the newest checkpoint and the one before it.
 
 import hashlib
 import json
-from collections.abc import Mapping
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load, save
-from torch import Tensor, nn
+from torch import Tensor
 from torch.optim import Optimizer
 
-from magical.errors import CheckpointError
+from magical.errors import CheckpointError, MagicalError
 from magical.files import link_atomically, read_regular, write_atomically
+from magical.messages import printable
 from magical.runs.folder import CHECKPOINT, PREVIOUS
 
 StateDict = dict[str, Any]  # dicts with string keys, lists, tensors, and what JSON can hold
@@ -72,13 +75,34 @@ def load_checkpoint(path: Path) -> StateDict:
     except OSError as error:
         raise CheckpointError(f"checkpoint {path}: cannot be read: {error}") from error
     _check_digest(path, data)
-    try:
+    with restoring(path):
         length = int.from_bytes(data[:_LENGTH], "little")
         metadata = json.loads(data[_LENGTH : _LENGTH + length])["__metadata__"]
         state: StateDict = _put_tensors(json.loads(metadata[_HEADER]), load(data))
-    except (SafetensorError, KeyError, ValueError, TypeError) as error:
-        raise CheckpointError(f"checkpoint {path} is of another program ({error!r})") from error
+        if not isinstance(state, dict):
+            raise TypeError(f"expected a dict, found {type(state).__name__}")
     return state
+
+
+@contextmanager
+def restoring(path: Path) -> Iterator[None]:
+    """A context in which what was read from a checkpoint, or a folder with one, is made use of.
+
+    Raises:
+        CheckpointError: it is not what was expected: the file is of another network or program.
+    """
+    try:
+        yield
+    except MagicalError:
+        raise
+    except (
+        *(AttributeError, IndexError, KeyError, OverflowError, RecursionError, RuntimeError),
+        *(SafetensorError, TypeError, ValueError, zlib.error),
+    ) as error:
+        raise CheckpointError(
+            f"{path}: the checkpoint is of another network or program: "
+            f"{type(error).__name__}: {printable(str(error))}"
+        ) from error
 
 
 def _split_at_digest(data: bytes) -> tuple[bytes, bytes]:
@@ -168,18 +192,6 @@ def _put_tensors(node: Any, tensors: Mapping[str, Tensor]) -> Any:
     if isinstance(node, list):
         return [_put_tensors(value, tensors) for value in node]
     return node
-
-
-def load_module(module: nn.Module, state: Mapping[str, Any], what: str) -> None:
-    """`module.load_state_dict(state)`; `what` names the checkpoint in errors.
-
-    Raises:
-        CheckpointError: the state is of another network.
-    """
-    try:
-        module.load_state_dict(state)
-    except RuntimeError as error:
-        raise CheckpointError(f"{what}: the checkpoint is of another network; {error}") from error
 
 
 def optimizer_state(optimizer: Optimizer) -> StateDict:

@@ -1,14 +1,23 @@
 """Device, precision and threads: chosen once, recorded with the run."""
 
+import threading
+import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import torch
+from msgspec import Meta
+from torch import Tensor
 
-from magical.errors import DeviceError
+from magical.errors import DeviceError, RunFolderError
+from magical.runs.folder import RECORD
+from magical.untrusted import convert
 
+Device = Literal["cpu", "cuda"]
+Precision = Literal["float32", "bfloat16"]
 OLDER_INSTRUCTIONS = ("DEFAULT", "NO AVX", "AVX2")  # PyTorch's names
 
 
@@ -19,9 +28,9 @@ class Compute:
     Weights are always float32; 0 threads: PyTorch's own number.
     """
 
-    device: str
-    precision: str
-    threads: int = 0
+    device: Device
+    precision: Precision
+    threads: Annotated[int, Meta(ge=0, le=4096)] = 0
 
     def set_threads(self) -> None:
         """Set PyTorch's number of threads; results are bit-equal for the same number only."""
@@ -39,7 +48,18 @@ class Compute:
         return asdict(self)
 
 
-def choose_device(device: str) -> str:
+def read_compute(record: Mapping[str, Any], folder: Path) -> Compute | None:
+    """What a run is recorded to compute with; `None` if that has not been recorded yet.
+
+    Raises:
+        RunFolderError: the record is damaged.
+    """
+    recorded = record.get("compute")
+    what = f"{folder / RECORD}: compute"
+    return None if recorded is None else convert(recorded, Compute, what, RunFolderError)
+
+
+def choose_device(device: str) -> Device:
     """`cuda` or `cpu`; raises `DeviceError` if `cuda` is asked for and there is none."""
     available = torch.cuda.is_available()
     if device == "cuda" and not available:
@@ -50,7 +70,7 @@ def choose_device(device: str) -> str:
     return "cuda" if available and device != "cpu" else "cpu"
 
 
-def choose_compute(device: str, precision: str, threads: int) -> Compute:
+def choose_compute(device: Device, precision: str, threads: int) -> Compute:
     """What a run computes with, from its configuration and the processor's abilities.
 
     Nothing is measured, so that the same configuration gives the same weights on the same machine,
@@ -62,11 +82,10 @@ def choose_compute(device: str, precision: str, threads: int) -> Compute:
         threads: of the CPU; 0: PyTorch's own number, which is one per physical core unless the
             environment (`OMP_NUM_THREADS`) or the program says otherwise.
     """
-    if precision == "auto":
-        precision = "bfloat16" if has_bfloat16(device) else "float32"
+    low = precision == "bfloat16" or (precision == "auto" and has_bfloat16(device))
     if device == "cpu":
         threads = threads or torch.get_num_threads()
-    return Compute(device, precision, threads)
+    return Compute(device, "bfloat16" if low else "float32", threads)
 
 
 def has_bfloat16(device: str) -> bool:
@@ -83,32 +102,59 @@ def has_bfloat16(device: str) -> bool:
     return bool(abilities.get("amx_bf16") or abilities.get("avx512_bf16"))
 
 
+_lock = threading.Lock()
+_inside = threading.local()  # `depth`: of contexts of `restored_threads` in this thread
+_num_inside: dict[str, int] = {"threads": 0, "float32": 0}  # threads or calls in a context
+_before: dict[str, Any] = {}  # what it was before the first of them
+
+
 @contextmanager
 def full_float32() -> Iterator[None]:
     """A context in which a GPU does not round float32 numbers to TensorFloat-32.
 
-    PyTorch lets convolutions do so by default.
+    PyTorch lets convolutions do so by default. Several threads may be in such contexts.
     """
     cudnn: Any = torch.backends.cudnn  # its parts are not in the type annotations
     parts: tuple[Any, ...] = (cudnn.conv, cudnn.rnn, torch.backends.cuda.matmul)
-    before = [part.fp32_precision for part in parts]
-    try:
+    with _lock:
+        if not _num_inside["float32"]:
+            _before["float32"] = [part.fp32_precision for part in parts]
+        _num_inside["float32"] += 1
         for part in parts:
             part.fp32_precision = "ieee"
+    try:
         yield
     finally:
-        for part, precision in zip(parts, before, strict=True):
-            part.fp32_precision = precision
+        with _lock:
+            _num_inside["float32"] -= 1
+            if not _num_inside["float32"]:
+                for part, precision in zip(parts, _before["float32"], strict=True):
+                    part.fp32_precision = precision
 
 
 @contextmanager
 def restored_threads() -> Iterator[None]:
-    """A context after which PyTorch's number of threads is what it was before."""
-    before = torch.get_num_threads()
+    """A context after which PyTorch's number of threads is what it was before.
+
+    The number set in one thread is also the default of others that are started later; so where
+    several threads are in such contexts, each restores the number of before the first.
+    """
+    depth = getattr(_inside, "depth", 0)
+    with _lock:
+        before = torch.get_num_threads()
+        if not depth:
+            if not _num_inside["threads"]:
+                _before["threads"] = before
+            _num_inside["threads"] += 1
+            before = _before["threads"]
+    _inside.depth = depth + 1
     try:
         yield
     finally:
-        torch.set_num_threads(before)
+        _inside.depth = depth
+        with _lock:
+            _num_inside["threads"] -= not depth
+            torch.set_num_threads(before)
 
 
 @contextmanager
@@ -129,3 +175,27 @@ def cpu_threads(number: int) -> Iterator[None]:
     with restored_threads():
         torch.set_num_threads(number)
         yield
+
+
+def pinned_like(like: Tensor) -> Tensor:
+    """Memory of a tensor's layout that a GPU reads by itself.
+
+    Where there is none, ordinary memory, with a warning.
+    """
+    try:
+        return torch.empty_strided(like.shape, like.stride(), dtype=like.dtype, pin_memory=True)
+    except RuntimeError as error:
+        warnings.warn(f"no pinned memory, copies are slower: {error}", stacklevel=2)
+        return torch.empty_strided(like.shape, like.stride(), dtype=like.dtype)
+
+
+@contextmanager
+def gpu_memory_as_error() -> Iterator[None]:
+    """A context that raises `DeviceError` where a GPU's memory does not suffice."""
+    try:
+        yield
+    except torch.OutOfMemoryError as error:
+        raise DeviceError(
+            "device cuda: the GPU has not enough memory for the run; give it smaller batches "
+            "(--batch-size, --minibatch-size, --num-envs), or use --graphs off or --device cpu"
+        ) from error

@@ -2,9 +2,11 @@
 
 A training step of these networks is a few hundred kernels of some microseconds each, and launching
 them one by one takes longer than running them. A graph launches all of them at once, on the same
-memory every time, so inputs are copied to where the recording read them.
+memory every time, so inputs are copied to where the recording read them. This has not been run on a
+GPU yet; it is off by default, and a step that cannot be recorded is run as it is.
 """
 
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -70,7 +72,18 @@ class GraphedStep:
             calls = self._calls[key] = self._calls.get(key, 0) + 1
             if calls <= WARM_UP:
                 return self._warm_up(inputs)
-            self._recordings[key] = self._record(self._step, list(inputs), self._generators)
+            try:
+                self._recordings[key] = self._record(self._step, list(inputs), self._generators)
+            except torch.OutOfMemoryError:
+                raise
+            except RuntimeError as error:
+                self._enabled = False
+                warnings.warn(
+                    f"graphs: a training step cannot be recorded as a CUDA graph, so steps are run "
+                    f"as they are, as with --graphs off: {error}",
+                    stacklevel=2,
+                )
+                return self._step(*inputs)
         return self._recordings[key].replay(inputs)
 
     def _warm_up(self, inputs: tuple[Tensor, ...]) -> tuple[Tensor, ...]:

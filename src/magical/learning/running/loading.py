@@ -5,8 +5,8 @@ from pathlib import Path
 from magical.errors import RunFolderError
 from magical.learning.algorithms import find_algorithm, read_config
 from magical.learning.policy import NetworkPolicy
-from magical.learning.running.checkpoints import load_module, load_newest_checkpoint
-from magical.learning.running.devices import Compute, choose_device
+from magical.learning.running.checkpoints import load_newest_checkpoint, restoring
+from magical.learning.running.devices import Compute, choose_device, read_compute
 from magical.runs.folder import CHECKPOINT, CONFIG, RECORD, is_run, read_json
 
 
@@ -29,7 +29,8 @@ def load_policy(run: Path | str, device: str = "auto", greedy: bool = False) -> 
     network = find_algorithm(config.algorithm).make_policy(config)
     chosen = choose_device(device)
     state = load_newest_checkpoint(folder)
-    load_module(network, state["policy"], str(folder / CHECKPOINT))
-    recorded = read_json(folder / RECORD)["compute"]
-    precision = recorded["precision"] if chosen == recorded["device"] else "float32"
+    with restoring(folder / CHECKPOINT):
+        network.load_state_dict(state["policy"])
+    recorded = read_compute(read_json(folder / RECORD), folder)
+    precision = recorded.precision if recorded and chosen == recorded.device else "float32"
     return NetworkPolicy(network.to(chosen), config, Compute(chosen, precision), greedy)

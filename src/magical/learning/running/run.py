@@ -17,8 +17,9 @@ from magical.learning.running.checkpoints import (
     StateDict,
     load_newest_checkpoint,
     replace_checkpoint,
+    restoring,
 )
-from magical.learning.running.devices import Compute, choose_compute
+from magical.learning.running.devices import Compute, Device, choose_compute, read_compute
 from magical.learning.running.interrupts import Interrupts
 from magical.runs.folder import CHECKPOINT, PREVIOUS, RECORD, TENSORBOARD, read_json, write_json
 from magical.runs.metrics import MetricsWriter
@@ -58,7 +59,8 @@ class Run:
         self.record = read_json(folder / RECORD) if (folder / RECORD).exists() else {}
         begun = any((folder / name).exists() for name in (CHECKPOINT, PREVIOUS))
         self.saved: StateDict | None = load_newest_checkpoint(folder) if begun else None
-        self.step = int(self.saved["step"]) if self.saved else 0
+        with restoring(folder):
+            self.step = int(self.saved["step"]) if self.saved else 0
         self._last = math.inf if stop_after is None else self.step + stop_after
         self._saved_at = time.monotonic()
         self._metrics = MetricsWriter(folder, self.step)
@@ -88,14 +90,14 @@ class Run:
         if not set(facts) <= set(self.record):
             self._write_record(facts)
 
-    def compute(self, device: str, precision: str, threads: int) -> Compute:
+    def compute(self, device: Device, precision: str, threads: int) -> Compute:
         """Device, precision and threads: as recorded, or chosen by `devices.choose_compute`.
 
         A run that is resumed on another kind of device chooses again.
         """
-        recorded = self.record.get("compute")
-        if recorded and recorded["device"] == device:
-            chosen = Compute(**recorded)
+        recorded = read_compute(self.record, self.folder)
+        if recorded and recorded.device == device:
+            chosen = recorded
         else:
             chosen = choose_compute(device, precision, threads)
             self._write_record({"compute": chosen.to_dict()})

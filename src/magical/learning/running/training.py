@@ -12,7 +12,7 @@ from magical.learning.algorithms import find_algorithm
 from magical.learning.config import Config
 from magical.learning.policy import NetworkPolicy
 from magical.learning.running.checkpoints import restore_previous_checkpoint
-from magical.learning.running.devices import full_float32, restored_threads
+from magical.learning.running.devices import full_float32, gpu_memory_as_error, restored_threads
 from magical.learning.running.interrupts import Interrupts
 from magical.learning.running.loading import load_policy
 from magical.learning.running.run import Metrics, Run
@@ -110,7 +110,12 @@ def _opened(folder: Path, config: Config, resume: bool, previous: bool) -> Itera
     """A run folder that is locked and ready to be trained in."""
     if previous and not resume:
         raise InvalidConfigError("previous_checkpoint needs resume: a new run has no checkpoints")
-    with opened_folder(folder, config.to_dict(), resume), restored_threads(), full_float32():
+    with (
+        opened_folder(folder, config.to_dict(), resume),
+        restored_threads(),
+        full_float32(),
+        gpu_memory_as_error(),
+    ):
         if previous:
             restore_previous_checkpoint(folder)
         yield

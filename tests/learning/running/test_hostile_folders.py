@@ -1,0 +1,148 @@
+"""Run folders of any origin: special files, damaged records, states of other programs."""
+
+import json
+import os
+import shutil
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from magical.cli import main
+from magical.errors import MagicalError, PluginError, RunFolderError
+from magical.learning import load_policy, read_config, train
+from magical.learning.algorithms.bc import BCConfig
+from magical.learning.running.checkpoints import load_checkpoint, save_checkpoint
+from magical.runs import read_metrics
+from magical.runs.folder import CHECKPOINT, CONFIG, METRICS, PREVIOUS, RECORD
+
+ODD: tuple[Any, ...] = (None, True, -1, 10**400, 1e308, "", "x" * 10_000, [], {}, [[]], {"a": 1})
+
+
+@pytest.fixture(scope="module")
+def config(demos: Path) -> BCConfig:
+    return BCConfig.preset(
+        "quick",
+        tasks=("MoveToCorner",),
+        demos=str(demos),
+        num_demos=1,
+        batches=2,
+        batch_size=2,
+        average_decay=0.5,
+        checkpoint_every=1,
+        device="cpu",
+    )
+
+
+@pytest.fixture(scope="module")
+def trained(config: BCConfig, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("trained") / "run"
+    train(config, folder, stop_after=1)
+    return folder
+
+
+@pytest.fixture
+def folder(trained: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(trained, tmp_path / "run"))
+
+
+def use(folder: Path, config: BCConfig) -> None:
+    """Everything that reads the folder."""
+    load_policy(folder)
+    read_metrics(folder)
+    train(config, folder, resume=True)
+
+
+@pytest.mark.parametrize("kind", ["fifo", "endless", "folder"])
+@pytest.mark.parametrize("name", [CONFIG, RECORD, METRICS, CHECKPOINT])
+def test_special_files_are_refused(name: str, kind: str, folder: Path, config: BCConfig) -> None:
+    (folder / PREVIOUS).unlink(missing_ok=True)
+    (folder / name).unlink()
+    if kind == "fifo":
+        os.mkfifo(folder / name)
+    elif kind == "endless":
+        (folder / name).symlink_to("/dev/zero")
+    else:
+        (folder / name).mkdir()
+    with pytest.raises(MagicalError, match=r"run"):
+        use(folder, config)
+
+
+def replaced(node: Any, rng: np.random.Generator) -> Any:
+    """A copy of plain data with one value, at any depth, replaced or left out."""
+    if rng.random() < 0.3 or not isinstance(node, dict | list) or not node:
+        return ODD[int(rng.integers(len(ODD)))]
+    keys: list[Any] = list(node) if isinstance(node, dict) else list(range(len(node)))
+    key = keys[int(rng.integers(len(keys)))]
+    copy: Any = dict(node) if isinstance(node, dict) else list(node)
+    if rng.random() < 0.2:
+        del copy[key]
+    else:
+        copy[key] = replaced(node[key], rng)
+    return copy
+
+
+def outcome(folder: Path, config: BCConfig) -> str:
+    try:
+        use(folder, config)
+    except MagicalError:
+        return "refused"
+    return "accepted"
+
+
+@pytest.mark.parametrize("name", [CONFIG, RECORD, METRICS, CHECKPOINT])
+def test_whatever_a_record_holds_is_accepted_or_refused(
+    name: str, trained: Path, tmp_path: Path, config: BCConfig
+) -> None:
+    rng = np.random.default_rng(0)
+    outcomes: Counter[str] = Counter()
+    for number in range(12):
+        folder = Path(shutil.copytree(trained, tmp_path / str(number)))
+        if name == CHECKPOINT:  # well-formed and with its digest, of another program
+            save_checkpoint(folder / name, replaced(load_checkpoint(folder / name), rng))
+        else:
+            text = json.dumps(replaced(json.loads((folder / name).read_text()), rng))
+            (folder / name).write_text(text + "\n")
+        outcomes[outcome(folder, config)] += 1
+    assert outcomes["refused"] > 3
+
+
+def test_metrics_that_are_no_text_are_named(folder: Path) -> None:
+    (folder / METRICS).write_bytes(b'{"step": 1}\n\xff\xfe\n')
+    with pytest.raises(RunFolderError, match=r"metrics.jsonl: line 2"):
+        read_metrics(folder)
+
+
+def test_there_is_nothing_to_resume(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    nowhere = tmp_path / "nowhere"
+    assert main(["train", "bc", "--out", str(nowhere), "--resume"]) == 1
+    assert f"{nowhere}: expected a run to resume, found none" in capsys.readouterr().err
+    assert not nowhere.exists()
+
+
+@pytest.mark.parametrize("key", ["algorithm", "network", "observation"])
+def test_no_module_of_the_working_folder_is_imported_on_a_record_s_word(
+    key: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for module in ("planted.py", "run/planted.py"):
+        Path(module).write_text("raise SystemExit('imported')\n")
+    data = json.loads((folder / CONFIG).read_text())
+    for name in ("planted:NAME", "run/planted.py:NAME", f"{folder}/planted.py:NAME", "this:s"):
+        (folder / CONFIG).write_text(json.dumps({**data, key: name}))
+        with pytest.raises(PluginError, match=r"config.json names .*not installed.*--import"):
+            read_config(folder)
+
+
+def test_gpu_memory_that_does_not_suffice_is_named(
+    config: BCConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def exhausted(*_: Any) -> None:
+        raise torch.OutOfMemoryError("CUDA out of memory")
+
+    monkeypatch.setattr("magical.learning.algorithms.bc.BCTrainer.step", exhausted)
+    with pytest.raises(MagicalError, match=r"not enough memory.*--batch-size"):
+        train(config, tmp_path / "run")
