@@ -11,15 +11,16 @@ are reset within the measured time.
 import argparse
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from contextlib import ExitStack
+from dataclasses import asdict
+from typing import Any
 
 import numpy as np
 
-from magical.commands._bench_training import run_training
 from magical.commands._common import (
     add_json,
-    non_negative_int,
+    add_seed,
+    add_workers,
     positive_int,
     print_json,
     print_table,
@@ -49,9 +50,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--num-envs", type=positive_int, default=32, metavar="N", help="vector: default 32"
     )
-    parser.add_argument(
-        "--workers", type=non_negative_int, metavar="K", help="vector: default one for each core"
-    )
+    add_workers(parser)
     parser.add_argument(
         "--seconds",
         type=float,
@@ -59,7 +58,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="env, vector: measuring time (default: 15)",
     )
-    parser.add_argument("--seed", type=non_negative_int, default=0, help="env, vector: default 0")
+    add_seed(parser, "env, vector: of scenes and actions")
     parser.add_argument("--network", default="paper", help="training: default paper")
     parser.add_argument(
         "--batch-size", type=positive_int, default=32, metavar="N", help="training: default 32"
@@ -73,7 +72,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Measure and print."""
     if args.kind == "training":
-        return run_training(args)
+        return _run_training(args)
     env_id = parse_env_id(args.env)
     num_envs, workers = (args.num_envs, args.workers) if args.kind == "vector" else (1, 0)
     result = measure(env_id, args.kind, num_envs, workers, args.seconds, args.seed)
@@ -106,72 +105,44 @@ def measure(
 
     Returns plain data for JSON.
     """
+    import gymnasium
 
-    def make(**options: Any) -> "_Single | _Vector":
+    def make(**options: Any) -> Any:
         if kind == "env":
-            return _Single(env_id, seed, **options)
-        return _Vector(env_id, seed, num_envs=num_envs, workers=workers, **options)
+            env: Any = gymnasium.make(env_id, **options).unwrapped
+        else:
+            env = gymnasium.make_vec(env_id, num_envs, workers=workers, **options).unwrapped
+        stack.callback(env.close)
+        env.reset(seed=seed)
+        return env
 
-    pixels, states, physics = make(), make(observation="state"), BarePhysics(env_id, seed)
-    try:
-        pixel_turns, state_turns = _Turns(pixels, num_envs, seed), _Turns(states, num_envs, seed)
-        physics_turns = _Turns(physics, 1, seed)
+    def turns(env: Any) -> _Turns:
+        def step(actions: Any) -> None:
+            if env.step(actions[0])[3]:
+                env.reset()
+
+        return _Turns(step if kind == "env" else env.step, num_envs, seed)
+
+    with ExitStack() as stack:
+        env, physics = make(), BarePhysics(env_id, seed)
+        pixels, states = turns(env), turns(make(observation="state"))
+        bare = _Turns(physics.step, 1, seed)
         end = time.perf_counter() + seconds
         steps = PROBE
         while time.perf_counter() < end or steps == PROBE:
-            pixel_turns.take(steps)
-            state_turns.take(steps)
-            physics_turns.take(steps)
-            steps = max(1 + PROBE, round(TURN * pixel_turns.rate))
-    finally:
-        pixels.close()
-        states.close()
-    rate = pixel_turns.rate * num_envs
-    spec = make_spec(env_id.preset, env_id.task_spec)
+            for one in (pixels, states, bare):
+                one.take(steps)
+            steps = max(1 + PROBE, round(TURN * pixels.rate))
+    rate = pixels.rate * num_envs
     return {
         "env_id": env_id,
         "num_envs": num_envs,
-        "workers": pixels.workers,
+        "workers": getattr(env, "workers", 0),
         "steps_per_second": rate,
-        "state_steps_per_second": state_turns.rate * num_envs,
+        "state_steps_per_second": states.rate * num_envs,
         "physics_steps_per_second": physics.rate,
-        "frames_per_second": rate * spec.num_images,
+        "frames_per_second": rate * make_spec(env_id.preset, env_id.task_spec).num_images,
     }
-
-
-class _Steppable(Protocol):
-    """Something that takes a batch of actions."""
-
-    def step(self, actions: Any) -> Any: ...
-
-
-class _Single:
-    """A single environment that is reset at its episode's end."""
-
-    workers = 0
-
-    def __init__(self, env_id: EnvId, seed: int, **options: Any) -> None:
-        import gymnasium
-
-        self._env = gymnasium.make(env_id, **options).unwrapped
-        self._env.reset(seed=seed)
-        self.close = self._env.close
-
-    def step(self, actions: Any) -> None:
-        if self._env.step(actions[0])[3]:
-            self._env.reset()
-
-
-class _Vector:
-    """A vector environment."""
-
-    def __init__(self, env_id: EnvId, seed: int, **options: Any) -> None:
-        import gymnasium
-
-        env: Any = gymnasium.make_vec(env_id, **options).unwrapped
-        env.reset(seed=seed)
-        self.workers: int = env.workers
-        self.step, self.close = env.step, env.close
 
 
 class BarePhysics:
@@ -183,8 +154,12 @@ class BarePhysics:
     def __init__(self, env_id: EnvId, seed: int) -> None:
         self._env_id = env_id
         self._rng = np.random.default_rng(seed)
-        self._clock = Clock()
-        self._steps = 0
+        self._measured, self._calls = 0.0, 0  # seconds and calls inside the engine
+        nothing = self._timed(lambda _: None)
+        for _ in range(CALIBRATION_CALLS):
+            nothing(0.0)
+        self._overhead = self._measured / CALIBRATION_CALLS  # seconds a call
+        self._measured, self._calls, self._steps = 0.0, 0, 0
         self._reset()
 
     def step(self, actions: Any) -> None:
@@ -198,79 +173,83 @@ class BarePhysics:
     @property
     def rate(self) -> float:
         """Control steps per second inside the physics engine."""
-        return self._steps / self._clock.seconds
+        return self._steps / (self._measured - self._calls * self._overhead)
 
     def _reset(self) -> None:
         from magical.physics import Simulation
 
         task = self._env_id.task_spec
         self._simulation = Simulation(*task.sample(self._env_id.variant, self._rng))
-        self._simulation.advance = self._clock.around(self._simulation.advance)
+        self._simulation.advance = self._timed(self._simulation.advance)
         self._left = task.horizon
 
-
-@dataclass
-class Clock:
-    """Adds up the time inside a function, less what the measurement itself takes."""
-
-    measured: float = 0.0  # seconds
-    calls: int = 0
-    overhead: float = 0.0  # seconds a call
-
-    def __post_init__(self) -> None:
-        nothing = self.around(lambda duration: None)
-        for _ in range(CALIBRATION_CALLS):
-            nothing(0.0)
-        self.overhead = self.measured / CALIBRATION_CALLS
-        self.measured, self.calls = 0.0, 0
-
-    @property
-    def seconds(self) -> float:
-        """Seconds inside the functions so far."""
-        return self.measured - self.calls * self.overhead
-
-    def around(self, function: Callable[[float], None]) -> Callable[[float], None]:
-        """The function, timed."""
+    def _timed(self, function: Callable[[float], None]) -> Callable[[float], None]:
         now = time.perf_counter
 
         def timed(duration: float) -> None:
             began = now()
             function(duration)
-            self.measured += now() - began
-            self.calls += 1
+            self._measured += now() - began
+            self._calls += 1
 
         return timed
 
 
-@dataclass
 class _Turns:
     """The steps of one copy so far. Copies with the same seed get the same actions."""
 
-    steppable: _Steppable
-    num_envs: int
-    seed: int
-    steps: int = 0
-    seconds: float = 0.0
-    _rng: np.random.Generator = field(init=False)
-
-    def __post_init__(self) -> None:
-        self._rng = np.random.default_rng(self.seed)
+    def __init__(self, step: Callable[[Any], object], num_envs: int, seed: int) -> None:
+        self._step, self._num_envs = step, num_envs
+        self._rng = np.random.default_rng(seed)
+        self._steps, self._seconds = 0, 0.0
         for actions in self._actions(WARM_UP):
-            self.steppable.step(actions)
+            step(actions)
 
     @property
     def rate(self) -> float:
         """Steps of the whole batch per second."""
-        return self.steps / self.seconds
+        return self._steps / self._seconds
 
     def take(self, steps: int) -> None:
         """Take a turn of `steps` steps of the whole batch."""
         actions = self._actions(steps)
         began = time.perf_counter()
         for row in actions:
-            self.steppable.step(row)
-        self.seconds += time.perf_counter() - began
-        self.steps += steps
+            self._step(row)
+        self._seconds += time.perf_counter() - began
+        self._steps += steps
 
     def _actions(self, steps: int) -> Iterable[Any]:
-        return self._rng.integers(0, NUM_ACTIONS, (steps, self.num_envs))
+        return self._rng.integers(0, NUM_ACTIONS, (steps, self._num_envs))
+
+
+def _run_training(args: argparse.Namespace) -> int:
+    """Measure training, print, recommend options of `magical train`."""
+    from magical.learning.running.devices import choose_compute
+    from magical.learning.running.speed import training_speeds
+
+    speeds = training_speeds(args.network, args.batch_size, args.device)
+    fastest = max(speeds, key=lambda way: speeds[way])
+    default = choose_compute(fastest.device, "auto", 0)
+    rows = [
+        (
+            way.device,
+            way.precision,
+            str(way.threads or ""),
+            f"{speed:,.0f}",
+            " and ".join(
+                name for name, one in (("default", default), ("fastest", fastest)) if one == way
+            ),
+        )
+        for way, speed in speeds.items()
+    ]
+    print(f"network {args.network}, batches of {args.batch_size}, forward and backward")
+    print_table(("device", "precision", "threads", "samples/s", ""), rows)
+    options = f"--precision {fastest.precision}"
+    if fastest.threads:
+        options += f" --threads {fastest.threads}"
+    print(f"fastest: magical train ... {options}")
+    if args.json:
+        ways = [{**asdict(way), "samples_per_second": speed} for way, speed in speeds.items()]
+        print_json({"network": args.network, "batch_size": args.batch_size, "ways": ways})
+    return 0

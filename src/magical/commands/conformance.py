@@ -7,7 +7,6 @@ when a limit is exceeded. A file without recorded results is only computed, and 
 
 import argparse
 import importlib
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -75,28 +74,17 @@ def _check(kind: str, path: Path, out: Path | None) -> dict[str, Any]:
         log(f"wrote {out}")
     comparisons: list[Comparison] = module.compare(data, computed)
     if comparisons:
-        _print(comparisons)
+        rows = [
+            (status, one.name, f"{one.figure:.4g}", f"{one.limit:g}", one.unit, one.detail)
+            for one in comparisons
+            for status in ["ok" if one.passed else "MISSED"]
+        ]
+        print_table(("", "what", "figure", "limit", "unit", "detail"), rows)
     else:
         log(f"{path} holds no recorded results: nothing compared")
     return {
         "kind": kind,
         "file": path.name,
-        "passed": all(comparison.passed for comparison in comparisons),
-        "lines": [asdict(comparison) for comparison in comparisons],
+        "passed": all(one.passed for one in comparisons),
+        "lines": [asdict(one) for one in comparisons],
     }
-
-
-def _print(comparisons: Sequence[Comparison]) -> None:
-    header = ("", "what", "figure", "limit", "unit", "detail")
-    rows = [
-        (
-            "ok" if comparison.passed else "MISSED",
-            comparison.name,
-            f"{comparison.figure:.4g}",
-            f"{comparison.limit:g}",
-            comparison.unit,
-            comparison.detail,
-        )
-        for comparison in comparisons
-    ]
-    print_table(header, rows)

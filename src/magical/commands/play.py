@@ -27,6 +27,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--datasets",
         type=Path,
         nargs="+",
+        action="extend",
         default=[],
         metavar="DIR",
         help="datasets to look at; that of --record is always among them",
@@ -35,6 +36,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--runs",
         type=Path,
         nargs="+",
+        action="extend",
         default=[],
         metavar="DIR",
         help="run folders, or folders with runs in them, whose policies can be watched",
@@ -59,10 +61,11 @@ def _configure_server(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--allow-host",
-        action="append",
+        nargs="+",
+        action="extend",
         default=[],
         metavar="NAME",
-        help="another name under which browsers address this server; may be repeated",
+        help="other names under which browsers address this server",
     )
     parser.add_argument(
         "--max-players",

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from magical.commands._common import add_json, non_negative_int, print_json, write_image
+from magical.commands._common import add_json, add_seed, print_json, write_image
 from magical.envs import parse_env_id
 
 HELP = "write an image of a scene"
@@ -12,9 +12,7 @@ HELP = "write an image of a scene"
 def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
     parser.add_argument("env_id", metavar="ENV_ID", help="for instance magical/FindDupe-TestAll-v0")
-    parser.add_argument(
-        "--seed", type=non_negative_int, default=0, help="which scene is sampled (default: 0)"
-    )
+    add_seed(parser, "which scene is sampled")
     parser.add_argument(
         "--out", type=Path, metavar="FILE.png", help="default: the id, slashes replaced, .png"
     )
