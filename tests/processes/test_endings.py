@@ -1,13 +1,10 @@
 """However a program ends, the processes of its pool end as well and leave nothing behind."""
 
-import gzip
 import os
 import signal
 import subprocess
 import sys
-import zlib
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from pathlib import Path
 from uuid import uuid4
 
@@ -82,27 +79,6 @@ def named_memory(process_ids: list[int]) -> list[str]:
     return [line for line in maps.splitlines() if "/dev/shm/" in line]
 
 
-def opened_files(process_ids: list[int], pattern: str) -> list[Path]:
-    """The matching files that processes have open."""
-    found = []
-    for process_id in process_ids:
-        for link in Path(f"/proc/{process_id}/fd").glob("*"):
-            with suppress(OSError):  # closed, or the process has ended
-                found.append(link.readlink())
-    return [path for path in found if path.match(pattern)]
-
-
-@pytest.fixture
-def slow_files(tmp_path: Path) -> Path:
-    """Files under the names of published ones, each of which takes a second to unpack."""
-    member = gzip.compress(bytes(1 << 24), 1)
-    folder = tmp_path / "files"
-    folder.mkdir()
-    for i in range(20):
-        (folder / f"demo-{i}.pkl.gz").write_bytes(member * 30 + zlib.compress(bytes([i])))
-    return folder
-
-
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
 def test_killing_generate_leaves_nothing(how: signal.Signals, run: Run, tmp_path: Path) -> None:
     env_id = "magical/ClusterColour-TestAll-v0"
@@ -111,27 +87,6 @@ def test_killing_generate_leaves_nothing(how: signal.Signals, run: Run, tmp_path
         *("--out", str(tmp_path / "out"), "--workers", "2"),
     )
     assert soon(lambda: any((tmp_path / "out").glob("trajectories/*.npz")), 60)
-    processes = program.process_ids()
-    assert (len(processes), named_memory(processes)) == (3, [])
-    program.process.send_signal(how)
-    assert gone(processes)
-    assert program.process_ids() == []
-
-
-@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
-def test_killing_import_leaves_nothing(
-    how: signal.Signals, run: Run, tmp_path: Path, slow_files: Path
-) -> None:
-    program = run(
-        *("-m", "magical", "demos", "import", str(slow_files)),
-        *("--out", str(tmp_path / "out"), "--workers", "2"),
-    )
-
-    def both_read() -> bool:
-        children = [i for i in program.process_ids() if i != program.process.pid]
-        return len(opened_files(children, "*.pkl.gz")) == 2
-
-    assert soon(both_read, 60)
     processes = program.process_ids()
     assert (len(processes), named_memory(processes)) == (3, [])
     program.process.send_signal(how)

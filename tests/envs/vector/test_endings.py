@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.waiting import alive, gone, soon
+from tests.waiting import alive, gone
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals and /proc")
 USE = """
@@ -18,18 +18,6 @@ from magical.envs.vector import MagicalVectorEnv
 envs = MagicalVectorEnv(["magical/MakeLine-Demo-v0"] * 2, workers=2, observation="state")
 envs.reset(seed=0)
 print(*envs.worker_process_ids, flush=True)
-"""
-HANGING = """
-import os, threading
-from dataclasses import replace
-from pathlib import Path
-from magical import get_task
-
-def rule(scene, poses):
-    Path(__file__).with_name(str(os.getpid())).touch()
-    threading.Event().wait()
-
-TASK = replace(get_task("MakeLine"), name="Hanging", rule=rule)
 """
 Start = Callable[[str], "subprocess.Popen[str]"]
 
@@ -65,24 +53,6 @@ def test_workers_end_with_their_parent(script: Start, how: signal.Signals) -> No
     errors = process.communicate(timeout=30)[1]
     assert gone(workers)
     assert errors.count("Traceback") == (how is signal.SIGINT)
-
-
-@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
-def test_workers_end_with_their_parent_while_a_task_hangs(
-    script: Start, how: signal.Signals, tmp_path: Path
-) -> None:
-    (tmp_path / "hanging_task.py").write_text(HANGING)
-    process = script(
-        "import magical, hanging_task\nmagical.register_task(hanging_task.TASK)\n"
-        + USE.replace("MakeLine", "Hanging").replace("workers=2", "workers=2, horizon=1")
-        + "envs.step([0, 0])"
-    )
-    assert process.stdout is not None
-    workers = [int(i) for i in process.stdout.readline().split()]
-    assert soon(lambda: all((tmp_path / str(worker)).exists() for worker in workers), 30)
-    process.send_signal(how)
-    process.communicate(timeout=30)
-    assert gone(workers)
 
 
 def test_a_fork_does_not_end_its_parents_workers(script: Start) -> None:
