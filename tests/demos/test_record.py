@@ -22,6 +22,10 @@ def make(horizon: int = 6, **options: Any) -> gymnasium.Env[Any, Any]:
 
 def roll(env: gymnasium.Env[Any, Any], rng: np.random.Generator, seed: int | None = None) -> Any:
     env.reset(seed=seed)
+    return roll_on(env, rng)
+
+
+def roll_on(env: gymnasium.Env[Any, Any], rng: np.random.Generator) -> Any:
     while True:
         result = env.step(int(rng.integers(18)))
         if result[2] or result[3]:
@@ -64,30 +68,15 @@ def test_wrappers_inside_and_around(tmp_path: Path) -> None:
     assert trajectory.actions.tolist() == [17, 16, 15, 14, 13, 12]
 
 
-def test_set_state_in_an_episode_is_refused(tmp_path: Path) -> None:
-    env = RecordTrajectories(make(), tmp_path / "d", demonstrator="x")
-    env.reset(seed=0)
-    env.step(0)
-    saved = env.unwrapped.get_state()  # type: ignore[attr-defined]
-    env.step(0)
-    env.unwrapped.set_state(saved)  # type: ignore[attr-defined]
-    with pytest.raises(TrajectoryError, match="not recorded from its start"):
-        roll_on(env)
-
-
-def test_set_state_after_reset_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("later", [lambda env: env.step(0), lambda env: env.reset(seed=1)])
+def test_set_state_in_an_episode_is_refused(tmp_path: Path, later: Any) -> None:
     env = RecordTrajectories(make(), tmp_path / "d", demonstrator="x")
     env.reset(seed=0)
     saved = env.unwrapped.get_state()  # type: ignore[attr-defined]
-    env.reset(seed=1)
+    later(env)
     env.unwrapped.set_state(saved)  # type: ignore[attr-defined]
     with pytest.raises(TrajectoryError, match="not recorded from its start"):
-        roll_on(env)
-
-
-def roll_on(env: gymnasium.Env[Any, Any]) -> None:
-    for _ in range(6):
-        env.step(0)
+        roll_on(env, np.random.default_rng(0))
 
 
 def test_other_environments_and_folders_are_refused(tmp_path: Path, small_dataset: Path) -> None:

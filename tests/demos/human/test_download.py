@@ -7,7 +7,7 @@ import io
 import re
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, contextmanager, suppress
 from email.message import Message
 from pathlib import Path
 from typing import Any
@@ -58,6 +58,18 @@ class Handler(http.server.SimpleHTTPRequestHandler):
         pass
 
 
+@contextmanager
+def running(handler: Callable[..., http.server.BaseHTTPRequestHandler]) -> Iterator[str]:
+    """A local server; yields its address."""
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+    thread.start()
+    yield f"http://127.0.0.1:{server.server_port}"
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
 @pytest.fixture
 def served(human_archive: Path) -> Iterator[tuple[str, type[Handler]]]:
     """The archive on a local server: its address and its handler's class."""
@@ -65,15 +77,8 @@ def served(human_archive: Path) -> Iterator[tuple[str, type[Handler]]]:
     class Mine(Handler):
         requested: list[tuple[str, str | None]] = []  # noqa: RUF012
 
-    server = http.server.ThreadingHTTPServer(
-        ("127.0.0.1", 0), functools.partial(Mine, directory=str(human_archive))
-    )
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-    thread.start()
-    yield f"http://127.0.0.1:{server.server_port}", Mine
-    server.shutdown()
-    thread.join()
-    server.server_close()
+    with running(functools.partial(Mine, directory=str(human_archive))) as url:
+        yield url, Mine
 
 
 FIRST = "move-to-region/demo-MoveToRegion-Demo-v0-00[0-4].pkl.gz"
@@ -162,29 +167,20 @@ Reply = Callable[[http.server.BaseHTTPRequestHandler], None]
 @pytest.fixture
 def serve() -> Iterator[Callable[[Reply], str]]:
     """Starts a server with one reply to everything; returns its address."""
-    servers = []
+    with ExitStack() as servers:
 
-    def start(reply: Reply) -> str:
-        class Mine(http.server.BaseHTTPRequestHandler):
-            def do_GET(self) -> None:
-                with suppress(ConnectionError):
-                    reply(self)
+        def start(reply: Reply) -> str:
+            class Mine(http.server.BaseHTTPRequestHandler):
+                def do_GET(self) -> None:
+                    with suppress(ConnectionError):
+                        reply(self)
 
-            def log_message(self, *args: Any) -> None:
-                pass
+                def log_message(self, *args: Any) -> None:
+                    pass
 
-        server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Mine)
-        options = {"poll_interval": 0.01}
-        thread = threading.Thread(target=server.serve_forever, kwargs=options)
-        thread.start()
-        servers.append((server, thread))
-        return f"http://127.0.0.1:{server.server_port}"
+            return servers.enter_context(running(Mine))
 
-    yield start
-    for server, thread in servers:
-        server.shutdown()
-        thread.join()
-        server.server_close()
+        yield start
 
 
 def response(body: bytes, status: int = 200, reason: str | None = None, **headers: str) -> Reply:
@@ -251,16 +247,18 @@ def test_false_content_length_changes_nothing_or_is_named(
         assert (tmp_path / "file").read_bytes() == b"content"
 
 
-def test_body_shorter_than_its_length(tmp_path: Path, serve: Callable[[Reply], str]) -> None:
-    error = only_error(tmp_path, serve(response(b"", Content_Length="7")))
-    assert "IncompleteRead" in error
-
-
-def test_reason_of_the_server_is_shown_escaped(
-    tmp_path: Path, serve: Callable[[Reply], str]
+@pytest.mark.parametrize(
+    ("reply", "message"),
+    [
+        (response(b"", Content_Length="7"), "IncompleteRead"),
+        (response(b"", 404, "\x1b[2J" + "x" * 1000), "the server answered 404 \\x1b[2Jxxx"),
+        (response(b"another", Content_Length="7"), "expected SHA-256"),
+    ],
+)
+def test_bad_answer_is_named(
+    tmp_path: Path, serve: Callable[[Reply], str], reply: Reply, message: str
 ) -> None:
-    error = only_error(tmp_path, serve(response(b"", 404, "\x1b[2J" + "x" * 1000)))
-    assert "the server answered 404 \\x1b[2Jxxx" in error
+    assert message in only_error(tmp_path, serve(reply))
 
 
 @pytest.mark.parametrize("part", ["headers", "body", "chunk"])
