@@ -14,8 +14,6 @@ from magical.scene import constants as c
 from magical.scene.poses import Poses
 from magical.scene.scene import Dynamics, Scene
 
-MAX_COORDINATE = 1e3  # units and radians; beyond, the solver's results are no numbers
-
 
 class Simulation:
     """A scene under given dynamics, stepped at the control rate of 8 Hz.
@@ -109,7 +107,7 @@ def _check(scene: Scene) -> None:
 
 def _check_range(bodies: NDArray[np.float64]) -> None:
     furthest = np.abs(bodies).max()
-    if not furthest <= MAX_COORDINATE:  # NaN too
+    if not furthest <= c.MAX_COORDINATE:  # NaN too
         raise InvalidSceneError(
-            f"poses: expected finite numbers up to {MAX_COORDINATE:g}, found {furthest:g}"
+            f"poses: expected finite numbers up to {c.MAX_COORDINATE:g}, found {furthest:g}"
         )

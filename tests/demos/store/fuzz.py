@@ -26,7 +26,7 @@ from magical.demos.store import manifest
 from magical.demos.store.codec import decode, encode
 from magical.demos.store.repair import repair
 from magical.envs import parse_env_id
-from magical.errors import DatasetError, TrajectoryError
+from magical.errors import DatasetError, InvalidSceneError, TrajectoryError
 from magical.scene import Poses
 
 Mutate = Callable[[bytes, np.random.Generator], bytes]
@@ -64,7 +64,7 @@ def use(trajectory: Trajectory) -> None:
     for poses in [] if trajectory.poses is None else trajectory.poses:
         for score in (trajectory.task.score, trajectory.task.published_code_score):
             assert 0.0 <= score(trajectory.scene, Poses(poses)) <= 1.0
-    with suppress(TrajectoryError):  # other poses than the simulation's
+    with suppress(TrajectoryError, InvalidSceneError):  # not the simulation's, or beyond it
         observations(trajectory, "state")
 
 

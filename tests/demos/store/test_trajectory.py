@@ -1,5 +1,6 @@
 """Trajectories check their parts."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -102,6 +103,13 @@ def test_a_policys_own_steps_are_not_demonstrated() -> None:
     assert Trajectory(**GOOD, actors=actors).is_demonstrated.tolist() == [False, True]
     relabelled = Trajectory(**GOOD, actors=actors, expert_actions=np.array([1, 2]))
     assert relabelled.is_demonstrated.tolist() == [True, True]
+
+
+@pytest.mark.parametrize("change", [{"x": 1.2}, {"angle": 2000.0}])
+def test_scene_that_no_episode_can_start_from_is_refused(change: dict[str, float]) -> None:
+    scene = replace(GOOD["scene"], robot=GOOD["scene"].robot._replace(**change))
+    with pytest.raises(ValueError, match=r"outside the workspace|angles of at most 1000 rad"):
+        Trajectory(**{**GOOD, "scene": scene})
 
 
 def test_unknown_environment() -> None:

@@ -14,7 +14,7 @@ from magical.envs.ids import EnvId, parse_env_id
 from magical.errors import TrajectoryError
 from magical.messages import quoted
 from magical.scene import NUM_ACTIONS, Dynamics, Poses, Scene, View
-from magical.scene.constants import FRAME_SIZE, MAX_NUDGE
+from magical.scene.constants import FRAME_SIZE, MAX_COORDINATE, MAX_NUDGE
 from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import Task
 from magical.untrusted import check_plain
@@ -73,7 +73,7 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "env_id", parse_env_id(self.env_id).without_preset)
-        self.task.validate(self.scene, MAX_NUDGE)
+        self._check_scene()
         object.__setattr__(self, "actions", checked_actions("actions", self.actions))
         for name in ("expert_actions", "policy_actions"):
             if getattr(self, name) is not None:
@@ -153,6 +153,11 @@ class Trajectory:
     def is_recovered(self) -> bool:
         """Whether poses were recovered from frames: the simulation does not reproduce them."""
         return self.poses is not None and RECOVERY in self.metadata
+
+    def _check_scene(self) -> None:
+        self.task.validate(self.scene, MAX_NUDGE)
+        if not np.abs(Poses.at_rest(self.scene).bodies).max() <= MAX_COORDINATE:
+            raise TrajectoryError(f"scene: expected angles of at most {MAX_COORDINATE:g} rad")
 
     def _checked_other(self, name: str, actions: ArrayLike) -> NDArray[np.int64]:
         array = checked_actions(name, actions)
