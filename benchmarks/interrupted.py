@@ -66,7 +66,7 @@ def check(arguments: argparse.Namespace, log: Path) -> bool:
     """Print and return whether no run was done twice and all scores equal the other folder's."""
     done = Counter(DONE.findall(log.read_text(errors="replace")))
     twice = [name for name, times in done.items() if times > 1]
-    folders = [run["folder"] for run in listed_runs(arguments.out)]
+    folders = [run.folder for run in listed_runs(arguments.out)]
     print(f"runs: {len(folders)}; done twice: {', '.join(twice) or 'none'}")
     if not arguments.beside:
         return not twice

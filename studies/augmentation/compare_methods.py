@@ -64,7 +64,7 @@ def read_methods(results: Path, tasks: Sequence[str] | None) -> Mapping[str, Run
         ]
         for method, runs in group_by(entries, attrgetter("method")).items()
     }
-    methods = dict.fromkeys(run["method"] for run in listed_runs(results))
+    methods = dict.fromkeys(run.method for run in listed_runs(results))
     return {m: kept for m in methods if (kept := list(filter(None, rows.get(m, ()))))}
 
 

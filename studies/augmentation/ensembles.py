@@ -41,8 +41,8 @@ def main() -> None:
     arguments = parser.parse_args()
     groups: dict[str, list[Path]] = defaultdict(list)
     for run in listed_runs(arguments.results):
-        if run["method"] == arguments.method:
-            groups["+".join(run["tasks"])].append(arguments.results / RUNS / run["folder"])
+        if run.method == arguments.method:
+            groups["+".join(run.tasks)].append(arguments.results / RUNS / run.folder)
     if not groups:
         parser.error(f"{arguments.results}: no runs of the method {arguments.method!r}")
     for task, runs in groups.items():

@@ -91,11 +91,10 @@ def test_sigterm_leaves_checkpoints(
     assert scores(out)
 
 
-def replace_node(cluster: Cluster, node: object, out: Path) -> None:
-    """Kill a node once a run has begun in `out`, then add another."""
+def kill_node(cluster: Cluster, node: object, out: Path) -> None:
+    """Kill a node once a run has begun in `out`."""
     assert reached(out, 1)
     cluster.remove_node(node, allow_graceful=False)
-    cluster.add_node(num_cpus=1)
 
 
 def test_runs_of_a_dead_node_are_done_by_another(
@@ -107,8 +106,8 @@ def test_runs_of_a_dead_node_are_done_by_another(
     monkeypatch.setattr("magical.experiments.ray_cluster.RETRIES", 0)  # Ray's own
     out = tmp_path / "out"
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
-    node = cluster.add_node(num_cpus=1)
-    thread = threading.Thread(target=replace_node, args=(cluster, node, out))
+    node, _ = cluster.add_node(num_cpus=1), cluster.add_node(num_cpus=1)
+    thread = threading.Thread(target=kill_node, args=(cluster, node, out))
     try:
         thread.start()
         assert execute(planned(), out, Resources(executor="ray", address=cluster.address)).complete

@@ -1,9 +1,8 @@
-"""Estimates of how long runs take, here and on a GPU: right within a factor of two or so."""
+"""Estimates of how long runs take on this machine: right within a factor of two or so."""
 
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from magical.experiments.plan import PlannedRun
 from magical.learning import Config
@@ -17,60 +16,34 @@ FORWARD = 1 / 3  # time of a forward pass, of that of a forward and backward pas
 SECONDS_PER_PREPARED_SAMPLE = 1.2e-3
 SECONDS_PER_STEP = 1 / 7_500
 
-# Derived, not measured (docs/benchmarks.md, "PPO and GAIL"): the 12.8 million samples of GAIL in 25
-# minutes, and its million steps of environments on a dozen cores in 5.
-GPU_SECONDS_PER_SAMPLE = 25 * 60 / 12.8e6
-GPU_SECONDS_PER_STEP = 5 * 60 / 1e6
-
-SOURCES = (
-    "here: from the training speed of the networks, measured just now on this machine, for a core "
-    "that a run has to itself; for a learner without such a network, from what it took elsewhere",
-    "one GPU: an estimate for a data-centre GPU of its own, derived and not measured "
-    "(docs/benchmarks.md)",
+SOURCE = (
+    "estimated from the training speed of the networks, measured just now on this machine, for a "
+    "core that a run has to itself; for a learner without such a network, from what it took "
+    "elsewhere"
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Estimate:
-    """The time that a run takes in a process of its own, in seconds.
+def estimate(runs: Sequence[PlannedRun]) -> list[float]:
+    """The seconds that each run takes in a process of its own, with its number of threads.
 
-    Attributes:
-        here: on this machine, with the run's number of threads.
-        gpu: on a data-centre GPU that it has to itself; not measured.
+    Takes some seconds to measure the networks' training speed.
     """
-
-    here: float
-    gpu: float
-
-
-def estimate(runs: Sequence[PlannedRun]) -> list[Estimate]:
-    """An estimate for each run; takes some seconds to measure the networks' training speed."""
     ways = {_way(run.config) for run in runs if not run.config.seconds_each}
     speeds = _measure(ways)
     return [_estimate(run, speeds.get(_way(run.config), math.nan)) for run in runs]
 
 
-def _estimate(run: PlannedRun, speed: float) -> Estimate:
-    """An estimate from the samples a second of forward and backward passes here.
-
-    A learner that states its own cost is taken to gain nothing from a GPU.
-    """
+def _estimate(run: PlannedRun, speed: float) -> float:
+    """An estimate from the samples a second of forward and backward passes here."""
     config = run.config
-    samples, steps = config.training_samples, _evaluation_steps(run)
-    prepared = 0
-    if config.environment_steps:
-        steps += config.environment_steps
-    elif config.part(DemonstrationSettings):
-        prepared = samples
+    samples, steps = config.training_samples, config.environment_steps + _evaluation_steps(run)
     if config.seconds_each:
         per_sample, per_action = config.seconds_each
-        seconds = samples * per_sample + steps * (per_action + SECONDS_PER_STEP)
-        return Estimate(here=seconds, gpu=seconds)
-    here = (samples + FORWARD * steps) / speed + prepared * SECONDS_PER_PREPARED_SAMPLE
-    return Estimate(
-        here=here + steps * SECONDS_PER_STEP,
-        gpu=samples * GPU_SECONDS_PER_SAMPLE + steps * GPU_SECONDS_PER_STEP,
-    )
+        return samples * per_sample + steps * (per_action + SECONDS_PER_STEP)
+    cloning = config.part(DemonstrationSettings) and not config.environment_steps
+    prepared = samples if cloning else 0
+    learning = (samples + FORWARD * steps) / speed + prepared * SECONDS_PER_PREPARED_SAMPLE
+    return learning + steps * SECONDS_PER_STEP
 
 
 def _evaluation_steps(run: PlannedRun) -> int:

@@ -8,23 +8,34 @@
 """
 
 import uuid
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from magical import __version__
-from magical.errors import MagicalError, ResultsError, RunFolderError
+from magical.errors import MagicalError, ResultsError
 from magical.experiments.plan import PlannedRun
 from magical.files import OwnedFolder
-from magical.runs.folder import read_json, versions, write_json
+from magical.messages import quoted
+from magical.runs.folder import versions, write_json
+from magical.untrusted import read_json
 
 FORMAT = 1
+MAX_BYTES = 1 << 26  # of `plan.json`
 EXPERIMENT, PLAN = "experiment.json", "plan.json"
 PROGRESS, RESULT = "progress.json", "result.json"
 RUNS, DEMOS = "runs", "demos"
 DONE, FAILED, WAITING = "done", "failed", "waiting"  # states; the first two are in `result.json`
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """What `progress.json` holds: folders of the runs in progress, how many can be at a time."""
+
+    running: tuple[str, ...] = ()
+    slots: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +66,7 @@ class Results:
     def write_progress(self, running: Iterable[PlannedRun], slots: int) -> None:
         """Note which runs are in progress, and how many can be at a time."""
         names = [run.folder for run in running]
-        write_json(self.path / PROGRESS, {"running": names, "slots": slots})
+        write_json(self.path / PROGRESS, asdict(Progress(tuple(names), slots)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +125,7 @@ def check_results(path: Path, runs: Sequence[PlannedRun]) -> None:
             f"magical {__version__} (format {FORMAT}): their scores may differ. Choose another "
             "folder (--out), or install that version"
         )
-    methods = {str(run["method"]) for run in listed_runs(path)}
+    methods = {run.method for run in listed_runs(path)}
     if methods and not methods & {run.method for run in runs}:
         raise ResultsError(
             f"{path} holds results of another plan, with the methods {', '.join(sorted(methods))}; "
@@ -122,24 +133,35 @@ def check_results(path: Path, runs: Sequence[PlannedRun]) -> None:
         )
 
 
-def listed_runs(path: Path) -> list[dict[str, Any]]:
-    """The runs in `plan.json`, with folder, method, tasks, seed and total number of steps.
+@dataclass(frozen=True, slots=True)
+class ListedRun:
+    """A run as `plan.json` lists it; `total` is the number of batches or updates of training."""
+
+    folder: str
+    method: str
+    tasks: tuple[str, ...]
+    seed: int
+    total: int
+
+    def __post_init__(self) -> None:
+        if Path(self.folder).name != self.folder:
+            raise ValueError(f"folder: expected a folder's name, found {quoted(self.folder)}")
+
+
+@dataclass(frozen=True, slots=True)
+class _PlanRecord:
+    runs: tuple[ListedRun, ...]
+
+
+def listed_runs(path: Path) -> Sequence[ListedRun]:
+    """The runs in `plan.json`.
 
     Raises:
         ResultsError: the file is damaged.
     """
     if not (path / PLAN).exists():
-        return []
-    listed = read_record(path / PLAN).get("runs")
-    fields = {"folder": str, "method": str, "tasks": list, "seed": int, "total": int}
-    if not isinstance(listed, list) or not all(
-        isinstance(run, dict)
-        and {name: type(value) for name, value in run.items()} == fields
-        and Path(run["folder"]).name == run["folder"]
-        for run in listed
-    ):
-        raise ResultsError(f"{path / PLAN}: expected the runs of a plan; give another --out")
-    return listed
+        return ()
+    return read_json(path / PLAN, _PlanRecord, ResultsError, max_bytes=MAX_BYTES).runs
 
 
 def run_folders(path: Path) -> list[Path]:
@@ -188,15 +210,10 @@ def _opened(path: Path, runs: Sequence[PlannedRun]) -> Results:
     return Results(path, str(read_record(path / EXPERIMENT).get("id")))
 
 
-def listed(run: PlannedRun) -> Mapping[str, Any]:
+def listed(run: PlannedRun) -> dict[str, Any]:
     """A run as `plan.json` lists it."""
-    return {
-        "folder": run.folder,
-        "method": run.method,
-        "tasks": list(run.tasks),
-        "seed": run.seed,
-        "total": run.config.num_updates,
-    }
+    total = run.config.num_updates
+    return asdict(ListedRun(run.folder, run.method, run.tasks, run.seed, total))
 
 
 def read_record(path: Path) -> dict[str, Any]:
@@ -205,7 +222,4 @@ def read_record(path: Path) -> dict[str, Any]:
     Raises:
         ResultsError: it is missing or damaged.
     """
-    try:
-        return read_json(path)
-    except RunFolderError as error:
-        raise ResultsError(str(error)) from error
+    return read_json(path, dict[str, Any], ResultsError)

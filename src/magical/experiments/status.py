@@ -2,7 +2,8 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from operator import itemgetter
 from pathlib import Path
 from statistics import mean
 from typing import Any
@@ -13,10 +14,13 @@ from magical.experiments.results import (
     DONE,
     EXPERIMENT,
     FAILED,
+    MAX_BYTES,
     PROGRESS,
     RESULT,
     RUNS,
     WAITING,
+    ListedRun,
+    Progress,
     is_results,
     listed_runs,
     read_record,
@@ -24,35 +28,27 @@ from magical.experiments.results import (
     run_folders,
 )
 from magical.files import LOCK, is_locked
+from magical.grouping import group_by
 from magical.runs.metrics import read_metrics
+from magical.untrusted import read_json
 
 RUNNING = "running"
 STATES = (DONE, FAILED, RUNNING, WAITING)
 
 
 @dataclass(frozen=True, slots=True)
-class RunStatus:
+class RunStatus(ListedRun):
     """How far one run is.
 
     Attributes:
-        folder: the name of its folder.
-        method: the method's name.
-        tasks: the tasks that are learned.
-        seed: of training.
         state: one of `STATES`; an interrupted run waits.
         step: batches or updates done; of the newest line of metrics.
-        total: batches or updates of the whole training.
         seconds: that the last session of training and the evaluation took, if it is done.
         error: the message, if it failed.
     """
 
-    folder: str
-    method: str
-    tasks: tuple[str, ...]
-    seed: int
     state: str
     step: int
-    total: int
     seconds: float | None = None
     error: str = ""
 
@@ -89,15 +85,14 @@ class Status:
 
         A run is expected to take the mean of its method's finished runs, or of all.
         """
-        times: dict[str, list[float]] = {}
-        for run in self.runs:
-            if run.seconds is not None:
-                times.setdefault(run.method, []).append(run.seconds)
+        times = [(run.method, run.seconds) for run in self.runs if run.seconds is not None]
         if not times:
             return None
-        overall = mean(time for group in times.values() for time in group)
+        overall = mean(seconds for _, seconds in times)
+        groups = group_by(times, itemgetter(0)).items()
+        means = {method: mean(seconds for _, seconds in group) for method, group in groups}
         left = sum(
-            mean(times.get(run.method, [overall])) * (1 - run.step / max(1, run.total))
+            means.get(run.method, overall) * (1 - run.step / max(1, run.total))
             for run in self.runs
             if run.state in (RUNNING, WAITING)
         )
@@ -128,15 +123,18 @@ def read_status(path: Path) -> Status:
             "makes one), found none"
         )
     active = is_locked(path / LOCK)
-    progress = read_record(path / PROGRESS) if active and (path / PROGRESS).exists() else {}
-    running = progress.get("running", [])
-    runs = tuple(_run_status(path, item, item["folder"] in running) for item in listed_runs(path))
+    progress = Progress()
+    if active and (path / PROGRESS).exists():
+        progress = read_json(path / PROGRESS, Progress, ResultsError, max_bytes=MAX_BYTES)
+    runs = tuple(
+        _run_status(path, run, run.folder in progress.running) for run in listed_runs(path)
+    )
     others = {folder.name for folder in run_folders(path)} - {run.folder for run in runs}
-    return Status(path, active, progress.get("slots", 1), runs, len(others))
+    return Status(path, active, progress.slots, runs, len(others))
 
 
-def _run_status(path: Path, item: Mapping[str, Any], running: bool) -> RunStatus:
-    folder = path / RUNS / item["folder"]
+def _run_status(path: Path, run: ListedRun, running: bool) -> RunStatus:
+    folder = path / RUNS / run.folder
     try:
         state = read_state(folder)
         record = read_record(folder / RESULT) if state else {}
@@ -146,13 +144,9 @@ def _run_status(path: Path, item: Mapping[str, Any], running: bool) -> RunStatus
         state, record, error, step = FAILED, {}, str(damage), 0
     seconds = record.get("seconds")
     return RunStatus(
-        folder=item["folder"],
-        method=item["method"],
-        tasks=tuple(item["tasks"]),
-        seed=item["seed"],
+        **asdict(run),
         state=state or (RUNNING if running else WAITING),
         step=step,
-        total=item["total"],
         seconds=sum(seconds.values()) if seconds else None,
         error=error,
     )
