@@ -14,11 +14,12 @@ from magical import evaluation
 from magical.envs import parse_env_id
 from magical.errors import CheckpointError, DivergedError, PolicyError, RunFolderError
 from magical.evaluation import Policy, evaluate
+from magical.evaluation.protocol import Evaluation
 from magical.learning import NetworkPolicy, is_run, load_policy, train
 from magical.learning.algorithms.bc import BCConfig
 from magical.learning.running.devices import Compute
 from magical.observe import NAMED, PRESETS
-from magical.report.figures.clips import record_clips
+from magical.report.figures.clips import record_rollouts
 from magical.runs.folder import CHECKPOINT
 from tests.learning.conftest import TASKS
 
@@ -135,7 +136,8 @@ def every_warning() -> Iterator[None]:
 def test_users_policies_may_share_memory_with_observations(observation: str, workers: int) -> None:
     policy = Sharing(observation, privileged=observation == "privileged")
     evaluate(policy, IDS[:1], rollouts=2, horizon=4, workers=workers)
-    record_clips(policy, [parse_env_id(IDS[0])], size=8)
+    rollouts = [(parse_env_id(IDS[0]), 0)]
+    record_rollouts(policy, Evaluation.of(IDS[:1]), rollouts, size=8)
 
 
 @pytest.fixture(scope="module")

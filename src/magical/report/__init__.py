@@ -1,7 +1,8 @@
-"""Tables, figures and the page; from files alone."""
+"""Tables, figures and pages; from files alone.
 
-from magical.report.figures.contact_sheet import contact_sheet
-from magical.report.pages.page import Page
-from magical.report.scores.tables import Table, entry_tasks, task_table, text_rows
-
-__all__ = ["Page", "Table", "contact_sheet", "entry_tasks", "task_table", "text_rows"]
+- `found`: evaluated runs in folders, what is missing among them, how each was made
+- `scores`: tables, aggregates with intervals, differences from the published rows
+- `figures`: plots, learning curves, rollouts as animations
+- `pages`: a page, the comparison of two methods, exported tables
+- `leaderboard` and `gallery`: static sites
+"""

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from magical.report.figures import curves
-from magical.report.figures.curves import learning_curves, save_learning_curves
+from magical.report.figures.curves import TrainedRun, curves_by_task, save_learning_curves
 
 pytest.importorskip("matplotlib", reason="the report extra is not installed")
 
@@ -21,24 +21,25 @@ def run_folder(path: Path, lines: Sequence[Mapping[str, float | None]]) -> Path:
     return path
 
 
-def test_a_panel_for_each_quantity_and_a_line_for_each_run(tmp_path: Path) -> None:
-    lines = [{"step": i, "loss": 1 / (i + 1), "accuracy": i / 100} for i in range(100)]
-    runs = {name: run_folder(tmp_path / name, lines) for name in ("first run", "second run")}
-    svg = learning_curves(runs)
-    assert svg.startswith("<svg")
-    for text in ("loss", "accuracy", "step", "first run", "second run"):
-        assert f">{text}</text>" in svg
-
-
-def test_without_metrics_there_is_nothing(tmp_path: Path) -> None:
-    assert learning_curves({"run": tmp_path}) == ""
-    assert learning_curves({"run": run_folder(tmp_path / "a", [{"step": 1}])}) == ""
-
-
-def test_what_is_not_finite_is_left_out(tmp_path: Path) -> None:
-    losses: list[float | None] = [0.5, None, 0.4]
-    lines = [{"step": step, "loss": loss} for step, loss in enumerate(losses)]
-    assert learning_curves({"run": run_folder(tmp_path / "a", lines)}).startswith("<svg")
+def test_a_figure_for_each_task_and_quantity_and_a_line_for_each_run(tmp_path: Path) -> None:
+    lines: list[dict[str, float | None]] = [
+        {"step": i, "loss": 1 / (i + 1), "accuracy": i / 100} for i in range(100)
+    ]
+    lines[7]["loss"] = None  # was not finite
+    runs = [
+        TrainedRun(name, "MakeLine", run_folder(tmp_path / name, lines)) for name in ("one", "two")
+    ]
+    runs += [
+        TrainedRun("one", "FindDupe", run_folder(tmp_path / "x", [{"step": 1}])),
+        TrainedRun("one", "FindDupe", tmp_path),
+    ]
+    figures, damaged = curves_by_task(runs, ["one", "two"])
+    assert damaged == {}
+    assert list(figures) == ["MakeLine"]
+    for svg, name in zip(figures["MakeLine"], ("loss", "accuracy"), strict=True):
+        assert svg.startswith("<svg")
+        for text in (name, "step", "one", "two"):
+            assert f">{text}</text>" in svg
 
 
 def test_a_picture_of_every_metric_in_the_run_folder(tmp_path: Path) -> None:

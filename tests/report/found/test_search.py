@@ -196,7 +196,7 @@ def test_a_policy_in_the_package_has_no_training_run(
 def test_a_damaged_record_of_a_run_does_not_stop_a_page(
     write_entry: WriteEntry, tmp_path: Path, text: str
 ) -> None:
-    folder = write_entry("a", "bc", LINE, seed=1, details={"authors": "\ud800"})
+    folder = write_entry("a", "bc", LINE, seed=1)
     for name in ("run.json", "result.json", "metrics.jsonl"):
         (folder / name).write_text(text + "\n")
     site = tmp_path / "page.html"

@@ -7,8 +7,7 @@ import pytest
 
 from magical.envs import parse_env_id
 from magical.evaluation import Entry, RolloutScore
-from magical.report import entry_tasks, task_table, text_rows
-from magical.report.scores.tables import ONE_RUN, Cell
+from magical.report.scores.tables import ONE_RUN, Cell, entry_tasks, task_table, text_rows
 
 
 def entry(method: str, scores: dict[str, list[float]], **fields: Any) -> Entry:

@@ -72,18 +72,6 @@ class Clip:
         return np.concatenate(list(self.frames[indices]), axis=1)
 
 
-def record_clips(
-    policy: Policy, env_ids: Sequence[EnvId], rollout: int = 0, seed: int = 0, size: int = SIZE
-) -> list[Clip]:
-    """Run the policy once in each environment, all of one task, with evaluation's seeds.
-
-    Raises `PolicyError` where the policy returns something else than actions.
-    """
-    rollouts = [(env_id, rollout) for env_id in env_ids]
-    evaluation = Evaluation(env_ids=tuple(env_ids), seed=seed)
-    return record_rollouts(policy, evaluation, rollouts, size=size)
-
-
 def record_rollouts(
     policy: Policy,
     evaluation: Evaluation,

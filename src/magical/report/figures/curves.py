@@ -1,13 +1,11 @@
 """Learning curves from the metrics of runs."""
 
 import importlib.util
-import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from warnings import catch_warnings, filterwarnings
 
 import numpy as np
 
@@ -26,25 +24,14 @@ from magical.report.figures.plots import (
 from magical.runs.folder import CURVES
 from magical.runs.metrics import read_metrics
 
-PANELS = ("loss", "accuracy", "score")  # of `learning_curves`, where the metrics have them
+PANELS = ("loss", "accuracy", "score")  # of a page, where the metrics have them
 SMOOTHING = 50  # rows of metrics that a curve is averaged over, at most a tenth of all
 MOST_POINTS = 200  # of a curve, up to twice as many
-LONGEST = 30  # characters of a name in the legend
 LARGEST = 1e300  # number that is plotted
 NOT_PLOTTED = ("step", "environment_steps", "warning")
 COLUMNS = 4  # of `save_learning_curves`
 
 Rows = Sequence[Mapping[str, Any]]
-
-
-def learning_curves(runs: Mapping[str, Path]) -> str:
-    """The curves of all runs that have metrics, one panel for each quantity, as SVG.
-
-    `runs` are folders by name. Empty where none has metrics.
-    """
-    found = {name: rows for name, folder in runs.items() if (rows := read_metrics(folder))}
-    panels = [key for key in PANELS if any(key in row for rows in found.values() for row in rows)]
-    return _svg(found, panels) if panels else ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,38 +104,6 @@ def _points(rows: Rows, key: str) -> list[tuple[float, float]]:
 
 def _is_finite(number: object) -> bool:
     return isinstance(number, int | float) and abs(number) < LARGEST
-
-
-def _svg(runs: Mapping[str, Rows], panels: Sequence[str]) -> str:
-    # From the report extra. Figure alone: no window system, no global state.
-    from matplotlib import rc_context
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(4.6 * len(panels), 3.2), layout="constrained")
-    for axes, key in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
-        lines = []
-        for rows in runs.values():
-            points = _points(rows, key)
-            lines += axes.plot(*_smooth(points), linewidth=1.4)
-        axes.set_title(key, fontsize=11)
-        axes.set_xlabel("step")
-        axes.grid(alpha=0.3)
-        axes.spines[["top", "right"]].set_visible(False)
-        if key == "accuracy":
-            axes.set_ylim(0, 1)
-    file = io.StringIO()
-    # A name may be any path: it is neither mathematics nor limited to the characters of a font.
-    with rc_context({"svg.fonttype": "none", "text.parse_math": False}), catch_warnings():
-        filterwarnings("ignore", "Glyph")
-        axes.legend(lines, list(map(_shorten, runs)), frameon=False, fontsize=9)
-        figure.savefig(file, format="svg", metadata={"Date": None})
-    text = file.getvalue()
-    return text[text.index("<svg") :]
-
-
-def _shorten(name: str) -> str:
-    """The end of a long name, where folders differ; a legend as wide as the panel has no room."""
-    return name if len(name) <= LONGEST else f"…{name[1 - LONGEST :]}"
 
 
 def _smooth(points: Sequence[tuple[float, float]]) -> tuple[Floats, Floats]:

@@ -65,7 +65,7 @@ def evaluated_page(
         aggregate_figures=_figures(methods) if methods else (),
         gaps=gap_grid(methods) if methods else None,
         improvement=improvement_table(methods) if methods else None,
-        curves_by_task=curves,
+        curves=curves,
         extremes=reels,
         clip_notes=notes,
         missing=_missing(found),

@@ -1,16 +1,12 @@
-"""The page: tables, learning curves, rollouts and all scenes in one self-contained file."""
+"""The page: tables, learning curves and rollouts in one self-contained file."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from numpy.typing import NDArray
-
-from magical.evaluation.variants import short_variant
 from magical.files import write_atomically
-from magical.report.figures.clips import Clip, data_uri, png
-from magical.report.figures.reels import Reel, ShownClip
+from magical.report.figures.reels import Reel
 from magical.report.found.facts import MethodFacts
 from magical.report.scores.grids import Grid
 from magical.report.scores.tables import DARKEST, LIGHTEST, Table
@@ -36,15 +32,12 @@ class Page:
     aggregate_figures: Sequence[Figure] = ()
     gaps: Grid | None = None
     improvement: Table | None = None
-    curves: str = ""  # SVG
-    curves_by_task: Mapping[str, Sequence[str]] = field(default_factory=dict)  # SVG
-    reels: Mapping[str, Sequence[Clip]] = field(default_factory=dict)  # rollouts by title
+    curves: Mapping[str, Sequence[str]] = field(default_factory=dict)  # SVG, by task
     extremes: Sequence[Reel] = ()  # the best, median and worst rollouts of runs
     clip_notes: Sequence[str] = ()  # which runs' rollouts are not shown, and why
     missing: Grid | None = None  # which scores are missing
     skipped: Grid | None = None  # which files could not be used
     methods: Sequence[MethodFacts] = ()  # how each run was made
-    sheet: NDArray[Any] | None = None  # (H, W, 3) uint8
     facts: Mapping[str, str] = field(default_factory=dict)  # how it was made, by name
 
     def html(self) -> str:
@@ -54,8 +47,6 @@ class Page:
             page=self,
             lightest=f"rgb{LIGHTEST}",
             darkest=f"rgb{DARKEST}",
-            reels=[_reel(title, clips) for title, clips in self.reels.items()],
-            sheet=None if self.sheet is None else data_uri(png(self.sheet), "image/png"),
         )
 
     def write(self, path: Path | str) -> None:
@@ -84,14 +75,3 @@ def write_text(path: Path | str, text: str) -> None:
     """
     with write_atomically(path) as file:
         file.write(text.encode(errors="backslashreplace"))
-
-
-def _reel(title: str, clips: Sequence[Clip]) -> Reel:
-    shown = [
-        ShownClip(
-            data_uri(clip.webp(), "image/webp"),
-            f"{short_variant(clip.env_id.variant)}: {clip.score:.2f}",
-        )
-        for clip in clips
-    ]
-    return Reel(title, shown)
