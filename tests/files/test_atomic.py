@@ -61,7 +61,7 @@ def test_the_file_has_the_usual_permissions(tmp_path: Path) -> None:
     assert (tmp_path / "careful").stat().st_mode == (tmp_path / "plain").stat().st_mode
 
 
-def test_threads_that_write_one_file_do_not_meet(tmp_path: Path) -> None:
+def test_two_threads_may_write_one_file(tmp_path: Path) -> None:
     path = tmp_path / "x.bin"
 
     def write(number: int) -> None:
@@ -89,7 +89,7 @@ def test_a_link_planted_under_the_temporary_name_is_not_followed(
     assert (tmp_path / "mine").read_text() == "mine"
 
 
-def test_temporary_names_cannot_be_foreseen(tmp_path: Path) -> None:
+def test_temporary_names_are_random(tmp_path: Path) -> None:
     names: set[str] = set()
     for _ in range(10):
         with write_atomically(tmp_path / "x.bin"):

@@ -20,7 +20,7 @@ class OwnedFolder:
     Attributes:
         path: the folder.
         files: what the owner writes in it, as patterns of `fnmatch`. The first is there from the
-            folder's creation on: a folder with other files and without this one is somebody else's.
+            folder's creation on: a folder with other files and without this one is refused.
         error: what is raised.
         use: what the owner does, in the message to another process: `trains this run`.
         advice: what to do when there is space again, in the message that the disk is full.

@@ -65,7 +65,7 @@ def push(pixels: NDArray[np.int32], source: Stack, target: Stack) -> None:
     if words[0] is not None and words[1] is not None:
         compiled_push()(pixels, *words)
     else:
-        move_stack(source, target)
+        shift_stack(source, target)
         compiled_store()(pixels, target[:, :, -CHANNELS:])
 
 
@@ -77,26 +77,22 @@ def _words(stack: Stack) -> NDArray[np.uint32] | None:
     return words if words.flags.aligned else None
 
 
-def shift_stack(stack: Stack, channels: int = CHANNELS) -> None:
-    """Shift the frames of a stack (height, width, C) by one towards the oldest, in place.
+def shift_stack(source: Stack, target: Stack | None = None) -> None:
+    """Shift the frames of a stack (height, width, C) by one towards the oldest.
 
-    Channels [channels:] move to [:-channels]; the last `channels` keep what they held, to be
-    overwritten by the newest frame. For contiguous memory (C-contiguous, or the transposed
-    view of a C-contiguous (C, height, width) array) this is one memory move.
+    Channels [3:] move to [:-3] of `target`, by default of the stack itself; its last 3 keep what
+    they held, to be overwritten by the newest frame. For contiguous memory (C-contiguous, or the
+    transposed view of a C-contiguous (C, height, width) array) this is one memory move.
     """
-    move_stack(stack, stack, channels)
-
-
-def move_stack(source: Stack, target: Stack, channels: int = CHANNELS) -> None:
-    """Like `shift_stack`, from one stack to another of the same shape."""
-    if source.shape[2] == channels:
+    target = source if target is None else target
+    if source.shape[2] == CHANNELS:
         return
     if source.flags.c_contiguous and target.flags.c_contiguous:
-        target.reshape(-1)[:-channels] = source.reshape(-1)[channels:]
+        target.reshape(-1)[:-CHANNELS] = source.reshape(-1)[CHANNELS:]
         return
     planes, target_planes = source.transpose(2, 0, 1), target.transpose(2, 0, 1)
     if planes.flags.c_contiguous and target_planes.flags.c_contiguous:
-        size = channels * planes.shape[1] * planes.shape[2]
+        size = CHANNELS * planes.shape[1] * planes.shape[2]
         target_planes.reshape(-1)[:-size] = planes.reshape(-1)[size:]
         return
-    target[:, :, :-channels] = source[:, :, channels:]
+    target[:, :, :-CHANNELS] = source[:, :, CHANNELS:]

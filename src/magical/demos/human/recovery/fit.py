@@ -1,6 +1,6 @@
 """Poses fitted to recorded frames: logistic regression on which side of edges the pixels lie.
 
-A statement of `render.edges.Edges` whose margin is m holds with probability 1 / (1 + exp(-m / s)).
+A statement of `edges.Edges` whose margin is m holds with probability 1 / (1 + exp(-m / s)).
 The likelihood of the statements from all views together is maximised by Newton's method, first with
 a softness s of about a pixel and then with ever smaller ones. The hundreds of pixels along an
 outline lie at as many different distances from it, so they determine it to about a hundredth of a
