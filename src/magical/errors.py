@@ -53,10 +53,6 @@ class NoExpertError(MagicalError, LookupError):
     """A task for which there is no scripted expert."""
 
 
-class NoSolutionError(MagicalError, ValueError):
-    """A scene in which a task cannot be solved, such as FindDupe without a duplicate."""
-
-
 class ScoresError(MagicalError, ValueError):
     """A file of scores that is damaged or not in the documented format."""
 

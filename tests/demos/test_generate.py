@@ -13,7 +13,7 @@ from magical.demos import Dataset
 from magical.demos.generate import demonstrate, generate
 from magical.demos.replay import replay
 from magical.envs.seeds import episode_seed
-from magical.errors import DatasetError, InvalidConfigError, NoSolutionError
+from magical.errors import DatasetError, InvalidConfigError, InvalidSceneError
 
 ENV = "magical/MoveToRegion-TestAll-v0"
 Run = Callable[..., tuple[int, dict[str, Any]]]
@@ -109,7 +109,7 @@ def test_scene_without_solution_is_an_error(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def unsolvable(*_: Any, **__: Any) -> Any:
-        raise NoSolutionError("there is no duplicate")
+        raise InvalidSceneError("there is no duplicate")
 
     monkeypatch.setattr("magical.demos.generate.rollout", unsolvable)
     command = ["demos", "generate", "--env", ENV, "-n", "1", "--workers", "1"]

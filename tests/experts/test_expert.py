@@ -4,22 +4,21 @@ import ast
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 
 import magical.experts
-from magical.errors import InvalidConfigError, NoSolutionError
+from magical.errors import InvalidConfigError
 from magical.experts import (
     Memory,
-    check_solvable,
     expert_for,
     rollout,
 )
 from magical.physics import Simulation
 from magical.scene import (
-    COLOURS,
     NOOP,
     NUM_ACTIONS,
     Block,
@@ -129,29 +128,17 @@ def test_skill_out_of_range(skill: float) -> None:
         expert_for("FindDupe", seed=0, skill=skill)
 
 
-def unsolvable() -> list[tuple[str, Scene]]:
-    dupe, match, fix = (get_task(t).demo for t in ("FindDupe", "MatchRegions", "FixColour"))
-    lonely = [b for b in dupe.blocks if b.colour != dupe.blocks[-1].colour]
-    target = match.regions[0].colour
-    other = next(colour for colour in COLOURS if colour != target)
-    return [
-        ("FindDupe", replace(dupe, blocks=(*lonely, dupe.blocks[-1]))),
-        (
-            "MatchRegions",
-            replace(match, blocks=tuple(replace(b, colour=other) for b in match.blocks)),
-        ),
-        ("FixColour", replace(fix, regions=fix.regions[:1])),
-        ("MoveToRegion", replace(get_task("MoveToRegion").demo, regions=())),
-        ("MoveToCorner", replace(get_task("MoveToCorner").demo, blocks=())),
-    ]
-
-
-@pytest.mark.parametrize(("task", "scene"), unsolvable())
-def test_scene_without_solution(task: str, scene: Scene) -> None:
-    check_solvable(task, get_task(task).demo)
-    with pytest.raises(NoSolutionError, match=f"{task}: expected"):
-        check_solvable(task, scene)
-    expert = expert_for(task, seed=0)
+@pytest.mark.parametrize(
+    ("task", "changes"),
+    [
+        ("MoveToRegion", {"regions": ()}),
+        ("MoveToCorner", {"blocks": ()}),
+        ("FindDupe", {"blocks": get_task("FindDupe").demo.blocks[-1:]}),
+        ("FixColour", {"regions": get_task("FixColour").demo.regions[:1]}),
+    ],
+)
+def test_nothing_is_done_in_a_scene_that_does_not_fit(task: str, changes: dict[str, Any]) -> None:
+    scene, expert = replace(get_task(task).demo, **changes), expert_for(task, seed=0)
     action, memory = expert.act(state_of(Simulation(scene), scene))
     assert action == NOOP
     assert expert.act(state_of(Simulation(scene), scene), memory)[0] == NOOP

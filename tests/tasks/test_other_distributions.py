@@ -2,14 +2,16 @@
 
 import subprocess
 import sys
+from argparse import ArgumentTypeError
 from pathlib import Path
 
 import pytest
 
 from magical import plugins
+from magical.commands._common import task_name
 from magical.envs import parse_env_id
 from magical.errors import PluginError, UnknownNameError
-from magical.tasks import TASKS, get_task, registry, unregister_task
+from magical.tasks import TASKS, get_task, load_task, registry, unregister_task
 
 TASK = """
 from dataclasses import replace
@@ -71,15 +73,20 @@ def test_entry_points_are_imported_when_they_are_needed(other: Path) -> None:
 
 def test_module_and_name(other: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(other)
-    with pytest.raises(UnknownNameError, match="task 'DriveThere' is not registered; expected"):
-        parse_env_id("magical/DriveThere-Demo-v0")
+    for env_id in ("magical/DriveThere-Demo-v0", "driving_task:TASK-Demo-v0"):
+        with pytest.raises(UnknownNameError, match=r"task '.*' is not registered; expected"):
+            parse_env_id(env_id)
+    assert "driving_task" not in sys.modules  # ids may come from anywhere, and import nothing
     try:
-        assert str(parse_env_id("driving_task:TASK-Demo-v0")) == "magical/DriveThere-Demo-v0"
-        assert get_task("DriveThere") is get_task("driving_task:TASK")
+        assert task_name("driving_task:TASK") == "DriveThere"
+        assert get_task("DriveThere") is load_task("driving_task:TASK")
+        assert parse_env_id("magical/DriveThere-Demo-v0").task == "DriveThere"
     finally:
         unregister_task("DriveThere")
     with pytest.raises(PluginError, match="expected a Task, found function"):
-        get_task("driving_task:replace")
+        load_task("driving_task:replace")
+    with pytest.raises(ArgumentTypeError, match="no 'NO' in the module"):
+        task_name("driving_task:NO")
 
 
 def test_a_task_of_another_name_than_its_entry_points(

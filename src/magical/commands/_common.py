@@ -23,8 +23,26 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 def add_tasks(parser: argparse.ArgumentParser, default: str = "all") -> None:
     """Add `--task A B`; `args.task` is a list of names, or `None` for the default."""
     parser.add_argument(
-        "--task", nargs="+", action="extend", metavar="TASK", help=f"default: {default}"
+        "--task",
+        nargs="+",
+        action="extend",
+        type=task_name,
+        metavar="TASK",
+        help=f"or module:TASK (default: {default})",
     )
+
+
+def task_name(text: str) -> str:
+    """A task's name; of `module:TASK`, which is imported, its own name."""
+    if ":" not in text:
+        return text
+    from magical.errors import MagicalError
+    from magical.tasks import load_task
+
+    try:
+        return load_task(text).name
+    except MagicalError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
 
 
 def add_seed(parser: argparse.ArgumentParser, meaning: str) -> None:

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from magical.commands._common import add_json, log, positive_int, print_json
+from magical.commands._common import add_json, log, positive_int, print_json, task_name
 
 if TYPE_CHECKING:
     from magical.learning.config import Config, Option
@@ -156,7 +156,7 @@ def _add_option(parser: argparse.ArgumentParser, option: "Option") -> None:
     parser.add_argument(
         *flags,
         dest=option.name,
-        type=option.kind,
+        type=task_name if option.name == "tasks" else option.kind,
         nargs="+" if option.several else None,
         choices=None if option.open else option.choices or None,
         metavar=f"{{{','.join(option.choices)}}}" if option.open else option.metavar,

@@ -59,7 +59,7 @@ def generate(
         InvalidConfigError: `skill` or `perturb` is not between 0 and 1.
         InvalidTaskError: worker processes could not import the task.
         NoExpertError: the task has no expert.
-        NoSolutionError: a scene cannot be solved.
+        InvalidSceneError: a sampled scene does not fit its task.
         WorkerDiedError: a worker process was killed. What was kept before any error stays.
     """
     parsed = parse_env_id(env_id)
@@ -99,7 +99,7 @@ def demonstrate(env_id: str, seed: int, skill: float = 1.0, *, perturb: float = 
     Raises:
         InvalidConfigError: `skill` or `perturb` is not between 0 and 1.
         NoExpertError: the task has no expert.
-        NoSolutionError: the scene cannot be solved.
+        InvalidSceneError: the sampled scene does not fit the task.
     """
     parsed = parse_env_id(env_id)
     episode = rollout(parsed.task, parsed.variant, seed, skill=skill, perturb=perturb)

@@ -76,14 +76,13 @@ def parse_env_id(env_id: str) -> EnvId:
     if isinstance(env_id, EnvId):
         return env_id
     parsed = split_env_id(env_id)
-    task = get_task(parsed.task)
-    task.axes_of(parsed.variant)  # raises for a variant that the task lacks
+    get_task(parsed.task).axes_of(parsed.variant)  # raises for a variant that the task lacks
     if parsed.preset is not None and parsed.preset not in PRESETS:
         raise UnknownNameError(
             f"environment id {quoted(env_id)}: preset {quoted(parsed.preset)} is unknown; "
             f"expected one of: {', '.join(PRESETS)}"
         )
-    return EnvId(task.name, parsed.variant, parsed.preset)  # `parsed.task` may be module:NAME
+    return parsed
 
 
 def task_env_ids(task: Task) -> Iterator[EnvId]:

@@ -25,7 +25,7 @@ from magical.learning import Config, find_algorithm
 from magical.learning.config import DemonstrationSettings, options
 from magical.learning.settings import option_types
 from magical.messages import quoted
-from magical.tasks import TASKS, get_task, parse_horizon
+from magical.tasks import TASKS, load_task, parse_horizon
 from magical.untrusted import convert
 
 EXPERT = "expert"  # as `demos`: the scripted experts' demonstrations, generated for the plan
@@ -128,7 +128,7 @@ class Plan:
             checked_nudge(self.nudge)
             object.__setattr__(self, "horizon", parse_horizon(self.horizon))
         with _plan_errors("tasks: "):
-            names = tuple(get_task(name).name for name in self.tasks)
+            names = tuple(load_task(name).name for name in self.tasks)
             object.__setattr__(self, "tasks", names)
         with _plan_errors("variants: "):
             object.__setattr__(self, "variants", tuple(map(full_variant, self.variants)))

@@ -40,7 +40,6 @@ from magical.experts.planning import Move, MovePlan, Planner, Strategy
 from magical.experts.rollout import (
     EpisodeExpert,
     ExpertEpisode,
-    check_solvable,
     modules_of,
     rollout,
 )
@@ -56,7 +55,6 @@ __all__ = [
     "Planner",
     "StateView",
     "Strategy",
-    "check_solvable",
     "expert_for",
     "get_planner",
     "has_expert",

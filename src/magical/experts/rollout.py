@@ -7,7 +7,6 @@ from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
 from magical.envs.vector.workers import defining_modules
-from magical.errors import NoSolutionError
 from magical.experts.expert import Expert, expert_for
 from magical.experts.goals import get_planner
 from magical.experts.memory import Memory, note_other_action
@@ -51,17 +50,6 @@ class EpisodeExpert:
             self._memory = note_other_action(self._memory, action)
 
 
-def check_solvable(task: str, scene: Scene) -> None:
-    """Check that some sequence of actions solves the task in this scene.
-
-    Raises:
-        UnknownNameError: the task does not exist.
-        NoSolutionError: there is none; says what the scene lacks.
-    """
-    if reason := get_task(task).validate_fn(scene):
-        raise NoSolutionError(f"{task}: {reason}")
-
-
 def rollout(
     task: str,
     variant: str = "Demo",
@@ -87,11 +75,11 @@ def rollout(
         InvalidConfigError: the skill or the share is not between 0 and 1.
         UnknownNameError: the task or variant does not exist.
         NoExpertError: the task has no expert.
-        NoSolutionError: the scene cannot be solved.
+        InvalidSceneError: the sampled scene does not fit the task.
     """
     spec, rng = get_task(task), np_random(seed)[0]
     scene, dynamics = spec.sample(variant, rng)
-    check_solvable(task, scene)
+    spec.validate(scene)
     strategy_seed = seed if strategy_seed is None else strategy_seed
     expert = EpisodeExpert(expert_for(task, seed=strategy_seed, skill=skill))
     random_actions = perturbation(perturb, rng.spawn(1)[0])  # the strategy has the scene's numbers
@@ -102,7 +90,9 @@ def rollout(
         if step < random_steps:
             action = expert_action = int(rng.integers(NUM_ACTIONS))
         else:
-            expert_action = expert.act(_state(scene, tables[-1], step, spec.horizon))
+            table = tables[-1]
+            state = State(scene, Poses(table[:, :3]), table[:, 3:], step, spec.horizon)
+            expert_action = expert.act(state)
             action = random_actions.execute(expert_action)
             expert.note_executed(action)
         simulation.step(action)
@@ -112,10 +102,6 @@ def rollout(
     poses = np.stack(tables)[:, :, :3]
     score = spec.score(scene, Poses(poses[-1]))
     return ExpertEpisode(scene, dynamics, actions, expert_actions, poses, score)
-
-
-def _state(scene: Scene, table: NDArray[np.float64], step: int, horizon: int) -> State:
-    return State(scene, Poses(table[:, :3]), table[:, 3:], step, horizon)
 
 
 def modules_of(task: str) -> list[str]:

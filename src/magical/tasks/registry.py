@@ -70,22 +70,32 @@ def unregister_task(name: str) -> Task:
 
 
 def get_task(name: str) -> Task:
-    """The task of that exact name; that of `module:NAME` is registered.
+    """The task of that exact name.
 
     Raises:
         UnknownNameError: no task of this name is registered; the message lists the names.
-        PluginError: the task of another distribution, or of `module:NAME`, cannot be imported.
+        PluginError: the task of another distribution cannot be imported.
     """
     if name in TASKS:
         return TASKS[name]
-    if ":" in str(name):
-        return register_task(_loaded(name))
     close = get_close_matches(str(name), TASKS, n=1)
     hint = f"did you mean {close[0]!r}?" if close else "import the module that registers it"
     raise UnknownNameError(
-        f"task {name!r} is not registered; expected one of: {', '.join(TASKS)}, or module:TASK; "
-        f"{hint}"
+        f"task {name!r} is not registered; expected one of: {', '.join(TASKS)}; {hint}"
     )
+
+
+def load_task(name: str) -> Task:
+    """The task of a name, or of `module:NAME`, which is imported and registered.
+
+    Only for names that users give, never for those in entries, run folders and datasets, which may
+    come from anywhere.
+
+    Raises:
+        UnknownNameError: no task of this name is registered.
+        PluginError: the task cannot be imported.
+    """
+    return register_task(_loaded(name)) if ":" in name else get_task(name)
 
 
 def possible_variants(name: str) -> tuple[str, ...]:

@@ -68,7 +68,6 @@ def make_previews(
 
     Raises:
         InvalidTaskError: worker processes could not import a task.
-        NoSolutionError: an expert's scene cannot be solved.
     """
     count = available_cores() if workers is None else workers
     tasks = {env_id.task: env_id.task_spec for env_id in env_ids}
