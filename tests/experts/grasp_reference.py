@@ -84,7 +84,7 @@ def approach_steps(view: StateView, block: Point, gate: Point, side: float) -> f
 
 def drive_steps(distance: float, turn: float) -> float:
     """Control steps of a drive."""
-    return g.START_STEPS + distance / DRIVE_STEP + turn / TURN_STEP
+    return distance / DRIVE_STEP + turn / TURN_STEP
 
 
 def carry_steps(block: Point, side: float, goal: Point) -> float:

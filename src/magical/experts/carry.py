@@ -30,6 +30,7 @@ from magical.experts.geometry import (
 )
 from magical.experts.paths import next_waypoint
 from magical.experts.state_view import StateView
+from magical.scene import NUM_ACTIONS
 from magical.scene.actions import Action, Gripper, Longitudinal, Turn
 from magical.scene.constants import CONTROL_RATE
 from magical.scene.geometry import Point
@@ -69,7 +70,7 @@ STRIDE = 2  # control steps between the points of a path that are kept
 SPEEDS = (-0.06, 0.0, 0.05, 0.1)  # units per control step
 SPINS = (-0.25, 0.0, 0.25)  # rad per control step
 
-OPEN_ACTIONS = 9  # actions with open fingers; those with closed fingers follow in their order
+OPEN_ACTIONS = NUM_ACTIONS // 2  # with open fingers; those with closed ones follow in their order
 _ROW_STARTS = np.arange(OPEN_ACTIONS)[:, None]
 _TO_CLOSED = Action(gripper=Gripper.CLOSED).id  # added to an action's id: with closed fingers
 

@@ -50,7 +50,6 @@ NEIGHBOUR_COST = 150.0  # control steps per unit of missing room to a block; tun
 PATH_COST = 15.0  # control steps per unit of missing room on the way to the gate; tuned
 DETOUR = 0.5  # units of driving around the block itself, at most; tuned
 MISAIMED = 0.4  # rad off the block at which it has to turn; tuned
-START_STEPS = 2.0  # control steps that any drive takes in addition; tuned
 CARRYING_TURN = 1.3  # of TURN_STEP's time that turning with a block takes; tuned
 PULL_STEPS = 2.0  # control steps that pulling takes in addition; tuned
 SIDE_SWITCH_STEPS = 6.0  # control steps that another side must be better by; tuned
@@ -183,7 +182,7 @@ def _approach_steps(
     steps: Floats = np.where(
         np.abs(wrap_angle(straight - sides)) < CONE,
         _direct_approach_steps(view, block, straight),
-        START_STEPS + distance / DRIVE_STEP + turn / TURN_STEP,
+        distance / DRIVE_STEP + turn / TURN_STEP,
     )
     return steps
 
@@ -193,7 +192,7 @@ def _direct_approach_steps(view: StateView, block: Point, straight: float) -> fl
     turn = abs(wrap_angle(straight - view.angle))
     retreat = max(0.0, SWEEP_RADIUS - distance) if turn > MISAIMED else 0.0
     driven = distance - HELD_DISTANCE + 2 * retreat
-    return START_STEPS + driven / DRIVE_STEP + turn / TURN_STEP
+    return driven / DRIVE_STEP + turn / TURN_STEP
 
 
 def _carry_steps(stands: Floats, block: Point, sides: Floats, goal: Point) -> Floats:

@@ -80,28 +80,26 @@ def rollout(
     spec, rng = get_task(task), np_random(seed)[0]
     scene, dynamics = spec.sample(variant, rng)
     spec.validate(scene)
-    strategy_seed = seed if strategy_seed is None else strategy_seed
-    expert = EpisodeExpert(expert_for(task, seed=strategy_seed, skill=skill))
+    seed = seed if strategy_seed is None else strategy_seed
+    expert = EpisodeExpert(expert_for(task, seed=seed, skill=skill))
     random_actions = perturbation(perturb, rng.spawn(1)[0])  # the strategy has the scene's numbers
     simulation = Simulation(scene, dynamics)
-    chosen: list[tuple[int, int]] = []
-    tables = [simulation.read().copy()]
+    chosen, tables = [], [simulation.read().copy()]
     for step in range(spec.horizon):
         if step < random_steps:
             action = expert_action = int(rng.integers(NUM_ACTIONS))
         else:
-            table = tables[-1]
-            state = State(scene, Poses(table[:, :3]), table[:, 3:], step, spec.horizon)
-            expert_action = expert.act(state)
+            poses, velocities = Poses(tables[-1][:, :3]), tables[-1][:, 3:]
+            expert_action = expert.act(State(scene, poses, velocities, step, spec.horizon))
             action = random_actions.execute(expert_action)
             expert.note_executed(action)
         simulation.step(action)
         chosen.append((action, expert_action))
         tables.append(simulation.read().copy())
     actions, expert_actions = np.array(chosen).T
-    poses = np.stack(tables)[:, :, :3]
-    score = spec.score(scene, Poses(poses[-1]))
-    return ExpertEpisode(scene, dynamics, actions, expert_actions, poses, score)
+    path = np.stack(tables)[:, :, :3]
+    score = spec.score(scene, Poses(path[-1]))
+    return ExpertEpisode(scene, dynamics, actions, expert_actions, path, score)
 
 
 def modules_of(task: str) -> list[str]:
