@@ -25,6 +25,15 @@ def dataset(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
+def fast(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let an episode take a moment."""
+    from magical.web import session
+
+    monkeypatch.setattr(session, "STEP_TIME", 0.004)
+    monkeypatch.setattr(session, "LOOK_TIME", 0.001)
+
+
+@pytest.fixture
 def server(dataset: Path) -> Iterator["RunningServer"]:
     """A server for three players that starts them in MoveToRegion."""
     from magical.web.server import PlaySettings

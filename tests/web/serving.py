@@ -94,6 +94,11 @@ class Player:
         self.held = list(controls)
         self.send(type="keys", held=self.held, seen=0)
 
+    def keep(self, demonstrator: str) -> None:
+        """Keep the episode that has ended."""
+        self.send(type="keep", demonstrator=demonstrator)
+        self.wait_for(lambda status: status["kept"] == 1)
+
     def receive(self) -> dict[str, Any]:
         """The next status, when its frame has come too."""
         self.status = json.loads(self.socket.recv(timeout=TIMEOUT))

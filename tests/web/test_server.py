@@ -29,12 +29,6 @@ from tests.web.test_messages import malformed
 SEED = 5  # of the scenes that are played
 
 
-@pytest.fixture
-def fast(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let an episode take a moment."""
-    monkeypatch.setattr(session_module, "STEP_TIME", 0.004)
-
-
 def play(player: Player, env_id: str = "magical/MoveToRegion-Demo-v0") -> dict[str, Any]:
     """Play an episode to its end, holding one key; returns its last status."""
     player.hold()
@@ -104,22 +98,6 @@ def test_no_path_leads_out_of_the_page(server: RunningServer, path: str) -> None
 # Recording
 
 
-@pytest.mark.usefixtures("fast")
-def test_a_kept_episode_is_in_the_dataset_and_replays_bit_equally(
-    server: RunningServer, dataset: Path
-) -> None:
-    with server.player() as player:
-        status = play(player)
-        player.hold()
-        player.send(type="keep", demonstrator="Ada")
-        player.wait_for(lambda status: status["kept"] == 1)
-    (trajectory,) = Dataset.open(dataset)
-    assert (trajectory.demonstrator, trajectory.seed) == ("Ada", SEED)
-    assert (len(trajectory), trajectory.score) == (status["horizon"], status["score"])
-    assert trajectory.actions[0] > 0
-    assert replay(trajectory).departure == 0.0
-
-
 def test_the_experts_keys_solve_the_task(server: RunningServer, dataset: Path) -> None:
     """In real time: keys change between two steps of the server's clock."""
     actions = rollout("MoveToRegion", "Demo", SEED).actions
@@ -131,8 +109,7 @@ def test_the_experts_keys_solve_the_task(server: RunningServer, dataset: Path) -
             player.send(type="keys", held=player.held, seen=player.status["number"])
             player.wait_for(lambda status, after=number: status["steps"] > after)  # type: ignore[misc]
         assert (player.status["phase"], player.status["score"]) == ("ended", 1.0)
-        player.send(type="keep", demonstrator="Ada")
-        player.wait_for(lambda status: status["kept"] == 1)
+        player.keep("Ada")
     (trajectory,) = Dataset.open(dataset)
     assert trajectory.score == 1.0
 
@@ -147,14 +124,17 @@ def test_a_discarded_episode_is_not_stored(server: RunningServer, dataset: Path)
 
 
 @pytest.mark.usefixtures("fast")
-def test_several_people_play_at_once(server: RunningServer, dataset: Path) -> None:
+def test_several_people_play_at_once_and_what_they_keep_replays_bit_equally(
+    server: RunningServer, dataset: Path
+) -> None:
     tasks = ("MoveToRegion", "FixColour", "MoveToCorner")
+
+    played = {}
 
     def record(task: str) -> None:
         with server.player() as player:
-            play(player, f"magical/{task}-TestJitter-v0")
-            player.send(type="keep", demonstrator=task)
-            player.wait_for(lambda status: status["kept"] == 1)
+            played[task] = play(player, f"magical/{task}-TestJitter-v0")
+            player.keep(task)
 
     threads = [threading.Thread(target=record, args=(task,)) for task in tasks]
     for thread in threads:
@@ -163,7 +143,11 @@ def test_several_people_play_at_once(server: RunningServer, dataset: Path) -> No
         thread.join()
     stored = list(Dataset.open(dataset))
     assert sorted(t.demonstrator for t in stored) == sorted(tasks)
-    assert all(t.env_id.task == t.demonstrator for t in stored)
+    for trajectory in stored:
+        status = played[trajectory.demonstrator]
+        assert (trajectory.env_id, trajectory.seed) == (status["env_id"], SEED)
+        assert (len(trajectory), trajectory.score) == (status["horizon"], status["score"])
+        assert trajectory.actions[0] > 0
     assert [replay(t).departure for t in stored] == [0.0] * 3
 
 
@@ -182,8 +166,7 @@ def test_a_full_disk_is_said_and_the_episode_can_be_kept_later(
             status = player.wait_for(lambda status: "No space left" in status["notice"])
         assert (status["phase"], status["kept"]) == ("ended", 0)
         assert len(Dataset.open(dataset)) == 0
-        player.send(type="keep", demonstrator="Ada")
-        player.wait_for(lambda status: status["kept"] == 1)
+        player.keep("Ada")
     assert len(Dataset.open(dataset)) == 1
 
 

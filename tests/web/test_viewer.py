@@ -23,6 +23,19 @@ def look(tab: Tab) -> None:
     tab.wait_for("!element('look').hidden && document.querySelector('#episodes li')")
 
 
+def open_newest(tab: Tab) -> None:
+    """Open the first episode of the list."""
+    tab.evaluate("document.querySelector('#episodes .open').click()")
+    tab.wait_for("panes[0]?.painted")
+
+
+def choose(tab: Tab, field: str, value: str) -> None:
+    """Choose an option, when it is there."""
+    tab.wait_for(f"[...element('{field}').options].some((one) => one.value === '{value}')")
+    tab.evaluate(f"element('{field}').value = '{value}'")
+    tab.evaluate(f"element('{field}').dispatchEvent(new Event('change'))")
+
+
 def fact(tab: Tab, name: str, pane: int = 0) -> str:
     """One of the facts of the step that is shown."""
     script = (
@@ -41,8 +54,7 @@ def test_everything_on_the_page_to_look_on_has_a_name_and_a_visible_focus(
 ) -> None:
     DatasetWriter(dataset).append(demonstrate("magical/MoveToRegion-Demo-v0", 1))
     look(tab)
-    tab.evaluate("document.querySelector('#episodes .open').click()")
-    tab.wait_for("panes[0]?.painted")
+    open_newest(tab)
     seen = names_and_focus(tab, "look", 30)
     expected = {
         "source",
@@ -61,7 +73,7 @@ def test_an_episode_is_scrubbed_with_keys(tab: Tab, dataset: Path) -> None:
     stored = demonstrate("magical/MoveToRegion-Demo-v0", 1)
     DatasetWriter(dataset).append(stored)
     look(tab)
-    tab.evaluate("document.querySelector('#episodes .open').click()")
+    open_newest(tab)
     tab.wait_for("panes[0]?.frames.filter(Boolean).length === 41")
     pictures = []
     for key, step in (("Home", 0), ("ArrowRight", 1), ("ArrowRight", 2), ("End", 40)):
@@ -79,8 +91,7 @@ def test_an_episode_is_scrubbed_with_keys(tab: Tab, dataset: Path) -> None:
     tab.tap(" ")
     tab.wait_for("panes[0].step === 40 && element('run').textContent === 'Play'")
     both = tab.evaluate("panes[0].part('.picture').width")
-    tab.evaluate("element('look-view').value = 'ego'")
-    tab.evaluate("element('look-view').dispatchEvent(new Event('change'))")
+    choose(tab, "look-view", "ego")
     tab.wait_for("panes[0].part('.picture').width === 384")
     assert both == 776
     assert tab.browser.problems == []
@@ -135,8 +146,7 @@ def test_texts_of_choices_fit_and_the_list_stays_near(
         tab.wait_for("latest?.phase === 'ready'")
         assert tab.evaluate(CLIPPED) == []
         look(tab)
-        tab.evaluate("document.querySelector('#episodes .open').click()")
-        tab.wait_for("panes[0]?.painted")
+        open_newest(tab)
         assert tab.evaluate(CLIPPED) == []
         box = "element('{}').getBoundingClientRect().{}"
         below = f"{box.format('panes', 'top')} - {box.format('episodes', 'bottom')}"
@@ -181,7 +191,7 @@ def test_a_page_that_is_only_looked_on_takes_no_environment(
 
 
 def test_watching_taking_over_and_handing_back_with_keys(tab: Tab, dataset: Path) -> None:
-    choose_actor(tab, "0")
+    choose(tab, "who", "0")
     tab.wait_for("latest.policy === 0 && latest.steps > 2")
     assert text_of(tab, "acting").startswith("expert acts")
     tab.key("ArrowLeft", down=True)
@@ -197,12 +207,6 @@ def test_watching_taking_over_and_handing_back_with_keys(tab: Tab, dataset: Path
     assert stored.actors is not None
     assert set(stored.actors.tolist()) == {Actor.EXPERT, Actor.HUMAN}
     assert tab.browser.problems == []
-
-
-def choose_actor(tab: Tab, number: str) -> None:
-    tab.wait_for(f"[...element('who').options].some((one) => one.value === '{number}')")
-    tab.evaluate(f"element('who').value = '{number}'")
-    tab.evaluate("element('who').dispatchEvent(new Event('change'))")
 
 
 # From keys to a trained policy
@@ -228,8 +232,7 @@ def test_play_keep_load_scrub_train_and_watch(
         assert demonstration.score == 1.0
 
         look(tab)
-        tab.evaluate("document.querySelector('#episodes .open').click()")
-        tab.wait_for("panes[0]?.painted")
+        open_newest(tab)
         tab.tap("End")
         assert fact(tab, "Score") == "1.00"
 
@@ -237,8 +240,8 @@ def test_play_keep_load_scrub_train_and_watch(
 
         tab.evaluate("element('reload').click()")
         tab.wait_for("element('policy').options.length === 2")
-        tab.evaluate("element('policy').value = 1; element('rollout-seed').value = 5")
-        tab.evaluate("element('policy').dispatchEvent(new Event('change'))")
+        tab.evaluate("element('rollout-seed').value = 5")
+        choose(tab, "policy", "1")
         tab.evaluate("element('rollout').requestSubmit()")
         tab.wait_for("panes[0]?.source === 'rollouts' && panes[0].probabilities")
         assert tab.evaluate("panes[0].probabilities.length") == 40
@@ -246,7 +249,7 @@ def test_play_keep_load_scrub_train_and_watch(
         assert tab.evaluate(described).startswith("Action probabilities: ")
 
         tab.evaluate("element('to-play').click()")
-        choose_actor(tab, "1")
+        choose(tab, "who", "1")
         tab.wait_for("latest.policy === 1 && latest.steps > 2 && latest.probabilities?.length")
         tab.tap("ArrowLeft")
         tab.wait_for("latest.phase === 'ended' && latest.can_keep")

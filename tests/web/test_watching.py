@@ -172,13 +172,6 @@ def test_watching_becomes_idle_like_playing() -> None:
 # Over real connections
 
 
-@pytest.fixture
-def fast(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let an episode take a moment."""
-    monkeypatch.setattr(session_module, "STEP_TIME", 0.004)
-    monkeypatch.setattr(session_module, "LOOK_TIME", 0.001)
-
-
 @pytest.mark.usefixtures("fast")
 def test_taking_over_is_in_the_dataset(server: RunningServer, dataset: Path) -> None:
     with server.player() as player:
@@ -190,8 +183,7 @@ def test_taking_over_is_in_the_dataset(server: RunningServer, dataset: Path) -> 
         player.send(type="hand_back")
         status = player.wait_for(lambda status: status["phase"] == "ended")
         assert (status["can_keep"], status["policy_name"]) == (True, "expert")
-        player.send(type="keep", demonstrator="Ada")
-        player.wait_for(lambda status: status["kept"] == 1)
+        player.keep("Ada")
     (stored,) = Dataset.open(dataset)
     assert stored.actors is not None
     assert set(stored.actors.tolist()) == {Actor.EXPERT, Actor.HUMAN}
