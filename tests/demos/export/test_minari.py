@@ -81,6 +81,9 @@ def test_refused_minari_export_leaves_no_files(mixed: Path, tmp_path: Path) -> N
         export_minari(part, root=root)
     with pytest.raises(DatasetError, match="expected one of LoResStack"):
         export_minari(part, preset="raw", root=root)
+    for name in ("", "a b", "../a"):
+        with pytest.raises(DatasetError, match="name: expected letters"):
+            export_minari(part, name=name, root=root)
     broken = mixed / part.entries[1].file
     broken.write_bytes(broken.read_bytes()[:-50])
     with pytest.raises(DatasetError, match=broken.name):

@@ -5,6 +5,7 @@ Needs the `minari` extra.
 
 import copy
 import os
+import re
 import tempfile
 import warnings
 from collections.abc import Iterator
@@ -43,12 +44,14 @@ def export_minari(
     `root` is Minari's folder of datasets (default: Minari's own).
 
     Raises:
-        DatasetError: a dataset of that name exists, or a trajectory is damaged; no partial dataset
-            remains.
+        DatasetError: the name is invalid, a dataset of that name exists, or a trajectory is
+            damaged; no partial dataset remains.
         TrajectoryError: a recording of frames lacks those of the preset.
     """
     if preset not in PRESETS:
         raise DatasetError(f"preset: expected one of {', '.join(PRESETS)}, found {preset!r}")
+    if not re.fullmatch(r"[\w-]+", name):
+        raise DatasetError(f"name: expected letters, digits, - and _, found {name!r}")
     made = []
     for env_id in dict.fromkeys(entry.env_id for entry in dataset.entries):
         part = dataset.filter(env_id=env_id)

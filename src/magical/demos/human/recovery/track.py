@@ -24,7 +24,7 @@ AWAY = 100.0  # units: where bodies are out of view
 _SHAPE = (RAW_FRAME_SIZE, RAW_FRAME_SIZE, 3)
 _REACH = max(BLOCK_SIZE, STAR_OUTER_RADIUS) + NEARBY  # units
 
-Frames = Mapping[View, NDArray[np.uint8]]  # (384, 384, 3) in both views
+ViewFrames = Mapping[View, NDArray[np.uint8]]  # (384, 384, 3) in both views
 Mask = NDArray[np.bool_]  # (384, 384)
 
 
@@ -59,15 +59,15 @@ class Tracker:
         self._discs = [
             FIRST_BLOCK + i for i, block in enumerate(scene.blocks) if block.shape == Shape.CIRCLE
         ]
-        self._frames: Frames = {}
+        self._frames: ViewFrames = {}
         self._ground = self._allocentric(_without(self._bodies, range(len(self._bodies))))
 
-    def start(self, frames: Frames) -> Moment:
+    def start(self, frames: ViewFrames) -> Moment:
         """The first time step: the scene's own poses."""
         self._frames = frames
         return self._moment(frames, Fit(self._bodies, np.zeros_like(self._bodies)), 0)
 
-    def follow(self, action: int, frames: Frames) -> Moment:
+    def follow(self, action: int, frames: ViewFrames) -> Moment:
         """The next time step, which an action led to."""
         predicted = self._follower.predict(action)
         predicted[self._discs, 2] = self._bodies[self._discs, 2]
@@ -80,7 +80,7 @@ class Tracker:
         self._frames, self._bodies = frames, fit.bodies
         return self._moment(frames, fit, unseen)
 
-    def _fit(self, predicted: Bodies, frames: Frames) -> Fit:
+    def _fit(self, predicted: Bodies, frames: ViewFrames) -> Fit:
         """The best fit from some first guesses, the simulated one first."""
         labels = self._fitter.label(frames)
         guess = np.concatenate([predicted[:FIRST_BLOCK], self._bodies[FIRST_BLOCK:]])
@@ -117,16 +117,16 @@ class Tracker:
             if (np.hypot(x - block_x, y - block_y) < _REACH).any():
                 yield row
 
-    def _moment(self, frames: Frames, fit: Fit, unseen: int) -> Moment:
+    def _moment(self, frames: ViewFrames, fit: Fit, unseen: int) -> Moment:
         share = self._share(fit.bodies, frames)
         return Moment(
             fit.bodies.copy(), fit.deviations, share, self._is_covered(fit.bodies), unseen
         )
 
-    def _share(self, bodies: Bodies, frames: Frames) -> float:
+    def _share(self, bodies: Bodies, frames: ViewFrames) -> float:
         return float(np.mean([self._wrong(view, bodies, frames).mean() for view in View]))
 
-    def _wrong(self, view: View, bodies: Bodies, frames: Frames) -> Mask:
+    def _wrong(self, view: View, bodies: Bodies, frames: ViewFrames) -> Mask:
         self._renderers[view].render(bodies, self._rendered)
         difference = np.maximum(self._rendered, frames[view]) - np.minimum(
             self._rendered, frames[view]
