@@ -1,5 +1,10 @@
+import json
+import os
+import shutil
+import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -46,7 +51,7 @@ def test_ours_and_those_of_other_distributions(path: Path) -> None:
     [
         ("no_such_module:TASK", "'broken' of other cannot be imported from no_such_module:TASK"),
         ("magical.tasks:NO", "cannot be imported from magical.tasks:NO"),
-        ("magical.tasks:TASKS", "thing 'broken': expected Task, found mappingproxy"),
+        ("magical.tasks:TASKS", "thing 'broken': expected Task, found _Tasks"),
     ],
 )
 def test_a_broken_plugin_is_named_and_leaves_the_others(
@@ -77,3 +82,82 @@ def test_a_file_finds_its_neighbours(tmp_path: Path, monkeypatch: pytest.MonkeyP
     file.write_text('import neighbour_of_plugin\nT = neighbour_of_plugin.get_task("MakeLine")\n')
     monkeypatch.setattr("sys.path", [*sys.path])
     assert THINGS.get(f"{file}:T").name == "MakeLine"
+
+
+PLAN = """
+tasks = ["EmptyRegion"]
+demos = "expert"
+expert_demos = 3
+num_demos = 3
+preset = "quick"
+threads = 1
+rollouts = 1
+
+[[methods]]
+name = "Smooth BC"
+algorithm = "smooth-bc"
+settings = { batches = 3, network = "patches", observation = "TwoFrames" }
+"""
+
+
+@dataclass(frozen=True)
+class Installed:
+    """A folder in which `examples/plugin`, built and installed, is found by `magical`."""
+
+    folder: Path
+
+    def magical(self, command: str) -> str:
+        """The standard output of a command."""
+        done = subprocess.run(
+            [sys.executable, "-m", "magical", *command.split()],
+            cwd=self.folder,
+            env={**os.environ, "PYTHONPATH": str(self.folder / "site")},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+
+@pytest.fixture(scope="module")
+def installed(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Installed:
+    folder = tmp_path_factory.mktemp("plugin")
+    shutil.copytree(root / "examples" / "plugin", folder / "source")
+    build = ("build", "--wheel", "--no-isolation", "--outdir", ".", "source")
+    subprocess.run([sys.executable, "-m", *build], cwd=folder, check=True, capture_output=True)
+    (wheel,) = folder.glob("*.whl")
+    pip = ("pip", "install", "--quiet", "--no-index", "--no-deps", "--target", "site", wheel.name)
+    subprocess.run([sys.executable, "-m", *pip], cwd=folder, check=True)
+    return Installed(folder)
+
+
+def test_tasks_experts_and_policies_of_a_distribution(installed: Installed) -> None:
+    assert "EmptyRegion" in installed.magical("envs")
+    for policy in ("circle", "expert"):
+        command = f"evaluate {policy} --task EmptyRegion --rollouts 2 --json"
+        scores = json.loads(installed.magical(command).splitlines()[-1])
+        assert scores["All"]["mean"] == 1.0
+
+
+def test_an_algorithm_of_a_distribution_is_resumed_and_ranked(installed: Installed) -> None:
+    pytest.importorskip("torch")
+    installed.magical("demos generate --env magical/EmptyRegion-Demo-v0 -n 3 --out demos")
+    installed.magical(
+        "train smooth-bc --preset quick --task EmptyRegion --demos demos --num-demos 3 --batches 4 "
+        "--network patches --observation TwoFrames --out run --stop-after 2"
+    )
+    installed.magical("train smooth-bc --out run --resume")
+    config = json.loads((installed.folder / "run" / "config.json").read_text())
+    assert (config["algorithm"], config["smoothing"]) == ("smooth-bc", 0.1)
+    installed.magical("evaluate run --leaderboard --method Smooth --looks 0 --out run")
+    board = installed.magical("leaderboard run").splitlines()
+    assert [line.split()[:2] for line in board if "Smooth" in line] == [["1", "Smooth"]]
+
+
+def test_an_algorithm_of_a_distribution_in_plans_and_reports(installed: Installed) -> None:
+    pytest.importorskip("torch")
+    (installed.folder / "plan.toml").write_text(PLAN)
+    installed.magical("run plan.toml --out runs --workers 1")
+    installed.magical("report runs --format markdown --out report.md")
+    assert "Smooth BC" in (installed.folder / "report.md").read_text()

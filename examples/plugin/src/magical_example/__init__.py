@@ -1,0 +1,1 @@
+"""Plug-ins for magical: one of each kind."""
