@@ -166,7 +166,13 @@ def test_anything_but_toml_is_one_bounded_printable_error(data: bytes) -> None:
 
 
 def test_messages_are_bounded() -> None:
-    name = "\x1b" * 50_000
+    for name in ("\x1b" * 50_000, " - at `$.x" * 50_000):
+        check_bounded(name)
+        with pytest.raises(PlanError, match=r"^file: .*expected one of"):
+            parse_json(json.dumps(name), Letter, "file", PlanError)
+
+
+def check_bounded(name: str) -> None:
     for text in (
         json.dumps({"rows": [], name: 1}),
         json.dumps({"rows": [{"name": name}]}),

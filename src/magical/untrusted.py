@@ -203,9 +203,8 @@ def _fields(record: Any) -> dict[str, Any]:
 
 def _explained(problem: ValueError, plain: Any, kind: Kind[Any]) -> str:
     """`field: expected ..., found ...` from a message of msgspec."""
-    match = _MESSAGE.fullmatch(str(problem))
-    assert match is not None
-    text, path = match["text"], match["path"] or ""
+    text, _, path = str(problem).rpartition(" - at `")
+    text, path = (text, path.rpartition("$")[2].rstrip("`")) if text else (path, "")
     steps = [name or index for name, index in _STEP.findall(path)]
     found = _found(plain, steps)
     if missing := re.fullmatch("Object missing required field `(.*)`", text):
@@ -218,7 +217,6 @@ def _explained(problem: ValueError, plain: Any, kind: Kind[Any]) -> str:
     return printable(f"{path}: {text}".lstrip(".: "), 3 * MAX_LENGTH)
 
 
-_MESSAGE = re.compile(r"(?P<text>.*?)( - at (`key` in )?`\$(?P<path>.*)`)?", re.DOTALL)
 _STEP = re.compile(r"\.([^.[]+)|\[(\d+|\.\.\.)\]")
 
 
@@ -247,6 +245,5 @@ def _choices(node: Any, steps: list[str]) -> Iterator[Any]:
         for field in node.fields:
             if field.encode_name == steps[0]:
                 yield from _choices(field.type, steps[1:])
-    else:
-        inner = getattr(node, "value_type", None) or getattr(node, "item_type", None)
+    elif inner := getattr(node, "value_type", None) or getattr(node, "item_type", None):
         yield from _choices(inner, steps[1:])
