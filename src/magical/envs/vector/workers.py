@@ -4,7 +4,6 @@ Requests go to a worker on a pipe, replies come back on another (`magical.proces
 in shared memory only.
 """
 
-import contextlib
 import gc
 import os
 import pickle
@@ -14,10 +13,9 @@ import sys
 import time
 import weakref
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from threading import Timer
+from contextlib import suppress
 from types import ModuleType
-from typing import IO, Any
+from typing import IO, Any, NoReturn
 
 import numpy as np
 
@@ -113,53 +111,36 @@ class RemoteSubEnvs:
 
     def _exchange(self, requests: "Mapping[_Worker, bytes]") -> list[Any]:
         """Send requests and wait for the results, within the timeout; raise the first error."""
+        deadline = None if self._timeout is None else time.monotonic() + self._timeout
         waiting, replies = list(requests), []
-        with self._limit(waiting):
+        try:
             for worker, request in requests.items():
                 worker.send(request)
             for worker in requests:
+                if deadline is not None and not worker.has_replied(deadline):
+                    late = [each for each in waiting if not each.has_replied()]
+                    self._raise_timeout(late or [worker])
                 replies.append(worker.receive())
                 waiting.remove(worker)
+        except WorkerDiedError as error:
+            self.close()
+            raise WorkerDiedError(
+                f"{error}; all other workers were ended; make another vector environment"
+            ) from None
         for succeeded, value in replies:
             if not succeeded:
                 raise value
         return [value for _, value in replies]
 
-    @contextmanager
-    def _limit(self, waiting: "list[_Worker]") -> Iterator[None]:
-        """Kill all workers at the timeout; raise an error that names those still `waiting` then."""
-        late: list[_Worker] = []
-
-        def end() -> None:
-            late.extend([worker for worker in waiting if not worker.has_replied()] or waiting)
-            for worker in self._workers:
-                worker.process.kill()
-
-        timer = None if self._timeout is None else Timer(self._timeout, end)
-        died = None
-        try:
-            if timer:
-                timer.daemon = True
-                timer.start()
-            yield
-        except WorkerDiedError as error:
-            died = error
-        finally:
-            if timer:
-                timer.cancel()
-                timer.join()
-        if late or died:
-            self.close()
-        if late:
-            raise WorkerTimeoutError(
-                f"expected every worker to finish within {self._timeout:g} s, found at work: "
-                f"{'; '.join(worker.name for worker in late)}; all workers were ended; make "
-                "another vector environment, with a longer timeout if a call may take longer"
-            )
-        if died:
-            raise WorkerDiedError(
-                f"{died}; all other workers were ended; make another vector environment"
-            )
+    def _raise_timeout(self, late: "Sequence[_Worker]") -> NoReturn:
+        for worker in late:
+            worker.process.kill()
+        self.close()
+        raise WorkerTimeoutError(
+            f"expected every worker to finish within {self._timeout:g} s, found at work: "
+            f"{'; '.join(worker.name for worker in late)}; all workers were ended; make another "
+            "vector environment, with a longer timeout if a call may take longer"
+        )
 
 
 class _Worker(Child):
@@ -171,11 +152,17 @@ class _Worker(Child):
         name = f"worker {index} (environments {rows[0]} to {rows[-1]}: {names})"
         super().__init__(__name__, name, memory.inherited)
 
-    def has_replied(self) -> bool:
-        """Whether a reply, or the end of the process, can be read."""
+    def has_replied(self, deadline: float = 0.0) -> bool:
+        """Whether a reply, or the end of the process, can be read by then (`time.monotonic()`).
+
+        A worker writes a reply in one go, so the rest of it is not waited for.
+        """
         poll = select.poll()
         poll.register(self.replies, select.POLLIN)
-        return bool(poll.poll(0))
+        while not (ready := poll.poll(1000 * min(1.0, max(0.0, deadline - time.monotonic())))):
+            if time.monotonic() >= deadline:
+                break
+        return bool(ready)
 
 
 def split(count: int, workers: int) -> Iterator[range]:
@@ -267,6 +254,6 @@ def _warm_up(spec: VectorSpec) -> None:
     """Take one step in an episode of no further use, so that everything needed is loaded."""
     variant = spec.env_ids[0].variant
     episode = Episode(spec.tasks()[0], variant, spec.observation, spec.horizon, spec.reward)
-    with contextlib.suppress(Exception):  # an error here will be raised again by the first reset
+    with suppress(Exception):  # an error here will be raised again by the first reset
         episode.start(np.random.default_rng(0))
         episode.step(NOOP)
