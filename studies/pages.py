@@ -10,10 +10,12 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
 
 from magical.evaluation import published_tasks
 from magical.evaluation.variants import SHORT_VARIANTS
+from magical.grouping import group_by
 from magical.report.found.search import Found, search_results
 from magical.report.found.statements import Statements
 from magical.report.leaderboard.checks import Rejected, by_reasons, check_entries
@@ -22,9 +24,8 @@ from magical.report.scores.tables import signed
 from studies.plan_results import NOT_RUN, PlanResults
 from studies.published_tables.cells import (
     LIMITS,
-    Cell,
+    ComparedCell,
     Count,
-    by_task,
     count,
     distance_text,
     make_cells,
@@ -32,7 +33,7 @@ from studies.published_tables.cells import (
 from studies.published_tables.claims import CLAIMS, PARTS, VARIATIONS, find
 from studies.published_tables.generalisation import find_drops
 from studies.published_tables.picture import digest_of, write_picture
-from studies.published_tables.rows import Row, make_rows, published_row
+from studies.published_tables.rows import MethodRuns, make_rows, published_row
 from studies.tables import (
     cell_table,
     claim_row,
@@ -94,7 +95,7 @@ class Page:
         known = {row.method: row for row in found}
         planned = [method for plan in self.plans for method in plan.methods]
         self.methods = [method for method in planned if published_row(method)]
-        self.rows: list[Row] = [known[name] for name in self.methods if name in known]
+        self.rows: list[MethodRuns] = [known[name] for name in self.methods if name in known]
         others = [method for method in (*planned, EXPERT) if method not in self.methods]
         self.others = [known[name] for name in others if name in known]
         self.rejected += [
@@ -105,7 +106,7 @@ class Page:
         self.tasks = published_tasks()
 
     @cached_property
-    def cells(self) -> dict[str, list[Cell]]:
+    def cells(self) -> dict[str, list[ComparedCell]]:
         """The cells of each method that has been run."""
         return {row.method: make_cells(row) for row in self.rows}
 
@@ -115,7 +116,7 @@ class Page:
         return {method: count(cells) for method, cells in self.cells.items()}
 
     @property
-    def panels(self) -> Mapping[str, Sequence[Cell]]:
+    def panels(self) -> Mapping[str, Sequence[ComparedCell]]:
         """The picture's: the cells of what has been run; if that is nothing, empty ones."""
         return {m: c for m, c in self.cells.items() if c} or {m: [] for m in self.methods}
 
@@ -165,7 +166,11 @@ class Page:
 
     def task_table(self) -> str:
         """Tasks by methods with the name of a published row: cells within two, mean distance."""
-        shown = {m: by_task(cells) for m, cells in self.cells.items() if published_row(m) == m}
+        shown = {
+            m: group_by(cells, attrgetter("task"))
+            for m, cells in self.cells.items()
+            if published_row(m) == m
+        }
         rows = [
             [task, *(_task_cell(tasks.get(task, ())) for tasks in shown.values())]
             for task in self.tasks
@@ -214,7 +219,7 @@ class Page:
         tables = [text for rows in groups for part in PARTS if (text := order_table(rows, part))]
         return "\n\n".join(tables) or NOTHING
 
-    def _is_complete(self, row: Row) -> bool:
+    def _is_complete(self, row: MethodRuns) -> bool:
         return {env_id.task for env_id in row.env_ids} >= set(self.tasks)
 
     def cell_tables(self) -> str:
@@ -294,7 +299,7 @@ def _count_cells(found: Count) -> list[str]:
     return [str(found.cells), *within, str(len(found.below)), str(len(found.above))]
 
 
-def _task_cell(cells: Sequence[Cell]) -> str:
+def _task_cell(cells: Sequence[ComparedCell]) -> str:
     if not cells:
         return NOT_RUN
     mean = sum(cell.distance for cell in cells) / len(cells)

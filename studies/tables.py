@@ -1,14 +1,16 @@
 """Rows and cells of the studies' tables."""
 
 from collections.abc import Iterator, Sequence
+from operator import attrgetter
 
 from magical.evaluation.intervals import Interval
 from magical.evaluation.variants import SHORT_VARIANTS, short_variant
+from magical.grouping import group_by
 from magical.report.scores.tables import signed
 from studies.plan_results import NOT_RUN
-from studies.published_tables.cells import LIMITS, Cell, by_task, distance_text
+from studies.published_tables.cells import LIMITS, ComparedCell, distance_text
 from studies.published_tables.claims import Finding, order
-from studies.published_tables.rows import Row
+from studies.published_tables.rows import MethodRuns
 from tools.readme_tables import table
 
 MAX_LISTED = 5  # entries with the same reason that are listed by name
@@ -48,7 +50,7 @@ def task_names(tasks: Sequence[str]) -> str:
     return ", ".join(tasks) if len(tasks) < 3 else f"{len(tasks)} tasks"
 
 
-def order_table(rows: Sequence[Row], part: str) -> str:
+def order_table(rows: Sequence[MethodRuns], part: str) -> str:
     """A table of methods in the order of our means; empty for fewer than two."""
     ordering = order(rows, part)
     if len(ordering.places) < 2:
@@ -65,10 +67,10 @@ def mean_text(interval: Interval) -> str:
     return signed(interval).replace("+", "")
 
 
-def cell_table(method: str, cells: Sequence[Cell]) -> str:
+def cell_table(method: str, cells: Sequence[ComparedCell]) -> str:
     """A heading and a table; in each cell our mean, the published one, and the distance."""
     rows = []
-    for task, of_task in by_task(cells).items():
+    for task, of_task in group_by(cells, attrgetter("task")).items():
         texts = {cell.variant: cell_text(cell) for cell in of_task}
         runs = {len(cell.means) for cell in of_task}
         name = f"{task} ({max(runs)} {'run' if runs == {1} else 'runs'})"
@@ -76,7 +78,7 @@ def cell_table(method: str, cells: Sequence[Cell]) -> str:
     return f"### {method}\n\n{table(('Task', *SHORT_VARIANTS), rows)}"
 
 
-def score_table(row: Row) -> str:
+def score_table(row: MethodRuns) -> str:
     """A heading and a table: means and standard deviations over runs."""
     tasks: dict[str, dict[str, str]] = {}
     for env_id in row.env_ids:
@@ -91,7 +93,7 @@ def score_table(row: Row) -> str:
     return f"### {row.method}\n\n{table(('Task', *SHORT_VARIANTS), lines)}"
 
 
-def cell_text(cell: Cell) -> str:
+def cell_text(cell: ComparedCell) -> str:
     ours = f"{cell.mean:.2f}" + (f" ± {cell.std:.2f}" if len(cell.means) > 1 else "")
     distance = distance_text(cell.distance)
     shown = f"**{distance}**" if abs(cell.distance) > LIMITS[-1] else distance

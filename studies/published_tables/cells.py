@@ -1,20 +1,20 @@
 """One environment of one row: our runs, the published ones, and how far they are apart."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from magical.evaluation.intervals import Floats
 from magical.evaluation.published import RUNS, pooled_std, published_table
 from magical.evaluation.statistics import Spread
 from magical.evaluation.variants import short_variant
-from studies.published_tables.rows import Row
+from studies.published_tables.rows import MethodRuns
 
 LIMITS = (1, 2)  # pooled standard deviations
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
+class ComparedCell:
     """A mean of ours beside a published one.
 
     Attributes:
@@ -70,11 +70,11 @@ class Count:
     cells: int
     within: tuple[int, ...]
     expected: tuple[float, ...]
-    below: tuple[Cell, ...]
-    above: tuple[Cell, ...]
+    below: tuple[ComparedCell, ...]
+    above: tuple[ComparedCell, ...]
 
 
-def make_cells(row: Row) -> list[Cell]:
+def make_cells(row: MethodRuns) -> list[ComparedCell]:
     """The cells of a row that has a published one, by task; those the tables have."""
     table = published_table()
     cells = []
@@ -82,11 +82,13 @@ def make_cells(row: Row) -> list[Cell]:
         variant = short_variant(env_id.variant)
         spread = table.get((env_id.task, row.published, variant))
         if spread is not None:
-            cells.append(Cell(row.method, env_id.task, variant, row.runs_in(env_id), spread))
+            cells.append(
+                ComparedCell(row.method, env_id.task, variant, row.runs_in(env_id), spread)
+            )
     return cells
 
 
-def count(cells: Iterable[Cell]) -> Count:
+def count(cells: Iterable[ComparedCell]) -> Count:
     """Count the cells within `LIMITS` of the published ones, and list those beyond the last."""
     cells = list(cells)
     far = LIMITS[-1]
@@ -105,13 +107,5 @@ def distance_text(value: float) -> str:
     return f"{rounded:+.1f}".replace("-", "−") if rounded else "0.0"
 
 
-def by_task(cells: Iterable[Cell]) -> dict[str, Sequence[Cell]]:
-    """Cells by the task's name."""
-    tasks: dict[str, list[Cell]] = {}
-    for cell in cells:
-        tasks.setdefault(cell.task, []).append(cell)
-    return {**tasks}
-
-
-def _sorted(cells: Iterable[Cell]) -> tuple[Cell, ...]:
+def _sorted(cells: Iterable[ComparedCell]) -> tuple[ComparedCell, ...]:
     return tuple(sorted(cells, key=lambda cell: -abs(cell.distance)))

@@ -10,7 +10,7 @@ from magical.evaluation.intervals import Interval
 from magical.evaluation.published import published_contrast, published_table
 from magical.evaluation.statistics import ROUNDING, contrast, mean
 from magical.evaluation.variants import short_variant
-from studies.published_tables.rows import Row
+from studies.published_tables.rows import MethodRuns
 
 DEMO, TESTS = "Demo", "test variants"
 PARTS = (DEMO, TESTS)
@@ -170,14 +170,14 @@ def verdict(interval: Interval) -> str:
 
 
 def find(
-    claims: Iterable[Claim], rows: Sequence[Row], parts: Sequence[str] = PARTS
+    claims: Iterable[Claim], rows: Sequence[MethodRuns], parts: Sequence[str] = PARTS
 ) -> list[Finding]:
     """Every claim on every part: `Demo`, `test variants`, or one variant such as `Jitter`."""
     known = {row.method: row for row in rows}
     return [_finding(claim, part, known) for claim in claims for part in parts]
 
 
-def _finding(claim: Claim, part: str, rows: Mapping[str, Row]) -> Finding:
+def _finding(claim: Claim, part: str, rows: Mapping[str, MethodRuns]) -> Finding:
     cells = {(task, variant) for task, _, variant in published_table() if _is_in(variant, part)}
     published = same = ours = None
     theirs = {method for _, method, _ in published_table()}
@@ -197,7 +197,7 @@ def _is_in(variant: str, part: str) -> bool:
     return variant != DEMO if part == TESTS else short_variant(variant) == part
 
 
-def _shared(rows: Sequence[Row], part: str) -> list[EnvId]:
+def _shared(rows: Sequence[MethodRuns], part: str) -> list[EnvId]:
     """The environments of a part that all rows have."""
     first = rows[0].env_ids if rows else ()
     return [i for i in first if _is_in(i.variant, part) and all(i in row.env_ids for row in rows)]
@@ -229,7 +229,7 @@ class Ordering:
     places: tuple[Place, ...]
 
 
-def order(rows: Sequence[Row], part: str) -> Ordering:
+def order(rows: Sequence[MethodRuns], part: str) -> Ordering:
     """The order of the methods with the name of a published one."""
     rows = [row for row in rows if row.published == row.method]
     env_ids = _shared(rows, part)

@@ -9,7 +9,7 @@ from magical.evaluation import published_score, published_tasks
 from magical.evaluation.intervals import Interval
 from magical.evaluation.statistics import generalisation_gap, mean
 from magical.report.found.statements import Statements
-from studies.published_tables.rows import Row
+from studies.published_tables.rows import MethodRuns
 
 VARIANTS = ("Demo", "TestAll")
 PUBLISHED = ("BC (ST)", "GAIL (ST)")  # of the published tables, for comparison
@@ -35,7 +35,7 @@ class Drop(NamedTuple):
     gap: Interval
 
 
-def find_drops(rows: Iterable[Row]) -> list[Drop]:
+def find_drops(rows: Iterable[MethodRuns]) -> list[Drop]:
     """The published methods, then the rows that have Demo and TestAll of all published tasks."""
     pairs = [(EnvId(task, VARIANTS[0]), EnvId(task, VARIANTS[1])) for task in published_tasks()]
     env_ids = [env_id for pair in pairs for env_id in pair]
@@ -43,7 +43,7 @@ def find_drops(rows: Iterable[Row]) -> list[Drop]:
     return [*map(_published, PUBLISHED), *ours]
 
 
-def _drop(row: Row, env_ids: list[EnvId]) -> Drop:
+def _drop(row: MethodRuns, env_ids: list[EnvId]) -> Drop:
     demo, test_all = ([i for i in env_ids if i.variant == variant] for variant in VARIANTS)
     return Drop(
         row.method,

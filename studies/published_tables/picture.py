@@ -10,7 +10,7 @@ import numpy as np
 from magical.evaluation.variants import SHORT_VARIANTS
 from magical.files import write_atomically
 from magical.report.figures.plots import new_figure, plotting
-from studies.published_tables.cells import LIMITS, Cell, distance_text
+from studies.published_tables.cells import LIMITS, ComparedCell, distance_text
 
 DIGEST = "Cells"  # in the file's metadata: what the picture was made from
 LIMIT = 4.0  # pooled standard deviations at which colours end
@@ -24,7 +24,7 @@ INK, ABSENT = "#222222", "#dddddd"
 
 
 def write_picture(
-    path: Path, panels: Mapping[str, Sequence[Cell]], tasks: Sequence[str], digest: str
+    path: Path, panels: Mapping[str, Sequence[ComparedCell]], tasks: Sequence[str], digest: str
 ) -> None:
     """Write a PNG file.
 
@@ -58,7 +58,7 @@ def digest_of(path: Path) -> str:
         return str(image.info.get(DIGEST, ""))
 
 
-def _figure(panels: Mapping[str, Sequence[Cell]], tasks: Sequence[str]) -> Any:
+def _figure(panels: Mapping[str, Sequence[ComparedCell]], tasks: Sequence[str]) -> Any:
     run = [{cell.task for cell in cells} or set(tasks) for cells in panels.values()]
     rows = [[task for task in tasks if task in names] for names in run]
     lines = range(0, len(rows), COLUMNS)
@@ -78,7 +78,7 @@ def _figure(panels: Mapping[str, Sequence[Cell]], tasks: Sequence[str]) -> Any:
     return figure
 
 
-def _draw(axes: Any, method: str, cells: Sequence[Cell], tasks: Sequence[str]) -> Any:
+def _draw(axes: Any, method: str, cells: Sequence[ComparedCell], tasks: Sequence[str]) -> Any:
     """One method's heat map; a number in each cell, so that nothing is in colours alone."""
     values = np.full((len(tasks), len(SHORT_VARIANTS)), np.nan)
     for cell in cells:

@@ -23,7 +23,7 @@ from magical.tasks import get_task
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class MethodRuns:
     """One method's runs, by the published code's rule.
 
     Attributes:
@@ -62,7 +62,7 @@ def published_row(method: str) -> str:
     return next(names, "")
 
 
-def make_rows(found: Found) -> tuple[list[Row], list[Rejected]]:
+def make_rows(found: Found) -> tuple[list[MethodRuns], list[Rejected]]:
     """A row for each method, and the entries that count nowhere, with the reasons."""
     rejected = [Rejected(str(item.folder), "", [item.reason]) for item in found.skipped]
     groups: dict[str, list[Result]] = {}
@@ -93,12 +93,12 @@ def _faults(result: Result) -> list[str]:
     return [*faults, *incompleteness(entry), *misstatements(entry, stated_looks)]
 
 
-def _row(method: str, runs: Sequence[Result]) -> Row:
+def _row(method: str, runs: Sequence[Result]) -> MethodRuns:
     scores = [run.entry.scores for run in runs]
     found = {env_id for run in scores for env_id in by_environment(run)}
     env_ids = tuple(env_id for env_id in environments() if env_id in found)
     details = [run.entry.details for run in runs]
-    return Row(
+    return MethodRuns(
         method,
         published_row(method),
         env_ids,

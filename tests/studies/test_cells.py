@@ -1,6 +1,7 @@
 """Distances from published means, and their counts."""
 
 import math
+from operator import attrgetter
 
 import numpy as np
 import pytest
@@ -8,12 +9,13 @@ import scipy.stats
 
 from magical.evaluation import environments, published_score
 from magical.evaluation.statistics import Spread
-from studies.published_tables.cells import Cell, by_task, count, distance_text, make_cells
-from studies.published_tables.rows import Row
+from magical.grouping import group_by
+from studies.published_tables.cells import ComparedCell, count, distance_text, make_cells
+from studies.published_tables.rows import MethodRuns
 
 
-def cell(means: list[float], mean: float, std: float, variant: str = "Demo") -> Cell:
-    return Cell("A", "MoveToRegion", variant, np.array(means), Spread(mean, std))
+def cell(means: list[float], mean: float, std: float, variant: str = "Demo") -> ComparedCell:
+    return ComparedCell("A", "MoveToRegion", variant, np.array(means), Spread(mean, std))
 
 
 def test_a_distance_by_hand() -> None:
@@ -39,7 +41,7 @@ def test_a_row_has_the_cells_of_the_tables() -> None:
     env_ids = tuple(environments(["MoveToRegion", "MoveToCorner"]))
     means = np.full((2, len(env_ids)), np.nan)
     means[0, :6], means[1, 6:] = 0.25, 0.75
-    cells = make_cells(Row("BC (ST), slower", "BC (ST)", env_ids, means))
+    cells = make_cells(MethodRuns("BC (ST), slower", "BC (ST)", env_ids, means))
     assert [c.variant for c in cells] == [
         *("Demo", "Jitter", "Layout", "Colour", "Dynamics", "All"),
         *("Demo", "Jitter", "Colour", "Shape", "Dynamics", "All"),
@@ -49,11 +51,11 @@ def test_a_row_has_the_cells_of_the_tables() -> None:
         "MoveToCorner": [0.75],
     }
     assert cells[-1].published == published_score("MoveToCorner", "BC (ST)", "All")
-    assert {task: len(some) for task, some in by_task(cells).items()} == {
+    assert {task: len(some) for task, some in group_by(cells, attrgetter("task")).items()} == {
         "MoveToRegion": 6,
         "MoveToCorner": 6,
     }
-    assert make_cells(Row("mine", "", env_ids, means)) == []
+    assert make_cells(MethodRuns("mine", "", env_ids, means)) == []
 
 
 def test_counts() -> None:

@@ -19,13 +19,13 @@ from studies.published_tables.claims import (
     order,
     verdict,
 )
-from studies.published_tables.rows import Row, published_row
+from studies.published_tables.rows import MethodRuns, published_row
 
 CORNER = tuple(environments(["MoveToCorner"], ["Demo", "Jitter"]))
 
 
-def row(method: str, *means: list[float]) -> Row:
-    return Row(method, published_row(method), CORNER, np.array(means))
+def row(method: str, *means: list[float]) -> MethodRuns:
+    return MethodRuns(method, published_row(method), CORNER, np.array(means))
 
 
 def test_the_published_claims_are_about_published_rows() -> None:

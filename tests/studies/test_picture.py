@@ -6,17 +6,17 @@ from typing import Any
 import numpy as np
 
 from magical.evaluation.statistics import Spread
-from studies.published_tables.cells import Cell
+from studies.published_tables.cells import ComparedCell
 from studies.published_tables.picture import _figure
 
 TASKS = ("MoveToCorner", "MoveToRegion", "FixColour")
 
 
-def cell(task: str) -> Cell:
-    return Cell("A", task, "Demo", np.array([0.6, 0.8]), Spread(0.5, 0.1))
+def cell(task: str) -> ComparedCell:
+    return ComparedCell("A", task, "Demo", np.array([0.6, 0.8]), Spread(0.5, 0.1))
 
 
-def shown(panels: Mapping[str, Sequence[Cell]]) -> dict[str, tuple[list[str], Any]]:
+def shown(panels: Mapping[str, Sequence[ComparedCell]]) -> dict[str, tuple[list[str], Any]]:
     """Title, tasks and lower limit of each panel."""
     axes = [place for place in _figure(panels, TASKS).axes if place.get_title()]
     return {

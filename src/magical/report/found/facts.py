@@ -3,11 +3,13 @@
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
+from magical.grouping import group_by
 from magical.report.found.search import Result
 from magical.runs.folder import CONFIG, CURVES, METRICS, RECORD
 
@@ -50,9 +52,7 @@ class MethodFacts:
 
 def describe_methods(results: Iterable[Result], page: Path | None = None) -> list[MethodFacts]:
     """How each method's runs were made; with the page's path, with links to their files."""
-    groups: dict[str, list[Result]] = {}
-    for result in results:
-        groups.setdefault(result.entry.row, []).append(result)
+    groups = group_by(results, attrgetter("entry.row"))
     return [_describe(method, runs, page) for method, runs in groups.items()]
 
 

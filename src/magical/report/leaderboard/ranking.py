@@ -2,9 +2,11 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 from magical.evaluation.intervals import Interval
 from magical.evaluation.statistics import ROUNDING
+from magical.grouping import group_by
 from magical.report.found.search import Result
 from magical.report.found.statements import Statements, gather_statements
 from magical.report.scores.methods import ComparedMethod, compared_methods
@@ -51,9 +53,7 @@ class Board:
 
 def make_boards(results: Sequence[Result]) -> list[Board]:
     """A board of the methods that have all tasks, then one for each task that any has."""
-    groups: dict[str, list[Result]] = {}
-    for result in results:
-        groups.setdefault(result.entry.method, []).append(result)
+    groups = group_by(results, attrgetter("entry.method"))
     methods = {name: _method(runs) for name, runs in groups.items()}
     whole = [m for m in methods.values() if {i.task for i in m.env_ids} >= set(TASKS)]
     boards = [Board(ALL_TASKS, _ranked([_standing(m, groups[m.name]) for m in whole]))]

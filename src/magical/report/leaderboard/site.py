@@ -4,11 +4,13 @@ import re
 import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from pathlib import Path
 
 from magical import __version__
 from magical.errors import ScoresError, SiteError
 from magical.evaluation.protocol import NUDGE, ROLLOUTS
+from magical.grouping import group_by
 from magical.report.found.search import Found, Result, search_results
 from magical.report.leaderboard.checks import Rejected, by_reasons, check_entries
 from magical.report.leaderboard.ranking import STATE, Board, make_boards
@@ -45,9 +47,7 @@ class Leaderboard:
         index = site / INDEX
         if index.exists() and MARK not in index.read_bytes():
             raise SiteError(f"{index}: expected no page or a leaderboard; choose another folder")
-        groups: dict[str, list[Result]] = {}
-        for result in self.accepted:
-            groups.setdefault(result.entry.method, []).append(result)
+        groups = group_by(self.accepted, attrgetter("entry.method"))
         pages: dict[str, str] = {}
         copies: set[str] = set()
         for number, (method, results) in enumerate(groups.items(), 1):

@@ -5,6 +5,7 @@ import io
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
 
@@ -13,6 +14,7 @@ import numpy as np
 from magical.evaluation import Entry, by_variant, published_score, published_tasks
 from magical.evaluation.intervals import Interval, rollout_mean
 from magical.evaluation.statistics import mean, over_runs
+from magical.grouping import group_by
 from magical.report.found.search import Found
 from magical.report.pages.page import write_text
 from magical.report.scores.differences import RULE, counterparts, differences
@@ -154,10 +156,8 @@ def _grid(table: Table) -> Grid:
 def _lines(
     task: str, entries: Sequence[Entry], published: Sequence[str]
 ) -> Iterator[tuple[object, ...]]:
-    groups: dict[str, list[Entry]] = {}
-    for entry in entries:
-        if task in by_variant(entry.scores):
-            groups.setdefault(entry.row, []).append(entry)
+    with_task = (entry for entry in entries if task in by_variant(entry.scores))
+    groups = group_by(with_task, attrgetter("row"))
     rows = counterparts(entries, published if task in published_tasks() else ())
     for method, runs in groups.items():
         theirs = rows.get(runs[0].method)

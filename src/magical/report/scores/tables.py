@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from magical.evaluation.intervals import Interval, rollout_mean
 from magical.evaluation.published import RUNS
 from magical.evaluation.statistics import over_runs
 from magical.evaluation.variants import SHORT_VARIANTS, short_variant
+from magical.grouping import group_by
 from magical.report.scores.differences import RULE, counterparts, differences, steps
 from magical.tasks import Task, get_task
 
@@ -83,14 +85,12 @@ def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = (
     task are left out.
     """
     found, entries = get_task(task), list(entries)
-    runs: dict[str, list[Entry]] = {}
-    for entry in entries:
-        if task in by_variant(entry.scores):
-            runs.setdefault(entry.row, []).append(entry)
+    with_task = [entry for entry in entries if task in by_variant(entry.scores)]
+    runs = group_by(with_task, attrgetter("row"))
     methods = tuple(published) if task in published_tasks() else ()
     theirs = counterparts(entries, methods)
     published_rows = [_published_row(task, method) for method in methods]
-    other = _other_horizons(found, [entry for group in runs.values() for entry in group])
+    other = _other_horizons(found, with_task)
     compared = bool(methods) and not other
     rule = RULE if compared else "score"
     rows = [_method_row(found, row, group, rule) for row, group in runs.items()]
