@@ -21,9 +21,9 @@ from magical.learning.models import PolicyNetwork, Trunk
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import (
     StateDict,
-    load_module,
     load_optimizer,
     optimizer_state,
+    restoring,
 )
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
@@ -64,8 +64,9 @@ def train(config: SmoothBCConfig, run: Run) -> None:
         load_demonstrations(config, run), config.tasks, config.observation_spec, device="cpu"
     )
     if run.saved:
-        load_module(network, run.saved["policy"], str(run.folder))
-        load_optimizer(optimizer, run.saved["optimizer"])
+        with restoring(run.folder):
+            network.load_state_dict(run.saved["policy"])
+            load_optimizer(optimizer, run.saved["optimizer"])
     averages = Averages()
     network.train()
     for number in range(run.step, config.batches):
@@ -75,7 +76,7 @@ def train(config: SmoothBCConfig, run: Run) -> None:
             logits = network(to_unit(data.images(rows)), tasks)  # (B, 18)
         loss = smooth_loss(logits, actions, config.smoothing)
         optimizer.zero_grad()
-        loss.backward()
+        torch.autograd.backward(loss)
         optimizer.step()
         averages.add(len(rows), loss=loss.detach())
         done = number + 1
