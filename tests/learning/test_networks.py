@@ -5,13 +5,7 @@ import torch
 from torch import nn
 
 from magical.errors import UnknownNameError
-from magical.learning.models import (
-    ActorCritic,
-    Discriminator,
-    PolicyNetwork,
-    TaskLinear,
-    Trunk,
-)
+from magical.learning.models import ActorCritic, Discriminator, PolicyNetwork, TaskLinear, Trunk
 from magical.learning.networks import find_network, network_names
 
 IMAGE = (12, 96, 96)

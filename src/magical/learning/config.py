@@ -112,7 +112,7 @@ class DemonstrationSettings(Settings):
     """Which demonstrations are learned from."""
 
     demos: str = option(MISSING, "folder with a dataset of demonstrations", metavar="FOLDER")
-    num_demos: int = option(10, "demonstrations of each task, sampled by the seed", check=POSITIVE)
+    num_demos: int = option(10, "demonstrations of each task, sampled by the seed", POSITIVE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,9 +128,7 @@ class Config(Settings):
     algorithm: str = ""  # its name, that of an entry point, or `module:NAME`
     tasks: tuple[str, ...] = option(MISSING, "tasks to learn, one or several", metavar="TASK")
     seed: int = option(
-        0,
-        "determines demonstrations, initialisation, minibatches and episodes",
-        check=NOT_NEGATIVE,
+        0, "determines demonstrations, initialisation, minibatches and episodes", NOT_NEGATIVE
     )
     device: str = option("auto", "where to compute", choices=DEVICES)
     # PPO compares ratios with a clip range of 0.01: bfloat16's resolution is nearly as coarse.
@@ -139,11 +137,11 @@ class Config(Settings):
         "of the forward and backward pass; auto: bfloat16 where the processor has it",
         choices=PRECISIONS,
     )
-    threads: int = option(0, "CPU threads; 0: PyTorch's own number", check=NOT_NEGATIVE)
+    threads: int = option(0, "CPU threads; 0: PyTorch's own number", NOT_NEGATIVE)
     checkpoint_every: int = option(
         0,
         f"batches or updates between checkpoints; 0: one every {CHECKPOINT_SECONDS} s",
-        check=NOT_NEGATIVE,
+        NOT_NEGATIVE,
     )
 
     def __post_init__(self) -> None:

@@ -21,11 +21,7 @@ class NetworkPolicy:
     """Samples actions from a network's distribution, or takes the most probable ones."""
 
     def __init__(
-        self,
-        network: nn.Module,
-        config: Config,
-        compute: Compute,
-        greedy: bool = False,
+        self, network: nn.Module, config: Config, compute: Compute, greedy: bool = False
     ) -> None:
         """Create a policy.
 

@@ -19,8 +19,8 @@ Part = TypeVar("Part", bound="Settings")
 def option(
     default: Any,
     text: str,
-    *,
     check: Check | None = None,
+    *,
     choices: tuple[str, ...] | Callable[[], tuple[str, ...]] = (),
     others: str = "",
     metavar: str | None = None,

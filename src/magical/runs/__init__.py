@@ -8,11 +8,4 @@ checkpoint, belongs to `magical.learning.running.checkpoints`; here it has only 
 from magical.runs.folder import is_run, opened_folder, read_json, versions
 from magical.runs.metrics import MetricsWriter, read_metrics
 
-__all__ = [
-    "MetricsWriter",
-    "is_run",
-    "opened_folder",
-    "read_json",
-    "read_metrics",
-    "versions",
-]
+__all__ = ["MetricsWriter", "is_run", "opened_folder", "read_json", "read_metrics", "versions"]

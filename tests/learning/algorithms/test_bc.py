@@ -18,11 +18,7 @@ from magical.demos import Trajectory, observations
 from magical.errors import CheckpointError, DivergedError, InvalidConfigError, RunFolderError
 from magical.evaluation import evaluate
 from magical.learning import load_policy, train
-from magical.learning.algorithms.bc import (
-    BCConfig,
-    CloningSettings,
-    bc_loss,
-)
+from magical.learning.algorithms.bc import BCConfig, CloningSettings, bc_loss
 from magical.learning.running import run
 from magical.learning.running.checkpoints import load_checkpoint
 from magical.physics import Simulation

@@ -115,11 +115,7 @@ def test_the_monitoring_evaluation_has_the_configured_horizon(
     )
     for horizon in ("appendix", "published"):
         config = tiny(
-            PPOConfig,
-            tasks=("ClusterColour",),
-            reward="score",
-            horizon=horizon,
-            evaluate_every=3,
+            PPOConfig, tasks=("ClusterColour",), reward="score", horizon=horizon, evaluate_every=3
         )
         train(config, tmp_path / horizon)
     assert asked == [None, "published"]

@@ -60,9 +60,7 @@ def factors() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 @pytest.mark.parametrize("linear_light", [True, False])
 @pytest.mark.parametrize("brightness", [1.0, 0.2, 0.02])
 def test_floats_agree_with_scikit_image(
-    brightness: float,
-    linear_light: bool,
-    factors: tuple[NDArray[np.float64], NDArray[np.float64]],
+    brightness: float, linear_light: bool, factors: tuple[NDArray[np.float64], NDArray[np.float64]]
 ) -> None:
     images = np.random.default_rng(0).random((4, 6, 20, 24)) * brightness
     ours = colour_jitter(torch.from_numpy(images).float(), *factors, linear_light).numpy()

@@ -199,9 +199,7 @@ def config(tmp_path: Path, **changes: Any) -> BCConfig:
 
 
 @pytest.mark.parametrize(
-    "change",
-    [*({"transform": name} for name in TRANSFORMATIONS), {"augment_scale": 2.0}],
-    ids=str,
+    "change", [*({"transform": name} for name in TRANSFORMATIONS), {"augment_scale": 2.0}], ids=str
 )
 def test_each_setting_changes_what_is_learned(tmp_path: Path, change: dict[str, Any]) -> None:
     plain = train(config(tmp_path), tmp_path / "plain").metrics["loss"]

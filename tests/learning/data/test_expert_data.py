@@ -65,10 +65,7 @@ def test_the_own_steps_of_a_watched_policy_are_not_learned(remove_noops: bool) -
     executed = picture_demo("MoveToCorner", 0, actions=[3, 0, 4, 8])
     watched = replace(executed, actors=np.array([Actor.POLICY, Actor.HUMAN, Actor.HUMAN, 0]))
     data = ExpertData(
-        [("MoveToCorner", watched)],
-        ["MoveToCorner"],
-        PRESETS["LoRes4E"],
-        remove_noops=remove_noops,
+        [("MoveToCorner", watched)], ["MoveToCorner"], PRESETS["LoRes4E"], remove_noops=remove_noops
     )
     assert data.actions.tolist() == ([4] if remove_noops else [0, 4])
     shown = np.asarray(observations(watched, "LoRes4E")).transpose(0, 3, 1, 2)
@@ -79,10 +76,7 @@ def test_nothing_but_noops_is_an_error() -> None:
     trajectory = picture_demo("MoveToCorner", 0, actions=[0, 0, 0])
     with pytest.raises(DemonstrationsError, match="MoveToCorner: expected demonstrations with"):
         ExpertData(
-            [("MoveToCorner", trajectory)],
-            ["MoveToCorner"],
-            PRESETS["LoRes4E"],
-            remove_noops=True,
+            [("MoveToCorner", trajectory)], ["MoveToCorner"], PRESETS["LoRes4E"], remove_noops=True
         )
 
 

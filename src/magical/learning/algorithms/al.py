@@ -83,11 +83,9 @@ class ALConfig(ReinforcementConfig):
 
     algorithm: str = "al"
     demonstrations: DemonstrationSettings
-    pretraining_batches: int = option(
-        8192, "batches that the autoencoder is trained on", check=POSITIVE
-    )
-    pretraining_batch_size: int = option(24, "expert samples per such batch", check=POSITIVE)
-    pretraining_learning_rate: float = option(3e-4, "Adam's, for the autoencoder", check=POSITIVE)
+    pretraining_batches: int = option(8192, "batches that the autoencoder is trained on", POSITIVE)
+    pretraining_batch_size: int = option(24, "expert samples per such batch", POSITIVE)
+    pretraining_learning_rate: float = option(3e-4, "Adam's, for the autoencoder", POSITIVE)
     augment: str = option(
         "none",
         "of the autoencoder's images: all, none, no-trans-rot, or names joined by +",
@@ -102,14 +100,14 @@ class ALConfig(ReinforcementConfig):
         choices=(APPENDIX, REFINED),
     )
     feature_samples: int = option(
-        512, "samples, each of expert and novice, to compute w from", check=POSITIVE
+        512, "samples, each of expert and novice, to compute w from", POSITIVE
     )
     weight_metric: str = option(
         "euclidean",
         "norm of w that is bounded: |w|, or the standard deviation of w^T phi over the samples",
         choices=("euclidean", "covariance"),
     )
-    reward_std: float = option(0.1, "standard deviation of the normalised rewards", check=POSITIVE)
+    reward_std: float = option(0.1, "standard deviation of the normalised rewards", POSITIVE)
 
     def __post_init__(self) -> None:
         super().__post_init__()

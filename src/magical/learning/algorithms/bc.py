@@ -64,10 +64,10 @@ STATISTICS_BATCHES = 50  # that batch norm's statistics of averaged weights are 
 class CloningSettings(Settings):
     """How demonstrations are cloned; the defaults are Table 3's."""
 
-    batches: int = option(20_000, "batches in all", check=POSITIVE)
-    batch_size: int = option(32, "samples per batch", check=POSITIVE)
+    batches: int = option(20_000, "batches in all", POSITIVE)
+    batch_size: int = option(32, "samples per batch", POSITIVE)
     optimizer: str = option("sgd", "optimiser", choices=("sgd", "adam"))
-    learning_rate: float = option(1e-3, "initial learning rate", check=POSITIVE)
+    learning_rate: float = option(1e-3, "initial learning rate", POSITIVE)
     momentum: float = option(0.1, "momentum; Adam's beta 1")
     anneal: bool = option(False, "anneal the learning rate linearly to 0")
     augment: str = option(
@@ -80,7 +80,7 @@ class CloningSettings(Settings):
         choices=(AUTO, RENDERING, RESAMPLING),
     )
     augment_scale: float = option(
-        1.0, "factor of the ranges of the translation and the rotation", check=NOT_NEGATIVE
+        1.0, "factor of the ranges of the translation and the rotation", NOT_NEGATIVE
     )
     transform: str = option(
         NONE,
@@ -92,9 +92,9 @@ class CloningSettings(Settings):
         0.0,
         "decay, at each batch, of the exponential moving average of the weights, which is then "
         "the policy; 0: no average",
-        check=FRACTION,
+        FRACTION,
     )
-    log_every: int = option(50, "batches between lines of metrics", check=POSITIVE)
+    log_every: int = option(50, "batches between lines of metrics", POSITIVE)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -56,21 +56,19 @@ class DAggerConfig(BCConfig):
         default_factory=partial(CloningSettings, batches=2_000)
     )  # of a round
     rounds: int = option(
-        10, "rounds, of so many batches each; all but the first collect episodes", check=POSITIVE
+        10, "rounds, of so many batches each; all but the first collect episodes", POSITIVE
     )
-    episodes: int = option(
-        10, "episodes of each task per round, variants in rotation", check=POSITIVE
-    )
+    episodes: int = option(10, "episodes of each task per round, variants in rotation", POSITIVE)
     variants: tuple[str, ...] = option(
         ("Demo",), "variants that episodes are collected in", metavar="VARIANT"
     )
     beta_decay: float = option(
-        0.5, "round i takes the expert's actions with probability decay^i", check=FRACTION
+        0.5, "round i takes the expert's actions with probability decay^i", FRACTION
     )
     restart: bool = option(False, "train from the initialisation in each round")
     keep_noops: bool = option(False, "train on no-op labels too")
     workers: int | None = option(
-        None, "environment processes (default: one per core)", check=NOT_NEGATIVE
+        None, "environment processes (default: one per core)", NOT_NEGATIVE
     )
 
     @property

@@ -63,26 +63,20 @@ class DiscriminatorSettings(Settings):
     """How a discriminator is trained and its rewards are normalised; the defaults are Table 4's."""
 
     steps: int = option(
-        12,
-        "the discriminator's optimiser steps per update",
-        check=POSITIVE,
-        name="discriminator_steps",
+        12, "the discriminator's optimiser steps per update", POSITIVE, name="discriminator_steps"
     )
     batch_size: int = option(
         24, "samples per such step, half of them the expert's", name="discriminator_batch_size"
     )
     learning_rate: float = option(
-        2.5e-5,
-        "Adam's, for the discriminator",
-        check=POSITIVE,
-        name="discriminator_learning_rate",
+        2.5e-5, "Adam's, for the discriminator", POSITIVE, name="discriminator_learning_rate"
     )
     augment: str = option(
         "all",
         "of the discriminator's images: all, none, no-trans-rot, or names joined by +",
         metavar="NAMES",
     )
-    reward_std: float = option(0.1, "standard deviation of the normalised rewards", check=POSITIVE)
+    reward_std: float = option(0.1, "standard deviation of the normalised rewards", POSITIVE)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -24,13 +24,7 @@ from magical.learning.config import Config, DemonstrationSettings
 from magical.learning.data.expert_data import load_demonstrations
 from magical.learning.objects.control import Controller, Ranges, control_inputs
 from magical.learning.objects.data import ObjectData
-from magical.learning.objects.goals import (
-    BORDER,
-    CANDIDATES,
-    REFITTED,
-    GoalModel,
-    goal_losses,
-)
+from magical.learning.objects.goals import BORDER, CANDIDATES, REFITTED, GoalModel, goal_losses
 from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.objects.parser import Pixels, parse_robot
 from magical.learning.objects.table import ObjectTable, parse_table
@@ -73,38 +67,34 @@ class ObjectBCConfig(Config):
 
     algorithm: str = "object-bc"
     demonstrations: DemonstrationSettings
-    batches: int = option(6000, "batches in all", check=POSITIVE)
-    batch_size: int = option(256, "samples per batch of the controller", check=POSITIVE)
-    learning_rate: float = option(2e-3, "of the controller; annealed linearly to 0", check=POSITIVE)
+    batches: int = option(6000, "batches in all", POSITIVE)
+    batch_size: int = option(256, "samples per batch of the controller", POSITIVE)
+    learning_rate: float = option(2e-3, "of the controller; annealed linearly to 0", POSITIVE)
     mirror: bool = option(True, "exchange left and right in half of the controller's samples")
     block_range: float = option(
         0.6,
         "units from the robot's centre or its grip: no block farther away is an input of the "
         "controller",
-        check=POSITIVE,
+        POSITIVE,
     )
     wall_range: float = option(
-        0.4, "units from robot, target and destination, likewise for walls", check=POSITIVE
+        0.4, "units from robot, target and destination, likewise for walls", POSITIVE
     )
     drop_blocks: float = option(
         0.3,
         "share of the blocks, but for targets, that are removed from the controller's samples",
-        check=FRACTION,
+        FRACTION,
     )
     goal_sparsity: float = option(
         0.01,
         "weight of the goal model's group lasso; a fifth of it in the second half",
-        check=NOT_NEGATIVE,
+        NOT_NEGATIVE,
     )
-    temperature: float = option(
-        0.7, "of the distribution that actions are sampled from", check=POSITIVE
-    )
+    temperature: float = option(0.7, "of the distribution that actions are sampled from", POSITIVE)
     stuck_temperature: float = option(
-        4.0,
-        "the same where a block is left to move and the robot has not moved",
-        check=POSITIVE,
+        4.0, "the same where a block is left to move and the robot has not moved", POSITIVE
     )
-    log_every: int = option(50, "batches between lines of metrics", check=POSITIVE)
+    log_every: int = option(50, "batches between lines of metrics", POSITIVE)
 
     @property
     def observation(self) -> str:
@@ -217,9 +207,7 @@ class ObjectBCTrainer:
         self.compute = run.compute(device, config.precision, config.threads)
         self.goal_optimizer = torch.optim.Adam(self.policy.goals.parameters(), GOAL_LEARNING_RATE)
         self.optimizer = torch.optim.AdamW(
-            self.policy.controller.parameters(),
-            config.learning_rate,
-            weight_decay=WEIGHT_DECAY,
+            self.policy.controller.parameters(), config.learning_rate, weight_decay=WEIGHT_DECAY
         )
         if run.saved:
             with restoring(run.folder):

@@ -88,33 +88,31 @@ class PPOSettings(Settings):
     init: str = option(
         "torch", "initialisation of a policy of images", choices=("torch", "centred")
     )
-    total_steps: int = option(1_000_000, "environment steps in all", check=POSITIVE)
-    num_envs: int = option(
-        32, "N: parallel environments, split evenly between the tasks", check=POSITIVE
-    )
-    num_steps: int = option(8, "T: steps of each environment per update", check=POSITIVE)
+    total_steps: int = option(1_000_000, "environment steps in all", POSITIVE)
+    num_envs: int = option(32, "N: parallel environments, split evenly between the tasks", POSITIVE)
+    num_steps: int = option(8, "T: steps of each environment per update", POSITIVE)
     horizon: str = option(
         "appendix",
         "of training episodes and evaluations; published: 240 steps for the Cluster tasks",
         choices=("appendix", PUBLISHED),
     )
-    epochs: int = option(12, "passes over the samples per update", check=POSITIVE)
-    minibatch_size: int = option(64, "samples per step of the optimiser", check=POSITIVE)
-    learning_rate: float = option(6e-5, "Adam's initial learning rate", check=POSITIVE)
+    epochs: int = option(12, "passes over the samples per update", POSITIVE)
+    minibatch_size: int = option(64, "samples per step of the optimiser", POSITIVE)
+    learning_rate: float = option(6e-5, "Adam's initial learning rate", POSITIVE)
     clip_range: float = option(
-        0.01, "epsilon: initial clip range of the probability ratio", check=POSITIVE
+        0.01, "epsilon: initial clip range of the probability ratio", POSITIVE
     )
     anneal: bool = option(True, "anneal learning rate and clip range linearly to 0")
-    gamma: float = option(0.8, "discount factor", check=FRACTION)
-    gae_lambda: float = option(0.8, "lambda of generalised advantage estimation", check=FRACTION)
-    ent_coef: float = option(1e-5, "weight of the policy's entropy", check=NOT_NEGATIVE)
-    max_grad_norm: float = option(1.0, "gradients are clipped to this L2 norm", check=POSITIVE)
+    gamma: float = option(0.8, "discount factor", FRACTION)
+    gae_lambda: float = option(0.8, "lambda of generalised advantage estimation", FRACTION)
+    ent_coef: float = option(1e-5, "weight of the policy's entropy", NOT_NEGATIVE)
+    max_grad_norm: float = option(1.0, "gradients are clipped to this L2 norm", POSITIVE)
     normalise_advantages: bool = option(False, "to mean 0 and standard deviation 1 per update")
     bootstrap: bool = option(False, "bootstrap the value at the time limit instead of using 0")
     workers: int | None = option(
-        None, "environment processes (default: one per core)", check=NOT_NEGATIVE
+        None, "environment processes (default: one per core)", NOT_NEGATIVE
     )
-    evaluate_every: int = option(200, "updates between evaluations; 0: never", check=NOT_NEGATIVE)
+    evaluate_every: int = option(200, "updates between evaluations; 0: never", NOT_NEGATIVE)
 
     @property
     def env_horizon(self) -> Horizon:

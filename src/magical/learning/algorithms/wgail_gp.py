@@ -45,7 +45,7 @@ class WGAILGPConfig(AdversarialConfig):
     }
 
     algorithm: str = "wgail-gp"
-    penalty_weight: float = option(100.0, "lambda: weight of the gradient penalty", check=POSITIVE)
+    penalty_weight: float = option(100.0, "lambda: weight of the gradient penalty", POSITIVE)
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -27,11 +27,7 @@ class LabelledEpisodes:
 
     def __init__(self, env_ids: Sequence[EnvId], observation: str, workers: int | None) -> None:
         self.envs = MagicalVectorEnv(
-            env_ids,
-            workers=workers,
-            observation=observation,
-            autoreset_mode="Disabled",
-            copy=False,
+            env_ids, workers=workers, observation=observation, autoreset_mode="Disabled", copy=False
         )
 
     def __enter__(self) -> Self:

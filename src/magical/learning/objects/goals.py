@@ -117,11 +117,7 @@ class GoalModel(nn.Module):
         )
 
     def target_logits(
-        self,
-        table: ObjectTable,
-        relations: Tensor,
-        tasks: Tensor,
-        which: list[int] | None = None,
+        self, table: ObjectTable, relations: Tensor, tasks: Tensor, which: list[int] | None = None
     ) -> Tensor:
         """Logits (B, N + 1): every block, and last that none is left to move.
 

@@ -201,11 +201,7 @@ class RolloutBuffer:
 
 
 def collect_rollout(
-    envs: RolloutEnvs,
-    forward: Forward,
-    num_steps: int,
-    bootstrap: bool,
-    rng: np.random.Generator,
+    envs: RolloutEnvs, forward: Forward, num_steps: int, bootstrap: bool, rng: np.random.Generator
 ) -> Rollout:
     """Step the environments T times with actions sampled from the logits of `forward`.
 
