@@ -6,19 +6,18 @@ pytest.importorskip("torch", reason="the learning extra is not installed")
 
 from magical.learning import Config, algorithm_names, find_algorithm
 from magical.learning.config import options
-from magical.learning.description import training_details
 from magical.runs.sources import SOURCES, learned_from
 
 
 def config(algorithm: str, **fields: object) -> Config:
     kind = find_algorithm(algorithm).config
     required = {"demos": "demos"} if "demos" in {o.name for o in options(kind)} else {}
-    return kind(tasks=("MoveToRegion",), **required, **fields)  # type: ignore[arg-type]
+    return kind.preset("paper", tasks=("MoveToRegion",), **required, **fields)
 
 
 @pytest.mark.parametrize("algorithm", algorithm_names())
 def test_every_algorithm_says_what_it_learns_from(algorithm: str) -> None:
-    details = training_details(config(algorithm, seed=3))
+    details = config(algorithm, seed=3).training_details
     assert details["algorithm"] == algorithm
     assert details["training_seed"] == 3
     assert learned_from(details)
@@ -42,10 +41,10 @@ def test_every_algorithm_says_what_it_learns_from(algorithm: str) -> None:
 def test_sources_by_algorithm(
     algorithm: str, fields: dict[str, object], expected: tuple[str, ...]
 ) -> None:
-    assert learned_from(training_details(config(algorithm, **fields))) == expected
+    assert learned_from(config(algorithm, **fields).training_details) == expected
     assert set(expected) <= set(SOURCES)
 
 
 def test_the_number_of_demonstrations_is_said() -> None:
-    assert training_details(config("bc", num_demos=7))["demonstrations"] == "7 of each task"
-    assert "demonstrations" not in training_details(config("ppo"))
+    assert config("bc", num_demos=7).training_details["demonstrations"] == "7 of each task"
+    assert "demonstrations" not in config("ppo").training_details

@@ -27,10 +27,9 @@ def evaluation_details(policy: str, out: Path) -> dict[str, Any]:
     if not Path(policy).is_dir():
         return {POLICY: policy, **provenance()}
     from magical.learning import read_config
-    from magical.learning.description import training_details
     from magical.learning.running.devices import num_threads
 
-    details = {**training_details(read_config(Path(policy))), THREADS: num_threads()}
+    details = {**read_config(Path(policy)).training_details, THREADS: num_threads()}
     return {POLICY: os.path.relpath(policy, out), **details, **provenance()}
 
 

@@ -29,7 +29,7 @@ from magical.messages import quoted
 from magical.observe import PRESETS, ObservationSpec, make_spec
 from magical.observe.presets import GROUP
 from magical.plugins import is_plugin
-from magical.runs.sources import DEMONSTRATIONS
+from magical.runs.sources import DEMONSTRATIONS, LEARNED_FROM
 from magical.tasks import get_task
 from magical.untrusted import convert
 
@@ -168,6 +168,15 @@ class Config(Settings):
     def learned_from(self) -> tuple[str, ...]:
         """What is learned from, in the words of `magical.runs.sources`."""
         return (DEMONSTRATIONS,) if self.part(DemonstrationSettings) else ()
+
+    @property
+    def training_details(self) -> dict[str, Any]:
+        """How a policy is trained, for `details` of `entry.json` (docs/protocol.md)."""
+        demonstrations = self.part(DemonstrationSettings)
+        details: dict[str, Any] = {"algorithm": self.algorithm, "training_seed": self.seed}
+        if demonstrations:
+            details["demonstrations"] = f"{demonstrations.num_demos} of each task"
+        return {**details, LEARNED_FROM: list(self.learned_from)}
 
     @property
     def num_updates(self) -> int:

@@ -196,7 +196,7 @@ def test_the_paper_preset_runs_resumes_and_is_evaluated(demos: Path, tmp_path: P
         "episodes": 1,
         "batch_size": 2,
     }
-    config = replace(paper, **small, device="cpu", precision="float32", workers=0)
+    config = paper.replace(**small, device="cpu", precision="float32", workers=0)
     assert train(config, tmp_path / "run", stop_after=1).step == 1
     assert train(config, tmp_path / "run", resume=True).finished
     scores = evaluate(
@@ -262,7 +262,7 @@ CHANGES: dict[str, Any] = {
 
 @pytest.mark.parametrize("name", CHANGES)
 def test_every_setting_matters(name: str, demos: Path, tmp_path: Path, whole: Path) -> None:
-    train(replace(tiny(demos), **{name: CHANGES[name]}), tmp_path / "run")
+    train(tiny(demos).replace(**{name: CHANGES[name]}), tmp_path / "run")
     before, after = checkpoint(whole)["policy"], checkpoint(tmp_path / "run")["policy"]
     assert not all(torch.equal(before[key], after[key]) for key in before)
 

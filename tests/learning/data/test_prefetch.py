@@ -10,7 +10,7 @@ from magical.learning.data.prefetch import prefetch
 
 
 def alive() -> int:
-    return sum(thread.name == "batches" for thread in threading.enumerate())
+    return sum(thread.name.startswith("batches") for thread in threading.enumerate())
 
 
 @pytest.mark.parametrize("ahead", [True, False])

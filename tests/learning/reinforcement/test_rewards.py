@@ -1,5 +1,6 @@
 """Reward normalisation, the replay buffer, and warnings of a collapse."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,7 @@ import torch
 
 from magical.learning.reinforcement.monitoring import (
     COLLAPSE_UPDATES,
-    CollapseDetector,
+    Monitor,
     mean_by_task,
 )
 from magical.learning.reinforcement.replay_buffer import ReplayBuffer
@@ -81,6 +82,16 @@ def test_flat_images_are_small_in_a_checkpoint() -> None:
     assert replay.state_dict()["observations"].numel() < 8 * 96 * 96 * 12 / 50
 
 
+def rollout_of(actions: list[int]) -> Any:
+    return SimpleNamespace(actions=torch.tensor([actions]), scores=())
+
+
+def monitored(one_action: bool) -> Monitor:
+    monitor = Monitor()
+    monitor.add_rollout(rollout_of([1, 1] if one_action else [0, 1]))
+    return monitor
+
+
 @pytest.mark.parametrize(
     ("metrics", "one_action", "warning"),
     [
@@ -92,17 +103,19 @@ def test_flat_images_are_small_in_a_checkpoint() -> None:
 def test_a_symptom_that_lasts_is_warned_of(
     metrics: dict[str, float | str], one_action: bool, warning: str
 ) -> None:
-    detector = CollapseDetector()
+    monitor, again = monitored(one_action), monitored(one_action)
     for _ in range(COLLAPSE_UPDATES - 1):
-        assert detector.update(metrics, one_action) == ""
-    detector = CollapseDetector(detector.counts)
-    assert detector.update(metrics, one_action) == f"{warning} for {COLLAPSE_UPDATES} updates"
-    assert detector.update({"discriminator_accuracy": 0.8}, False) == ""
-    assert detector.update(metrics, one_action) == ""  # the count restarts
+        assert monitor.warning(metrics) == {}
+    again.load_state_dict(monitor.state_dict())
+    assert again.warning(metrics) == {"warning": f"{warning} for {COLLAPSE_UPDATES} updates"}
+    again.add_rollout(rollout_of([0, 1]))
+    assert again.warning({"discriminator_accuracy": 0.8}) == {}
+    again.add_rollout(rollout_of([1, 1] if one_action else [0, 1]))
+    assert again.warning(metrics) == {}  # the count restarts
 
 
 def test_metrics_that_are_not_finite_are_warned_of_at_once() -> None:
-    assert CollapseDetector().update({"reward": float("nan")}, False) == "not finite"
+    assert Monitor().warning({"reward": float("nan")}) == {"warning": "not finite"}
 
 
 def test_the_score_is_the_mean_over_tasks() -> None:

@@ -1,17 +1,16 @@
 """Batches prepared ahead of time in a thread."""
 
-import queue
-import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import Generic, TypeVar
+from typing import TypeVar
 
 import torch
 
 T = TypeVar("T")
 
-DEPTH = 2  # batches in the queue
-PUT_TIMEOUT = 0.1  # s between checks whether the consumer has stopped
+DEPTH = 2  # batches ahead of the one in use
 
 
 @contextmanager
@@ -20,64 +19,36 @@ def prefetch(
 ) -> Iterator[Iterator[T]]:
     """Yield an iterator over the batches `make(number)`, in order.
 
-    A thread makes them `ahead` of time, which is for batches that the host makes. What a GPU makes
-    is made on demand: its kernels are queued asynchronously anyway. The iterator raises what `make`
-    raises.
+    A thread makes them `ahead` of time, which is for batches that the host makes; it uses one core
+    and leaves the others to the main thread. What a GPU makes is made on demand: its kernels are
+    queued asynchronously anyway. The iterator raises what `make` raises.
     """
     if not ahead:
         yield map(make, numbers)
         return
-    loader = _Loader(make, numbers)
+    num_threads = torch.get_num_threads()
+    thread = ThreadPoolExecutor(1, "batches")
+    thread.submit(_use_one_core).result()
+    # The number set in one thread is also the default of threads started later.
+    torch.set_num_threads(num_threads)
     try:
-        yield iter(loader)
+        yield _ahead(thread, make, numbers)
     finally:
-        loader.stop()
+        thread.shutdown(cancel_futures=True)
 
 
-class _Loader(Generic[T]):
-    """A thread with a short queue; it uses one core and leaves the others to the main thread."""
+def _use_one_core() -> None:
+    torch.set_num_threads(1)
+    torch.get_num_threads()  # a thread takes the default of now, 1, when it first asks
 
-    def __init__(self, make: Callable[[int], T], numbers: Iterable[int]) -> None:
-        self._make = make
-        self._numbers = numbers
-        self._ready: queue.Queue[T | BaseException | None] = queue.Queue(DEPTH)
-        self._single = threading.Event()
-        self._stopped = threading.Event()
-        num_threads = torch.get_num_threads()
-        self._thread = threading.Thread(target=self._run, name="batches", daemon=True)
-        self._thread.start()
-        self._single.wait()
-        # The number set in one thread is also the default of threads started later.
-        torch.set_num_threads(num_threads)
 
-    def __iter__(self) -> Iterator[T]:
-        while (item := self._ready.get()) is not None:
-            if isinstance(item, BaseException):
-                raise item
-            yield item
-
-    def stop(self) -> None:
-        """Stop the thread and wait for its end."""
-        self._stopped.set()
-        self._thread.join()
-
-    def _run(self) -> None:
-        torch.set_num_threads(1)
-        self._single.set()
-        try:
-            for number in self._numbers:
-                if not self._put(self._make(number)):
-                    return
-            self._put(None)
-        except Exception as error:  # raised in the main thread
-            self._put(error)
-
-    def _put(self, item: T | BaseException | None) -> bool:
-        """Put an item into the queue; false if the consumer has stopped."""
-        while not self._stopped.is_set():
-            try:
-                self._ready.put(item, timeout=PUT_TIMEOUT)
-            except queue.Full:
-                continue
-            return True
-        return False
+def _ahead(
+    thread: ThreadPoolExecutor, make: Callable[[int], T], numbers: Iterable[int]
+) -> Iterator[T]:
+    queue: deque[Future[T]] = deque()
+    for number in numbers:
+        queue.append(thread.submit(make, number))
+        if len(queue) > DEPTH:
+            yield queue.popleft().result()
+    while queue:
+        yield queue.popleft().result()

@@ -26,7 +26,7 @@ class Monitor:
 
     def __init__(self) -> None:
         self._recent: deque[tuple[int, float]] = deque(maxlen=RECENT_EPISODES)
-        self._collapse = CollapseDetector()
+        self._counts: dict[str, int] = {}  # updates that each symptom has lasted
         self._seconds: dict[str, float] = {}
         self._one_action = False
 
@@ -50,49 +50,28 @@ class Monitor:
         return found
 
     def warning(self, metrics: Mapping[str, float | str]) -> Metrics:
-        """`{"warning": ...}` if the metrics of an update show a collapse, or nothing."""
-        text = self._collapse.update(metrics, self._one_action)
-        return {"warning": text} if text else {}
+        """`{"warning": ...}` if the metrics of one more update show a collapse, or nothing."""
+        accuracy = metrics.get("discriminator_accuracy")
+        symptoms = {"one action": self._one_action}
+        if isinstance(accuracy, float):
+            symptoms["discriminator at chance"] = abs(accuracy - CHANCE) <= NEAR_CHANCE
+            symptoms["discriminator always right"] = accuracy == 1.0
+        counts = {name: self._counts.get(name, 0) + 1 for name, on in symptoms.items() if on}
+        self._counts = counts
+        found = [f"{name} for {n} updates" for name, n in counts.items() if n >= COLLAPSE_UPDATES]
+        numbers = [value for value in metrics.values() if not isinstance(value, str)]
+        if not all(map(math.isfinite, numbers)):
+            found.insert(0, "not finite")
+        return {"warning": ", ".join(found)} if found else {}
 
     def state_dict(self) -> StateDict:
-        """Recent scores, and how long each symptom of a collapse has lasted."""
-        return {"recent": list(self._recent), "collapse": self._collapse.counts}
+        """Recent scores, and for how many consecutive updates each symptom of a collapse lasts."""
+        return {"recent": list(self._recent), "collapse": self._counts}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Restore what `state_dict` returned."""
         self._recent.extend((int(task), score) for task, score in state["recent"])
-        self._collapse = CollapseDetector(state["collapse"])
-
-
-class CollapseDetector:
-    """Counts for how many consecutive updates each symptom of a collapse has lasted."""
-
-    def __init__(self, counts: Mapping[str, int] | None = None) -> None:
-        self.counts = dict(counts or {})
-
-    def update(self, metrics: Mapping[str, float | str], one_action: bool) -> str:
-        """Count the symptoms of one more update.
-
-        Args:
-            metrics: of the update.
-            one_action: whether all of its actions are the same.
-
-        Returns:
-            A warning, or an empty string.
-        """
-        accuracy = metrics.get("discriminator_accuracy")
-        symptoms = {"one action": one_action}
-        if isinstance(accuracy, float):
-            symptoms["discriminator at chance"] = abs(accuracy - CHANCE) <= NEAR_CHANCE
-            symptoms["discriminator always right"] = accuracy == 1.0
-        self.counts = {name: self.counts.get(name, 0) + 1 for name, on in symptoms.items() if on}
-        warnings = [
-            f"{name} for {n} updates" for name, n in self.counts.items() if n >= COLLAPSE_UPDATES
-        ]
-        numbers = [value for value in metrics.values() if not isinstance(value, str)]
-        if not all(map(math.isfinite, numbers)):
-            warnings.insert(0, "not finite")
-        return ", ".join(warnings)
+        self._counts = {name: int(count) for name, count in state["collapse"].items()}
 
 
 def mean_by_task(scores: Collection[tuple[int, float]]) -> float:
