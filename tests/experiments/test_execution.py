@@ -286,6 +286,22 @@ def test_failed_runs_are_left_only_where_they_are_tried_again(
         assert list(found.lines())[1].startswith(f"left, one run at a time: {left}")
 
 
+def test_runs_recorded_in_an_earlier_form_are_not_run_again(
+    planned: Planned, inline: Started, copied: Path
+) -> None:
+    first, second = planned()
+    for run, spoilt in ((first, {}), (second, {"batches": 5})):
+        old = copied / "runs" / run.folder.replace(run.identity, "0" * 10)
+        (copied / "runs" / run.folder).rename(old)
+        record = json.loads((old / "result.json").read_text())
+        config = {**record["settings"]["config"], "pixel_range": "unit", "graphs": "auto", **spoilt}
+        del config["conventions"]
+        record["settings"]["config"] = config
+        (old / "result.json").write_text(json.dumps(record))
+    assert execute([first, second], copied).complete
+    assert [run.seed for run in inline] == [second.seed]
+
+
 def test_what_a_killed_command_ran_is_not_running_in_the_next_one(
     planned: Planned, copied: Path
 ) -> None:

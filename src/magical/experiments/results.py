@@ -7,6 +7,8 @@
 - `runs/<name>/`: a run's folder, with `scores.csv`, `entry.json` and last of all `result.json`
 """
 
+import glob
+import json
 import uuid
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -23,6 +25,7 @@ from magical.runs.folder import versions, write_json
 from magical.untrusted import read_json
 
 FORMAT = 1
+GRAPHS = "graphs"  # a setting of earlier records that no score depends on
 MAX_BYTES = 1 << 26  # of `plan.json`
 EXPERIMENT, PLAN = "experiment.json", "plan.json"
 PROGRESS, RESULT = "progress.json", "result.json"
@@ -206,8 +209,33 @@ def _opened(path: Path, runs: Sequence[PlannedRun]) -> Results:
     else:
         found = {"format": FORMAT, "id": uuid.uuid4().hex, "versions": versions()}
         write_json(path / EXPERIMENT, found)
+    _adopt_earlier(path, runs)
     write_json(path / PLAN, {"runs": [listed(run) for run in runs]})
     return Results(path, str(read_record(path / EXPERIMENT).get("id")))
+
+
+def _adopt_earlier(path: Path, runs: Sequence[PlannedRun]) -> None:
+    """Rename the folders of finished runs whose settings were recorded in an earlier form."""
+    for run in runs:
+        prefix, new = run.folder.removesuffix(run.identity), path / RUNS / run.folder
+        if not new.exists():
+            for old in sorted((path / RUNS).glob(f"{glob.escape(prefix)}*")):
+                if (old / RESULT).is_file() and _is_same(run, read_record(old / RESULT)):
+                    old.replace(new)
+                    break
+
+
+def _is_same(run: PlannedRun, record: dict[str, Any]) -> bool:
+    """Whether a final record is of a run with these settings, whatever names they had then."""
+    settings, now = record.get("settings"), run.settings()
+    if record.get("method") != run.method or not isinstance(settings, dict):
+        return False
+    try:
+        config = type(run.config).from_dict(settings.get("config", {})).to_dict()
+    except (MagicalError, TypeError):
+        return False
+    then = {**settings, "config": {**config, GRAPHS: now["config"].get(GRAPHS)}}
+    return json.dumps(then, sort_keys=True) == json.dumps(now, sort_keys=True)
 
 
 def listed(run: PlannedRun) -> dict[str, Any]:
