@@ -7,7 +7,15 @@ import pytest
 
 from magical.envs import parse_env_id
 from magical.evaluation import Entry, RolloutScore
-from magical.report.scores.tables import ONE_RUN, Cell, entry_tasks, task_table, text_rows
+from magical.report.scores.tables import (
+    ONE_RUN,
+    RUNS_APART,
+    Cell,
+    Table,
+    entry_tasks,
+    task_table,
+    text_rows,
+)
 
 
 def entry(method: str, scores: dict[str, list[float]], **fields: Any) -> Entry:
@@ -87,6 +95,18 @@ def test_where_the_rules_agree_the_note_says_so() -> None:
     table = task_table("MoveToRegion", [entry("mine", {"MoveToRegion-Demo": [1.0]})], ["BC (ST)"])
     rule = "The published code's rule and horizon are the appendix's on this task."
     assert table.note == rule + ONE_RUN
+
+
+def test_few_runs_of_which_some_fail_are_listed() -> None:
+    def table(*means: float) -> Table:
+        return task_table("MakeLine", [entry("a", {"MakeLine-Demo": [m]}) for m in means])
+
+    found = table(1.0, 0.0, 0.75)
+    assert found.rows[0].cells["Demo"].text == "0.58 ± 0.42 (1.00, 0.00, 0.75)"
+    assert found.note.endswith(RUNS_APART)
+    for others in (table(1.0, 0.75, 0.75), table(1.0, 0.0, 1.0, 1.0, 1.0, 1.0)):
+        assert "(" not in others.rows[0].cells["Demo"].text
+        assert RUNS_APART not in others.note
 
 
 def test_methods_without_the_task_have_no_row() -> None:

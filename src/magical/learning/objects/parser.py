@@ -2,10 +2,9 @@
 
 The parser is made for the benchmark's palette and shapes (docs/specification.md, sections 2, 3, 4
 and 6); only the constants of the shape classifier and of the fingers were fitted, on rendered
-scenes (`benchmarks/object_parser.py --fit`). The interiors of objects have exact colours, and what
-is mixed lies on an edge. So a block is a component of a fill colour (its darker outline keeps
-touching blocks apart), a goal region a rectangle of a region colour, and the robot's body the disc
-of grey around the eyes.
+scenes. The interiors of objects have exact colours, and what is mixed lies on an edge. So a block
+is a component of a fill colour (its darker outline keeps touching blocks apart), a goal region a
+rectangle of a region colour, and the robot's body the disc of grey around the eyes.
 """
 
 from typing import Any, NamedTuple
