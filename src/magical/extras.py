@@ -2,7 +2,6 @@
 
 import importlib.util
 import re
-from importlib.metadata import requires
 
 from magical.errors import MissingDependencyError
 
@@ -49,6 +48,8 @@ def missing(module: str) -> MissingDependencyError:
 
 def _requirements(extra: str) -> str:
     """The extra's requirements, quoted for a shell, from the installed package's metadata."""
+    from importlib.metadata import requires  # tens of milliseconds, only for a message
+
     wanted = re.compile(rf"(?P<need>[^;]+);.*extra == ['\"]{extra}['\"]")
     found = map(wanted.match, requires("magical-benchmark") or [])
     return " ".join(f'"{match["need"].strip()}"' for match in found if match)

@@ -16,13 +16,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.machinery import PathFinder
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import MappingProxyType, ModuleType
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from magical.errors import PluginError, UnknownNameError
 from magical.messages import quoted
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 T = TypeVar("T")
 
@@ -87,12 +89,16 @@ def _files(package: str) -> Mapping[str, str]:
 
 
 @cache
-def plugins(group: str) -> Mapping[str, EntryPoint]:
+def plugins(group: str) -> "Mapping[str, EntryPoint]":
     """What other distributions offer in a group of entry points, by name; none is imported.
 
     Raises:
         PluginError: two distributions offer the same name.
     """
+    if not _any_offered():
+        return MappingProxyType({})
+    from importlib.metadata import entry_points  # tens of milliseconds, seldom needed
+
     found: dict[str, EntryPoint] = {}
     for entry in entry_points(group=group):
         if found.setdefault(entry.name, entry).value != entry.value:
@@ -101,6 +107,12 @@ def plugins(group: str) -> Mapping[str, EntryPoint]:
                 f"{entry.value}; uninstall one"
             )
     return MappingProxyType(found)
+
+
+def _any_offered() -> bool:
+    """Whether an installed distribution has entry points for this package (not one in a zip)."""
+    files = (file for path in sys.path for file in Path(path).glob("*-info/entry_points.txt"))
+    return any(b"[magical." in file.read_bytes() for file in files)
 
 
 def is_plugin(group: str, name: str) -> bool:
