@@ -36,8 +36,9 @@ def load(path: Path | str) -> dict[str, Motion]:
     Raises:
         RecordingError: The file cannot be read, or is not in the documented format.
     """
-    data: dict[str, Motion] = read_json(path, dict)
-    with expecting(path, "robot [[x, y], angle], blocks [[shape, [x, y], angle], ...], actions"):
+    expected = "JSON, name: {robot [[x, y], angle], blocks [[shape, [x, y], angle], ...], actions}"
+    with expecting(path, expected):
+        data: dict[str, Motion] = read_json(path, dict[str, Motion])
         for name, motion in data.items():
             _check(name, motion)
     return data

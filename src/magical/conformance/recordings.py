@@ -3,12 +3,15 @@
 import gzip
 import hashlib
 import json
+import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
+
+import msgspec
 
 from magical.errors import MagicalError, RecordingError
 from magical.files import write_atomically
@@ -21,6 +24,11 @@ RECORDINGS = {
     "scenes": ("scenes.json.gz",),
     "scores": ("scores.json.gz",),
 }
+# What reading and checking a damaged file raises, besides `OSError`.
+_DAMAGE = (
+    *(AttributeError, EOFError, LookupError, TypeError, ValueError, MagicalError),
+    *(msgspec.MsgspecError, zipfile.BadZipFile, zlib.error),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,25 +47,11 @@ class Comparison:
         """The comparison of a figure that passes up to `limit`."""
         return cls(name, figure, limit, unit, figure <= limit, detail)
 
-    @classmethod
-    def at_least(cls, name: str, figure: float, limit: float, unit: str, detail: str = "") -> Self:
-        """The comparison of a figure that passes from `limit` upwards."""
-        return cls(name, figure, limit, unit, figure >= limit, detail)
 
-
-def read_json(path: Path | str, *kinds: type) -> Any:
-    """Read a dict or a list as JSON, gzipped or not; raises `RecordingError` for anything else."""
-    try:
-        raw = Path(path).read_bytes()
-        data = json.loads(gzip.decompress(raw) if raw[:2] == b"\x1f\x8b" else raw)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error}") from error
-    except (EOFError, ValueError, zlib.error) as error:
-        raise RecordingError(f"{path}: expected JSON (perhaps gzipped), found {error}") from error
-    if not isinstance(data, kinds):
-        names = " or ".join(kind.__name__ for kind in kinds)
-        raise RecordingError(f"{path}: expected a {names}, found {type(data).__name__}")
-    return data
+def read_json(path: Path | str, kind: Any) -> Any:
+    """Read JSON of a type, gzipped or not; for use within `expecting`."""
+    raw = Path(path).read_bytes()
+    return msgspec.json.decode(gzip.decompress(raw) if raw[:2] == b"\x1f\x8b" else raw, type=kind)
 
 
 def write_json(computed: Any, out: Path | str) -> None:
@@ -71,7 +65,9 @@ def expecting(path: Path | str, expected: str) -> Iterator[None]:
     """Errors in the block become a `RecordingError` that says what the file should hold."""
     try:
         yield
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError, MagicalError) as error:
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error}") from error
+    except _DAMAGE as error:
         raise RecordingError(f"{path}: expected {expected}; found: {error!r}") from error
 
 
@@ -84,23 +80,14 @@ def recording_path(name: str) -> Path:
     path = DATA / name
     try:
         found = hashlib.sha256(path.read_bytes()).hexdigest()
-        expected = _sums().get(name, "none")
+        words = (DATA / SUMS).read_text(encoding="utf-8", errors="replace").split()
+        expected = dict(zip(words[1::2], words[::2], strict=False)).get(name, "none")
+        problem = f"expected SHA-256 {expected} ({SUMS}), found {found}"
     except OSError as error:
-        raise _damaged(path, f"cannot be read: {error}") from error
-    if found != expected:
-        raise _damaged(path, f"expected SHA-256 {expected} ({SUMS}), found {found}")
-    return path
-
-
-def _sums() -> dict[str, str]:
-    """The SHA-256 of each recording by its file name."""
-    lines = (DATA / SUMS).read_text(encoding="utf-8", errors="replace").splitlines()
-    words = (line.split() for line in lines)
-    return {pair[1]: pair[0] for pair in words if len(pair) == 2}
-
-
-def _damaged(path: Path, found: str) -> RecordingError:
-    return RecordingError(
-        f"{path}: {found}. This file belongs to the package: reinstall the package, or in a clone "
-        f"restore the folder {path.parent.name} with git"
+        found, expected, problem = "", "none", f"cannot be read: {error}"
+    if found == expected:
+        return path
+    raise RecordingError(
+        f"{path}: {problem}. This file belongs to the package: reinstall the package, or in a "
+        f"clone restore the folder {path.parent.name} with git"
     )

@@ -6,7 +6,7 @@ colour, which was sampled with a bias in the recordings; only which block is mis
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import astuple, dataclass
 from itertools import combinations
 from pathlib import Path
@@ -38,13 +38,6 @@ class SampledScenes:
     wanted: Mapping[str, int]
 
 
-@dataclass(frozen=True)
-class _Test:
-    task: str
-    name: str
-    p: float
-
-
 def load(path: Path | str) -> dict[str, list[Row]]:
     """Read recorded scenes: environment -> [{robot, blocks, regions, dynamics}, ...].
 
@@ -54,17 +47,15 @@ def load(path: Path | str) -> dict[str, list[Row]]:
     Raises:
         RecordingError: The file cannot be read, or is not in the documented format.
     """
-    data = read_json(path, dict, list)
-    if isinstance(data, list):
-        data = {str(name): [] for name in data}
-    with expecting(path, "<Task>-<Variant>-v0 with {robot, blocks, regions, dynamics} each"):
-        for env, rows in data.items():
+    with expecting(path, "JSON, <Task>-<Variant>-v0: {robot, blocks, regions, dynamics} each"):
+        data = read_json(path, dict[str, list[dict[str, Any]] | None] | list[str])
+        named = data if isinstance(data, dict) else dict.fromkeys(data)
+        recorded: dict[str, list[Row]] = {env: rows or [] for env, rows in named.items()}
+        for env, rows in recorded.items():
             parse_env_id(env)
-            data[env] = list(rows or ())
-            for row in filter(None, data[env]):
+            for row in filter(None, rows):
                 Scene.from_dict(row)
                 Dynamics.from_dict(row["dynamics"])
-    recorded: dict[str, list[Row]] = data
     return recorded
 
 
@@ -102,33 +93,30 @@ def write(computed: SampledScenes, out: Path | str) -> None:
 
 def compare(data: Mapping[str, Sequence[Row]], computed: SampledScenes) -> list[Comparison]:
     """The smallest p-value of all tests, for each task with recorded scenes."""
-    tests = [
-        test
-        for env, rows in data.items()
-        if (recorded := [row for row in rows if row])
-        for test in _tests(env, recorded, computed.scenes[env])
-    ]
-    return [_compare_task(task, tests) for task in dict.fromkeys(test.task for test in tests)]
+    tests: dict[str, dict[str, float]] = {}  # task: name of the test: p-value
+    for env, rows in data.items():
+        if recorded := [row for row in rows if row]:
+            env_id = parse_env_id(env)
+            found = _tests(env_id.task, env_id.variant, recorded, computed.scenes[env])
+            tests.setdefault(env_id.task, {}).update(found)
+    count, comparisons = sum(map(len, tests.values())), []
+    for task, own in tests.items():
+        worst, p = min(own.items(), key=lambda test: test[1])
+        figure, detail = min(1.0, p * count), f"{len(own)} tests, smallest p {p:.2g}: {worst}"
+        passed = figure >= LIMIT
+        comparisons.append(Comparison(task, figure, LIMIT, "least p", passed, detail))
+    return comparisons
 
 
-def _compare_task(task: str, tests: Sequence[_Test]) -> Comparison:
-    own = [test for test in tests if test.task == task]
-    worst = min(own, key=lambda test: test.p)
-    figure = min(1.0, worst.p * len(tests))
-    detail = f"{len(own)} tests, smallest p {worst.p:.2g}: {worst.name}"
-    return Comparison.at_least(task, figure, LIMIT, "least p", detail)
-
-
-def _tests(env: str, recorded: Sequence[Row], sampled: Sequence[Row]) -> Iterator[_Test]:
-    env_id = parse_env_id(env)
-    task, variant = env_id.task, env_id.variant
+def _tests(
+    task: str, variant: str, recorded: Sequence[Row], sampled: Sequence[Row]
+) -> dict[str, float]:
     least = 1 if variant == DEMO else LEAST_RECORDED
     found = {
         **_p_values(_coordinates(recorded), _coordinates(sampled), _ks, least),
         **_p_values(_categories(task, recorded), _categories(task, sampled), _chi_squared, least),
     }
-    for name, p in found.items():
-        yield _Test(task, f"{variant} {name}", p)
+    return {f"{variant} {name}": p for name, p in found.items()}
 
 
 def _p_values(
@@ -137,10 +125,11 @@ def _p_values(
     test: Callable[[Sequence[Value], Sequence[Value]], float],
     least: int,
 ) -> dict[str, float]:
-    pairs = {
-        name: (recorded.get(name, []), sampled.get(name, [])) for name in {**recorded, **sampled}
+    return {
+        name: test(values, sampled[name])
+        for name, values in recorded.items()
+        if min(len(values), len(sampled.get(name, ()))) >= least
     }
-    return {name: test(a, b) for name, (a, b) in pairs.items() if min(len(a), len(b)) >= least}
 
 
 def _ks(recorded: Sequence[float], sampled: Sequence[float]) -> float:
@@ -148,8 +137,8 @@ def _ks(recorded: Sequence[float], sampled: Sequence[float]) -> float:
     from scipy import stats
 
     a, b = np.array(recorded), np.array(sampled)
-    if not a.size or np.ptp(a) <= ROUNDING:
-        return float(a.size > 0 and np.abs(b - a[0]).max() <= ROUNDING)
+    if np.ptp(a) <= ROUNDING:
+        return float(np.abs(b - a[0]).max() <= ROUNDING)
     middle = np.median(a)
     # On the values alone, the test has little power against a range too wide on both sides.
     pairs = [(a, b), (abs(a - middle), abs(b - middle))]

@@ -21,8 +21,8 @@ def load(path: Path | str) -> list[ScoredState]:
     Raises:
         RecordingError: The file cannot be read, or is not in the documented format.
     """
-    data: list[ScoredState] = read_json(path, list)
-    with expecting(path, "a list of states with task, scene, final and perhaps scores"):
+    with expecting(path, "JSON, a list of states with task, scene, final and perhaps scores"):
+        data: list[ScoredState] = read_json(path, list[dict[str, Any]])
         for i, state in enumerate(data):
             _check(i, state)
     return data
@@ -45,16 +45,12 @@ def _check(index: int, state: ScoredState) -> None:
 
 def compute(data: Sequence[ScoredState]) -> list[dict[str, float]]:
     """The `score` and `published_code_score` of each state, in the order of `data`."""
-    return [_scores(state) for state in data]
-
-
-def _scores(state: ScoredState) -> dict[str, float]:
-    task, scene = get_task(state["task"]), Scene.from_dict(state["scene"])
-    poses = Poses.at_rest(Scene.from_dict(state["final"]))
-    return {
-        "score": task.score(scene, poses),
-        "published_code_score": task.published_code_score(scene, poses),
-    }
+    computed = []
+    for state in data:
+        task, scene = get_task(state["task"]), Scene.from_dict(state["scene"])
+        poses = Poses.at_rest(Scene.from_dict(state["final"]))
+        computed.append({rule: getattr(task, rule)(scene, poses) for rule in RULES})
+    return computed
 
 
 def compare(
