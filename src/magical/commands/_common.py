@@ -1,4 +1,4 @@
-"""Shared by the commands: JSON results, tables, messages, images, argument types."""
+"""Shared by the commands: options, JSON results, tables, messages."""
 
 import argparse
 import json
@@ -6,11 +6,6 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
-
-from magical.files import write_atomically
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
@@ -45,34 +40,61 @@ def task_name(text: str) -> str:
         raise argparse.ArgumentTypeError(str(error)) from error
 
 
+def add_count(
+    parser: argparse.ArgumentParser,
+    flag: str,
+    meaning: str,
+    *,
+    default: int | None = None,
+    least: int = 1,
+    metavar: str = "N",
+    nargs: str | None = None,
+) -> None:
+    """Add an option whose value is an integer of at least `least`; the help says the default."""
+
+    def integer(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = least - 1
+        if value < least:
+            raise argparse.ArgumentTypeError(
+                f"expected an integer of at least {least}, found {text!r}"
+            )
+        return value
+
+    stated = "" if default is None else f" (default: {default})"
+    parser.add_argument(
+        flag, type=integer, default=default, metavar=metavar, nargs=nargs, help=meaning + stated
+    )
+
+
 def add_seed(parser: argparse.ArgumentParser, meaning: str) -> None:
     """Add `--seed N`, 0 or more."""
-    parser.add_argument(
-        "--seed", type=non_negative_int, default=0, metavar="N", help=f"{meaning} (default: 0)"
-    )
+    add_count(parser, "--seed", meaning, default=0, least=0)
 
 
-def add_rollouts(parser: argparse.ArgumentParser, default: int = 100) -> None:
+def add_rollouts(parser: argparse.ArgumentParser) -> None:
     """Add `--rollouts N`, on each variant."""
-    parser.add_argument(
-        "--rollouts",
-        type=positive_int,
-        default=default,
-        metavar="N",
-        help=f"on each variant (default: {default})",
-    )
+    add_count(parser, "--rollouts", "on each variant", default=100)
 
 
-def add_workers(parser: argparse.ArgumentParser) -> None:
+def add_workers(parser: argparse.ArgumentParser, least: int = 0) -> None:
     """Add `--workers N`; `args.workers` is `None` for the number of cores."""
-    parser.add_argument(
-        "--workers", type=non_negative_int, metavar="N", help="processes (default: the cores)"
-    )
+    add_count(parser, "--workers", "processes (default: the cores)", least=least)
 
 
-def print_json(result: Mapping[str, Any]) -> None:
-    """Print the one JSON object that `--json` promises."""
-    print(json.dumps(result))
+def add_out(
+    parser: argparse.ArgumentParser, meaning: str, metavar: str = "DIR", *, required: bool = False
+) -> None:
+    """Add `--out`, a path."""
+    parser.add_argument("--out", type=Path, required=required, metavar=metavar, help=meaning)
+
+
+def print_json(args: argparse.Namespace, result: Mapping[str, Any]) -> None:
+    """Print the one JSON object that `--json` promises, where it is given."""
+    if args.json:
+        print(json.dumps(result))
 
 
 def log(message: str) -> None:
@@ -102,28 +124,6 @@ def _is_number(cell: str) -> bool:
     return True
 
 
-def write_image(path: Path, pixels: NDArray[np.uint8]) -> None:
-    """Write an (H, W, 3) image as PNG, atomically.
-
-    Raises:
-        OSError: the folder cannot be made or written to.
-    """
-    from PIL import Image
-
-    with write_atomically(path) as file:
-        Image.fromarray(pixels).save(file, format="PNG")
-
-
-def non_negative_int(text: str) -> int:
-    """An argparse type: an integer of at least 0."""
-    return _at_least(0, text)
-
-
-def positive_int(text: str) -> int:
-    """An argparse type: an integer of at least 1."""
-    return _at_least(1, text)
-
-
 def fraction(text: str) -> float:
     """An argparse type: a number from 0 to 1."""
     try:
@@ -132,14 +132,4 @@ def fraction(text: str) -> float:
         value = -1.0
     if not 0.0 <= value <= 1.0:
         raise argparse.ArgumentTypeError(f"expected a number from 0 to 1, found {text!r}")
-    return value
-
-
-def _at_least(least: int, text: str) -> int:
-    try:
-        value = int(text)
-    except ValueError:
-        value = least - 1
-    if value < least:
-        raise argparse.ArgumentTypeError(f"expected an integer of at least {least}, found {text!r}")
     return value

@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from magical.commands._common import (
+    add_count,
     add_json,
     add_seed,
     add_workers,
-    positive_int,
     print_json,
     print_table,
 )
@@ -47,9 +47,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--env", default=DEFAULT_ENV, metavar="ID", help=f"env, vector: default {DEFAULT_ENV}"
     )
-    parser.add_argument(
-        "--num-envs", type=positive_int, default=32, metavar="N", help="vector: default 32"
-    )
+    add_count(parser, "--num-envs", "vector: sub-environments", default=32)
     add_workers(parser)
     parser.add_argument(
         "--seconds",
@@ -60,9 +58,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     add_seed(parser, "env, vector: of scenes and actions")
     parser.add_argument("--network", default="paper", help="training: default paper")
-    parser.add_argument(
-        "--batch-size", type=positive_int, default=32, metavar="N", help="training: default 32"
-    )
+    add_count(parser, "--batch-size", "training: samples a batch", default=32)
     parser.add_argument(
         "--device", choices=("auto", "cpu", "cuda"), default="auto", help="training: default auto"
     )
@@ -76,25 +72,21 @@ def run(args: argparse.Namespace) -> int:
     env_id = parse_env_id(args.env)
     num_envs, workers = (args.num_envs, args.workers) if args.kind == "vector" else (1, 0)
     result = measure(env_id, args.kind, num_envs, workers, args.seconds, args.seed)
-    physics = result["physics_steps_per_second"] * max(1, result["workers"])
+    copies = max(1, result["workers"])
+    physics = result["physics_steps_per_second"] * copies
+    rates = {
+        "with pixels": result["steps_per_second"],
+        "state only": result["state_steps_per_second"],
+        "bare physics": physics,
+    }
     rows = [
-        (
-            name,
-            f"{rate:,.0f}",
-            f"{1e6 * max(1, result['workers']) / rate:.1f}",
-            f"{rate / physics:.3f}",
-        )
-        for name, rate in (
-            ("with pixels", result["steps_per_second"]),
-            ("state only", result["state_steps_per_second"]),
-            ("bare physics", physics),
-        )
+        (name, f"{rate:,.0f}", f"{1e6 * copies / rate:.1f}", f"{rate / physics:.3f}")
+        for name, rate in rates.items()
     ]
     print(f"{env_id}, {num_envs} environments, {result['workers']} workers")
     print_table(("", "steps/s", "us/step a worker", "of bare physics"), rows)
     print(f"{result['frames_per_second']:,.0f} frames/s")
-    if args.json:
-        print_json(result)
+    print_json(args, result)
     return 0
 
 
@@ -231,25 +223,17 @@ def _run_training(args: argparse.Namespace) -> int:
     speeds = training_speeds(args.network, args.batch_size, args.device)
     fastest = max(speeds, key=lambda way: speeds[way])
     default = choose_compute(fastest.device, "auto", 0)
-    rows = [
-        (
-            way.device,
-            way.precision,
-            str(way.threads or ""),
-            f"{speed:,.0f}",
-            " and ".join(
-                name for name, one in (("default", default), ("fastest", fastest)) if one == way
-            ),
-        )
-        for way, speed in speeds.items()
-    ]
+    rows = []
+    for way, speed in speeds.items():
+        notes = [name for name, one in (("default", default), ("fastest", fastest)) if one == way]
+        row = (way.device, way.precision, way.threads or "", f"{speed:,.0f}", " and ".join(notes))
+        rows.append(row)
     print(f"network {args.network}, batches of {args.batch_size}, forward and backward")
     print_table(("device", "precision", "threads", "samples/s", ""), rows)
     options = f"--precision {fastest.precision}"
     if fastest.threads:
         options += f" --threads {fastest.threads}"
     print(f"fastest: magical train ... {options}")
-    if args.json:
-        ways = [{**asdict(way), "samples_per_second": speed} for way, speed in speeds.items()]
-        print_json({"network": args.network, "batch_size": args.batch_size, "ways": ways})
+    ways = [{**asdict(way), "samples_per_second": speed} for way, speed in speeds.items()]
+    print_json(args, {"network": args.network, "batch_size": args.batch_size, "ways": ways})
     return 0

@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from magical.commands._common import add_json, log, print_json, print_table
+from magical.commands._common import add_json, add_out, log, print_json, print_table
 from magical.conformance.recordings import RECORDINGS, Comparison, recording_path
 
 HELP = "compare with recordings of the published environments"
@@ -29,16 +29,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="RECORDING",
         help="a file of that kind (default: those in the package)",
     )
-    parser.add_argument(
-        "--out", type=Path, metavar="FILE", help="write what was computed for a single recording"
-    )
+    add_out(parser, "write what was computed for a single recording", "FILE")
     parser.set_defaults(usage_error=parser.error)
     add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Check each recording, print the figures, report whether all passed."""
-    recordings = _recordings(args.kind, args.recording)
+    kinds = [args.kind] if args.kind else RECORDINGS
+    recordings = [(kind, recording_path(name)) for kind in kinds for name in RECORDINGS[kind]]
+    if args.recording:
+        recordings = [(args.kind, args.recording)]
     if args.out and len(recordings) > 1:
         names = ", ".join(path.name for _, path in recordings)
         args.usage_error(f"--out: expected a single recording, found {names}")
@@ -50,18 +51,9 @@ def run(args: argparse.Namespace) -> int:
             print(f"{path.name} ({kind})")
         results.append(_check(kind, path, args.out))
     passed = all(result["passed"] for result in results)
-    if args.json:
-        single = results[0] if len(results) == 1 else {}
-        print_json({**single, "passed": passed, "recordings": results})
+    single = results[0] if len(results) == 1 else {}
+    print_json(args, {**single, "passed": passed, "recordings": results})
     return 0 if passed else 1
-
-
-def _recordings(kind: str | None, file: Path | None) -> list[tuple[str, Path]]:
-    """The kind and the path of each recording to check."""
-    if kind and file:
-        return [(kind, file)]
-    kinds = [kind] if kind else RECORDINGS
-    return [(each, recording_path(name)) for each in kinds for name in RECORDINGS[each]]
 
 
 def _check(kind: str, path: Path, out: Path | None) -> dict[str, Any]:

@@ -24,19 +24,13 @@ def run(args: argparse.Namespace) -> int:
     print("environment ids: magical/<task>-<variant>[-<preset>]-v0")
     print(f"presets: {' '.join(PRESETS)}")
     print(f"{len(all_env_ids())} environments, {len(ids)} ids with presets")
-    if args.json:
-        print_json(
-            {
-                "tasks": {
-                    task.name: {
-                        "horizon": task.horizon,
-                        "variants": list(task.variants),
-                        "summary": task.summary,
-                    }
-                    for task in TASKS.values()
-                },
-                "presets": list(PRESETS),
-                "ids": ids,
-            }
-        )
+    tasks = {
+        task.name: {
+            "horizon": task.horizon,
+            "variants": list(task.variants),
+            "summary": task.summary,
+        }
+        for task in TASKS.values()
+    }
+    print_json(args, {"tasks": tasks, "presets": list(PRESETS), "ids": ids})
     return 0

@@ -5,7 +5,8 @@ POLICY is a run folder, `random`, `noop`, `expert`, or a policy of your own as `
 """
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,13 +14,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from magical.commands._common import (
+    add_count,
     add_json,
+    add_out,
     add_rollouts,
     add_seed,
     add_tasks,
     add_workers,
     log,
-    non_negative_int,
     print_json,
     print_table,
 )
@@ -62,15 +64,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--observation", metavar="PRESET", help="default: the policy's own, or LoRes4E"
     )
     add_workers(parser)
-    parser.add_argument(
-        "--out", type=Path, metavar="DIR", help="write scores.csv and entry.json there"
-    )
-    _configure_entry(parser)
-    add_json(parser)
-
-
-def _configure_entry(parser: argparse.ArgumentParser) -> None:
-    """The arguments that say what is written to `--out`."""
+    add_out(parser, "write scores.csv and entry.json there")
     parser.add_argument("--method", metavar="NAME", help="name in tables (default: the policy's)")
     parser.add_argument(
         "--leaderboard",
@@ -85,12 +79,9 @@ def _configure_entry(parser: argparse.ArgumentParser) -> None:
         help='what the policy learned from, such as demonstrations or "rendered states"; recorded '
         "for run folders",
     )
-    parser.add_argument(
-        "--looks",
-        type=non_negative_int,
-        metavar="N",
-        help="how often test variants were evaluated while the method was designed",
-    )
+    meaning = "how often test variants were evaluated while the method was designed"
+    add_count(parser, "--looks", meaning, least=0)
+    add_json(parser)
 
 
 def _horizon(text: str) -> "Horizon":
@@ -140,8 +131,7 @@ def run(args: argparse.Namespace) -> int:
     if args.out:
         replace(entry, scores=scores).write(args.out)
         log(f"wrote scores.csv and entry.json to {args.out}")
-    if args.json:
-        print_json(summarise(scores))
+    print_json(args, summarise(scores))
     return 0
 
 
@@ -174,46 +164,24 @@ def print_scores(scores: "Sequence[RolloutScore]") -> None:
     header = ("task", "variant", "mean", "95% interval", "std", "gap", "published code's rule")
     rows = []
     for task, cells in by_variant(scores).items():
+        of_demo = np.mean([row.score for row in cells.get("Demo", [])] or [np.nan])
         for variant, cell in cells.items():
             rollouts = np.array([row.score for row in cell])
             value, low, high = rollout_mean(rollouts)
             published = np.mean([row.published_code_score for row in cell])
-            rows.append(
-                (
-                    task,
-                    variant,
-                    f"{value:.3f}",
-                    f"{low:.3f} to {high:.3f}",
-                    f"{rollouts.std():.3f}",
-                    _gap(cells, variant),
-                    f"{published:.3f}",
-                )
-            )
+            gap = "" if variant == "Demo" or np.isnan(of_demo) else f"{of_demo - value:.3f}"
+            interval, std = f"{low:.3f} to {high:.3f}", f"{rollouts.std():.3f}"
+            rows.append((task, variant, f"{value:.3f}", interval, std, gap, f"{published:.3f}"))
     print_table(header, rows)
-    print(_note(scores))
+    _print_gap(scores)
+    print("Intervals are over rollouts and do not include the spread between training runs.")
 
 
-def _gap(cells: "Mapping[str, Sequence[RolloutScore]]", variant: str) -> str:
-    """One task's generalisation gap along one axis; empty where there is none."""
-    from magical.evaluation.statistics import generalisation_gap, run_means
-
-    if variant == "Demo" or "Demo" not in cells:
-        return ""
-    pair = [cells["Demo"], cells[variant]]
-    env_ids = [cell[0].env_id for cell in pair]
-    means = run_means([[row for cell in pair for row in cell]], env_ids)
-    return f"{generalisation_gap(means, env_ids, variant).value:.3f}"
-
-
-def _note(scores: "Sequence[RolloutScore]") -> str:
-    """What the intervals are over, and the generalisation gap if Demo and TestAll are there."""
+def _print_gap(scores: "Sequence[RolloutScore]") -> None:
+    """Print the generalisation gap, if any task has both Demo and TestAll."""
     from magical.evaluation.statistics import gap_weights, over_rollouts
 
-    note = "Intervals are over rollouts and do not include the spread between training runs."
     env_ids = list(dict.fromkeys(row.env_id for row in scores))
-    try:
-        weights = gap_weights(env_ids)
-    except ValueError:
-        return note
-    value, low, high = over_rollouts([scores], env_ids, weights)
-    return f"generalisation gap (Demo minus TestAll): {value:.3f} ({low:.3f} to {high:.3f})\n{note}"
+    with suppress(ValueError):
+        value, low, high = over_rollouts([scores], env_ids, gap_weights(env_ids))
+        print(f"generalisation gap (Demo minus TestAll): {value:.3f} ({low:.3f} to {high:.3f})")

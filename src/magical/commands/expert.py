@@ -5,8 +5,6 @@ tasks by default.
 """
 
 import argparse
-from collections.abc import Mapping, Sequence
-from operator import attrgetter
 from typing import Any
 
 from magical.commands._common import (
@@ -17,7 +15,6 @@ from magical.commands._common import (
     print_json,
     print_table,
 )
-from magical.grouping import group_by
 
 HELP = "score the scripted experts"
 TAKEOVER = 1 / 3  # share of each episode in which a random policy acts first
@@ -44,9 +41,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate, print."""
+    from statistics import fmean, pstdev
+
     from magical.envs import all_env_ids
     from magical.evaluation import evaluate
     from magical.evaluation.expert import ExpertPolicy
+    from magical.evaluation.statistics import by_environment
     from magical.progress import progress_bar
 
     policy = ExpertPolicy(args.skill, TAKEOVER if args.takeover else 0.0)
@@ -60,24 +60,12 @@ def run(args: argparse.Namespace) -> int:
             workers=args.workers,
             progress=advance,
         )
-    results = {
-        env_id: _summary([row.score for row in group])
-        for env_id, group in group_by(rows, attrgetter("env_id")).items()
+    results: dict[str, Any] = {
+        env_id: {"mean": fmean(scores), "std": pstdev(scores), "scores": scores}
+        for env_id, scores in by_environment(rows).items()
     }
-    _print_summaries(results)
-    if args.json:
-        print_json(results)
+    table = [(env_id, f"{r['mean']:.3f}", f"{r['std']:.3f}") for env_id, r in results.items()]
+    print_table(("environment", "mean", "std"), table)
+    print(f"\nmean over {len(results)}: {fmean(r['mean'] for r in results.values()):.3f}")
+    print_json(args, results)
     return 0
-
-
-def _summary(scores: Sequence[float]) -> dict[str, Any]:
-    from statistics import fmean, pstdev
-
-    return {"mean": fmean(scores), "std": pstdev(scores), "scores": list(scores)}
-
-
-def _print_summaries(results: Mapping[str, Mapping[str, Any]]) -> None:
-    rows = [(env_id, f"{r['mean']:.3f}", f"{r['std']:.3f}") for env_id, r in results.items()]
-    print_table(("environment", "mean", "std"), rows)
-    mean = sum(r["mean"] for r in results.values()) / len(results)
-    print(f"\nmean over {len(results)}: {mean:.3f}")

@@ -5,13 +5,14 @@ changes, and a rollout of the scripted expert as an animation.
 """
 
 import argparse
-from pathlib import Path
 
 from magical.commands._common import (
     add_json,
+    add_out,
+    add_seed,
+    add_tasks,
+    add_workers,
     log,
-    non_negative_int,
-    positive_int,
     print_json,
     print_table,
 )
@@ -21,22 +22,10 @@ HELP = "make a static site of the environments"
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="write index.html and images there"
-    )
-    parser.add_argument(
-        "--task", action="append", metavar="TASK", help="may be repeated (default: all)"
-    )
-    parser.add_argument(
-        "--seed",
-        type=non_negative_int,
-        default=0,
-        metavar="S",
-        help="which scenes are sampled (default: 0)",
-    )
-    parser.add_argument(
-        "--workers", type=positive_int, metavar="K", help="processes (default: one for each core)"
-    )
+    add_out(parser, "write index.html and images there", required=True)
+    add_tasks(parser)
+    add_seed(parser, "which scenes are sampled")
+    add_workers(parser, least=1)
     add_json(parser)
 
 
@@ -62,6 +51,5 @@ def run(args: argparse.Namespace) -> int:
         [(name, "–" if score is None else f"{score:.2f}") for name, score in scores.items()],
     )
     log(f"wrote {args.out / 'index.html'}, {size / 1e6:.1f} MB in all")
-    if args.json:
-        print_json({"out": str(args.out), "bytes": size, "scores": scores})
+    print_json(args, {"out": str(args.out), "bytes": size, "scores": scores})
     return 0

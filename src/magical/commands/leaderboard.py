@@ -8,7 +8,7 @@ listed with the reason.
 import argparse
 from pathlib import Path
 
-from magical.commands._common import log, print_table
+from magical.commands._common import add_out, log, print_table
 
 HELP = "rank evaluated entries on a static page"
 
@@ -16,7 +16,7 @@ HELP = "rank evaluated entries on a static page"
 def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
     parser.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="entries")
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write index.html and pages there")
+    add_out(parser, "write index.html and pages there")
     parser.add_argument(
         "--rerun",
         nargs="+",
@@ -50,17 +50,8 @@ def run(args: argparse.Namespace) -> int:
             )
             for row in part.standings
         ]
-        header = (
-            "rank",
-            part.name,
-            "TestAll",
-            "gap",
-            "rank by gap",
-            "intervals over",
-            "class",
-            "used",
-        )
-        print_table(header, rows)
+        last = ("intervals over", "class", "used")
+        print_table(("rank", part.name, "TestAll", "gap", "rank by gap", *last), rows)
         print()
     for reasons, entries in by_reasons(board.rejected):
         more = f" and {len(entries) - 1} more" if entries[1:] else ""

@@ -7,7 +7,7 @@ without a display, forward the port (`ssh -L 8000:127.0.0.1:8000 server`) and op
 import argparse
 from pathlib import Path
 
-from magical.commands._common import log, non_negative_int, positive_int
+from magical.commands._common import add_count, log
 
 HELP = "play, record and look at demonstrations and policies in the browser"
 
@@ -23,28 +23,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--record", type=Path, metavar="DIR", help="the dataset that kept episodes are added to"
     )
-    parser.add_argument(
-        "--datasets",
-        type=Path,
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="DIR",
-        help="datasets to look at; that of --record is always among them",
+    _add_several(parser, "--datasets", "datasets to look at; that of --record is always among them")
+    _add_several(
+        parser, "--runs", "run folders, or folders with runs in them, whose policies can be watched"
     )
-    parser.add_argument(
-        "--runs",
-        type=Path,
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="DIR",
-        help="run folders, or folders with runs in them, whose policies can be watched",
-    )
-    _configure_server(parser)
-
-
-def _configure_server(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--host",
         default="127.0.0.1",
@@ -52,27 +34,21 @@ def _configure_server(parser: argparse.ArgumentParser) -> None:
         help="to listen on; anything but the default is reachable from outside, without "
         "encryption (default: %(default)s)",
     )
+    add_count(parser, "--port", "0: a free one", default=8000, least=0)
+    meaning = "other names under which browsers address this server"
+    _add_several(parser, "--allow-host", meaning, str, "NAME")
+    add_count(parser, "--max-players", "environments at the same time", default=16)
+
+
+def _add_several(
+    parser: argparse.ArgumentParser,
+    flag: str,
+    meaning: str,
+    kind: type[Path | str] = Path,
+    metavar: str = "DIR",
+) -> None:
     parser.add_argument(
-        "--port",
-        type=non_negative_int,
-        default=8000,
-        metavar="N",
-        help="default: 8000; 0: a free one",
-    )
-    parser.add_argument(
-        "--allow-host",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="NAME",
-        help="other names under which browsers address this server",
-    )
-    parser.add_argument(
-        "--max-players",
-        type=positive_int,
-        default=16,
-        metavar="N",
-        help="environments at the same time (default: 16)",
+        flag, type=kind, nargs="+", action="extend", default=[], metavar=metavar, help=meaning
     )
 
 

@@ -11,7 +11,15 @@ from dataclasses import replace
 from pathlib import Path
 
 from magical.commands import report
-from magical.commands._common import add_rollouts, add_seed, add_tasks, log, positive_int
+from magical.commands._common import (
+    add_count,
+    add_out,
+    add_rollouts,
+    add_seed,
+    add_tasks,
+    add_workers,
+    log,
+)
 
 HELP = "train, evaluate and report, from nothing"
 INTERRUPTED = 130  # exit status after Ctrl-C or SIGTERM
@@ -19,22 +27,13 @@ INTERRUPTED = 130  # exit status after Ctrl-C or SIGTERM
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
-    parser.add_argument(
-        "--out",
-        type=Path,
-        default=Path("runs/quickstart"),
-        metavar="DIR",
-        help="default: runs/quickstart",
-    )
+    add_out(parser, "default: runs/quickstart")
+    parser.set_defaults(out=Path("runs/quickstart"))
     add_tasks(parser, "MoveToRegion and MoveToCorner")
     add_seed(parser, "of training")
     add_rollouts(parser)
-    parser.add_argument(
-        "--batches", metavar="N", type=positive_int, help="of training (default: the preset's)"
-    )
-    parser.add_argument(
-        "--workers", metavar="N", type=positive_int, help="processes (default: the cores)"
-    )
+    add_count(parser, "--batches", "of training (default: the preset's)")
+    add_workers(parser, least=1)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -5,14 +5,15 @@ at any depth. Folders with the same method are runs of it and share a row.
 """
 
 import argparse
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from magical.commands._common import log, positive_int, print_table
+from magical.commands._common import add_count, add_out, log, print_table
 
 if TYPE_CHECKING:
     from magical.report.found.search import Found
+    from magical.report.scores.grids import Grid
 
 HELP = "make a page of tables from evaluated runs"
 
@@ -28,9 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "methods' names)",
     )
     parser.add_argument("--title", default="MAGICAL: results")
-    parser.add_argument(
-        "--out", type=Path, metavar="FILE", help="write a page, or what --format says, there"
-    )
+    add_out(parser, "write a page, or what --format says, there", "FILE")
     parser.add_argument(
         "--format",
         choices=("html", "csv", "markdown", "latex"),
@@ -42,12 +41,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar=("A", "B"),
         help="a page on the difference between two methods instead",
     )
-    parser.add_argument(
+    add_count(
+        parser,
         "--clips",
-        type=positive_int,
-        metavar="N",
-        help="show the best, median and worst rollouts of N runs, recorded again with their "
-        "policies (default: none)",
+        "show the best, median and worst rollouts of N runs, recorded again with their policies "
+        "(default: none)",
     )
 
 
@@ -55,54 +53,53 @@ def run(args: argparse.Namespace) -> int:
     """Read, tabulate, write."""
     from magical.extras import require
     from magical.report.found.search import find_results
+    from magical.report.pages.export import format_of
 
-    is_page = bool(args.out) and (args.compare or _kind(args) == "html")
-    if args.clips and (args.compare or not is_page):
+    kind = args.format or format_of(args.out) if args.out and not args.compare else None
+    if args.clips and kind != "html":
         log("error: --clips is for a page (--out FILE.html); no rollouts are recorded")
         return 1
-    if is_page:
+    if kind == "html" or (args.compare and args.out):
         require("report")
     found = find_results(args.folders)
     for item in found.skipped:
         log(f"skipped {item.folder}: {item.reason}")
-    if args.compare:
-        return _compare(args, found)
-    _print_tables(args, found)
-    return _write(args, found) if args.out else 0
+    return _compare(args, found) if args.compare else _tabulate(args, found, kind)
 
 
 def _compare(args: argparse.Namespace, found: "Found") -> int:
     from magical.report.pages.comparison import compare
 
     comparison = compare(found.results, *args.compare)
-    for grid in comparison.grids:
-        print_table(grid.header, grid.rows)
-        print(f"{grid.note}\n")
+    _print_grids(comparison.grids)
     if args.out:
         comparison.write(args.out)
         log(f"wrote {args.out}")
     return 0
 
 
-def _print_tables(args: argparse.Namespace, found: "Found") -> None:
-    """Every table of the page as text."""
-    from magical.report.pages.export import all_grids
-
-    for grid in all_grids(found, _published(args, found)):
+def _print_grids(grids: "Iterable[Grid]") -> None:
+    for grid in grids:
         print_table(grid.header, grid.rows)
         print(f"{grid.note}\n")
 
 
-def _write(args: argparse.Namespace, found: "Found") -> int:
-    from magical.experiments.entries import policy_of
-    from magical.report.pages.evaluated import evaluated_page
-    from magical.report.pages.export import FORMATS
+def _tabulate(args: argparse.Namespace, found: "Found", kind: str | None) -> int:
+    """Print every table of the page as text, and write the file."""
+    from magical.report.pages.export import FORMATS, all_grids
+    from magical.report.scores.differences import matching_methods
 
-    kind, published = _kind(args), _published(args, found)
+    published = tuple(matching_methods(found.entries) if args.published is None else args.published)
+    _print_grids(all_grids(found, published))
+    if kind is None:
+        return 0
     notes: Sequence[str] = ()
     if kind in FORMATS:
         FORMATS[kind](found, published, args.out)
     else:
+        from magical.experiments.entries import policy_of
+        from magical.report.pages.evaluated import evaluated_page
+
         page = evaluated_page(
             args.title,
             found,
@@ -117,18 +114,3 @@ def _write(args: argparse.Namespace, found: "Found") -> int:
     for note in notes:
         log(f"error: no rollouts of {note}")
     return int(bool(notes))
-
-
-def _kind(args: argparse.Namespace) -> str:
-    """The format of the file to write."""
-    from magical.report.pages.export import format_of
-
-    return str(args.format or format_of(args.out))
-
-
-def _published(args: argparse.Namespace, found: "Found") -> tuple[str, ...]:
-    from magical.report.scores.differences import matching_methods
-
-    if args.published is None:
-        return matching_methods(found.entries)
-    return tuple(args.published)

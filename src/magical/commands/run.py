@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from magical.commands._common import add_json, log, positive_int, print_json, print_table
+from magical.commands._common import add_count, add_json, add_out, log, print_json, print_table
 
 if TYPE_CHECKING:
     from magical.experiments.plan import Plan, PlannedRun
@@ -23,12 +23,7 @@ INTERRUPTED = 130  # exit status after Ctrl-C or SIGTERM
 def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
     parser.add_argument("plan", metavar="PLAN", help="such as quick, or a file's path")
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        help="the results folder (default: runs/ and the plan's name)",
-    )
+    add_out(parser, "the results folder (default: runs/ and the plan's name)")
     parser.add_argument(
         "--demos",
         metavar="FOLDER",
@@ -46,12 +41,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="of a Ray cluster, as ray.init takes it; implies --executor ray (default: the cluster "
         "that this machine belongs to, or a new one)",
     )
-    parser.add_argument(
-        "--workers",
-        type=positive_int,
-        metavar="N",
-        help="runs at a time on this machine (default: the cores, divided by the threads of a run)",
-    )
+    meaning = "runs at a time on this machine (default: the cores, divided by the threads of a run)"
+    add_count(parser, "--workers", meaning)
     parser.add_argument(
         "--gpus",
         type=_share,
@@ -99,8 +90,7 @@ def _dry_run(args: argparse.Namespace, runs: "Sequence[PlannedRun]", out: Path) 
     print_table(HEADER, expected.rows())
     for line in expected.lines():
         print(line)
-    if args.json:
-        print_json(expected.to_dict())
+    print_json(args, expected.to_dict())
     return 0
 
 
@@ -122,8 +112,7 @@ def _execute(args: argparse.Namespace, plan: "Plan", out: Path) -> int:
         retry_failed=args.retry_failed,
     )
     log(str(summary))
-    if args.json:
-        print_json(summary.to_dict())
+    print_json(args, summary.to_dict())
     if summary.interrupted:
         return INTERRUPTED
     return 0 if summary.complete else 1

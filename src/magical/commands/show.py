@@ -3,8 +3,9 @@
 import argparse
 from pathlib import Path
 
-from magical.commands._common import add_json, add_seed, print_json, write_image
+from magical.commands._common import add_json, add_out, add_seed, print_json
 from magical.envs import parse_env_id
+from magical.files import write_atomically
 
 HELP = "write an image of a scene"
 
@@ -13,9 +14,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
     parser.add_argument("env_id", metavar="ENV_ID", help="for instance magical/FindDupe-TestAll-v0")
     add_seed(parser, "which scene is sampled")
-    parser.add_argument(
-        "--out", type=Path, metavar="FILE.png", help="default: the id, slashes replaced, .png"
-    )
+    add_out(parser, "default: the id, slashes replaced, .png", "FILE.png")
     add_json(parser)
 
 
@@ -23,14 +22,15 @@ def run(args: argparse.Namespace) -> int:
     """Reset the environment and save its rendering."""
     import gymnasium
     import numpy as np
+    from PIL import Image
 
     env_id = parse_env_id(args.env_id)
     out = args.out or Path(f"{env_id.replace('/', '-')}.png")
     env = gymnasium.make(env_id, render_mode="rgb_array")
     env.reset(seed=args.seed)
-    write_image(out, np.asarray(env.render(), dtype=np.uint8))
+    with write_atomically(out) as file:
+        Image.fromarray(np.asarray(env.render(), dtype=np.uint8)).save(file, format="PNG")
     env.close()
     print(f"wrote {out}")
-    if args.json:
-        print_json({"env_id": env_id, "seed": args.seed, "out": str(out)})
+    print_json(args, {"env_id": env_id, "seed": args.seed, "out": str(out)})
     return 0

@@ -23,6 +23,5 @@ def run(args: argparse.Namespace) -> int:
 
     status = read_status(args.folder)
     Console(soft_wrap=True).print(status_table(status))
-    if args.json:
-        print_json(status.to_dict())
+    print_json(args, status.to_dict())
     return 0

@@ -5,11 +5,10 @@ A run is kept in a folder: configuration, versions, demonstrations, metrics, two
 
 import argparse
 import shlex
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from magical.commands._common import add_json, log, positive_int, print_json, task_name
+from magical.commands._common import add_count, add_json, add_out, log, print_json, task_name
 
 if TYPE_CHECKING:
     from magical.learning.config import Config, Option
@@ -60,8 +59,7 @@ def run(args: argparse.Namespace) -> int:
         tensorboard=args.tensorboard,
     )
     save_learning_curves(args.out)
-    if args.json:
-        print_json(result.summary())
+    print_json(args, result.summary())
     if result.finished:
         log(f"{result.folder}: finished; magical evaluate {shlex.quote(str(result.folder))}")
         return 0
@@ -107,9 +105,7 @@ def _add_options(parser: argparse.ArgumentParser, algorithm: str) -> None:
 
     kind = find_algorithm(algorithm).config
     parser.description = (kind.__doc__ or "").splitlines()[0]
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="RUN", help="the run folder: new or empty"
-    )
+    add_out(parser, "the run folder: new or empty", "RUN", required=True)
     parser.add_argument(
         "--resume",
         action="store_true",
@@ -131,13 +127,7 @@ def _add_options(parser: argparse.ArgumentParser, algorithm: str) -> None:
     )
     for option in options(kind):
         _add_option(parser, option)
-    parser.add_argument(
-        "--stop-after",
-        type=positive_int,
-        default=None,
-        metavar="N",
-        help="leave a checkpoint and stop after N more batches or updates",
-    )
+    add_count(parser, "--stop-after", "leave a checkpoint and stop after N more batches or updates")
     parser.add_argument(
         "--tensorboard", action="store_true", default=False, help="log to TensorBoard too"
     )
@@ -170,7 +160,7 @@ def _shown(value: object) -> object:
 
 def _config(args: argparse.Namespace) -> "Config":
     """The preset's or the resumed run's configuration, with the given options replaced."""
-    from magical.errors import RunFolderError
+    from magical.errors import RunFolderError, UnknownNameError
     from magical.learning import find_algorithm, is_run, read_config
     from magical.learning.config import options
 
@@ -185,13 +175,7 @@ def _config(args: argparse.Namespace) -> "Config":
         raise RunFolderError(f"{args.out}: expected a run to resume, found none")
     if args.resume and args.preset is None:
         return read_config(args.out).replace(**given)
-    _require([o.name for o in fields if o.required and o.name not in given], args.algorithm)
+    if missing := [o for o in fields if o.required and o.name not in given]:
+        flags = ", ".join("--task" if o.name == "tasks" else o.flag for o in missing)
+        raise UnknownNameError(f"magical train {args.algorithm}: expected {flags}, found none")
     return kind.preset(args.preset or "paper", algorithm=args.algorithm, **given)
-
-
-def _require(missing: Sequence[str], algorithm: str) -> None:
-    from magical.errors import UnknownNameError
-
-    if missing:
-        flags = ", ".join("--task" if name == "tasks" else f"--{name}" for name in missing)
-        raise UnknownNameError(f"magical train {algorithm}: expected {flags}, found none")

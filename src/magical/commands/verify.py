@@ -10,14 +10,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from magical.commands._common import (
-    add_json,
-    add_workers,
-    non_negative_int,
-    positive_int,
-    print_json,
-    print_table,
-)
+from magical.commands._common import add_count, add_json, add_workers, print_json, print_table
 
 if TYPE_CHECKING:
     from magical.evaluation.verification import Verification
@@ -31,19 +24,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--policy", metavar="POLICY", help="as for evaluate (default: what the entry records)"
     )
-    parser.add_argument(
-        "--rounds",
-        type=positive_int,
-        default=1,
-        metavar="N",
-        help="batches of rollouts to run again of each task (default: 1, up to 64 rollouts)",
-    )
-    parser.add_argument(
-        "--seed",
-        type=non_negative_int,
-        metavar="N",
-        help="chooses the batches (default: others each time)",
-    )
+    meaning = "batches of up to 64 rollouts to run again of each task"
+    add_count(parser, "--rounds", meaning, default=1)
+    add_count(parser, "--seed", "chooses the batches (default: others each time)", least=0)
     add_workers(parser)
     add_json(parser)
 
@@ -70,15 +53,8 @@ def run(args: argparse.Namespace) -> int:
             workers=args.workers,
         )
     _print(found)
-    if args.json:
-        print_json(
-            {
-                "confirmed": found.confirmed,
-                "rollouts": len(found.recorded),
-                "equal": found.equal,
-                "exact": found.exact,
-            }
-        )
+    counts = {"rollouts": len(found.recorded), "equal": found.equal}
+    print_json(args, {"confirmed": found.confirmed, **counts, "exact": found.exact})
     return 0 if found.confirmed else 1
 
 

@@ -6,17 +6,11 @@ A dataset DIR is a folder with one file for each demonstration, and a manifest.
 import argparse
 from pathlib import Path
 
-from magical.commands._common import (
-    add_json,
-    add_seed,
-    add_workers,
-    fraction,
-    non_negative_int,
-    positive_int,
-)
+from magical.commands._common import add_count, add_json, add_out, add_seed, add_workers, fraction
 from magical.commands.demos import datasets, human
 
 HELP = "demonstrations: import, generate, replay, export"
+DATASET = "dataset to append to, or to create"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -41,13 +35,8 @@ def _import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "source", type=Path, metavar="SRC", help="a folder with *.pkl.gz files, or one such file"
     )
-    parser.add_argument(
-        "--max-unpacked",
-        type=positive_int,
-        default=512,
-        metavar="MB",
-        help="the most that one file may unpack to (default: 512)",
-    )
+    meaning = "the most that one file may unpack to"
+    add_count(parser, "--max-unpacked", meaning, default=512, metavar="MB")
     _importing(parser)
 
 
@@ -64,7 +53,7 @@ def _download(parser: argparse.ArgumentParser) -> None:
 
 
 def _importing(parser: argparse.ArgumentParser) -> None:
-    _out(parser)
+    add_out(parser, DATASET, required=True)
     frames = parser.add_mutually_exclusive_group()
     frames.add_argument(
         "--keep-frames", action="store_true", help="keep the 96 x 96 frames beside the poses"
@@ -82,22 +71,11 @@ def _importing(parser: argparse.ArgumentParser) -> None:
 def _generate(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run_demos=datasets.run_generate)
     parser.add_argument("--env", nargs="+", required=True, metavar="ID", help="environments")
-    parser.add_argument(
-        "-n",
-        type=positive_int,
-        default=25,
-        metavar="N",
-        help="demonstrations of each (default: 25)",
-    )
-    _out(parser)
+    add_count(parser, "-n", "demonstrations of each", default=25)
+    add_out(parser, DATASET, required=True)
     add_seed(parser, "of the scenes and strategies")
-    parser.add_argument(
-        "--first",
-        type=non_negative_int,
-        default=0,
-        metavar="K",
-        help="number of the first attempt, to continue a series (default: 0)",
-    )
+    meaning = "number of the first attempt, to continue a series"
+    add_count(parser, "--first", meaning, default=0, least=0, metavar="K")
     parser.add_argument(
         "--min-score", type=float, default=0.0, metavar="X", help="drop those that score less"
     )
@@ -134,16 +112,9 @@ def _replay(parser: argparse.ArgumentParser) -> None:
 def _video(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run_demos=datasets.run_video)
     _dataset(parser)
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="FILE", help="FILE.mp4 or FILE.webp"
-    )
-    parser.add_argument(
-        "--index",
-        type=non_negative_int,
-        nargs="+",
-        metavar="I",
-        help="which demonstrations, from 0 (default: one of each environment)",
-    )
+    add_out(parser, "FILE.mp4 or FILE.webp", "FILE", required=True)
+    meaning = "which demonstrations, from 0 (default: one of each environment)"
+    add_count(parser, "--index", meaning, least=0, metavar="I", nargs="+")
     parser.add_argument(
         "--rate", type=float, default=8.0, metavar="HZ", help="steps per second (default: 8)"
     )
@@ -153,12 +124,8 @@ def _export(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run_demos=datasets.run_export)
     _dataset(parser)
     parser.add_argument("--to", choices=("minari", "lerobot"), required=True)
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="FOLDER",
-        help="lerobot: a new folder; minari: its folder of datasets (default: Minari's own)",
-    )
+    meaning = "lerobot: a new folder; minari: its folder of datasets (default: Minari's own)"
+    add_out(parser, meaning, "FOLDER")
     parser.add_argument("--name", default="demos", help="minari: the last part of the id")
     parser.add_argument(
         "--preset", default="LoRes4E", help="minari: the observations (default: LoRes4E)"
@@ -171,9 +138,3 @@ def _export(parser: argparse.ArgumentParser) -> None:
 
 def _dataset(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("dataset", type=Path, metavar="DIR", help="the dataset's folder")
-
-
-def _out(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="dataset to append to, or to create"
-    )

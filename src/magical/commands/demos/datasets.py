@@ -38,8 +38,7 @@ def run_generate(args: argparse.Namespace) -> int:
             f"warning: {args.out}: {copies} demonstrations equal earlier ones of the dataset; "
             "give another --seed, or continue the series with --first"
         )
-    if args.json:
-        print_json({"out": str(args.out), "environments": [asdict(report) for report in reports]})
+    print_json(args, {"out": str(args.out), "environments": [asdict(report) for report in reports]})
     return 0
 
 
@@ -59,15 +58,15 @@ def run_info(args: argparse.Namespace) -> int:
     for later, earlier in duplicates:
         log(f"duplicate: {printable(later)} shows the same as {printable(earlier)}")
     _log_problems(dataset.problems)
-    if args.json:
-        print_json(
-            {
-                "count": len(dataset),
-                "environments": [asdict(summary) for summary in summaries],
-                "duplicates": duplicates,
-                "problems": [asdict(problem) for problem in dataset.problems],
-            }
-        )
+    print_json(
+        args,
+        {
+            "count": len(dataset),
+            "environments": [asdict(summary) for summary in summaries],
+            "duplicates": duplicates,
+            "problems": [asdict(problem) for problem in dataset.problems],
+        },
+    )
     return 1 if dataset.problems else 0
 
 
@@ -127,15 +126,15 @@ def run_replay(args: argparse.Namespace) -> int:
     print_table((*columns, "exact"), rows)
     print(f"\n{agree} of {len(replays)} replays got the recorded score.\n\n{_REPLAY_NOTE}")
     _log_problems(dataset.problems)
-    if args.json:
-        print_json(
-            {
-                "agree": agree,
-                "environments": [asdict(mean) for mean in means],
-                "replays": [asdict(one) | {"agrees": one.agrees} for one in replays],
-                "problems": [asdict(problem) for problem in dataset.problems],
-            }
-        )
+    print_json(
+        args,
+        {
+            "agree": agree,
+            "environments": [asdict(mean) for mean in means],
+            "replays": [asdict(one) | {"agrees": one.agrees} for one in replays],
+            "problems": [asdict(problem) for problem in dataset.problems],
+        },
+    )
     return 1 if dataset.problems else 0
 
 
@@ -180,8 +179,7 @@ def run_export(args: argparse.Namespace) -> int:
             raise DatasetError("--out: expected a new folder for the LeRobot dataset, found none")
         result |= {"out": str(args.out), "frames": export_lerobot(dataset, args.out)}
         print(f"wrote {args.out}: {len(dataset)} episodes, {result['frames']} frames")
-    if args.json:
-        print_json({**result, "episodes": len(dataset)})
+    print_json(args, {**result, "episodes": len(dataset)})
     return 0
 
 

@@ -77,8 +77,7 @@ def _import(
             progress=advance,
         )
     _print_report(report, args)
-    if args.json:
-        print_json({"out": str(args.out), "not_fetched": list(not_fetched), **asdict(report)})
+    print_json(args, {"out": str(args.out), "not_fetched": list(not_fetched), **asdict(report)})
     return 1 if report.failed else 0
 
 
