@@ -34,7 +34,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="to listen on; anything but the default is reachable from outside, without "
         "encryption (default: %(default)s)",
     )
-    add_count(parser, "--port", "0: a free one", default=8000, least=0)
+    add_count(parser, "--port", "to listen on; 0 takes a free one", default=8000, least=0)
     meaning = "other names under which browsers address this server"
     _add_several(parser, "--allow-host", meaning, str, "NAME")
     add_count(parser, "--max-players", "environments at the same time", default=16)
