@@ -2,7 +2,7 @@
 
 numba's own cache reads whatever it finds: a truncated file ends in `EOFError`, a flipped bit in
 the machine code in a segmentation fault, and a full disk in an `OSError` after compilation has
-succeeded. `CompileCache` takes its place behind the same five methods. It keeps one file for each
+succeeded. `CompileCache` takes its place behind the same methods. It keeps one file for each
 compiled function: a SHA-256 digest, then what numba needs to load the function again. The content
 is unpickled only if the digest matches, and whatever else is wrong has one outcome: the function is
 compiled again.
@@ -42,8 +42,7 @@ class CompileCache:
     Args:
         function: the function that is compiled; its name and the values it closes over are part of
             the key, with the signature, the processor, the versions of Python and numba, whether
-            numba checks bounds, and the
-            sources it is made of: those of its own folder and of the rooms `SHARED`.
+            numba checks bounds, and the sources: of its own folder and of the rooms `SHARED`.
         folder: where the files are. Default: `cache_folder()`.
     """
 
@@ -90,14 +89,8 @@ class CompileCache:
                 file.write(payload)
             _remove_oldest(path.parent)
 
-    def enable(self) -> None:
-        """Nothing: the cache is always in use."""
-
-    def disable(self) -> None:
-        """Nothing: the cache is always in use."""
-
     def flush(self) -> None:
-        """Nothing: a key names its sources, so that no file is ever out of date."""
+        """Do nothing: a key names its sources, so that no file is ever out of date."""
 
     def _path(self, signature: Any, codegen: Any) -> Path:
         """The file of a signature; raises `OSError` unless the folder is there and private."""

@@ -96,9 +96,9 @@ class StateSpec:
         return (self.size,)
 
     @property
-    def components(self) -> "tuple[StateComponent, ...]":
-        """See `ObservationSpec`."""
-        return (StateComponent(self),)
+    def components(self) -> "tuple[StateSpec]":
+        """See `ObservationSpec`: the vectors as they are."""
+        return (self,)
 
     def network_input(self, observations: Any) -> NDArray[Any]:
         """See `ObservationSpec`."""
@@ -136,28 +136,6 @@ class StateSpec:
         """See `ObservationSpec`: the size follows from the task."""
         return STATE
 
-    def check(self, scene: Scene) -> None:
-        """Raise `InvalidSceneError` if the scene has more blocks or regions than slots."""
-        if len(scene.blocks) > self.max_blocks or len(scene.regions) > self.max_regions:
-            raise InvalidSceneError(
-                f"expected at most {self.max_blocks} blocks and {self.max_regions} regions for "
-                f"this task's state vector, found {len(scene.blocks)} and {len(scene.regions)}; "
-                "use a pixel observation or a smaller scene"
-            )
-
-
-@dataclass(frozen=True, slots=True)
-class StateComponent:
-    """State vectors as they are."""
-
-    spec: StateSpec
-    frames: int = 1
-
-    def read(self, source: EpisodeSource, times: NDArray[np.intp]) -> NDArray[np.float32]:
-        """See `Component`: (B, size) float32."""
-        vectors: NDArray[np.float32] = self.spec.read(source, times)
-        return vectors
-
 
 class StateObserver:
     """Writes a running episode's state vector into a given array, or into one of its own."""
@@ -171,7 +149,13 @@ class StateObserver:
 
     def start(self, scene: Scene, bodies: NDArray[np.float64]) -> None:
         """Start an episode; raises `InvalidSceneError` for a scene with too many bodies."""
-        self.spec.check(scene)
+        blocks, regions = self.spec.max_blocks, self.spec.max_regions
+        if len(scene.blocks) > blocks or len(scene.regions) > regions:
+            raise InvalidSceneError(
+                f"expected at most {blocks} blocks and {regions} regions for this task's state "
+                f"vector, found {len(scene.blocks)} and {len(scene.regions)}; use a pixel "
+                "observation or a smaller scene"
+            )
         self.out[:] = 0
         for slot, block in zip(self._blocks, scene.blocks, strict=False):
             slot[[0, 1 + SHAPES.index(block.shape), 5 + COLOURS.index(block.colour)]] = 1

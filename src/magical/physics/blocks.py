@@ -23,7 +23,7 @@ def add_walls(space: pymunk.Space) -> None:
 
 def add_block(space: pymunk.Space, block: Block, dynamics: Dynamics, group: int) -> pymunk.Body:
     """Add one block with its surface drag; `group` is a collision group of its own."""
-    body, shapes = _MAKERS[block.shape]()
+    body, shapes = _make(block.shape)
     body.position, body.angle = block.pose[:2], block.pose.angle
     space.add(body)
     for shape in shapes:
@@ -41,28 +41,18 @@ def add_block(space: pymunk.Space, block: Block, dynamics: Dynamics, group: int)
     return body
 
 
-def _square() -> tuple[pymunk.Body, list[pymunk.Shape]]:
-    outline = block_outline(Shape.SQUARE)
-    body = pymunk.Body(c.BLOCK_MASS, pymunk.moment_for_poly(c.BLOCK_MASS, outline))
-    return body, [pymunk.Poly(body, outline, None, c.SQUARE_MARGIN)]
-
-
-def _circle() -> tuple[pymunk.Body, list[pymunk.Shape]]:
-    body = pymunk.Body(c.BLOCK_MASS, pymunk.moment_for_circle(c.BLOCK_MASS, 0, c.BLOCK_SIZE))
-    return body, [pymunk.Circle(body, c.BLOCK_SIZE)]
-
-
-def _pentagon() -> tuple[pymunk.Body, list[pymunk.Shape]]:
-    outline = block_outline(Shape.PENTAGON)
-    body = pymunk.Body(c.BLOCK_MASS, pymunk.moment_for_poly(c.BLOCK_MASS, outline))
-    return body, [pymunk.Poly(body, outline)]
-
-
-def _star() -> tuple[pymunk.Body, list[pymunk.Shape]]:
-    outline = list(block_outline(Shape.STAR))
-    hull = outline[::2]  # the outer vertices
-    body = pymunk.Body(c.BLOCK_MASS, pymunk.moment_for_poly(c.BLOCK_MASS, hull))
-    return body, [pymunk.Poly(body, part) for part in _star_parts()]
+def _make(shape: Shape) -> tuple[pymunk.Body, list[pymunk.Shape]]:
+    mass = c.BLOCK_MASS
+    if shape == Shape.CIRCLE:
+        body = pymunk.Body(mass, pymunk.moment_for_circle(mass, 0, c.BLOCK_SIZE))
+        return body, [pymunk.Circle(body, c.BLOCK_SIZE)]
+    outline = block_outline(shape)
+    hull = outline[::2] if shape == Shape.STAR else outline  # of a star the outer vertices
+    body = pymunk.Body(mass, pymunk.moment_for_poly(mass, hull))
+    if shape == Shape.STAR:
+        return body, [pymunk.Poly(body, part) for part in _star_parts()]
+    margin = c.SQUARE_MARGIN if shape == Shape.SQUARE else 0.0
+    return body, [pymunk.Poly(body, outline, None, margin)]
 
 
 @cache
@@ -70,11 +60,3 @@ def _star_parts() -> list[list[pymunk.Vec2d]]:
     # Cached: pymunk leaks some 2 kB at every decomposition.
     outline = list(block_outline(Shape.STAR))
     return pymunk.autogeometry.convex_decomposition(outline + outline[:1], 0)
-
-
-_MAKERS = {
-    Shape.SQUARE: _square,
-    Shape.CIRCLE: _circle,
-    Shape.PENTAGON: _pentagon,
-    Shape.STAR: _star,
-}

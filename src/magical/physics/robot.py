@@ -12,7 +12,7 @@ from magical.physics import chipmunk
 from magical.physics.pins import finger_position
 from magical.scene import constants as c
 from magical.scene.actions import ACTIONS, Gripper, Longitudinal, Turn
-from magical.scene.geometry import Polygon, finger_polygons
+from magical.scene.geometry import finger_polygons
 from magical.scene.scene import Dynamics, Pose
 
 ROBOT_GROUP = 1  # collision group shared by all shapes of the robot
@@ -35,7 +35,10 @@ class Robot:
     """
 
     def __init__(self, space: pymunk.Space, pose: Pose, dynamics: Dynamics) -> None:
-        self.body = _add_body(space, pose)
+        moment = pymunk.moment_for_circle(c.ROBOT_MASS, 0, c.ROBOT_RADIUS)
+        self.body = pymunk.Body(c.ROBOT_MASS, moment)
+        self.body.position, self.body.angle = pose[:2], pose.angle
+        space.add(self.body)
         self._control = _add_drive(space, self.body, pose, dynamics)
         self.eyes = [_add_eye(space, self.body, pose) for _ in c.SIDES]
         fingers = [_add_finger(space, self.body, side, pose, dynamics) for side in c.SIDES]
@@ -100,13 +103,6 @@ def motor_rate(error: float) -> float:
     return rate if abs(rate) >= c.FINGER_DEAD_RATE else 0.0
 
 
-def _add_body(space: pymunk.Space, pose: Pose) -> pymunk.Body:
-    body = pymunk.Body(c.ROBOT_MASS, pymunk.moment_for_circle(c.ROBOT_MASS, 0, c.ROBOT_RADIUS))
-    body.position, body.angle = pose[:2], pose.angle
-    space.add(body)
-    return body
-
-
 def _add_drive(
     space: pymunk.Space, body: pymunk.Body, pose: Pose, dynamics: Dynamics
 ) -> pymunk.Body:
@@ -138,7 +134,9 @@ def _add_finger(
     space: pymunk.Space, body: pymunk.Body, side: int, pose: Pose, dynamics: Dynamics
 ) -> tuple[pymunk.Body, pymunk.SimpleMotor]:
     upper, forearm = finger_polygons(side)
-    finger = pymunk.Body(c.FINGER_MASS, _finger_moment(upper, forearm))
+    # The polygon through both rectangles' vertices in this order crosses itself; the published
+    # moment (0.005006 left, 0.004983 right) is this polygon's.
+    finger = pymunk.Body(c.FINGER_MASS, pymunk.moment_for_poly(c.FINGER_MASS, upper + forearm))
     root = (side * c.FINGER_ROOT_X, c.FINGER_ROOT_Y)
     finger.position = finger_position(body, root, pose)
     finger.angle = pose.angle - side * c.FINGER_OPEN
@@ -154,9 +152,3 @@ def _add_finger(
     for part in (finger, pin, limit, motor):
         space.add(part)
     return finger, motor
-
-
-def _finger_moment(upper: Polygon, forearm: Polygon) -> float:
-    # The polygon through both rectangles' vertices in this order crosses itself; the published
-    # moment (0.005006 left, 0.004983 right) is this polygon's.
-    return pymunk.moment_for_poly(c.FINGER_MASS, upper + forearm)

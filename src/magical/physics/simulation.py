@@ -30,7 +30,11 @@ class Simulation:
     """
 
     def __init__(self, scene: Scene, dynamics: Dynamics | None = None) -> None:
-        _check(scene)
+        if len(scene.blocks) > c.MAX_BLOCKS:
+            raise InvalidSceneError(
+                f"scene: expected at most {c.MAX_BLOCKS} blocks, found {len(scene.blocks)}"
+            )
+        _check_range(np.array([scene.robot, *(block.pose for block in scene.blocks)]))
         self.scene = scene
         self.dynamics = dynamics or Dynamics()
         self._space = pymunk.Space()
@@ -65,10 +69,6 @@ class Simulation:
         """The current pose of every body."""
         return Poses(self.read()[:, :3].copy())
 
-    def velocities(self) -> NDArray[np.float64]:
-        """Velocity (x, y, angular) of every body in the rows of `Poses`, (5 + blocks, 3)."""
-        return self.read()[:, 3:].copy()
-
     def read(self) -> NDArray[np.float64]:
         """Pose and velocity of every body in one pass.
 
@@ -94,15 +94,6 @@ class Simulation:
             x, y, angle, velocity_x, velocity_y, spin = row
             body.position, body.angle = (x, y), angle
             body.velocity, body.angular_velocity = (velocity_x, velocity_y), spin
-
-
-def _check(scene: Scene) -> None:
-    """Raise `InvalidSceneError` for a scene that the solver cannot be given."""
-    if len(scene.blocks) > c.MAX_BLOCKS:
-        raise InvalidSceneError(
-            f"scene: expected at most {c.MAX_BLOCKS} blocks, found {len(scene.blocks)}"
-        )
-    _check_range(np.array([scene.robot, *(block.pose for block in scene.blocks)]))
 
 
 def _check_range(bodies: NDArray[np.float64]) -> None:

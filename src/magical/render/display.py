@@ -33,7 +33,7 @@ from magical.scene.geometry import (
     star_polygon,
 )
 from magical.scene.poses import EYES, FINGERS, FIRST_BLOCK, ROBOT
-from magical.scene.scene import Block, Region, Scene
+from magical.scene.scene import Block, Scene
 from magical.scene.vocabulary import Shape
 
 BLOCK_INSET = 0.015  # units: width of a block's outline
@@ -84,9 +84,14 @@ def display_list(scene: Scene) -> DisplayList:
             f"expected at most {c.MAX_BLOCKS} blocks and {c.MAX_REGIONS} regions, "
             f"found {len(scene.blocks)} and {len(scene.regions)}"
         )
-    ground = np.array([_corners(*_WORKSPACE), *(_corners(*_bounds(r)) for r in scene.regions)])
+    half = c.WORKSPACE_HALF
+    areas = [(-half, half, 2 * half, 2 * half)]
+    areas += [(r.x, r.y, r.height, r.width) for r in scene.regions]
+    ground = np.array([_corners(*area) for area in areas])
     if not np.abs(ground).max() <= FAR:
         raise RenderError(f"expected regions within {FAR:g} units, found one beyond")
+    shades = [SHADES[region.colour] for region in scene.regions]
+    colours = [(WHITE, GREY), *((shade.region, shade.fill) for shade in shades)]
     robot = _robot_parts()
     blocks = [part for row, block in enumerate(scene.blocks) for part in _block_parts(row, block)]
     parts = [*robot, *blocks] if scene.robot_first else [*blocks, *robot]
@@ -104,16 +109,7 @@ def display_list(scene: Scene) -> DisplayList:
         np.array(items, np.int64),
         np.array(offsets),
         ground,
-        np.array(
-            [
-                (lanes(WHITE), lanes(GREY)),
-                *(
-                    (lanes(SHADES[r.colour].region), lanes(SHADES[r.colour].fill))
-                    for r in scene.regions
-                ),
-            ],
-            np.int64,
-        ),
+        np.array([tuple(map(lanes, pair)) for pair in colours], np.int64),
     )
 
 
@@ -185,14 +181,7 @@ def _robot_parts() -> tuple[Part, ...]:
     return tuple(parts)
 
 
-_WORKSPACE = (-c.WORKSPACE_HALF, c.WORKSPACE_HALF, c.WORKSPACE_HALF, -c.WORKSPACE_HALF)
-
-
-def _bounds(region: Region) -> tuple[float, float, float, float]:
-    x, y = region.x, region.y
-    return x, y, x + region.width, y - region.height
-
-
-def _corners(left: float, top: float, right: float, bottom: float) -> tuple[Point, ...]:
+def _corners(x: float, y: float, height: float, width: float) -> tuple[Point, ...]:
     """Clockwise from the top left: the order in which edges are stroked and dashes counted."""
-    return (left, top), (right, top), (right, bottom), (left, bottom)
+    right, bottom = x + width, y - height
+    return (x, y), (right, y), (right, bottom), (x, bottom)

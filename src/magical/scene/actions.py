@@ -54,7 +54,6 @@ ACTIONS = tuple(
 ACTION_NAMES = tuple(action.name for action in ACTIONS)
 NUM_ACTIONS = len(ACTIONS)
 
-_MIRRORED_TURNS = {Turn.STRAIGHT: Turn.STRAIGHT, Turn.LEFT: Turn.RIGHT, Turn.RIGHT: Turn.LEFT}
 # The number of each action with left and right exchanged.
-MIRRORED_ACTIONS = tuple(a._replace(turn=_MIRRORED_TURNS[a.turn]).id for a in ACTIONS)
+MIRRORED_ACTIONS = tuple(a._replace(turn=Turn(-a.turn % len(Turn))).id for a in ACTIONS)
 NOOP = Action().id

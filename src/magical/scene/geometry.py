@@ -119,9 +119,9 @@ def depth(a: Piece, b: Piece) -> float:
     return min(_depths(a, b))
 
 
-def penetrates(a: Piece, b: Piece, slack: float = 0.0) -> bool:
-    """Whether `depth(a, b) > slack`; stops at the first direction that separates the two."""
-    return all(along > slack for along in _depths(a, b))
+def penetrates(a: Piece, b: Piece) -> bool:
+    """Whether `depth(a, b) > 0`; stops at the first direction that separates the two."""
+    return all(along > 0.0 for along in _depths(a, b))
 
 
 def _depths(a: Piece, b: Piece) -> Iterable[float]:

@@ -56,11 +56,6 @@ def robot_silhouette() -> Silhouette:
     return _silhouette(g.robot_pieces(), c.ROBOT_RADIUS)
 
 
-def region_silhouette(height: float, width: float) -> Silhouette:
-    """A goal region's rectangle about its centre."""
-    return _silhouette((g.Piece(g.rectangle(width, height)),), min(height, width) / 2)
-
-
 class Solid:
     """A silhouette at a pose."""
 
@@ -81,7 +76,9 @@ class Solid:
     @staticmethod
     def of_region(region: Region) -> "Solid":
         """A goal region of a scene."""
-        return Solid(region_silhouette(region.height, region.width), Pose(*region.centre, 0.0))
+        height, width = region.height, region.width
+        rectangle = (g.Piece(g.rectangle(width, height)),)
+        return Solid(_silhouette(rectangle, min(height, width) / 2), Pose(*region.centre, 0.0))
 
     @cached_property
     def parts(self) -> list[tuple[g.Piece, g.Point, float]]:
@@ -91,15 +88,15 @@ class Solid:
         radii = [radius for _, radius in circles]
         return list(zip(g.place(pieces, self.pose), centres, radii, strict=True))
 
-    def overlaps(self, other: "Solid", slack: float = 0.0) -> bool:
-        """Whether the two overlap by more than `slack` units."""
+    def overlaps(self, other: "Solid") -> bool:
+        """Whether the two overlap."""
         mine, theirs = self.silhouette, other.silhouette
         distance = math.dist(self.pose[:2], other.pose[:2])
         if distance >= mine.outer + theirs.outer:
             return False
-        if slack == 0.0 and distance < mine.inner + theirs.inner:
+        if distance < mine.inner + theirs.inner:
             return True
-        return any(g.penetrates(a, b, slack) for a, b in self._near_pairs(other))
+        return any(g.penetrates(a, b) for a, b in self._near_pairs(other))
 
     def depth(self, other: "Solid") -> float:
         """How far the two overlap, in units; 0 when apart."""
