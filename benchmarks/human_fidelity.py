@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from magical.demos import Dataset, Trajectory
 from magical.demos.human.importing import find_published
-from magical.demos.human.published import read_published
+from magical.demos.human.published import read_demonstration
 from magical.demos.store.reader import estimated_states
 from magical.physics import Simulation
 from magical.progress import progress_bar
@@ -137,8 +137,7 @@ def differences_at_96(trajectory: Trajectory, files: dict[str, Path]) -> tuple[f
 
     First as everything is rendered here, then with the dashes as in the recording.
     """
-    recorded = read_published(files[trajectory.metadata["source"]]).frames
-    assert recorded is not None
+    recorded = read_demonstration(files[trajectory.metadata["source"]]).averaged()
     assert trajectory.poses is not None
     found, rendered = [], np.empty((FRAME_SIZE, FRAME_SIZE, 3), np.uint8)
     for whole in (True, False):

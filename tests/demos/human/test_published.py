@@ -9,12 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magical.demos.human.published import read_published
+from magical.demos.human.published import read_demonstration
 from magical.errors import MagicalError, UnsafeFileError
-
-
-def text(value: str) -> bytes:
-    return b"\x8c" + bytes([len(value)]) + value.encode()
+from tests.demos.conftest import text
 
 
 @pytest.mark.parametrize(
@@ -36,11 +33,10 @@ def test_inconsistent_parts_are_refused(
     tmp_path: Path, published: Any, change: Any, message: str
 ) -> None:
     made = published()
-    assert len(read_published(made.write(tmp_path / "good.pkl.gz"))) == 2
     change(made)
     file = made.write(tmp_path / "bad.pkl.gz")
     with pytest.raises(MagicalError, match=message) as caught:
-        read_published(file)
+        read_demonstration(file)
     assert str(file) in str(caught.value)
 
 
@@ -61,46 +57,40 @@ def test_arrays_of_another_shape_or_type_are_refused(
     made = published()
     made.obs[0] = made.observation(values, shape)
     with pytest.raises(MagicalError, match=r"bad\.pkl\.gz"):
-        read_published(made.write(tmp_path / "bad.pkl.gz"))
+        read_demonstration(made.write(tmp_path / "bad.pkl.gz"))
 
 
 def test_more_than_the_largest_size_is_refused(tmp_path: Path, published: Any) -> None:
     file = published().write(tmp_path / "demo.pkl.gz")
     with pytest.raises(UnsafeFileError, match="unpacks to more than 1000000 bytes"):
-        read_published(file, 1_000_000)
+        read_demonstration(file, 1_000_000)
 
 
-def test_truncated_gzip_file_is_refused(tmp_path: Path, published: Any) -> None:
-    raw = gzip.compress(published().pickle, 1)
-    file = tmp_path / "cut.pkl.gz"
+def test_damaged_gzip_file_is_refused_or_read_as_it_was(tmp_path: Path, published: Any) -> None:
+    made, rng = published(steps=1), np.random.default_rng(0)
+    raw, file = gzip.compress(made.pickle, 1), tmp_path / "bad.pkl.gz"
     for end in (*range(20), len(raw) // 2, len(raw) - 9, len(raw) - 1):
         file.write_bytes(raw[:end])
-        with pytest.raises(UnsafeFileError, match=r"cut\.pkl\.gz"):
-            read_published(file)
-
-
-def test_flipped_bits_never_crash(tmp_path: Path, published: Any) -> None:
-    raw, rng = gzip.compress(published(steps=1).pickle, 1), np.random.default_rng(0)
-    whole = read_published(published(steps=1).write(tmp_path / "good.pkl.gz"))
-    file = tmp_path / "flip.pkl.gz"
+        with pytest.raises(UnsafeFileError, match=r"bad\.pkl\.gz"):
+            read_demonstration(file)
     for place in (*range(12), *rng.integers(len(raw), size=30).tolist(), len(raw) - 3):
         file.write_bytes(raw[:place] + bytes([raw[place] ^ 4]) + raw[place + 1 :])
         try:
-            found: Any = read_published(file).actions.tolist()
+            found = str(read_demonstration(file).actions)
         except MagicalError as error:
             found = str(error)
-        assert found == whole.actions.tolist() or "flip.pkl.gz" in found
+        assert found == str(made.actions) or "bad.pkl.gz" in found
 
 
 MEASURE = """
 import resource, sys, time
 from pathlib import Path
-from magical.demos.human.published import read_published
+from magical.demos.human.published import read_demonstration
 from magical.errors import MagicalError
-read_published(Path(sys.argv[1]))
+read_demonstration(Path(sys.argv[1]))
 before, start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
 try:
-    read_published(Path(sys.argv[2]))
+    read_demonstration(Path(sys.argv[2]))
     print("read")
 except MagicalError as error:
     used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before

@@ -18,7 +18,7 @@ import pytest
 
 from magical.cli import main
 from magical.demos import Dataset
-from magical.demos.human.published import read_published
+from magical.demos.human.published import read_demonstration
 from magical.demos.human.safe_pickle import Record, load
 from magical.errors import MagicalError, UnsafeFileError
 from tests.demos.conftest import name, text
@@ -194,7 +194,7 @@ def refuse(here: Path, payload: bytes) -> None:
     file.write_bytes(gzip.compress(payload))
     modules = set(sys.modules)
     with pytest.raises(MagicalError) as caught:
-        read_published(file)
+        read_demonstration(file)
     assert str(caught.value).startswith(str(file))
     assert str(caught.value).isprintable()
     assert not list(here.glob("executed*"))
@@ -295,9 +295,9 @@ def test_special_files_are_refused(here: Path) -> None:
     (here / "link.pkl.gz").symlink_to("/dev/zero")
     for file in ("fifo", "link"):
         with pytest.raises(UnsafeFileError, match="not a regular file"):
-            read_published(here / f"{file}.pkl.gz")
+            read_demonstration(here / f"{file}.pkl.gz")
 
 
 def test_linked_file_is_read(here: Path, published: Any) -> None:
     (here / "link.pkl.gz").symlink_to(published().write(here / "demo"))
-    assert len(read_published(here / "link.pkl.gz")) == 2
+    assert len(read_demonstration(here / "link.pkl.gz").actions) == 2

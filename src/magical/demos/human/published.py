@@ -73,17 +73,6 @@ class PublishedDemonstration:
         )
 
 
-def read_published(path: Path, max_bytes: int = MAX_UNPACKED) -> Trajectory:
-    """Read one published file; frames are averaged 4 x 4 down to 96 x 96, exactly.
-
-    The appendix's score is unknown (None), since the files hold frames, not poses. Arguments and
-    errors are those of `read_demonstration`.
-    """
-    demonstration = read_demonstration(path, max_bytes)
-    with naming_errors(path):
-        return demonstration.trajectory()
-
-
 def read_demonstration(path: Path, max_bytes: int = MAX_UNPACKED) -> PublishedDemonstration:
     """Read one published file. It takes little memory, however large the file is.
 

@@ -25,7 +25,7 @@ from magical.errors import DatasetError, MagicalError, TrajectoryError
 from magical.messages import printable, quoted
 from magical.scene import Dynamics, Scene
 from magical.scene.constants import FRAME_SIZE
-from magical.untrusted import check_plain
+from magical.untrusted import convert
 
 FORMAT = {"format": "magical-trajectory", "version": 1}
 MAX_UNPACKED = 512 << 20  # bytes of all members together
@@ -216,10 +216,8 @@ def _read_array(file: IO[bytes], name: str, size: int, rows: int | None) -> NDAr
 
 
 def _read_header(array: NDArray[Any]) -> dict[str, Any]:
-    header = json.loads(array.tobytes().decode())
-    if not isinstance(header, dict):
-        raise DatasetError(f"header: expected an object, found {quoted(header)}")
-    check_plain(header)
+    header: dict[str, Any]
+    header = convert(json.loads(array.tobytes().decode()), dict[str, Any], "header", DatasetError)
     if any(header.get(name) != value for name, value in FORMAT.items()):
         found = ", ".join(quoted(header.get(name)) for name in FORMAT)
         raise DatasetError(f"expected {FORMAT}, found {found}; use a newer version of magical")

@@ -10,10 +10,12 @@ import itertools
 import json
 import os
 import re
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, fields, replace
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, Annotated, Any, NamedTuple
+
+from msgspec import Meta
 
 from magical.demos.store.codec import MAX_FILE, MAX_STEPS, fingerprint
 from magical.demos.store.trajectory import MAX_NAME, Trajectory
@@ -21,16 +23,20 @@ from magical.envs.ids import EnvId, split_env_id
 from magical.errors import DatasetError, MagicalError
 from magical.files import open_regular
 from magical.messages import quoted
-from magical.untrusted import check_plain
+from magical.untrusted import convert
 
 NAME = "manifest.jsonl"
 FOLDER = "trajectories"
 HEADER = {"format": "magical-dataset", "version": 1}
 MAX_LINE = 1 << 16  # bytes; names of `MAX_NAME` characters fit
 MAX_DAMAGED_LINES = 1000  # then the rest of the manifest is not read
-_SHA256 = re.compile("[0-9a-f]{64}")
-_FINGERPRINT = re.compile("[0-9a-f]{16}")
-_NAME = re.compile(r"\w{1,100}")  # a task or variant, as part of a file's name
+_SHA256 = r"\A[0-9a-f]{64}\Z"
+_NAME = rf"\A(?s:.){{1,{MAX_NAME}}}\Z"
+_FILE_NAME = re.compile(r"\w{1,100}")  # a task or variant, as part of a file's name
+
+Name = Annotated[str, Meta(pattern=_NAME)]
+Sha256 = Annotated[str, Meta(pattern=_SHA256)]
+Score = Annotated[float, Meta(ge=0.0, le=1.0)]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,37 +44,31 @@ class ManifestEntry:
     """One line of the manifest: the file of a trajectory, and its properties.
 
     Raises:
-        ValueError: a field is of another type or outside its range.
-        UnknownNameError: `env_id` is not an environment id.
+        ValueError: the environment's names are unfit for a file's name, or `file` has another.
     """
 
-    index: int
+    index: Annotated[int, Meta(ge=0, lt=10**9)]
     file: str  # relative to the dataset's folder
-    sha256: str
-    size: int  # bytes
+    sha256: Sha256
+    size: Annotated[int, Meta(gt=0, le=MAX_FILE)]  # bytes
     env_id: EnvId
-    length: int  # control steps
-    score: float | None
-    published_code_score: float
-    demonstrator: str
-    seed: int | None
+    length: Annotated[int, Meta(gt=0, le=MAX_STEPS)]  # control steps
+    score: Score | None
+    published_code_score: Score
+    demonstrator: Name
+    seed: Annotated[int, Meta(ge=0)] | None
     has_poses: bool
-    fingerprint: str  # equal for equal actions and poses or frames
-    source: str | None = None  # the file it was imported from
-    source_sha256: str | None = None
+    # equal for equal actions and poses or frames
+    fingerprint: Annotated[str, Meta(pattern=r"\A[0-9a-f]{16}\Z")]
+    source: Name | None = None  # the file it was imported from
+    source_sha256: Sha256 | None = None
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not _CHECKS[field.name](value):
-                raise ValueError(f"{field.name}: the format does not allow {quoted(value)}")
-        # Names are not looked up: a task of another package may not be registered here.
-        env_id = split_env_id(self.env_id)
-        if not (_NAME.fullmatch(env_id.task) and _NAME.fullmatch(env_id.variant)):
-            raise ValueError(
-                f"env_id: expected names of letters and digits, found {quoted(env_id)}"
-            )
-        object.__setattr__(self, "env_id", env_id)
+        for name in (self.env_id.task, self.env_id.variant):
+            if not _FILE_NAME.fullmatch(name):
+                raise ValueError(
+                    f"env_id: expected names of letters and digits, found {quoted(self.env_id)}"
+                )
         if self.file != _file(self.index, self.env_id):
             raise ValueError(
                 f"expected the name of trajectory {self.index}, found {quoted(self.file)}"
@@ -91,8 +91,8 @@ class ManifestEntry:
             seed=trajectory.seed,
             has_poses=trajectory.poses is not None,
             fingerprint=fingerprint(raw),
-            source=source if _is_name(source) else None,
-            source_sha256=source_sha256 if _is_sha256(source_sha256) else None,
+            source=_matching(_NAME, source),
+            source_sha256=_matching(_SHA256, source_sha256),
         )
 
     def at(self, index: int) -> "ManifestEntry":
@@ -119,34 +119,9 @@ def _file(index: int, env_id: EnvId) -> str:
     return f"{FOLDER}/{index:06d}-{env_id.task}-{env_id.variant}.npz"
 
 
-def _is_name(value: object) -> bool:
-    return isinstance(value, str) and 0 < len(value) <= MAX_NAME
-
-
-def _is_sha256(value: object) -> bool:
-    return isinstance(value, str) and _SHA256.fullmatch(value) is not None
-
-
-def _is_score(value: object) -> bool:
-    return type(value) is float and 0.0 <= value <= 1.0
-
-
-_CHECKS: dict[str, Callable[[object], bool]] = {
-    "index": lambda value: type(value) is int and 0 <= value < 10**9,
-    "file": _is_name,
-    "sha256": _is_sha256,
-    "size": lambda value: type(value) is int and 0 < value <= MAX_FILE,
-    "env_id": _is_name,
-    "length": lambda value: type(value) is int and 0 < value <= MAX_STEPS,
-    "score": lambda value: value is None or _is_score(value),
-    "published_code_score": _is_score,
-    "demonstrator": _is_name,
-    "seed": lambda value: value is None or (type(value) is int and value >= 0),
-    "has_poses": lambda value: type(value) is bool,
-    "fingerprint": lambda value: isinstance(value, str) and bool(_FINGERPRINT.fullmatch(value)),
-    "source": lambda value: value is None or _is_name(value),
-    "source_sha256": lambda value: value is None or _is_sha256(value),
-}
+def _matching(pattern: str, value: object) -> str | None:
+    """The value where it is text that matches."""
+    return value if isinstance(value, str) and re.search(pattern, value) else None
 
 
 def new_text(entries: list[ManifestEntry]) -> str:
@@ -245,14 +220,16 @@ def _parse(line: bytes, previous: str | None) -> _ParsedLine:
     try:
         text = line.decode()
         content = json.loads(text)
-        check_plain(content)
         check = content.pop("check")
         if not isinstance(check, str):
             return _ParsedLine()
         intact = text.endswith("\n") and (previous is None or _line(content, previous)[0] == text)
         if content == HEADER:
             return _ParsedLine(None, check, intact)
-        return _ParsedLine(ManifestEntry(**content), check, intact)
+        # Names are not looked up: a task of another package may not be registered here.
+        content["env_id"] = split_env_id(content["env_id"])
+        entry = convert(content, ManifestEntry, "entry", DatasetError)
+        return _ParsedLine(entry, check, intact)
     except (AttributeError, LookupError, MagicalError, RecursionError, TypeError, ValueError):
         return _ParsedLine()
 

@@ -3,6 +3,7 @@
 import hashlib
 import itertools
 import os
+import re
 from pathlib import Path
 
 from magical.demos.store import manifest
@@ -105,9 +106,9 @@ def _recovered(
     known = listed.get(f"{manifest.FOLDER}/{file.name}")
     if known and known.sha256 == hashlib.sha256(raw).hexdigest():
         return known
-    trajectory, number = decode(raw), file.name.split("-")[0]
+    trajectory, number = decode(raw), re.match(r"\d{1,9}(?=-)", file.name)
     try:
-        entry = ManifestEntry.of(trajectory, raw, int(number) if number.isdecimal() else 0)
+        entry = ManifestEntry.of(trajectory, raw, int(number[0]) if number else 0)
     except ValueError as error:
         raise DatasetError(f"{file}: cannot be listed in a manifest: {error}") from error
     if folder / entry.file != file:
