@@ -89,14 +89,6 @@ def test_a_link_planted_under_the_temporary_name_is_not_followed(
     assert (tmp_path / "mine").read_text() == "mine"
 
 
-def test_temporary_names_are_random(tmp_path: Path) -> None:
-    names: set[str] = set()
-    for _ in range(10):
-        with write_atomically(tmp_path / "x.bin"):
-            names.update(path.name for path in tmp_path.glob(".*"))
-    assert len(names) == 10
-
-
 def test_a_file_under_a_second_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def unsupported(*_: object, **__: object) -> None:
         raise PermissionError("a file system without hard links")

@@ -23,23 +23,14 @@ from magical.tasks import get_task
 TASK = get_task("FindDupe")
 
 
-@pytest.mark.parametrize(
-    ("preset", "shape"),
-    [
-        ("LoRes4E", (96, 96, 12)),
-        ("LoRes4A", (96, 96, 12)),
-        ("LoRes3EA", (96, 96, 12)),
-        ("LoResCHW4E", (12, 96, 96)),
-    ],
-)
-def test_array_presets(preset: str, shape: tuple[int, ...]) -> None:
-    space = PRESETS[preset].space
-    assert isinstance(space, spaces.Box)
-    assert space.shape == shape
-    assert space.dtype == np.uint8
-
-
-def test_dict_specs() -> None:
+def test_spaces_of_the_presets() -> None:
+    array = {name: spec.space for name, spec in PRESETS.items() if not spec.separate}
+    assert {name: (box.shape, box.dtype) for name, box in array.items()} == {
+        "LoRes4E": ((96, 96, 12), np.uint8),
+        "LoRes4A": ((96, 96, 12), np.uint8),
+        "LoRes3EA": ((96, 96, 12), np.uint8),
+        "LoResCHW4E": ((12, 96, 96), np.uint8),
+    }
     for spec, shape in ((PRESETS["LoResStack"], (96, 96, 12)), (RAW, (384, 384, 3))):
         space = spec.space
         assert isinstance(space, spaces.Dict)

@@ -41,10 +41,13 @@ def test_shift(make: Callable[[int, int], Image], channels: int) -> None:
 
 @pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
 @pytest.mark.parametrize("view", list(View))
-def test_render_stacked(make: Callable[[int, int], Image], view: View, case: Case) -> None:
+@pytest.mark.parametrize("channels", [3, 6, 12])
+def test_render_stacked(
+    make: Callable[[int, int], Image], channels: int, view: View, case: Case
+) -> None:
     scene, poses = case
     renderer, newest = Renderer(scene, view, 32), render_frame(scene, poses, view, 32)
-    stack, other = make(32, 12), make(32, 12)
+    stack, other = make(32, channels), make(32, channels)
     stack[:] = np.random.default_rng(1).integers(256, size=stack.shape)
     before = stack.copy()
     expected = np.concatenate([before[:, :, 3:], newest], axis=2)
@@ -58,13 +61,9 @@ def test_render_stacked(make: Callable[[int, int], Image], view: View, case: Cas
 
 
 def test_only_the_window_is_written(case: Case) -> None:
-    whole = np.full((96, 96, 12), 77, np.uint8)
-    Renderer(case[0], View.EGO).render_stacked(case[1].bodies, whole[:, :, 3:9])
-    assert (whole[:, :, :3] == 77).all()
-    assert (whole[:, :, 9:] == 77).all()
-
-
-def test_a_stack_of_one_frame(case: Case) -> None:
-    out = np.zeros((96, 96, 3), np.uint8)
-    Renderer(case[0], View.ALLO).render_stacked(case[1].bodies, out)
-    np.testing.assert_array_equal(out, render_frame(*case, View.ALLO))
+    renderer = Renderer(case[0], View.EGO)
+    for render, end in ((renderer.render, 6), (renderer.render_stacked, 9)):
+        whole = np.full((96, 96, 12), 77, np.uint8)
+        render(case[1].bodies, whole[:, :, 3:end])
+        assert (whole[:, :, :3] == 77).all()
+        assert (whole[:, :, end:] == 77).all()

@@ -19,39 +19,20 @@ regions = st.builds(
 )
 
 
-def overlap(first: Solid, second: Solid) -> bool:
-    """Whether any two of the exact pieces overlap: the slow reference."""
-    pieces = [g.place(solid.silhouette.pieces, solid.pose) for solid in (first, second)]
-    return any(g.penetrates(a, b) for a in pieces[0] for b in pieces[1])
+solids = st.one_of(
+    st.builds(Solid.of_block, blocks),
+    st.builds(Solid.of_robot, poses),
+    st.builds(Solid.of_region, regions),
+)
 
 
-@settings(max_examples=300, deadline=None)
-@given(blocks, blocks)
-def test_blocks(first: Block, second: Block) -> None:
-    a, b = Solid.of_block(first), Solid.of_block(second)
-    assert a.overlaps(b) == b.overlaps(a) == overlap(a, b)
-
-
-@settings(max_examples=200, deadline=None)
-@given(poses, blocks)
-def test_robot_and_block(pose: Pose, block: Block) -> None:
-    robot, other = Solid.of_robot(pose), Solid.of_block(block)
-    assert robot.overlaps(other) == overlap(robot, other)
-
-
-@settings(max_examples=200, deadline=None)
-@given(poses, regions)
-def test_robot_and_region(pose: Pose, region: Region) -> None:
-    robot, other = Solid.of_robot(pose), Solid.of_region(region)
-    assert other.overlaps(robot) == overlap(robot, other)
-
-
-@settings(max_examples=200, deadline=None)
-@given(blocks, blocks)
-def test_depth_is_that_of_the_deepest_pieces(first: Block, second: Block) -> None:
-    a, b = (g.place(g.block_pieces(each.shape), each.pose) for each in (first, second))
-    exact = max(0.0, *(g.depth(p, q) for p in a for q in b))
-    assert Solid.of_block(first).depth(Solid.of_block(second)) == pytest.approx(exact, abs=1e-12)
+@settings(max_examples=800, deadline=None)
+@given(solids, solids)
+def test_overlap_and_depth_are_those_of_the_exact_pieces(first: Solid, second: Solid) -> None:
+    a, b = (g.place(each.silhouette.pieces, each.pose) for each in (first, second))
+    exact = max(g.depth(p, q) for p in a for q in b)
+    assert first.overlaps(second) == second.overlaps(first) == (exact > 0.0)
+    assert first.depth(second) == pytest.approx(max(0.0, exact), abs=1e-12)
 
 
 @settings(max_examples=200, deadline=None)
