@@ -13,30 +13,26 @@ from magical.demos import Dataset, DatasetWriter, Trajectory
 Run = Callable[..., tuple[int, dict[str, Any]]]
 
 
-def test_info_counts_and_lists_problems(small_dataset: Path, run: Run) -> None:
-    status, result = run("info", small_dataset)
-    assert (status, result["count"], result["problems"]) == (0, 3, [])
-    corner = result["environments"][1]
-    assert (corner["env_id"], corner["with_poses"]) == ("magical/MoveToCorner-Demo-v0", 1)
-    assert (corner["lengths"], sum(corner["actions"])) == ([12, 12.0, 12], 12)
-    entry = Dataset.open(small_dataset).entries[0]
-    (small_dataset / entry.file).unlink()
-    status, result = run("info", small_dataset)
-    assert (status, result["count"]) == (1, 2)
-    assert entry.file in result["problems"][0]["file"]
-    status, result = run("info", small_dataset, "--repair")
-    assert (status, result["count"], result["problems"]) == (0, 2, [])
-
-
-def test_info_counts_the_trajectories_with_labels(
-    tmp_path: Path, make_trajectory: Callable[..., Trajectory], run: Run
+def test_info_counts_and_lists_problems(
+    small_dataset: Path, make_trajectory: Callable[..., Trajectory], run: Run
 ) -> None:
-    writer = DatasetWriter(tmp_path)
-    for labels in (None, [1] * 12):
-        writer.append(make_trajectory(expert_actions=labels))
-    status, result = run("info", tmp_path)
-    assert (status, result["environments"][0]["with_expert_actions"]) == (0, 1)
-    assert result["environments"][0]["count"] == 2
+    first, second, _ = Dataset.open(small_dataset).entries
+    writer = DatasetWriter(small_dataset)
+    labelled = writer.append(make_trajectory(seed=4, expert_actions=[1] * 12))
+    copy = writer.append(Dataset.open(small_dataset)[1])
+    status, result = run("info", small_dataset)
+    assert (status, result["count"], result["problems"]) == (0, 5, [])
+    assert result["duplicates"] == [[copy.file, second.file]]
+    corner = result["environments"][1]
+    assert (corner["env_id"], corner["count"], corner["with_poses"]) == (labelled.env_id, 2, 2)
+    assert (corner["with_expert_actions"], sum(corner["actions"])) == (1, 24)
+    assert corner["lengths"] == [12, 12.0, 12]
+    (small_dataset / first.file).unlink()
+    status, result = run("info", small_dataset)
+    assert (status, result["count"]) == (1, 4)
+    assert first.file in result["problems"][0]["file"]
+    status, result = run("info", small_dataset, "--repair")
+    assert (status, result["count"], result["problems"]) == (0, 4, [])
 
 
 def test_replay_of_recordings_is_exact(small_dataset: Path, run: Run) -> None:

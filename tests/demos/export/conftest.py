@@ -6,9 +6,10 @@ from typing import Any
 
 import pytest
 
-from magical.demos import DatasetWriter, Trajectory
+from magical.demos import Dataset, DatasetWriter, Trajectory
 
 MakeTrajectory = Callable[..., Trajectory]
+MISSING = "an optional extra that the pinned development environment has"
 
 
 @pytest.fixture
@@ -23,6 +24,15 @@ def mixed(
     writer.append(make_trajectory("magical/MatchRegions-TestAll-v0", steps=5, seed=3))
     writer.append(make_frames_trajectory(steps=4))
     return path
+
+
+@pytest.fixture
+def labelled(tmp_path: Path, make_trajectory: MakeTrajectory) -> Dataset:
+    """A trajectory without labels, and one with some."""
+    writer = DatasetWriter(tmp_path / "labelled")
+    for labels in (None, [17, 0, 4]):
+        writer.append(make_trajectory(steps=3, expert_actions=labels))
+    return Dataset.open(tmp_path / "labelled")
 
 
 @pytest.fixture

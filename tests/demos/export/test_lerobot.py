@@ -1,7 +1,6 @@
 """Exports to LeRobot, read again by PyArrow and PyAV."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,18 +8,16 @@ import numpy as np
 import pytest
 
 from magical.cli import main
-from magical.demos import Dataset, DatasetWriter, Trajectory, observations
+from magical.demos import Dataset, observations
 from magical.errors import DatasetError
+from tests.demos.export.conftest import MISSING
 
-MakeTrajectory = Callable[..., Trajectory]
-MISSING = "an optional extra that the pinned development environment has"
+av = pytest.importorskip("av", reason=MISSING)
+pq = pytest.importorskip("pyarrow.parquet", reason=MISSING)
+from magical.demos.export.lerobot import export_lerobot  # noqa: E402
 
 
 def test_lerobot_export_is_readable(mixed: Path, tmp_path: Path, decoded: Any) -> None:
-    av = pytest.importorskip("av", reason=MISSING)
-    pq = pytest.importorskip("pyarrow.parquet", reason=MISSING)
-    from magical.demos.export.lerobot import export_lerobot
-
     root, dataset = tmp_path / "lerobot", Dataset.open(mixed).filter(demonstrator="random")
     assert export_lerobot(dataset, root, frames_per_file=10) == 17
     info = json.loads((root / "meta" / "info.json").read_text())
@@ -59,21 +56,12 @@ def test_lerobot_export_is_readable(mixed: Path, tmp_path: Path, decoded: Any) -
     assert {row["data/file_index"] for row in episodes} == {0, 1}
 
 
-def test_lerobot_actions_are_those_to_imitate(
-    tmp_path: Path, make_trajectory: MakeTrajectory
-) -> None:
-    pytest.importorskip("av", reason=MISSING)
-    pq = pytest.importorskip("pyarrow.parquet", reason=MISSING)
-    from magical.demos.export.lerobot import export_lerobot
-
-    writer = DatasetWriter(tmp_path / "d")
-    for labels in (None, [17, 0, 4]):
-        writer.append(make_trajectory(steps=3, expert_actions=labels))
-    plain, labelled = Dataset.open(tmp_path / "d")
-    export_lerobot(Dataset.open(tmp_path / "d"), tmp_path / "out")
+def test_lerobot_actions_are_those_to_imitate(labelled: Dataset, tmp_path: Path) -> None:
+    export_lerobot(labelled, tmp_path / "out")
+    first, second = (trajectory.actions.tolist() for trajectory in labelled)
     table = pq.read_table(tmp_path / "out" / "data").to_pydict()
-    assert table["action"] == [*plain.actions.tolist(), 17, 0, 4]
-    assert table["executed_action"] == [*plain.actions.tolist(), *labelled.actions.tolist()]
+    assert table["action"] == [*first, 17, 0, 4]
+    assert table["executed_action"] == [*first, *second]
     features = json.loads((tmp_path / "out" / "meta" / "info.json").read_text())["features"]
     assert features["executed_action"] == features["action"] | {"names": None}
     stats = json.loads((tmp_path / "out" / "meta" / "stats.json").read_text())
@@ -81,10 +69,6 @@ def test_lerobot_actions_are_those_to_imitate(
 
 
 def test_lerobot_statistics(mixed: Path, tmp_path: Path) -> None:
-    pytest.importorskip("av", reason=MISSING)
-    pytest.importorskip("pyarrow", reason=MISSING)
-    from magical.demos.export.lerobot import export_lerobot
-
     dataset = Dataset.open(mixed)
     export_lerobot(dataset, tmp_path / "lerobot")
     stats = json.loads((tmp_path / "lerobot" / "meta" / "stats.json").read_text())
@@ -105,8 +89,6 @@ def test_lerobot_statistics(mixed: Path, tmp_path: Path) -> None:
 
 
 def test_failed_lerobot_export_leaves_no_files(mixed: Path, tmp_path: Path) -> None:
-    pytest.importorskip("av", reason=MISSING)
-    pytest.importorskip("pyarrow", reason=MISSING)
     broken = mixed / Dataset.open(mixed).entries[1].file
     broken.write_bytes(b"")
     before = sorted(tmp_path.iterdir())

@@ -1,27 +1,24 @@
 """Exports to Minari, read again by it."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from magical.demos import Dataset, DatasetWriter, RecordTrajectories, Trajectory, observations
+from magical.demos import Dataset, RecordTrajectories, observations
 from magical.envs.env import MagicalEnv
-from magical.errors import DatasetError, TrajectoryError
+from magical.errors import DatasetError
 from magical.observe import PRESETS
+from tests.demos.export.conftest import MISSING
 
-MakeTrajectory = Callable[..., Trajectory]
-MISSING = "an optional extra that the pinned development environment has"
+minari = pytest.importorskip("minari", reason=MISSING)
+from magical.demos.export.minari import export_minari  # noqa: E402
 
 
 @pytest.mark.parametrize("preset", ["LoRes4E", "LoResStack", "LoResCHW4E"])
 def test_minari_export_is_lossless(
     mixed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, preset: str
 ) -> None:
-    minari = pytest.importorskip("minari", reason=MISSING)
-    from magical.demos.export.minari import export_minari
-
     dataset, root = Dataset.open(mixed), tmp_path / "minari"
     names = export_minari(dataset, name="mine", preset=preset, root=root)
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(root))
@@ -52,27 +49,17 @@ def test_minari_export_is_lossless(
 
 
 def test_labels_are_infos_beside_the_executed_actions(
-    tmp_path: Path, make_trajectory: MakeTrajectory, monkeypatch: pytest.MonkeyPatch
+    labelled: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    minari = pytest.importorskip("minari", reason=MISSING)
-    from magical.demos.export.minari import export_minari
-
-    writer = DatasetWriter(tmp_path / "d")
-    made = [make_trajectory(steps=3, expert_actions=labels) for labels in (None, [17, 0, 4])]
-    for trajectory in made:
-        writer.append(trajectory)
-    (name,) = export_minari(Dataset.open(tmp_path / "d"), root=tmp_path / "minari")
+    (name,) = export_minari(labelled, root=tmp_path / "minari")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
-    plain, labelled = minari.load_dataset(name)
-    assert "expert_action" not in plain.infos
-    assert labelled.infos["expert_action"].tolist() == [17, 0, 4, -1]
-    assert labelled.actions.tolist() == made[1].actions.tolist()
+    first, second = minari.load_dataset(name)
+    assert "expert_action" not in first.infos
+    assert second.infos["expert_action"].tolist() == [17, 0, 4, -1]
+    assert second.actions.tolist() == labelled[1].actions.tolist()
 
 
 def test_refused_minari_export_leaves_no_files(mixed: Path, tmp_path: Path) -> None:
-    pytest.importorskip("minari", reason=MISSING)
-    from magical.demos.export.minari import export_minari
-
     root = tmp_path / "minari"
     part = Dataset.open(mixed).filter(task="MoveToCorner")
     export_minari(part, root=root)
@@ -91,17 +78,9 @@ def test_refused_minari_export_leaves_no_files(mixed: Path, tmp_path: Path) -> N
     assert sorted(root.rglob("*")) == before
 
 
-def test_recorded_frames_lack_the_raw_observation(mixed: Path) -> None:
-    with pytest.raises(TrajectoryError):
-        Dataset.open(mixed).arrays(preset="raw")
-
-
 def test_the_environment_has_the_horizon_of_the_episodes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    minari = pytest.importorskip("minari", reason=MISSING)
-    from magical.demos.export.minari import export_minari
-
     env = RecordTrajectories(
         MagicalEnv("MoveToRegion", "Demo", observation="state", horizon=3),
         tmp_path / "d",

@@ -11,9 +11,10 @@ from PIL import Image
 
 from magical.cli import main
 from magical.demos import Trajectory
+from magical.demos.export.video import BANNER, LAST_FRAME_REPEATS, video_frames
+from tests.demos.export.conftest import MISSING
 
 MakeTrajectory = Callable[..., Trajectory]
-MISSING = "an optional extra that the pinned development environment has"
 
 
 def test_video_as_webp(mixed: Path, tmp_path: Path) -> None:
@@ -32,8 +33,6 @@ def test_video_as_webp(mixed: Path, tmp_path: Path) -> None:
 def test_video_as_mp4(mixed: Path, tmp_path: Path, decoded: Any) -> None:
     av = pytest.importorskip("av", reason=MISSING)
     pytest.importorskip("imageio_ffmpeg", reason=MISSING)
-    from magical.demos.export.video import LAST_FRAME_REPEATS
-
     out = tmp_path / "video.mp4"
     assert main(["demos", "video", str(mixed), "--out", str(out)]) == 0
     video = decoded(av, out)
@@ -43,8 +42,6 @@ def test_video_as_mp4(mixed: Path, tmp_path: Path, decoded: Any) -> None:
 
 
 def test_video_has_both_views_and_the_score(make_frames_trajectory: MakeTrajectory) -> None:
-    from magical.demos.export.video import BANNER, video_frames
-
     recorded = make_frames_trajectory()
     first, *_, last = video_frames(recorded)
     assert recorded.frames is not None

@@ -1,13 +1,13 @@
 """Downloading the published archive, from a local server."""
 
-import functools
 import hashlib
 import http.server
 import io
 import re
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
 from email.message import Message
 from pathlib import Path
 from typing import Any
@@ -23,142 +23,6 @@ from magical.demos.human.published import published_sums
 from magical.errors import DownloadError
 
 Run = Callable[..., tuple[int, dict[str, Any]]]
-
-
-class Handler(http.server.SimpleHTTPRequestHandler):
-    """Serves a folder; supports ranges, and can cut responses off."""
-
-    cut_after: int = 0  # bytes after which the next response ends
-    ranges = True
-    requested: list[tuple[str, str | None]]
-
-    def do_GET(self) -> None:
-        requested = self.headers.get("Range")
-        self.requested.append((self.path, requested))
-        path = Path(self.translate_path(self.path))
-        if not path.is_file():
-            self.send_error(404)
-            return
-        data = path.read_bytes()
-        start = (
-            int(requested.removeprefix("bytes=").rstrip("-")) if requested and self.ranges else 0
-        )
-        if start >= len(data):
-            self.send_error(416)
-            return
-        self.send_response(206 if start else 200)
-        self.send_header("Content-Length", str(len(data) - start))
-        self.end_headers()
-        end = len(data)
-        if type(self).cut_after:
-            end, type(self).cut_after = start + type(self).cut_after, 0
-        self.wfile.write(data[start:end])
-
-    def log_message(self, *args: Any) -> None:
-        pass
-
-
-@contextmanager
-def running(handler: Callable[..., http.server.BaseHTTPRequestHandler]) -> Iterator[str]:
-    """A local server; yields its address."""
-    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
-    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-    thread.start()
-    yield f"http://127.0.0.1:{server.server_port}"
-    server.shutdown()
-    thread.join()
-    server.server_close()
-
-
-@pytest.fixture
-def served(human_archive: Path) -> Iterator[tuple[str, type[Handler]]]:
-    """The archive on a local server: its address and its handler's class."""
-
-    class Mine(Handler):
-        requested: list[tuple[str, str | None]] = []  # noqa: RUF012
-
-    with running(functools.partial(Mine, directory=str(human_archive))) as url:
-        yield url, Mine
-
-
-FIRST = "move-to-region/demo-MoveToRegion-Demo-v0-00[0-4].pkl.gz"
-ONE = "move-to-region/demo-MoveToRegion-Demo-v0-001.pkl.gz"
-
-
-def test_download_verifies_imports_and_cleans_up(
-    tmp_path: Path, served: tuple[str, type[Handler]], run: Run
-) -> None:
-    url, handler = served
-    where = ("--out", tmp_path / "d", "--base-url", url, "--files", FIRST)
-    command = ("download", *where, "--frames-only")
-    status, result = run(*command)
-    assert (status, len(result["imported"]), result["not_fetched"]) == (0, 5, [])
-    assert len(Dataset.open(tmp_path / "d")) == 5
-    assert sorted(p.name for p in (tmp_path / "d").iterdir()) == [
-        ".lock",
-        "manifest.jsonl",
-        "trajectories",
-    ]
-    requested = len(handler.requested)
-    status, result = run(*command)
-    assert (status, result["imported"], len(handler.requested)) == (0, [], requested)
-
-
-def test_file_missing_on_the_server_is_named(
-    tmp_path: Path,
-    served: tuple[str, type[Handler]],
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    command = ["demos", "download", "--out", str(tmp_path / "d"), "--base-url", served[0]]
-    status = main([*command, "--files", "move-to-region/*00[4-6]*", "--frames-only"])
-    assert status == 1
-    shown = capsys.readouterr()
-    assert "Demo-v0-005.pkl.gz: could not be fetched: the server answered 404" in shown.err
-    assert "imported 1 demonstrations" in shown.out
-    assert main([*command, "--files", "nothing/*"]) == 1
-
-
-@pytest.mark.parametrize("ranges", [True, False])
-def test_interrupted_download_is_resumed(
-    tmp_path: Path, human_archive: Path, served: tuple[str, type[Handler]], ranges: bool
-) -> None:
-    url, handler = served
-    handler.cut_after, handler.ranges = 100_000, ranges
-    assert fetch_all({ONE: published_sums()[ONE]}, tmp_path, url).errors == []
-    assert (tmp_path / ONE).read_bytes() == (human_archive / ONE).read_bytes()
-    assert [requested for _, requested in handler.requested] == [None, "bytes=100000-"]
-
-
-def test_partial_file_of_an_earlier_run_is_resumed(
-    tmp_path: Path, human_archive: Path, served: tuple[str, type[Handler]]
-) -> None:
-    url, handler = served
-    part = tmp_path / f"{ONE}.part"
-    part.parent.mkdir(parents=True)
-    part.write_bytes((human_archive / ONE).read_bytes()[:5000])
-    assert fetch_all({ONE: published_sums()[ONE]}, tmp_path, url).errors == []
-    assert [requested for _, requested in handler.requested] == ["bytes=5000-"]
-    part.write_bytes(b"x" * 10_000_000)  # longer than the file, and wrong
-    (tmp_path / ONE).write_bytes(b"damaged")
-    assert fetch_all({ONE: published_sums()[ONE]}, tmp_path, url).errors == []
-    assert not part.exists()
-
-
-def test_file_with_another_sum_is_not_kept(
-    tmp_path: Path, served: tuple[str, type[Handler]]
-) -> None:
-    (error,) = fetch_all({ONE: hashlib.sha256(b"other").hexdigest()}, tmp_path, served[0]).errors
-    assert "expected SHA-256" in str(error)
-    assert "MoveToRegion-Demo-v0-001" in str(error)
-    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
-
-
-def test_no_server_and_another_scheme(tmp_path: Path) -> None:
-    sums = {ONE: published_sums()[ONE]}
-    with pytest.raises(DownloadError, match="no answer"):
-        fetch_all(sums, tmp_path, "http://127.0.0.1:9")
-    with pytest.raises(DownloadError, match="expected http"):
-        fetch_all(sums, tmp_path, f"file://{tmp_path}")
 
 
 Reply = Callable[[http.server.BaseHTTPRequestHandler], None]
@@ -178,9 +42,114 @@ def serve() -> Iterator[Callable[[Reply], str]]:
                 def log_message(self, *args: Any) -> None:
                     pass
 
-            return servers.enter_context(running(Mine))
+            server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Mine)
+            thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+            thread.start()
+            for stop in (server.server_close, thread.join, server.shutdown):  # the last first
+                servers.callback(stop)
+            return f"http://127.0.0.1:{server.server_port}"
 
         yield start
+
+
+@dataclass
+class Archive:
+    """The archive on a local server, which supports ranges and can cut a response off."""
+
+    folder: Path
+    url: str = ""
+    ranges: bool = True
+    cut_after: int | None = None  # bytes after which the next response ends
+    requested: list[str | None] = field(default_factory=list)  # ranges
+
+    def __call__(self, handler: http.server.BaseHTTPRequestHandler) -> None:
+        wanted, file = handler.headers.get("Range"), self.folder / handler.path[1:]
+        self.requested.append(wanted)
+        if not file.is_file():
+            handler.send_error(404)
+            return
+        rest = file.read_bytes()
+        if wanted and self.ranges:
+            rest = rest[int(wanted.removeprefix("bytes=").rstrip("-")) :]
+        if not rest:
+            handler.send_error(416)
+            return
+        handler.send_response(206 if len(rest) < file.stat().st_size else 200)
+        handler.send_header("Content-Length", str(len(rest)))
+        handler.end_headers()
+        handler.wfile.write(rest[: self.cut_after])
+        self.cut_after = None
+
+
+@pytest.fixture
+def served(human_archive: Path, serve: Callable[[Reply], str]) -> Archive:
+    archive = Archive(human_archive)
+    archive.url = serve(archive)
+    return archive
+
+
+FIRST = "move-to-region/demo-MoveToRegion-Demo-v0-00[0-4].pkl.gz"
+ONE = "move-to-region/demo-MoveToRegion-Demo-v0-001.pkl.gz"
+
+
+def test_download_verifies_imports_and_cleans_up(tmp_path: Path, served: Archive, run: Run) -> None:
+    where = ("--out", tmp_path / "d", "--base-url", served.url, "--files", FIRST)
+    command = ("download", *where, "--frames-only")
+    status, result = run(*command)
+    assert (status, len(result["imported"]), result["not_fetched"]) == (0, 5, [])
+    assert len(Dataset.open(tmp_path / "d")) == 5
+    assert sorted(p.name for p in (tmp_path / "d").iterdir()) == [
+        ".lock",
+        "manifest.jsonl",
+        "trajectories",
+    ]
+    requested = len(served.requested)
+    status, result = run(*command)
+    assert (status, result["imported"], len(served.requested)) == (0, [], requested)
+
+
+def test_file_missing_on_the_server_is_named(
+    tmp_path: Path, served: Archive, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["demos", "download", "--out", str(tmp_path / "d"), "--base-url", served.url]
+    status = main([*command, "--files", "move-to-region/*00[4-6]*", "--frames-only"])
+    assert status == 1
+    shown = capsys.readouterr()
+    assert "Demo-v0-005.pkl.gz: could not be fetched: the server answered 404" in shown.err
+    assert "imported 1 demonstrations" in shown.out
+    assert main([*command, "--files", "nothing/*"]) == 1
+
+
+@pytest.mark.parametrize("ranges", [True, False])
+def test_interrupted_download_is_resumed(
+    tmp_path: Path, human_archive: Path, served: Archive, ranges: bool
+) -> None:
+    served.cut_after, served.ranges = 100_000, ranges
+    assert fetch_all({ONE: published_sums()[ONE]}, tmp_path, served.url).errors == []
+    assert (tmp_path / ONE).read_bytes() == (human_archive / ONE).read_bytes()
+    assert served.requested == [None, "bytes=100000-"]
+
+
+def test_partial_file_of_an_earlier_run_is_resumed(
+    tmp_path: Path, human_archive: Path, served: Archive
+) -> None:
+    part = tmp_path / f"{ONE}.part"
+    part.parent.mkdir(parents=True)
+    part.write_bytes((human_archive / ONE).read_bytes()[:5000])
+    assert fetch_all({ONE: published_sums()[ONE]}, tmp_path, served.url).errors == []
+    assert served.requested == ["bytes=5000-"]
+    part.write_bytes(b"x" * 10_000_000)  # longer than the file, and wrong
+    (tmp_path / ONE).write_bytes(b"damaged")
+    assert fetch_all({ONE: published_sums()[ONE]}, tmp_path, served.url).errors == []
+    assert not part.exists()
+
+
+def test_no_server_and_another_scheme(tmp_path: Path) -> None:
+    sums = {ONE: published_sums()[ONE]}
+    with pytest.raises(DownloadError, match="no answer"):
+        fetch_all(sums, tmp_path, "http://127.0.0.1:9")
+    with pytest.raises(DownloadError, match="expected http"):
+        fetch_all(sums, tmp_path, f"file://{tmp_path}")
 
 
 def response(body: bytes, status: int = 200, reason: str | None = None, **headers: str) -> Reply:

@@ -12,10 +12,9 @@ import numpy as np
 import pytest
 
 from magical.cli import main
-from magical.demos import Dataset, DatasetWriter, Trajectory
+from magical.demos import Dataset, Trajectory
 from magical.demos.human.importing import Keep, find_published, import_published
 from magical.demos.human.published import published_sums, read_demonstration
-from magical.demos.store.summary import find_duplicates
 from magical.errors import DatasetError
 
 MakeTrajectory = Callable[..., Trajectory]
@@ -162,16 +161,6 @@ def test_source_without_published_files(tmp_path: Path) -> None:
         with pytest.raises(DatasetError, match="expected files"):
             find_published(source)
     assert main(["demos", "import", str(tmp_path), "--out", str(tmp_path / "out")]) == 1
-
-
-def test_duplicate_recordings(small_dataset: Path) -> None:
-    assert find_duplicates(Dataset.open(small_dataset).entries) == []
-    DatasetWriter(small_dataset).append(Dataset.open(small_dataset)[1])
-    (pair,) = find_duplicates(Dataset.open(small_dataset).entries)
-    assert pair == (
-        "trajectories/000003-FindDupe-TestAll.npz",
-        "trajectories/000001-FindDupe-TestAll.npz",
-    )
 
 
 def test_hand_made_file_is_read_as_the_published_ones(tmp_path: Path, published: Any) -> None:

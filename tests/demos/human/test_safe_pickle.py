@@ -266,12 +266,7 @@ def test_nested_and_shared_values_are_refused_at_once(here: Path, published: Any
     good.write(here / "in" / "good.pkl.gz")
     command = ["demos", "import", "in", "--out", "out", "--workers", "1"]
     done = subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            "import sys; from magical.cli import main; sys.exit(main())",
-            *command,
-        ],
+        [sys.executable, "-m", "magical", *command],
         capture_output=True,
         text=True,
         timeout=100,

@@ -86,17 +86,21 @@ def overwrite(raw: bytes, rng: np.random.Generator) -> bytes:
     return raw[:place] + new + raw[place + len(new) :]
 
 
+def place_below(data: Any, place: Any, rng: np.random.Generator, deeper: float) -> tuple[Any, Any]:
+    """A random place in nested data: its list or dict, and its index or key there."""
+    while isinstance(data[place], dict | list) and data[place] and rng.random() < deeper:
+        data = data[place]
+        keys = sorted(data) if isinstance(data, dict) else range(len(data))
+        place = keys[int(rng.integers(len(keys)))]
+    return data, place
+
+
 def change_json(text: bytes, rng: np.random.Generator) -> bytes:
     """Replace, remove or nest a random value; sometimes nest so deeply that parsers give up."""
     if rng.random() < 0.05:
         return b'{"env_id":' + b"[" * int(rng.choice([40, 900, 100_000]))
     data = json.loads(text)
-    parent: Any = data
-    place: Any = str(rng.choice(sorted(data)))
-    while isinstance(parent[place], dict | list) and parent[place] and rng.random() < 0.7:
-        parent = parent[place]
-        keys = sorted(parent) if isinstance(parent, dict) else range(len(parent))
-        place = keys[int(rng.integers(len(keys)))]
+    parent, place = place_below(data, str(rng.choice(sorted(data))), rng, 0.7)
     action = rng.random()
     if action < 0.15:
         del parent[place]
@@ -113,16 +117,10 @@ def change_json(text: bytes, rng: np.random.Generator) -> bytes:
 def change_scene(header: bytes, rng: np.random.Generator) -> bytes:
     """Replace a number or name of the scene or the dynamics, or multiply blocks or regions."""
     data = json.loads(header)
-    parent: Any = data
-    place: Any = "scene" if rng.random() < 0.8 else "dynamics"
-    while isinstance(parent[place], dict | list) and parent[place]:
-        parent = parent[place]
-        keys = sorted(parent) if isinstance(parent, dict) else range(len(parent))
-        place = keys[int(rng.integers(len(keys)))]
-        if place in ("blocks", "regions") and rng.random() < 0.2:
-            parent[place] = parent[place] * int(rng.choice([0, 2, 30, 3000]))
-            break
+    if rng.random() < 0.1:
+        data["scene"][rng.choice(["blocks", "regions"])] *= int(rng.choice([0, 2, 30, 3000]))
     else:
+        parent, place = place_below(data, "scene" if rng.random() < 0.8 else "dynamics", rng, 1.0)
         parent[place] = EXTREMES[int(rng.integers(len(EXTREMES)))]
     return json.dumps(data).encode()
 

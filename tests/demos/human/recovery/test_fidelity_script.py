@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from magical.demos import DatasetWriter, Trajectory
@@ -25,13 +26,12 @@ def run(root: Path, dataset: Path) -> tuple[int, str]:
 def test_a_recording_of_the_simulation_is_predicted(
     root: Path, tmp_path: Path, make_trajectory: MakeTrajectory
 ) -> None:
-    made = make_trajectory(steps=12)
+    writer, made = DatasetWriter(tmp_path / "data"), make_trajectory(steps=12)
+    writer.append(made)
+    status, output = run(root, tmp_path / "data")
+    assert (status, "no trajectories with recovered poses" in output) == (1, True)
     metadata = {"source": "a", "recorded_score": 0.5, "recovery": RECOVERY}
-    assert made.poses is not None
-    trajectory = Trajectory.from_poses(
-        str(made.env_id), made.scene, made.actions, made.poses, metadata=metadata
-    )
-    DatasetWriter(tmp_path / "data").append(trajectory)
+    writer.append(replace(made, metadata=metadata))
     status, output = run(root, tmp_path / "data")
     assert status == 0, output
     cells = [line.strip("| ").split(" | ") for line in output.splitlines()]
@@ -41,12 +41,3 @@ def test_a_recording_of_the_simulation_is_predicted(
     (driving,) = (row for row in cells if row[:2] == ["driving", "8"] and "position" in row[3])
     assert driving[2] == "5"
     assert float(driving[4]) < 1.0
-
-
-def test_a_dataset_without_recovered_poses_is_named(
-    root: Path, tmp_path: Path, make_trajectory: MakeTrajectory
-) -> None:
-    DatasetWriter(tmp_path / "data").append(make_trajectory())
-    status, output = run(root, tmp_path / "data")
-    assert status == 1
-    assert "no trajectories with recovered poses" in output
