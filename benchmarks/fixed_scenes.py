@@ -30,8 +30,8 @@ from magical.evaluation import (
     read_scores,
     write_scores,
 )
-from magical.evaluation.variants import short_variant
 from magical.tasks import TASKS
+from magical.tasks.axes import short_variant
 
 Z = 1.96  # half the width of a 95% interval, in standard errors
 

@@ -14,13 +14,13 @@ from operator import attrgetter
 from pathlib import Path
 
 from magical.evaluation import published_tasks
-from magical.evaluation.variants import SHORT_VARIANTS
 from magical.grouping import group_by
 from magical.report.found.search import Found, search_results
 from magical.report.found.statements import Statements
 from magical.report.leaderboard.checks import Rejected, by_reasons, check_entries
 from magical.report.leaderboard.ranking import make_boards
 from magical.report.scores.tables import signed
+from magical.tasks.axes import SHORT_VARIANTS
 from studies.plan_results import NOT_RUN, PlanResults
 from studies.published_tables.cells import (
     LIMITS,

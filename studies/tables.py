@@ -4,9 +4,9 @@ from collections.abc import Iterator, Sequence
 from operator import attrgetter
 
 from magical.evaluation.intervals import Interval
-from magical.evaluation.variants import SHORT_VARIANTS, short_variant
 from magical.grouping import group_by
 from magical.report.scores.tables import signed
+from magical.tasks.axes import SHORT_VARIANTS, short_variant
 from studies.plan_results import NOT_RUN
 from studies.published_tables.cells import LIMITS, ComparedCell, distance_text
 from studies.published_tables.claims import Finding, order

@@ -19,10 +19,10 @@ from magical.envs import EnvId
 from magical.evaluation import RolloutScore
 from magical.evaluation.intervals import Floats
 from magical.evaluation.statistics import difference, run_means
-from magical.evaluation.variants import SHORT_VARIANTS, short_variant
 from magical.experiments.results import listed_runs
 from magical.grouping import group_by
 from magical.report.found.search import RUNS, search_results
+from magical.tasks.axes import SHORT_VARIANTS, short_variant
 
 Runs = Sequence[Sequence[RolloutScore]]
 

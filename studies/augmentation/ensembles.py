@@ -12,9 +12,9 @@ from pathlib import Path
 
 from magical.evaluation import RolloutScore, evaluate, read_scores, write_scores
 from magical.evaluation.statistics import run_means
-from magical.evaluation.variants import short_variant
 from magical.experiments.results import RUNS, listed_runs
 from magical.learning import EnsemblePolicy
+from magical.tasks.axes import short_variant
 
 
 def ensemble_scores(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from magical.evaluation.intervals import Floats
 from magical.evaluation.published import RUNS, pooled_std, published_table
 from magical.evaluation.statistics import Spread
-from magical.evaluation.variants import short_variant
+from magical.tasks.axes import short_variant
 from studies.published_tables.rows import MethodRuns
 
 LIMITS = (1, 2)  # pooled standard deviations

@@ -9,7 +9,7 @@ from magical.envs import EnvId
 from magical.evaluation.intervals import Interval
 from magical.evaluation.published import published_contrast, published_table
 from magical.evaluation.statistics import ROUNDING, contrast, mean
-from magical.evaluation.variants import short_variant
+from magical.tasks.axes import short_variant
 from studies.published_tables.rows import MethodRuns
 
 DEMO, TESTS = "Demo", "test variants"

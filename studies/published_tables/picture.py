@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from magical.evaluation.variants import SHORT_VARIANTS
 from magical.files import write_atomically
 from magical.report.figures.plots import new_figure, plotting
+from magical.tasks.axes import SHORT_VARIANTS
 from studies.published_tables.cells import LIMITS, ComparedCell, distance_text
 
 DIGEST = "Cells"  # in the file's metadata: what the picture was made from

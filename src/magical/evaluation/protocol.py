@@ -7,7 +7,7 @@ from typing import Any, Self
 
 from magical.envs import EnvId, parse_env_id
 from magical.envs.episode import checked_nudge
-from magical.evaluation.variants import variants_of
+from magical.errors import UnknownNameError
 from magical.grouping import group_by
 from magical.observe import Observation
 from magical.tasks import (
@@ -18,6 +18,7 @@ from magical.tasks import (
     parse_horizon,
     require_two_horizons,
 )
+from magical.tasks.axes import full_variant, short_variant
 
 ROLLOUTS = 100  # on each variant (appendix C)
 SEED = 0  # the set of fixed seeds that results are reported for
@@ -90,10 +91,15 @@ def environments(
 
     Raises `UnknownNameError` for unknown names, and for a task with none of the variants.
     """
-    chosen = list(TASKS) if tasks is None else list(dict.fromkeys(tasks))
-    wanted = None if variants is None else list(variants)
-    return [
-        EnvId(task.name, variant)
-        for task in map(get_task, chosen)
-        for variant in variants_of(task, wanted)
-    ]
+    wanted = None if variants is None else set(map(full_variant, variants))
+    env_ids: list[EnvId] = []
+    for task in map(get_task, TASKS if tasks is None else dict.fromkeys(tasks)):
+        found = [name for name in task.variants if wanted is None or name in wanted]
+        if not found:
+            known = ", ".join(map(short_variant, task.variants))
+            raise UnknownNameError(
+                f"{task.name} has none of the variants {', '.join(sorted(wanted or ()))}; it has: "
+                f"{known}"
+            )
+        env_ids += [EnvId(task.name, variant) for variant in found]
+    return env_ids

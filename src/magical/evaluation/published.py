@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from magical.errors import UnknownNameError
 from magical.evaluation.intervals import CONFIDENCE, Interval, welch_interval
 from magical.evaluation.statistics import Spread
-from magical.evaluation.variants import full_variant, short_variant
+from magical.tasks.axes import full_variant, short_variant
 
 RUNS = 5
 RESOLUTION = 0.005  # the most by which rounding changes a published number

@@ -13,8 +13,8 @@ import numpy as np
 from magical.envs import EnvId, parse_env_id
 from magical.envs.seeds import evaluation_seed
 from magical.errors import ScoresError
-from magical.evaluation.variants import short_variant
 from magical.files import write_atomically
+from magical.tasks.axes import short_variant
 
 
 class RolloutScore(NamedTuple):

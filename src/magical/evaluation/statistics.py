@@ -31,8 +31,8 @@ from magical.evaluation.intervals import (
     wilson_interval,
 )
 from magical.evaluation.scores import RolloutScore
-from magical.evaluation.variants import full_variant
 from magical.grouping import group_by
+from magical.tasks.axes import full_variant
 
 ROUNDING = 1e-12  # means that differ by less are equal
 
@@ -92,14 +92,14 @@ def over_rollouts(
     return weighted_sum(cells, factors)
 
 
-def over_runs(scores: ArrayLike, ddof: int = 0) -> Spread:
+def over_runs(scores: ArrayLike) -> Spread:
     """The paper's figure: mean and standard deviation over runs of the run means (appendix C).
 
     `scores` (runs, rollouts) of one environment. The appendix does not give the divisor of the
-    standard deviation: runs - `ddof`.
+    standard deviation: here it is the number of runs.
     """
     means = np.asarray(scores, np.float64).mean(axis=1)  # (runs,)
-    return Spread(float(means.mean()), float(means.std(ddof=ddof)))
+    return Spread(float(means.mean()), float(means.std()))
 
 
 def mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
@@ -132,15 +132,9 @@ def interquartile_mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Int
     return t_interval(float(middle.mean()), strata, confidence, (0.0, 1.0))
 
 
-def optimality_gap(
-    scores: ArrayLike, target: float = 1.0, confidence: float = CONFIDENCE
-) -> Interval:
-    """By how much scores fall short of `target` on average, with a t interval over runs.
-
-    No score exceeds 1, so with the default target this is 1 less the mean. Other arguments and
-    errors as for `mean`.
-    """
-    return mean(np.maximum(target - _table(scores), 0.0), confidence)
+def optimality_gap(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
+    """By how much scores fall short of 1 on average; arguments and errors as for `mean`."""
+    return mean(1.0 - _table(scores), confidence)
 
 
 def generalisation_gap(
@@ -195,7 +189,7 @@ def difference(first: ArrayLike, second: ArrayLike, confidence: float = CONFIDEN
     Both (runs, environments) with the same columns; the runs of the two are independent. Raises
     `ValueError` as `mean` does, or where the columns differ in number.
     """
-    return contrast(_two_tables(first, second), (1.0, -1.0), confidence)
+    return contrast([first, second], (1.0, -1.0), confidence)
 
 
 def contrast(
@@ -214,8 +208,7 @@ def contrast(
     Raises:
         ValueError: as for `mean`, or the columns differ in number.
     """
-    checked = list(map(_table, tables))
-    _require_same_columns(checked)
+    checked = _tables(tables)
     size = checked[0].shape[1]
     strata: list[Floats] = []
     for table, weight in zip(checked, weights, strict=True):
@@ -235,7 +228,7 @@ def probability_of_improvement(
     comparisons without a run in common (Hoeffding, 1963, section 5). Strata add up. Arguments and
     errors as for `difference`.
     """
-    a, b = _two_tables(first, second)
+    a, b = _tables([first, second])
     won = [_share_won(x[~np.isnan(x)], y[~np.isnan(y)]) for x, y in zip(a.T, b.T, strict=True)]
     value = float(np.mean(won))
     return wilson_interval(value, _comparisons(a, b), confidence)
@@ -280,19 +273,16 @@ def _table(scores: ArrayLike) -> Floats:
     return table
 
 
-def _two_tables(first: ArrayLike, second: ArrayLike) -> tuple[Floats, Floats]:
-    a, b = _table(first), _table(second)
-    _require_same_columns([a, b])
-    return a, b
-
-
-def _require_same_columns(tables: Sequence[Floats]) -> None:
+def _tables(scores: Iterable[ArrayLike]) -> list[Floats]:
+    """Scores of several methods, which must have the same columns."""
+    tables = list(map(_table, scores))
     columns = [table.shape[1] for table in tables]
     if len(set(columns)) > 1:
         raise ValueError(
             f"expected scores in the same environments, found {' and '.join(map(str, columns))} "
             "columns"
         )
+    return tables
 
 
 def _weighted_means(table: Floats, weights: Floats, confidence: float) -> Interval:
@@ -306,8 +296,7 @@ def _weighted_means(table: Floats, weights: Floats, confidence: float) -> Interv
 def _contributions(table: Floats, weights: Floats) -> Floats:
     """What each run adds to the weighted sum of the environments' means; (runs,)."""
     runs = (~np.isnan(table)).sum(axis=0)  # (environments,)
-    total: Floats = np.nansum(table * (weights / runs), axis=1)
-    return total
+    return np.asarray(np.nansum(table * (weights / runs), axis=1))
 
 
 def _by_stratum(table: Floats, contributions: Floats) -> list[Floats]:

@@ -9,7 +9,7 @@ from magical.errors import PolicyError
 from magical.evaluation import BUILT_IN, Entry, Policy, load_policy
 from magical.evaluation.entry import POLICY, THREADS
 from magical.runs import is_run
-from magical.runs.provenance import provenance
+from magical.runs.machine import provenance
 from magical.runs.sources import LEARNED_FROM
 
 MOST_THREADS = 1024  # that an entry can ask for

@@ -15,9 +15,8 @@ from magical.errors import ClusterError, UnknownNameError
 from magical.evaluation import Evaluation
 from magical.experiments.demonstrations import prepare_demonstrations, require_same_demonstrations
 from magical.experiments.display import Display
-from magical.experiments.one_run import record_failure
+from magical.experiments.one_run import evaluate_reference, finish, record_failure
 from magical.experiments.plan import PlannedRun
-from magical.experiments.references import evaluate_reference
 from magical.experiments.results import (
     DONE,
     FAILED,
@@ -27,6 +26,7 @@ from magical.experiments.results import (
 )
 from magical.files import is_out_of_space
 from magical.learning.running.interrupts import Interrupts
+from magical.processes import ProcessPool, available_cores
 
 TRIES = 3  # of a run that the cluster, not the run itself, has ended
 POLL = 1.0  # seconds between checks for signals, and between refreshes of the display
@@ -47,6 +47,33 @@ class Executor(Protocol):
 
     def close(self) -> None:
         """End everything at once."""
+
+
+class LocalExecutor:
+    """Processes on this machine, by default as many as the cores have room for their threads."""
+
+    def __init__(self, runs: Sequence[PlannedRun], results: Results, workers: int | None) -> None:
+        threads = max((run.config.threads for run in runs), default=1)
+        self._workers = workers or max(1, available_cores() // threads)
+        self._results = results
+        self._pool = ProcessPool(self._workers)
+
+    def slots(self) -> int:
+        """The number of processes."""
+        return self._workers
+
+    def start(self, run: PlannedRun, demos: Path | None) -> Future[Outcome]:
+        """Start a run in a process."""
+        folder = self._results.folder(run)
+        return self._pool.submit(partial(finish, folder=folder, demos=demos), run)
+
+    def stop(self) -> None:
+        """Send SIGTERM."""
+        self._pool.terminate()
+
+    def close(self) -> None:
+        """End all processes."""
+        self._pool.close()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,7 +174,11 @@ def execute(
         require_same_demonstrations([run for run in runs if states[run] == DONE], results)
         again = (None, FAILED) if retry_failed else (None,)
         waiting = [run for run in runs if states[run] in again]
-        go_on = partial(_go_on, stop)
+
+        def go_on(_: int) -> None:
+            if stop.seen:
+                raise _Interrupted
+
         with suppress(_Interrupted):
             if waiting:
                 with closing(_executor(waiting, results, resources)) as executor:
@@ -175,12 +206,6 @@ class _Interrupted(Exception):
     """A signal came outside training; what was generated or evaluated is kept."""
 
 
-def _go_on(stop: Interrupts, _: int) -> None:
-    """Raise `_Interrupted` after a signal."""
-    if stop.seen:
-        raise _Interrupted
-
-
 def _finish_all(
     runs: Sequence[PlannedRun],
     demos: Path | None,
@@ -205,7 +230,11 @@ def _finish_all(
             full = full or outcome.state == "no space"
             if outcome.state == "lost":
                 lost[run] += 1
-                _require_executor(lost[run], outcome)
+                if lost[run] >= TRIES:
+                    raise ClusterError(
+                        f"the cluster lost a run {TRIES} times, last with: {outcome.error}. No run "
+                        "failed by itself: mend the cluster, then give the same command again"
+                    )
                 waiting.append(run)
             display.ended(run, outcome)
             results.write_progress(running.values(), executor.slots())
@@ -215,15 +244,6 @@ def _finish_all(
             executor.stop()
     if full:
         raise results.full()
-
-
-def _require_executor(times_lost: int, outcome: Outcome) -> None:
-    """Raise `ClusterError` where a run has been lost too often."""
-    if times_lost >= TRIES:
-        raise ClusterError(
-            f"the cluster lost a run {TRIES} times, last with: {outcome.error}. No run failed by "
-            "itself: mend the cluster, then give the same command again"
-        )
 
 
 def _outcome(run: PlannedRun, future: Future[Outcome], results: Results, stopping: bool) -> Outcome:
@@ -245,6 +265,4 @@ def _executor(runs: Sequence[PlannedRun], results: Results, resources: Resources
         from magical.experiments.ray_cluster import RayExecutor  # an optional library
 
         return RayExecutor(runs, results, resources.address, resources.workers, resources.gpus)
-    from magical.experiments.local import LocalExecutor
-
     return LocalExecutor(runs, results, resources.workers)

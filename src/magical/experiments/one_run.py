@@ -2,13 +2,14 @@
 
 import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from magical.errors import CheckpointError, MagicalError
-from magical.evaluation import Entry
+from magical.errors import CheckpointError, MagicalError, ScoresError
+from magical.evaluation import BUILT_IN, Entry, read_entry
 from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
 from magical.evaluation.protocol import Evaluation
 from magical.evaluation.rollouts import roll_out
@@ -16,25 +17,21 @@ from magical.experiments.entries import evaluation_details
 from magical.experiments.plan import PlannedRun
 from magical.experiments.results import DONE, FAILED, RESULT, Outcome
 from magical.files import is_out_of_space, remove_partial_files
-from magical.learning import Config, TrainResult, is_run, load_policy, train
+from magical.learning import is_run, load_policy, train
 from magical.learning.config import DemonstrationSettings
 from magical.messages import printable
-from magical.runs.folder import versions, write_json
-from magical.runs.machine import machine, source_commit
+from magical.runs.folder import write_json
+from magical.runs.machine import provenance, source_commit
 
 MAX_ERROR = 2_000  # characters of a recorded message
 MAX_TRACEBACK = 20_000  # and of a traceback, whose end says most
+REFERENCES = "references"  # in a results folder: a folder for each reference policy and task
 
 
 def finish(run: PlannedRun, folder: Path, demos: Path | None) -> Outcome:
-    """Train, or resume from the newest checkpoint; evaluate; write `result.json` last.
+    """Train on the dataset `demos`, or resume; evaluate; write `result.json` last.
 
     An error is recorded in `result.json` and returned, not raised.
-
-    Args:
-        run: the run.
-        folder: its folder, new or left by an earlier attempt.
-        demos: the dataset to learn from.
     """
     start = time.perf_counter()
     source_commit()  # now: the source may change while the run is in progress
@@ -71,9 +68,7 @@ def write_result(run: PlannedRun, folder: Path, **result: Any) -> None:
         "identity": run.identity,
         "settings": run.settings(),
         "finished": f"{datetime.now(UTC):%FT%TZ}",
-        "versions": versions(),
-        "commit": source_commit(),
-        "machine": machine(),
+        **provenance(),
     }
     write_json(folder / RESULT, {**result, **facts})
 
@@ -86,20 +81,16 @@ def _train_and_evaluate(
     if demos is not None and config.part(DemonstrationSettings):
         config = config.replace(demos=str(demos))
     start = time.perf_counter()
-    if _train(config, folder).interrupted:
+    resume = is_run(folder)
+    try:
+        result = train(config, folder, resume=resume)
+    except CheckpointError:  # the newest is damaged
+        result = train(config, folder, resume=resume, previous_checkpoint=resume)
+    if result.interrupted:
         return None
     trained = time.perf_counter()
     evaluate_run(run, folder, folder, run.evaluation)
     return {"training": trained - start, "evaluation": time.perf_counter() - trained}
-
-
-def _train(config: Config, folder: Path) -> TrainResult:
-    """Start the run, or resume it; from its previous checkpoint if the newest is damaged."""
-    resume = is_run(folder)
-    try:
-        return train(config, folder, resume=resume)
-    except CheckpointError:
-        return train(config, folder, resume=resume, previous_checkpoint=resume)
 
 
 def evaluate_run(run: PlannedRun, folder: Path, out: Path, evaluation: Evaluation) -> None:
@@ -121,3 +112,34 @@ def evaluate_run(run: PlannedRun, folder: Path, out: Path, evaluation: Evaluatio
     if run.source.kind:  # all settings are in `result.json`
         details["demonstrations"] += f" ({run.source})"
     Entry.of(policy, evaluation, method=run.method, scores=scores, details=details).write(out)
+
+
+def evaluate_reference(
+    name: str,
+    evaluation: Evaluation,
+    results: Path,
+    workers: int | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> None:
+    """Evaluate a built-in policy on a task, unless the results folder has its entry already.
+
+    `progress` is called after some rollouts, with their number.
+    """
+    policy = BUILT_IN[name]()
+    folder = results / REFERENCES / f"{name}-{evaluation.env_ids[0].task}"
+    details = evaluation_details(name, folder)
+    entry = Entry.of(policy, evaluation, method=name, details=details)
+    if not _is_entry_of(folder, entry, evaluation):
+        scores = roll_out(policy, evaluation, workers=workers, progress=progress)
+        replace(entry, scores=scores).write(folder)
+
+
+def _is_entry_of(folder: Path, entry: Entry, evaluation: Evaluation) -> bool:
+    """Whether a folder holds the entry of this evaluation, by this version of the package."""
+    try:
+        found = read_entry(folder)
+    except ScoresError:
+        return False
+    rollouts = len(found.scores) == evaluation.rollouts * len(evaluation.env_ids)
+    ids = {row.env_id for row in found.scores} == set(evaluation.env_ids)
+    return rollouts and ids and replace(found, scores=(), details=entry.details) == entry

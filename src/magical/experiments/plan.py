@@ -18,7 +18,6 @@ from magical.envs.episode import checked_nudge
 from magical.errors import MagicalError, PlanError
 from magical.evaluation import BUILT_IN
 from magical.evaluation.protocol import ROLLOUTS, Evaluation, environments
-from magical.evaluation.variants import full_variant
 from magical.experts import get_planner
 from magical.experts.noise import check_share
 from magical.learning import Config, find_algorithm
@@ -26,6 +25,7 @@ from magical.learning.config import DemonstrationSettings, options
 from magical.learning.settings import option_types
 from magical.messages import quoted
 from magical.tasks import TASKS, load_task, parse_horizon
+from magical.tasks.axes import full_variant
 from magical.untrusted import convert
 
 EXPERT = "expert"  # as `demos`: the scripted experts' demonstrations, generated for the plan
@@ -305,7 +305,8 @@ def _planned_run(plan: Plan, method: Method, tasks: tuple[str, ...]) -> PlannedR
     config = kind.preset(preset, **given)
     if config.threads < 1:
         raise PlanError(f"threads: expected at least 1, found {config.threads}")
-    source = _source(plan, config) if config.part(DemonstrationSettings) else Source()
+    demonstrations = config.part(DemonstrationSettings)
+    source = _source(plan, tasks, demonstrations.num_demos) if demonstrations else Source()
     evaluation = planned_evaluation(plan, tasks)
     return PlannedRun(method.name, preset, config, source, evaluation, plan.variants)
 
@@ -323,8 +324,8 @@ def planned_evaluation(plan: Plan, tasks: Sequence[str]) -> Evaluation:
     )
 
 
-def _source(plan: Plan, config: Config) -> Source:
-    """Where the demonstrations of a run come from."""
+def _source(plan: Plan, tasks: Sequence[str], num_demos: int) -> Source:
+    """Where a run's `num_demos` demonstrations of each task come from."""
     dataset = plan.demos != EXPERT
     if plan.add_expert and not dataset:
         raise PlanError(
@@ -338,13 +339,11 @@ def _source(plan: Plan, config: Config) -> Source:
                     f'generated demonstrations (demos = "{EXPERT}", or add_expert)'
                 )
         return Source(dataset=True)
-    for task in config.tasks:
+    for task in tasks:
         get_planner(task)  # raises for a task without an expert
-    demonstrations = config.part(DemonstrationSettings)
-    if demonstrations and not dataset and plan.expert_demos < demonstrations.num_demos:
+    if not dataset and plan.expert_demos < num_demos:
         raise PlanError(
-            f"expert_demos: expected at least num_demos, {demonstrations.num_demos}, "
-            f"found {plan.expert_demos}"
+            f"expert_demos: expected at least num_demos, {num_demos}, found {plan.expert_demos}"
         )
     return Source(dataset, plan.expert_demos, plan.perturb, plan.min_score)
 

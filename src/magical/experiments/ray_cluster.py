@@ -54,19 +54,7 @@ class RayExecutor:
         workers: int | None = None,
         gpus: float = 0.0,
     ) -> None:
-        """Connect to a cluster, or start one on this machine.
-
-        Args:
-            runs: that will be started.
-            results: the results folder.
-            address: as `ray.init` takes it; default: the cluster that this machine belongs to, or
-                a new one, and with `workers` always a new one.
-            workers: runs at a time on a new cluster on this machine.
-            gpus: the share of a GPU that each run reserves.
-
-        Raises:
-            ClusterError: the cluster cannot be reached.
-        """
+        """Connect to the cluster at `address`, or as `Resources` says; may raise `ClusterError`."""
         self._threads = max((run.config.threads for run in runs), default=1)
         self._gpus = gpus
         self._results = results
@@ -177,23 +165,16 @@ def _connect(address: str | None, cores: int | None) -> None:
     if address and not _answers(address):
         raise ClusterError(_unreachable(address, f"nothing answers within {TIMEOUT:g} s"))
     with _own_signal_handlers():
-        _init(address, cores)
-
-
-def _init(address: str | None, cores: int | None) -> None:
-    if address is None and cores is None:
-        with suppress(ConnectionError):
-            ray.init(address="auto", log_to_driver=False)
-            return
-    try:
-        if address is None:
-            ray.init(address="local", num_cpus=cores, log_to_driver=False)
-        else:
-            ray.init(address=address, log_to_driver=False)
-    except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
-        raise ClusterError(
-            _unreachable(address or "this machine", str(error)[:MAX_ERROR])
-        ) from error
+        if address is None and cores is None:
+            with suppress(ConnectionError):
+                ray.init(address="auto", log_to_driver=False)
+                return
+        num_cpus = None if address else cores
+        try:
+            ray.init(address=address or "local", num_cpus=num_cpus, log_to_driver=False)
+        except (ConnectionError, RuntimeError, ValueError, TimeoutError) as error:
+            reason = str(error)[:MAX_ERROR]
+            raise ClusterError(_unreachable(address or "this machine", reason)) from error
 
 
 @contextmanager

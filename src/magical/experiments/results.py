@@ -98,7 +98,15 @@ def opened(path: Path, runs: Sequence[PlannedRun]) -> Iterator[Results]:
     """
     path = path.absolute()
     with _owned(path).locked():
-        yield _opened(path, runs)
+        if is_results(path):
+            check_results(path, runs)
+            (path / PROGRESS).unlink(missing_ok=True)  # of a command that was killed
+        else:
+            found = {"format": FORMAT, "id": uuid.uuid4().hex, "versions": versions()}
+            write_json(path / EXPERIMENT, found)
+        _adopt_earlier(path, runs)
+        write_json(path / PLAN, {"runs": [listed(run) for run in runs]})
+        yield Results(path, str(read_record(path / EXPERIMENT).get("id")))
 
 
 def _owned(path: Path) -> OwnedFolder:
@@ -200,18 +208,6 @@ def planned_states(path: Path, runs: Sequence[PlannedRun]) -> list[str]:
         return [read_state(path / RUNS / run.folder) or WAITING for run in runs]
     _owned(path).require_new()
     return [WAITING] * len(runs)
-
-
-def _opened(path: Path, runs: Sequence[PlannedRun]) -> Results:
-    if is_results(path):
-        check_results(path, runs)
-        (path / PROGRESS).unlink(missing_ok=True)  # of a command that was killed
-    else:
-        found = {"format": FORMAT, "id": uuid.uuid4().hex, "versions": versions()}
-        write_json(path / EXPERIMENT, found)
-    _adopt_earlier(path, runs)
-    write_json(path / PLAN, {"runs": [listed(run) for run in runs]})
-    return Results(path, str(read_record(path / EXPERIMENT).get("id")))
 
 
 def _adopt_earlier(path: Path, runs: Sequence[PlannedRun]) -> None:

@@ -1,7 +1,6 @@
 """How far the runs of a plan are, from the files of a results folder alone."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from operator import itemgetter
 from pathlib import Path
@@ -139,8 +138,9 @@ def _run_status(path: Path, run: ListedRun, running: bool) -> RunStatus:
         state = read_state(folder)
         record = read_record(folder / RESULT) if state else {}
         error = str(record.get("error", ""))
-        step = 0 if state else _step(folder)
-    except ResultsError as damage:
+        rows = [] if state else read_metrics(folder)
+        step = int(rows[-1]["step"]) if rows else 0
+    except (ResultsError, RunFolderError) as damage:
         state, record, error, step = FAILED, {}, str(damage), 0
     seconds = record.get("seconds")
     return RunStatus(
@@ -150,12 +150,3 @@ def _run_status(path: Path, run: ListedRun, running: bool) -> RunStatus:
         seconds=sum(seconds.values()) if seconds else None,
         error=error,
     )
-
-
-def _step(folder: Path) -> int:
-    """The step of a run's newest metrics."""
-    try:
-        rows: Sequence[Mapping[str, Any]] = read_metrics(folder)
-    except RunFolderError as error:
-        raise ResultsError(str(error)) from error
-    return int(rows[-1]["step"]) if rows else 0

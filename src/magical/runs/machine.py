@@ -1,16 +1,23 @@
-"""What a result may depend on beside versions: the machine, and the commit of the source."""
+"""With what, and where, a result was made."""
 
 import platform
 import shutil
 import subprocess
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from magical import __file__ as PACKAGE
 from magical.processes import available_cores
+from magical.runs.folder import versions
 
 _CPU_INFO = Path("/proc/cpuinfo")
 _TIMEOUT = 10.0  # seconds for git
+
+
+def provenance() -> dict[str, Any]:
+    """Versions, the commit of the package's source (`None` if unknown) and the machine."""
+    return {"versions": versions(), "commit": source_commit(), "machine": machine()}
 
 
 def machine() -> dict[str, str]:

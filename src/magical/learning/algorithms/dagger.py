@@ -24,7 +24,6 @@ from magical.demos.store.repair import open_mended
 from magical.envs import EnvId
 from magical.errors import InvalidConfigError, RunFolderError
 from magical.evaluation import environments
-from magical.evaluation.variants import full_variant, short_variant
 from magical.experts import get_planner
 from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.bc import BCConfig, BCTrainer, CloningSettings, make_policy
@@ -37,6 +36,7 @@ from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, stream
 from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
 from magical.runs.sources import EXPERT_LABELS, INTERACTION, TEST_VARIANTS
+from magical.tasks.axes import full_variant, short_variant
 
 AGGREGATE = "aggregate"  # in the run folder
 

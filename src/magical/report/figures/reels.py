@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from magical.errors import MagicalError
 from magical.evaluation import Entry, Policy, RolloutScore, by_variant
-from magical.evaluation.variants import short_variant
 from magical.report.figures.clips import Clip, data_uri, png, record_rollouts
 from magical.report.found.search import Result
 from magical.tasks import get_task
+from magical.tasks.axes import short_variant
 
 SIZE = 120  # pixels across
 MOST_FRAMES = 60  # of a clip

@@ -4,9 +4,9 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from magical.evaluation import by_variant
-from magical.evaluation.variants import short_variant
 from magical.report.found.search import Found, Result
 from magical.tasks import get_task
+from magical.tasks.axes import short_variant
 
 
 class Missing(NamedTuple):

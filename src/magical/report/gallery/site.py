@@ -6,7 +6,6 @@ from pathlib import Path
 
 from magical import __version__
 from magical.errors import SiteError
-from magical.evaluation.variants import short_variant
 from magical.files import is_partial, write_atomically
 from magical.report.gallery.descriptions import (
     Description,
@@ -18,6 +17,7 @@ from magical.report.gallery.previews import IMAGE_FOLDERS, SIZE, SPEED, EnvPrevi
 from magical.report.pages.page import render_template
 from magical.scene.constants import CONTROL_RATE
 from magical.tasks import CHANGES, VARIANTS, Task, get_task
+from magical.tasks.axes import short_variant
 
 INDEX = "index.html"
 GENERATOR = f"magical gallery {__version__}"

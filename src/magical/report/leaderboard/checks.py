@@ -8,12 +8,12 @@ from magical import __version__
 from magical.evaluation import Entry, by_variant
 from magical.evaluation.entry import APPENDIX
 from magical.evaluation.protocol import NUDGE, ROLLOUTS, SEED
-from magical.evaluation.variants import short_variant
 from magical.grouping import group_by
 from magical.report.found.search import Found, Result, same_run
 from magical.report.found.statements import stated_looks
 from magical.runs.sources import learned_from
 from magical.tasks import get_task
+from magical.tasks.axes import short_variant
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,6 @@ from pathlib import Path
 from magical.errors import UnknownNameError
 from magical.evaluation.intervals import Interval
 from magical.evaluation.statistics import interquartile_mean, probability_of_improvement
-from magical.evaluation.variants import short_variant
 from magical.report.figures.plots import interval_plot, profile_plot
 from magical.report.found.facts import MethodFacts, describe_methods
 from magical.report.found.search import Result
@@ -24,6 +23,7 @@ from magical.report.scores.grids import (
 )
 from magical.report.scores.methods import ComparedMethod, compared_methods
 from magical.report.scores.tables import signed
+from magical.tasks.axes import short_variant
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,10 +17,10 @@ from magical.evaluation.statistics import (
     performance_profile,
     probability_of_improvement,
 )
-from magical.evaluation.variants import short_variant
 from magical.report.scores.methods import ComparedMethod
 from magical.report.scores.tables import Cell, Row, Table
 from magical.tasks import VARIANTS
+from magical.tasks.axes import short_variant
 
 THRESHOLDS = np.linspace(0.0, 1.0, 50, endpoint=False)  # no score exceeds 1
 AXES = tuple(variant for variant in VARIANTS if variant != "Demo")

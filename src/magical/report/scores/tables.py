@@ -11,10 +11,10 @@ from magical.evaluation import Entry, by_variant, published_score, published_tas
 from magical.evaluation.intervals import Interval, rollout_mean
 from magical.evaluation.published import RUNS
 from magical.evaluation.statistics import over_runs
-from magical.evaluation.variants import SHORT_VARIANTS, short_variant
 from magical.grouping import group_by
 from magical.report.scores.differences import RULE, counterparts, differences, steps
 from magical.tasks import Task, get_task
+from magical.tasks.axes import SHORT_VARIANTS, short_variant
 
 LIGHTEST, DARKEST = (255, 255, 255), (33, 102, 172)  # RGB of a score of 0 and of 1
 INK_CHANGES = 0.8  # scores above are written in white; there both inks have a contrast of about 4
