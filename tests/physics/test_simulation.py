@@ -75,28 +75,15 @@ def test_the_fast_control_law_equals_the_plain_one() -> None:
 
 
 def test_steering_rates() -> None:
-    for lon, speed in (
-        (Longitudinal.STOP, 0),
-        (Longitudinal.FORWARD, 0.8),
-        (Longitudinal.BACK, -0.6),
-    ):
-        assert COMMANDS[Action(lon).id][0] == pytest.approx(speed)
-    assert COMMANDS[Action(turn=Turn.LEFT).id][1] == 1.5
-    assert COMMANDS[Action(turn=Turn.RIGHT).id][1] == -1.5
-    assert COMMANDS[Action(gripper=Gripper.OPEN).id][2] == pytest.approx(math.pi / 8)
-    assert COMMANDS[Action(gripper=Gripper.CLOSED).id][2] == 0
+    for action, command in {
+        Action(): (0, 0, math.pi / 8),
+        Action(Longitudinal.FORWARD, Turn.LEFT): (0.8, 1.5, math.pi / 8),
+        Action(Longitudinal.BACK, Turn.RIGHT, Gripper.CLOSED): (-0.6, -1.5, 0),
+    }.items():
+        assert COMMANDS[action.id] == pytest.approx(command)
 
 
-@pytest.mark.parametrize(
-    "field",
-    [
-        "body_pivot_max_force",
-        "body_gear_max_force",
-        "finger_motor_max_force",
-        "block_pivot_max_force",
-        "block_gear_max_force",
-    ],
-)
+@pytest.mark.parametrize("field", Dynamics().to_dict())
 def test_every_dynamics_parameter_matters(field: str) -> None:
     # The robot drives at a block off its centre, turning and gripping.
     scene = Scene(Pose(0, 0, 0), (Block(Shape.SQUARE, Colour.RED, Pose(0.08, 0.4, 0.3)),))

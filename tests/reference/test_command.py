@@ -1,5 +1,6 @@
 """The recordings in the package: `magical conformance` checks them all, and notices damage."""
 
+import gzip
 import json
 import shutil
 from collections.abc import Callable
@@ -9,10 +10,11 @@ from typing import Any
 import pytest
 
 from magical import cli
-from magical.conformance import recordings
+from magical.conformance import motions, recordings, scenes, scores
 from magical.conformance.recordings import DATA, RECORDINGS, recording_path
 from magical.errors import RecordingError
 from magical.evaluation import published_tasks
+from magical.tasks import TASKS
 
 Run = Callable[..., tuple[int, list[str], dict[str, Any]]]
 FILES = [(kind, name) for kind, names in RECORDINGS.items() for name in names]
@@ -121,3 +123,63 @@ def test_a_damaged_package_says_what_to_do(
     captured = capsys.readouterr()
     assert captured.out == ""
     assert "reinstall the package" in captured.err
+
+
+MOTION = {"robot": [[0, 0], 0], "blocks": [], "actions": [1]}
+CORNER = TASKS["MoveToCorner"].demo.to_dict()
+STATE = {"task": "MoveToCorner", "scene": CORNER, "final": CORNER}
+ROW = {"robot": [0, 0, 0], "blocks": [], "regions": [], "dynamics": [3, 1, 4, 1.5, 0.1]}
+LINE = "MakeLine-Demo-v0"
+
+
+def without(data: dict[str, Any], name: str) -> dict[str, Any]:
+    return {key: value for key, value in data.items() if key != name}
+
+
+@pytest.mark.parametrize(
+    ("load", "contents"),
+    [
+        (motions.load, []),
+        (motions.load, {"a": without(MOTION, "actions")}),
+        (motions.load, {"a": MOTION | {"actions": [18]}}),
+        (motions.load, {"a": MOTION | {"robot": [[0], 0]}}),
+        (motions.load, {"a": MOTION | {"blocks": [["cube", [0, 0], 0]]}}),
+        (motions.load, {"a": MOTION | {"robot_pose": []}}),
+        (scores.load, {}),
+        (scores.load, [3]),
+        (scores.load, [without(STATE, "final")]),
+        (scores.load, [STATE | {"task": "MoveToMoon"}]),
+        (scores.load, [STATE | {"final": {"robot": [0, 0, 0], "blocks": []}}]),
+        (scores.load, [STATE | {"scene": {"robot": [0, 0, 0]}}]),
+        (scores.load, [STATE | {"score": "high"}]),
+        (scenes.load, 3),
+        (scenes.load, {"MoveToMoon-Demo-v0": []}),
+        (scenes.load, {"MoveToCorner-TestLayout-v0": []}),
+        (scenes.load, {"MakeLine-Demo": []}),
+        (scenes.load, {LINE: [3]}),
+        (scenes.load, {LINE: [without(ROW, "robot")]}),
+        (scenes.load, {LINE: [without(ROW, "dynamics")]}),
+        (scenes.load, {LINE: [ROW | {"blocks": [["cube", "red", 0, 0, 0]]}]}),
+    ],
+)
+def test_a_damaged_file_is_named(
+    load: Callable[[Path], object], contents: object, tmp_path: Path
+) -> None:
+    path = tmp_path / "file.json"
+    path.write_text(json.dumps(contents))
+    with pytest.raises(RecordingError, match=r"file\.json: expected JSON"):
+        load(path)
+
+
+@pytest.mark.parametrize("load", [motions.load, scores.load, scenes.load])
+def test_a_truncated_or_corrupt_file_is_named(
+    load: Callable[[Path], object], tmp_path: Path
+) -> None:
+    path = tmp_path / "file.json.gz"
+    whole = gzip.compress(json.dumps([STATE]).encode())
+    for damaged in (whole[:-20], whole[:20] + b"\xff\xff" + whole[22:], b"", b"\xff\xfe", b"{"):
+        path.write_bytes(damaged)
+        with pytest.raises(RecordingError, match=r"file\.json\.gz: expected JSON"):
+            load(path)
+    with pytest.raises(RecordingError, match="cannot be read"):
+        load(tmp_path / "missing.json")

@@ -11,7 +11,6 @@ import pytest
 
 from magical.conformance import motions
 from magical.conformance.recordings import recording_path
-from magical.errors import RecordingError
 
 
 @pytest.fixture(scope="module")
@@ -78,22 +77,3 @@ def test_without_recorded_results_it_only_computes(
     assert motions.compare(data, results) == []
     motions.write(results, tmp_path / "out.json")
     assert json.loads((tmp_path / "out.json").read_text()) == computed
-
-
-@pytest.mark.parametrize(
-    "damage",
-    [
-        "{",
-        "[]",
-        '{"a": {"robot": [[0, 0], 0], "blocks": []}}',
-        '{"a": {"robot": [[0, 0], 0], "blocks": [], "actions": [18]}}',
-        '{"a": {"robot": [[0], 0], "blocks": [], "actions": [1]}}',
-        '{"a": {"robot": [[0, 0], 0], "blocks": [["cube", [0, 0], 0]], "actions": [1]}}',
-        '{"a": {"robot": [[0, 0], 0], "blocks": [], "actions": [1], "robot_pose": []}}',
-    ],
-)
-def test_damaged_files(damage: str, tmp_path: Path) -> None:
-    path = tmp_path / "motions.json"
-    path.write_text(damage)
-    with pytest.raises(RecordingError, match=r"motions\.json"):
-        motions.load(path)

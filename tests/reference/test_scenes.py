@@ -10,7 +10,6 @@ import pytest
 from magical.conformance import scenes
 from magical.conformance.recordings import recording_path
 from magical.envs import parse_env_id
-from magical.errors import RecordingError
 from magical.evaluation import published_tasks
 from magical.scene import Dynamics, Scene
 from magical.tasks import TASKS, get_task, placement
@@ -141,24 +140,3 @@ def test_a_list_of_names_is_accepted_and_seeds_matter(tmp_path: Path) -> None:
     first, again, other = (scenes.compute(data, seed, samples=2) for seed in (0, 0, 1))
     assert first == again
     assert first != other
-
-
-ROW = {"robot": [0, 0, 0], "blocks": [], "regions": [], "dynamics": [3, 1, 4, 1.5, 0.1]}
-DAMAGES: dict[str, Any] = {
-    "no object": 3,
-    "unknown task": {"MoveToMoon-Demo-v0": []},
-    "a variant that the task lacks": {"MoveToCorner-TestLayout-v0": []},
-    "no version": {"MakeLine-Demo": []},
-    "no scene": {"MakeLine-Demo-v0": [3]},
-    "no robot": {"MakeLine-Demo-v0": [{k: v for k, v in ROW.items() if k != "robot"}]},
-    "no dynamics": {"MakeLine-Demo-v0": [{k: v for k, v in ROW.items() if k != "dynamics"}]},
-    "unknown shape": {"MakeLine-Demo-v0": [ROW | {"blocks": [["cube", "red", 0, 0, 0]]}]},
-}
-
-
-@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_a_damaged_file_is_named(damage: object, tmp_path: Path) -> None:
-    path = tmp_path / "scenes.json"
-    path.write_text(json.dumps(damage))
-    with pytest.raises(RecordingError, match=r"scenes\.json: .*expected"):
-        scenes.load(path)

@@ -30,10 +30,13 @@ def clustered(task: Task) -> dict[int, tuple[float, float]]:
 
 
 @BOTH
-def test_perfect_clusters_score_one(task: Task, moved: Callable[..., Poses]) -> None:
-    final = moved(task.demo, clustered(task))
-    assert task.score(task.demo, final) == 1.0
-    assert task.published_code_score(task.demo, final) == 1.0
+def test_perfect_clusters_score_one_and_a_single_place_zero(
+    task: Task, moved: Callable[..., Poses]
+) -> None:
+    for places, expected in ((clustered(task), 1.0), (dict.fromkeys(range(8), (0.0, 0.0)), 0.0)):
+        final = moved(task.demo, places)
+        assert task.score(task.demo, final) == expected
+        assert task.published_code_score(task.demo, final) == expected
 
 
 @BOTH
@@ -111,13 +114,6 @@ def test_score_rises_with_the_fraction_of_clustered_blocks(
     scene, final = partly_clustered(fraction)
     assert CLUSTER_COLOUR.score(scene, final) == pytest.approx(expected)
     assert CLUSTER_COLOUR.published_code_score(scene, final) == pytest.approx(published)
-
-
-@BOTH
-def test_blocks_in_one_place_score_zero(task: Task, moved: Callable[..., Poses]) -> None:
-    final = moved(task.demo, dict.fromkeys(range(8), (0.0, 0.0)))
-    assert task.score(task.demo, final) == 0.0
-    assert task.published_code_score(task.demo, final) == 0.0
 
 
 @pytest.mark.parametrize("apart", [1, 2])

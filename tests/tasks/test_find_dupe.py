@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from magical.errors import InvalidSceneError
-from magical.scene import Poses
+from magical.scene import Poses, Scene
 from magical.tasks.find_dupe import DEMO, TASK
 
 QUERY, DUPLICATE = 6, 5
@@ -16,42 +16,34 @@ IN, OUT = DEMO.regions[0].centre, (0.0, 0.9)
 
 
 @pytest.mark.parametrize(
-    ("inside", "expected", "published"),
+    ("scene", "inside", "expected", "published"),
     [
-        ((QUERY,), 0.0, 0.0),
-        ((), 0.0, 0.0),
-        ((QUERY, DUPLICATE), 1.0, 1.0),
-        ((QUERY, DUPLICATE, 0), 2 / 3, 2 / 3),
-        ((QUERY, DUPLICATE, 0, 1, 2), 2 / 5, 2 / 5),
-        ((QUERY, 0), 0.0, 0.0),
-        ((QUERY, 3), 0.0, 0.0),  # the query's colour, another shape
-        ((DUPLICATE,), 0.0, 0.0),
-        ((DUPLICATE, 0), 0.0, 0.0),
+        (DEMO, (QUERY,), 0.0, 0.0),
+        (DEMO, (), 0.0, 0.0),
+        (DEMO, (QUERY, DUPLICATE), 1.0, 1.0),
+        (DEMO, (QUERY, DUPLICATE, 0), 2 / 3, 2 / 3),
+        (DEMO, (QUERY, DUPLICATE, 0, 1, 2), 2 / 5, 2 / 5),
+        (DEMO, (QUERY, 0), 0.0, 0.0),
+        (DEMO, (QUERY, 3), 0.0, 0.0),  # the query's colour, another shape
+        (DEMO, (DUPLICATE,), 0.0, 0.0),
+        (DEMO, (DUPLICATE, 0), 0.0, 0.0),
+        # In the published code any two alike suffice.
+        (TWO, (0, DUPLICATE), 0.0, 1.0),
+        (TWO, (0, DUPLICATE, 1), 0.0, 2 / 3),
+        (TWO, (0, DUPLICATE, QUERY), 1.0, 1.0),
+        (TWO, (0, QUERY), 1.0, 1.0),
     ],
 )
 def test_query_duplicate_and_distractors(
-    inside: tuple[int, ...], expected: float, published: float, moved: Callable[..., Poses]
+    scene: Scene,
+    inside: tuple[int, ...],
+    expected: float,
+    published: float,
+    moved: Callable[..., Poses],
 ) -> None:
-    final = moved(DEMO, {i: IN if i in inside else OUT for i in range(7)})
-    assert TASK.score(DEMO, final) == pytest.approx(expected)
-    assert TASK.published_code_score(DEMO, final) == pytest.approx(published)
-
-
-@pytest.mark.parametrize(
-    ("inside", "expected", "published"),
-    [
-        ((0, DUPLICATE), 0.0, 1.0),
-        ((0, DUPLICATE, 1), 0.0, 2 / 3),
-        ((0, DUPLICATE, QUERY), 1.0, 1.0),
-        ((0, QUERY), 1.0, 1.0),
-    ],
-)
-def test_in_the_published_code_any_two_alike_suffice(
-    inside: tuple[int, ...], expected: float, published: float, moved: Callable[..., Poses]
-) -> None:
-    final = moved(TWO, {i: IN if i in inside else OUT for i in range(7)})
-    assert TASK.score(TWO, final) == pytest.approx(expected)
-    assert TASK.published_code_score(TWO, final) == pytest.approx(published)
+    final = moved(scene, {i: IN if i in inside else OUT for i in range(7)})
+    assert TASK.score(scene, final) == pytest.approx(expected)
+    assert TASK.published_code_score(scene, final) == pytest.approx(published)
 
 
 @pytest.mark.parametrize("variant", ["TestColour", "TestShape", "TestCountPlus", "TestAll"])

@@ -1,6 +1,7 @@
 """Placement by bounded rejection sampling: the rules, and failure that changes nothing."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -48,18 +49,12 @@ def test_no_room_is_a_named_error_after_a_bounded_number_of_attempts() -> None:
 
 
 @pytest.mark.usefixtures("few_attempts")
-@pytest.mark.parametrize(
-    ("region", "what"), [((0.9, 0.9), "region 1"), ((1.99, 1.99), "the robot")]
-)
-def test_no_room_for_regions_or_robot(region: tuple[float, float], what: str) -> None:
-    height, width = region
-    count = 4 if what == "region 1" else 1
-    regions = tuple(Region(Colour.RED, -1 + 0.001, 1 - 0.001, height, width) for _ in range(count))
-    scene = Scene(Pose(0.0, 0.0, 0.0), regions=regions)
+@pytest.mark.parametrize(("side", "count", "what"), [(0.9, 4, "region 1"), (1.99, 1, "the robot")])
+def test_no_room_for_regions_or_robot(side: float, count: int, what: str) -> None:
+    regions = (Region(Colour.RED, -1 + 0.001, 1 - 0.001, side, side),) * count
+    scene, rng = Scene(Pose(0.0, 0.0, 0.0), regions=regions), np.random.default_rng(0)
     with pytest.raises(PlacementError, match=f"no room for {what}"):
-        sample_placement(
-            scene, Axis.JITTER, np.random.default_rng(0), Placement(region_size=(0.0, 2.0))
-        )
+        sample_placement(scene, Axis.JITTER, rng, Placement(region_size=(0.0, 2.0)))
 
 
 def test_a_scene_without_room_is_restarted(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -87,34 +82,30 @@ def test_without_jitter_or_layout_nothing_is_sampled() -> None:
     assert rng.random() == np.random.default_rng(0).random()
 
 
-BREAKS = {
-    "angle": ("TestLayout", {"robot": Pose(0.702, -0.255, 4.0)}),
-    "moved": ("TestColour", {"robot": Pose(0.703, -0.255, 0.347)}),
-    "jittered too far": ("TestJitter", {"robot": Pose(0.702, -0.255 + 0.0251, 0.347)}),
-    "turned too far": ("TestJitter", {"robot": Pose(0.702, -0.255, 0.347 + 0.158)}),
-    "count": ("TestLayout", {"blocks": TASKS["MakeLine"].demo.blocks[:3]}),
+LINE, FIX = TASKS["MakeLine"], TASKS["FixColour"]
+FIXED = FIX.sample("TestLayout", np.random.default_rng(0))[0]
+REGION, SECOND, *REST = FIXED.regions
+SHIFTED = FIXED.blocks[0].pose._replace(x=REGION.x + 0.01)
+BREAKS: dict[str, tuple[Task, str, Scene, dict[str, Any]]] = {
+    "angle": (LINE, "TestLayout", LINE.demo, {"robot": Pose(0.702, -0.255, 4.0)}),
+    "moved": (LINE, "TestColour", LINE.demo, {"robot": Pose(0.703, -0.255, 0.347)}),
+    "too far": (LINE, "TestJitter", LINE.demo, {"robot": Pose(0.702, -0.255 + 0.0251, 0.347)}),
+    "turned": (LINE, "TestJitter", LINE.demo, {"robot": Pose(0.702, -0.255, 0.347 + 0.158)}),
+    "count": (LINE, "TestLayout", LINE.demo, {"blocks": LINE.demo.blocks[:3]}),
+    "size": (FIX, "TestLayout", FIXED, {"regions": (replace(REGION, width=0.51), SECOND, *REST)}),
+    "not enclosed": (
+        *(FIX, "TestLayout", FIXED),
+        {"blocks": (replace(FIXED.blocks[0], pose=SHIFTED), *FIXED.blocks[1:])},
+    ),
+    "overlap": (
+        *(FIX, "TestLayout", FIXED),
+        {"regions": (REGION, replace(SECOND, x=REGION.x + 0.01, y=REGION.y), *REST)},
+    ),
 }
 
 
-@pytest.mark.parametrize(("variant", "change"), BREAKS.values(), ids=BREAKS)
-def test_the_check_rejects(variant: str, change: dict[str, Pose]) -> None:
-    task = TASKS["MakeLine"]
-    check_placement(task, variant, task.demo)
+@pytest.mark.parametrize(("task", "variant", "scene", "change"), BREAKS.values(), ids=BREAKS)
+def test_the_check_rejects(task: Task, variant: str, scene: Scene, change: dict[str, Any]) -> None:
+    check_placement(task, variant, scene)
     with pytest.raises(InvalidSceneError):
-        check_placement(task, variant, replace(task.demo, **change))  # type: ignore[arg-type]
-
-
-def test_the_check_rejects_wrong_regions_and_enclosed_blocks() -> None:
-    task = TASKS["FixColour"]
-    scene, _ = task.sample("TestLayout", np.random.default_rng(0))
-    region, block = scene.regions[0], scene.blocks[0]
-    grown = replace(region, width=0.51)
-    shifted = replace(block, pose=block.pose._replace(x=region.x + 0.01))
-    far = replace(scene.regions[1], x=region.x + 0.01, y=region.y)
-    for broken in (
-        replace(scene, regions=(grown, *scene.regions[1:])),
-        replace(scene, blocks=(shifted, *scene.blocks[1:])),
-        replace(scene, regions=(region, far, *scene.regions[2:])),
-    ):
-        with pytest.raises(InvalidSceneError):
-            check_placement(task, "TestLayout", broken)
+        check_placement(task, variant, replace(scene, **change))

@@ -42,10 +42,6 @@ def test_an_unknown_task_raises_with_the_known_ones() -> None:
         get_task("MakeLines")
     assert "task 'MakeLines' is not registered; expected one of: MoveToCorner, " in str(error.value)
     assert str(error.value).endswith("did you mean 'MakeLine'?")
-
-
-def test_names_are_exact() -> None:
-    assert get_task("MakeLine") is MAKE_LINE
     with pytest.raises(UnknownNameError):
         get_task("makeline")
 
