@@ -1,7 +1,8 @@
 """Videos of demonstrations: both views side by side, with the score."""
 
 from collections.abc import Iterable, Iterator
-from itertools import islice
+from contextlib import closing
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -90,32 +91,21 @@ def _score(trajectory: Trajectory, time: int) -> str:
 def _write_mp4(frames: Iterable[Image], path: Path, rate: float) -> int:
     import imageio_ffmpeg
 
-    count = 0
+    rest, count = iter(frames), 0
+    first = next(rest)
     with write_atomically(path) as file:
         # The encoder needs a path, so it writes beside `file` and the video is copied.
         temporary = Path(file.name).with_suffix(".mp4")
-        writer: Any = None
+        size = first.shape[1], first.shape[0]
+        options = {"fps": rate, "codec": "libx264", "quality": 8, "macro_block_size": 2}
         try:
-            for frame in frames:
-                if writer is None:
-                    writer = imageio_ffmpeg.write_frames(
-                        str(temporary),
-                        (frame.shape[1], frame.shape[0]),
-                        fps=rate,
-                        codec="libx264",
-                        quality=8,
-                        macro_block_size=2,
-                    )
-                    writer.send(None)
-                writer.send(np.ascontiguousarray(frame))
-                count += 1
-            if writer is not None:
-                writer.close()
-                writer = None
-                file.write(temporary.read_bytes())
+            with closing(imageio_ffmpeg.write_frames(str(temporary), size, **options)) as writer:
+                writer.send(None)
+                for frame in chain([first], rest):
+                    writer.send(np.ascontiguousarray(frame))
+                    count += 1
+            file.write(temporary.read_bytes())
         finally:
-            if writer is not None:
-                writer.close()
             temporary.unlink(missing_ok=True)
     return count
 
@@ -129,16 +119,7 @@ def _write_webp(frames: Iterable[Image], path: Path, rate: float) -> int:
             f"{path}: expected at most {MAX_WEBP_FRAMES} frames for .webp, which are all kept in "
             "memory; select fewer demonstrations, or write .mp4"
         )
-    duration = round(1000 / rate)
+    options = {"duration": round(1000 / rate), "loop": 0, "quality": 80, "method": 2}
     with write_atomically(path) as file:
-        images[0].save(
-            file,
-            format="WEBP",
-            save_all=True,
-            append_images=images[1:],
-            duration=duration,
-            loop=0,
-            quality=80,
-            method=2,
-        )
+        images[0].save(file, "WEBP", save_all=True, append_images=images[1:], **options)
     return len(images)

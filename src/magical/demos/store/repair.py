@@ -1,4 +1,4 @@
-"""Checking a dataset, and rebuilding the manifest of a damaged one."""
+"""Rebuilding the manifest of a damaged dataset."""
 
 import hashlib
 import itertools
@@ -20,11 +20,6 @@ from magical.demos.store.manifest import ManifestEntry
 from magical.errors import DatasetError, UnknownNameError
 from magical.files import LOCK, locked, write_atomically
 from magical.messages import printable
-
-
-def check(path: Path | str) -> list[Problem]:
-    """All problems of a dataset; reads every file."""
-    return list(Dataset.open(path, skip_damaged=True).problems)
 
 
 def repair(path: Path | str) -> list[Problem]:

@@ -2,9 +2,10 @@
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -72,33 +73,37 @@ class Trajectory:
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "env_id", parse_env_id(self.env_id).without_preset)
-        self._check_scene()
-        object.__setattr__(self, "actions", checked_actions("actions", self.actions))
-        for name in ("expert_actions", "policy_actions"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, self._checked_other(name, getattr(self, name)))
-        if self.actors is not None:
-            object.__setattr__(self, "actors", self._checked_actors(self.actors))
+        put = partial(object.__setattr__, self)
+        put("env_id", parse_env_id(self.env_id).without_preset)
+        self.task.validate(self.scene, MAX_NUDGE)
+        if not np.abs(Poses.at_rest(self.scene).bodies).max() <= MAX_COORDINATE:
+            raise TrajectoryError(f"scene: expected angles of at most {MAX_COORDINATE:g} rad")
+        put("actions", checked_actions("actions", self.actions))
+        published = checked_score("published_code_score", self.published_code_score)
+        put("published_code_score", published)
+        count = len(self.actions)
+        optional: dict[str, Callable[[Any], Any]] = {
+            "expert_actions": partial(checked_actions, "expert_actions", count=count),
+            "policy_actions": partial(checked_actions, "policy_actions", count=count),
+            "actors": self._checked_actors,
+            "poses": self._checked_poses,
+            "frames": self._checked_frames,
+            "score": partial(checked_score, "score"),
+            "seed": _checked_seed,
+        }
+        for name, checked in optional.items():
+            if (value := getattr(self, name)) is not None:
+                put(name, checked(value))
         if self.poses is None and self.frames is None:
             raise TrajectoryError("expected poses or frames, found none")
-        if self.poses is not None:
-            object.__setattr__(self, "poses", self._checked_poses(self.poses))
-        if self.frames is not None:
-            object.__setattr__(self, "frames", self._checked_frames(self.frames))
-        if self.score is not None:
-            object.__setattr__(self, "score", checked_score("score", self.score))
-        elif self.poses is not None:
+        if self.score is None and self.poses is not None:
             raise TrajectoryError("score: expected a number where poses are known; use from_poses")
-        published = checked_score("published_code_score", self.published_code_score)
-        object.__setattr__(self, "published_code_score", published)
-        object.__setattr__(self, "seed", _checked_seed(self.seed))
         if not isinstance(self.demonstrator, str) or not 0 < len(self.demonstrator) <= MAX_NAME:
             raise TrajectoryError(
                 f"demonstrator: expected a name of at most {MAX_NAME} characters, "
                 f"found {quoted(self.demonstrator)}"
             )
-        object.__setattr__(self, "metadata", _checked_metadata(self.metadata))
+        put("metadata", _checked_metadata(self.metadata))
 
     @staticmethod
     def from_poses(
@@ -154,19 +159,6 @@ class Trajectory:
         """Whether poses were recovered from frames: the simulation does not reproduce them."""
         return self.poses is not None and RECOVERY in self.metadata
 
-    def _check_scene(self) -> None:
-        self.task.validate(self.scene, MAX_NUDGE)
-        if not np.abs(Poses.at_rest(self.scene).bodies).max() <= MAX_COORDINATE:
-            raise TrajectoryError(f"scene: expected angles of at most {MAX_COORDINATE:g} rad")
-
-    def _checked_other(self, name: str, actions: ArrayLike) -> NDArray[np.int64]:
-        array = checked_actions(name, actions)
-        if array.shape != self.actions.shape:
-            raise TrajectoryError(
-                f"{name}: expected one for each of {len(self.actions)} actions, found {len(array)}"
-            )
-        return array
-
     def _checked_actors(self, actors: ArrayLike) -> NDArray[np.uint8]:
         array = np.asarray(actors)
         if array.shape != self.actions.shape or not np.isin(array, list(Actor)).all():
@@ -177,32 +169,36 @@ class Trajectory:
         return _frozen(array.astype(np.uint8))
 
     def _checked_poses(self, poses: ArrayLike) -> NDArray[np.float64]:
-        expected = (len(self.actions) + 1, FIRST_BLOCK + len(self.scene.blocks), 3)
-        array = np.asarray(poses)
-        if array.shape != expected or array.dtype != np.float64:
-            raise TrajectoryError(
-                f"poses: expected float64 {expected} for {len(self.actions)} actions and "
-                f"{len(self.scene.blocks)} blocks, found {array.dtype} {array.shape}"
-            )
+        steps, blocks = len(self.actions), len(self.scene.blocks)
+        shape, why = (steps + 1, FIRST_BLOCK + blocks, 3), f"for {steps} actions, {blocks} blocks"
+        array = _checked_array("poses", poses, "float64", shape, why)
         if not (np.abs(array) <= MAX_POSE).all():
             raise TrajectoryError(
                 f"poses: expected finite x, y and angles of at most {MAX_POSE}, "
                 f"found {np.abs(array).max(axis=(0, 1))}"
             )
-        return _frozen(array)
+        return array
 
     def _checked_frames(self, frames: Mapping[str, Any]) -> dict[str, NDArray[np.uint8]]:
         if not frames or not set(map(str, frames)) <= set(VIEWS):
             raise TrajectoryError(f"frames: expected views of {VIEWS}, found {sorted(frames)}")
-        expected = (len(self.actions) + 1, FRAME_SIZE, FRAME_SIZE, 3)
-        arrays = {str(view): np.asarray(frames[view]) for view in sorted(frames)}
-        for view, array in arrays.items():
-            if array.shape != expected or array.dtype != np.uint8:
-                raise TrajectoryError(
-                    f"{view} frames: expected uint8 {expected} (one more than the "
-                    f"{len(self.actions)} actions), found {array.dtype} {array.shape}"
-                )
-        return {view: _frozen(array) for view, array in arrays.items()}
+        shape = (len(self.actions) + 1, FRAME_SIZE, FRAME_SIZE, 3)
+        why = f"(one more than the {len(self.actions)} actions)"
+        return {
+            str(view): _checked_array(f"{view} frames", frames[view], "uint8", shape, why)
+            for view in sorted(frames)
+        }
+
+
+def _checked_array(
+    name: str, value: ArrayLike, dtype: str, shape: tuple[int, ...], why: str
+) -> NDArray[Any]:
+    array = np.asarray(value)
+    if array.shape != shape or array.dtype != dtype:
+        raise TrajectoryError(
+            f"{name}: expected {dtype} {shape} {why}, found {array.dtype} {array.shape}"
+        )
+    return _frozen(array)
 
 
 def _frozen(array: NDArray[Any]) -> NDArray[Any]:
@@ -230,8 +226,8 @@ def checked_score(name: str, value: Any) -> float:
     return float(value)
 
 
-def checked_actions(name: str, actions: ArrayLike) -> NDArray[np.int64]:
-    """Actions (T,), read-only; raises `TrajectoryError` for anything else."""
+def checked_actions(name: str, actions: ArrayLike, count: int | None = None) -> NDArray[np.int64]:
+    """Actions (T,), read-only; raises `TrajectoryError` for anything else, or not `count`."""
     array = np.asarray(actions)
     if array.ndim != 1 or not len(array) or array.dtype.kind not in "iu":
         raise TrajectoryError(
@@ -243,12 +239,14 @@ def checked_actions(name: str, actions: ArrayLike) -> NDArray[np.int64]:
             f"{name}: expected numbers from 0 to {NUM_ACTIONS - 1}, "
             f"found {array.min()} to {array.max()}"
         )
+    if count not in (None, len(array)):
+        raise TrajectoryError(
+            f"{name}: expected one for each of {count} actions, found {len(array)}"
+        )
     return _frozen(array.astype(np.int64))
 
 
-def _checked_seed(seed: Any) -> int | None:
-    if seed is None:
-        return None
+def _checked_seed(seed: Any) -> int:
     if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise TrajectoryError(f"seed: expected an integer of at least 0, found {quoted(seed)}")
     return int(seed)
