@@ -1,6 +1,7 @@
 """Episodes that experts label: what is taken, what is said, what is kept."""
 
 from collections.abc import Sequence
+from contextlib import closing
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from magical.demos import Trajectory, observations
 from magical.envs import EnvId
 from magical.experts import Memory, expert_for
 from magical.experts.memory import note_other_action
-from magical.learning.data.supervision import LabelledEpisodes
+from magical.learning.data.supervision import collect_labelled, make_envs
 from magical.physics import Simulation
 from magical.scene import Poses, State
 
@@ -41,9 +42,8 @@ class Stubborn:
 
 def collect(share: float, seed: int = 0, workers: int = 0) -> tuple[list[Trajectory], Stubborn]:
     policy = Stubborn()
-    with LabelledEpisodes(ENV_IDS, "LoRes4E", workers) as episodes:
-        rng = np.random.default_rng(seed)
-        return episodes.collect(policy, share, rng, round=3), policy
+    with closing(make_envs(ENV_IDS, "LoRes4E", workers)) as envs:
+        return collect_labelled(envs, policy, share, np.random.default_rng(seed), round=3), policy
 
 
 def expert_on(trajectory: Trajectory) -> tuple[list[int], NDArray[np.float64]]:

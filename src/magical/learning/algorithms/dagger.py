@@ -14,6 +14,7 @@ tasks; `paper` has behavioural cloning's (Table 3), its 20,000 batches split bet
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
 from statistics import fmean
@@ -29,7 +30,7 @@ from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.bc import BCConfig, BCTrainer, CloningSettings, make_policy
 from magical.learning.config import IMAGE_OBSERVATIONS
 from magical.learning.data.expert_data import TaskTrajectories, load_demonstrations
-from magical.learning.data.supervision import LabelledEpisodes
+from magical.learning.data.supervision import collect_labelled, make_envs
 from magical.learning.policy import NetworkPolicy
 from magical.learning.running.checkpoints import restoring
 from magical.learning.running.run import Run
@@ -127,13 +128,14 @@ def train(config: DAggerConfig, run: Run) -> None:
     aggregated = AggregatedDataset(config, run)
     if run.step == config.num_updates:
         return
-    with LabelledEpisodes(config.env_ids, config.observation, config.workers) as episodes:
+    with closing(make_envs(config.env_ids, config.observation, config.workers)) as envs:
         for number in range(run.step // config.cloning.batches, config.rounds):
             if aggregated.rounds < number:
                 rng = stream(config.seed, Purpose.ENVIRONMENTS, number)
                 policy = NetworkPolicy(trainer.policy, config, trainer.compute)
                 beta = config.beta(number)
-                aggregated.add_round(episodes.collect(policy, beta, rng, round=number))
+                labelled = collect_labelled(envs, policy, beta, rng, round=number)
+                aggregated.add_round(labelled)
             if config.restart and run.step == number * config.cloning.batches:
                 trainer.reset()
             if train_round(config, number, trainer, demonstrations, aggregated):

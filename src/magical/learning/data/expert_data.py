@@ -5,10 +5,9 @@ Ten demonstrations of a hundred steps take 28 MB that way and 110 MB as stacks. 
 known, frames can be rendered when they are sampled instead (`magical.learning.data.rendered_data`).
 """
 
-import hashlib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from itertools import repeat
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import torch
@@ -24,7 +23,7 @@ from magical.learning.augmentation.palette import permute_palette
 from magical.learning.augmentation.transformations import StackTransformations
 from magical.learning.config import Config, DemonstrationSettings
 from magical.learning.running.streams import Purpose, stream
-from magical.observe import Component, ObservationSpec
+from magical.observe import ObservationSpec
 from magical.observe.arrays import stack_indices
 from magical.scene import NOOP
 
@@ -35,8 +34,7 @@ Rows = NDArray[np.int64]  # (B,) indices of samples
 TaskTrajectories = tuple[tuple[str, Trajectory], ...]  # with the name of each one's task
 
 
-@dataclass(frozen=True, slots=True)
-class Demonstrations:
+class Demonstrations(NamedTuple):
     """The demonstrations of a run, and what identifies them."""
 
     trajectories: TaskTrajectories
@@ -81,27 +79,18 @@ def sample_demonstrations(
     for task in tasks:
         entries = [e for e in dataset.filter(task=task).entries if e.variant in variants]
         if len(entries) < count:
-            raise DemonstrationsError(_too_few(dataset, task, variants, count, len(entries)))
+            held = sorted({f"{entry.task}-{entry.variant}" for entry in dataset.entries})
+            raise DemonstrationsError(
+                f"{dataset.path}: expected at least {count} demonstrations of {task} "
+                f"({', '.join(variants)}), found {len(entries)}; the dataset holds: "
+                f"{', '.join(held) or 'nothing'}. Add demonstrations, or ask for fewer with "
+                "--num-demos"
+            )
         of_task = Dataset(dataset.path, entries)
         some = of_task.sample(count, stream(seed, Purpose.DEMONSTRATIONS))
         trajectories += [(task, trajectory) for trajectory in some]
         record += [{"task": task, "file": e.file, "sha256": e.sha256} for e in some.entries]
     return Demonstrations(tuple(trajectories), tuple(record))
-
-
-def _too_few(dataset: Dataset, task: str, variants: Sequence[str], count: int, found: int) -> str:
-    held = sorted({f"{entry.task}-{entry.variant}" for entry in dataset.entries})
-    return (
-        f"{dataset.path}: expected at least {count} demonstrations of {task} "
-        f"({', '.join(variants)}), found {found}; the dataset holds: "
-        f"{', '.join(held) or 'nothing'}. Add demonstrations, or ask for fewer with --num-demos"
-    )
-
-
-def digest(record: Sequence[dict[str, Any]]) -> str:
-    """One SHA-256 sum for all demonstrations of a run."""
-    lines = "\n".join(f"{item['task']} {item['sha256']}" for item in record)
-    return hashlib.sha256(lines.encode()).hexdigest()
 
 
 class ExpertData:
@@ -134,24 +123,22 @@ class ExpertData:
             DemonstrationsError: no samples are left of a task: those of steps in which a policy
                 acted itself are always left out.
         """
-        demonstrations = list(demonstrations)
-        self.spec = spec
-        self.task_names = tuple(task_names)
-        self.device = device
-        self._load_frames([trajectory for _, trajectory in demonstrations])
-        samples: list[_Samples] = []
-        first = 0  # number of the trajectory's first frame
-        for task, trajectory in demonstrations:
-            number = self.task_names.index(task)
-            samples.append(_samples(trajectory, number, first, spec.components, remove_noops))
-            first += len(trajectory)
-        parts = zip(*(s.stacks for s in samples), strict=True)
-        self._stacks = [torch.from_numpy(np.concatenate(part)).to(device) for part in parts]
-        self.actions = torch.from_numpy(np.concatenate([s.actions for s in samples])).to(device)
-        tasks = np.concatenate([s.tasks for s in samples])
-        self.tasks = torch.from_numpy(tasks).to(device)
+        names, trajectories = zip(*demonstrations, strict=True)
+        self.spec, self.device = spec, device
+        self._load_frames(trajectories)
+        kept = [t.is_demonstrated & ((t.labels != NOOP) | (not remove_noops)) for t in trajectories]
+        steps = [np.flatnonzero(of_one) for of_one in kept]
+        first = np.cumsum([0, *map(len, trajectories[:-1])])  # number of each one's first frame
+        self._stacks = []  # of each component: (S, frames), indices of frames, oldest first
+        for component in spec.components:
+            parts = map(stack_indices, steps, repeat(component.frames))
+            stacks = np.concatenate([n + part for n, part in zip(first, parts, strict=True)])
+            self._stacks.append(torch.from_numpy(stacks).to(device))
+        actions = np.concatenate([t.labels for t in trajectories])[np.concatenate(kept)]
+        tasks = np.repeat([task_names.index(name) for name in names], [len(s) for s in steps])
+        self.actions, self.tasks = (torch.from_numpy(v).to(device) for v in (actions, tasks))
         self._rows = [np.flatnonzero(tasks == number) for number in range(len(task_names))]
-        for name, rows in zip(self.task_names, self._rows, strict=True):
+        for name, rows in zip(task_names, self._rows, strict=True):
             if not len(rows):
                 raise DemonstrationsError(
                     f"{name}: expected demonstrations with actions other than the no-op, and not "
@@ -241,27 +228,3 @@ def split_evenly(size: int, num_tasks: int, rng: np.random.Generator) -> list[in
     if rest:
         counts[rng.choice(num_tasks, rest, replace=False)] += 1
     return [int(count) for count in counts]
-
-
-@dataclass(frozen=True, slots=True)
-class _Samples:
-    """One trajectory's samples."""
-
-    actions: NDArray[np.int64]  # (S,)
-    tasks: NDArray[np.int64]  # (S,)
-    stacks: list[NDArray[np.int64]]  # one per view: (S, frames), indices of frames, oldest first
-
-
-def _samples(
-    trajectory: Trajectory,
-    task: int,
-    first: int,
-    components: Sequence[Component],
-    remove_noops: bool,
-) -> _Samples:
-    kept = trajectory.is_demonstrated
-    if remove_noops:
-        kept = kept & (trajectory.labels != NOOP)
-    steps = np.flatnonzero(kept)
-    stacks = [first + stack_indices(steps, component.frames) for component in components]
-    return _Samples(trajectory.labels[steps], np.full(len(steps), task), stacks)
