@@ -5,10 +5,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from magical.evaluation.intervals import Floats
-from magical.evaluation.published import RUNS, pooled_std, published_table
+from magical.evaluation.published import RUNS, published_table
 from magical.evaluation.statistics import Spread
 from magical.tasks.axes import short_variant
 from studies.published_tables.rows import MethodRuns
+from studies.published_tables.scale import pooled_std
 
 LIMITS = (1, 2)  # pooled standard deviations
 

@@ -7,10 +7,11 @@ from types import MappingProxyType
 
 from magical.envs import EnvId
 from magical.evaluation.intervals import Interval
-from magical.evaluation.published import published_contrast, published_table
+from magical.evaluation.published import published_table
 from magical.evaluation.statistics import ROUNDING, contrast, mean
 from magical.tasks.axes import short_variant
 from studies.published_tables.rows import MethodRuns
+from studies.published_tables.scale import published_contrast
 
 DEMO, TESTS = "Demo", "test variants"
 PARTS = (DEMO, TESTS)

@@ -7,7 +7,6 @@ import pytest
 
 from magical.evaluation import environments, published_methods
 from magical.evaluation.intervals import Interval
-from magical.evaluation.published import published_contrast
 from studies.published_tables.claims import (
     CLAIMS,
     DEMO,
@@ -20,6 +19,7 @@ from studies.published_tables.claims import (
     verdict,
 )
 from studies.published_tables.rows import MethodRuns, published_row
+from studies.published_tables.scale import published_contrast
 
 CORNER = tuple(environments(["MoveToCorner"], ["Demo", "Jitter"]))
 
