@@ -58,10 +58,18 @@ def test_gaps_are_those_of_the_statistics(capsys: pytest.CaptureFixture[str]) ->
     assert "generalisation gap (Demo minus TestAll): 0.300 (" in " ".join(lines[-2])
 
 
-def test_without_both_variants_there_is_no_gap(capsys: pytest.CaptureFixture[str]) -> None:
-    argv = ["--task", "MoveToRegion", "--variants", "Demo", "--rollouts", "1"]
-    _, out, _ = evaluate(capsys, "noop", *argv)
-    assert "generalisation gap" not in out
+def test_a_policy_with_wrong_outputs_says_what_was_expected(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "wrong.py").write_text(POLICY)
+    status, _, err = evaluate(capsys, f"{tmp_path / 'wrong.py'}:wrong", "--task", "MoveToRegion")
+    assert status == 1
+    assert "expected act() to return integers from 0 to 17" in err
+    assert "found type float64" in err
+    pytest.importorskip("torch", reason="the learning extra is not installed")
+    status, _, err = evaluate(capsys, str(tmp_path))
+    assert status == 1
+    assert "expected a run folder" in err
 
 
 def test_json_of_several_tasks_is_by_task(capsys: pytest.CaptureFixture[str]) -> None:
@@ -75,11 +83,13 @@ def test_json_of_several_tasks_is_by_task(capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_out_holds_an_entry(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    argv = ["--task", "MoveToRegion", "--variants", "Demo", "--rollouts", "2"]
-    evaluate(capsys, "random", *argv, "--out", str(tmp_path), "--method", "dice", "--seed", "3")
+    argv = ["--task", "ClusterColour", "--variants", "Demo", "--rollouts", "2", "--horizon", "320"]
+    more = ["--method", "dice", "--seed", "3", "--nudge", "1e-9"]
+    _, out, _ = evaluate(capsys, "random", *argv, *more, "--out", str(tmp_path))
+    assert "generalisation gap" not in out  # without a test variant
     entry = read_entry(tmp_path)
-    assert entry.method == "dice"
-    assert entry.seed == 3
+    assert (entry.method, entry.seed, entry.nudge) == ("dice", 3, 1e-9)
+    assert entry.horizon == "appendix"  # whose number of steps was given
     assert [row.seed for row in entry.scores] == [1_003_000_000, 1_003_000_001]
 
 
@@ -93,6 +103,7 @@ def test_out_holds_an_entry(capsys: pytest.CaptureFixture[str], tmp_path: Path) 
         (["no_module:thing"], 1, "cannot be imported"),
         (["noop", "--rollouts", "0"], 2, "at least 1"),
         (["noop", "--horizon", "soon"], 2, "soon"),
+        *((["noop", f"--nudge={nudge}"], 2, "--nudge") for nudge in ("x", "-1", "1", "nan")),
         (
             ["noop", "--horizon", "published", "--task", "MoveToRegion"],
             2,
@@ -142,46 +153,3 @@ def test_what_would_not_rank_is_refused_before_anything_runs(
     assert (status, (tmp_path / "entry").exists()) == (2, False)
     assert message in err
     assert "no --out" in evaluate(capsys, *policy, *argv)[2]
-
-
-def test_the_appendix_s_number_of_steps_ranks(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    argv = ["--task", "ClusterColour", "--variants", "Demo", "--rollouts", "1"]
-    evaluate(capsys, "noop", *argv, "--horizon", "320", "--out", str(tmp_path))
-    assert read_entry(tmp_path).horizon == "appendix"
-
-
-def test_a_policy_with_wrong_outputs_says_what_was_expected(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    (tmp_path / "wrong.py").write_text(POLICY)
-    status, _, err = evaluate(capsys, f"{tmp_path / 'wrong.py'}:wrong", "--task", "MoveToRegion")
-    assert status == 1
-    assert "expected act() to return integers from 0 to 17" in err
-    assert "found type float64" in err
-
-
-def test_a_folder_that_is_no_run_says_so(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    pytest.importorskip("torch", reason="the learning extra is not installed")
-    status, _, err = evaluate(capsys, str(tmp_path))
-    assert status == 1
-    assert "expected a run folder" in err
-
-
-def test_a_nudge_is_recorded(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    argv = ["--task", "MoveToRegion", "--variants", "Demo", "--rollouts", "2"]
-    status, _, _ = evaluate(capsys, "random", *argv, "--nudge", "1e-9", "--out", str(tmp_path))
-    assert status == 0
-    assert read_entry(tmp_path).nudge == 1e-9
-
-
-@pytest.mark.parametrize("nudge", ["x", "-1", "1", "nan"])
-def test_a_nudge_out_of_range_is_wrong_usage(
-    capsys: pytest.CaptureFixture[str], nudge: str
-) -> None:
-    status, _, err = evaluate(capsys, "random", f"--nudge={nudge}")
-    assert status == 2
-    assert "--nudge" in err

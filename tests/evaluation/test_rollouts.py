@@ -109,17 +109,17 @@ def test_a_repeated_evaluation_gives_the_same_scores_in_the_same_environments(
     assert all(env.closed for env in made)
 
 
-def test_another_seed_is_another_set_of_scenes() -> None:
-    first, second = (
-        evaluate(RandomPolicy(), [LAYOUT], rollouts=4, seed=seed, workers=0) for seed in (0, 1)
-    )
-    assert not {row.seed for row in first} & {row.seed for row in second}
-
-
 def test_rows_come_by_environment_then_rollout_and_tasks_may_mix() -> None:
     ids = [LAYOUT, "magical/FixColour-Demo-v0", DEMO]
-    scores = evaluate(NoopPolicy(), ids, rollouts=2, horizon=3, workers=0)
-    assert [(row.env_id, row.rollout) for row in scores] == [(i, n) for i in ids for n in range(2)]
+    twice = [*ids, DEMO, "magical/MoveToRegion-Demo-LoRes4A-v0"]  # these count once
+    seen: list[int] = []
+    scores = evaluate(
+        NoopPolicy(), twice, rollouts=5, horizon=1, num_envs=6, workers=0, progress=seen.append
+    )
+    assert [(row.env_id, row.rollout) for row in scores] == [(i, n) for i in ids for n in range(5)]
+    assert sum(seen) == 15
+    others = evaluate(NoopPolicy(), ids, rollouts=5, horizon=1, seed=1, workers=0)
+    assert not {row.seed for row in scores} & {row.seed for row in others}
 
 
 def test_policies_see_the_observation_they_were_made_for_and_are_told_of_episodes() -> None:
@@ -134,22 +134,20 @@ def test_policies_see_the_observation_they_were_made_for_and_are_told_of_episode
     assert env_ids[0] == "magical/MoveToRegion-Demo-v0"
 
 
-def test_a_policy_that_needs_nothing_gets_nothing() -> None:
-    policy = Watching(observation="nothing")
-    evaluate(policy, [DEMO], rollouts=1, horizon=1, observation="LoRes4A", workers=0)
-    assert policy.acts[0][0] is None
-
-
-def test_an_observation_asked_for_goes_before_the_policys_own() -> None:
-    policy = Watching(observation="LoRes4A")
-    evaluate(policy, [DEMO], rollouts=1, horizon=1, observation="LoResCHW4E", workers=0)
-    assert policy.acts[0][0].shape == (1, 12, 96, 96)
-
-
-def test_without_a_word_policies_see_LoRes4E() -> None:
-    policy = Watching()
-    evaluate(policy, [DEMO], rollouts=1, horizon=1, workers=0)
-    assert policy.acts[0][0].shape == (1, 96, 96, 12)
+@pytest.mark.parametrize(
+    ("own", "asked_for", "shape"),
+    [
+        (None, None, (1, 96, 96, 12)),
+        ("LoRes4A", "LoResCHW4E", (1, 12, 96, 96)),
+        ("nothing", "LoRes4A", None),
+    ],
+)
+def test_policies_see_what_was_asked_for_else_their_own_else_LoRes4E(
+    own: str | None, asked_for: str | None, shape: tuple[int, ...] | None
+) -> None:
+    policy = Watching(observation=own)
+    evaluate(policy, [DEMO], rollouts=1, horizon=1, observation=asked_for, workers=0)
+    assert getattr(policy.acts[0][0], "shape", None) == shape
 
 
 def test_privileged_policies_see_states() -> None:
@@ -177,15 +175,23 @@ def test_the_published_horizon_is_for_tasks_that_have_one_of_their_own() -> None
     assert len(policy.acts) == 40 + 240
 
 
-@pytest.mark.parametrize("horizon", ["long", 0, -3])
-def test_a_wrong_horizon_is_named(horizon: Any) -> None:
-    with pytest.raises(InvalidConfigError, match="expected appendix, published or a number"):
-        evaluate(NoopPolicy(), [DEMO], rollouts=1, horizon=horizon, workers=0)
-
-
-def test_an_unknown_observation_is_named() -> None:
-    with pytest.raises(UnknownNameError, match="LoRes4E"):
-        evaluate(Watching(), [DEMO], rollouts=1, observation="HiRes", workers=0)
+@pytest.mark.parametrize(
+    ("settings", "error", "message"),
+    [
+        *(
+            ({"horizon": horizon}, InvalidConfigError, "expected appendix, published or a number")
+            for horizon in ("long", 0, -3)
+        ),
+        ({"observation": "HiRes"}, UnknownNameError, "LoRes4E"),
+        ({"rollouts": 0}, ValueError, "at least 1, found 0"),
+        ({"nudge": 1.0}, ValueError, "nudge: expected"),
+    ],
+)
+def test_wrong_settings_are_named(
+    settings: dict[str, Any], error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        evaluate(Watching(), [DEMO], **{"rollouts": 1, "workers": 0, **settings})
 
 
 @pytest.mark.parametrize("horizon", [None, 320, "320", "appendix"])
@@ -197,36 +203,11 @@ def test_the_appendix_s_steps_are_the_appendix_s_horizon(horizon: Any) -> None:
     assert Evaluation.of([*env_ids, DEMO], horizon="published").horizon_name == "published"
 
 
-def test_an_environment_given_twice_counts_once() -> None:
-    name = "magical/MoveToRegion-Demo-v0"
-    ids = [name, name, "magical/MoveToRegion-Demo-LoRes4A-v0"]
-    assert len(evaluate(NoopPolicy(), ids, rollouts=2, workers=0)) == 2
-
-
-def test_no_rollouts_are_refused() -> None:
-    with pytest.raises(ValueError, match="at least 1, found 0"):
-        evaluate(NoopPolicy(), [DEMO], rollouts=0)
-
-
 def test_a_policy_that_returns_nonsense_is_named() -> None:
     policy = load_policy("random")
     policy.act = lambda observations, env_ids, rng: np.full(len(env_ids), 18)  # type: ignore[method-assign]
     with pytest.raises(PolicyError, match="found 18 in row 0"):
         evaluate(policy, [DEMO], rollouts=1, workers=0)
-
-
-def test_progress_counts_every_rollout() -> None:
-    seen: list[int] = []
-    evaluate(
-        NoopPolicy(),
-        [DEMO, LAYOUT],
-        rollouts=5,
-        horizon=1,
-        num_envs=6,
-        workers=0,
-        progress=seen.append,
-    )
-    assert sum(seen) == 10
 
 
 def test_only_experts_solve_the_tasks() -> None:
@@ -304,8 +285,3 @@ def test_a_nudge_does_not_depend_on_processes(name: str) -> None:
     policy = load_policy(name)
     one = evaluate(policy, [DEMO], rollouts=12, nudge=1e-9, workers=0)
     assert evaluate(policy, [DEMO], rollouts=12, nudge=1e-9, workers=2) == one
-
-
-def test_a_nudge_out_of_range() -> None:
-    with pytest.raises(ValueError, match="nudge: expected"):
-        evaluate(NoopPolicy(), [DEMO], rollouts=1, nudge=1.0, workers=0)
