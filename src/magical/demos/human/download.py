@@ -24,8 +24,9 @@ from socket import SHUT_RDWR, socket
 from ssl import SSLError
 from typing import IO, Any, NamedTuple
 
+from magical.demos.human.published import file_sum
 from magical.errors import DownloadError
-from magical.files import open_regular, sha256_sum
+from magical.files import open_regular
 from magical.messages import printable, quoted
 
 # The repository at the commit whose sums are in data/human-demos.sha256.
@@ -81,7 +82,7 @@ def fetch_all(
     for name, digest in sums.items():
         target = folder / name
         url = f"{base_url.rstrip('/')}/{urllib.parse.quote(name)}"
-        problem = None if _sum(target) == digest else _fetch(url, target, digest)
+        problem = None if file_sum(target) == digest else _fetch(url, target, digest)
         if problem is None:
             download.files[name] = target
         else:
@@ -106,7 +107,7 @@ def _fetch(url: str, target: Path, digest: str) -> str | None:
     for attempt in range(1, ATTEMPTS + 1):
         try:
             _resume(url, part)
-            found = _sum(part)
+            found = file_sum(part)
             if found == digest:
                 part.replace(target)
                 return None
@@ -162,15 +163,6 @@ def _is_address(url: str) -> bool:
         return bool(_ADDRESS.fullmatch(url)) and urllib.parse.urlsplit(url).port != 0
     except ValueError:
         return False
-
-
-def _sum(path: Path) -> str:
-    """The SHA-256 of a file; empty if there is none, or it is not a regular file."""
-    try:
-        with open_regular(path) as file:
-            return sha256_sum(file)
-    except OSError:
-        return ""
 
 
 class _Response(HTTPResponse):

@@ -7,7 +7,7 @@ from enum import StrEnum
 from functools import partial
 from pathlib import Path
 
-from magical.demos.human.published import MAX_PATH, naming_errors, read_demonstration
+from magical.demos.human.published import MAX_PATH, file_sum, naming_errors, read_demonstration
 from magical.demos.human.safe_pickle import MAX_UNPACKED
 from magical.demos.store.codec import encode
 from magical.demos.store.dataset import Dataset
@@ -15,7 +15,6 @@ from magical.demos.store.manifest import ManifestEntry
 from magical.demos.store.trajectory import RECOVERY
 from magical.demos.store.writer import DatasetWriter
 from magical.errors import DatasetError, MagicalError, WorkerError
-from magical.files import open_regular, sha256_sum
 from magical.messages import printable
 from magical.processes import available_cores, outcomes_in_processes
 
@@ -85,7 +84,7 @@ def import_published(
     """
     writer, entries = DatasetWriter(out), Dataset.open(out).entries
     known = {(entry.source, entry.source_sha256) for entry in entries}
-    wanted = [file for file in files if (file.name, _sum(file)) not in known]
+    wanted = [file for file in files if (file.name, file_sum(file, follow_links=True)) not in known]
     report = ImportReport(already=[file.name for file in files if file not in set(wanted)])
     first = {entry.fingerprint: entry.source or entry.file for entry in entries}
     progress(len(report.already))
@@ -116,15 +115,6 @@ def _is_copy(
         return True
     first[entry.fingerprint] = file.name
     return False
-
-
-def _sum(file: Path) -> str:
-    """The file's SHA-256; empty where it cannot be read, which reading it later reports."""
-    try:
-        with open_regular(file, follow_links=True) as opened:
-            return sha256_sum(opened)
-    except OSError:
-        return ""
 
 
 def _convert(

@@ -173,6 +173,15 @@ def _frame(observation: Any, view: str) -> NDArray[np.uint8]:
     return array.values
 
 
+def file_sum(path: Path, *, follow_links: bool = False) -> str:
+    """The SHA-256 of a file; empty if there is none, or it cannot be read."""
+    try:
+        with open_regular(path, follow_links=follow_links) as file:
+            return sha256_sum(file)
+    except OSError:
+        return ""
+
+
 @cache
 def published_sums() -> Mapping[str, str]:
     """SHA-256 of the 203 published files by their path in the repository qxcv/magical-data."""

@@ -73,14 +73,22 @@ class Dataset(Sequence[Trajectory]):
                 entries, problems = read_manifest(folder)
         except OSError as error:
             raise DatasetError(f"{folder}: cannot be read: {error}") from error
-        if skip_damaged:
-            everything = cls(folder, entries)
-            damage = {entry: everything._damage(entry) for entry in entries}
-            problems += [Problem(str(folder / e.file), what) for e, what in damage.items() if what]
-            return cls(folder, [entry for entry, what in damage.items() if not what], problems)
-        if problems:
-            raise DatasetError(_summary(problems))
-        return cls(folder, entries)
+        if problems and not skip_damaged:
+            more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+            raise DatasetError(
+                f"{problems[0]}{more}; to use the rest: Dataset.open(..., skip_damaged=True)"
+            )
+        dataset = cls(folder, entries)
+        if not skip_damaged:
+            return dataset
+        intact = []
+        for entry in entries:
+            try:
+                dataset.read(entry)
+                intact.append(entry)
+            except DatasetError as error:
+                problems.append(Problem(str(folder / entry.file), str(error)))
+        return cls(folder, intact, problems)
 
     def __len__(self) -> int:
         """The number of trajectories."""
@@ -125,14 +133,6 @@ class Dataset(Sequence[Trajectory]):
         if ManifestEntry.of(trajectory, raw, entry.index) != entry:
             raise DatasetError(f"{path}: the manifest describes another one; {manifest.ADVICE}")
         return trajectory
-
-    def _damage(self, entry: ManifestEntry) -> str:
-        """What is wrong with the file of an entry; empty if nothing is."""
-        try:
-            self.read(entry)
-        except DatasetError as error:
-            return str(error)
-        return ""
 
     def filter(
         self,
@@ -273,8 +273,3 @@ def read_file(path: Path, size: int | None = None) -> bytes:
             return file.read(found)
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read: {error.strerror or error}") from error
-
-
-def _summary(problems: Sequence[Problem]) -> str:
-    more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-    return f"{problems[0]}{more}; to use the rest: Dataset.open(..., skip_damaged=True)"

@@ -45,7 +45,15 @@ class Frames:
 
             self._renderer = render.Renderer(trajectory.scene, View(view), size, samples)
         else:
-            self._recorded = _recorded(trajectory, str(view), size, samples)
+            recorded = trajectory.frames or {}
+            averaged = RAW_FRAME_SIZE // FRAME_SIZE
+            if view not in recorded or size != FRAME_SIZE or samples not in (None, averaged):
+                raise TrajectoryError(
+                    f"{trajectory.env_id}: this recording has only frames of {FRAME_SIZE} x "
+                    f"{FRAME_SIZE} pixels of the views {', '.join(recorded)}, not {view} frames "
+                    f"of {size} x {size} with {samples or 'any'} samples; use a preset of that size"
+                )
+            self._recorded = recorded[view]
 
     def render(self, time: int, out: Pixels) -> None:
         """Write the frame at time step `time`, 0 to T, into `out` (size, size, 3)."""
@@ -188,8 +196,13 @@ def read_all(
         actions[rows], labels[rows] = trajectory.actions, trajectory.labels
         demonstrated[rows] = trajectory.is_demonstrated
         reader = ObservationReader(trajectory, observation)
-        batch = empty(reader.spec.fields, (total,)) if batch is None else batch
-        _check_shape(batch, reader)
+        fields = reader.spec.fields
+        batch = empty(fields, (total,)) if batch is None else batch
+        if SINGLE in fields and batch.shape[1:] != fields[SINGLE][0]:
+            raise ObservationError(
+                f"expected observations of one shape {batch.shape[1:]}, found {fields[SINGLE][0]}; "
+                "filter the dataset by task, or use a pixel observation"
+            )
         reader.read(np.arange(len(trajectory)), select(batch, rows))
         start = rows.stop
     return {
@@ -210,24 +223,3 @@ def estimated_states(trajectory: Trajectory) -> NDArray[np.float64]:
         follower.correct(bodies)
         states.append(follower.states)
     return np.stack(states)
-
-
-def _check_shape(batch: Any, reader: ObservationReader) -> None:
-    fields = reader.spec.fields
-    if SINGLE in fields and batch.shape[1:] != fields[SINGLE][0]:
-        raise ObservationError(
-            f"expected observations of one shape {batch.shape[1:]}, found {fields[SINGLE][0]}; "
-            "filter the dataset by task, or use a pixel observation"
-        )
-
-
-def _recorded(trajectory: Trajectory, view: str, size: int, samples: int | None) -> Pixels:
-    averaged = RAW_FRAME_SIZE // FRAME_SIZE
-    frames = (trajectory.frames or {}).get(view)
-    if frames is None or size != FRAME_SIZE or samples not in (None, averaged):
-        raise TrajectoryError(
-            f"{trajectory.env_id}: this recording has only frames of {FRAME_SIZE} x {FRAME_SIZE} "
-            f"pixels of the views {', '.join(trajectory.frames or {})}, not {view} frames of "
-            f"{size} x {size} with {samples or 'any'} samples; use a preset of that size"
-        )
-    return frames

@@ -8,7 +8,6 @@ pixel. The curvature of the likelihood at the end gives the remaining uncertaint
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -52,8 +51,7 @@ NEAR = (
 FAR = (Stage(2.5, 8, bounded=True), *NEAR)  # for first guesses that are up to 15 pixels off
 
 
-@dataclass(frozen=True, slots=True)
-class Fit:
+class Fit(NamedTuple):
     """Fitted poses, and how well the pixels determine them."""
 
     bodies: Bodies
