@@ -1,6 +1,6 @@
 """Compares the renderer with recorded frames (`frames-96.npz`, `frames-384.npz`)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from magical.conformance.recordings import Comparison, expecting
 from magical.envs.ids import parse_env_id
 from magical.files import write_atomically
 from magical.render import Renderer
-from magical.scene import Pose, Poses, Scene, View
+from magical.scene import Poses, Scene, View
 
 LIMIT = 0.25  # of 255: mean absolute difference over the frames of a task without regions
 REGION_LIMIT = 0.5  # of 255: the same for a task with regions
@@ -116,21 +116,15 @@ def _state(record: Mapping[str, Any]) -> tuple[Scene, Poses]:
     order = record["draw_order"]
     robot_first = "Shape" in order and order.index("Robot") < order.index("Shape")
     scene = Scene.from_dict({**record, "robot_first": robot_first})
-    return scene, Poses(_bodies(scene, record))
-
-
-def _bodies(scene: Scene, record: Mapping[str, Any]) -> NDArray[np.float64]:
-    """The rows of `Poses` in one record."""
-    robot = Pose(*record["robot"])
+    x, y, _ = scene.robot
     fingers = zip(record["finger_positions"], record["finger_angles"], strict=True)
-    rows: Sequence[tuple[float, ...]] = [
-        robot,
-        *((x, y, angle) for (x, y), angle in fingers),
-        *((robot.x, robot.y, angle) for angle in record["pupil_angles"]),
+    rows = [
+        scene.robot,
+        *((*position, angle) for position, angle in fingers),
+        *((x, y, angle) for angle in record["pupil_angles"]),
         *(block.pose for block in scene.blocks),
     ]
-    bodies = np.array(rows, np.float64)
-    expected = Poses.at_rest(scene).bodies.shape
+    bodies, expected = np.array(rows, np.float64), Poses.at_rest(scene).bodies.shape
     if bodies.shape != expected or not np.isfinite(bodies).all():
         raise ValueError(f"expected finite poses {expected}, found {bodies.shape}")
-    return bodies
+    return scene, Poses(bodies)

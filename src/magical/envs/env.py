@@ -25,7 +25,7 @@ from magical.observe import Observation, make_spec
 from magical.observe.arrays import copy_arrays
 from magical.scene.actions import ACTION_NAMES, NUM_ACTIONS
 from magical.scene.constants import CONTROL_RATE, RAW_FRAME_SIZE
-from magical.scene.state import State
+from magical.scene.poses import State
 from magical.tasks import Horizon, Task, get_task
 
 Reward = Literal["none", "score", "dense"]

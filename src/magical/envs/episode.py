@@ -19,9 +19,8 @@ from magical.messages import quoted
 from magical.observe import ObservationSpec
 from magical.physics import Simulation
 from magical.scene.constants import MAX_NUDGE
-from magical.scene.poses import Poses
+from magical.scene.poses import Poses, State
 from magical.scene.scene import Dynamics, Scene
-from magical.scene.state import State
 from magical.tasks import TASKS, Horizon, Task, parse_horizon
 
 RESET_OPTIONS = ("scene", "dynamics", "nudge")

@@ -84,7 +84,14 @@ class BodyReader:
         self._target = ffi.new("pmBatchedData *")
         self._target.floatArray, self._target.intArray = self._floats, self._ints
         self._visit = ffi.addressof(lib, "pmSpaceBodyGetIteratorFuncBatched")
-        self._indices = self._find(bodies)
+        self._target.fields = pymunk.batch.BodyFields.BODY_ID.value
+        lib.cpSpaceEachBody(space._space, self._visit, self._target)
+        assert self._ints.num < self._ints.max == self._ids.size
+        ids = self._ids[: self._ints.num].tolist()
+        rows = np.array([ids.index(body.id) for body in bodies])
+        # The index in the buffer of each entry of the result, (bodies, 6).
+        self._indices = rows[:, None] * _WIDTH + np.arange(_WIDTH)
+        self._indices[EYES, _POSITION_COLUMNS] = self._indices[ROBOT, _POSITION_COLUMNS]
         self._target.fields = _FIELDS.value
 
     def read(self) -> NDArray[np.float64]:
@@ -95,14 +102,3 @@ class BodyReader:
         self._floats.num = 0
         lib.cpSpaceEachBody(self._space._space, self._visit, self._target)
         return self._all.take(self._indices, mode="clip")
-
-    def _find(self, bodies: Sequence[pymunk.Body]) -> NDArray[np.intp]:
-        """The index in the buffer of each entry of the result, (bodies, 6)."""
-        self._target.fields = pymunk.batch.BodyFields.BODY_ID.value
-        lib.cpSpaceEachBody(self._space._space, self._visit, self._target)
-        ids = self._ids[: self._ints.num].tolist()
-        rows = np.array([ids.index(body.id) for body in bodies])
-        assert self._ints.num < self._ints.max == self._ids.size
-        indices = rows[:, None] * _WIDTH + np.arange(_WIDTH)
-        indices[EYES, _POSITION_COLUMNS] = indices[ROBOT, _POSITION_COLUMNS]
-        return indices

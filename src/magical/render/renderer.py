@@ -1,7 +1,7 @@
 """The renderer: frames of scenes, for the rest of the package."""
 
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,11 +71,8 @@ class Renderer:
         self._display = display_list(scene)
         self._bodies = np.empty((FIRST_BLOCK + len(scene.blocks), 3))
         self._pixels = np.empty(size * size, np.int32)
-        layers = 1 + len(scene.regions)
-        if self.view == View.EGO:
-            memory, mode = _shared_memory(size, self.samples, layers, self._pixels), EGO
-        else:
-            memory, mode = self._cached_ground(layers, whole_dashes), ALLO
+        memory = self._memory(1 + len(scene.regions), whole_dashes)
+        mode = EGO if self.view == View.EGO else ALLO
         self._arguments = (*self._display, *memory, size, mode, whole_dashes)
 
     def render(self, bodies: NDArray[np.float64], out: Image) -> None:
@@ -137,14 +134,24 @@ class Renderer:
                 f"expected finite poses within {FAR:g} units, found {quoted(mine.tolist())}"
             )
 
-    def _cached_ground(self, layers: int, whole_dashes: bool) -> "_Memory":
-        """Render the ground once and keep it: the allocentric camera does not move."""
-        shared = _shared_memory(self.size, self.samples, layers, self._pixels)
-        own = shared._replace(ground=np.empty_like(self._pixels), tiles=np.empty_like(shared.tiles))
-        self._bodies[:] = 0.0
-        arguments = (*self._display, *own, self.size, GROUND, whole_dashes)
-        tiles = self._compiled(self._bodies, *arguments)
-        return own._replace(tiles=own.tiles[:tiles].copy(), kept=self._pixels.copy())
+    def _memory(self, layers: int, whole_dashes: bool) -> tuple[NDArray[Any], ...]:
+        """The arrays that a frame is rendered in (`canvas.Canvas`, `frame.compiled_render`).
+
+        In the egocentric view, the pixels are also the ground. The allocentric camera does not
+        move: its ground is rendered here and kept, with its finished pixels. Working memory is
+        shared by all renderers, also among threads: compiled code keeps the interpreter's lock,
+        and one call leaves nothing in shared memory that another needs.
+        """
+        pixels = self._pixels
+        tiles, *shared = _working_memory(self.size, self.samples, layers)
+        shared += [pixels]
+        if self.view == View.EGO:
+            return pixels, tiles, *shared, np.empty(0, np.int32)
+        ground, tiles, bodies = np.empty_like(pixels), np.empty_like(tiles), self._bodies
+        bodies[:] = 0.0
+        memory = ground, tiles, *shared, np.empty(0, np.int32)
+        count = self._compiled(bodies, *self._display, *memory, self.size, GROUND, whole_dashes)
+        return ground, tiles[:count].copy(), *shared, pixels.copy()
 
 
 def render_frame(
@@ -174,30 +181,8 @@ def warm_up(samples: int = max(SAMPLES)) -> None:
     render_frame(scene, Poses.at_rest(scene), View.EGO, 8, samples)
 
 
-class _Memory(NamedTuple):
-    """The arrays that one frame is rendered in (see `canvas.Canvas`, `frame.compiled_render`)."""
-
-    ground: NDArray[np.int32]
-    tiles: NDArray[np.int64]
-    owners: NDArray[np.int32]
-    bodies: NDArray[np.int64]
-    touched: NDArray[np.int64]
-    pixels: NDArray[np.int32]
-    kept: NDArray[np.int32]
-
-
-def _shared_memory(size: int, samples: int, layers: int, pixels: NDArray[np.int32]) -> _Memory:
-    """A renderer's own pixels, which are also its ground, and working memory shared by all.
-
-    Sharing is safe, also among threads: compiled code keeps the interpreter's lock, and one call
-    leaves nothing in shared memory that another needs.
-    """
-    tiles, owners, bodies, touched = _working_memory(size, samples, layers)
-    return _Memory(pixels, tiles, owners, bodies, touched, pixels, np.empty(0, np.int32))
-
-
 @lru_cache(maxsize=16)
-def _working_memory(size: int, samples: int, layers: int) -> tuple[Any, Any, Any, Any]:
+def _working_memory(size: int, samples: int, layers: int) -> tuple[NDArray[Any], ...]:
     count = size * size
     tiles = np.empty((layers * count, samples * samples), np.int64)
     owners = np.empty(layers * count, np.int32)

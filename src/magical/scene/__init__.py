@@ -1,9 +1,8 @@
 """Scenes as plain frozen data. Nothing here is simulated, rendered or scored."""
 
 from magical.scene.actions import ACTION_NAMES, ACTIONS, NOOP, NUM_ACTIONS, Action
-from magical.scene.poses import Poses
+from magical.scene.poses import Poses, State
 from magical.scene.scene import Block, Dynamics, Pose, Region, Scene
-from magical.scene.state import State
 from magical.scene.vocabulary import COLOURS, SHAPES, Colour, Shape, View
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""The poses of all bodies at one time step."""
+"""The poses of all bodies at one time step, and the state of an episode."""
 
 from dataclasses import dataclass
 
@@ -52,3 +52,22 @@ class Poses:
             *(block.pose for block in scene.blocks),
         ]
         return Poses(np.array(rows, dtype=np.float64))
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """The true state of an environment: a scene, its bodies' motion, and the time left.
+
+    Scripted experts and privileged learners observe it.
+    """
+
+    scene: Scene
+    poses: Poses
+    velocities: NDArray[np.float64]  # (5 + number of blocks, 3): x, y, angular, per second
+    step: int = 0  # control steps since reset
+    horizon: int = 0  # control steps in the episode
+
+    @property
+    def steps_left(self) -> int:
+        """Control steps until the episode ends."""
+        return self.horizon - self.step

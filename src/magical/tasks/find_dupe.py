@@ -94,10 +94,9 @@ def validate(scene: Scene) -> str:
     """The reason why the scene does not fit the task, or an empty string."""
     if len(scene.regions) != 1 or not scene.blocks:
         return "expected 1 goal region and the query as the last block, found fewer; add them"
-    found = len(alike(scene)) > 1
-    return (
-        "" if found else "expected a duplicate of the last block (the query), found none; add one"
-    )
+    if len(alike(scene)) > 1:
+        return ""
+    return "expected a duplicate of the last block (the query), found none; add one"
 
 
 TASK = Task(

@@ -115,7 +115,11 @@ def _resized(
 
 
 def _attempt(scene: Scene, axes: Axis, rng: np.random.Generator, placement: Placement) -> Scene:
-    regions = _place_regions(scene, axes, rng)
+    regions: list[Solid] = []
+    for i, region in enumerate(scene.regions):
+        what, solid = f"region {i}", Solid.of_region(region)
+        box = _box(solid.pose, axes)._replace(angle=0.0)
+        regions.append(_fit(what, solid.silhouette, box, regions, rng))
     robot = _fit("the robot", robot_silhouette(), _box(scene.robot, axes), regions, rng)
     solids, blocks = [*regions, robot], list(scene.blocks)
     enclosed = placement.enclosed(len(blocks))
@@ -129,22 +133,11 @@ def _attempt(scene: Scene, axes: Axis, rng: np.random.Generator, placement: Plac
         solid = _fit(what, block_silhouette(block.shape), box, obstacles, rng)
         blocks[i] = replace(block, pose=solid.pose)
         solids.append(solid)
-    moved = map(_moved, scene.regions, regions)
-    return replace(scene, robot=robot.pose, blocks=tuple(blocks), regions=tuple(moved))
-
-
-def _place_regions(scene: Scene, axes: Axis, rng: np.random.Generator) -> list[Solid]:
-    placed: list[Solid] = []
-    for i, region in enumerate(scene.regions):
-        solid = Solid.of_region(region)
-        box = _box(solid.pose, axes)._replace(angle=0.0)
-        placed.append(_fit(f"region {i}", solid.silhouette, box, placed, rng))
-    return placed
-
-
-def _moved(region: Region, solid: Solid) -> Region:
-    x, y, _ = solid.pose
-    return Region.from_centre(region.colour, x, y, region.height, region.width)
+    moved = tuple(
+        Region.from_centre(region.colour, *solid.pose[:2], region.height, region.width)
+        for region, solid in zip(scene.regions, regions, strict=True)
+    )
+    return replace(scene, robot=robot.pose, blocks=tuple(blocks), regions=moved)
 
 
 def _fit(

@@ -95,19 +95,15 @@ class Task:
             UnknownNameError: the task lacks the variant; the message says which it has.
         """
         if variant not in self.variants:
-            raise UnknownNameError(self._unknown_variant(variant))
+            known, close = ", ".join(self.variants), get_close_matches(str(variant), self.variants)
+            if variant in VARIANTS:
+                raise UnknownNameError(f"{self.name} has no variant {variant!r}; it has: {known}")
+            hint = f"; did you mean {close[0]!r}?" if close else ""
+            raise UnknownNameError(f"{variant!r} is no variant; {self.name} has: {known}{hint}")
         axes = VARIANTS[variant] & self.axes
         if variant == TEST_ALL and Axis.LAYOUT not in axes:
             return axes | self.axes & Axis.JITTER
         return axes
-
-    def _unknown_variant(self, variant: str) -> str:
-        known = ", ".join(self.variants)
-        if variant in VARIANTS:
-            return f"{self.name} has no variant {variant!r}; it has: {known}"
-        close = get_close_matches(str(variant), self.variants, n=1)
-        hint = f"; did you mean {close[0]!r}?" if close else ""
-        return f"{variant!r} is no variant; {self.name} has: {known}{hint}"
 
     def sample(self, variant: str, rng: np.random.Generator) -> tuple[Scene, Dynamics]:
         """Sample an episode's initial scene and dynamics.
@@ -121,22 +117,11 @@ class Task:
         return scene, Dynamics.sample(rng) if Axis.DYNAMICS in axes else Dynamics()
 
     def score(self, scene: Scene, poses: Poses) -> float:
-        """The appendix's score of final poses.
-
-        Args:
-            scene: the episode's initial scene.
-            poses: the poses at its end.
-
-        Returns:
-            0 to 1.
-        """
+        """The appendix's score, 0 to 1, of the poses at the end of an episode from `scene`."""
         return self.score_fn(scene, poses)
 
     def published_code_score(self, scene: Scene, poses: Poses) -> float:
-        """The published code's score, 0 to 1; arguments as for `score`.
-
-        Source: docs/specification.md, section 9.
-        """
+        """As `score`, the published code's (docs/specification.md, section 9)."""
         return (self.published_score_fn or self.score_fn)(scene, poses)
 
     def validate(self, scene: Scene, nudge: float = 0.0) -> None:

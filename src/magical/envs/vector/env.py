@@ -39,9 +39,8 @@ from magical.observe.arrays import copy_arrays, select
 from magical.processes import available_cores
 from magical.scene.actions import NUM_ACTIONS
 from magical.scene.constants import RAW_FRAME_SIZE
-from magical.scene.poses import Poses
+from magical.scene.poses import Poses, State
 from magical.scene.scene import Scene
-from magical.scene.state import State
 from magical.tasks import Horizon
 
 Bools = NDArray[np.bool_]
