@@ -72,10 +72,7 @@ def generate(
     with closing(map_in_processes(attempt, count(first), workers)) as results:
         while len(scores) < number:
             if dropped > MAX_DROPPED * number:
-                raise DatasetError(
-                    f"{env_id}: {dropped} attempts scored less than {min_score} and {len(scores)} "
-                    "did not; give a lower score, a higher skill or a lower share of perturbed steps"
-                )
+                raise DatasetError(f"{env_id}: {_too_few(min_score, len(scores), dropped)}")
             entry, raw = next(results)
             if entry.final_score < min_score:
                 dropped += 1
@@ -85,6 +82,13 @@ def generate(
             if progress:
                 progress(1)
     return GenerateReport(env_id, len(scores), dropped, tuple(scores))
+
+
+def _too_few(min_score: float, kept: int, dropped: int) -> str:
+    return (
+        f"{dropped} attempts scored less than {min_score} and {kept} did not; give a lower score, "
+        "a higher skill or a lower share of perturbed steps"
+    )
 
 
 def demonstrate(env_id: str, seed: int, skill: float = 1.0, *, perturb: float = 0.0) -> Trajectory:
