@@ -80,6 +80,12 @@ class InlineExecutor:
         """There is nothing to close."""
 
 
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    """No results yet."""
+    return tmp_path / "out"
+
+
 @contextmanager
 def in_this_process() -> Iterator[list[PlannedRun]]:
     """A context in which plans are executed in this process; the list of the runs started."""

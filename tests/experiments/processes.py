@@ -33,3 +33,8 @@ def lines(out: Path) -> int:
 def reached(out: Path, moment: int) -> bool:
     """Whether so many lines and records are written in time."""
     return soon(lambda: lines(out) >= moment, TIMEOUT)
+
+
+def scores_of(out: Path) -> dict[str, bytes]:
+    """The scores of each run of a results folder."""
+    return {path.parent.name: path.read_bytes() for path in out.glob("runs/*/scores.csv")}

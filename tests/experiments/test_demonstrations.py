@@ -25,12 +25,6 @@ Planned = Callable[..., list[PlannedRun]]
 Started = list[PlannedRun]
 
 
-@pytest.fixture
-def out(tmp_path: Path) -> Path:
-    """No results yet."""
-    return tmp_path / "out"
-
-
 def test_demonstrations_of_a_dataset(
     planned: Planned, inline: Started, out: Path, finished: Path, tmp_path: Path
 ) -> None:
@@ -155,10 +149,3 @@ def test_interrupted_generation_gives_the_same_demonstrations(
     assert all(one.final_score >= min_score for one in whole.entries)
     attempts = [episode_seed(0, k) for k in range(3)]
     assert ([one.seed for one in whole] == attempts) == (min_score == 0.0)
-
-
-def test_demonstrations_of_another_seed_are_refused(tmp_path: Path) -> None:
-    generate_missing(tmp_path / "demos", ["MoveToRegion"], 1, seed=0, workers=1)
-    generate_missing(tmp_path / "demos", ["MoveToRegion"], 1, seed=0, workers=1)
-    with pytest.raises(DatasetError, match="expected demonstrations generated with seed 1"):
-        generate_missing(tmp_path / "demos", ["MoveToRegion"], 1, seed=1, workers=1)

@@ -25,6 +25,7 @@ from magical.learning import load_policy, read_config
 from magical.learning.running import training
 from magical.runs import versions
 from magical.runs.machine import machine
+from tests.experiments.processes import scores_of
 
 Planned = Callable[..., list[PlannedRun]]
 Started = list[PlannedRun]
@@ -35,16 +36,6 @@ def results_of(out: Path) -> dict[str, dict[str, Any]]:
     return {
         path.parent.name: json.loads(path.read_text()) for path in out.glob("runs/*/result.json")
     }
-
-
-def scores_of(out: Path) -> dict[str, bytes]:
-    return {path.parent.name: path.read_bytes() for path in out.glob("runs/*/scores.csv")}
-
-
-@pytest.fixture
-def out(tmp_path: Path) -> Path:
-    """No results yet."""
-    return tmp_path / "out"
 
 
 @pytest.fixture
@@ -92,15 +83,6 @@ def test_what_is_done_is_not_done_again_and_a_changed_plan_runs_what_changed(
     inline.clear()
     execute(planned(("seeds = [0, 1]", "seeds = [0]"), ("batches = 6", "batches = 7")), copied)
     assert [run.config.num_updates for run in inline] == [7]
-
-
-def test_the_same_plan_gives_the_same_scores(
-    planned: Planned, inline: Started, out: Path, finished: Path
-) -> None:
-    execute(planned(), out)
-    scores = scores_of(out)
-    assert len(scores) == 2
-    assert scores == scores_of(finished)
 
 
 def test_a_failing_run_is_recorded_and_does_not_stop_the_others(
@@ -199,6 +181,10 @@ def test_no_space_stops_the_plan_and_says_so(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     runs = planned()
+    future: Future[results.Outcome] = Future()  # of a process
+    future.set_exception(OSError(errno.ENOSPC, "No space left on device"))
+    died = _outcome(runs[0], future, results.Results(out, "x"), stopping=False)
+    assert died.state == "no space"
     monkeypatch.setattr(one_run, "evaluate_run", full)
     with pytest.raises(ResultsError, match=r"no space left on the device.* free some space"):
         execute(runs, out)
@@ -232,14 +218,11 @@ def test_a_folder_is_used_by_one_execution_at_a_time(
         assert read_status(copied).active
         with pytest.raises(ResultsError, match=f"process {os.getpid()} already runs a plan"):
             execute(planned(), copied)
-    assert not read_status(copied).active
-
-
-def test_an_error_of_a_full_disk_ends_everything(planned: Planned, finished: Path) -> None:
-    future: Future[results.Outcome] = Future()
-    future.set_exception(OSError(errno.ENOSPC, "No space left on device"))
-    outcome = _outcome(planned()[0], future, results.Results(finished, "x"), stopping=False)
-    assert outcome.state == "no space"
+    (copied / "runs" / planned()[0].folder / "result.json").write_text("{")
+    status = read_status(copied)
+    assert not status.active
+    assert [run.state for run in status.runs] == ["failed", "done"]
+    assert "result.json" in status.runs[0].error
 
 
 def test_status_and_dry_run_on_the_command_line(
@@ -312,10 +295,3 @@ def test_what_a_killed_command_ran_is_not_running_in_the_next_one(
         assert read_status(copied).counts["running"] == 2
     with results.opened(copied, planned()):
         assert read_status(copied).counts["running"] == 0
-
-
-def test_status_names_a_damaged_record(planned: Planned, copied: Path) -> None:
-    (copied / "runs" / planned()[0].folder / "result.json").write_text("{")
-    status = read_status(copied)
-    assert [run.state for run in status.runs] == ["failed", "done"]
-    assert "result.json" in status.runs[0].error

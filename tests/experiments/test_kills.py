@@ -8,7 +8,7 @@ from pathlib import Path
 
 from magical.experiments.plan import PlannedRun
 from magical.experiments.status import read_status
-from tests.experiments.processes import TIMEOUT, lines, reached, running
+from tests.experiments.processes import TIMEOUT, lines, reached, running, scores_of
 
 BATCHES = 6  # of each run
 
@@ -19,14 +19,9 @@ def records(out: Path) -> dict[str, tuple[int, int]]:
     return {name: (status.st_ino, status.st_mtime_ns) for name, status in found.items()}
 
 
-def scores(out: Path) -> dict[str, bytes]:
-    return {path.parent.name: path.read_bytes() for path in out.glob("runs/*/scores.csv")}
-
-
 def test_killed_three_times_the_scores_are_the_same_and_no_run_is_done_twice(
-    tiny: Path, finished: Path, tmp_path: Path
+    tiny: Path, finished: Path, out: Path
 ) -> None:
-    out = tmp_path / "out"
     everything = lines(finished)
     assert everything == 2 * (BATCHES + 1)
     moments = sorted(random.Random(0).sample(range(1, everything), 3))
@@ -42,13 +37,12 @@ def test_killed_three_times_the_scores_are_the_same_and_no_run_is_done_twice(
         assert process.wait(TIMEOUT) == 0
     assert before.items() <= records(out).items()
     assert len(records(out)) == 2
-    assert scores(out) == scores(finished)
+    assert scores_of(out) == scores_of(finished)
 
 
 def test_sigterm_leaves_a_checkpoint_and_exits_130(
-    tiny: Path, planned: Callable[..., list[PlannedRun]], tmp_path: Path
+    tiny: Path, planned: Callable[..., list[PlannedRun]], out: Path
 ) -> None:
-    out = tmp_path / "out"
     folder = out / "runs" / planned()[0].folder
     with running(tiny, out) as process:
         assert reached(out, 1)

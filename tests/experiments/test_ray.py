@@ -18,7 +18,7 @@ from magical.experiments.plan import PlannedRun
 from magical.experiments.ray_cluster import RayExecutor, pack, unpack
 from magical.experiments.results import Results, opened
 from magical.experiments.status import read_status
-from tests.experiments.processes import TIMEOUT, reached, running
+from tests.experiments.processes import TIMEOUT, reached, running, scores_of
 
 Planned = Callable[..., list[PlannedRun]]
 
@@ -29,30 +29,17 @@ def no_usage_statistics(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
 
 
-@pytest.fixture
-def scores(finished: Path) -> Callable[[Path], bool]:
-    """Whether a results folder has the scores of local execution."""
-
-    def equal(out: Path) -> bool:
-        names = [path.relative_to(finished) for path in finished.glob("runs/*/scores.csv")]
-        assert len(names) == 2
-        return all((out / name).read_bytes() == (finished / name).read_bytes() for name in names)
-
-    return equal
-
-
 def test_the_scores_are_those_of_local_processes(
-    planned: Planned, tmp_path: Path, scores: Callable[[Path], bool]
+    planned: Planned, out: Path, finished: Path
 ) -> None:
-    out = tmp_path / "out"
     assert execute(planned(), out, Resources(executor="ray", workers=2)).complete
-    assert scores(out)
+    assert scores_of(out) == scores_of(finished)
 
 
 def test_without_a_shared_folder_runs_come_back_through_ray(
-    planned: Planned, finished: Path, tmp_path: Path, scores: Callable[[Path], bool]
+    planned: Planned, finished: Path, out: Path
 ) -> None:
-    out, runs, demos = tmp_path / "out", planned(), finished / "demos" / "expert-3"
+    runs, demos = planned(), finished / "demos" / "expert-3"
     with opened(out, runs) as results:
         elsewhere = Results(results.path, "the id of another folder")
         executor = RayExecutor(runs, elsewhere, workers=2)
@@ -62,16 +49,16 @@ def test_without_a_shared_folder_runs_come_back_through_ray(
         finally:
             executor.close()
     assert [outcome.state for outcome in outcomes] == ["done", "done"]
-    assert scores(out)
+    assert scores_of(out) == scores_of(finished)
     assert (out / "runs" / runs[0].folder / "checkpoint.safetensors").is_file()
 
 
 def test_a_cluster_that_cannot_be_reached_is_named(
-    tiny: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tiny: Path, out: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"127.0.0.1:{server.getsockname()[1]}"
-    argv = ["run", str(tiny), "--out", str(tmp_path / "out"), "--executor", "ray"]
+    argv = ["run", str(tiny), "--out", str(out), "--executor", "ray"]
     assert main([*argv, "--address", address]) == 1
     message = capsys.readouterr().err
     assert f"the Ray cluster at {address} cannot be reached" in message
@@ -79,16 +66,15 @@ def test_a_cluster_that_cannot_be_reached_is_named(
 
 
 def test_sigterm_leaves_checkpoints(
-    tiny: Path, planned: Planned, tmp_path: Path, scores: Callable[[Path], bool]
+    tiny: Path, planned: Planned, out: Path, finished: Path
 ) -> None:
-    out = tmp_path / "out"
     with running(tiny, out, "--executor", "ray") as process:
         assert reached(out, 1)
         process.send_signal(signal.SIGTERM)
         assert process.wait(TIMEOUT) == 130
     assert (out / "runs" / planned()[0].folder / "checkpoint.safetensors").is_file()
     assert execute(planned(), out, Resources(executor="ray", workers=2)).complete
-    assert scores(out)
+    assert scores_of(out) == scores_of(finished)
 
 
 def kill_node(cluster: Cluster, node: object, out: Path) -> None:
@@ -99,12 +85,11 @@ def kill_node(cluster: Cluster, node: object, out: Path) -> None:
 
 def test_runs_of_a_dead_node_are_done_by_another(
     planned: Planned,
-    tmp_path: Path,
-    scores: Callable[[Path], bool],
+    out: Path,
+    finished: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("magical.experiments.ray_cluster.RETRIES", 0)  # Ray's own
-    out = tmp_path / "out"
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0})
     node, _ = cluster.add_node(num_cpus=1), cluster.add_node(num_cpus=1)
     thread = threading.Thread(target=kill_node, args=(cluster, node, out))
@@ -114,13 +99,12 @@ def test_runs_of_a_dead_node_are_done_by_another(
     finally:
         thread.join()
         cluster.shutdown()
-    assert scores(out)
+    assert scores_of(out) == scores_of(finished)
 
 
 def test_a_dead_cluster_is_no_failure_of_its_runs(
-    tiny: Path, planned: Planned, tmp_path: Path, scores: Callable[[Path], bool]
+    tiny: Path, planned: Planned, out: Path, finished: Path
 ) -> None:
-    out = tmp_path / "out"
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
     try:
         with running(tiny, out, "--address", cluster.address) as process:
@@ -131,7 +115,7 @@ def test_a_dead_cluster_is_no_failure_of_its_runs(
         cluster.shutdown()
     assert read_status(out).counts["failed"] == 0
     assert execute(planned(), out, Resources(executor="ray", workers=1)).complete
-    assert scores(out)
+    assert scores_of(out) == scores_of(finished)
 
 
 def test_one_file_of_a_packed_folder_leaves_the_others(tmp_path: Path) -> None:

@@ -46,13 +46,14 @@ def test_a_run_is_continued_only_on_request_and_only_with_its_configuration(fold
             open_once(folder, resume, seed=1)
 
 
-def test_a_folder_without_a_run_is_refused(tmp_path: Path) -> None:
+def test_a_folder_without_a_run_is_refused_and_left_as_it_is(tmp_path: Path) -> None:
     with pytest.raises(RunFolderError, match="expected a run to resume, found none"):
         open_once(tmp_path / "none", resume=True)
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "thesis.tex").write_text("...")
-    with pytest.raises(RunFolderError, match="expected a new or an empty folder"):
-        open_once(tmp_path / "mine")
+    (tmp_path / "thesis.tex").touch()
+    for resume, message in ((False, "a new or an empty folder"), (True, "a run to resume")):
+        with pytest.raises(RunFolderError, match=f"expected {message}"):
+            open_once(tmp_path, resume)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
 def test_a_locked_folder_is_refused_to_another_but_can_be_read(folder: Path) -> None:
@@ -61,14 +62,6 @@ def test_a_locked_folder_is_refused_to_another_but_can_be_read(folder: Path) -> 
             open_once(folder, resume=True)
         assert read_json(folder / CONFIG) == CONFIGURATION
     open_once(folder, resume=True)
-
-
-def test_a_folder_with_other_things_gets_no_lock_file(tmp_path: Path) -> None:
-    (tmp_path / "thesis.tex").touch()
-    for resume in (False, True):
-        with pytest.raises(RunFolderError, match="expected"):
-            open_once(tmp_path, resume)
-    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
 KILLED = """
@@ -94,17 +87,16 @@ def fail(folder: Path, file: str = METRICS, text: str = "") -> None:
         raise ValueError("cannot begin")
 
 
-def test_a_new_run_that_fails_before_it_begins_is_removed(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("file", "text", "kept"),
+    [(METRICS, "", False), (METRICS, "{}", True), (CHECKPOINT, "", True), ("thesis.tex", "", True)],
+)
+def test_a_new_run_that_fails_before_it_begins_is_removed(
+    tmp_path: Path, file: str, text: str, kept: bool
+) -> None:
     with pytest.raises(ValueError, match="cannot begin"):
-        fail(tmp_path / "run")
-    assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.parametrize("file", [METRICS, CHECKPOINT, "thesis.tex"])
-def test_a_run_that_has_begun_or_holds_other_files_is_kept(tmp_path: Path, file: str) -> None:
-    with pytest.raises(ValueError, match="cannot begin"):
-        fail(tmp_path / "run", file, "{}")
-    assert is_run(tmp_path / "run")
+        fail(tmp_path / "run", file, text)
+    assert is_run(tmp_path / "run") == (tmp_path / "run").exists() == kept
 
 
 def test_a_run_that_was_there_before_is_kept(folder: Path) -> None:
