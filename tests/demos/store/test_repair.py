@@ -5,7 +5,9 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import IO, Any
 
 import numpy as np
@@ -124,19 +126,16 @@ def test_files_that_cannot_be_read_now_are_not_set_aside(
     assert not (small_dataset / "damaged").exists()
 
 
-class FullDisk:
-    """A file on a disk with room for a few bytes."""
+@contextmanager
+def full(path: Path, room: int = 0) -> Iterator[Any]:
+    """`write_atomically` on a disk with room for a few bytes."""
+    with write_atomically(path) as file:
+        yield SimpleNamespace(write=lambda data: _fill_then_fail(file, data, room))
 
-    def __init__(self, file: IO[bytes], room: int) -> None:
-        self._file = file
-        self._room = room
 
-    def write(self, data: bytes) -> int:
-        written = self._file.write(data[: self._room])
-        self._room -= written
-        if len(data) > written:
-            raise OSError(28, "No space left on device")
-        return written
+def _fill_then_fail(file: IO[bytes], data: bytes, room: int | None = None) -> None:
+    file.write(data[: len(data) // 2 if room is None else room])
+    raise OSError(28, "No space left on device")
 
 
 @pytest.mark.parametrize("room", [0, 1, 500])
@@ -147,29 +146,18 @@ def test_full_disk_leaves_no_partial_files(
     room: int,
 ) -> None:
     before = {path: path.read_bytes() for path in small_dataset.rglob("*") if path.is_file()}
-
-    @contextmanager
-    def full(path: Path) -> Iterator[FullDisk]:
-        with write_atomically(path) as file:
-            yield FullDisk(file, room)
-
     writer = DatasetWriter(small_dataset)
-    monkeypatch.setattr("magical.demos.store.writer.write_atomically", full)
-    with pytest.raises(DatasetError, match="No space left"):
-        writer.append(make_trajectory())
-    monkeypatch.undo()
-    monkeypatch.setattr("magical.demos.store.manifest._write_all", _fill_then_fail)
-    with pytest.raises(DatasetError, match="No space left"):
-        writer.append(make_trajectory())
-    monkeypatch.undo()
+    for name, failing in (
+        ("writer.write_atomically", partial(full, room=room)),
+        ("manifest._write_all", _fill_then_fail),
+    ):
+        monkeypatch.setattr(f"magical.demos.store.{name}", failing)
+        with pytest.raises(DatasetError, match="No space left"):
+            writer.append(make_trajectory())
+        monkeypatch.undo()
     assert {p: p.read_bytes() for p in small_dataset.rglob("*") if p.is_file()} == before
     writer.append(make_trajectory(seed=9))
     assert [t.seed for t in Dataset.open(small_dataset)] == [1, 2, 3, 9]
-
-
-def _fill_then_fail(file: IO[bytes], data: bytes) -> None:
-    file.write(data[: len(data) // 2])
-    raise OSError(28, "No space left on device")
 
 
 LIMITED = """
