@@ -57,7 +57,8 @@ def test_wrong_rollouts_are_refused(scores: list[float]) -> None:
 
 
 # Coverage. Scores are a mean, plus an effect of the run that its environments share, plus a
-# residual; benchmarks/intervals.py does the same with more samples and compares other intervals.
+# residual; studies/published_tables/intervals.py does the same with more samples and compares
+# other intervals.
 
 RUN_EFFECT, RESIDUAL = 0.08, 0.03  # standard deviations
 VARIANTS = [len(task.variants) for task in TASKS.values()]

@@ -18,8 +18,8 @@ from magical.scene.geometry import rotate, to_workspace
 from magical.tasks import TASKS
 
 # Robot pose and finger angles after the first step from each Demo scene, for each action. Written
-# under pymunk 5.6.0 by benchmarks/pymunk_versions.py; in that version this package's physics is
-# within the rounding of all recorded motions.
+# under pymunk 5.6.0 by studies/determinism/pymunk_versions.py; in that version this package's
+# physics is within the rounding of all recorded motions.
 FIRST_STEPS = json.loads((Path(__file__).parent / "first-steps.json").read_text())
 ROOTS = [(side * c.FINGER_ROOT_X, c.FINGER_ROOT_Y) for side in c.SIDES]
 POSES = [Pose(*row) for row in np.random.default_rng(0).uniform(-0.8, 0.8, (200, 3)).tolist()]

@@ -1,4 +1,4 @@
-"""`benchmarks/human_fidelity.py`, on a small dataset."""
+"""`studies/demonstrations/human_fidelity.py`, on a small dataset."""
 
 import subprocess
 import sys
@@ -18,7 +18,11 @@ RECOVERY = {
 
 
 def run(root: Path, dataset: Path) -> tuple[int, str]:
-    command = [sys.executable, str(root / "benchmarks" / "human_fidelity.py"), str(dataset)]
+    command = [
+        sys.executable,
+        str(root / "studies" / "demonstrations" / "human_fidelity.py"),
+        str(dataset),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     return done.returncode, done.stdout + done.stderr
 

@@ -1,6 +1,6 @@
 """What the recovered human demonstrations say about the physics, and how well they are known.
 
-    python benchmarks/human_fidelity.py DATASET [--published SRC] [--figure errors.png]
+    python studies/demonstrations/human_fidelity.py DATASET [--published SRC] [--figure errors.png]
 
 DATASET comes from `magical demos import SRC --out DATASET`. Printed are three tables.
 

@@ -3,15 +3,15 @@
 The package itself runs with pymunk 7.3. The published environments ran with 5.6.0, which this
 script is for; in an environment of its own:
 
+    cd studies/determinism
     python -m venv old && old/bin/pip install pymunk==5.6.0 numpy
-    old/bin/python benchmarks/pymunk_versions.py first-steps --at-roots --out first-steps.json
-    old/bin/python benchmarks/pymunk_versions.py runs --at-roots --out published.npz
-    old/bin/python benchmarks/pymunk_versions.py runs --at-roots --nudges 100 --out nudged.npz
-    old/bin/python benchmarks/pymunk_versions.py replays human --at-roots
+    old/bin/python pymunk_versions.py first-steps --at-roots --out first-steps.json
+    old/bin/python pymunk_versions.py runs --at-roots --out published.npz
+    old/bin/python pymunk_versions.py runs --at-roots --nudges 100 --out nudged.npz
+    old/bin/python pymunk_versions.py replays human --at-roots
 
-The first is the file beside the tests of the physics. benchmarks/determinism.py compares the next
-two with runs of the installed package. In the last, `human` is a folder of imported human
-demonstrations.
+The first is the file beside the tests of the physics. `compare_runs.py` compares the next two with
+runs of the installed package. In the last, `human` is a folder of imported human demonstrations.
 """
 
 import argparse
@@ -30,7 +30,7 @@ import numpy as np
 import pymunk
 from numpy.typing import NDArray
 
-SOURCES = Path(__file__).parents[1] / "src" / "magical"
+SOURCES = Path(__file__).parents[2] / "src" / "magical"
 DECIMALS = 12  # of the poses in the file of first steps
 NUM_ACTIONS = 18
 WALKS = 60  # runs of random actions

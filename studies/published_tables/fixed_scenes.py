@@ -1,9 +1,9 @@
 """How far the protocol's fixed scenes lie from the mean over many.
 
-    python benchmarks/fixed_scenes.py expert --out runs/fixed-scenes
-    python benchmarks/fixed_scenes.py runs/MoveToCorner runs/MakeLine --label BC \
+    python studies/published_tables/fixed_scenes.py expert --out runs/fixed-scenes
+    python studies/published_tables/fixed_scenes.py runs/MoveToCorner runs/MakeLine --label BC \
         --out runs/fixed-scenes
-    python benchmarks/fixed_scenes.py --out runs/fixed-scenes
+    python studies/published_tables/fixed_scenes.py --out runs/fixed-scenes
 
 Every policy is evaluated on the fixed scenes (seed set 0) and on those of other sets. Policies of
 one label share a table: its cells are the mean score on the fixed scenes and, in brackets, that

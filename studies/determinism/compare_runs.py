@@ -1,13 +1,13 @@
 r"""Differences between runs of the physics over time: tables, and a figure for docs/determinism.md.
 
-    python benchmarks/pymunk_versions.py runs --at-roots --out before.npz
-    python benchmarks/pymunk_versions.py runs --out after.npz
-    python benchmarks/determinism.py --published published.npz --nudged nudged.npz \
+    python studies/determinism/pymunk_versions.py runs --at-roots --out before.npz
+    python studies/determinism/pymunk_versions.py runs --out after.npz
+    python studies/determinism/compare_runs.py --published published.npz --nudged nudged.npz \
         --before before.npz --after after.npz --figure docs/images/determinism.png
 
-published.npz and nudged.npz are of pymunk 5.6.0: see benchmarks/pymunk_versions.py. Motions are
-compared with the recordings of the published environments, nudged ones with published.npz; random
-actions are compared with published.npz.
+published.npz and nudged.npz are of pymunk 5.6.0: see `pymunk_versions.py`. Motions are compared
+with the recordings of the published environments, nudged ones with published.npz; random actions
+are compared with published.npz.
 """
 
 import argparse
@@ -142,7 +142,7 @@ def draw(curves: dict[str, dict[str, NDArray[np.float64]]], path: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=(__doc__ or "").split("\n\n")[0],
-        epilog="All files are written by benchmarks/pymunk_versions.py runs.",
+        epilog="All files are written by studies/determinism/pymunk_versions.py runs.",
     )
     helps = {
         "published": "pymunk 5.6.0",
