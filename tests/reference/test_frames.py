@@ -68,7 +68,6 @@ def test_without_frames_it_only_computes(
         for view in View:
             assert archive[view].shape == (3, size, size, 3)
             np.testing.assert_array_equal(archive[view], rendered[view])
-    assert frames.load(tmp_path / name, size=40).size == 40
 
 
 def test_one_view_is_enough(records: str, tmp_path: Path) -> None:

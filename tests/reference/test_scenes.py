@@ -5,13 +5,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from magical.conformance import scenes
 from magical.conformance.recordings import recording_path
 from magical.envs import parse_env_id
 from magical.evaluation import published_tasks
-from magical.scene import Dynamics, Scene
+from magical.scene import Poses, Scene
 from magical.tasks import TASKS, get_task, placement
 from tests.tasks.placement_rules import check_placement
 
@@ -52,17 +53,13 @@ def test_recorded_enclosed_blocks_reach_the_limit(name: str, recorded: Recorded)
 
 def test_demo_scenes_are_the_recorded_ones(recorded: Recorded) -> None:
     for name in published_tasks():
-        (row,) = recorded[f"{name}-Demo-v0"]
-        found = scenes.row_of(get_task(name).demo, Dynamics())
-        for key in ("blocks", "regions"):
-            assert [b[:2] for b in found["blocks"]] == [b[:2] for b in row["blocks"]]
-            assert len(found[key]) == len(row[key])
-        numbers = [
-            [*scene["robot"], *(v for b in scene["blocks"] for v in b[2:])]
-            + [v for r in scene["regions"] for v in r[1:]]
-            for scene in (found, row)
-        ]
-        assert numbers[0] == pytest.approx(numbers[1], abs=1e-5)
+        pair = get_task(name).demo, Scene.from_dict(recorded[f"{name}-Demo-v0"][0])
+        demo, found = ([(b.shape, b.colour) for b in scene.blocks] for scene in pair)
+        assert demo == found
+        bodies = [Poses.at_rest(scene).bodies for scene in pair]
+        np.testing.assert_allclose(bodies[0], bodies[1], rtol=0, atol=1e-5)
+        sides = [[(r.x, r.y, r.height, r.width) for r in scene.regions] for scene in pair]
+        np.testing.assert_allclose(sides[0], sides[1], rtol=0, atol=1e-5)
 
 
 def passed(recorded: Recorded, env: str) -> bool:

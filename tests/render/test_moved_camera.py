@@ -59,18 +59,6 @@ def test_shift_by_whole_pixels_moves_the_frame(
 
 
 @pytest.mark.parametrize("view", VIEWS)
-def test_quarter_turn_is_counter_clockwise_as_seen(case: Case, view: View) -> None:
-    found = moved(case, view, angle=np.pi / 2)
-    difference = np.abs(found - np.rot90(plain(case, view)))
-    centre = slice(20, 76)  # further out, the turned frame shows what the plain one does not
-    if view == View.ALLO:
-        assert difference[centre, centre].mean() < 2.0  # dashes and lines depend on direction
-        assert np.median(difference[centre, centre]) == 0.0
-    wrong = np.abs(found - np.rot90(plain(case, view), -1))
-    assert difference.mean() < 0.5 * wrong.mean()
-
-
-@pytest.mark.parametrize("view", VIEWS)
 @pytest.mark.parametrize("angle", [0.08, -0.05])
 def test_turned_and_shifted_frame_agrees_with_a_resampled_one(
     case: Case, view: View, angle: float

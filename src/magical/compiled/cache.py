@@ -1,11 +1,9 @@
 """Compiled code on disk: verified before it is loaded, and never needed.
 
-numba's own cache reads whatever it finds: a truncated file ends in `EOFError`, a flipped bit in
-the machine code in a segmentation fault, and a full disk in an `OSError` after compilation has
-succeeded. `CompileCache` takes its place behind the same methods. It keeps one file for each
-compiled function: a SHA-256 digest, then what numba needs to load the function again. The content
-is unpickled only if the digest matches, and whatever else is wrong has one outcome: the function is
-compiled again.
+numba's own cache reads whatever it finds: a flipped bit in the machine code ends in a segmentation
+fault, a full disk in an `OSError` after compilation. `CompileCache` takes its place behind the same
+methods. A file holds a SHA-256 digest, then what numba needs to load one function again. It is
+unpickled only if the digest matches; whatever else is wrong, the function is compiled again.
 
 The files are in a folder of the user's own, which no other user can read or write; that protects
 against code from other users. The digest protects against damage. Neither protects against programs

@@ -36,13 +36,11 @@ class Recording:
     size: int  # pixels
 
 
-def load(path: Path | str, size: int | None = None) -> Recording:
+def load(path: Path | str) -> Recording:
     """Read a frames file: the JSON string `records` and, where recorded, `allo` and `ego`.
 
-    Args:
-        path: An .npz file; its format is described beside the recordings in `data`.
-        size: The resolution in pixels at which to render the states of a file without frames; by
-            default 384 if the file's name contains 384, otherwise 96.
+    The format is described beside the recordings in `data`. The states of a file without frames
+    are rendered at 384 pixels if the file's name contains 384, otherwise at 96.
 
     Raises:
         RecordingError: The file cannot be read, or is not in the documented format.
@@ -59,8 +57,8 @@ def load(path: Path | str, size: int | None = None) -> Recording:
         scenes, poses = zip(*map(_state, records), strict=True)
         tasks = tuple(parse_env_id(str(record["env"])).task for record in records)
         names = tuple(f"{r['env']} seed {r.get('seed')} step {r.get('step')}" for r in records)
-    wanted = size or (SIZES[1] if str(SIZES[1]) in Path(path).name else SIZES[0])
-    return Recording(scenes, poses, tasks, names, frames, next(iter(found), wanted))
+    size = SIZES[1] if str(SIZES[1]) in Path(path).name else SIZES[0]
+    return Recording(scenes, poses, tasks, names, frames, next(iter(found), size))
 
 
 def compute(data: Recording) -> dict[View, Frames]:

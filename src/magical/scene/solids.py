@@ -6,6 +6,7 @@ Results equal `geometry.overlap` of the exact pieces, the slow reference in the 
 
 import math
 from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import NamedTuple
 
@@ -56,12 +57,12 @@ def robot_silhouette() -> Silhouette:
     return _silhouette(g.robot_pieces(), c.ROBOT_RADIUS)
 
 
+@dataclass(eq=False)
 class Solid:
     """A silhouette at a pose."""
 
-    def __init__(self, silhouette: Silhouette, pose: Pose) -> None:
-        self.silhouette = silhouette
-        self.pose = pose
+    silhouette: Silhouette
+    pose: Pose
 
     @staticmethod
     def of_block(block: Block) -> "Solid":
