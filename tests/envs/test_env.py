@@ -125,7 +125,6 @@ def test_unknown_ids(env_id: str, hint: str) -> None:
     [
         {"observation": "LoRes5"},
         {"reward": "lots"},
-        {"render_mode": "human"},
         *({"horizon": horizon} for horizon in (0, "long", 80.0, True, 10**20, [80], "8" * 5000)),
         *({"observation": {"size": size}} for size in (0, 96.5, "96", None, True, 10**9)),
         *({"observation": {"samples": samples}} for samples in (0, 1.5, True, 10**9)),
