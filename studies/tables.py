@@ -5,27 +5,31 @@ from operator import attrgetter
 
 from magical.evaluation.intervals import Interval
 from magical.grouping import group_by
-from magical.report.scores.tables import signed
+from magical.report.scores.tables import means_apart, signed
 from magical.tasks.axes import SHORT_VARIANTS, short_variant
 from studies.plan_results import NOT_RUN
+from studies.published_tables.agreement import Agreement
 from studies.published_tables.cells import LIMITS, ComparedCell, distance_text
-from studies.published_tables.claims import Finding, order
+from studies.published_tables.claims import Finding, order, verdict
 from studies.published_tables.rows import MethodRuns
 from tools.readme_tables import table
 
 MAX_LISTED = 5  # entries with the same reason that are listed by name
 
 
-def claim_row(finding: Finding) -> Iterator[str]:
+def claim_row(finding: Finding, together: Finding) -> Iterator[str]:
+    """A claim, its intervals and verdict, and the verdict if all claims are to be right at once."""
     claim, ours = finding.claim, finding.ours
     yield f"{claim.text}: {claim.formula}"
     yield finding.part
     yield from ("–" if i is None else signed(i) for i in (finding.published, finding.same))
     yield NOT_RUN if ours is None else f"{signed(ours)}, {task_names(finding.tasks)}"
     yield finding.verdict
+    yield "–" if together.ours is None else verdict(together.ours)
 
 
-def variation_row(finding: Finding) -> Iterator[str]:
+def variation_row(finding: Finding, together: Finding) -> Iterator[str]:
+    """A change, the difference that it makes, and what that shows, alone and with all others."""
     verdicts = {"holds": "raises", "the opposite holds": "lowers"}
     yield finding.claim.text
     yield finding.claim.formula
@@ -33,15 +37,25 @@ def variation_row(finding: Finding) -> Iterator[str]:
     yield task_names(finding.tasks) if finding.tasks else "–"
     yield NOT_RUN if finding.ours is None else signed(finding.ours)
     yield verdicts.get(finding.verdict, finding.verdict)
+    yield "–" if together.ours is None else verdicts.get(together.verdict, together.verdict)
 
 
-def variant_cell(finding: Finding) -> str:
-    """The difference over its interval; bold where 0 is outside."""
+def agreement_row(agreement: Agreement) -> Iterator[str]:
+    yield agreement.method
+    yield agreement.part
+    yield task_names(agreement.tasks)
+    yield from map(mean_text, (agreement.ours, agreement.published))
+    yield signed(agreement.difference)
+    yield agreement.verdict
+
+
+def variant_cell(finding: Finding, together: Finding) -> str:
+    """The difference over its interval; bold where 0 is outside that of all cells together."""
     ours = finding.ours
     if ours is None:
         return ""
     difference, _, interval = signed(ours).partition(" ")
-    if ours.low > 0 or ours.high < 0:
+    if together.ours and (together.ours.low > 0 or together.ours.high < 0):
         difference = f"**{difference}**"
     return "<br>".join(filter(None, (difference, interval)))
 
@@ -85,7 +99,8 @@ def score_table(row: MethodRuns) -> str:
         means = row.runs_in(env_id)
         spread = f" ± {means.std(ddof=1):.2f}" if len(means) > 1 else ""
         cells = tasks.setdefault(env_id.task, {})
-        cells[short_variant(env_id.variant)] = f"{means.mean():.2f}{spread}"
+        listed = means_apart(means.tolist())
+        cells[short_variant(env_id.variant)] = f"{means.mean():.2f}{spread}{listed}"
     lines = [
         [task, *(cells.get(variant, "") for variant in SHORT_VARIANTS)]
         for task, cells in tasks.items()
@@ -95,6 +110,7 @@ def score_table(row: MethodRuns) -> str:
 
 def cell_text(cell: ComparedCell) -> str:
     ours = f"{cell.mean:.2f}" + (f" ± {cell.std:.2f}" if len(cell.means) > 1 else "")
+    ours += means_apart(cell.means.tolist())
     distance = distance_text(cell.distance)
     shown = f"**{distance}**" if abs(cell.distance) > LIMITS[-1] else distance
     return f"{ours}<br>{cell.published.mean:.2f} ± {cell.published.std:.2f}<br>{shown}"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 from magical.envs import EnvId
-from magical.evaluation.intervals import Interval
+from magical.evaluation.intervals import CONFIDENCE, Interval
 from magical.evaluation.published import published_table
 from magical.evaluation.statistics import ROUNDING, contrast, mean
 from magical.tasks.axes import short_variant
@@ -22,6 +22,7 @@ OPTIMISER = "published optimiser"
 CODE = "settings of the published code, network narrow"
 PAPER, SCRIPTED = "BC (ST), paper settings", "BC (ST), scripted experts"
 PERTURBED, MIXED = "BC (ST), perturbed experts", "BC (ST), human and scripted"
+HUNDRED = "BC (ST), 100 perturbed experts"
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +71,7 @@ VARIATIONS = (
     _claim("scripted experts instead of humans", SCRIPTED, BC),
     _claim("perturbed experts instead of humans", PERTURBED, BC),
     _claim("perturbed experts instead of unperturbed ones", PERTURBED, SCRIPTED),
+    _claim("a hundred perturbed demonstrations instead of ten", HUNDRED, PERTURBED),
     _claim("human and scripted together instead of human alone", MIXED, BC),
     _claim("human and scripted together instead of scripted alone", MIXED, SCRIPTED),
     _claim(
@@ -171,25 +173,38 @@ def verdict(interval: Interval) -> str:
 
 
 def find(
-    claims: Iterable[Claim], rows: Sequence[MethodRuns], parts: Sequence[str] = PARTS
+    claims: Iterable[Claim],
+    rows: Sequence[MethodRuns],
+    parts: Sequence[str] = PARTS,
+    confidence: float = CONFIDENCE,
 ) -> list[Finding]:
     """Every claim on every part: `Demo`, `test variants`, or one variant such as `Jitter`."""
     known = {row.method: row for row in rows}
-    return [_finding(claim, part, known) for claim in claims for part in parts]
+    return [_finding(claim, part, known, confidence) for claim in claims for part in parts]
 
 
-def _finding(claim: Claim, part: str, rows: Mapping[str, MethodRuns]) -> Finding:
+def find_together(
+    claims: Iterable[Claim], rows: Sequence[MethodRuns], parts: Sequence[str] = PARTS
+) -> list[Finding]:
+    """As `find`, with a confidence that all tested findings have together (Bonferroni's)."""
+    claims = list(claims)
+    tested = sum(finding.ours is not None for finding in find(claims, rows, parts))
+    return find(claims, rows, parts, 1.0 - (1.0 - CONFIDENCE) / max(tested, 1))
+
+
+def _finding(claim: Claim, part: str, rows: Mapping[str, MethodRuns], confidence: float) -> Finding:
     cells = {(task, variant) for task, _, variant in published_table() if _is_in(variant, part)}
     published = same = ours = None
     theirs = {method for _, method, _ in published_table()}
     if claim.weights.keys() <= theirs:
-        published = published_contrast(claim.weights, sorted(cells))
+        published = published_contrast(claim.weights, sorted(cells), confidence)
     env_ids = _shared([rows[name] for name in claim.weights if name in rows], part)
     if env_ids and claim.weights.keys() <= rows.keys():
         tables = [rows[name].on(env_ids) for name in claim.weights]
-        ours = contrast(tables, list(claim.weights.values()))
+        ours = contrast(tables, list(claim.weights.values()), confidence)
         if published is not None:
-            same = published_contrast(claim.weights, [(i.task, i.variant) for i in env_ids])
+            shared = [(i.task, i.variant) for i in env_ids]
+            same = published_contrast(claim.weights, shared, confidence)
     tasks = tuple(dict.fromkeys(i.task for i in env_ids)) if ours is not None else ()
     return Finding(claim, part, tasks, published, same, ours)
 

@@ -15,6 +15,7 @@ from studies.published_tables.claims import (
     Claim,
     Finding,
     find,
+    find_together,
     order,
     verdict,
 )
@@ -65,6 +66,17 @@ def test_a_claim_on_single_variants() -> None:
     assert jitter.ours.value == pytest.approx(0.7 - 0.1)
     assert jitter.same == published_contrast(CLAIMS[0].weights, [("MoveToCorner", "Jitter")])
     assert (layout.tasks, layout.ours) == ((), None)
+
+
+def test_claims_that_are_to_be_right_together_have_wider_intervals() -> None:
+    rows = [row("BC (ST)", [0.9, 0.8], [0.7, 0.6]), row("BC (ST, no aug.)", [0.5, 0.1], [0.3, 0.1])]
+    demo, tests = find_together(CLAIMS[:2], rows)[:2]  # of four findings, two are of rows that ran
+    assert demo.ours is not None
+    # t with 2 degrees of freedom at 97.5%, two-sided, is 6.205.
+    assert demo.ours.low == pytest.approx(0.4 - 6.2053 * math.sqrt(0.02), abs=1e-4)
+    assert demo.same == published_contrast(CLAIMS[0].weights, [("MoveToCorner", "Demo")], 0.975)
+    assert (demo.verdict, tests.ours is None) == ("open, as published", False)
+    assert find_together(CLAIMS, [])[0].ours is None
 
 
 def test_three_methods_are_weighed() -> None:

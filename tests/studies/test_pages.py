@@ -101,11 +101,11 @@ def test_without_results_everything_is_not_run(repository: Path) -> None:
         "BC (ST), published",
         "GAIL (ST), published",
     ]
-    for name in ("tasks", "far", "orders", "cells", "others"):
+    for name in ("tasks", "far", "agreement", "orders", "cells", "others"):
         assert section(text, name) == "Nothing yet: not run.\n"
     assert section(text, "rejected") == "None.\n"
     claims = lines(text, "claims", "augmentation helps BC")
-    assert [row[-1] for row in claims] == ["not run", "not run"]
+    assert [row[-2:] for row in claims] == [["not run", "–"]] * 2
     assert claims[0][2].startswith("+0.09 [")
 
 
@@ -132,6 +132,9 @@ def test_cells_by_hand(repository: Path) -> None:
     ]
     assert (published, cells, below, above) == ("the same", "6", "0", "3")
     assert within_two.startswith("3 (")
+    ((_, _, tasks, ours, *_, verdict), _) = lines(text, "agreement", "BC (ST)")
+    assert (tasks, ours) == ("MoveToRegion", "0.95 [0.63, 1.00]")  # 0.95 ± 6.31 x 0.05
+    assert verdict == "open"
     assert section(text, "far").startswith("- BC (ST), above: MoveToRegion All (+10.8), ")
     assert lines(text, "tasks", "MoveToCorner") == [["MoveToCorner", "not run"]]
 

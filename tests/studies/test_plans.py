@@ -24,6 +24,7 @@ RESULTS = {  # the plans of the benchmark's own results: number of runs, demonst
     "bc-scripted": (8 * 5, "expert"),
     "bc-perturbed": (8 * 5, "expert, perturb 0.2, min_score 1"),
     "bc-mixed": (8 * 5, "dataset and expert"),
+    "bc-perturbed-100": (8 * 3, "expert, perturb 0.2, min_score 1"),
     "training-time": (2 * 3 * 3, "dataset"),
     "training-time-multi": (3, "dataset"),
     "training-time-adversarial": (3 * 3, "dataset"),
@@ -50,7 +51,7 @@ def test_the_results_are_evaluated_as_the_published_scores_were(root: Path, name
 def test_no_two_plans_of_the_results_share_a_row(root: Path) -> None:
     plans = [read_study_plan(root, name) for name in RESULTS]
     names = [method.name for plan in plans for method in plan.methods]
-    assert len(names) == len(set(names)) == 23
+    assert len(names) == len(set(names)) == 24
 
 
 @pytest.mark.parametrize(
@@ -66,3 +67,11 @@ def test_the_objects_is_evaluated_in_the_same_way(
         env_ids = tuple(environments(run.tasks))
         assert run.evaluation == Evaluation(env_ids=env_ids, horizon="published")
         assert (str(run.source), run.config.to_dict()["num_demos"]) == (source, num_demos)
+
+
+def test_the_baseline_learns_from_the_demonstrations_of_the_objects(root: Path) -> None:
+    baseline, *_ = planned_runs(read_study_plan(root, "bc-perturbed-100"))
+    objects, *_ = planned_runs(read_study_plan(root, "object-bc"))
+    assert baseline.source == objects.source
+    num_demos = (run.config.to_dict()["num_demos"] for run in (baseline, objects))
+    assert len(set(num_demos)) == 1

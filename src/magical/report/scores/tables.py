@@ -185,11 +185,17 @@ def _cell(runs: Sequence[Sequence[float]], expected: int) -> Cell:
     if len(runs) > 1:
         means = [float(np.mean(run)) for run in runs]
         mean, std = over_runs([[value] for value in means])
-        apart = max(means) - min(means) > APART and len(means) <= FEW
-        listed = f" ({', '.join(f'{value:.2f}' for value in means)})" if apart else ""
-        return Cell(mean, f"± {std:.2f}{listed}{few}", are_apart=apart)
+        listed = means_apart(means)
+        return Cell(mean, f"± {std:.2f}{listed}{few}", are_apart=bool(listed))
     value, low, high = rollout_mean(runs[0])
     return Cell(value, f"[{low:.2f}, {high:.2f}]{few}")
+
+
+def means_apart(means: Sequence[float]) -> str:
+    """A few runs' means, such as ` (1.00, 0.00, 0.75)`, if some succeed and some fail."""
+    if len(means) > FEW or max(means) - min(means) <= APART:
+        return ""
+    return f" ({', '.join(f'{value:.2f}' for value in means)})"
 
 
 def _published_row(task: str, method: str) -> Row:
