@@ -9,7 +9,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,19 +22,11 @@ from magical.errors import (
     NotPicklableError,
     WorkerTimeoutError,
 )
-from tests.waiting import alive, gone
+from tests.envs.vector.making import IDS, started
+from tests.waiting import gone
 
 posix = pytest.mark.skipif(os.name == "nt", reason="signals and forks")
-Misbehave = Callable[[str], str]
-IDS = ("magical/MakeLine-Demo-v0", "magical/MakeLine-TestColour-v0")
-HANG = "while True: pass"
 SECONDS = 20.0  # in which anything that ends at all has ended
-
-
-def make(env_ids: Any = IDS * 2, workers: int = 2, **options: Any) -> MagicalVectorEnv:
-    envs = MagicalVectorEnv(env_ids, workers=workers, observation="state", **options)
-    envs.reset(seed=0)
-    return envs
 
 
 FORK = """
@@ -72,7 +63,7 @@ def test_a_fork_does_not_change_its_parents_environments(workers: int, outcome: 
 def test_a_second_call_while_one_is_pending_is_refused(
     monkeypatch: pytest.MonkeyPatch, call: str
 ) -> None:
-    envs = make(workers=0)
+    envs = started(workers=0)
     state = envs.get_state(0)
     calls: dict[str, Callable[[], Any]] = {
         "step": lambda: envs.step([0] * 4),
@@ -104,7 +95,7 @@ def test_a_second_call_while_one_is_pending_is_refused(
 @pytest.mark.parametrize("copied", [copy.deepcopy, copy.copy, pickle.dumps])
 def test_pickle_and_copies_say_what_to_do_instead(copied: Callable[[Any], Any]) -> None:
     env = MagicalEnv("MakeLine", "Demo", observation="state")
-    for made in (env, make(workers=0)):
+    for made in (env, started(workers=0)):
         with pytest.raises(NotPicklableError, match="get_state and set_state"):
             copied(made)
 
@@ -112,7 +103,7 @@ def test_pickle_and_copies_say_what_to_do_instead(copied: Callable[[Any], Any]) 
 @posix
 @pytest.mark.parametrize("call", ["step", "reset"])
 def test_a_stopped_worker_is_named_after_the_timeout(call: str) -> None:
-    envs = make(timeout=SECONDS)
+    envs = started(timeout=SECONDS)
     workers = envs.worker_process_ids
     envs._sub_envs._timeout = 0.2  # type: ignore[union-attr]
     os.kill(workers[1], signal.SIGSTOP)
@@ -126,20 +117,8 @@ def test_a_stopped_worker_is_named_after_the_timeout(call: str) -> None:
 
 
 @posix
-def test_a_task_that_hangs_is_ended_after_the_timeout(misbehave: Misbehave) -> None:
-    envs = MagicalVectorEnv([misbehave(HANG)], 1, "state", horizon=1, timeout=1.0)
-    workers = envs.worker_process_ids
-    envs._sub_envs._timeout = SECONDS  # type: ignore[union-attr]
-    envs.reset(seed=0)
-    envs._sub_envs._timeout = 0.2  # type: ignore[union-attr]
-    with pytest.raises(WorkerTimeoutError, match="Misbehaving-Demo"):
-        envs.step([0])
-    assert gone(workers)
-
-
-@posix
 def test_a_timeout_that_is_kept_changes_nothing() -> None:
-    limited, unlimited = make(timeout=SECONDS), make()
+    limited, unlimited = started(timeout=SECONDS), started()
     for _ in range(3):
         found, expected = limited.step([1] * 4), unlimited.step([1] * 4)
         np.testing.assert_array_equal(found[0], expected[0])
@@ -159,52 +138,10 @@ def test_impossible_timeouts(timeout: Any) -> None:
 
 @posix
 def test_closing_does_not_wait_for_a_stopped_worker() -> None:
-    envs = make()
+    envs = started()
     workers = envs.worker_process_ids
     os.kill(workers[0], signal.SIGSTOP)
     began = time.monotonic()
     envs.close()
     assert time.monotonic() - began < SECONDS
     assert gone(workers)
-
-
-ORPHAN = """
-import sys
-import misbehaving_task
-from magical.envs.vector import MagicalVectorEnv
-from magical.tasks import register_task
-register_task(misbehaving_task.TASK)
-envs = MagicalVectorEnv(["magical/Misbehaving-Demo-v0"] * 2, 2, "state", horizon=1)
-envs.reset(seed=0)
-print(*envs.worker_process_ids, flush=True)
-envs.step([0, 0])
-"""
-
-
-@posix
-def test_workers_with_a_hanging_task_end_with_their_parent(misbehave: Misbehave) -> None:
-    misbehave(f"print('hangs', flush=True)\n    {HANG}")
-    folder = Path(sys.modules["misbehaving_task"].__file__ or "").parent
-    process = subprocess.Popen(
-        [sys.executable, "-c", ORPHAN],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(folder), *filter(None, sys.path)])},
-    )
-    assert process.stdout is not None
-    assert process.stderr is not None
-    workers: list[int] = []
-    try:
-        workers += map(int, process.stdout.readline().split())
-        assert len(workers) == 2
-        assert "hangs" in process.stderr.readline()  # what workers print, both at once
-        process.kill()
-        process.wait()
-        assert gone(workers)
-    finally:
-        process.kill()
-        for worker in filter(alive, workers):
-            os.kill(worker, signal.SIGKILL)
-        process.stdout.close()
-        process.stderr.close()

@@ -1,8 +1,5 @@
 """Vector environments: options, and invalid arguments."""
 
-import shlex
-import subprocess
-import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -20,14 +17,7 @@ from magical.errors import (
 )
 from magical.observe.state_vector import StateSpec
 from magical.scene.actions import NUM_ACTIONS
-
-THREE = ("magical/FindDupe-TestAll-v0", "magical/FindDupe-Demo-v0", "magical/FindDupe-TestShape-v0")
-
-
-def vector(
-    env_ids: Any = THREE, workers: int = 0, observation: Any = "state", **options: Any
-) -> MagicalVectorEnv:
-    return MagicalVectorEnv(env_ids, workers=workers, observation=observation, **options)
+from tests.envs.vector.making import vector
 
 
 def test_make_vec_passes_options() -> None:
@@ -148,16 +138,3 @@ def test_gymnasiums_wrappers_and_specs_work() -> None:
     assert infos["episode"]["l"].tolist() == [3, 3]
     listed = gymnasium.wrappers.vector.DictInfoToList(again)
     assert listed.reset(seed=0)[1] == [{"eval_score": 0.0, "published_code_score": 0.0}] * 2
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="file descriptors")
-@pytest.mark.parametrize("closed", ["<&-", ">&-"])
-def test_workers_start_without_standard_input_or_output(closed: str) -> None:
-    code = (
-        "from magical.envs.vector import MagicalVectorEnv as V;"
-        "e = V(['magical/MoveToRegion-Demo-v0'], 1, observation='state');"
-        "e.reset(seed=0); e.close()"
-    )
-    subprocess.run(
-        f"{shlex.quote(sys.executable)} -c {shlex.quote(code)} {closed}", shell=True, check=True
-    )

@@ -11,23 +11,13 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from magical.envs.env import MagicalEnv
 from magical.envs.ids import parse_env_id
-from magical.envs.vector import MagicalVectorEnv
 from magical.errors import InvalidStateError, ResetNeededError
+from magical.observe.arrays import copy_arrays
 from magical.scene.actions import NUM_ACTIONS
 from magical.scene.scene import Dynamics, Pose
+from tests.envs.vector.making import MIXED, vector
 
-MIXED = (
-    "magical/FindDupe-TestAll-v0",
-    "magical/FindDupe-Demo-v0",
-    "magical/FindDupe-TestDynamics-v0",
-)
 HORIZON = 7
-
-
-def vector(
-    env_ids: Any = MIXED, workers: int = 0, observation: Any = "state", **options: Any
-) -> MagicalVectorEnv:
-    return MagicalVectorEnv(env_ids, workers=workers, observation=observation, **options)
 
 
 def single(env_id: str, observation: Any = "state", **options: Any) -> MagicalEnv:
@@ -265,3 +255,47 @@ def test_render_returns_a_frame_of_every_sub_environment() -> None:
     env.reset(seed=1)
     np.testing.assert_array_equal(frames[1], env.render())
     assert vector().render() is None
+
+
+# Which observations the caller owns
+
+
+@pytest.mark.parametrize("observation", ["state", "LoRes4A", "LoResStack"])
+@pytest.mark.parametrize("workers", [0, 2])
+def test_copies_do_not_change_after_they_are_returned(observation: str, workers: int) -> None:
+    envs = vector(MIXED[:2], workers, observation, horizon=4)
+    viewing = vector(MIXED[:2], 0, observation, horizon=4, copy=False)
+    kept, expected = [envs.reset(seed=0)[0]], [copy_arrays(viewing.reset(seed=0)[0])]
+    inactive_second = np.array([True, False])
+    for step, actions in enumerate(actions_for(2, 8)):
+        active = inactive_second if step == 2 else None
+        kept.append(envs.step(actions, active)[0])
+        expected.append(copy_arrays(viewing.step(actions, active)[0]))
+    np.testing.assert_equal(kept, expected)
+    envs.close()
+    np.testing.assert_equal(kept, expected)
+
+
+def test_arrays_for_copies_are_reused_once_the_caller_has_released_them() -> None:
+    envs = vector(observation="LoRes4A")
+    envs.reset(seed=0)
+    held = [envs.step([1, 1, 1])[0][1, 5:7] for _ in range(3)]
+    addresses = {view.ctypes.data for view in held}
+    assert len(addresses) == 3
+    assert envs._copies.choose() == -1
+    fourth = envs.step([1, 1, 1])[0]
+    assert fourth.base is None
+    del held[1]
+    assert envs._copies.choose() == 1
+    before = [view.copy() for view in held]
+    for _ in range(3):
+        assert envs.step([2, 2, 2])[0][1, 5:7].ctypes.data in addresses
+    np.testing.assert_equal(held, before)
+
+
+def test_without_copies_observations_are_the_buffers() -> None:
+    envs = vector(copy=False)
+    first, _ = envs.reset(seed=0)
+    kept = first.copy()
+    assert envs.step([1, 1, 1])[0] is first
+    assert np.any(first != kept)

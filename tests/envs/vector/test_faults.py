@@ -1,4 +1,4 @@
-"""Faults of worker processes: named errors, and no process, memory or descriptor remains."""
+"""Faults and ends of worker processes: named errors; no process, memory or descriptor remains."""
 
 import gc
 import os
@@ -6,95 +6,69 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from magical.envs.vector import MagicalVectorEnv
+from magical.envs.env import MagicalEnv
 from magical.envs.vector.workers import RemoteSubEnvs, split
 from magical.errors import (
     ClosedEnvironmentError,
+    InvalidScoreError,
     InvalidTaskError,
     ResetNeededError,
     WorkerDiedError,
-    WorkerError,
 )
 from magical.processes import WorkerTraceback
-from magical.tasks import Task, register_task, unregister_task
-from tests.waiting import alive, gone, soon
+from magical.tasks import register_task, unregister_task
+from tests.envs.vector.making import IDS, started, vector
+from tests.waiting import alive, gone
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals and /proc")
-IDS = ("magical/MakeLine-Demo-v0", "magical/MakeLine-TestColour-v0")
-PLUGIN = """
+MODULE = """
 import os
 from dataclasses import replace
-from magical import get_task, register_task
-
-class CustomError(Exception):
-    pass
+from magical import get_task
 
 def score_fn(scene, poses):
-    if os.environ.get("HOW") == "exit":
-        os._exit(7)
-    if os.environ.get("HOW") == "custom":
-        raise CustomError("strange", 5)
-    print("a task that prints")
-    raise ValueError("no score today")
+    {body}
 
-TASK = replace(get_task("MakeLine"), name="Breaking", score_fn=score_fn)
+TASK = replace(get_task("MakeLine"), name="Misbehaving", score_fn=score_fn)
 """
-
-
-def process_ids(envs: MagicalVectorEnv) -> list[int]:
-    assert len(envs.worker_process_ids) == envs.workers
-    return envs.worker_process_ids
-
-
-def processor_ticks(process_id: int) -> int:
-    return sum(map(int, Path(f"/proc/{process_id}/stat").read_text().split()[13:15]))
-
-
-def descriptors() -> int:
-    return len(list(Path("/proc/self/fd").iterdir()))
-
-
-def shared_memory() -> set[str]:
-    return {path.name for path in Path("/dev/shm").iterdir() if "magical" in path.name}
-
-
-def make(env_ids: tuple[str, ...] = IDS * 2, workers: int = 2, **options: Any) -> MagicalVectorEnv:
-    envs = MagicalVectorEnv(env_ids, workers=workers, observation="state", **options)
-    envs.reset(seed=0)
-    return envs
-
-
-def step_for_ever(envs: MagicalVectorEnv) -> None:
-    while True:
-        envs.step([1] * envs.num_envs)
+MISBEHAVING = ("magical/Misbehaving-Demo-v0",)
+Misbehave = Callable[[str], Any]
 
 
 @pytest.fixture
-def breaking(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Task]:
-    """A task in a module outside the package, whose score cannot be computed."""
-    (tmp_path / "breaking_task.py").write_text(PLUGIN)
-    monkeypatch.syspath_prepend(tmp_path)
-    module = __import__("breaking_task")
-    register_task(module.TASK)
-    yield module.TASK
-    unregister_task("Breaking")
-    del sys.modules["breaking_task"]
+def misbehave(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Misbehave]:
+    """Registers a task of a module outside the package, with a body of its score function."""
+
+    def register(body: str) -> Any:
+        (tmp_path / "misbehaving_task.py").write_text(MODULE.replace("{body}", body))
+        monkeypatch.syspath_prepend(tmp_path)
+        module = __import__("misbehaving_task")
+        register_task(module.TASK)
+        return module
+
+    yield register
+    unregister_task("Misbehaving")
+    sys.modules.pop("misbehaving_task", None)
 
 
-@pytest.mark.parametrize("killed", [0, 1])
-def test_a_killed_worker_is_named_and_the_others_end(killed: int) -> None:
+def descriptors() -> int:
+    gc.collect()  # environments of other tests
+    return len(list(Path("/proc/self/fd").iterdir()))
+
+
+@pytest.mark.parametrize(("killed", "rows"), [(0, "0 to 1"), (1, "2 to 3")])
+def test_a_killed_worker_is_named_and_the_others_end(killed: int, rows: str) -> None:
     before = descriptors()
-    envs = make()
-    workers = process_ids(envs)
+    envs = started()
+    workers = envs.worker_process_ids
     os.kill(workers[killed], signal.SIGKILL)
-    rows = ("0 to 1", "2 to 3")[killed]
     began = time.monotonic()
     with pytest.raises(WorkerDiedError) as caught:
         envs.step([0] * 4)
@@ -102,77 +76,77 @@ def test_a_killed_worker_is_named_and_the_others_end(killed: int) -> None:
     assert f"worker {killed} (environments {rows}: {', '.join(IDS)})" in str(caught.value)
     assert "killed by signal 9 (SIGKILL)" in str(caught.value)
     assert gone(workers)
-    assert shared_memory() == set()
+    assert not [path for path in Path("/dev/shm").iterdir() if "magical" in path.name]
     assert descriptors() == before
     with pytest.raises(ClosedEnvironmentError):
         envs.step([0] * 4)
     envs.close()
 
 
-def test_a_worker_killed_while_it_works_is_noticed() -> None:
-    envs = make(IDS * 32, workers=1)
-    (worker,) = process_ids(envs)
-    killer = subprocess.Popen([sys.executable, "-c", f"import os; os.kill({worker}, 9)"])
-    with pytest.raises(WorkerDiedError):
-        step_for_ever(envs)
-    killer.wait()
-
-
-def test_a_worker_that_exits_is_named(breaking: Task, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("HOW", "exit")
-    envs = make(("magical/Breaking-Demo-v0",), 1, horizon=1)
+def test_a_worker_that_exits_is_named(misbehave: Misbehave) -> None:
+    misbehave("os._exit(7)")
+    envs = started(MISBEHAVING, 1, horizon=1)
     with pytest.raises(WorkerDiedError, match="ended with exit status 7"):
         envs.step([0])
 
 
-def test_an_exception_keeps_its_class_its_environment_and_its_traceback(breaking: Task) -> None:
-    envs = make((*IDS, "magical/Breaking-Demo-v0"), 2, horizon=1)
-    workers = process_ids(envs)
+def test_an_exception_keeps_its_class_its_environment_and_its_traceback(
+    misbehave: Misbehave,
+) -> None:
+    misbehave("print('a task that prints'); raise ValueError('no score today')")
+    envs = started((*IDS, *MISBEHAVING), 2, horizon=1)
+    workers = envs.worker_process_ids
     with pytest.raises(ValueError, match="no score today") as caught:
         envs.step([0, 0, 0])
     assert type(caught.value) is ValueError
-    assert caught.value.__notes__ == ["in environment 2 (magical/Breaking-Demo-v0)"]
+    assert caught.value.__notes__ == ["in environment 2 (magical/Misbehaving-Demo-v0)"]
     assert isinstance(caught.value.__cause__, WorkerTraceback)
-    assert "breaking_task.py" in str(caught.value.__cause__)
+    assert "misbehaving_task.py" in str(caught.value.__cause__)
     assert "in score_fn" in str(caught.value.__cause__)
     with pytest.raises(ResetNeededError, match="in 3 of 3"):
         envs.step([0, 0, 0])
     envs.reset()
     envs.step([0, 0, 0], active=np.array([True, True, False]))
-    assert process_ids(envs) == workers
+    assert envs.worker_process_ids == workers
     envs.close()
 
 
-def test_an_exception_of_a_class_from_outside(
-    breaking: Task, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("HOW", "custom")
-    envs = make(("magical/Breaking-Demo-v0",), 1, horizon=1)
-    with pytest.raises(WorkerError, match=r"CustomError: \('strange', 5\)"):
-        envs.step([0])
-    envs.close()
+@pytest.mark.parametrize("value", ["float('nan')", "float('inf')", "-0.1", "1.5", "None", "'1'"])
+def test_scores_are_numbers_from_0_to_1(misbehave: Misbehave, value: str) -> None:
+    misbehave(f"return {value}")
+    env = MagicalEnv("Misbehaving", "Demo", observation="state", horizon=1)
+    env.reset(seed=0)
+    expected = f"Misbehaving.*from 0 to 1, found {eval(value)!r}"  # noqa: S307
+    with pytest.raises(InvalidScoreError, match=expected):
+        env.step(0)
+    for workers in (0, 1):
+        envs = started(MISBEHAVING, workers, horizon=1)
+        with pytest.raises(InvalidScoreError) as caught:
+            envs.step([0])
+        assert caught.value.__notes__ == ["in environment 0 (magical/Misbehaving-Demo-v0)"]
+        envs.reset()  # the worker goes on
+        envs.close()
 
 
-def test_a_task_that_workers_cannot_import(breaking: Task) -> None:
-    del sys.modules["breaking_task"].TASK
-    env_ids = ["magical/Breaking-Demo-v0"]
+def test_a_task_that_workers_cannot_import(misbehave: Misbehave) -> None:
+    module = misbehave("return 0.0")
+    task = module.TASK
+    del module.TASK
     with pytest.raises(InvalidTaskError, match=r"plugins=\[...\], or use workers=0"):
-        MagicalVectorEnv(env_ids, workers=1, observation="state")
-    MagicalVectorEnv(env_ids, workers=0, observation="state").reset()
+        vector(MISBEHAVING, 1)
+    started(MISBEHAVING, 0)
     with pytest.raises(ModuleNotFoundError, match="nowhere_at_all"):
-        MagicalVectorEnv(env_ids, workers=1, observation="state", plugins=["nowhere_at_all"])
-    sys.modules["breaking_task"].TASK = breaking  # type: ignore[attr-defined]
-    given = MagicalVectorEnv(env_ids, workers=1, observation="state", plugins=["breaking_task"])
-    given.reset()
-    given.close()
+        vector(MISBEHAVING, 1, plugins=["nowhere_at_all"])
+    module.TASK = task
+    started(MISBEHAVING, 1, plugins=["misbehaving_task"]).close()
 
 
 def test_an_interrupted_exchange_closes(monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(worker: Any) -> None:
         raise KeyboardInterrupt
 
-    envs = make()
-    workers = process_ids(envs)
+    envs = started()
+    workers = envs.worker_process_ids
     monkeypatch.setattr("magical.processes.Child.receive", interrupted)
     with pytest.raises(KeyboardInterrupt):
         envs.step([0] * 4)
@@ -180,30 +154,25 @@ def test_an_interrupted_exchange_closes(monkeypatch: pytest.MonkeyPatch) -> None
     assert gone(workers)
 
 
-def test_closing_twice_ends_everything() -> None:
+@pytest.mark.parametrize("how", ["closing twice", "garbage collection"])
+def test_the_end_of_an_environment_ends_everything(how: str) -> None:
     before = descriptors()
-    envs = make()
-    workers = process_ids(envs)
-    envs.close()
-    assert not any(map(alive, workers))
-    envs.close()
-    assert descriptors() == before
-
-
-def test_garbage_collection_ends_everything() -> None:
-    before = descriptors()
-    envs = make()
-    workers = process_ids(envs)
+    envs = started()
+    workers = envs.worker_process_ids
     observations = envs.reset(seed=0)[0]
-    del envs
-    gc.collect()
+    if how == "closing twice":
+        envs.close()
+        envs.close()
+    else:
+        del envs
+        gc.collect()
     assert not any(map(alive, workers))
     assert descriptors() == before
     assert np.isfinite(observations).all()
 
 
 def test_arrays_of_the_buffers_outlive_the_environment() -> None:
-    envs = MagicalVectorEnv(IDS, workers=2, observation="state", copy=False)
+    envs = vector(IDS, 2, copy=False)
     observations, _ = envs.reset(seed=0)
     before = observations.copy()
     envs.close()
@@ -212,18 +181,45 @@ def test_arrays_of_the_buffers_outlive_the_environment() -> None:
     np.testing.assert_array_equal(observations, before)
 
 
-def test_idle_workers_use_no_processor_time() -> None:
-    envs = make()
-    before = [processor_ticks(i) for i in process_ids(envs)]
-    end = time.monotonic() + 0.3
-    assert soon(lambda: time.monotonic() > end)
-    assert [processor_ticks(i) for i in process_ids(envs)] == before
-    envs.close()
-
-
 def test_no_more_workers_than_sub_environments() -> None:
-    envs = make(IDS, workers=5)
+    envs = started(IDS, workers=5)
     assert envs.workers == 2
     assert isinstance(envs._sub_envs, RemoteSubEnvs)
     envs.close()
     assert [list(rows) for rows in split(7, 3)] == [[0, 1], [2, 3], [4, 5, 6]]
+
+
+# However a script ends; it has no `__main__` guard and does not close.
+SCRIPT = """
+import os, signal, sys
+from magical.envs.vector import MagicalVectorEnv
+envs = MagicalVectorEnv(["magical/MakeLine-Demo-v0"] * 2, workers=2, observation="state")
+envs.reset(seed=0)
+print(*envs.worker_process_ids, flush=True)
+{end}
+"""
+
+
+@pytest.mark.parametrize(
+    ("end", "status", "printed"),
+    [
+        ("envs.step([0, 0])", 0, ""),
+        ("os.kill(os.getpid(), signal.SIGINT)", -signal.SIGINT, ""),
+        ("os.kill(os.getpid(), signal.SIGTERM)", -signal.SIGTERM, ""),
+        ("os.kill(os.getpid(), signal.SIGKILL)", -signal.SIGKILL, ""),
+        ("if not (child := os.fork()): sys.exit()\n"
+         "os.waitpid(child, 0); envs.step([0, 0]); print('goes on')", 0, "goes on\n"),
+    ],
+    ids=["end", "SIGINT", "SIGTERM", "SIGKILL", "fork"],
+)  # fmt: skip
+def test_workers_end_with_their_script(end: str, status: int, printed: str, tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT.format(end=end))
+    done = subprocess.run(
+        [sys.executable, script], capture_output=True, text=True, timeout=60, check=False
+    )
+    workers, _, rest = done.stdout.partition("\n")
+    assert (rest, done.returncode) == (printed, status)
+    assert len(workers.split()) == 2
+    assert gone(map(int, workers.split()))
+    assert done.stderr.count("Traceback") == (status == -signal.SIGINT)
