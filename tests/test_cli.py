@@ -1,8 +1,10 @@
 """The command line: discovery, exit statuses, output."""
 
+import ast
 import json
 import math
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -123,6 +125,22 @@ def test_extras_are_those_of_the_package(root: Path) -> None:
         for library in libraries:
             name = {"pygame": "pygame-ce", "h5py": "minari[hdf5]"}.get(library, library)
             assert any(need.startswith(name.replace("_", "-")) for need in extras[extra]), library
+
+
+def test_every_library_that_is_imported_is_declared(root: Path) -> None:
+    needs = tomllib.loads((root / "pyproject.toml").read_text())["project"]["dependencies"]
+    names = {re.split(r"[<>=]", need)[0] for need in needs} - {"pillow"} | {"PIL"}
+    known = names.union(sys.stdlib_module_names, *EXTRAS.values(), ["magical"])
+    for path in (root / "src").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            match node:
+                case ast.Import():
+                    modules = [alias.name for alias in node.names]
+                case ast.ImportFrom(module=str(module)):
+                    modules = [module]
+                case _:
+                    continue
+            assert {module.partition(".")[0] for module in modules} <= known, path
 
 
 def test_tables_are_aligned(capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,7 +12,7 @@ EXTRAS = {
     "video": ("imageio", "imageio_ffmpeg"),
     "minari": ("minari", "h5py"),
     "lerobot": ("av", "pyarrow"),
-    "web": ("starlette", "uvicorn", "websockets"),
+    "web": ("starlette", "uvicorn", "websockets", "h11"),
     "window": ("pygame",),
     "ray": ("ray",),
     "sb3": ("stable_baselines3",),

@@ -154,6 +154,7 @@ DEEP = '{"method": "x", "details": {"a": ' + "[" * 40 + "]" * 40 + "}}"
         r'{"method": "\u001b[31mred"}',
         json.dumps({"method": "x" * 201}),
         '{"method": 3}',
+        '{"method": " "}',
         '{"method": "m", "privileged": "no"}',
         '{"method": "m", "seed": -1}',
         '{"method": "m", "seed": true}',

@@ -190,6 +190,7 @@ def write_leaderboard_entry(folder: Path, score: float) -> None:
         entries[f"{key}/leaderboard"] = Entry(
             method=entries[key].method,
             scores=rows_of(None, score),
+            observation="LoRes4E",
             version=__version__,
             nudge=1e-9,
             details=details,

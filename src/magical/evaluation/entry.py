@@ -45,6 +45,8 @@ class _EntryFile:
         for name in ("method", "observation", "version"):
             if not (text := str(getattr(self, name))).isprintable():
                 raise ScoresError(f"{name}: expected printable characters, found {quoted(text)}")
+        if not self.method.strip():
+            raise ScoresError(f"method: expected a name, found {self.method!r}")
         checked_nudge(self.nudge)
         parse_horizon(self.horizon)
         if self.observation == STATE:

@@ -1,5 +1,6 @@
 """The protocol of policies, the check of the actions they return, and simple policies."""
 
+import json
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol, runtime_checkable
 
@@ -78,6 +79,8 @@ def observation_for(policy: Policy, observation: Observation = None) -> Observat
 def observed(policy: Policy, observation: Observation, task: Task) -> tuple[str, bool]:
     """What a policy is shown, as entries name it, and whether that is the true state.
 
+    An observation without a name is named by its fields, as JSON.
+
     Args:
         policy: see `Policy`.
         observation: of its evaluation, as for `observation_for`.
@@ -86,7 +89,9 @@ def observed(policy: Policy, observation: Observation, task: Task) -> tuple[str,
     if getattr(policy, "observation", None) == NOTHING and not is_privileged(policy):
         return NOTHING, False
     shown = observation_for(policy, observation)
-    return str(shown), make_spec(shown, task).num_images == 0
+    spec = make_spec(shown, task)
+    name = shown if isinstance(shown, str) else spec.to_dict()
+    return name if isinstance(name, str) else json.dumps(name), spec.num_images == 0
 
 
 def given_to(policy: Policy, envs: MagicalVectorEnv, observations: Any) -> Any:

@@ -1,7 +1,7 @@
 """What an agent observes: pixels or state vectors, behind one interface."""
 
 from magical.observe.pixels import PixelSpec
-from magical.observe.presets import NAMED, PRESETS, RAW, Observation, make_spec
+from magical.observe.presets import NAMED, PRESETS, RAW, Observation, make_spec, parse_spec
 from magical.observe.spec import (
     Component,
     EpisodeSource,
@@ -25,4 +25,5 @@ __all__ = [
     "PixelSpec",
     "StateSpec",
     "make_spec",
+    "parse_spec",
 ]

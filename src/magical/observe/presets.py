@@ -16,6 +16,7 @@ from magical.plugins import is_plugin, load_plugin, plugins
 from magical.scene.constants import RAW_FRAME_SIZE
 from magical.scene.vocabulary import View
 from magical.tasks import Task
+from magical.untrusted import parse_json
 
 # What `observation=` accepts: a name, a specification, a mapping of PixelSpec's fields, or None.
 Observation = str | ObservationSpec | Mapping[str, Any] | None
@@ -76,6 +77,20 @@ def make_spec(observation: Observation, task: Task) -> ObservationSpec:
         f"observation {quoted(observation)} is unknown; expected one of {known}, module:NAME, an "
         f"ObservationSpec, or a mapping with some of {sorted(names)}"
     )
+
+
+def parse_spec(text: str, task: Task) -> ObservationSpec:
+    """The specification that a text from outside names: a name, or `PixelSpec`'s fields as JSON.
+
+    No module that it names is imported, as `make_spec` would: a name must be ours or that of an
+    entry point. Raises what `make_spec` and `PixelSpec` do.
+    """
+    if text.startswith("{"):
+        return parse_json(text, PixelSpec, "observation", UnknownNameError)
+    if text in PRESETS or text in NAMED or text in plugins(GROUP):
+        return make_spec(text, task)
+    known = ", ".join((*PRESETS, *NAMED, *plugins(GROUP)))
+    raise UnknownNameError(f"observation {quoted(text)} is unknown here; expected one of {known}")
 
 
 def _is_spec(observation: Any) -> TypeGuard[ObservationSpec]:

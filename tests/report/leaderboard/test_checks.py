@@ -10,7 +10,9 @@ import pytest
 from magical import __version__
 from magical.envs import EnvId
 from magical.evaluation import Entry, RolloutScore
+from magical.evaluation.policy import FunctionPolicy, observed
 from magical.evaluation.protocol import NUDGE, ROLLOUTS
+from magical.observe import Observation, PixelSpec
 from magical.report.found.search import Found, Result, Skipped
 from magical.report.leaderboard.checks import check_entries, faults
 from magical.tasks import get_task
@@ -53,6 +55,11 @@ def test_a_right_entry_has_no_faults() -> None:
         ({"details": {"learned_from": [["deep"]]}}, "expected learned_from"),
         ({"details": {"learned_from": [], "looks": -1}}, "expected looks in the details"),
         ({"details": {"learned_from": [], "looks": True}}, "expected looks in the details"),
+        ({"observation": ""}, "observation '' is unknown here"),
+        ({"observation": "State"}, "observation 'State' is unknown here"),
+        ({"observation": "state_vector:SPEC"}, "'state_vector:SPEC' is unknown here"),
+        ({"observation": '{"size": 1e9}'}, "observation: size: expected int"),
+        ({"observation": '{"parts": []}'}, "parts: expected each view once"),
         ({"version": ""}, "made by version (not stated)"),
         ({"version": "99.1.0"}, "made by version 99.1.0"),
     ],
@@ -70,6 +77,14 @@ def test_what_a_policy_was_shown_is_what_its_run_says(
     _, rejected = check_entries(Found([Result(tmp_path, entry(), tmp_path)]))
     reasons = [reason for item in rejected for reason in item.reasons]
     assert reasons == ["shown LoRes4E, but its run was trained on state"] * refused
+
+
+@pytest.mark.parametrize(
+    "observation", [{"parts": [["allo", 2]], "size": 64}, PixelSpec(size=32), "raw", None]
+)
+def test_images_of_any_settings_can_be_ranked(observation: Observation) -> None:
+    named, privileged = observed(FunctionPolicy(print), observation, get_task("MoveToRegion"))
+    assert faults(entry(observation=named, privileged=privileged)) == []
 
 
 def test_true_states_are_of_no_class() -> None:

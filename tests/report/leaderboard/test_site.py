@@ -24,6 +24,7 @@ WriteEntry = Callable[..., Path]
 def entries(write_entry: WriteEntry, tmp_path: Path) -> Path:
     scores = {f"MoveToRegion-{v}": [0.5] * ROLLOUTS for v in get_task("MoveToRegion").variants}
     right = {
+        "observation": "LoRes4E",
         "nudge": 1e-9,
         "version": __version__,
         "details": {"learned_from": ["demonstrations"], "demonstrations": "<5>", "looks": 0},

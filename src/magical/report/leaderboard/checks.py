@@ -5,10 +5,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from magical import __version__
+from magical.errors import MagicalError
 from magical.evaluation import Entry, by_variant
 from magical.evaluation.entry import APPENDIX
+from magical.evaluation.policy import NOTHING
 from magical.evaluation.protocol import NUDGE, ROLLOUTS, SEED
 from magical.grouping import group_by
+from magical.observe import parse_spec
 from magical.report.found.search import Found, Result, same_run
 from magical.report.found.statements import stated_looks
 from magical.runs.sources import learned_from
@@ -53,6 +56,7 @@ def faults(entry: Entry) -> list[str]:
     """What an entry by itself has that the protocol does not allow; empty if nothing."""
     return [
         *_protocol_faults(entry),
+        *_observation_faults(entry),
         *incompleteness(entry),
         *misstatements(entry, learned_from, stated_looks),
     ]
@@ -97,6 +101,19 @@ def _protocol_faults(entry: Entry) -> Iterator[str]:
         yield f"horizon {entry.horizon}, expected {APPENDIX}: evaluate without --horizon"
     if entry.nudge != NUDGE:
         yield f"nudge {entry.nudge:g}, expected {NUDGE:g}: evaluate with --nudge {NUDGE:g}"
+
+
+def _observation_faults(entry: Entry) -> Iterator[str]:
+    """Why an entry that does not say so may nevertheless have observed true states."""
+    if entry.privileged or entry.observation == NOTHING:
+        return
+    try:
+        spec = parse_spec(entry.observation, entry.scores[0].env_id.task_spec)
+    except MagicalError as error:
+        yield f"{error}; what is no image counts as the true state: privileged, expected true"
+    else:
+        if spec.num_images == 0:
+            yield f"{entry.observation} has no images, which is privileged; expected true"
 
 
 def _series(version: str) -> str:
