@@ -14,8 +14,6 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from magical.commands.bench import BarePhysics
-from magical.envs import parse_env_id
 from magical.envs.vector import MagicalVectorEnv
 from magical.envs.vector.sub_envs import SubEnvs
 from magical.scene.actions import NUM_ACTIONS
@@ -63,15 +61,7 @@ def main() -> None:
         with profile.part("step"):
             envs.step(actions)
         profile_parts(envs, sample(), profile)
-    report(profile, physics_microseconds(arguments.env))
-
-
-def physics_microseconds(env_id: str) -> float:
-    """Microseconds inside the physics engine in a control step."""
-    physics, rng = BarePhysics(parse_env_id(env_id), seed=0), np.random.default_rng(0)
-    for _ in range(ROUNDS * 10):
-        physics.step(rng.integers(NUM_ACTIONS, size=1))
-    return 1e6 / physics.rate
+    report(profile)
 
 
 def profile_parts(envs: MagicalVectorEnv, actions: np.ndarray, profile: Profile) -> None:
@@ -94,12 +84,11 @@ def profile_parts(envs: MagicalVectorEnv, actions: np.ndarray, profile: Profile)
                 env.copy_observation(0)
 
 
-def report(profile: Profile, physics: float) -> None:
+def report(profile: Profile) -> None:
     """Print the table."""
-    simulation, step = profile.microseconds("simulation"), profile.microseconds("step")
+    step = profile.microseconds("step")
     parts = {
-        "inside the physics engine": physics,
-        "control law": simulation - physics,
+        "simulation": profile.microseconds("simulation"),
         "reading poses and velocities": profile.microseconds("read"),
         "observation": profile.microseconds("observe"),
         "copy for the caller": profile.microseconds("copy"),

@@ -40,37 +40,15 @@ START_SHIFT = 1e-9  # units, of the robot's start in shifted replays
 Poses = NDArray[np.float64]  # (steps, bodies, 3): x, y, angle
 
 
-class PlainReader:
-    """`magical.physics.chipmunk.BodyReader` through pymunk's properties."""
-
-    def __init__(self, _: Any, bodies: list[Any]) -> None:
-        self._bodies = bodies
-
-    def read(self) -> NDArray[np.float64]:
-        """x, y, angle and their velocities, (bodies, 6)."""
-        return np.array(
-            [[*b.position, b.angle, *b.velocity, b.angular_velocity] for b in self._bodies]
-        )
-
-
 def prepare(*, at_roots: bool) -> None:
-    """Make `magical.physics` importable without the private functions of pymunk 7.3."""
+    """Make `magical.physics` importable without pymunk 7.3 and compiled code."""
     collections.Sequence = collections.abc.Sequence  # type: ignore[attr-defined]  # pymunk 5.6
     package = types.ModuleType("magical")
     package.__path__ = [str(SOURCES)]
     sys.modules["magical"] = package
     plain = types.ModuleType("magical.physics.chipmunk")
-    functions = {
-        "body_handle": lambda body: body,
-        "motor_handle": lambda motor: motor,
-        "get_angle": lambda body: body.angle,
-        "set_angle": lambda body, angle: setattr(body, "angle", angle),
-        "set_velocity": lambda body, velocity: setattr(body, "velocity", velocity),
-        "set_motor_rate": lambda motor, rate: setattr(motor, "rate", rate),
-        "BodyReader": PlainReader,
-    }
-    for name, function in functions.items():
-        setattr(plain, name, function)
+    setattr(plain, "compiled", lambda: None)  # noqa: B010
+    setattr(plain, "address", None)  # noqa: B010
     sys.modules[plain.__name__] = plain
     if at_roots:
         from magical.physics import robot
@@ -184,7 +162,8 @@ def run(scene: Any, actions: list[int], nudge: tuple[int, Nudge] | None) -> Pose
     from magical.physics import Simulation
 
     simulation = Simulation(scene)
-    advance, substeps = simulation.advance, 0
+    simulation._compiled = None
+    advance, substeps = simulation._space.step, 0
 
     def advance_and_nudge(seconds: float) -> None:
         nonlocal substeps
@@ -193,7 +172,7 @@ def run(scene: Any, actions: list[int], nudge: tuple[int, Nudge] | None) -> Pose
         if nudge and substeps == nudge[0]:
             nudge[1](simulation._robot)
 
-    simulation.advance = advance_and_nudge
+    setattr(simulation._space, "step", advance_and_nudge)  # noqa: B010
     history = []
     for action in actions:
         simulation.step(action)

@@ -7,9 +7,8 @@ import pytest
 
 from magical.errors import InvalidSceneError
 from magical.physics import Simulation
-from magical.physics.robot import COMMANDS, Robot
+from magical.physics.robot import COMMANDS
 from magical.scene import Action, Block, Colour, Dynamics, Pose, Poses, Scene, Shape
-from magical.scene import constants as c
 from magical.scene.actions import Gripper, Longitudinal, Turn
 from magical.scene.poses import FINGERS
 
@@ -51,27 +50,6 @@ def test_the_same_actions_give_bit_equal_poses() -> None:
             simulation.step(int(action))
         tables.append(simulation.read())
     assert np.array_equal(tables[0], tables[1])
-
-
-def _steer_plainly(robot: Robot, speed: float, lead: float, target: float) -> None:
-    """The control law of docs/specification.md, section 2, through pymunk's properties."""
-    angle = robot.body.angle
-    robot._control.angle = angle + lead
-    robot._control.velocity = (-math.sin(angle) * speed, math.cos(angle) * speed)
-    for side, finger, motor in zip(c.SIDES, robot.fingers, robot._motors, strict=True):
-        rate = 10 * (finger.angle - angle + side * target)
-        rate = min(1.0, max(-1.0, rate))
-        motor.rate = 0.0 if abs(rate) < 1e-4 else rate
-
-
-def test_the_fast_control_law_equals_the_plain_one() -> None:
-    fast, plain = Simulation(SCENE), Simulation(SCENE)
-    plain._robot.steer = lambda *command: _steer_plainly(plain._robot, *command)
-    for action in np.random.default_rng(2).integers(18, size=120):
-        fast.step(int(action))
-        plain.step(int(action))
-    # The two may differ in the last bit of (finger - angle -+ target), nothing else.
-    assert np.allclose(fast.read(), plain.read(), atol=1e-6)
 
 
 def test_steering_rates() -> None:

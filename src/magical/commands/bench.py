@@ -1,9 +1,9 @@
 """Measure control steps per second beside the bare physics, or the speed of training.
 
 `env` and `vector`: three copies take the same actions by turns. One observes pixels, one the state
-vector, and one is the bare simulation of a single environment, in which only the time inside the
-physics engine is counted: the rate that a worker would reach if nothing else took time. Episodes
-are reset within the measured time.
+vector, and one is the bare simulation of a single environment, in which only the time inside its
+steps is counted: the rate that a worker would reach if nothing else took time. Episodes are reset
+within the measured time.
 
 `training`: every precision and number of threads takes turns on the same batches of a network.
 """
@@ -34,7 +34,6 @@ DEFAULT_ENV = "magical/ClusterColour-Demo-LoRes4E-v0"
 WARM_UP = 5  # steps before anything is measured: caches, compilation
 PROBE = 20  # steps of the first turns, from which the length of a turn follows
 TURN = 0.2  # seconds of each copy's turn: short, so that noise affects all alike
-CALIBRATION_CALLS = 20_000
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -138,53 +137,32 @@ def measure(
 
 
 class BarePhysics:
-    """The simulation of one environment's episodes, with a clock around the physics engine.
-
-    The time that the clock itself adds to a call is measured once and subtracted.
-    """
+    """The simulation of one environment's episodes, with a clock around its steps."""
 
     def __init__(self, env_id: EnvId, seed: int) -> None:
         self._env_id = env_id
         self._rng = np.random.default_rng(seed)
-        self._measured, self._calls = 0.0, 0  # seconds and calls inside the engine
-        nothing = self._timed(lambda _: None)
-        for _ in range(CALIBRATION_CALLS):
-            nothing(0.0)
-        self._overhead = self._measured / CALIBRATION_CALLS  # seconds a call
-        self._measured, self._calls, self._steps = 0.0, 0, 0
-        self._reset()
+        self._seconds, self._steps, self._left = 0.0, 0, 0
 
     def step(self, actions: Any) -> None:
         """One control step."""
+        from magical.physics import Simulation
+
         if self._left == 0:
-            self._reset()
-        self._simulation.step(int(actions[0]))
+            task = self._env_id.task_spec
+            self._simulation = Simulation(*task.sample(self._env_id.variant, self._rng))
+            self._left = task.horizon
+        action = int(actions[0])
+        began = time.perf_counter()
+        self._simulation.step(action)
+        self._seconds += time.perf_counter() - began
         self._steps += 1
         self._left -= 1
 
     @property
     def rate(self) -> float:
-        """Control steps per second inside the physics engine."""
-        return self._steps / (self._measured - self._calls * self._overhead)
-
-    def _reset(self) -> None:
-        from magical.physics import Simulation
-
-        task = self._env_id.task_spec
-        self._simulation = Simulation(*task.sample(self._env_id.variant, self._rng))
-        self._simulation.advance = self._timed(self._simulation.advance)
-        self._left = task.horizon
-
-    def _timed(self, function: Callable[[float], None]) -> Callable[[float], None]:
-        now = time.perf_counter
-
-        def timed(duration: float) -> None:
-            began = now()
-            function(duration)
-            self._measured += now() - began
-            self._calls += 1
-
-        return timed
+        """Control steps per second inside the simulation."""
+        return self._steps / self._seconds
 
 
 class _Turns:

@@ -4,6 +4,28 @@
 - `cache`: compiled code on disk.
 """
 
-from magical.compiled.jit import count_bits, entry_point, fused, inlined, nogil_entry_point
+from magical.compiled.jit import (
+    ADDRESS,
+    FLOAT,
+    c_function,
+    count_bits,
+    entry_point,
+    fused,
+    inlined,
+    load_float,
+    nogil_entry_point,
+    store_float,
+)
 
-__all__ = ["count_bits", "entry_point", "fused", "inlined", "nogil_entry_point"]
+__all__ = [
+    "ADDRESS",
+    "FLOAT",
+    "c_function",
+    "count_bits",
+    "entry_point",
+    "fused",
+    "inlined",
+    "load_float",
+    "nogil_entry_point",
+    "store_float",
+]

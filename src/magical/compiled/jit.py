@@ -7,11 +7,14 @@ them; an entry point is compiled at its first call and kept on disk (see `cache`
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
+import llvmlite.binding
 import numba
+from llvmlite.ir import DoubleType
 from numba.extending import intrinsic
 
 from magical.compiled.cache import CompileCache
 
+ADDRESS, FLOAT = numba.types.intp, numba.types.float64
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 
@@ -38,6 +41,21 @@ def nogil_entry_point(function: Kernel) -> Kernel:
     return _cached(function, numba.njit(nogil=True)(function))
 
 
+def c_function(name: str, address: int, *arguments: Any) -> Any:
+    """A C function at an address, which returns nothing, for entry points to call.
+
+    Compiled code on disk refers to it by its name.
+
+    Args:
+        name: unique in the process.
+        address: of this process.
+        arguments: their types as compiled code has them: `ADDRESS` or `FLOAT`.
+    """
+    symbol = f"magical_{name}"
+    llvmlite.binding.add_symbol(symbol, address)
+    return numba.types.ExternalFunction(symbol, numba.types.void(*arguments))
+
+
 def _cached(function: Kernel, dispatcher: Any) -> Kernel:
     dispatcher._cache = CompileCache(function)  # as `cache=True` does with numba's own
     return cast(Kernel, dispatcher)
@@ -52,3 +70,27 @@ def _count_bits(_: Any, word: Any) -> Any:
 
 # How many bits of an integer are 1: one machine instruction, which numba has no name for.
 count_bits = cast(Callable[[int], int], intrinsic(_count_bits))
+
+
+def _load_float(_: Any, address: Any, index: Any) -> Any:
+    def generate(__: Any, builder: Any, ___: Any, arguments: Any) -> Any:
+        return builder.load(_float_pointer(builder, *arguments))
+
+    return FLOAT(address, index), generate
+
+
+def _store_float(_: Any, address: Any, index: Any, value: Any) -> Any:
+    def generate(context: Any, builder: Any, ___: Any, arguments: Any) -> Any:
+        builder.store(arguments[2], _float_pointer(builder, *arguments[:2]))
+        return context.get_dummy_value()
+
+    return numba.types.void(address, index, FLOAT), generate
+
+
+def _float_pointer(builder: Any, address: Any, index: Any) -> Any:
+    return builder.gep(builder.inttoptr(address, DoubleType().as_pointer()), [index])
+
+
+# The float at an index from an address, and its replacement.
+load_float = cast(Callable[[int, int], float], intrinsic(_load_float))
+store_float = cast(Callable[[int, int, float], None], intrinsic(_store_float))

@@ -1,23 +1,33 @@
-"""Chipmunk through pymunk's private bindings: the only file that uses them.
+"""Chipmunk below pymunk: its C functions and its bodies' memory, for compiled code.
 
-Through pymunk's properties, the ten control-law updates and the one read of all bodies in a control
-step would take a third of its time. The private names used here may change between releases,
-so importing this module checks that pymunk's version is in the range they were tested with.
+Through pymunk's properties, ten substeps and one read of all bodies take a third longer. The names
+and the layout used here are private and may change between releases, so importing this module
+checks that pymunk's version is in the range they were tested with, and `compiled` checks each.
 """
 
 import re
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 import numpy as np
 import pymunk
-import pymunk.batch
-from numpy.typing import NDArray
 
 from magical.errors import DependencyVersionError
-from magical.scene.poses import EYES, ROBOT
 
 TESTED_VERSIONS = ((7, 3), (7, 4))  # from the first, below the second; pyproject.toml has the same
+# The C functions that compiled code calls.
+SIGNATURES = {
+    "cpSpaceStep": "void(*)(struct cpSpace *, double)",
+    "cpBodySetAngle": "void(*)(struct cpBody *, double)",
+    "cpSimpleMotorSetRate": "void(*)(struct cpConstraint *, double)",
+}
+# A body of mass 2 and moment 4 in memory, after two pointers: mass, moment and their inverses,
+# centre of gravity, position (5, 6), velocity (7, 8), force, angle 9, angular velocity 10.
+LAYOUT = [2.0, 0.5, 4.0, 0.25, 0.0, 0.0, 5.0, 6.0, 7.0, 8.0, 0.0, 0.0, 9.0, 10.0]
+POINTERS = 2  # of 8 bytes, like the numbers
+POSITION, VELOCITY, ANGLE, SPIN = (POINTERS + LAYOUT.index(n) for n in (5.0, 7.0, 9.0, 10.0))
 
 
 def check_version(version: str) -> None:
@@ -33,72 +43,57 @@ def check_version(version: str) -> None:
 
 check_version(pymunk.version)
 
-from pymunk._chipmunk_cffi import ffi, lib  # noqa: E402
 
-get_angle = lib.cpBodyGetAngle
-set_angle = lib.cpBodySetAngle
-set_velocity = lib.cpBodySetVelocity
-set_motor_rate = lib.cpSimpleMotorSetRate
+def address(thing: Any) -> int:
+    """Where Chipmunk keeps a `Space`, `Body` or `SimpleMotor`."""
+    from pymunk._chipmunk_cffi import ffi
 
-_FIELDS = (
-    pymunk.batch.BodyFields.POSITION
-    | pymunk.batch.BodyFields.ANGLE
-    | pymunk.batch.BodyFields.VELOCITY
-    | pymunk.batch.BodyFields.ANGULAR_VELOCITY
-)
-_WIDTH = 6  # floats read for each body: x, y, angle and their velocities
-# The static body is visited too, and pymunk would move a full buffer to memory of its own.
-_SPARE = 4
-_POSITION_COLUMNS = [0, 1, 3, 4]  # columns of a body's position and its velocity
+    private = {pymunk.Space: "_space", pymunk.Body: "_body", pymunk.SimpleMotor: "_constraint"}
+    return int(ffi.cast("intptr_t", getattr(thing, private[type(thing)])))
 
 
-def body_handle(body: pymunk.Body) -> Any:
-    """What `get_angle`, `set_angle` and `set_velocity` take."""
-    return body._body
+@cache
+def compiled() -> tuple[Callable[..., None], Callable[..., None]] | None:
+    """`substeps` and `read` of the module `substeps`, or None if this pymunk is another.
 
-
-def motor_handle(motor: pymunk.SimpleMotor) -> Any:
-    """What `set_motor_rate` takes."""
-    return motor._constraint
-
-
-class BodyReader:
-    """Reads poses and velocities of chosen bodies of a space in one call.
-
-    No body may be added to the space afterwards. pymunk's own batch buffers allocate memory that
-    is never freed; this class reads into an array of its own, made large enough beforehand.
+    It is another, and a warning says so, if it lacks one of the C functions, or if one has other
+    arguments or a body has another layout in memory.
     """
+    try:
+        from pymunk._chipmunk_cffi import ffi, lib
 
-    def __init__(self, space: pymunk.Space, bodies: Sequence[pymunk.Body]) -> None:
-        """`bodies` in the rows of `Poses`."""
-        count = len(space.bodies) + _SPARE
-        self._space = space
-        self._all = np.empty(count * _WIDTH)
-        self._ids = np.empty(count, np.uintp)
-        self._floats = ffi.new("pmFloatArray *")
-        self._floats.arr = ffi.from_buffer("cpFloat[]", self._all)
-        self._floats.max = self._all.size
-        self._ints = ffi.new("pmIntArray *")
-        self._ints.arr = ffi.from_buffer("uintptr_t[]", self._ids)
-        self._ints.max = self._ids.size
-        self._target = ffi.new("pmBatchedData *")
-        self._target.floatArray, self._target.intArray = self._floats, self._ints
-        self._visit = ffi.addressof(lib, "pmSpaceBodyGetIteratorFuncBatched")
-        self._target.fields = pymunk.batch.BodyFields.BODY_ID.value
-        lib.cpSpaceEachBody(space._space, self._visit, self._target)
-        assert self._ints.num < self._ints.max == self._ids.size
-        ids = self._ids[: self._ints.num].tolist()
-        rows = np.array([ids.index(body.id) for body in bodies])
-        # The index in the buffer of each entry of the result, (bodies, 6).
-        self._indices = rows[:, None] * _WIDTH + np.arange(_WIDTH)
-        self._indices[EYES, _POSITION_COLUMNS] = self._indices[ROBOT, _POSITION_COLUMNS]
-        self._target.fields = _FIELDS.value
+        functions = {name: ffi.addressof(lib, name) for name in SIGNATURES}
+        found = {name: ffi.typeof(function).cname for name, function in functions.items()}
+        known = found == SIGNATURES and _has_known_layout(ffi)
+    except (ImportError, AttributeError):
+        known = False
+    if not known:
+        warnings.warn(
+            f"pymunk {pymunk.version}: expected the C functions and the layout of bodies of pymunk "
+            "7.3.1, found others; the physics is simulated without compiled code: the same "
+            "motions, but slower",
+            RuntimeWarning,
+            stacklevel=3,
+        )
+        return None
+    from magical.compiled import ADDRESS, FLOAT, c_function
+    from magical.physics.substeps import compiled_substeps, read
 
-    def read(self) -> NDArray[np.float64]:
-        """x, y, angle and their velocities, (bodies, 6).
+    c_functions = (
+        c_function(name, int(ffi.cast("intptr_t", function)), ADDRESS, FLOAT)
+        for name, function in functions.items()
+    )
+    return compiled_substeps(*c_functions), read
 
-        Eyes have no position of their own; theirs is the robot's.
-        """
-        self._floats.num = 0
-        lib.cpSpaceEachBody(self._space._space, self._visit, self._target)
-        return self._all.take(self._indices, mode="clip")
+
+def _has_known_layout(ffi: Any) -> bool:
+    """Whether a body's memory holds what `substeps` reads and writes there."""
+    body = pymunk.Body(2.0, 4.0)
+    body.position, body.velocity = (5.0, 6.0), (7.0, 8.0)
+    body.angle, body.angular_velocity = 9.0, 10.0
+    buffer = ffi.buffer(ffi.cast("char *", body._body), 8 * (POINTERS + len(LAYOUT)))
+    memory = np.frombuffer(buffer)
+    if memory[POINTERS:].tolist() != LAYOUT:
+        return False
+    memory[VELOCITY] = 11.0
+    return bool(body.velocity == (11.0, 8.0))

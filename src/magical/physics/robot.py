@@ -4,11 +4,9 @@ Source: docs/specification.md, section 2.
 """
 
 import math
-from collections.abc import Callable
 
 import pymunk
 
-from magical.physics import chipmunk
 from magical.physics.pins import finger_position
 from magical.scene import constants as c
 from magical.scene.actions import ACTIONS, Gripper, Longitudinal, Turn
@@ -29,21 +27,18 @@ COMMANDS = tuple((_SPEED[a.longitudinal], _LEAD[a.turn], _TARGET[a.gripper]) for
 
 
 class Robot:
-    """The robot in a pymunk space.
-
-    Call `steer(*command)` before every substep, with one of `COMMANDS`.
-    """
+    """The robot in a pymunk space, and its control law for one of `COMMANDS`."""
 
     def __init__(self, space: pymunk.Space, pose: Pose, dynamics: Dynamics) -> None:
         moment = pymunk.moment_for_circle(c.ROBOT_MASS, 0, c.ROBOT_RADIUS)
         self.body = pymunk.Body(c.ROBOT_MASS, moment)
         self.body.position, self.body.angle = pose[:2], pose.angle
         space.add(self.body)
-        self._control = _add_drive(space, self.body, pose, dynamics)
+        self.control = _add_drive(space, self.body, pose, dynamics)
         self.eyes = [_add_eye(space, self.body, pose) for _ in c.SIDES]
         fingers = [_add_finger(space, self.body, side, pose, dynamics) for side in c.SIDES]
         self.fingers = [finger for finger, _ in fingers]
-        self._motors = [motor for _, motor in fingers]
+        self.motors = [motor for _, motor in fingers]
         shapes: list[pymunk.Shape] = [pymunk.Circle(self.body, c.ROBOT_RADIUS)]
         shapes[0].friction = c.ROBOT_FRICTION
         for finger, side in zip(self.fingers, c.SIDES, strict=True):
@@ -53,44 +48,14 @@ class Robot:
         for shape in shapes:
             shape.filter = pymunk.ShapeFilter(group=ROBOT_GROUP)
             space.add(shape)
-        self.steer = _control_law(self.body, self._control, self.fingers, self._motors)
 
-
-def _control_law(
-    body: pymunk.Body,
-    control: pymunk.Body,
-    fingers: list[pymunk.Body],
-    motors: list[pymunk.SimpleMotor],
-) -> Callable[[float, float, float], None]:
-    """The function `steer(speed, lead, target)` that sets control body and finger motors.
-
-    It runs before each of ten substeps. Calling Chipmunk directly takes less than half the time of
-    pymunk's properties; the tests compare it with the same law written with the properties.
-    """
-    robot, controller = chipmunk.body_handle(body), chipmunk.body_handle(control)
-    left, right = map(chipmunk.body_handle, fingers)
-    left_motor, right_motor = map(chipmunk.motor_handle, motors)
-    get_angle, set_angle = chipmunk.get_angle, chipmunk.set_angle
-    set_velocity, set_rate = chipmunk.set_velocity, chipmunk.set_motor_rate
-    sin, cos = math.sin, math.cos
-
-    left_rate = right_rate = 0.0
-
-    def steer(speed: float, lead: float, target: float) -> None:
-        nonlocal left_rate, right_rate
-        angle = get_angle(robot)
-        set_angle(controller, angle + lead)
-        set_velocity(controller, (-sin(angle) * speed, cos(angle) * speed))
-        rate = motor_rate(get_angle(left) - angle - target)
-        if rate != left_rate:
-            set_rate(left_motor, rate)
-            left_rate = rate
-        rate = motor_rate(get_angle(right) - angle + target)
-        if rate != right_rate:
-            set_rate(right_motor, rate)
-            right_rate = rate
-
-    return steer
+    def steer(self, speed: float, lead: float, target: float) -> None:
+        """Set the control body and the finger motors, as is done before every substep."""
+        angle = self.body.angle
+        self.control.angle = angle + lead
+        self.control.velocity = -math.sin(angle) * speed, math.cos(angle) * speed
+        for finger, motor, side in zip(self.fingers, self.motors, c.SIDES, strict=True):
+            motor.rate = motor_rate(finger.angle - angle + side * target)
 
 
 def motor_rate(error: float) -> float:

@@ -1,14 +1,12 @@
 """The physics of one episode."""
 
-from collections.abc import Callable
-
 import numpy as np
 import pymunk
 from numpy.typing import NDArray
 
 from magical.errors import InvalidSceneError
 from magical.physics.blocks import add_block, add_walls
-from magical.physics.chipmunk import BodyReader
+from magical.physics.chipmunk import address, compiled
 from magical.physics.robot import COMMANDS, ROBOT_GROUP, Robot
 from magical.scene import constants as c
 from magical.scene.poses import Poses
@@ -20,10 +18,6 @@ class Simulation:
 
     Bodies are added to the space in rendering order, walls first: the solver's result depends on
     the order (docs/specification.md, section 6).
-
-    Attributes:
-        advance: advances the physics by one substep of a given duration in seconds; replaced by a
-            timed version where the time spent in the physics engine is measured.
 
     Raises:
         InvalidSceneError: more than `MAX_BLOCKS` blocks, or a pose beyond `MAX_COORDINATE`.
@@ -40,7 +34,6 @@ class Simulation:
         self._space = pymunk.Space()
         self._space.iterations = c.SOLVER_ITERATIONS
         self._space.collision_slop = c.COLLISION_SLOP
-        self.advance: Callable[[float], None] = self._space.step
         add_walls(self._space)
         if scene.robot_first:
             self._robot = Robot(self._space, scene.robot, self.dynamics)
@@ -51,7 +44,15 @@ class Simulation:
         if not scene.robot_first:
             self._robot = Robot(self._space, scene.robot, self.dynamics)
         self._bodies = [self._robot.body, *self._robot.fingers, *self._robot.eyes, *blocks]
-        self._reader = BodyReader(self._space, self._bodies)
+        # For each row of `Poses`, the body that has its position and the one that has its angle.
+        places = [self._robot.body if b in self._robot.eyes else b for b in self._bodies]
+        self._places = list(zip(places, self._bodies, strict=True))
+        self._compiled = compiled()
+        if self._compiled:
+            robot = self._robot
+            drive = self._space, robot.body, robot.control, *robot.fingers, *robot.motors
+            self._drive = [address(part) for part in drive]
+            self._addresses = np.array([list(map(address, pair)) for pair in self._places])
 
     def step(self, action: int) -> None:
         """Advance by one control step of 1/8 s.
@@ -59,11 +60,12 @@ class Simulation:
         Args:
             action: index into `scene.ACTIONS`, not checked here.
         """
-        speed, lead, target = COMMANDS[action]
-        steer, advance = self._robot.steer, self.advance
+        if self._compiled:
+            self._compiled[0](*self._drive, *COMMANDS[action])
+            return
         for _ in range(c.SUBSTEPS):
-            steer(speed, lead, target)
-            advance(c.SUBSTEP_TIME)
+            self._robot.steer(*COMMANDS[action])
+            self._space.step(c.SUBSTEP_TIME)
 
     def poses(self) -> Poses:
         """The current pose of every body."""
@@ -76,7 +78,13 @@ class Simulation:
             (5 + number of blocks, 6) in the rows of `Poses`: x, y, angle and their velocities, in
             units, radians and seconds. Eyes have no position of their own; theirs is the robot's.
         """
-        return self._reader.read()
+        if self._compiled:
+            found = np.empty((len(self._addresses), 6))
+            self._compiled[1](self._addresses, found)
+            return found
+        return np.array(
+            [[*p.position, a.angle, *p.velocity, a.angular_velocity] for p, a in self._places]
+        )
 
     def write(self, bodies: NDArray[np.float64]) -> None:
         """Move every body to a pose and give it a velocity: the inverse of `read`.

@@ -1,0 +1,65 @@
+"""A control step's substeps, and the reading of all bodies, as one compiled call each.
+
+Bodies, motors and the space are given by their addresses. What Chipmunk has no function of plain
+numbers for is read and written in a body's memory, at the indices that `chipmunk` has checked.
+The lock of the interpreter is not held, so that threads can step different simulations.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical.compiled import inlined, load_float, nogil_entry_point, store_float
+from magical.physics.chipmunk import ANGLE, POSITION, SPIN, VELOCITY
+from magical.physics.robot import motor_rate
+from magical.scene import constants as c
+
+rate = inlined(motor_rate)
+
+
+def compiled_substeps(step_space: Any, set_angle: Any, set_motor_rate: Any) -> Callable[..., None]:
+    """The substeps as `Simulation` makes them plainly; the arguments are C functions."""
+
+    @nogil_entry_point
+    def substeps(
+        space: int,
+        body: int,
+        control: int,
+        left: int,
+        right: int,
+        left_motor: int,
+        right_motor: int,
+        speed: float,
+        lead: float,
+        target: float,
+    ) -> None:
+        for _ in range(c.SUBSTEPS):
+            angle = load_float(body, ANGLE)
+            set_angle(control, angle + lead)
+            store_float(control, VELOCITY, -math.sin(angle) * speed)
+            store_float(control, VELOCITY + 1, math.cos(angle) * speed)
+            set_motor_rate(left_motor, rate(load_float(left, ANGLE) - angle - target))
+            set_motor_rate(right_motor, rate(load_float(right, ANGLE) - angle + target))
+            step_space(space, c.SUBSTEP_TIME)
+
+    return substeps
+
+
+@nogil_entry_point
+def read(addresses: NDArray[np.int64], out: NDArray[np.float64]) -> None:
+    """Write poses and velocities of bodies.
+
+    Args:
+        addresses: (bodies, 2): of the body that a position is taken from, and of that of the angle.
+        out: (bodies, 6): x, y, angle and their velocities.
+    """
+    for i in range(len(addresses)):
+        place, turn = addresses[i, 0], addresses[i, 1]
+        for k in range(2):
+            out[i, k] = load_float(place, POSITION + k)
+            out[i, 3 + k] = load_float(place, VELOCITY + k)
+        out[i, 2] = load_float(turn, ANGLE)
+        out[i, 5] = load_float(turn, SPIN)
