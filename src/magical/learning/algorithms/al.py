@@ -41,6 +41,7 @@ from magical.learning.running.checkpoints import (
     restoring,
 )
 from magical.learning.running.devices import Compute
+from magical.learning.running.optimizers import make_adam, set_learning_rate
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import POSITIVE, option
@@ -168,7 +169,7 @@ def pretrain(
     Returns:
         Whether the pretraining is complete; if not, the run stops.
     """
-    optimizer = Adam(autoencoder.parameters(), config.pretraining_learning_rate, fused=True)
+    optimizer = make_adam(autoencoder.parameters(), config.pretraining_learning_rate)
     if run.saved:
         with restoring(run.folder):
             autoencoder.load_state_dict(run.saved["autoencoder"])
@@ -218,8 +219,7 @@ def pretraining_step(
     The image error is divided by `scale` first.
     """
     left = 1.0 - number / config.pretraining_batches if config.refined else 1.0
-    for group in optimizer.param_groups:
-        group["lr"] = config.pretraining_learning_rate * left
+    set_learning_rate(optimizer, config.pretraining_learning_rate * left)
     rng = stream(config.seed, Purpose.PRETRAINING, number)
     rows = expert.sample_counts([config.pretraining_batch_size], rng)
     images = augment(expert.images(rows), config.augmentations, rng)

@@ -240,8 +240,8 @@ class BCTrainer:
     def reset(self) -> None:
         """Initialise network and optimiser."""
         self.network = make_policy(self.config).to(self.device)
-        self.optimizer = make_optimizer(self.config.cloning, self.network)
         graphs = use_graphs(self.config.networks.graphs, self.device)
+        self.optimizer = make_optimizer(self.config.cloning, self.network, graphs)
         self._graphed_step = GraphedStep(self._step, graphs)
         decay = self.config.cloning.average_decay
         average = get_ema_multi_avg_fn(decay)  # type: ignore[no-untyped-call]
@@ -384,15 +384,15 @@ def make_policy(config: BCConfig) -> PolicyNetwork:
         return network
 
 
-def make_optimizer(settings: CloningSettings, network: nn.Module) -> Optimizer:
-    """The configured optimiser."""
-    momentum = settings.momentum
-    rate: Any = settings.learning_rate
-    if settings.optimizer == "sgd":
-        if next(network.parameters()).is_cuda:
-            rate = torch.tensor(rate, device="cuda")
-        return SGD(network.parameters(), rate, momentum, fused=True)
-    return make_adam(network.parameters(), rate, (momentum, ADAM_BETA_2))
+def make_optimizer(
+    settings: CloningSettings, network: nn.Module, recorded: bool = False
+) -> Optimizer:
+    """The configured optimiser; where its steps are `recorded`, a CUDA graph reads its rate."""
+    parameters, rate, momentum = network.parameters(), settings.learning_rate, settings.momentum
+    if settings.optimizer == "adam":
+        return make_adam(parameters, rate, (momentum, ADAM_BETA_2), recorded)
+    where: Any = torch.tensor(rate, device="cuda") if recorded else rate
+    return SGD(parameters, where, momentum, fused=True)
 
 
 ALGORITHM = Algorithm(BCConfig, train, make_policy)

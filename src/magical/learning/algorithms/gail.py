@@ -207,7 +207,10 @@ class DiscriminatorTrainer:
     ) -> None:
         self.config = config
         self.network = make_discriminator(config).to(compute.device)
-        self.optimizer = make_adam(self.network.parameters(), config.discriminator.learning_rate)
+        graphs = use_graphs(config.networks.graphs, compute.device)
+        self.optimizer = make_adam(
+            self.network.parameters(), config.discriminator.learning_rate, recorded=graphs
+        )
         self._expert = expert
         self._replay_buffer = replay_buffer
         self._normaliser = RewardNormaliser(
@@ -222,8 +225,7 @@ class DiscriminatorTrainer:
         self._reward = reward
         self._randoms = Randoms(compute.device)
         self._logged: tuple[str, ...] = ()  # names of what a step returns
-        enabled = use_graphs(config.networks.graphs, compute.device)
-        self._graphed_step = GraphedStep(self._step, enabled, self._randoms.generators)
+        self._graphed_step = GraphedStep(self._step, graphs, self._randoms.generators)
 
     def rewards(self, rollout: Rollout) -> tuple[Tensor, Metrics]:
         """Normalised rewards (T, N) of a rollout, and mean and spread of the raw ones.
@@ -280,9 +282,8 @@ class DiscriminatorTrainer:
         rows = self._expert.sample_counts(counts, rng)
         expert_actions, expert_tasks = self._expert.labels(rows)
         novice_images, novice_actions, novice_tasks = self._replay_buffer.sample(counts, rng)
-        images = torch.cat([self._expert.images(rows), novice_images])
         return DiscriminatorBatch(
-            images,
+            torch.cat([self._expert.images(rows), novice_images]),
             torch.cat([expert_actions, novice_actions]),
             torch.cat([expert_tasks, novice_tasks]),
         )

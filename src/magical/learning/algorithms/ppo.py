@@ -230,12 +230,14 @@ class PPOTrainer:
         self.config, self.run, self.previous_steps = config, run, previous_steps
         self.device = choose_device(config.device)
         self.network = make_policy(config).to(self.device)
-        self.optimizer = make_adam(self.network.parameters(), config.ppo.learning_rate)
+        graphs = use_graphs(config.networks.graphs, self.device)
+        self.optimizer = make_adam(
+            self.network.parameters(), config.ppo.learning_rate, recorded=graphs
+        )
         vectors = len(config.input_shape) == 1
         # Positions need more digits than pixels.
         precision = "float32" if vectors and config.precision == "auto" else config.precision
         self.compute = run.compute(self.device, precision, config.threads)
-        graphs = use_graphs(config.networks.graphs, self.device)
         self._graphed_step = GraphedStep(self._step, graphs)
         self.monitor = Monitor()
         how: Any = {"horizon": config.ppo.env_horizon, "workers": config.ppo.workers}

@@ -29,7 +29,6 @@ from magical.learning.augmentation.noise import add_noise
 from magical.learning.augmentation.palette import PERMUTATIONS
 from magical.learning.augmentation.transformations import StackTransformations
 from magical.learning.data.expert_data import ExpertData, Rows
-from magical.learning.running.devices import pinned_like
 from magical.observe import PixelSpec
 from magical.render.moved_camera import MovedCamera
 from magical.render.palette import permuted
@@ -116,8 +115,6 @@ class RenderedExpertData(ExpertData):
         channels, height, width = self.spec.network_shape
         parameters = sample_parameters(len(rows), which, rng)
         images = torch.empty((len(rows), height, width, channels))
-        if self.device == "cuda":
-            images = pinned_like(images)
         out = images.numpy()
         stacks = [stack.cpu().numpy()[rows] for stack in self._stacks]  # (B, K) each
         for stack in stacks:
@@ -136,7 +133,7 @@ class RenderedExpertData(ExpertData):
         out[transformed.mirrored] = out[transformed.mirrored, :, ::-1]
         if which.noise:
             add_noise(out, NOISE_STD, noise_seeds(len(rows), rng))
-        return images.permute(0, 3, 1, 2).to(self.device, non_blocking=True)
+        return images.permute(0, 3, 1, 2).to(self.device)
 
 
 class _SceneData(NamedTuple):

@@ -15,7 +15,7 @@ ROLLOUTS = 4  # that the learners with learned rewards keep
 
 
 class ReplayBuffer:
-    """Observations (or features) and actions of the newest rollouts, on their device."""
+    """Observations (uint8) and actions of the newest rollouts, on their device."""
 
     def __init__(self, capacity: int, task_of: NDArray[np.int64]) -> None:
         """Create an empty buffer.
@@ -61,40 +61,20 @@ class ReplayBuffer:
         return self._observations[index], self._actions[index], tasks
 
     def state_dict(self) -> StateDict:
-        """The contents; images, which are mostly of uniform colour, are compressed on a CPU.
-
-        A GPU would wait for that longer than for the disk.
-        """
+        """The contents; the images, which are mostly of uniform colour, are compressed."""
         assert self._observations is not None
+        packed = zlib.compress(self._observations.cpu().numpy().tobytes(), 1)
         return {
             "count": self._count,
             "shape": list(self._observations.shape),
-            "observations": _pack(self._observations),
-            "packed": _is_packed(self._observations),
+            "observations": torch.frombuffer(bytearray(packed), dtype=torch.uint8),
             "actions": self._actions,
         }
 
     def load_state_dict(self, state: Mapping[str, Any], device: str) -> None:
         """Restore what `state_dict` returned."""
         self._count = state["count"]
-        observations = state["observations"]
-        if state["packed"]:
-            observations = _unpack(observations, state["shape"])
-        self._observations = observations.to(device)
+        plain = bytearray(zlib.decompress(state["observations"].numpy().tobytes()))
+        images = torch.frombuffer(plain, dtype=torch.uint8).view(state["shape"])
+        self._observations = images.to(device)
         self._actions = state["actions"].to(device)
-
-
-def _is_packed(tensor: Tensor) -> bool:
-    return tensor.dtype == torch.uint8 and tensor.device.type == "cpu"
-
-
-def _pack(tensor: Tensor) -> Tensor:
-    if not _is_packed(tensor):
-        return tensor
-    packed = zlib.compress(tensor.cpu().numpy().tobytes(), 1)
-    return torch.frombuffer(bytearray(packed), dtype=torch.uint8)
-
-
-def _unpack(tensor: Tensor, shape: list[int]) -> Tensor:
-    plain = bytearray(zlib.decompress(tensor.numpy().tobytes()))
-    return torch.frombuffer(plain, dtype=torch.uint8).view(shape)

@@ -16,7 +16,6 @@ from magical.envs.vector import MagicalVectorEnv
 from magical.learning.augmentation.augment import to_unit
 from magical.learning.config import Config
 from magical.learning.models import sample_actions
-from magical.learning.reinforcement.staging import Staging
 from magical.learning.running.checkpoints import StateDict
 from magical.learning.running.streams import Purpose, stream
 from magical.observe import ObservationSpec
@@ -24,6 +23,7 @@ from magical.scene import NUM_ACTIONS
 from magical.tasks import Horizon, get_task
 
 Forward = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]  # -> logits (B, 18), values (B,)
+Scores = tuple[tuple[int, float], ...]  # task and score of each episode that ended
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,17 +38,7 @@ class Rollout:
     rewards: Tensor  # (T, N) float32, the environment's
     dones: Tensor  # (T, N) bool, at the last step of an episode
     tasks: Tensor  # (N,) int64, each environment's position in the configuration's tasks
-    scores: tuple[tuple[int, float], ...]  # task and score of each episode that ended
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """What one step of the N environments returned."""
-
-    rewards: NDArray[np.float64]  # (N,)
-    dones: NDArray[np.bool_]  # (N,)
-    final_observations: Tensor | None  # (number of dones, ...), network inputs; None without dones
-    scores: tuple[tuple[int, float], ...]  # task and score of each episode that ended
+    scores: Scores
 
 
 class RolloutEnvs:
@@ -60,7 +50,6 @@ class RolloutEnvs:
         task_of: (N,) int64, each environment's position in the configuration's tasks.
         tasks: the same on the device.
         device: where networks compute.
-        staging: copies observations there.
     """
 
     def __init__(
@@ -73,16 +62,7 @@ class RolloutEnvs:
         workers: int | None = None,
         reward: Reward = "none",
     ) -> None:
-        """Create the environments.
-
-        Args:
-            config: tasks, observation and seed.
-            num_envs: N.
-            device: where networks compute.
-            horizon: of episodes.
-            workers: processes; by default one for each core.
-            reward: the environment's.
-        """
+        """Create N environments of the configuration's tasks, observation and seed."""
         self.task_of = np.sort(np.arange(num_envs) % len(config.tasks))  # (N,)
         self.tasks = torch.from_numpy(self.task_of).to(device)
         names = [config.tasks[number] for number in self.task_of]
@@ -98,7 +78,6 @@ class RolloutEnvs:
         self._seed = config.seed
         self._spec: ObservationSpec = config.observation_spec
         self.device = device
-        self.staging = Staging(device)
         self._horizons = np.array([get_task(name).resolve_horizon(horizon) for name in names])
 
     def __enter__(self) -> Self:
@@ -124,18 +103,22 @@ class RolloutEnvs:
         """The present observations (N, ...) in the network's layout, still on the CPU."""
         return self._network_input(self._observations)
 
-    def step(self, actions: Tensor) -> Step:
-        """Take actions (N,) int64; environments whose episode ends are reset."""
+    def step(
+        self, actions: Tensor
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], Tensor | None, Scores]:
+        """Take actions (N,) int64; environments whose episode ends are reset.
+
+        Returns:
+            Rewards (N,), dones (N,), the final observations of the episodes that ended as network
+            inputs (None if none has), and their scores.
+        """
         self._observations, rewards, _, dones, infos = self.envs.step(actions.cpu().numpy())
         if not dones.any():
-            return Step(rewards, dones, None, ())
-        scores = infos["final_info"]["eval_score"]
-        return Step(
-            rewards,
-            dones,
-            self._network_input(np.stack(infos["final_obs"][dones])),
-            tuple((int(self.task_of[i]), float(scores[i])) for i in np.flatnonzero(dones)),
-        )
+            return rewards, dones, None, ()
+        found = infos["final_info"]["eval_score"]
+        scores = ((int(self.task_of[i]), float(found[i])) for i in np.flatnonzero(dones))
+        final = self._network_input(np.stack(infos["final_obs"][dones]))
+        return rewards, dones, final, tuple(scores)
 
     def _network_input(self, observations: Any) -> Tensor:
         return torch.from_numpy(self._spec.network_input(observations))
@@ -150,56 +133,6 @@ class RolloutEnvs:
         self._observations = np.stack(observations)
 
 
-class RolloutBuffer:
-    """The storage of a rollout while it is collected, on the environments' device."""
-
-    def __init__(self, num_steps: int, envs: RolloutEnvs) -> None:
-        self._envs = envs
-        self._staging = envs.staging
-        self.shape = num_steps, len(envs.tasks)  # T, N
-        first = envs.observations()
-        self._observations = torch.empty_strided(  # in the memory layout of the environments
-            (num_steps, *first.shape),
-            (first.numel(), *first.stride()),
-            dtype=first.dtype,
-            device=envs.device,
-        )
-        self._actions = torch.empty(self.shape, dtype=torch.int64, device=envs.device)
-        self._log_probs, self._values = torch.zeros((2, *self.shape), device=envs.device)
-        # (T, N), of the final observations of episodes that ended; stays 0 unless bootstrapped.
-        self.final_values = torch.zeros(self.shape, device=envs.device)
-        self._rewards = np.empty(self.shape, np.float32)
-        self._dones = np.empty(self.shape, np.bool_)
-        self._scores: list[tuple[int, float]] = []
-
-    def add_observations(self, t: int, observations: Tensor) -> Tensor:
-        """Store observations (N, ...) of time t; returns them on the device."""
-        self._staging.copy(observations, self._observations[t])
-        return self._observations[t]
-
-    def add(self, t: int, actions: Tensor, log_probs: Tensor, values: Tensor, step: Step) -> None:
-        """Store what was computed from the observations of time t, and the step's result."""
-        self._actions[t], self._log_probs[t], self._values[t] = actions, log_probs, values
-        self._rewards[t], self._dones[t] = step.rewards, step.dones
-        self._scores += step.scores
-
-    def rollout(self, next_values: Tensor) -> Rollout:
-        """The full buffer; `next_values` (N,) are of the observations after the last step."""
-        dones = torch.from_numpy(self._dones).to(self._envs.device)
-        following = torch.cat([self._values[1:], next_values[None]])
-        return Rollout(
-            self._observations,
-            self._actions,
-            self._log_probs,
-            self._values,
-            torch.where(dones, self.final_values, following),
-            torch.from_numpy(self._rewards).to(self._envs.device),
-            dones,
-            self._envs.tasks,
-            tuple(self._scores),
-        )
-
-
 def collect_rollout(
     envs: RolloutEnvs, forward: Forward, num_steps: int, bootstrap: bool, rng: np.random.Generator
 ) -> Rollout:
@@ -207,21 +140,42 @@ def collect_rollout(
 
     With `bootstrap`, the value of an episode's final observation is estimated, too.
     """
-    buffer = RolloutBuffer(num_steps, envs)
-    uniforms = torch.from_numpy(rng.random(buffer.shape, np.float32)).to(envs.device)  # (T, N)
+    shape, device = (num_steps, len(envs.tasks)), envs.device  # (T, N)
+    uniforms = torch.from_numpy(rng.random(shape, np.float32)).to(device)
+    first = envs.observations()
+    observations = torch.empty_strided(  # in the memory layout of the environments
+        (num_steps, *first.shape),
+        (first.numel(), *first.stride()),
+        dtype=first.dtype,
+        device=device,
+    )
+    actions = torch.empty(shape, dtype=torch.int64, device=device)
+    log_probs, values, final_values = torch.zeros((3, *shape), device=device)
+    rewards, dones = np.empty(shape, np.float32), np.empty(shape, np.bool_)
+    scores: Scores = ()
     with torch.no_grad():
         for t in range(num_steps):
-            observations = buffer.add_observations(t, envs.observations())
-            logits, values = forward(to_unit(observations), envs.tasks)
-            actions, log_probs = sample_actions(logits, uniforms[t])
-            step = envs.step(actions)
-            buffer.add(t, actions, log_probs, values, step)
-            if bootstrap and step.final_observations is not None:
-                rows = torch.from_numpy(np.flatnonzero(step.dones)).to(envs.device)
-                final = to_unit(step.final_observations.to(envs.device))
-                buffer.final_values[t, rows] = forward(final, envs.tasks[rows])[1]
-        _, next_values = forward(to_unit(envs.observations().to(envs.device)), envs.tasks)
-    return buffer.rollout(next_values)
+            observations[t] = envs.observations()
+            logits, values[t] = forward(to_unit(observations[t]), envs.tasks)
+            actions[t], log_probs[t] = sample_actions(logits, uniforms[t])
+            rewards[t], dones[t], final, ended = envs.step(actions[t])
+            scores += ended
+            if bootstrap and final is not None:
+                rows = torch.from_numpy(np.flatnonzero(dones[t])).to(device)
+                final_values[t, rows] = forward(to_unit(final.to(device)), envs.tasks[rows])[1]
+        _, last = forward(to_unit(envs.observations().to(device)), envs.tasks)
+    ends = torch.from_numpy(dones).to(device)
+    return Rollout(
+        observations,
+        actions,
+        log_probs,
+        values,
+        torch.where(ends, final_values, torch.cat([values[1:], last[None]])),
+        torch.from_numpy(rewards).to(device),
+        ends,
+        envs.tasks,
+        scores,
+    )
 
 
 def shuffle_evenly(tasks: NDArray[np.int64], rng: np.random.Generator) -> NDArray[np.int64]:

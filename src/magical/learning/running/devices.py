@@ -1,7 +1,6 @@
 """Device, precision and threads: chosen once, recorded with the run."""
 
 import threading
-import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass
@@ -10,7 +9,6 @@ from typing import Annotated, Any, Literal
 
 import torch
 from msgspec import Meta
-from torch import Tensor
 
 from magical.errors import DeviceError, RunFolderError
 from magical.runs.folder import RECORD
@@ -175,18 +173,6 @@ def cpu_threads(number: int) -> Iterator[None]:
     with restored_threads():
         torch.set_num_threads(number)
         yield
-
-
-def pinned_like(like: Tensor) -> Tensor:
-    """Memory of a tensor's layout that a GPU reads by itself.
-
-    Where there is none, ordinary memory, with a warning.
-    """
-    try:
-        return torch.empty_strided(like.shape, like.stride(), dtype=like.dtype, pin_memory=True)
-    except RuntimeError as error:
-        warnings.warn(f"no pinned memory, copies are slower: {error}", stacklevel=2)
-        return torch.empty_strided(like.shape, like.stride(), dtype=like.dtype)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Optimisers whose learning rate, like their state, stays on the device."""
+"""Optimisers whose learning rate, like their state, may stay on the GPU."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -12,13 +12,11 @@ def make_adam(
     parameters: Iterable[nn.Parameter],
     learning_rate: float,
     betas: tuple[float, float] = (0.9, 0.999),
+    recorded: bool = False,
 ) -> Adam:
-    """Adam, fused. On a GPU its learning rate is a tensor, so that a CUDA graph can read it."""
-    own = list(parameters)
-    if own[0].device.type != "cuda":
-        return Adam(own, learning_rate, betas, fused=True)
-    rate: Any = torch.tensor(learning_rate, device=own[0].device)
-    return Adam(own, rate, betas, fused=True, capturable=True)
+    """Adam, fused; where its steps are `recorded`, a CUDA graph reads its learning rate."""
+    rate: Any = torch.tensor(learning_rate, device="cuda") if recorded else learning_rate
+    return Adam(parameters, rate, betas, fused=True, capturable=recorded)
 
 
 def set_learning_rate(optimizer: Optimizer, learning_rate: float) -> None:
