@@ -98,18 +98,16 @@ def _tabulate(args: argparse.Namespace, found: "Found", kind: str | None) -> int
         FORMATS[kind](found, published, args.out)
     else:
         from magical.experiments.entries import policy_of
-        from magical.report.pages.evaluated import evaluated_page
+        from magical.report.pages.evaluated import write_page
 
-        page = evaluated_page(
+        notes = write_page(
+            args.out,
             args.title,
             found,
             published,
-            out=args.out,
             load_policy=lambda result: policy_of(result.folder, result.entry, result.run),
             clips=args.clips or 0,
         )
-        page.write(args.out)
-        notes = page.clip_notes if args.clips and not page.extremes else ()
     log(f"wrote {args.out}")
     for note in notes:
         log(f"error: no rollouts of {note}")

@@ -7,7 +7,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from magical.envs import EnvId
 from magical.envs.seeds import evaluation_seed
@@ -205,6 +204,32 @@ class RepeatedEvaluation:
         self._stack.close()
 
 
+def play(
+    policy: Policy,
+    envs: MagicalVectorEnv,
+    env_ids: Sequence[EnvId],
+    seeds: Sequence[int],
+    nudge: float = 0.0,
+    active: Mask | None = None,
+) -> Iterator[tuple[Any, dict[str, Any]]]:
+    """One episode in each sub-environment, or in the active ones, in step until they end.
+
+    Yields observations and infos of the reset, then of every step.
+    """
+    rng = RolloutRng(env_ids, seeds)
+    options = {"nudge": nudge} if nudge else None
+    observations, infos = envs.reset(seed=list(seeds), options=options)
+    policy.reset(np.ones(len(seeds), np.bool_))
+    yield observations, infos
+    ended = False
+    while not ended:
+        given = given_to(policy, envs, observations)
+        actions = checked_actions(policy.act(given, env_ids, rng), len(seeds))
+        observations, _, _, truncated, infos = envs.step(actions, active)
+        ended = bool(truncated.any())
+        yield observations, infos
+
+
 class _Rollouts:
     """Environments of one task, each with several copies, whose episodes run in step.
 
@@ -224,14 +249,13 @@ class _Rollouts:
         self.copies = -(-evaluation.rollouts // rounds)  # of each environment
         self.policy = policy
         self.seed = evaluation.seed
-        self.options = {"nudge": evaluation.nudge} if evaluation.nudge else None
+        self.nudge = evaluation.nudge
         self.env_ids = tuple(env_id for env_id in env_ids for _ in range(self.copies))
-        self.horizon = env_ids[0].task_spec.resolve_horizon(evaluation.horizon)
         self.envs = MagicalVectorEnv(
             self.env_ids,
             workers=workers,
             observation=observation_for(policy, evaluation.observation),
-            horizon=self.horizon,  # observations are copies: the policy may change them
+            horizon=evaluation.horizon,  # observations are copies: the policy may change them
         )
 
     def __enter__(self) -> "_Rollouts":
@@ -247,7 +271,10 @@ class _Rollouts:
             rollouts = np.tile(each, len(self.env_ids) // self.copies)
             active = rollouts < numbers.stop
             seeds = [evaluation_seed(number, self.seed) for number in rollouts.tolist()]
-            scores, published = self._episodes(seeds, active)
+            played = play(self.policy, self.envs, self.env_ids, seeds, self.nudge, active)
+            for _, infos in played:
+                final = infos
+            scores, published = final["eval_score"], final["published_code_score"]
             yield [
                 RolloutScore(
                     self.env_ids[row],
@@ -258,15 +285,3 @@ class _Rollouts:
                 )
                 for row in np.flatnonzero(active).tolist()
             ]
-
-    def _episodes(self, seeds: Sequence[int], active: Mask) -> tuple[NDArray[Any], NDArray[Any]]:
-        """One episode in each active environment, and the final scores by both rules."""
-        rng = RolloutRng(self.env_ids, seeds)
-        observations, infos = self.envs.reset(seed=list(seeds), options=self.options)
-        self.policy.reset(np.ones(len(seeds), np.bool_))
-        for _ in range(self.horizon):
-            given = given_to(self.policy, self.envs, observations)
-            actions = checked_actions(self.policy.act(given, self.env_ids, rng), len(seeds))
-            observations, _, _, truncated, infos = self.envs.step(actions, active)
-        assert truncated[active].all()
-        return infos["eval_score"], infos["published_code_score"]

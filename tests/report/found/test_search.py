@@ -12,7 +12,7 @@ from magical.evaluation import read_entry
 from magical.evaluation.collection import write_collection
 from magical.report.found.missing import find_missing
 from magical.report.found.search import find_results, search_results
-from magical.report.pages.evaluated import evaluated_page
+from magical.report.pages.evaluated import write_page
 
 WriteEntry = Callable[..., Path]
 LINE = {"MakeLine-Demo": [1.0, 0.0]}
@@ -200,7 +200,7 @@ def test_a_damaged_record_of_a_run_does_not_stop_a_page(
     for name in ("run.json", "result.json", "metrics.jsonl"):
         (folder / name).write_text(text + "\n")
     site = tmp_path / "page.html"
-    evaluated_page("a", find_results([tmp_path]), out=site).write(site)
+    write_page(site, "a", find_results([tmp_path]))
     assert "bc" in site.read_text("utf-8")
 
 

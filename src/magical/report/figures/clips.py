@@ -14,15 +14,9 @@ from PIL import Image
 from magical.envs import EnvId
 from magical.envs.seeds import evaluation_seed
 from magical.envs.vector import MagicalVectorEnv
-from magical.evaluation.policy import (
-    Policy,
-    checked_actions,
-    given_to,
-    is_privileged,
-    observation_for,
-)
+from magical.evaluation.policy import Policy, is_privileged, observation_for
 from magical.evaluation.protocol import Evaluation
-from magical.evaluation.seeds import RolloutRng
+from magical.evaluation.rollouts import play
 from magical.observe import ObservationSpec
 from magical.observe.arrays import select
 from magical.observe.presets import make_spec
@@ -95,50 +89,33 @@ def record_rollouts(
     env_ids = [env_id for env_id, _ in rollouts]
     seeds = [evaluation_seed(number, evaluation.seed) for _, number in rollouts]
     observation = observation_for(policy, evaluation.observation)
-    options = {"nudge": evaluation.nudge} if evaluation.nudge else None
-    horizon = evaluation.horizon
     with closing(
-        MagicalVectorEnv(env_ids, workers=0, observation=observation, horizon=horizon)
+        MagicalVectorEnv(env_ids, workers=0, observation=observation, horizon=evaluation.horizon)
     ) as envs:
-        rng = RolloutRng(env_ids, seeds)
-        observations, info = envs.reset(seed=seeds, options=options)
-        policy.reset(np.ones(len(env_ids), np.bool_))
-        states = envs.states()
-        film, last = _Film(states, size), states[0].horizon
-        for step in range(1, last + 1):
-            if step == (last + 1) // 2 and not is_privileged(policy):
-                film.shown = _pictures(make_spec(observation, env_ids[0].task_spec), observations)
-            given = given_to(policy, envs, observations)
-            actions = checked_actions(policy.act(given, env_ids, rng), len(env_ids))
-            observations, _, _, _, info = envs.step(actions)
+        last = env_ids[0].task_spec.resolve_horizon(evaluation.horizon)
+        shown: list[NDArray[np.uint8] | None] = [None for _ in env_ids]
+        frames = []
+        played = play(policy, envs, env_ids, seeds, evaluation.nudge)
+        for step, (observations, infos) in enumerate(played):
             states = envs.states()
+            if step == 0:
+                renderers = [Renderer(state.scene, View.ALLO, size) for state in states]
+            if step == (last - 1) // 2 and not is_privileged(policy):
+                shown = _pictures(make_spec(observation, env_ids[0].task_spec), observations)
             if step % every == 0 or step == last:
-                film.add(states)
-    return film.clips(env_ids, info["eval_score"].tolist(), every)
+                frames.append(_frames(renderers, states))
+            scores = infos.get("eval_score")  # at the end
+    parts = zip(env_ids, scores.tolist(), np.swapaxes(frames, 0, 1), shown, strict=True)
+    return [Clip(env_id, score, own, every, image) for env_id, score, own, image in parts]
 
 
-class _Film:
-    """The frames of several rollouts."""
-
-    def __init__(self, states: Sequence[State], size: int) -> None:
-        self._renderers = [Renderer(state.scene, View.ALLO, size) for state in states]
-        self._frames: list[list[NDArray[np.uint8]]] = [[] for _ in states]
-        self.shown: list[NDArray[np.uint8] | None] = [None for _ in states]
-        self.add(states)
-
-    def add(self, states: Sequence[State]) -> None:
-        """Render every rollout's present state."""
-        for renderer, frames, state in zip(self._renderers, self._frames, states, strict=True):
-            frame = np.empty((renderer.size, renderer.size, 3), np.uint8)
-            renderer.render(state.poses.bodies, frame)
-            frames.append(frame)
-
-    def clips(self, env_ids: Sequence[EnvId], scores: Sequence[float], every: int) -> list[Clip]:
-        """The rollouts as clips, after their end."""
-        parts = zip(env_ids, scores, self._frames, self.shown, strict=True)
-        return [
-            Clip(env_id, s, np.array(frames), every, shown) for env_id, s, frames, shown in parts
-        ]
+def _frames(renderers: Sequence[Renderer], states: Sequence[State]) -> NDArray[np.uint8]:
+    """Every rollout's present state, (R, H, W, 3)."""
+    size = renderers[0].size
+    frames = np.empty((len(states), size, size, 3), np.uint8)
+    for renderer, frame, state in zip(renderers, frames, states, strict=True):
+        renderer.render(state.poses.bodies, frame)
+    return frames
 
 
 def _pictures(spec: ObservationSpec, observations: Any) -> list[NDArray[np.uint8] | None]:

@@ -14,7 +14,7 @@ from magical.grouping import group_by
 from magical.report.found.search import Found, Result, search_results
 from magical.report.leaderboard.checks import Rejected, by_reasons, check_entries
 from magical.report.leaderboard.ranking import STATE, Board, make_boards
-from magical.report.pages.evaluated import evaluated_page
+from magical.report.pages.evaluated import write_page
 from magical.report.pages.page import render_template, write_text
 from magical.report.scores.differences import matching_methods
 from magical.runs.sources import CLASSES, SOURCES
@@ -107,7 +107,7 @@ def _write_method(site: Path, method: str, results: Sequence[Result], name: str)
         copied.append(replace(result, folder=folder))
     page = site / METHODS / f"{name}.html"
     published = matching_methods(result.entry for result in results)
-    evaluated_page(method, Found(copied), published, out=page).write(page)
+    write_page(page, method, Found(copied), published)
     return {result.folder.name for result in copied}
 
 

@@ -1,4 +1,4 @@
-"""A page from folders of evaluated runs."""
+"""A page from folders of evaluated runs: tables, learning curves, rollouts."""
 
 import platform
 from collections.abc import Mapping, Sequence
@@ -12,11 +12,11 @@ from magical.evaluation.statistics import interquartile_mean
 from magical.processes import available_cores
 from magical.report.figures.curves import TrainedRun, curves_by_task
 from magical.report.figures.plots import interval_plot, profile_plot
-from magical.report.figures.reels import LoadPolicy, record_reels
+from magical.report.figures.reels import LoadPolicy, Reel, record_reels
 from magical.report.found.facts import describe_methods
 from magical.report.found.missing import find_missing
 from magical.report.found.search import Found, Result
-from magical.report.pages.page import Figure, Page
+from magical.report.pages.page import Figure, render_template, write_text
 from magical.report.scores.grids import (
     THRESHOLDS,
     Grid,
@@ -26,42 +26,64 @@ from magical.report.scores.grids import (
     profiles,
 )
 from magical.report.scores.methods import ComparedMethod, compared_methods
-from magical.report.scores.tables import report_tables
+from magical.report.scores.tables import DARKEST, LIGHTEST, report_tables
 
 
-def evaluated_page(
+def write_page(
+    path: Path,
     title: str,
     found: Found,
     published: Sequence[str] = (),
     *,
-    out: Path | None = None,
     load_policy: LoadPolicy | None = None,
     clips: int = 0,
-) -> Page:
-    """All that evaluated runs and their training runs tell, and what is missing.
+) -> Sequence[str]:
+    """Write all that evaluated runs and their training runs tell, and what is missing.
+
+    Everything is in the one file, with links to the runs' files; empty parts are left out.
 
     Args:
+        path: the page's.
         title: of the page.
         found: what `find_results` has found.
         published: rows of the published tables to show.
-        out: where the page will be written: it then has links to the runs' files.
         load_policy: gives a run's policy; needed for
         clips: of how many runs the best, median and worst rollouts are recorded.
+
+    Returns:
+        Why there are no rollouts, if some were wanted and none could be recorded.
+
+    Raises:
+        OSError: the page cannot be written.
     """
-    entries = found.entries
-    methods = compared_methods(entries)
-    curves, damaged = _curves(found.results)
     reels, notes = (
         record_reels(found.results, load_policy, clips) if load_policy and clips else ([], [])
     )
+    write_text(path, _html(title, found, published, path, reels, notes))
+    return () if reels else notes
+
+
+def _html(
+    title: str,
+    found: Found,
+    published: Sequence[str],
+    path: Path,
+    reels: Sequence[Reel],
+    notes: Sequence[str],
+) -> str:
+    methods = compared_methods(found.entries)
+    curves, damaged = _curves(found.results)
     skipped = [(str(item.folder), item.reason) for item in found.skipped]
     skipped += [(str(folder), reason) for folder, reason in damaged.items()]
-    return Page(
+    return render_template(
+        "page.html.j2",
+        lightest=f"rgb{LIGHTEST}",
+        darkest=f"rgb{DARKEST}",
         title=title,
         subtitle=_subtitle(found, len(skipped)),
-        tables=report_tables(entries, published),
-        rollouts=_rollouts(entries),
-        aggregate=aggregate_grid(methods, entries) if methods else None,
+        tables=report_tables(found.entries, published),
+        rollouts=_rollouts(found.entries),
+        aggregate=aggregate_grid(methods, found.entries) if methods else None,
         aggregate_figures=_figures(methods) if methods else (),
         gaps=gap_grid(methods) if methods else None,
         improvement=improvement_table(methods) if methods else None,
@@ -71,7 +93,7 @@ def evaluated_page(
         missing=_missing(found),
         skipped=_skipped(skipped),
         facts=_facts(found.results),
-        methods=describe_methods(found.results, out),
+        methods=describe_methods(found.results, path),
     )
 
 

@@ -12,7 +12,7 @@ from types import MappingProxyType
 import numpy as np
 
 from magical.evaluation import Entry, by_variant, published_score, published_tasks
-from magical.evaluation.intervals import Interval, rollout_mean
+from magical.evaluation.intervals import rollout_mean
 from magical.evaluation.statistics import mean, over_runs
 from magical.grouping import group_by
 from magical.report.found.search import Found
@@ -23,24 +23,6 @@ from magical.report.scores.methods import compared_methods
 from magical.report.scores.tables import Table, entry_tasks, report_tables, text_rows
 from magical.tasks import get_task
 
-COLUMNS = (
-    "task",
-    "variant",
-    "method",
-    "runs",
-    "interval_over",
-    "score",
-    "score_std",
-    "score_low",
-    "score_high",
-    "published_code_score",
-    "published_method",
-    "published",
-    "published_std",
-    "difference",
-    "difference_low",
-    "difference_high",
-)
 DIGITS = 6
 Write = Callable[[Found, Sequence[str], Path], None]
 
@@ -64,10 +46,10 @@ def write_csv(found: Found, published: Sequence[str], path: Path) -> None:
     by the published code's.
     """
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    for task in entry_tasks(found.entries):
-        writer.writerows(_lines(task, found.entries, published))
+    rows = [row for task in entry_tasks(found.entries) for row in _rows(task, found, published)]
+    writer = csv.DictWriter(text, rows[0], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
     write_text(path, text.getvalue())
 
 
@@ -153,21 +135,20 @@ def _grid(table: Table) -> Grid:
     return Grid(title, (table.task, *table.variants), text_rows(table), table.note)
 
 
-def _lines(
-    task: str, entries: Sequence[Entry], published: Sequence[str]
-) -> Iterator[tuple[object, ...]]:
-    with_task = (entry for entry in entries if task in by_variant(entry.scores))
-    groups = group_by(with_task, attrgetter("row"))
-    rows = counterparts(entries, published if task in published_tasks() else ())
-    for method, runs in groups.items():
+def _rows(task: str, found: Found, published: Sequence[str]) -> Iterator[dict[str, object]]:
+    """A line for each method and variant, by the names of the columns."""
+    with_task = (entry for entry in found.entries if task in by_variant(entry.scores))
+    rows = counterparts(found.entries, published if task in published_tasks() else ())
+    for method, runs in group_by(with_task, attrgetter("row")).items():
         theirs = rows.get(runs[0].method)
         for variant in dict.fromkeys(v for run in runs for v in by_variant(run.scores)[task]):
-            yield (task, variant, method, *_figures(task, variant, runs, theirs))
+            figures = _figures(task, variant, runs, theirs)
+            yield {"task": task, "variant": variant, "method": method, **figures}
 
 
 def _figures(
     task: str, variant: str, runs: Sequence[Entry], theirs: str | None
-) -> tuple[object, ...]:
+) -> dict[str, object]:
     cells = [cell for run in runs if (cell := by_variant(run.scores)[task].get(variant))]
     means = np.array([[np.mean([row.score for row in cell])] for cell in cells])
     several = len(cells) > 1
@@ -175,18 +156,24 @@ def _figures(
     rule = [np.mean([getattr(row, RULE) for row in cell]) for cell in cells]
     found = differences(get_task(task), runs, theirs).get(variant) if theirs else None
     spread = published_score(task, theirs, variant) if theirs and found else None
-    return (
-        len(cells),
-        "runs" if several else "rollouts",
-        _number(interval.value),
-        _number(over_runs(means).std) if several else "",
-        *map(_number, interval[1:]),
-        _number(float(np.mean(rule))),
-        theirs or "",
-        *(map(_number, spread) if spread else ("", "")),
-        *map(_number, found or Interval(math.nan, math.nan, math.nan)),
-    )
+    numbers = {
+        "score": interval.value,
+        "score_std": over_runs(means).std if several else None,
+        "score_low": interval.low,
+        "score_high": interval.high,
+        RULE: float(np.mean(rule)),
+        "published_method": theirs,
+        "published": spread and spread.mean,
+        "published_std": spread and spread.std,
+        "difference": found and found.value,
+        "difference_low": found and found.low,
+        "difference_high": found and found.high,
+    }
+    texts = {name: _text(value) for name, value in numbers.items()}
+    return {"runs": len(cells), "interval_over": "runs" if several else "rollouts", **texts}
 
 
-def _number(value: float) -> str:
+def _text(value: float | str | None) -> str:
+    if value is None or isinstance(value, str):
+        return value or ""
     return "" if math.isnan(value) else f"{value:.{DIGITS}g}"
