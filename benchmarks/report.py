@@ -17,7 +17,7 @@ from magical import __version__
 from magical.envs.seeds import evaluation_seed
 from magical.evaluation import Entry, RolloutScore, environments, published_methods
 from magical.report.found.search import find_results
-from magical.report.pages.evaluated import evaluated_page
+from magical.report.pages.evaluated import write_page
 from magical.tasks import TASKS
 
 POINTS = 400  # of each run's metrics
@@ -53,11 +53,12 @@ def main() -> None:
         start = time.process_time()
         found = find_results([name])
         read = time.process_time()
-        page = evaluated_page("Benchmark", found, methods).html()
+        page = Path(name) / "page.html"
+        write_page(page, "Benchmark", found, methods)
         made = time.process_time()
     print(f"{len(found.results)} runs of {len(methods)} methods")
     print(f"finding and reading: {read - start:.1f} s of processor time")
-    print(f"the page: {made - read:.1f} s of processor time, {len(page) / 1e6:.1f} MB")
+    print(f"the page: {made - read:.1f} s of processor time, {page.stat().st_size / 1e6:.1f} MB")
 
 
 if __name__ == "__main__":

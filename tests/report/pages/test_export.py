@@ -10,7 +10,7 @@ import pytest
 
 from magical import cli
 from magical.evaluation import published_score
-from magical.report.pages.export import COLUMNS, escape_latex, format_of, latex, markdown
+from magical.report.pages.export import escape_latex, format_of, latex, markdown
 from magical.report.scores.grids import Grid
 
 WriteEntry = Callable[..., Path]
@@ -30,7 +30,7 @@ def test_csv_has_every_number(results: Path, tmp_path: Path) -> None:
     assert cli.main(["report", str(results), "--out", str(out)]) == 0
     with out.open(newline="") as file:
         rows = list(csv.DictReader(file))
-    assert tuple(rows[0]) == COLUMNS
+    assert list(rows[0])[:6] == ["task", "variant", "method", "runs", "interval_over", "score"]
     demo = rows[0]
     published = published_score("FindDupe", BC, "Demo")
     assert published is not None

@@ -104,7 +104,7 @@ def record_rollouts(
                 shown = _pictures(make_spec(observation, env_ids[0].task_spec), observations)
             if step % every == 0 or step == last:
                 frames.append(_frames(renderers, states))
-            scores = infos.get("eval_score")  # at the end
+            scores: Any = infos.get("eval_score")  # at the end
     parts = zip(env_ids, scores.tolist(), np.swapaxes(frames, 0, 1), shown, strict=True)
     return [Clip(env_id, score, own, every, image) for env_id, score, own, image in parts]
 
