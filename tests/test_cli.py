@@ -2,7 +2,6 @@
 
 import ast
 import json
-import math
 import os
 import re
 import subprocess
@@ -76,15 +75,6 @@ def test_wrong_usage_exits_2(argv: list[str], capsys: pytest.CaptureFixture[str]
     assert "error: " in captured.err
 
 
-def test_a_variant_that_a_task_lacks_is_answered_with_those_it_has(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    cli.main(["show", "magical/MoveToCorner-TestLayout-v0"])
-    message = capsys.readouterr().err
-    assert "TestLayout" in message
-    assert "TestJitter" in message
-
-
 @pytest.mark.parametrize(
     ("error", "status", "message"),
     [
@@ -114,8 +104,9 @@ def test_a_missing_library_is_answered_with_the_extra_that_brings_it(
 ) -> None:
     assert fail_with(ModuleNotFoundError("no torch", name="torch.nn")) == 1
     assert 'pip install "safetensors>=0.5" "torch>=2.11"' in capsys.readouterr().err
-    with pytest.raises(ModuleNotFoundError):
-        fail_with(ModuleNotFoundError("no such thing", name="magical.nothing"))
+    for bug in (ModuleNotFoundError("no such thing", name="magical.nothing"), ZeroDivisionError()):
+        with pytest.raises(type(bug)):
+            fail_with(bug)
 
 
 def test_extras_are_those_of_the_package(root: Path) -> None:
@@ -150,11 +141,6 @@ def test_tables_are_aligned(capsys: pytest.CaptureFixture[str]) -> None:
     )
     print_table(("name", "score"), [])
     assert capsys.readouterr().out == "name  score\n----  -----\n"
-
-
-def test_an_unforeseen_exception_is_not_hidden(fail_with: Callable[[BaseException], int]) -> None:
-    with pytest.raises(ZeroDivisionError):
-        fail_with(ZeroDivisionError())
 
 
 def test_a_reader_that_leaves_is_no_traceback() -> None:
@@ -219,55 +205,16 @@ def test_show_chooses_a_name(
     assert (tmp_path / report["out"]).is_file()
 
 
-def test_show_names_a_place_it_cannot_write_to(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").touch()
-    argv = ["show", "magical/MoveToRegion-Demo-v0", "--out", str(tmp_path / "file" / "x.png")]
-    assert cli.main(argv) == 1
-    assert str(tmp_path / "file") in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("kind", ["frames", "motions", "scenes", "scores"])
-def test_conformance_names_a_missing_recording(
-    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main(["conformance", kind, str(tmp_path / "missing")]) == 1
-    assert "missing" in capsys.readouterr().err
-
-
-def motions(path: Path, *, wrong: float | None) -> Path:
-    """A file with one motion: standing still; `wrong` is what its answer is off by."""
-    motion = {"robot": [[0.0, 0.0], 0.0], "blocks": [], "actions": [0]}
-    if wrong is not None:
-        still = [0.0, 0.0, 0.0]
-        motion["robot_pose"] = [still, [wrong, 0.0, 0.0]]
-        motion["finger_angles"] = [[math.pi / 8, -math.pi / 8]] * 2
-        motion["block_poses"] = [[], []]
-    path.write_text(json.dumps({"drive-still": motion}))
-    return path
-
-
-@pytest.mark.parametrize(("wrong", "status", "word"), [(0.0, 0, "ok"), (0.5, 1, "MISSED")])
-def test_conformance_exits_1_when_a_limit_is_missed(
-    wrong: float, status: int, word: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    data = motions(tmp_path / "motions.json", wrong=wrong)
-    assert cli.main(["conformance", "motions", str(data), "--json"]) == status
-    lines = capsys.readouterr().out.splitlines()
-    assert any(line.startswith(word) and "drive" in line for line in lines)
-    report = json.loads(lines[-1])
-    assert report["passed"] is (status == 0)
-    assert {"name", "figure", "limit"} <= set(report["lines"][0])
-
-
 def test_conformance_without_answers_computes_and_writes(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    data = motions(tmp_path / "motions.json", wrong=None)
-    out = tmp_path / "out.json"
+    data, out = tmp_path / "motions.json", tmp_path / "out.json"
+    motion = {"robot": [[0.0, 0.0], 0.0], "blocks": [], "actions": [0]}
+    data.write_text(json.dumps({"drive-still": motion}))
     assert cli.main(["conformance", "motions", str(data), "--out", str(out)]) == 0
     assert len(json.loads(out.read_text())["drive-still"]["robot_pose"]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
     assert "nothing compared" in captured.err
+    assert cli.main(["conformance", "motions", str(tmp_path / "missing")]) == 1
+    assert "missing" in capsys.readouterr().err

@@ -13,7 +13,6 @@ from magical.envs.env import MagicalEnv
 from magical.errors import (
     InvalidActionError,
     InvalidSceneError,
-    InvalidStateError,
     MagicalError,
     ResetNeededError,
     UnknownNameError,
@@ -205,37 +204,8 @@ def test_action_names_and_keys() -> None:
     assert sorted(keys.values()) == list(range(1, 18))
 
 
-def test_state_of_another_task_or_damaged() -> None:
-    env, other = _make(), _make("magical/MoveToRegion-Demo-v0")
-    env.reset(seed=0)
-    other.reset(seed=0)
-    state = env.get_state()
-    with pytest.raises(InvalidStateError, match="MoveToRegion"):
-        other.set_state(state)
-    damages: list[dict[str, Any]]
-    damages = [{"actions": [99]}, {"scene": None}, {"rng": {}}, {"dynamics": {"a": 1}}]
-    for damage in damages:
-        with pytest.raises(InvalidStateError):
-            env.set_state({**state, **damage})
-    json.dumps(state)
-    env.set_state(state)
-    env.step(0)
-
-
 def test_state_keeps_the_random_generator() -> None:
-    env, other = (
-        _make("magical/MoveToCorner-TestJitter-v0"),
-        _make("magical/MoveToCorner-TestJitter-v0"),
-    )
+    env, other = (_make("magical/MoveToCorner-TestJitter-v0") for _ in range(2))
     env.reset(seed=3)
     other.set_state(json.loads(json.dumps(env.get_state())))
     assert np.array_equal(env.reset()[0], other.reset()[0])
-
-
-def test_variant_samples_only_along_its_axes() -> None:
-    env = _make("magical/MatchRegions-TestDynamics-v0")
-    env.reset(seed=0)
-    first = env.get_state()
-    env.reset(seed=1)
-    assert first["scene"] == env.get_state()["scene"]
-    assert first["dynamics"] != env.get_state()["dynamics"]

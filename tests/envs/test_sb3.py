@@ -66,6 +66,7 @@ def test_seeds_and_options_apply_to_one_reset() -> None:
 def test_attributes_and_methods() -> None:
     envs = adapter(workers=1)
     envs.reset()
+    assert envs.metadata["render_fps"] == envs.envs.metadata["render_fps"] == 8
     assert envs.get_attr("env_ids", 1) == ["magical/MoveToRegion-TestLayout-v0"]
     assert envs.get_attr("workers") == [1, 1]
     assert envs.env_is_wrapped(gymnasium.Wrapper) == [False, False]
@@ -78,19 +79,11 @@ def test_attributes_and_methods() -> None:
     assert envs.envs.closed
 
 
-def test_another_autoreset_mode_is_refused() -> None:
+def test_what_stable_baselines3_cannot_use_is_refused() -> None:
     with pytest.raises(ValueError, match="expects autoreset_mode='SameStep', found 'NextStep'"):
         adapter(autoreset_mode="NextStep")
-
-
-def test_observations_that_are_overwritten_are_refused() -> None:
     with pytest.raises(ValueError, match="expected copy=True"):
         adapter(copy=False)
-
-
-def test_videos_have_the_environments_frame_rate() -> None:
-    envs = adapter()
-    assert envs.metadata["render_fps"] == envs.envs.metadata["render_fps"] == 8
 
 
 @pytest.mark.parametrize("observation", ["LoRes4E", "LoResCHW4E", "LoResStack"])

@@ -10,7 +10,7 @@ from uuid import uuid4
 
 import pytest
 
-from tests.waiting import alive, gone, soon
+from tests.waiting import alive, gone
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals and /proc")
 PROGRAM = """
@@ -71,27 +71,6 @@ def run() -> Iterator[Run]:
         for process_id in program.process_ids():
             os.kill(process_id, signal.SIGKILL)
         program.process.communicate()
-
-
-def named_memory(process_ids: list[int]) -> list[str]:
-    """What processes share under a name, semaphores too, which could be left behind."""
-    maps = "\n".join(Path(f"/proc/{process_id}/maps").read_text() for process_id in process_ids)
-    return [line for line in maps.splitlines() if "/dev/shm/" in line]
-
-
-@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGHUP, signal.SIGKILL])
-def test_killing_generate_leaves_nothing(how: signal.Signals, run: Run, tmp_path: Path) -> None:
-    env_id = "magical/ClusterColour-TestAll-v0"
-    program = run(
-        *("-m", "magical", "demos", "generate", "--env", env_id, "-n", "10000"),
-        *("--out", str(tmp_path / "out"), "--workers", "2"),
-    )
-    assert soon(lambda: any((tmp_path / "out").glob("trajectories/*.npz")), 60)
-    processes = program.process_ids()
-    assert (len(processes), named_memory(processes)) == (3, [])
-    program.process.send_signal(how)
-    assert gone(processes)
-    assert program.process_ids() == []
 
 
 @pytest.mark.parametrize(

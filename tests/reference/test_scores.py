@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -37,16 +36,12 @@ def test_a_wrong_score_misses_the_limit(recorded: list[scores.ScoredState]) -> N
     assert comparison.figure == pytest.approx(1e-6)
 
 
-def state() -> dict[str, Any]:
-    """A final state without scores."""
-    demo = TASKS["MoveToCorner"].demo.to_dict()
-    final = {"robot": demo["robot"], "blocks": [["square", "red", -0.8, 0.8, 0.0]]}
-    return {"task": "MoveToCorner", "variant": "Demo", "scene": demo, "final": final}
-
-
 def test_without_scores_it_only_computes_and_writes(tmp_path: Path) -> None:
     path, out = tmp_path / "in.json", tmp_path / "out.json"
-    path.write_text(json.dumps([state(), state()]))
+    demo = TASKS["MoveToCorner"].demo.to_dict()
+    final = {**demo, "blocks": [["square", "red", -0.8, 0.8, 0.0]]}
+    state = {"task": "MoveToCorner", "variant": "Demo", "scene": demo, "final": final}
+    path.write_text(json.dumps([state, state]))
     data = scores.load(path)
     computed = scores.compute(data)
     assert scores.compare(data, computed) == []

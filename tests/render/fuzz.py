@@ -11,7 +11,6 @@ import faulthandler
 import sys
 from collections import Counter
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,38 +63,13 @@ def mutated_bodies(bodies: Bodies, rng: np.random.Generator) -> Bodies:
     return bodies[1:] if rng.integers(20) == 0 else bodies
 
 
-def of_another_kind(bodies: Bodies, rng: np.random.Generator) -> Any:
-    """Now and then of another shape, type or layout."""
-    others = (
-        bodies[:, :2],
-        bodies[0],
-        bodies[None],
-        np.concatenate([bodies, bodies]),
-        bodies.clip(-1e9, 1e9).astype(np.float32),
-        np.nan_to_num(bodies).clip(-1e9, 1e9).astype(np.int64),
-        np.asfortranarray(bodies),
-        np.repeat(bodies, 2, axis=1),
-    )
-    chosen = int(rng.integers(3 * len(others)))
-    return others[chosen] if chosen < len(others) else bodies
-
-
-def room(size: int, channels: int, rng: np.random.Generator) -> NDArray[Any]:
-    """An array to render into, now and then of another shape or type."""
-    out = np.zeros((size, size, channels), np.uint8)
-    others = (out[1:], out[:, :-1], out[..., 1:], out.astype(np.float32), out.astype(np.int64), out)
-    chosen = int(rng.integers(8 * len(others)))
-    return others[chosen] if chosen < len(others) else out
-
-
 def plain(scene: Scene, bodies: Bodies, rng: np.random.Generator) -> None:
     size, channels = int(rng.choice(SIZES)), 3 * int(rng.integers(1, 6))
     view = View.EGO if rng.integers(2) else View.ALLO
     renderer = Renderer(scene, view, size, int(rng.choice(SAMPLES)), bool(rng.integers(2)))
-    bodies = of_another_kind(bodies, rng)
-    renderer.render(bodies, room(size, 3, rng))
-    stack = room(size, channels, rng)
-    renderer.render_stacked(bodies, stack, room(size, channels, rng))
+    renderer.render(bodies, np.zeros((size, size, 3), np.uint8))
+    stack = np.zeros((size, size, channels), np.uint8)
+    renderer.render_stacked(bodies, stack, np.zeros_like(stack))
 
 
 def moved(scene: Scene, bodies: Bodies, rng: np.random.Generator) -> None:
@@ -117,9 +91,6 @@ def moved(scene: Scene, bodies: Bodies, rng: np.random.Generator) -> None:
 def searched(scene: Scene, bodies: Bodies, rng: np.random.Generator) -> None:
     size, view = int(rng.choice(SIZES)), View(rng.choice(list(View)))
     frame = np.zeros((size, size, 3), np.uint8)
-    with_frame = random_case(int(rng.integers(100)))[1].bodies
-    if len(with_frame) == 5 + len(scene.blocks):
-        Renderer(scene, view, size, 1).render(with_frame, frame)
     finder = EdgeFinder(scene, view, size)
     finder.find(bodies, finder.label(frame), float(rng.uniform(0.1, 20.0)))
 

@@ -1,6 +1,5 @@
 """The renderer's interface: layouts, purity, threads, errors."""
 
-import hashlib
 import subprocess
 import sys
 from collections.abc import Callable
@@ -77,22 +76,6 @@ def _rendered(renderer: Renderer, poses: Poses) -> Image:
     out = np.empty((renderer.size, renderer.size, 3), np.uint8)
     renderer.render(poses.bodies, out)
     return out
-
-
-def test_equal_in_another_process(case: Case) -> None:
-    program = (
-        "import hashlib\n"
-        "from magical.render import render_views\n"
-        "from magical.scene import Poses, Scene\n"
-        f"scene = Scene.from_dict({case[0].to_dict()!r})\n"
-        "print(hashlib.sha256(render_views(scene, Poses.at_rest(scene)).tobytes()).hexdigest())\n"
-    )
-    command = [sys.executable, "-c", program]
-    ran = [subprocess.run(command, capture_output=True, text=True, check=True) for _ in range(2)]
-    assert len({result.stdout for result in ran}) == 1
-    scene = Scene.from_dict(case[0].to_dict())
-    here = render_views(scene, Poses.at_rest(scene))
-    assert ran[0].stdout.strip() == hashlib.sha256(here.tobytes()).hexdigest()
 
 
 def test_importing_compiles_nothing() -> None:
