@@ -5,22 +5,16 @@ with the published SHA-256 sums are returned.
 """
 
 import re
-import threading
 import time
 import urllib.error
 import urllib.parse
 import urllib.request
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
-from http.client import (
-    HTTPConnection,
-    HTTPException,
-    HTTPResponse,
-    HTTPSConnection,
-    IncompleteRead,
-)
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from http.client import HTTPConnection, HTTPException, HTTPResponse, HTTPSConnection, IncompleteRead
+from io import BufferedReader, RawIOBase
 from pathlib import Path
-from socket import SHUT_RDWR, socket
+from socket import socket
 from ssl import SSLError
 from typing import IO, Any, NamedTuple
 
@@ -33,10 +27,9 @@ from magical.messages import printable, quoted
 COMMIT = "42eb21c4bd6c0e2262ccc2fc00ef2a36b10b6a5a"
 BASE_URL = f"https://raw.githubusercontent.com/qxcv/magical-data/{COMMIT}"
 MAX_BYTES = 64 << 20  # of one file; the largest has 2.5 MB
-TIMEOUT = 30.0  # s, to connect, for the headers, and for a body beyond its transfer time
+TIMEOUT = 30.0  # s, to connect, and for an answer beyond its transfer time
 MIN_RATE = 5000.0  # bytes per second, below which an attempt is given up
 ATTEMPTS = 3
-_TOO_SLOW = f"less than {MIN_RATE:.0f} bytes per second"
 _CHUNK = 1 << 16
 _ADDRESS = re.compile(
     r"https?://([A-Za-z0-9._-]{1,253}|\[[0-9A-Fa-f:.]{2,45}\])(:\d{1,5})?(/[!-~]*)?"
@@ -141,7 +134,7 @@ def _resume(url: str, part: Path) -> None:
     """
     have = part.stat().st_size if part.exists() else 0
     request = urllib.request.Request(url, headers={"Range": f"bytes={have}-"} if have else {})
-    start, received = time.monotonic(), 0
+    received = 0
     with _OPENER.open(request, timeout=TIMEOUT) as response:
         resumed = response.status == 206
         room = MAX_BYTES - (have if resumed else 0)
@@ -149,8 +142,6 @@ def _resume(url: str, part: Path) -> None:
             while received + (response.length or 0) <= room and (chunk := response.read1(_CHUNK)):
                 file.write(chunk)
                 received += len(chunk)
-                if time.monotonic() > start + TIMEOUT + received / MIN_RATE:
-                    raise TimeoutError(_TOO_SLOW)
         if received + (response.length or 0) > room:
             raise DownloadError(f"expected at most {MAX_BYTES} bytes, found more")
         if response.length:
@@ -165,44 +156,38 @@ def _is_address(url: str) -> bool:
         return False
 
 
-class _Response(HTTPResponse):
-    """A response whose headers and parts must each come within `TIMEOUT`, or it is shut down.
+class _Timed(RawIOBase):
+    """What a server sends: all of it within `TIMEOUT`, and the time that it takes at `MIN_RATE`.
 
-    The timeout of a socket starts again with every byte.
+    The timeout of a socket alone starts again with every byte.
     """
 
+    def __init__(self, connected: socket, data: RawIOBase) -> None:
+        self._socket, self._data = connected, data
+        self._deadline = time.monotonic() + TIMEOUT
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int | None:
+        left = self._deadline - time.monotonic()
+        if left > 0:
+            self._socket.settimeout(left)
+            with suppress(TimeoutError):
+                count: int | None = self._data.readinto(buffer)
+                self._deadline += (count or 0) / MIN_RATE
+                return count
+        raise TimeoutError(f"less than {MIN_RATE:.0f} bytes per second")
+
+    def close(self) -> None:
+        self._data.close()
+        super().close()
+
+
+class _Response(HTTPResponse):
     def __init__(self, sock: socket, *args: Any, **options: Any) -> None:
         super().__init__(sock, *args, **options)
-        self._socket = sock
-
-    def begin(self) -> None:
-        """Read the status line and the headers."""
-        with self._deadline():
-            super().begin()
-
-    def read1(self, n: int = -1) -> bytes:
-        """Read what has arrived, at most `n` bytes."""
-        with self._deadline():
-            return super().read1(n)
-
-    @contextmanager
-    def _deadline(self) -> Iterator[None]:
-        expired = threading.Event()
-
-        def shut_down() -> None:
-            expired.set()
-            with suppress(OSError):
-                self._socket.shutdown(SHUT_RDWR)
-
-        timer = threading.Timer(TIMEOUT, shut_down)
-        timer.daemon = True
-        timer.start()
-        try:
-            yield
-        finally:
-            timer.cancel()
-            if expired.is_set():
-                raise TimeoutError(_TOO_SLOW)
+        self.fp = BufferedReader(_Timed(sock, self.fp.detach()))
 
 
 class _Connection(HTTPConnection):
