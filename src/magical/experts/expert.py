@@ -1,17 +1,12 @@
 """The scripted expert: from a state to a move, and from a move to an action."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from magical.experts.carry import carry
-from magical.experts.geometry import (
-    DRIVING_CLEARANCE,
-    WORKING_DISTANCE,
-    segment_distance,
-)
+from magical.experts.geometry import DRIVING_CLEARANCE, WORKING_DISTANCE, segment_distance
 from magical.experts.goals import get_planner
 from magical.experts.grasp import best_side, is_between_fingers
 from magical.experts.memory import Memory, note_driving_step, note_held_step, note_motion
@@ -41,6 +36,7 @@ SIDE_SHIFTS = 5  # attempts that shift the preferences of sides, then again from
 IDLE_ACTION = Action(gripper=Gripper.CLOSED).id  # of a finished expert; see `_idle_action`
 
 
+@dataclass(frozen=True, slots=True)
 class Expert:
     """A closed-loop demonstrator of one task.
 
@@ -48,17 +44,10 @@ class Expert:
     the scene does not fit the task it does nothing.
     """
 
-    def __init__(
-        self,
-        task: Task,
-        planner: Planner,
-        strategy: Strategy,
-        noise: ActionNoise | None = None,
-    ) -> None:
-        self._task = task
-        self._planner = planner
-        self._strategy = strategy
-        self._noise = noise
+    task: Task
+    planner: Planner
+    strategy: Strategy
+    noise: ActionNoise | None = None
 
     def act(self, state: State, memory: Memory | None = None) -> tuple[int, Memory]:
         """Decide on the next action.
@@ -71,11 +60,11 @@ class Expert:
             The action's id, and the memory for the next call.
         """
         memory = memory or Memory()
-        if self._task.validate_fn(state.scene):
+        if self.task.validate_fn(state.scene):
             return NOOP, memory
         action, memory = self._decide(StateView.from_state(state), memory)
-        if self._noise is not None:
-            action = self._noise.perturb_action(action)
+        if self.noise is not None:
+            action = self.noise.perturb_action(action)
         return action, memory
 
     def _decide(self, view: StateView, memory: Memory) -> tuple[int, Memory]:
@@ -87,40 +76,41 @@ class Expert:
         move = memory.move
         if move is None and memory.idle_steps:
             memory = replace(memory, idle_steps=memory.idle_steps - 1, stalled_steps=0)
-        elif move is None or _is_done(view, move) or self._is_solved(view, memory):
+        elif (
+            move is None
+            or _is_done(view, move)
+            or (memory.move_steps % SOLVED_STEPS == 0 and self.planner.solved_fn(view))
+        ):
             memory = self._choose_move(view, memory)
         if memory.move is None:
             return _idle_action(view), memory
         return self._make_move(view, memory.move, memory)
 
-    def _is_solved(self, view: StateView, memory: Memory) -> bool:
-        return memory.move_steps % SOLVED_STEPS == 0 and self._planner.solved_fn(view)
-
     def _choose_move(self, view: StateView, memory: Memory) -> Memory:
         """Plan again, and choose the move that takes the fewest control steps."""
-        plan = self._planner.plan_fn(view, self._strategy, memory.plan)
+        plan = self.planner.plan_fn(view, self.strategy, memory.plan)
         memory = replace(
             memory, plan=plan, move=None, move_steps=0, steps_without_progress=0, nearest=math.inf
         )
         if not plan.moves:
             return replace(memory, idle_steps=REVIEW_STEPS)
         move = min(plan.moves, key=lambda move: self._cost(view, move, memory))
-        if self._noise is None:
+        if self.noise is None:
             return replace(memory, move=move)
-        return replace(
-            memory, move=self._noise.perturb_goal(move), escape_steps=self._noise.sample_detour()
-        )
+        move, detour = self.noise.perturb_goal(move), self.noise.sample_detour()
+        return replace(memory, move=move, escape_steps=detour)
 
     def _cost(self, view: StateView, move: Move, memory: Memory) -> float:
         """About how many control steps a move takes, and how many it is better to wait with it."""
         if move.block is None:
             return 0.0
-        preferences = self._strategy.block_costs
+        preferences = self.strategy.block_costs
         cost = preferences[(move.block + memory.failures) % len(preferences)]
         cost += RETRY_COST * memory.failed_blocks.count(move.block)
-        waiting = [m.block for m in memory.plan.moves if m.block not in (None, move.block)]
-        places = [view.blocks[block] for block in waiting if block is not None]
-        cost += OCCUPIED_COST * _missing_room(move.goal, places)
+        waiting = [m.block for m in memory.plan.moves if m.block != move.block]
+        room = [math.dist(move.goal, view.blocks[i]) for i in waiting if i is not None]
+        # Units by which blocks that wait are too near to the goal for releasing one there.
+        cost += OCCUPIED_COST * sum(max(0.0, WORKING_DISTANCE - distance) for distance in room)
         cost += BLOCKED_COST * _missing_width(view, view.blocks[move.block], move.goal)
         _, steps = self._best_side(view, move.block, move.goal, memory.failures)
         return cost + steps + move.extra_cost
@@ -129,7 +119,7 @@ class Expert:
         self, view: StateView, block: int, goal: Point, failures: int, current: float | None = None
     ) -> tuple[float, float]:
         shift = failures % SIDE_SHIFTS
-        preferences = self._strategy.side_costs[shift:] + self._strategy.side_costs[:shift]
+        preferences = self.strategy.side_costs[shift:] + self.strategy.side_costs[:shift]
         others = view.other_blocks(block)
         return best_side(view, view.blocks[block], goal, others, preferences, current)
 
@@ -189,11 +179,6 @@ def _missing_width(view: StateView, start: Point, goal: Point) -> float:
         if distance < min(DRIVING_CLEARANCE, math.dist(start, other)):
             total += DRIVING_CLEARANCE - distance
     return total
-
-
-def _missing_room(place: Point, blocks: Sequence[Point]) -> float:
-    """Units by which blocks are too near to a place for releasing one there, in all."""
-    return sum(max(0.0, WORKING_DISTANCE - math.dist(place, block)) for block in blocks)
 
 
 def expert_for(

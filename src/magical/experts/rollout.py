@@ -12,16 +12,13 @@ from magical.experts.goals import get_planner
 from magical.experts.memory import Memory, note_other_action
 from magical.experts.noise import perturbation
 from magical.physics import Simulation
-from magical.scene import NOOP, NUM_ACTIONS, Dynamics, Poses, Scene, State
+from magical.scene import NOOP, Dynamics, Poses, Scene, State
 from magical.tasks import get_task
 
 
 @dataclass(frozen=True, slots=True)
 class ExpertEpisode:
-    """One episode: its initial scene and dynamics, the actions, and all poses.
-
-    Where a random policy acts first, its actions stand for the expert's.
-    """
+    """One episode: its initial scene and dynamics, the actions, and all poses."""
 
     scene: Scene
     dynamics: Dynamics
@@ -57,19 +54,15 @@ def rollout(
     *,
     skill: float = 1.0,
     perturb: float = 0.0,
-    random_steps: int = 0,
-    strategy_seed: int | None = None,
 ) -> ExpertEpisode:
     """Roll out the expert in the episode that the environment's `reset(seed=seed)` starts.
 
     Args:
         task: the task's name.
         variant: the variant's name, such as TestLayout.
-        seed: of the scene, the dynamics and the random actions; None: a random one.
+        seed: of the scene, the dynamics, the strategy and the random actions; None: a random one.
         skill: from 0 to 1, as in `expert_for`.
         perturb: from 0 to 1, the share of steps with a random action in place of the expert's.
-        random_steps: control steps in which a random policy acts before the expert takes over.
-        strategy_seed: of the expert's strategy; None: `seed`.
 
     Raises:
         InvalidConfigError: the skill or the share is not between 0 and 1.
@@ -80,19 +73,15 @@ def rollout(
     spec, rng = get_task(task), np_random(seed)[0]
     scene, dynamics = spec.sample(variant, rng)
     spec.validate(scene)
-    seed = seed if strategy_seed is None else strategy_seed
     expert = EpisodeExpert(expert_for(task, seed=seed, skill=skill))
     random_actions = perturbation(perturb, rng.spawn(1)[0])  # the strategy has the scene's numbers
     simulation = Simulation(scene, dynamics)
     chosen, tables = [], [simulation.read().copy()]
     for step in range(spec.horizon):
-        if step < random_steps:
-            action = expert_action = int(rng.integers(NUM_ACTIONS))
-        else:
-            poses, velocities = Poses(tables[-1][:, :3]), tables[-1][:, 3:]
-            expert_action = expert.act(State(scene, poses, velocities, step, spec.horizon))
-            action = random_actions.execute(expert_action)
-            expert.note_executed(action)
+        poses, velocities = Poses(tables[-1][:, :3]), tables[-1][:, 3:]
+        expert_action = expert.act(State(scene, poses, velocities, step, spec.horizon))
+        action = random_actions.execute(expert_action)
+        expert.note_executed(action)
         simulation.step(action)
         chosen.append((action, expert_action))
         tables.append(simulation.read().copy())

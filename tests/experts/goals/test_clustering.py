@@ -42,7 +42,7 @@ def test_plans_solve_the_task_and_leave_a_solved_one(task: str) -> None:
 
 def test_enclosed_blocks_are_hard_to_grasp_until_the_others_are_gone() -> None:
     scene = blocks_at((-0.82, 0.0), (-0.62, -0.14), (-0.62, 0.14), (-0.82, 0.28), (0.4, 0.0))
-    pricing = Pricing.of(ClusterLayout.from_view(view_of(scene), colour_of))
+    pricing = Pricing(ClusterLayout.from_view(view_of(scene), colour_of))
     itself = np.eye(5, dtype=np.bool_)
     enclosed, free = pricing.grasp_costs_among(~itself), pricing.grasp_costs_among(itself)
     assert enclosed[0] > 10.0  # measured: of those, more than four in five are never grasped
@@ -63,7 +63,7 @@ def test_blocks_are_ranked_by_access_and_ties_by_order(sign: int) -> None:
         (-0.85, -0.4),
     )
     scene = blocks_at(*((x, sign * y) for x, y in places))
-    pricing = Pricing.of(ClusterLayout.from_view(view_of(scene), colour_of))
+    pricing = Pricing(ClusterLayout.from_view(view_of(scene), colour_of))
     assert pricing.grasp_costs[0] == pytest.approx(pricing.grasp_costs[1])
     assert pricing.grasp_costs[0] > 10.0
     assert pricing.rank.tolist() == [4, 5, 0, 1, 2, 3]

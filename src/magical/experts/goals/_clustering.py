@@ -23,7 +23,7 @@ from magical.experts.geometry import (
     project_on_segments,
 )
 from magical.experts.goals._moves import DISTANCE_COST, MOVE_COST, place_costs
-from magical.experts.grasp import Grasps, make_mutual_grasps
+from magical.experts.grasp import make_mutual_grasps
 from magical.experts.planning import Move, MovePlan, Planner, Strategy
 from magical.experts.state_view import StateView
 from magical.scene import Block
@@ -80,12 +80,6 @@ class ClusterLayout:
         """The number of groups."""
         return len(self.members[0])
 
-    @property
-    def different(self) -> Bools:
-        """Which pairs of blocks (n, n) are of different groups."""
-        unequal: Bools = self.group[:, None] != self.group
-        return unequal
-
     def distance_ratios(self, positions: Floats) -> Floats:
         """Own over nearest other squared distance to a centroid, (..., n), at (..., n, 2).
 
@@ -99,36 +93,29 @@ class ClusterLayout:
         ratios: Floats = own / np.maximum(other, 1e-6)
         return ratios
 
+    def is_clustered(self, limit: float) -> bool:
+        """Whether every block's ratio of distances is below a limit."""
+        ratios = self.distance_ratios(self.positions)
+        return self.groups < 2 or bool(ratios.max() < limit)
+
 
 def cluster_planner(attribute: Callable[[Block], str]) -> Planner:
     """The planner of a task that clusters blocks by an attribute."""
 
     def plan(view: StateView, strategy: Strategy, last: MovePlan) -> MovePlan:
-        return plan_clusters(ClusterLayout.from_view(view, attribute), strategy, last)
+        layout = ClusterLayout.from_view(view, attribute)
+        if layout.is_clustered(SOLVED_RATIO if last.moves else LASTING_RATIO):
+            return MovePlan()
+        pricing = Pricing(layout)
+        anchors, moved = _best(pricing, strategy, last)
+        waits = np.minimum(ACCESS_FACTOR * pricing.grasp_costs, MAX_ACCESS).tolist()
+        moves = [_move(layout, anchors, i, waits[i]) for i in np.flatnonzero(moved).tolist()]
+        return MovePlan(tuple(moves), tuple((x, y) for x, y in anchors.tolist()))
 
     def is_solved(view: StateView) -> bool:
-        layout = ClusterLayout.from_view(view, attribute)
-        return is_clustered(layout, SOLVED_RATIO)
+        return ClusterLayout.from_view(view, attribute).is_clustered(SOLVED_RATIO)
 
     return Planner(plan, is_solved)
-
-
-def is_clustered(layout: ClusterLayout, limit: float) -> bool:
-    """Whether every block's ratio of centroid distances is below a limit."""
-    ratios = layout.distance_ratios(layout.positions)
-    return layout.groups < 2 or bool(ratios.max() < limit)
-
-
-def plan_clusters(layout: ClusterLayout, strategy: Strategy, last: MovePlan) -> MovePlan:
-    """The moves that bring every block to its cluster, and the clusters' anchors."""
-    limit = SOLVED_RATIO if last.moves else LASTING_RATIO
-    if is_clustered(layout, limit):
-        return MovePlan()
-    pricing = Pricing.of(layout)
-    anchors, moved = _best(pricing, strategy, last)
-    waits = np.minimum(ACCESS_FACTOR * pricing.grasp_costs, MAX_ACCESS).tolist()
-    moves = [_move(layout, anchors, i, waits[i]) for i in np.flatnonzero(moved).tolist()]
-    return MovePlan(tuple(moves), tuple((x, y) for x, y in anchors.tolist()))
 
 
 def _move(layout: ClusterLayout, anchors: Floats, block: int, wait: float) -> Move:
@@ -199,23 +186,22 @@ def _preferences(strategy: Strategy, group: int, anchors: Floats) -> Floats:
     return preferences
 
 
-@dataclass(frozen=True, slots=True)
 class Pricing:
-    """Prices plans for one layout: C choices of anchors (C, groups, 2) and moves (C, n)."""
+    """Prices plans for one layout: C choices of anchors (C, groups, 2) and moves (C, n).
 
-    layout: ClusterLayout
-    grasps: Grasps  # from all sides
-    grasp_costs: Floats  # (n,) control steps that grasping each block costs among all others
-    rank: Ints  # (n,) each block's place in the order of that cost
+    Attributes:
+        layout: the blocks as they are.
+        grasp_costs: (n,) control steps that grasping each block costs among all others.
+        rank: (n,) each block's place in the order of that cost.
+    """
 
-    @staticmethod
-    def of(layout: ClusterLayout) -> "Pricing":
-        """Price the grasps of a layout's blocks as they are."""
-        grasps = make_mutual_grasps(layout.positions)
-        costs = (grasps.wall_costs + grasps.block_costs.sum(axis=-1)).min(axis=1)
+    def __init__(self, layout: ClusterLayout) -> None:
+        self.layout = layout
+        self._grasps = make_mutual_grasps(layout.positions)
+        costs = self._grasps.wall_costs + self._grasps.block_costs.sum(axis=-1)
+        self.grasp_costs: Floats = costs.min(axis=1)
         # Two blocks that hinder each other cost the same but for rounding, which must not decide.
-        rank = costs.round(6).argsort(kind="stable").argsort()
-        return Pricing(layout, grasps, costs, rank)
+        self.rank: Ints = self.grasp_costs.round(6).argsort(kind="stable").argsort()
 
     def cheapest_moves(self, anchors: Floats) -> tuple[Floats, Bools]:
         """The cost (C,) of each choice of anchors, and the moves (C, n) that give it."""
@@ -276,8 +262,8 @@ class Pricing:
 
     def grasp_costs_among(self, others: Bools) -> Floats:
         """Control steps (..., n) with only the blocks `others` (..., n, n) around each block."""
-        blocks = self.grasps.block_costs @ others[..., None].astype(np.float64)
-        cost: Floats = (self.grasps.wall_costs + blocks[..., 0]).min(axis=-1)
+        blocks = self._grasps.block_costs @ others[..., None].astype(np.float64)
+        cost: Floats = (self._grasps.wall_costs + blocks[..., 0]).min(axis=-1)
         return cost
 
     def _crowding(self, after: Floats, near: Floats) -> Floats:
@@ -286,11 +272,10 @@ class Pricing:
         missing = np.maximum(0.0, SEPARATION - apart)
         # Blocks that are to leave may not have left yet.
         missing += LEAVING_SHARE * np.maximum(0.0, SEPARATION - near)
-        before = self.layout.positions
+        before, group = self.layout.positions, self.layout.group
         share, gap = project_on_segments(before[:, None], after[..., :, None, :], before)
         # A block is not in the way of itself, nor of one that drives off from beside it.
         narrow = np.where(share > 0.0, np.maximum(0.0, DRIVING_CLEARANCE - gap), 0.0)
-        crowding: Floats = (
-            CROWDING_COST * missing * self.layout.different + BLOCKED_COST * narrow
-        ).sum(axis=-1)
-        return crowding
+        crowding = CROWDING_COST * missing * (group[:, None] != group) + BLOCKED_COST * narrow
+        total: Floats = crowding.sum(axis=-1)
+        return total

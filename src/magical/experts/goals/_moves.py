@@ -1,6 +1,6 @@
 """Moves into and out of goal regions, and what moves of blocks cost in all tasks."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -57,29 +57,21 @@ def place_costs(places: Floats, block: Point, others: Floats) -> Floats:
 
 
 def moves_in(
-    view: StateView, strategy: Strategy, region: Region, blocks: Collection[int]
+    view: StateView, strategy: Strategy, region: Region, blocks: Iterable[int]
 ) -> list[Move]:
     """Moves that bring those of `blocks` that are outside into a region."""
     kept, done = inset(region, INSIDE), inset(region, DONE_INSIDE)
     outside = [i for i in blocks if not kept.contains(*view.blocks[i])]
-    places = [_place_inside(view, strategy, region, i) for i in outside]
-    return [Move(place, TOLERANCE, i, area=done) for i, place in zip(outside, places, strict=True)]
+    return [
+        Move(_place_inside(view, strategy, region, i), TOLERANCE, i, area=done) for i in outside
+    ]
 
 
-def moves_out(
-    view: StateView, strategy: Strategy, region: Region, allowed: Collection[int]
-) -> list[Move]:
-    """Moves that take blocks out of a region, all but those that are `allowed` there."""
-    area = inset(region, -OUTSIDE)
-    others = [i for i in range(len(view.blocks)) if i not in allowed]
-    return [_move_out(view, strategy, i) for i in others if area.contains(*view.blocks[i])]
-
-
-def moves_out_of_all(view: StateView, strategy: Strategy, blocks: Collection[int]) -> list[Move]:
+def moves_out(view: StateView, strategy: Strategy, blocks: Iterable[int]) -> list[Move]:
     """Moves that take those of `blocks` that are in any region out of all."""
     areas = [inset(region, -OUTSIDE) for region in view.scene.regions]
     inside = [i for i in blocks if any(area.contains(*view.blocks[i]) for area in areas)]
-    return [_move_out(view, strategy, i) for i in inside]
+    return [Move(_place_outside(view, strategy, i), TOLERANCE, i) for i in inside]
 
 
 def inset(region: Region, margin: float) -> Region:
@@ -99,10 +91,6 @@ def preferred_point(strategy: Strategy, region: Region, block: int) -> Point:
     """Where in a region the strategy prefers to have a block."""
     u, v = (strategy.placements[(2 * block + i) % len(strategy.placements)] for i in (0, 1))
     return region.x + u * region.width, region.y - v * region.height
-
-
-def _move_out(view: StateView, strategy: Strategy, block: int) -> Move:
-    return Move(_place_outside(view, strategy, block), TOLERANCE, block)
 
 
 def _place_inside(view: StateView, strategy: Strategy, region: Region, block: int) -> Point:

@@ -11,8 +11,9 @@ def plan(view: StateView, strategy: Strategy, last: MovePlan) -> MovePlan:
     region, query = view.scene.regions[0], len(view.blocks) - 1
     duplicates = sorted(alike(view.scene) - {query})
     inside = [i for i in duplicates if region.contains(*view.blocks[i])]
+    others = [i for i in range(query) if i not in duplicates]
     moves = moves_in(view, strategy, region, (query, *(inside or duplicates)))
-    return MovePlan((*moves, *moves_out(view, strategy, region, (query, *duplicates))))
+    return MovePlan((*moves, *moves_out(view, strategy, others)))
 
 
 PLANNER = Planner(plan)
