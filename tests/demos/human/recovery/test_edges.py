@@ -24,7 +24,8 @@ def find(scene: Scene, recorded: Poses, view: View, band: float, **changed: Any)
     """Edges in the frame of some poses, for the same poses or others."""
     finder = EdgeFinder(scene, view)
     labels = finder.label(render_frame(scene, recorded, view, SIZE, 1))
-    return finder.find(changed.get("bodies", recorded.bodies), labels, band)
+    bodies = changed.get("bodies", recorded.bodies)
+    return finder.find(bodies, labels, band, np.ones(len(bodies), np.bool_))
 
 
 @pytest.mark.parametrize("view", View)
@@ -128,7 +129,7 @@ def test_wanted_bodies_alone_are_found() -> None:
     wanted[6] = True
     finder = EdgeFinder(scene, View.ALLO)
     labels = finder.label(render_frame(scene, poses, View.ALLO, SIZE, 1))
-    everything = finder.find(poses.bodies, labels, 1.0)
+    everything = find(scene, poses, View.ALLO, 1.0)
     star = finder.find(poses.bodies, labels, 1.0, wanted)
     assert set(star.anchor.tolist()) == {6}
     assert len(star.margin) == (everything.anchor == 6).sum()
@@ -140,6 +141,6 @@ def test_wanted_bodies_alone_are_found() -> None:
 def test_poses_and_frames_that_do_not_fit(bodies: NDArray[np.float64]) -> None:
     finder = EdgeFinder(Scene(Pose(0.0, 0.0, 0.0)), View.EGO)
     with pytest.raises(RenderError, match="expected 5 finite poses"):
-        finder.find(bodies, np.zeros((SIZE, SIZE), np.uint8), 1.0)
+        finder.find(bodies, np.zeros((SIZE, SIZE), np.uint8), 1.0, np.ones(5, np.bool_))
     with pytest.raises(RenderError, match="expected a frame 384 across"):
         finder.label(np.zeros((96, 96, 3), np.uint8))

@@ -11,7 +11,7 @@ import pytest
 from magical.demos import Frames, Trajectory, observations
 from magical.demos.generate import demonstrate
 from magical.demos.human.published import PublishedDemonstration, pack
-from magical.demos.human.recovery.fit import FAR, PoseFitter
+from magical.demos.human.recovery.fit import FAR_STAGES, PoseFitter
 from magical.demos.human.recovery.recovery import LIMIT, recover, recovered_trajectory
 from magical.demos.store.codec import decode, encode
 from magical.scene import View
@@ -118,7 +118,7 @@ def test_first_guess_may_be_pixels_off(pushing: Trajectory) -> None:
     guess = true + np.random.default_rng(0).uniform(-0.03, 0.03, true.shape)
     guess[EYES, :2] = guess[ROBOT, :2]
     labels = fitter.label(render(pushing.scene, true))
-    fit = fitter.fit(guess, labels, range(len(true)), FAR)
+    fit = fitter.fit(guess, labels, range(len(true)), FAR_STAGES)
     assert np.abs(fit.bodies - true)[:, :2].max() < 2e-3
 
 

@@ -36,11 +36,11 @@ class Near(NamedTuple):
     counts: NDArray[np.int8]  # (P,)
     wanted: NDArray[np.bool_]  # (P,): whether an edge of a wanted body is near
     item: NDArray[np.int16]  # (P, MOST_LAYERS)
-    edge: NDArray[np.int16]  # (P, MOST_LAYERS): the nearest, a column of `Placement.planes`
+    edge: NDArray[np.int16]  # (P, MOST_LAYERS): the nearest, a column of `FramePlacement.planes`
     inside: NDArray[np.float32]  # (P, MOST_LAYERS): how far inside that the pixel's centre lies
 
 
-class Placement(NamedTuple):
+class FramePlacement(NamedTuple):
     """Where everything is on the frame."""
 
     frames: Floats  # (bodies + 1, 4): cos, sin (times the scale), x, y; the workspace's last
@@ -55,7 +55,7 @@ class Placement(NamedTuple):
 
 @inlined
 def _place_item(
-    item: Ints, offset: Floats, circle: Floats, vertices: Floats, placement: Placement, i: int
+    item: Ints, offset: Floats, circle: Floats, vertices: Floats, placement: FramePlacement, i: int
 ) -> None:
     """Place one polygon on the frame."""
     frames, planes, first = placement.frames, placement.planes, item[FIRST]
@@ -94,7 +94,7 @@ def _is_near_wanted(
 
 @inlined
 def _gather(
-    placement: Placement, items: Ints, i: int, near: Near, band: float, wanted: bool
+    placement: FramePlacement, items: Ints, i: int, near: Near, band: float, wanted: bool
 ) -> None:
     """Add one polygon to the lists of the pixels that it covers or nearly covers."""
     circle, planes, size = placement.circles[i], placement.planes, placement.size
@@ -165,7 +165,7 @@ def _add(
 
 @inlined
 def _depths(
-    placement: Placement, rectangles: Floats, x: float, y: float, band: float, ground: Floats
+    placement: FramePlacement, rectangles: Floats, x: float, y: float, band: float, ground: Floats
 ) -> bool:
     """How far inside the rectangles on the ground a point lies; whether it is near an edge."""
     to = placement.to_workspace
@@ -219,7 +219,7 @@ def _explain(
 
 
 @inlined
-def _place(bodies: Floats, placement: Placement) -> None:
+def _place(bodies: Floats, placement: FramePlacement) -> None:
     """Place the bodies on the frame."""
     frames, to = placement.frames, placement.to_workspace
     body_frames(bodies, placement.ego, float(placement.size), frames)
@@ -232,7 +232,7 @@ def _place(bodies: Floats, placement: Placement) -> None:
 
 @inlined
 def _read_pixels(
-    placement: Placement,
+    placement: FramePlacement,
     near: Near,
     items: Ints,
     rectangles: Floats,
@@ -305,11 +305,11 @@ def compiled_search() -> Callable[..., int]:
 
         `numbers` are a polygon's number or -1 - that of a rectangle, the edge's column in `planes`,
         the pixel, and 1 or -1 for inside or outside. The other arrays are those of `edges._Layers`,
-        `Near`, whose counts are 0 before and after, and `Placement`, which are results too.
+        `Near`, whose counts are 0 before and after, and `FramePlacement`, which are results too.
         """
         near = Near(counts, asked, near_item, near_edge, near_inside)
         circled, to, scale = np.empty_like(circles), np.empty(4), len(labels) / VIEW_WIDTH
-        placement = Placement(frames, planes, origins, circled, to, scale, len(labels), ego)
+        placement = FramePlacement(frames, planes, origins, circled, to, scale, len(labels), ego)
         _place(bodies, placement)
         for i in range(len(items)):
             _place_item(items[i], offsets[i], circles[i], vertices, placement, i)

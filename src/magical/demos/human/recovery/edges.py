@@ -26,12 +26,12 @@ from magical.demos.human.recovery.edge_search import (
 from magical.errors import RenderError
 from magical.render.display import FAR, DisplayList, display_list
 from magical.render.frame import ROBOT_HEIGHT
-from magical.render.palette import OUTSIDE, RGB, SHADES, WHITE, lanes
+from magical.render.palette import OUTSIDE, WHITE, lanes
 from magical.render.polygons import Floats, Ints
-from magical.scene.constants import RAW_FRAME_SIZE
+from magical.scene.constants import RAW_FRAME_SIZE as SIZE
 from magical.scene.poses import FIRST_BLOCK
 from magical.scene.scene import Scene
-from magical.scene.vocabulary import View, parse_word
+from magical.scene.vocabulary import View
 
 
 class Edges(NamedTuple):
@@ -56,35 +56,31 @@ class EdgeFinder:
 
     Args:
         scene: which bodies and regions there are; its poses are not used, except the regions'.
-        view: `View.EGO` or `View.ALLO`, or their names.
-        size: height and width of the frames in pixels.
+        view: the camera's.
     """
 
-    def __init__(self, scene: Scene, view: View | str, size: int = RAW_FRAME_SIZE) -> None:
-        self.view = parse_word(View, view)
-        self.size = size
+    def __init__(self, scene: Scene, view: View) -> None:
+        self._is_ego = view == View.EGO
         self._bodies = FIRST_BLOCK + len(scene.blocks)
-        shown = display_list(scene)
-        self._palette = _palette(shown, scene)
-        self._layers = _layers(shown, scene, self._palette)
-        self._memory = _working_memory(size)
+        self._palette, self._layers = _layers(display_list(scene))
+        self._memory = _working_memory()
 
     def label(self, frame: NDArray[np.uint8]) -> Labels:
         """Name every pixel's colour.
 
         Args:
-            frame: (size, size, 3).
+            frame: (384, 384, 3).
 
         Returns:
-            (size, size) uint8, lowest row first: numbers of the scene's colours, and
+            (384, 384) uint8, lowest row first: numbers of the scene's colours, and
             `edge_search.MIXED` for any other colour, as smoothed lines have it.
 
         Raises:
             RenderError: a frame of another shape.
         """
-        if frame.shape != (self.size, self.size, 3):
-            raise RenderError(f"expected a frame {self.size} across, found {frame.shape}")
-        labels = np.empty((self.size, self.size), np.uint8)
+        if frame.shape != (SIZE, SIZE, 3):
+            raise RenderError(f"expected a frame {SIZE} across, found {frame.shape}")
+        labels = np.empty((SIZE, SIZE), np.uint8)
         _compiled_label()(frame, self._palette, labels)
         return labels
 
@@ -93,7 +89,7 @@ class EdgeFinder:
         bodies: NDArray[np.float64],
         labels: Labels,
         band: float,
-        wanted: NDArray[np.bool_] | None = None,
+        wanted: NDArray[np.bool_],
     ) -> Edges:
         """All statements about edges within `band` pixels of pixel centres.
 
@@ -101,23 +97,21 @@ class EdgeFinder:
             bodies: (5 + blocks, 3), the poses in the rows of `Poses`.
             labels: a frame's, from `label`.
             band: pixels.
-            wanted: (5 + blocks,), the bodies whose edges matter; by default all.
+            wanted: (5 + blocks,), the bodies whose edges matter.
 
         Raises:
             RenderError: the poses are not finite, or not one for each body.
         """
         if bodies.shape != (self._bodies, 3) or not np.abs(bodies).max() <= FAR:
             raise RenderError(f"expected {self._bodies} finite poses within {FAR:g} units")
-        if wanted is None:
-            wanted = np.ones(len(bodies), np.bool_)
         *_, numbers, margins = self._memory
         placed = (
             np.empty((len(bodies) + 1, 4)),  # the frames of the bodies and the workspace
             np.empty((3, self._layers.vertices.shape[1])),  # the edges
             np.empty((len(self._layers.items), 2)),  # the polygons' origins
         )
-        search, ego = compiled_search(), self.view == View.EGO
-        count = search(bodies, *self._layers, labels, *self._memory, *placed, wanted, band, ego)
+        arrays = (bodies, *self._layers, labels, *self._memory, *placed, wanted)
+        count = compiled_search()(*arrays, band, self._is_ego)
         return self._edges(numbers[:, :count], margins[:count].copy(), *placed)
 
     def _edges(
@@ -130,7 +124,7 @@ class EdgeFinder:
     ) -> Edges:
         """The derivatives of the statements found by `edge_search.compiled_search`."""
         item, edge, pixel, sign = numbers
-        x, y = pixel % self.size + 0.5, pixel // self.size + 0.5
+        x, y = pixel % SIZE + 0.5, pixel // SIZE + 0.5
         ground, workspace = item < 0, frames[-1]
         nx, ny = planes[0, edge], planes[1, edge]
         nx[ground], ny[ground] = self._ground_normals(
@@ -143,8 +137,8 @@ class EdgeFinder:
         own_x, own_y = np.where(anchor == turn, (x, y), origins[polygon].T)
         anchor_x, anchor_y = frames[anchor, 2:].T
         camera = np.zeros_like(margins)
-        if self.view == View.EGO:
-            camera = nx * (y - self.size * ROBOT_HEIGHT) - ny * (x - self.size / 2)
+        if self._is_ego:
+            camera = nx * (y - SIZE * ROBOT_HEIGHT) - ny * (x - SIZE / 2)
         return Edges(
             anchor=anchor,
             turn=turn,
@@ -203,39 +197,26 @@ class _Layers(NamedTuple):
     shades: Ints  # (R + 2, 2): colours of their fill and dashes (-1: none); last, what is outside
 
 
-def _palette(shown: DisplayList, scene: Scene) -> NDArray[np.int32]:
-    """The colours of everything in the scene, packed, in order."""
-    bodies = {_pack(int(colour)) for colour in shown.items[:, 4]}
-    ground = {_packed(rgb) for region in scene.regions for rgb in SHADES[region.colour]}
-    return np.array(sorted(bodies | ground | {_packed(WHITE), _packed(OUTSIDE)}), np.int32)
-
-
-def _pack(colour: int) -> int:
-    """A colour of three 16-bit lanes as three bytes."""
-    return colour & 0xFF | colour >> 8 & 0xFF00 | colour >> 16 & 0xFF0000
-
-
-def _packed(colour: RGB) -> int:
-    return _pack(lanes(colour))
-
-
-def _layers(shown: DisplayList, scene: Scene, palette: NDArray[np.int32]) -> _Layers:
-    def number(packed: int) -> int:
-        return int(np.searchsorted(palette, packed))
-
-    items = np.empty((len(shown.items), 6), np.int64)
+def _layers(shown: DisplayList) -> tuple[NDArray[np.int32], _Layers]:
+    """The colours of everything in a scene, packed, in order; and its layers."""
+    items, count = np.empty((len(shown.items), 6), np.int64), len(shown.items)
+    regions, around = (
+        shown.colours[:0:-1].ravel(),
+        [lanes(WHITE), lanes(OUTSIDE)],
+    )  # uppermost first
+    colours = np.concatenate([shown.items[:, 4], regions, around])
+    packed = colours & 0xFF | colours >> 8 & 0xFF00 | colours >> 16 & 0xFF0000
+    palette, numbers = np.unique(packed, return_inverse=True)
     items[:, :4] = shown.items[:, :4]
-    items[:, 4] = [number(_pack(int(colour))) for colour in shown.items[:, 4]]
+    items[:, 4] = numbers[:count]
     items[:, 5] = _parts(shown)
-    shades = [SHADES[region.colour] for region in reversed(scene.regions)]
-    colours = [(number(_packed(s.region)), number(_packed(s.fill))) for s in shades]
-    colours += [(number(_packed(colour)), -1) for colour in (WHITE, OUTSIDE)]
-    corners = np.concatenate([shown.ground[:0:-1], shown.ground[:1]])  # the uppermost first
+    shades = [*numbers[count:-2].reshape(-1, 2), *((number, -1) for number in numbers[-2:])]
+    corners = np.concatenate([shown.ground[:0:-1], shown.ground[:1]])
     low, high = corners.min(axis=1), corners.max(axis=1)
     rectangles = np.stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]], axis=1)
     circles = np.array([_circles(shown.vertices[:, a : a + n]) for a, n in items[:, :2]])
-    return _Layers(
-        shown.vertices, items, shown.offsets, circles, rectangles, np.array(colours, np.int64)
+    return palette.astype(np.int32), _Layers(
+        shown.vertices, items, shown.offsets, circles, rectangles, np.array(shades, np.int64)
     )
 
 
@@ -255,9 +236,9 @@ def _circles(points: Floats) -> tuple[float, float, float, float]:
 
 
 @cache
-def _working_memory(size: int) -> tuple[Any, ...]:
+def _working_memory() -> tuple[Any, ...]:
     """What `edge_search.compiled_search` works in; the last two arrays hold its result."""
-    pixels, rows = size * size, 4 * size * size
+    pixels, rows = SIZE * SIZE, 4 * SIZE * SIZE
     return (
         np.zeros(pixels, np.int8),
         np.zeros(pixels, np.bool_),

@@ -42,13 +42,16 @@ class Stage(NamedTuple):
         return 6.0 * self.softness + 0.2
 
 
-NEAR = (
+NEAR_STAGES = (
     Stage(0.8, 3, bounded=True),
     Stage(0.3, 2),
     Stage(0.1, 2),
     Stage(0.03, 4),
 )
-FAR = (Stage(2.5, 8, bounded=True), *NEAR)  # for first guesses that are up to 15 pixels off
+FAR_STAGES = (
+    Stage(2.5, 8, bounded=True),
+    *NEAR_STAGES,
+)  # for first guesses that are up to 15 pixels off
 
 
 class Fit(NamedTuple):
@@ -63,9 +66,9 @@ class PoseFitter:
 
     def __init__(self, scene: Scene) -> None:
         self._finders = {view: EdgeFinder(scene, view) for view in View}
-        self._discs = {
+        self.discs = [  # rows of blocks whose angles cannot be seen
             FIRST_BLOCK + i for i, block in enumerate(scene.blocks) if block.shape == Shape.CIRCLE
-        }
+        ]
 
     def label(self, frames: Mapping[View, NDArray[np.uint8]]) -> dict[View, Labels]:
         """What `fit` takes, of frames (384, 384, 3) in both views."""
@@ -76,7 +79,7 @@ class PoseFitter:
         guess: Bodies,
         labels: Mapping[View, Labels],
         free: Sequence[int],
-        stages: Sequence[Stage] = NEAR,
+        stages: Sequence[Stage] = NEAR_STAGES,
     ) -> Fit:
         """Fit the poses in the rows `free`.
 
@@ -112,7 +115,7 @@ class PoseFitter:
         for row in free:
             if not EYES.start <= row < EYES.stop:
                 yield from ((row, 0), (row, 1))
-            if row not in self._discs:
+            if row not in self.discs:
                 yield row, 2
 
 

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.demos.human.recovery.fit import FAR, Bodies, Fit, PoseFitter
+from magical.demos.human.recovery.fit import FAR_STAGES, Bodies, Fit, PoseFitter
 from magical.demos.motion import PoseFollower
 from magical.render import Renderer
 from magical.render.frame import VIEW_WIDTH
-from magical.scene import Poses, Scene, Shape, View
+from magical.scene import Poses, Scene, View
 from magical.scene.constants import BLOCK_SIZE, RAW_FRAME_SIZE, STAR_OUTER_RADIUS
 from magical.scene.poses import EYES, FIRST_BLOCK, ROBOT
 
@@ -56,9 +56,6 @@ class Tracker:
         self._rendered = np.empty(_SHAPE, np.uint8)
         self._follower = PoseFollower(scene)
         self._bodies = Poses.at_rest(scene).bodies
-        self._discs = [
-            FIRST_BLOCK + i for i, block in enumerate(scene.blocks) if block.shape == Shape.CIRCLE
-        ]
         self._frames: ViewFrames = {}
         self._ground = self._allocentric(_without(self._bodies, range(len(self._bodies))))
 
@@ -70,7 +67,8 @@ class Tracker:
     def follow(self, action: int, frames: ViewFrames) -> Moment:
         """The next time step, which an action led to."""
         predicted = self._follower.predict(action)
-        predicted[self._discs, 2] = self._bodies[self._discs, 2]
+        discs = self._fitter.discs
+        predicted[discs, 2] = self._bodies[discs, 2]
         if all(np.array_equal(frames[view], self._frames[view]) for view in View):
             fit, unseen = Fit(self._bodies, np.zeros_like(self._bodies)), 0
         else:
@@ -90,7 +88,7 @@ class Tracker:
         share = self._share(best.bodies, frames)
         for other in (guess, self._bodies):
             if share > RETRY:
-                fit = self._fitter.fit(other, labels, range(len(guess)), FAR)
+                fit = self._fitter.fit(other, labels, range(len(guess)), FAR_STAGES)
                 new = self._share(fit.bodies, frames)
                 best, share = (fit, new) if new < share else (best, share)
         return best
