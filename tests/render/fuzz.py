@@ -89,10 +89,9 @@ def moved(scene: Scene, bodies: Bodies, rng: np.random.Generator) -> None:
 
 
 def searched(scene: Scene, bodies: Bodies, rng: np.random.Generator) -> None:
-    size, view = int(rng.choice(SIZES)), View(rng.choice(list(View)))
-    frame = np.zeros((size, size, 3), np.uint8)
-    finder = EdgeFinder(scene, view, size)
-    finder.find(bodies, finder.label(frame), float(rng.uniform(0.1, 20.0)))
+    view, frame = View(rng.choice(list(View))), np.zeros((384, 384, 3), np.uint8)
+    finder, wanted = EdgeFinder(scene, view), np.ones(len(bodies), np.bool_)
+    finder.find(bodies, finder.label(frame), float(rng.uniform(0.1, 20.0)), wanted)
 
 
 def outcome(number: int) -> str:
