@@ -41,6 +41,10 @@ class InvalidTaskError(MagicalError, ValueError):
     """A task that cannot be registered: a name already taken, or fields that do not fit."""
 
 
+class InvalidProgramError(MagicalError, ValueError):
+    """An expression of the goal language that is mistyped, or that no episode can have as goal."""
+
+
 class PolicyError(MagicalError, ValueError):
     """A policy that cannot be loaded, or that returned something other than actions."""
 

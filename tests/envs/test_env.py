@@ -1,7 +1,7 @@
 """The Gymnasium environment: its interface, errors and options."""
 
 import json
-import math
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -10,6 +10,7 @@ import pytest
 
 import magical
 from magical.envs.env import MagicalEnv
+from magical.envs.episode import check_reward
 from magical.errors import (
     InvalidActionError,
     InvalidSceneError,
@@ -17,8 +18,9 @@ from magical.errors import (
     ResetNeededError,
     UnknownNameError,
 )
-from magical.scene import ACTION_NAMES, Block, Colour, Dynamics, Pose, Region, Scene, Shape
+from magical.scene import ACTION_NAMES, Block, Colour, Dynamics, Pose, Scene, Shape
 from magical.tasks import TASKS
+from magical.tasks.programs import progress
 
 CORNER = "magical/MoveToCorner-Demo-v0"
 
@@ -49,15 +51,18 @@ def test_default_reward_is_zero() -> None:
     assert (reward, info["eval_score"]) == (0.0, 1.0)
 
 
-def test_dense_reward_is_the_decrease_of_the_distance_to_the_goal() -> None:
-    env = _make("magical/MoveToRegion-Demo-v0", reward="dense")
-    facing = Scene(Pose(0, 0.7, math.pi), regions=(Region(Colour.RED, -0.4, 0.0, 0.7, 0.7),))
-    env.reset(seed=0, options={"scene": facing})
-    goal = env.state().scene.regions[0].centre
-    before = math.dist(env.state().poses.robot[:2], goal)
-    rewards = [env.step(1)[1] for _ in range(6)]
-    assert sum(rewards) == pytest.approx(before - math.dist(env.state().poses.robot[:2], goal))
-    assert max(rewards) > 0.05
+@pytest.mark.parametrize("task", TASKS)
+def test_dense_rewards_sum_to_the_increase_of_progress(task: str) -> None:
+    program = TASKS[task].program
+    assert program is not None
+    env = MagicalEnv(task, "Demo", reward="dense")
+    env.reset(seed=0)
+    before = env.state()
+    rewards = [env.step(action)[1] for action in [1, 1, 1, 4, 7, 10, 1, 1]]
+    after = env.state()
+    gained = [progress(program, state.scene, state.poses) for state in (before, after)]
+    assert sum(rewards) == pytest.approx(gained[1] - gained[0])
+    assert any(rewards)
 
 
 def test_dense_reward_of_pushing() -> None:
@@ -65,8 +70,11 @@ def test_dense_reward_of_pushing() -> None:
     behind = Scene(Pose(0.5, -0.6, 0.7), (Block(Shape.CIRCLE, Colour.RED, Pose(0.2, -0.3, 0)),))
     env.reset(seed=0, options={"scene": behind})
     assert sum(env.step(1)[1] for _ in range(8)) > 0.3
-    with pytest.raises(UnknownNameError, match="MoveToCorner, MoveToRegion"):
-        _make("magical/MakeLine-Demo-v0", reward="dense")
+
+
+def test_a_task_without_a_program_has_no_dense_reward() -> None:
+    with pytest.raises(UnknownNameError, match="MakeLine has no dense reward; expected one of: "):
+        check_reward(replace(TASKS["MakeLine"], program=None), "dense")
 
 
 def test_horizons_are_the_appendix_s() -> None:

@@ -11,7 +11,7 @@ from magical.scene import COLOURS, SHAPES, Block, Pose, Poses, Scene
 from magical.tasks import Task
 from magical.tasks.cluster_colour import TASK as CLUSTER_COLOUR
 from magical.tasks.cluster_shape import TASK as CLUSTER_SHAPE
-from magical.tasks.clustering import centroid_distances
+from magical.tasks.scoring import centroid_distances, positions
 
 CORNERS = [(-0.7, -0.7), (0.7, -0.7), (-0.7, 0.7), (0.7, 0.7)]
 BOTH = pytest.mark.parametrize("task", [CLUSTER_COLOUR, CLUSTER_SHAPE], ids=lambda task: task.name)
@@ -22,6 +22,10 @@ def value_of(task: Task, block: Block) -> int:
     if task is CLUSTER_COLOUR:
         return COLOURS.index(block.colour)
     return SHAPES.index(block.shape)
+
+
+def colours(scene: Scene) -> list[str]:
+    return [block.colour for block in scene.blocks]
 
 
 def clustered(task: Task) -> dict[int, tuple[float, float]]:
@@ -66,7 +70,7 @@ def line_of_four(own: float, other: float) -> tuple[Scene, Poses]:
 @pytest.mark.parametrize(("own", "other"), [(0.3, 0.5), (0.1, 0.9)])
 def test_distances_are_squared_and_to_the_nearest_other_centroid(own: float, other: float) -> None:
     scene, poses = line_of_four(own, other)
-    found, nearest = centroid_distances(scene, poses, lambda block: block.colour)
+    found, nearest = centroid_distances(colours(scene), positions(scene, poses))
     assert found[0] == pytest.approx(own**2)
     assert nearest[0] == pytest.approx(other**2)
 
@@ -124,7 +128,7 @@ def test_half_or_fewer_clustered_score_zero(apart: int, moved: Callable[..., Pos
     scene = replace(demo, blocks=blocks)
     places = {i: CORNERS[i // 2] if i // 2 < apart else (0.0, 0.0) for i in range(8)}
     final = moved(scene, places)
-    own, other = centroid_distances(scene, final, lambda block: block.colour)
+    own, other = centroid_distances(colours(scene), positions(scene, final))
     assert np.count_nonzero(own < other / 3) == 2 * apart
     assert CLUSTER_COLOUR.score(scene, final) == 0.0
 

@@ -8,7 +8,8 @@ import pytest
 
 from magical.errors import InvalidSceneError
 from magical.scene import Poses, Scene
-from magical.tasks.make_line import DEMO, TASK, line_through, longest_line
+from magical.tasks.make_line import DEMO, TASK
+from magical.tasks.scoring import line_through, longest_line
 
 Point = tuple[float, float]
 THREE = replace(DEMO, blocks=DEMO.blocks[:3])

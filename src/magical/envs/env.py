@@ -44,7 +44,7 @@ class MagicalEnv(gym.Env[Any, np.int64]):
 
     ## Rewards
     0, or with `reward="score"` the score at the last step, or with `reward="dense"` (tasks with a
-    `progress_fn`) the increase of the task's progress since the last step.
+    `program`) the increase of `magical.tasks.programs.progress` since the last step.
 
     ## Episode end
     Episodes are truncated at the horizon and never terminate.

@@ -22,6 +22,7 @@ from magical.scene.constants import MAX_NUDGE
 from magical.scene.poses import Poses, State
 from magical.scene.scene import Dynamics, Scene
 from magical.tasks import TASKS, Horizon, Task, parse_horizon
+from magical.tasks.programs import progress
 
 RESET_OPTIONS = ("scene", "dynamics", "nudge")
 REWARDS = ("none", "score", "dense")
@@ -170,17 +171,17 @@ class Episode:
         self._progress = self._measure_progress()
 
     def _measure_progress(self) -> float:
-        if self.reward != "dense" or self.task.progress_fn is None:
+        if self.reward != "dense" or self.task.program is None:
             return 0.0
-        return float(self.task.progress_fn(self.simulation.scene, self.poses))
+        return progress(self.task.program, self.simulation.scene, self.poses)
 
 
 def check_reward(task: Task, reward: str) -> None:
     """Raise `UnknownNameError` for a reward that the task does not have."""
     if reward not in REWARDS:
         raise UnknownNameError(f"reward {quoted(reward)} is unknown; expected one of {REWARDS}")
-    if reward == "dense" and task.progress_fn is None:
-        having = [name for name, other in TASKS.items() if other.progress_fn is not None]
+    if reward == "dense" and task.program is None:
+        having = [name for name, other in TASKS.items() if other.program is not None]
         raise UnknownNameError(
             f"{task.name} has no dense reward; expected one of: {', '.join(having)}"
         )

@@ -15,8 +15,9 @@ Variants: all.
 - Dynamics: forces only. All: CountPlus and Dynamics.
 """
 
-from magical.scene import COLOURS, Block, Colour, Pose, Poses, Scene, Shape
+from magical.scene import COLOURS, Block, Colour, Pose, Scene, Shape
 from magical.tasks import clustering
+from magical.tasks.programs import Attribute
 
 DEMO = Scene(
     robot=Pose(0.71692, -0.34374, 0.83693),
@@ -32,15 +33,4 @@ DEMO = Scene(
     ),
 )
 
-
-def colour_of(block: Block) -> str:
-    """The attribute that defines the clusters."""
-    return block.colour
-
-
-def score(scene: Scene, poses: Poses) -> float:
-    """The appendix's score by colour (appendix A.2.7)."""
-    return clustering.score(scene, poses, colour_of)
-
-
-TASK = clustering.make_task("colour", DEMO, colour_of, COLOURS, score)
+TASK = clustering.make_task(Attribute.COLOUR, DEMO, COLOURS)

@@ -15,8 +15,9 @@ Variants: all.
 - Dynamics: forces only. All: CountPlus and Dynamics.
 """
 
-from magical.scene import SHAPES, Block, Colour, Pose, Poses, Scene, Shape
+from magical.scene import SHAPES, Block, Colour, Pose, Scene, Shape
 from magical.tasks import clustering
+from magical.tasks.programs import Attribute
 
 DEMO = Scene(
     robot=Pose(0.286, -0.202, -1.878),
@@ -32,15 +33,4 @@ DEMO = Scene(
     ),
 )
 
-
-def shape_of(block: Block) -> str:
-    """The attribute that defines the clusters."""
-    return block.shape
-
-
-def score(scene: Scene, poses: Poses) -> float:
-    """The appendix's score by shape (appendix A.2.7)."""
-    return clustering.score(scene, poses, shape_of)
-
-
-TASK = clustering.make_task("shape", DEMO, shape_of, SHAPES, score)
+TASK = clustering.make_task(Attribute.SHAPE, DEMO, SHAPES)

@@ -8,27 +8,24 @@ The published code requires sqrt(own) < sqrt(nearest other) - 2 own, own and nea
 squared distances, and scores from f = 0.75 (docs/specification.md, section 9).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from magical.scene import COLOURS, SHAPES, Block, Poses, Scene
+from magical.scene import COLOURS, SHAPES, Poses, Scene
 from magical.tasks.attributes import cycle_blocks, sample_count, sample_covering
 from magical.tasks.axes import EVERYTHING, Axis
-from magical.tasks.scoring import positions
-from magical.tasks.task import ScoreFn, Task
+from magical.tasks.programs import Attribute, Clustered, value_of
+from magical.tasks.scoring import centroid_distances, positions
+from magical.tasks.task import Task
 
 HORIZON = 320  # control steps
 PUBLISHED_HORIZON = 240  # control steps
 BLOCKS = (7, 10)  # least and most in CountPlus
 NO_SCORE_FRACTION = 0.5  # of blocks correctly clustered; the score is 0 up to here
 PUBLISHED_NO_SCORE_FRACTION = 0.75
-
-Attribute = Callable[[Block], str]
-Distances = NDArray[np.float64]  # (number of blocks,) squared units
 
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
@@ -46,13 +43,15 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
 
 def score(scene: Scene, poses: Poses, attribute: Attribute) -> float:
     """The appendix's score, 0 to 1 (appendix A.2.7)."""
-    own, other = centroid_distances(scene, poses, attribute)
+    values = [value_of(block, attribute) for block in scene.blocks]
+    own, other = centroid_distances(values, positions(scene, poses))
     return _above(float(np.mean(own < other / 3)), NO_SCORE_FRACTION)
 
 
 def published_score(scene: Scene, poses: Poses, attribute: Attribute) -> float:
     """The published code's score, 0 to 1 (docs/specification.md, section 9)."""
-    own, other = centroid_distances(scene, poses, attribute)
+    values = [value_of(block, attribute) for block in scene.blocks]
+    own, other = centroid_distances(values, positions(scene, poses))
     clustered = np.sqrt(own) < np.sqrt(other) - 2 * own
     return _above(float(np.mean(clustered)), PUBLISHED_NO_SCORE_FRACTION)
 
@@ -61,46 +60,26 @@ def _above(fraction: float, least: float) -> float:
     return max(0.0, fraction - least) / (1.0 - least)
 
 
-def centroid_distances(
-    scene: Scene, poses: Poses, attribute: Attribute
-) -> tuple[Distances, Distances]:
-    """Squared distances to centroids.
-
-    Returns:
-        Two arrays (blocks,) in squared units: each block's squared distance to the centroid of its
-        own value, and to the nearest centroid of another value.
-    """
-    values = [attribute(block) for block in scene.blocks]
-    present = sorted(set(values))
-    centres = np.array(positions(scene, poses))  # (blocks, 2)
-    member = np.array([[value == a for a in present] for value in values])  # (blocks, values)
-    centroids = (member.T @ centres) / member.sum(axis=0)[:, None]  # (values, 2)
-    squared = np.square(centres[:, None] - centroids).sum(axis=2)  # (blocks, values)
-    own = np.where(member, squared, np.inf).min(axis=1)
-    other = np.where(member, np.inf, squared).min(axis=1)
-    return own, other
-
-
 def validate(scene: Scene, attribute: Attribute, expected: Sequence[str]) -> str:
     """The reason why the scene does not fit the task, or an empty string."""
-    missing = [value for value in expected if value not in map(attribute, scene.blocks)]
+    values = {value_of(block, attribute) for block in scene.blocks}
+    missing = [value for value in expected if value not in values]
     return f"expected at least one {' and one '.join(missing)} block, found none" if missing else ""
 
 
-def make_task(
-    what: str, demo: Scene, attribute: Attribute, values: Sequence[str], score_fn: ScoreFn
-) -> Task:
-    """The task that clusters blocks by `what`, an attribute with these values."""
+def make_task(attribute: Attribute, demo: Scene, values: Sequence[str]) -> Task:
+    """The task that clusters blocks by an attribute with these values."""
     return Task(
-        name=f"Cluster{what.capitalize()}",
-        summary=f"Push the blocks into clusters of the same {what}.",
+        name=f"Cluster{attribute.capitalize()}",
+        summary=f"Push the blocks into clusters of the same {attribute}.",
         section="A.2.7",
         horizon=HORIZON,
         published_horizon=PUBLISHED_HORIZON,
         demo=demo,
         axes=EVERYTHING,
         randomise_fn=randomise,
-        score_fn=score_fn,
+        program=Clustered(attribute),
+        score_fn=partial(score, attribute=attribute),
         published_score_fn=partial(published_score, attribute=attribute),
         max_blocks=BLOCKS[1],
         max_regions=0,

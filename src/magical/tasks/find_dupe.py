@@ -29,6 +29,18 @@ from magical.scene import Block, Colour, Pose, Poses, Region, Scene, Shape
 from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count
 from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.placement import Placement
+from magical.tasks.programs import (
+    And,
+    Attribute,
+    Enclosed,
+    Every,
+    InRegion,
+    LikeEnclosed,
+    OneOf,
+    Only,
+    Outside,
+    Together,
+)
 from magical.tasks.scoring import blocks_inside
 from magical.tasks.task import Task
 
@@ -47,6 +59,11 @@ DEMO = Scene(
         Block(Shape.PENTAGON, Colour.YELLOW, Pose(-0.33, -0.49, -0.51)),
     ),
     regions=(Region(Colour.YELLOW, x=-0.72, y=-0.22, height=0.67, width=0.72),),
+)
+
+PROGRAM = Together(
+    OneOf(And(Outside(), LikeEnclosed(Attribute.KIND)), InRegion()),
+    Together(Every(Enclosed(), InRegion()), Only(LikeEnclosed(Attribute.KIND))),
 )
 
 
@@ -108,6 +125,7 @@ TASK = Task(
     axes=EVERYTHING,
     randomise_fn=randomise,
     placement=Placement(enclosed=query_in_region, margin=MARGIN),
+    program=PROGRAM,
     score_fn=score,
     published_score_fn=published_score,
     max_blocks=OTHERS[1] + 2,

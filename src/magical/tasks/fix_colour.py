@@ -26,6 +26,7 @@ from magical.scene import COLOURS, Block, Colour, Pose, Poses, Region, Scene, Sh
 from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count, sample_item
 from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.placement import Placement
+from magical.tasks.programs import Every, Matched, Mismatched, OutOfRegions, Together, Undisturbed
 from magical.tasks.scoring import blocks_inside
 from magical.tasks.task import Task
 
@@ -107,6 +108,7 @@ TASK = Task(
     axes=EVERYTHING,
     randomise_fn=randomise,
     placement=Placement(region_size=REGION_SIZE, enclosed=own_region, margin=MARGIN),
+    program=Together(Every(Mismatched(), OutOfRegions()), Undisturbed(Matched())),
     score_fn=score,
     max_blocks=PAIRS[1],
     max_regions=PAIRS[1],

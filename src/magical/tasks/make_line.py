@@ -16,21 +16,17 @@ Variants: all.
 - Dynamics: forces only. All: CountPlus and Dynamics.
 """
 
-import math
-from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations, pairwise
 
 import numpy as np
 
 from magical.scene import Block, Colour, Pose, Poses, Scene, Shape
 from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count
 from magical.tasks.axes import EVERYTHING, Axis
-from magical.tasks.scoring import Point, positions
+from magical.tasks.programs import AllBlocks, Lined
+from magical.tasks.scoring import longest_line, positions
 from magical.tasks.task import Task
 
-INLIER_DISTANCE = 0.18  # units from the line, d_i
-NEIGHBOUR_DISTANCE = 0.42  # units along the line, d_c
 BLOCKS = (3, 4)  # least and most in CountPlus
 PUBLISHED_SHORTEST = 3  # blocks: shorter lines count for nothing in the published code
 
@@ -69,25 +65,6 @@ def published_score(scene: Scene, poses: Poses) -> float:
     return {0: 1.0, 1: 0.5}.get(len(blocks) - longest, 0.0)
 
 
-def longest_line(blocks: Sequence[Point]) -> int:
-    """The number of blocks in the largest line through any pair."""
-    lines = (line_through(a, b, blocks) for a, b in combinations(blocks, 2) if a != b)
-    return max(lines, default=1)
-
-
-def line_through(a: Point, b: Point, blocks: Sequence[Point]) -> int:
-    """The number of blocks in the largest line through two different points."""
-    length = math.dist(a, b)
-    ux, uy = (b[0] - a[0]) / length, (b[1] - a[1]) / length
-    offsets = [(x - a[0], y - a[1]) for x, y in blocks]
-    along = sorted(ux * x + uy * y for x, y in offsets if abs(ux * y - uy * x) <= INLIER_DISTANCE)
-    longest = current = 1
-    for previous, following in pairwise(along):
-        current = current + 1 if following - previous <= NEIGHBOUR_DISTANCE else 1
-        longest = max(longest, current)
-    return longest
-
-
 def validate(scene: Scene) -> str:
     """The reason why the scene does not fit the task, or an empty string."""
     return "" if len(scene.blocks) > 1 else "expected at least 2 blocks, found fewer; add blocks"
@@ -101,6 +78,7 @@ TASK = Task(
     demo=DEMO,
     axes=EVERYTHING,
     randomise_fn=randomise,
+    program=Lined(AllBlocks()),
     score_fn=score,
     published_score_fn=published_score,
     max_blocks=BLOCKS[1],

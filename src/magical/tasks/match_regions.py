@@ -25,6 +25,7 @@ import numpy as np
 from magical.scene import COLOURS, Block, Colour, Pose, Poses, Region, Scene, Shape
 from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count, sample_item
 from magical.tasks.axes import EVERYTHING, Axis
+from magical.tasks.programs import Exactly, OfRegionColour
 from magical.tasks.scoring import blocks_inside
 from magical.tasks.task import Task
 
@@ -97,6 +98,7 @@ TASK = Task(
     demo=DEMO,
     axes=EVERYTHING,
     randomise_fn=randomise,
+    program=Exactly(OfRegionColour()),
     score_fn=score,
     max_blocks=TARGETS[1] + DISTRACTORS[1] * (len(COLOURS) - 1),
     max_regions=1,

@@ -18,9 +18,10 @@ from dataclasses import replace
 import numpy as np
 
 from magical.scene import Block, Colour, Pose, Poses, Scene, Shape
-from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS, WORKSPACE_HALF
+from magical.scene.constants import WORKSPACE_HALF
 from magical.tasks.attributes import sample_attributes
 from magical.tasks.axes import Axis
+from magical.tasks.programs import AllBlocks, Corner, Each, InCorner
 from magical.tasks.scoring import positions
 from magical.tasks.task import Task
 
@@ -46,16 +47,6 @@ def score(scene: Scene, poses: Poses) -> float:
     return min(max((NO_SCORE - math.dist(block, GOAL)) / (NO_SCORE - FULL_SCORE), 0.0), 1.0)
 
 
-def progress(scene: Scene, poses: Poses) -> float:
-    """For the dense reward: how near (units) the block is to the corner, the robot to the block.
-
-    The robot's part counts half, and nothing once it touches the block.
-    """
-    (block,) = positions(scene, poses)
-    apart = math.dist(poses.robot[:2], block) - ROBOT_RADIUS - BLOCK_SIZE
-    return -math.dist(block, GOAL) - max(apart, 0.0) / 2
-
-
 def validate(scene: Scene) -> str:
     """The reason why the scene does not fit the task, or an empty string."""
     return "" if len(scene.blocks) == 1 else f"expected 1 block, found {len(scene.blocks)}"
@@ -69,10 +60,10 @@ TASK = Task(
     demo=DEMO,
     axes=Axis.JITTER | Axis.COLOUR | Axis.SHAPE | Axis.DYNAMICS,
     randomise_fn=randomise,
+    program=Each(AllBlocks(), InCorner(Corner.TOP_LEFT)),
     score_fn=score,
     max_blocks=1,
     max_regions=0,
     mirror_symmetric=False,
-    progress_fn=progress,
     validate_fn=validate,
 )

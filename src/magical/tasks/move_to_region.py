@@ -11,7 +11,6 @@ Variants: all but Shape and CountPlus, as there are no blocks.
 - Dynamics: forces only. All: Layout, Colour and Dynamics.
 """
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +18,7 @@ import numpy as np
 from magical.scene import COLOURS, Colour, Pose, Poses, Region, Scene
 from magical.tasks.attributes import sample_item
 from magical.tasks.axes import Axis
+from magical.tasks.programs import RobotInside
 from magical.tasks.task import Task
 
 DEMO = Scene(
@@ -39,11 +39,6 @@ def score(scene: Scene, poses: Poses) -> float:
     return float(scene.regions[0].contains(poses.robot.x, poses.robot.y))
 
 
-def progress(scene: Scene, poses: Poses) -> float:
-    """Minus the distance (units) from the robot to the region's centre, for the dense reward."""
-    return -math.dist(poses.robot[:2], scene.regions[0].centre)
-
-
 def validate(scene: Scene) -> str:
     """The reason why the scene does not fit the task, or an empty string."""
     return "" if len(scene.regions) == 1 else "expected 1 goal region, found none"
@@ -57,9 +52,9 @@ TASK = Task(
     demo=DEMO,
     axes=Axis.JITTER | Axis.LAYOUT | Axis.COLOUR | Axis.DYNAMICS,
     randomise_fn=randomise,
+    program=RobotInside(),
     score_fn=score,
     max_blocks=0,
     max_regions=1,
-    progress_fn=progress,
     validate_fn=validate,
 )

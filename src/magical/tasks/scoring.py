@@ -1,9 +1,20 @@
-"""Positions of blocks, and blocks inside a goal region, for the scoring rules."""
+"""What the scoring rules measure: blocks in regions, in lines, near centroids."""
+
+import math
+from collections.abc import Sequence
+from itertools import combinations, pairwise
+
+import numpy as np
+from numpy.typing import NDArray
 
 from magical.errors import InvalidSceneError
 from magical.scene import Poses, Region, Scene
 
+INLIER_DISTANCE = 0.18  # units from a line, d_i (appendix A.2.4)
+NEIGHBOUR_DISTANCE = 0.42  # units along a line, d_c (appendix A.2.4)
+
 Point = tuple[float, float]
+Distances = NDArray[np.float64]  # (number of blocks,) squared units
 
 
 def positions(scene: Scene, poses: Poses) -> list[Point]:
@@ -23,3 +34,45 @@ def positions(scene: Scene, poses: Poses) -> list[Point]:
 def blocks_inside(region: Region, scene: Scene, poses: Poses) -> set[int]:
     """Indices of the blocks whose centres lie in the region."""
     return {i for i, xy in enumerate(positions(scene, poses)) if region.contains(*xy)}
+
+
+def longest_line(blocks: Sequence[Point]) -> int:
+    """The number of blocks in the largest line through any pair (appendix A.2.4)."""
+    lines = (line_through(a, b, blocks) for a, b in combinations(blocks, 2) if a != b)
+    return max(lines, default=1)
+
+
+def line_through(a: Point, b: Point, blocks: Sequence[Point]) -> int:
+    """The number of blocks in the largest line through two different points."""
+    length = math.dist(a, b)
+    ux, uy = (b[0] - a[0]) / length, (b[1] - a[1]) / length
+    offsets = [(x - a[0], y - a[1]) for x, y in blocks]
+    along = sorted(ux * x + uy * y for x, y in offsets if abs(ux * y - uy * x) <= INLIER_DISTANCE)
+    longest = current = 1
+    for previous, following in pairwise(along):
+        current = current + 1 if following - previous <= NEIGHBOUR_DISTANCE else 1
+        longest = max(longest, current)
+    return longest
+
+
+def centroid_distances(
+    values: Sequence[str], points: Sequence[Point]
+) -> tuple[Distances, Distances]:
+    """Squared distances to centroids.
+
+    Args:
+        values: of each block's attribute.
+        points: the blocks' centres, in units.
+
+    Returns:
+        Two arrays (blocks,) in squared units: each block's squared distance to the centroid of its
+        own value, and to the nearest centroid of another value.
+    """
+    present = sorted(set(values))
+    centres = np.array(points)  # (blocks, 2)
+    member = np.array([[value == a for a in present] for value in values])  # (blocks, values)
+    centroids = (member.T @ centres) / member.sum(axis=0)[:, None]  # (values, 2)
+    squared = np.square(centres[:, None] - centroids).sum(axis=2)  # (blocks, values)
+    own = np.where(member, squared, np.inf).min(axis=1)
+    other = np.where(member, np.inf, squared).min(axis=1)
+    return own, other

@@ -11,6 +11,7 @@ from magical.errors import InvalidSceneError, InvalidTaskError, UnknownNameError
 from magical.scene import Dynamics, Poses, Scene
 from magical.tasks.axes import TEST_ALL, VARIANTS, Axis
 from magical.tasks.placement import Placement, sample_placement
+from magical.tasks.programs import Goal
 from magical.tasks.validation import validate_scene
 
 RandomiseFn = Callable[[Scene, Axis, np.random.Generator], Scene]
@@ -46,7 +47,7 @@ class Task:
     max_blocks: int  # over all variants
     max_regions: int  # over all variants
     mirror_symmetric: bool = True  # whether mirror images of its scenes are scenes of the task
-    progress_fn: ScoreFn | None = None  # the dense reward is its increase; None: no dense reward
+    program: Goal | None = None  # what the task asks for, in the language of goals
     validate_fn: ValidateFn = _accept  # the reason why a scene does not fit, or ""
 
     def __post_init__(self) -> None:

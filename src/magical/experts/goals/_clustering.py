@@ -7,7 +7,6 @@ around enclosed blocks.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,7 +25,7 @@ from magical.experts.goals._moves import DISTANCE_COST, MOVE_COST, place_costs
 from magical.experts.grasp import make_mutual_grasps
 from magical.experts.planning import Move, MovePlan, Planner, Strategy
 from magical.experts.state_view import StateView
-from magical.scene import Block
+from magical.tasks.programs import Attribute, value_of
 
 # When blocks count as clustered, and which anchors are considered.
 PLANNED_RATIO = 0.22  # of squared centroid distances that a plan aims at; tuned
@@ -68,9 +67,9 @@ class ClusterLayout:
     members: Floats  # (n, groups) 1 where the block is in the group
 
     @staticmethod
-    def from_view(view: StateView, attribute: Callable[[Block], str]) -> "ClusterLayout":
+    def from_view(view: StateView, attribute: Attribute) -> "ClusterLayout":
         """The present blocks, grouped by an attribute."""
-        values = [attribute(block) for block in view.scene.blocks]
+        values = [value_of(block, attribute) for block in view.scene.blocks]
         _, group = np.unique(values, return_inverse=True)
         positions = np.array(view.resting_blocks)
         return ClusterLayout(positions, group, np.eye(group.max() + 1)[group])
@@ -99,7 +98,7 @@ class ClusterLayout:
         return self.groups < 2 or bool(ratios.max() < limit)
 
 
-def cluster_planner(attribute: Callable[[Block], str]) -> Planner:
+def cluster_planner(attribute: Attribute) -> Planner:
     """The planner of a task that clusters blocks by an attribute."""
 
     def plan(view: StateView, strategy: Strategy, last: MovePlan) -> MovePlan:

@@ -16,7 +16,7 @@ from magical.experts.goals._moves import DISTANCE_COST, MOVE_COST
 from magical.experts.planning import Move, MovePlan, Planner, Strategy
 from magical.experts.state_view import StateView
 from magical.scene.geometry import Point
-from magical.tasks.make_line import INLIER_DISTANCE, NEIGHBOUR_DISTANCE
+from magical.tasks.scoring import INLIER_DISTANCE, NEIGHBOUR_DISTANCE
 
 Places = tuple[Point, ...]  # one for each block
 

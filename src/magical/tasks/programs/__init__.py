@@ -1,0 +1,111 @@
+"""The language of goals: what a task asks for, as typed expressions over what a scene has.
+
+Selections say which blocks of the initial scene are meant, places where they are to be, goals how a
+final state is scored. A program is one goal, for instance
+
+    Together(Each(MostCommon('shape'), AtWall('left')), Only(Enclosed()))
+
+The language's page in the documentation has all expressions and examples.
+"""
+
+from magical.tasks.programs.expressions import Attribute, Corner, Expression, Landmark, Wall
+from magical.tasks.programs.goals import (
+    SUCCESS,
+    Clustered,
+    Each,
+    Every,
+    Exactly,
+    Goal,
+    Lined,
+    OneOf,
+    Only,
+    RobotInside,
+    Together,
+    Undisturbed,
+    instruction,
+    is_success,
+    progress,
+)
+from magical.tasks.programs.parsing import VOCABULARY, parse
+from magical.tasks.programs.places import (
+    AtWall,
+    Beside,
+    InCorner,
+    InOwnColour,
+    InRegion,
+    OutOfRegions,
+    Place,
+)
+from magical.tasks.programs.selections import (
+    AllBlocks,
+    AllBut,
+    And,
+    Enclosed,
+    Farthest,
+    LikeEnclosed,
+    Matched,
+    Mismatched,
+    MostCommon,
+    Nearest,
+    OddOneOut,
+    OfRegionColour,
+    Or,
+    Outside,
+    Selection,
+    WithColour,
+    WithShape,
+    value_of,
+)
+from magical.tasks.programs.validity import problem, validate
+
+__all__ = [
+    "SUCCESS",
+    "VOCABULARY",
+    "AllBlocks",
+    "AllBut",
+    "And",
+    "AtWall",
+    "Attribute",
+    "Beside",
+    "Clustered",
+    "Corner",
+    "Each",
+    "Enclosed",
+    "Every",
+    "Exactly",
+    "Expression",
+    "Farthest",
+    "Goal",
+    "InCorner",
+    "InOwnColour",
+    "InRegion",
+    "Landmark",
+    "LikeEnclosed",
+    "Lined",
+    "Matched",
+    "Mismatched",
+    "MostCommon",
+    "Nearest",
+    "OddOneOut",
+    "OfRegionColour",
+    "OneOf",
+    "Only",
+    "Or",
+    "OutOfRegions",
+    "Outside",
+    "Place",
+    "RobotInside",
+    "Selection",
+    "Together",
+    "Undisturbed",
+    "Wall",
+    "WithColour",
+    "WithShape",
+    "instruction",
+    "is_success",
+    "parse",
+    "problem",
+    "progress",
+    "validate",
+    "value_of",
+]

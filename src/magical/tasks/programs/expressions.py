@@ -1,0 +1,111 @@
+"""What all expressions of the goal language have in common: types, text, length.
+
+An expression is a frozen dataclass. Its fields are expressions, or words such as a colour; they
+are checked when it is made. Its `repr` is its text, which `magical.tasks.programs.parse` reads.
+"""
+
+import typing
+from collections.abc import Iterator, Mapping
+from dataclasses import fields
+from enum import StrEnum
+from functools import cache
+from typing import Any
+
+from magical.errors import InvalidProgramError, UnknownNameError
+from magical.messages import quoted
+from magical.scene.vocabulary import parse_word
+
+
+class Attribute(StrEnum):
+    """What blocks may have in common."""
+
+    COLOUR = "colour"
+    SHAPE = "shape"
+    KIND = "kind"  # colour and shape
+
+
+class Corner(StrEnum):
+    """A corner of the workspace."""
+
+    TOP_LEFT = "top left"
+    TOP_RIGHT = "top right"
+    BOTTOM_LEFT = "bottom left"
+    BOTTOM_RIGHT = "bottom right"
+
+
+class Wall(StrEnum):
+    """A wall of the workspace."""
+
+    LEFT = "left"
+    RIGHT = "right"
+    TOP = "top"
+    BOTTOM = "bottom"
+
+
+class Landmark(StrEnum):
+    """What a block can be near to or far from."""
+
+    REGION = "region"  # the nearest one
+    ROBOT = "robot"  # where it starts
+    CENTRE = "centre"  # of the workspace
+
+
+class Expression:
+    """A typed expression.
+
+    Raises:
+        InvalidProgramError: a field of another type; the message names expression and field.
+    """
+
+    def __post_init__(self) -> None:
+        for name, kind in self._fields.items():
+            value = getattr(self, name)
+            if issubclass(kind, StrEnum):
+                object.__setattr__(self, name, self._word(name, kind, value))
+            elif not isinstance(value, kind):
+                raise InvalidProgramError(
+                    f"{type(self).__name__}, {name}: expected a {kind.__name__.lower()}, found "
+                    f"{quoted(value)}"
+                )
+
+    @property
+    def _fields(self) -> Mapping[str, type]:
+        kind: Any = type(self)  # mypy: no class with a hash of its own counts as hashable
+        return _types(kind)
+
+    def _word(self, name: str, kind: type[StrEnum], value: Any) -> StrEnum:
+        try:
+            return parse_word(kind, value)
+        except UnknownNameError as error:
+            raise InvalidProgramError(f"{type(self).__name__}, {name}: {error}") from error
+
+    def __repr__(self) -> str:
+        values = (getattr(self, name) for name in self._fields)
+        texts = (repr(str(v)) if isinstance(v, StrEnum) else repr(v) for v in values)
+        return f"{type(self).__name__}({', '.join(texts)})"
+
+    @property
+    def parts(self) -> Iterator["Expression"]:
+        """The expression and all within it."""
+        yield self
+        for name in self._fields:
+            value = getattr(self, name)
+            if isinstance(value, Expression):
+                yield from value.parts
+
+    @property
+    def length(self) -> int:
+        """How many expressions and words it is made of: what makes a program simple."""
+        return sum(1 + part.words for part in self.parts)
+
+    @property
+    def words(self) -> int:
+        """How many of its own fields are words."""
+        return sum(issubclass(kind, StrEnum) for kind in self._fields.values())
+
+
+@cache
+def _types(kind: Any) -> Mapping[str, type]:
+    """The fields of a class of expressions, with their types."""
+    hints = typing.get_type_hints(kind)
+    return {field.name: hints[field.name] for field in fields(kind)}

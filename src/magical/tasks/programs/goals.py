@@ -1,0 +1,364 @@
+"""Goals: what a final state is scored by, in the appendix's manner.
+
+Every goal gives a score from 0 to 1, the units that blocks have still to go, and an English
+instruction. Goals are combined by `Together`, whose score is the product.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations, pairwise
+
+import numpy as np
+
+from magical.scene import Poses, Scene
+from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
+from magical.tasks.programs.expressions import Attribute, Expression
+from magical.tasks.programs.places import InRegion, Place, depth_inside
+from magical.tasks.programs.selections import AllBlocks, Blocks, Selection, value_of
+from magical.tasks.programs.wording import Style, describe, name_regions, stay
+from magical.tasks.scoring import (
+    INLIER_DISTANCE,
+    NEIGHBOUR_DISTANCE,
+    Distances,
+    Point,
+    centroid_distances,
+    longest_line,
+    positions,
+)
+
+SUCCESS = 0.5  # a final state is a success above this score: where every graded rule is past half
+CLUSTER_NO_SCORE = 0.5  # fraction of blocks clustered up to which the score is 0 (appendix A.2.7)
+UNFINISHED = 1.5  # what every block that must move costs in `progress`, in units
+APPROACH = 0.5  # weight in `progress` of the robot's way to the nearest of them
+MOVE = ("Push", "Move", "Bring")  # one a paraphrase
+KEEP = ("Keep", "Leave", "Hold")
+ROBOT = None  # in place of a block's index
+
+Remaining = Mapping[int | None, float]  # block or `ROBOT` -> units that it has still to go
+
+
+@dataclass(frozen=True, repr=False)
+class Goal(Expression):
+    """What is to be so at the end of an episode."""
+
+    def score(self, scene: Scene, poses: Poses) -> float:
+        """The score, 0 to 1, of final poses in an episode that started from `scene`."""
+        raise NotImplementedError
+
+    def remaining(self, scene: Scene, poses: Poses) -> Remaining:
+        """The blocks that must still move, each with the units that it has to go."""
+        raise NotImplementedError
+
+    def moved(self, scene: Scene) -> Blocks:
+        """The blocks that the goal is about."""
+        raise NotImplementedError
+
+    def sentence(self, scene: Scene, style: Style) -> str:
+        """The goal as an English sentence; see `instruction`."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, repr=False)
+class _Placed(Goal):
+    """Blocks of a selection at a place."""
+
+    selection: Selection
+    place: Place
+
+    def moved(self, scene: Scene) -> Blocks:
+        return self.selection.blocks(scene)
+
+    def degrees(self, scene: Scene, poses: Poses) -> list[float]:
+        """How well each selected block is placed, 0 to 1."""
+        points = positions(scene, poses)
+        chosen = sorted(self.selection.blocks(scene))
+        return [self.place.degree(scene, block, points) for block in chosen]
+
+    def remaining(self, scene: Scene, poses: Poses) -> Remaining:
+        points = positions(scene, poses)
+        chosen = self.selection.blocks(scene)
+        ways = {block: self.place.remaining(scene, block, points) for block in chosen}
+        return {block: way for block, way in ways.items() if way > 0.0}
+
+    def sentence(self, scene: Scene, style: Style) -> str:
+        what = describe(self.selection, scene, style)
+        if not self.remaining(scene, Poses.at_rest(scene)):
+            return f"{style.of(KEEP)} {what} {stay(what, self.moved(scene))}."
+        return f"{style.of(MOVE)} {what} {self.place.phrase(scene, style)}."
+
+
+@dataclass(frozen=True, repr=False)
+class Each(_Placed):
+    """Each selected block counts: the score is the mean of how well they are placed."""
+
+    def score(self, scene: Scene, poses: Poses) -> float:
+        degrees = self.degrees(scene, poses)
+        return sum(degrees) / len(degrees) if degrees else 0.0
+
+
+@dataclass(frozen=True, repr=False)
+class Every(_Placed):
+    """All selected blocks or nothing: 1 if all are there, otherwise 0."""
+
+    def score(self, scene: Scene, poses: Poses) -> float:
+        degrees = self.degrees(scene, poses)
+        return float(bool(degrees) and min(degrees) >= 1.0)
+
+
+@dataclass(frozen=True, repr=False)
+class OneOf(_Placed):
+    """Any one of the selected blocks: 1 if at least one is there, otherwise 0."""
+
+    def score(self, scene: Scene, poses: Poses) -> float:
+        return float(max(self.degrees(scene, poses), default=0.0) >= 1.0)
+
+    def remaining(self, scene: Scene, poses: Poses) -> Remaining:
+        if self.score(scene, poses) == 1.0:
+            return {}
+        ways = super().remaining(scene, poses)
+        return dict([min(ways.items(), key=lambda item: item[1])]) if ways else {}
+
+    def sentence(self, scene: Scene, style: Style) -> str:
+        chosen = self.selection.blocks(scene)
+        if len(chosen) == 1 and style.attributes:
+            return super().sentence(scene, style)
+        kinds = {value_of(scene.blocks[i], Attribute.KIND) for i in chosen}
+        what = self.selection.phrase.replace("every block", "a block")
+        if style.attributes and len(kinds) == 1:
+            what = f"one {kinds.pop()}"
+        return f"{style.of(MOVE)} {what} {self.place.phrase(scene, style)}."
+
+
+@dataclass(frozen=True, repr=False)
+class Only(Goal):
+    """No others in the regions: 1 less the share of other blocks among those in regions."""
+
+    selection: Selection
+
+    def score(self, scene: Scene, poses: Poses) -> float:
+        points, chosen = positions(scene, poses), self.selection.blocks(scene)
+        inside = {i for i in range(len(points)) if InRegion().degree(scene, i, points)}
+        return 1.0 - len(inside - chosen) / len(inside) if inside else 1.0
+
+    def remaining(self, scene: Scene, poses: Poses) -> Remaining:
+        points = positions(scene, poses)
+        others = AllBlocks().blocks(scene) - self.selection.blocks(scene)
+        ways = {block: depth_inside(scene, points[block]) for block in others}
+        return {block: way for block, way in ways.items() if way > 0.0}
+
+    def moved(self, scene: Scene) -> Blocks:
+        return frozenset()
+
+    def sentence(self, scene: Scene, style: Style) -> str:
+        place = name_regions(scene, style, "any")
+        return f"{style.of(KEEP)} all other blocks out of {place}."
+
+
+@dataclass(frozen=True, repr=False)
+class Exactly(Goal):
+    """All of a selection and no others in the regions: the product of `Each` and `Only`."""
+
+    selection: Selection
+
+    def score(self, scene: Scene, poses: Poses) -> float:
+        each = Each(self.selection, InRegion()).score(scene, poses)
+        return each * Only(self.selection).score(scene, poses)
+
+    def remaining(self, scene: Scene, poses: Poses) -> Remaining:
+        each = Each(self.selection, InRegion()).remaining(scene, poses)
+        return {**each, **Only(self.selection).remaining(scene, poses)}
+
+    def moved(self, scene: Scene) -> Blocks:
+        return self.selection.blocks(scene)
+
+    def sentence(self, scene: Scene, style: Style) -> str:
+        each = Each(self.selection, InRegion()).sentence(scene, style)
+        return f"{each} {Only(self.selection).sentence(scene, style)}"
+
+
+@dataclass(frozen=True, repr=False)
+class Undisturbed(Goal):
+    """Every region in which a selected block starts has the same blocks at the end: 1, else 0."""
+
+    selection: Selection
+
+    def score(self, scene: Scene, poses: Poses) -> float:
+        return float(all(before == after for before, after in self._contents(scene, poses)))
+
+    def remaining(self, scene: Scene, poses: Poses) -> Remaining:
+        contents = self._contents(scene, poses)
+        left = {block for before, after in contents for block in before - after}
+        came = {block for before, after in contents for block in after - before}
+        points = positions(scene, poses)
+        ways: dict[int | None, float] = {i: InRegion().remaining(scene, i, points) for i in left}
+        return {**ways, **{i: depth_inside(scene, points[i]) for i in came}}
+
+    def moved(self, scene: Scene) -> Blocks:
+        return frozenset()
+
+    def sentence(self, scene: Scene, style: Style) -> str:
+        what = describe(self.selection, scene, style)
+        return f"{style.of(KEEP)} {what} {stay(what, self.selection.blocks(scene))}."
+
+    def _contents(self, scene: Scene, poses: Poses) -> list[tuple[set[int], set[int]]]:
+        """The blocks at the start and now in each region that the goal is about."""
+        chosen, points = self.selection.blocks(scene), positions(scene, poses)
+        starts = [block.pose[:2] for block in scene.blocks]
+        both = [
+            [{i for i, xy in enumerate(at) if region.contains(*xy)} for at in (starts, points)]
+            for region in scene.regions
+        ]
+        return [(before, after) for before, after in both if before & chosen]
+
+
+@dataclass(frozen=True, repr=False)
+class Lined(Goal):
+    """Selected blocks in one line: 1, for all but one 0.5, otherwise 0 (appendix A.2.4)."""
+
+    selection: Selection
+
+    def score(self, scene: Scene, poses: Poses) -> float:
+        points = self._points(scene, poses)
+        missing = len(points) - longest_line(points)
+        return {0: 1.0, 1: 0.5}.get(missing, 0.0) if len(points) > 1 else 0.0
+
+    def remaining(self, scene: Scene, poses: Poses) -> Remaining:
+        points, chosen = self._points(scene, poses), sorted(self.selection.blocks(scene))
+        ways = min(
+            (_ways_to_line(i, j, points) for i, j in combinations(range(len(points)), 2)),
+            key=sum,
+            default=[],
+        )
+        return {block: way for block, way in zip(chosen, ways, strict=True) if way > 0.0}
+
+    def moved(self, scene: Scene) -> Blocks:
+        return self.selection.blocks(scene)
+
+    def sentence(self, scene: Scene, style: Style) -> str:
+        verb = style.of(("Arrange", "Put", "Place"))
+        return f"{verb} {describe(self.selection, scene, style)} in a line."
+
+    def _points(self, scene: Scene, poses: Poses) -> list[Point]:
+        points = positions(scene, poses)
+        return [points[i] for i in sorted(self.selection.blocks(scene))]
+
+
+@dataclass(frozen=True, repr=False)
+class Clustered(Goal):
+    """All blocks in clusters by an attribute, as in ClusterColour (appendix A.2.7)."""
+
+    attribute: Attribute
+
+    def score(self, scene: Scene, poses: Poses) -> float:
+        own, other = self._distances(scene, poses)
+        fraction = float(np.mean(own < other / 3))
+        return max(0.0, fraction - CLUSTER_NO_SCORE) / (1.0 - CLUSTER_NO_SCORE)
+
+    def remaining(self, scene: Scene, poses: Poses) -> Remaining:
+        own, other = self._distances(scene, poses)
+        ways = np.sqrt(own) - np.sqrt(other / 3)
+        return {i: way for i, way in enumerate(ways.tolist()) if way >= 0.0}
+
+    def moved(self, scene: Scene) -> Blocks:
+        return AllBlocks().blocks(scene)
+
+    def sentence(self, scene: Scene, style: Style) -> str:
+        verb = style.of(("Push", "Move", "Sort"))
+        what = "colour and shape" if self.attribute == Attribute.KIND else self.attribute
+        return f"{verb} the blocks into clusters of the same {what}."
+
+    def _distances(self, scene: Scene, poses: Poses) -> tuple[Distances, Distances]:
+        values = [value_of(block, self.attribute) for block in scene.blocks]
+        return centroid_distances(values, positions(scene, poses))
+
+
+@dataclass(frozen=True, repr=False)
+class RobotInside(Goal):
+    """The robot's centre inside a region: 1, otherwise 0 (appendix A.2.2)."""
+
+    def score(self, scene: Scene, poses: Poses) -> float:
+        x, y, _ = poses.robot
+        return float(any(region.contains(x, y) for region in scene.regions))
+
+    def remaining(self, scene: Scene, poses: Poses) -> Remaining:
+        way = InRegion().remaining(scene, 0, [poses.robot[:2]])
+        return {ROBOT: way} if way > 0.0 else {}
+
+    def moved(self, scene: Scene) -> Blocks:
+        return frozenset()
+
+    def sentence(self, scene: Scene, style: Style) -> str:
+        verb = style.of(("Drive", "Go", "Move"))
+        return f"{verb} {InRegion().phrase(scene, style)}."
+
+
+@dataclass(frozen=True, repr=False)
+class Together(Goal):
+    """Both goals: the product of their scores."""
+
+    first: Goal
+    second: Goal
+
+    def score(self, scene: Scene, poses: Poses) -> float:
+        return self.first.score(scene, poses) * self.second.score(scene, poses)
+
+    def remaining(self, scene: Scene, poses: Poses) -> Remaining:
+        return {**self.first.remaining(scene, poses), **self.second.remaining(scene, poses)}
+
+    def moved(self, scene: Scene) -> Blocks:
+        return self.first.moved(scene) | self.second.moved(scene)
+
+    def sentence(self, scene: Scene, style: Style) -> str:
+        first, second = (goal.sentence(scene, style) for goal in (self.first, self.second))
+        return f"{first} {second}"
+
+
+def _ways_to_line(i: int, j: int, points: list[Point]) -> list[float]:
+    """Units that each block has to go for a line through blocks i and j."""
+    (x, y), length = points[i], math.dist(points[i], points[j]) or 1.0
+    ux, uy = (points[j][0] - x) / length, (points[j][1] - y) / length
+    ways = [max(0.0, abs(ux * (py - y) - uy * (px - x)) - INLIER_DISTANCE) for px, py in points]
+    order = sorted(range(len(points)), key=lambda k: ux * points[k][0] + uy * points[k][1])
+    for a, b in pairwise(order):
+        gap = ux * (points[b][0] - points[a][0]) + uy * (points[b][1] - points[a][1])
+        ways[b] += max(0.0, gap - NEIGHBOUR_DISTANCE)
+    return ways
+
+
+def is_success(score: float) -> bool:
+    """Whether a score is a success (`SUCCESS`); the score itself stays the measure."""
+    return score > SUCCESS
+
+
+def instruction(goal: Goal, scene: Scene, *, paraphrase: int = 0, attributes: bool = True) -> str:
+    """A goal in a scene as an English instruction.
+
+    Args:
+        goal: what is to be done.
+        scene: the initial scene.
+        paraphrase: which wording; there are `len(MOVE)`, beyond which they repeat.
+        attributes: whether blocks and regions are named by their colours and shapes, as in "Push
+            the yellow pentagon that is outside into the yellow region."; otherwise only by what the
+            task is about, as in "Push a block that is outside and looks like one inside ...".
+    """
+    return goal.sentence(scene, Style(paraphrase, attributes))
+
+
+def progress(goal: Goal, scene: Scene, poses: Poses) -> float:
+    """The potential whose increase is the dense reward, in units.
+
+    With d_i the units that block i has still to go and r the distance from the robot to the nearest
+    of the blocks that must move, less their radii,
+
+        progress = - sum over blocks that must move of (UNFINISHED + d_i)  -  APPROACH x r.
+
+    It depends on the state alone, so that rewards sum to zero over a loop.
+    """
+    ways = goal.remaining(scene, poses)
+    points = positions(scene, poses)
+    x, y, _ = poses.robot
+    contact = ROBOT_RADIUS + BLOCK_SIZE
+    apart = (math.dist(points[i], (x, y)) - contact for i in ways if i is not None)
+    approach = max(0.0, min(apart, default=0.0))
+    return -sum(UNFINISHED + way for way in ways.values()) - APPROACH * approach

@@ -1,0 +1,329 @@
+"""Selections: which blocks of an initial scene are meant.
+
+A selection is settled by the scene that an episode starts from, so that it does not change while
+blocks are moved.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import ClassVar
+
+from magical.scene import Block, Colour, Region, Scene, Shape
+from magical.tasks.programs.expressions import Attribute, Expression, Landmark
+
+Blocks = frozenset[int]  # indices of a scene's blocks
+CLEAR_DIFFERENCE = 0.1  # units by which the nearest or farthest block must differ from the next
+
+
+@dataclass(frozen=True, repr=False)
+class Selection(Expression):
+    """Some of a scene's blocks.
+
+    Attributes:
+        single: whether it is one block by its meaning.
+        by_pose: whether it depends on where blocks are, apart from being inside regions.
+    """
+
+    single: ClassVar[bool] = False
+    by_pose: ClassVar[bool] = False
+
+    def blocks(self, scene: Scene) -> Blocks:
+        """Indices of the selected blocks."""
+        raise NotImplementedError
+
+    @property
+    def clause(self) -> str:
+        """What follows "block" in English, such as "nearest to the region"."""
+        raise NotImplementedError
+
+    @property
+    def phrase(self) -> str:
+        """The selection in English without any block's colour and shape."""
+        return f"{'the' if self.single else 'every'} block {self.clause}"
+
+
+@dataclass(frozen=True, repr=False)
+class AllBlocks(Selection):
+    """All blocks."""
+
+    def blocks(self, scene: Scene) -> Blocks:
+        return frozenset(range(len(scene.blocks)))
+
+    @property
+    def phrase(self) -> str:
+        return "all blocks"
+
+    @property
+    def clause(self) -> str:
+        return "of all"
+
+
+@dataclass(frozen=True, repr=False)
+class WithColour(Selection):
+    """The blocks of a colour."""
+
+    colour: Colour
+
+    def blocks(self, scene: Scene) -> Blocks:
+        return _where(block.colour == self.colour for block in scene.blocks)
+
+    @property
+    def clause(self) -> str:
+        return f"that is {self.colour}"
+
+
+@dataclass(frozen=True, repr=False)
+class WithShape(Selection):
+    """The blocks of a shape."""
+
+    shape: Shape
+
+    def blocks(self, scene: Scene) -> Blocks:
+        return _where(block.shape == self.shape for block in scene.blocks)
+
+    @property
+    def clause(self) -> str:
+        return f"that is a {self.shape}"
+
+
+@dataclass(frozen=True, repr=False)
+class OfRegionColour(Selection):
+    """The blocks of the colour of a region, whichever."""
+
+    def blocks(self, scene: Scene) -> Blocks:
+        colours = {region.colour for region in scene.regions}
+        return _where(block.colour in colours for block in scene.blocks)
+
+    @property
+    def clause(self) -> str:
+        return "of the region's colour"
+
+
+@dataclass(frozen=True, repr=False)
+class Enclosed(Selection):
+    """The blocks that start inside a region."""
+
+    def blocks(self, scene: Scene) -> Blocks:
+        return _where(region_of(block, scene) is not None for block in scene.blocks)
+
+    @property
+    def clause(self) -> str:
+        return "that is inside a region"
+
+
+@dataclass(frozen=True, repr=False)
+class Outside(Selection):
+    """The blocks that start outside all regions."""
+
+    def blocks(self, scene: Scene) -> Blocks:
+        return AllBlocks().blocks(scene) - Enclosed().blocks(scene)
+
+    @property
+    def clause(self) -> str:
+        return "that is outside"
+
+
+@dataclass(frozen=True, repr=False)
+class Mismatched(Selection):
+    """The blocks that start inside a region of another colour."""
+
+    def blocks(self, scene: Scene) -> Blocks:
+        regions = [region_of(block, scene) for block in scene.blocks]
+        return _where(
+            region is not None and region.colour != block.colour
+            for block, region in zip(scene.blocks, regions, strict=True)
+        )
+
+    @property
+    def clause(self) -> str:
+        return "that is inside a region of another colour"
+
+
+@dataclass(frozen=True, repr=False)
+class Matched(Selection):
+    """The blocks that start inside a region of their own colour."""
+
+    def blocks(self, scene: Scene) -> Blocks:
+        return Enclosed().blocks(scene) - Mismatched().blocks(scene)
+
+    @property
+    def clause(self) -> str:
+        return "that is inside a region of its own colour"
+
+
+@dataclass(frozen=True, repr=False)
+class LikeEnclosed(Selection):
+    """The blocks that have an attribute in common with a block that starts inside a region.
+
+    That block is one of them; `And(Outside(), LikeEnclosed(...))` are the others.
+    """
+
+    attribute: Attribute
+
+    def blocks(self, scene: Scene) -> Blocks:
+        values = [value_of(block, self.attribute) for block in scene.blocks]
+        wanted = {values[i] for i in Enclosed().blocks(scene)}
+        return _where(value in wanted for value in values)
+
+    @property
+    def clause(self) -> str:
+        if self.attribute == Attribute.KIND:
+            return "that looks like one inside a region"
+        return f"that has the {self.attribute} of one inside a region"
+
+
+@dataclass(frozen=True, repr=False)
+class OddOneOut(Selection):
+    """The block whose value of an attribute no other has, if there is one such block."""
+
+    single = True
+    attribute: Attribute
+
+    def blocks(self, scene: Scene) -> Blocks:
+        values = [value_of(block, self.attribute) for block in scene.blocks]
+        alone = _where(values.count(value) == 1 for value in values)
+        return alone if len(alone) == 1 else frozenset()
+
+    @property
+    def clause(self) -> str:
+        what = "colour and shape" if self.attribute == Attribute.KIND else self.attribute
+        return f"whose {what} no other block has"
+
+
+@dataclass(frozen=True, repr=False)
+class MostCommon(Selection):
+    """The blocks with the most common value of an attribute, if one is the most common."""
+
+    attribute: Attribute
+
+    def blocks(self, scene: Scene) -> Blocks:
+        values = [value_of(block, self.attribute) for block in scene.blocks]
+        counts = Counter(values).most_common(2)
+        if not counts or (len(counts) == 2 and counts[0][1] == counts[1][1]):
+            return frozenset()
+        return _where(value == counts[0][0] for value in values)
+
+    @property
+    def clause(self) -> str:
+        what = "colour and shape" if self.attribute == Attribute.KIND else self.attribute
+        return f"of the most common {what}"
+
+
+@dataclass(frozen=True, repr=False)
+class Nearest(Selection):
+    """The block nearest to a landmark, if it is so by `CLEAR_DIFFERENCE`."""
+
+    single = True
+    by_pose = True
+    landmark: Landmark
+
+    def blocks(self, scene: Scene) -> Blocks:
+        return _first(distances_to(self.landmark, scene))
+
+    @property
+    def clause(self) -> str:
+        return f"nearest to the {self.landmark}"
+
+
+@dataclass(frozen=True, repr=False)
+class Farthest(Selection):
+    """The block farthest from a landmark, if it is so by `CLEAR_DIFFERENCE`."""
+
+    single = True
+    by_pose = True
+    landmark: Landmark
+
+    def blocks(self, scene: Scene) -> Blocks:
+        return _first([-distance for distance in distances_to(self.landmark, scene)])
+
+    @property
+    def clause(self) -> str:
+        return f"farthest from the {self.landmark}"
+
+
+@dataclass(frozen=True, repr=False)
+class AllBut(Selection):
+    """All blocks but those selected."""
+
+    selection: Selection
+
+    def blocks(self, scene: Scene) -> Blocks:
+        return AllBlocks().blocks(scene) - self.selection.blocks(scene)
+
+    @property
+    def clause(self) -> str:
+        return f"but {self.selection.phrase.replace('every block', 'any')}"
+
+
+@dataclass(frozen=True, repr=False)
+class And(Selection):
+    """The blocks in both selections."""
+
+    first: Selection
+    second: Selection
+
+    def blocks(self, scene: Scene) -> Blocks:
+        return self.first.blocks(scene) & self.second.blocks(scene)
+
+    @property
+    def clause(self) -> str:
+        return f"{self.first.clause} and {self.second.clause}"
+
+
+@dataclass(frozen=True, repr=False)
+class Or(Selection):
+    """The blocks in either selection."""
+
+    first: Selection
+    second: Selection
+
+    def blocks(self, scene: Scene) -> Blocks:
+        return self.first.blocks(scene) | self.second.blocks(scene)
+
+    @property
+    def clause(self) -> str:
+        return f"{self.first.clause} or {self.second.clause}"
+
+
+def value_of(block: Block, attribute: Attribute) -> str:
+    """A block's value of an attribute."""
+    if attribute == Attribute.COLOUR:
+        return block.colour
+    if attribute == Attribute.SHAPE:
+        return block.shape
+    return f"{block.colour} {block.shape}"
+
+
+def region_of(block: Block, scene: Scene) -> Region | None:
+    """The region that a block starts inside, if any."""
+    x, y, _ = block.pose
+    return next((region for region in scene.regions if region.contains(x, y)), None)
+
+
+def distances_to(landmark: Landmark, scene: Scene) -> list[float]:
+    """Each block's distance to a landmark at the start, in units; infinite without any region."""
+    points = {
+        Landmark.ROBOT: [scene.robot[:2]],
+        Landmark.CENTRE: [(0.0, 0.0)],
+        Landmark.REGION: [region.centre for region in scene.regions],
+    }[landmark]
+    return [
+        min((math.dist(block.pose[:2], point) for point in points), default=math.inf)
+        for block in scene.blocks
+    ]
+
+
+def _where(flags: Iterable[bool]) -> Blocks:
+    return frozenset(i for i, flag in enumerate(flags) if flag)
+
+
+def _first(keys: list[float]) -> Blocks:
+    """The index of the least key, if it is the least by `CLEAR_DIFFERENCE`."""
+    order = sorted(range(len(keys)), key=keys.__getitem__)
+    if not order or not math.isfinite(keys[order[0]]):
+        return frozenset()
+    if len(order) > 1 and keys[order[1]] - keys[order[0]] < CLEAR_DIFFERENCE:
+        return frozenset()
+    return frozenset(order[:1])

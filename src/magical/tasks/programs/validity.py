@@ -1,0 +1,36 @@
+"""Whether an episode can have a program as its goal in a given scene."""
+
+from magical.errors import InvalidProgramError
+from magical.scene import Poses, Scene
+from magical.tasks.programs.expressions import Attribute
+from magical.tasks.programs.goals import Clustered, Goal, Together, is_success
+from magical.tasks.programs.selections import Selection, value_of
+
+
+def problem(goal: Goal, scene: Scene) -> str:
+    """Why no episode can start from the scene with this goal, or an empty string."""
+    for part in goal.parts:
+        if isinstance(part, Selection) and not part.blocks(scene):
+            return f"{part!r} selects no block of the scene"
+        if isinstance(part, Goal) and (reason := _unreachable(part, scene)):
+            return f"{part!r}: {reason}"
+    if is_success(goal.score(scene, Poses.at_rest(scene))):
+        return f"{goal!r} is solved at the start"
+    return ""
+
+
+def validate(goal: Goal, scene: Scene) -> None:
+    """Raise `InvalidProgramError` with the expression and the reason if there is a `problem`."""
+    if reason := problem(goal, scene):
+        raise InvalidProgramError(reason)
+
+
+def _unreachable(goal: Goal, scene: Scene) -> str:
+    """Why no final state of the scene can be the goal, or an empty string."""
+    if isinstance(goal, Clustered):
+        kinds = {value_of(block, Attribute(goal.attribute)) for block in scene.blocks}
+        return "" if len(kinds) > 1 else "expected blocks of at least two values, found fewer"
+    if isinstance(goal, Together):
+        return ""
+    ways = goal.remaining(scene, Poses.at_rest(scene)).values()
+    return "there is no such place in the scene" if float("inf") in ways else ""
