@@ -2,12 +2,12 @@
 
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup test check test-all quickstart clean
+.PHONY: help setup test check docs test-all quickstart clean
 
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
-EXTRAS := dev,learning,report,video,window,minari,lerobot,sb3,tensorboard,web
+EXTRAS := dev,docs,learning,report,video,window,minari,lerobot,sb3,tensorboard,web
 # The first interpreter that runs; `make PYTHON=/path/to/python` overrules it.
 PYTHON ?= $(firstword $(foreach name,python3.11 python3.12 python3.13 python3,\
 	$(shell $(name) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $(name))))
@@ -28,14 +28,18 @@ $(READY): pyproject.toml constraints.txt
 test: $(READY) ## all tests on one Python
 	@$(BIN)/python -m pytest $(PYTEST_FLAGS)
 
-check: $(READY) ## lint, format, file and function length, layers, types
+check: $(READY) ## lint, format, file and function length, layers, types, documentation
 	@failed=; \
 	$(BIN)/ruff check --quiet . || failed+=" lint"; \
 	$(BIN)/ruff format --check --quiet --diff . || failed+=" format"; \
 	$(BIN)/python tools/check_sizes.py src tests benchmarks studies examples tools || failed+=" sizes"; \
 	$(BIN)/lint-imports --no-logo --no-cache || failed+=" layers"; \
 	$(BIN)/mypy || failed+=" types"; \
+	$(BIN)/python -m tools.site || failed+=" docs"; \
 	test -z "$$failed" || { echo "failed:$$failed" >&2; exit 1; }
+
+docs: $(READY) ## the documentation site, in site/
+	@$(BIN)/python -m tools.site
 
 # All of pyenv's interpreters count, where there are any.
 test-all: $(READY) ## the tests on each supported Python of this machine, without PyTorch
@@ -46,5 +50,5 @@ quickstart: $(READY) ## the package's main job, from nothing to a result
 	@$(BIN)/magical quickstart
 
 clean: ## remove the virtual environments, caches and build products
-	rm -rf .venv .nox build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
+	rm -rf .venv .nox build dist site .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
 	find src tests benchmarks studies examples tools -name __pycache__ -type d -prune -exec rm -rf {} +

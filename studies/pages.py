@@ -54,8 +54,7 @@ from studies.tables import (
     variant_cell,
     variation_row,
 )
-from tools import readme_tables
-from tools.readme_tables import table
+from tools.readme_tables import renew_page, table
 
 ROOT = Path(__file__).resolve().parents[1]
 PLANS = (
@@ -346,9 +345,7 @@ def main(arguments: Sequence[str], root: Path = ROOT) -> int:
     outdated = False
     for study, names in SECTIONS.items():
         readme = root / "studies" / study / "README.md"
-        outdated |= bool(
-            readme_tables.main(arguments, readme, {name: made[name] for name in names})
-        )
+        outdated |= bool(renew_page(arguments, readme, {name: made[name] for name in names}))
     if "--check" in arguments:
         return int(outdated or digest_of(picture) != page.digest)
     write_picture(picture, page.panels, page.tasks, page.digest)

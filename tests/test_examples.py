@@ -1,4 +1,4 @@
-"""The examples, with short settings, and the README's ten lines."""
+"""The examples, with short settings, and the program of `docs/five-minutes.md`."""
 
 import re
 import runpy
@@ -88,11 +88,12 @@ def test_stable_baselines3_ppo(root: Path, capsys: pytest.CaptureFixture[str]) -
     assert len(capsys.readouterr().out.splitlines()) == 6
 
 
-def test_the_readmes_training_block_runs(root: Path, tmp_path: Path) -> None:
+def test_the_training_of_five_minutes_runs(root: Path, tmp_path: Path) -> None:
     pytest.importorskip("torch", reason="the learning extra is not installed")
+    page = root / "docs" / "five-minutes.md"
     (block,) = (
         text
-        for text in re.findall(r"```python\n(.*?)```", (root / "README.md").read_text(), re.DOTALL)
+        for text in re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL)
         if "magical.learning" in text
     )
     # The same program with less of everything.

@@ -57,7 +57,7 @@ def test_the_package_page_has_no_link_into_the_repository(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         (name,) = (name for name in archive.namelist() if name.endswith("METADATA"))
         page = archive.read(name).decode()
-    assert "## Quickstart" in page
+    assert "## Ten lines" in page
     assert "Project-URL: Paper, https://" in page
     assert not re.findall(r"\]\((?!https?:)[^)]+\)", page)
 

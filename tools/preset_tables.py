@@ -1,20 +1,11 @@
-"""Write the tables of `docs/presets.md`: every setting of every algorithm, by preset.
+"""Every setting of an algorithm by preset, beside what the appendix states, as a table."""
 
-python -m tools.preset_tables [--check]
-
-With --check nothing is written; the exit status is 1 if the page is out of date.
-"""
-
-import sys
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Mapping
 from typing import Any
 
-from magical.learning import Config, algorithm_names, find_algorithm
+from magical.learning import Config
 from magical.learning.config import Option, options
-from tools import readme_tables
-
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "presets.md"
+from tools.readme_tables import table
 
 # Values that the appendix states: its section B, Tables 3 and 4.
 SECTION_B: Mapping[str, Any] = {
@@ -78,12 +69,6 @@ def appendix(kind: type[Config]) -> dict[str, Any]:
     return {option.name: merged[option.name] for option in options(kind) if option.name in merged}
 
 
-def presets() -> str:
-    """A heading and a table for each algorithm."""
-    kinds = [find_algorithm(name).config for name in algorithm_names()]
-    return "\n\n".join(f"### `{kind.algorithm}`\n\n{settings(kind)}" for kind in kinds) + "\n"
-
-
 def settings(kind: type[Config]) -> str:
     """A row for each setting, a column for each preset; what differs from `paper` is bold."""
     stated = appendix(kind)
@@ -94,7 +79,7 @@ def settings(kind: type[Config]) -> str:
         for option in options(kind)
         if not option.required
     ]
-    return readme_tables.table(header, rows)
+    return table(header, rows)
 
 
 def columns(kind: type[Config]) -> list[str]:
@@ -118,12 +103,3 @@ def shown(value: Any) -> str:
     if isinstance(value, tuple):
         return " ".join(map(str, value))
     return f"{value:,}" if isinstance(value, int) else str(value).replace("e-0", "e-")
-
-
-def main(arguments: Sequence[str]) -> int:
-    """Write, or check."""
-    return readme_tables.main(arguments, PAGE, {"presets": presets})
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

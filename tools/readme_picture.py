@@ -1,45 +1,47 @@
-"""Make the README's picture: every task's Demo scene, and one of its TestAll scenes below.
+"""Make the README's animation: every task's TestAll, solved by its scripted expert.
 
 python tools/readme_picture.py
 """
 
 from pathlib import Path
 
-import gymnasium
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 import magical
+from magical.demos.generate import demonstrate
+from magical.demos.store.reader import Frames
+from magical.scene import View
 
-OUT = Path(__file__).resolve().parents[1] / "docs" / "images" / "tasks.png"
-SIZE, GAP, CAPTION = 200, 8, 26  # pixels
+OUT = Path(__file__).resolve().parents[1] / "docs" / "images" / "tasks.webp"
+SIZE, GAP, CAPTION, COLUMNS = 176, 8, 22, 4  # pixels, and tiles in a row
+FRAMES, MILLISECONDS, LAST = 48, 110, 1500  # every rollout is shown in as many frames
 
 
-def scene(task: str, variant: str) -> NDArray[np.uint8]:
-    """A scene seen by the fixed camera, (SIZE, SIZE, 3)."""
-    view = {"parts": (("allo", 1),), "size": SIZE, "samples": 4}
-    env = gymnasium.make(f"magical/{task}-{variant}-v0", observation=view)
-    pixels, _ = env.reset(seed=list(magical.TASKS).index(task))
-    env.close()
-    return np.asarray(pixels, dtype=np.uint8)
+def rollout(task: str) -> list[Image.Image]:
+    """Frames from the first state to the last, by the fixed camera."""
+    trajectory = demonstrate(f"magical/{task}-TestAll-v0", list(magical.TASKS).index(task))
+    steps = np.linspace(0, len(trajectory), FRAMES).round().astype(int)
+    frames = Frames(trajectory, View.ALLO, SIZE).take([int(step) for step in steps])
+    return [Image.fromarray(frame) for frame in frames]
 
 
 def main() -> None:
     """Make and write."""
-    columns, rows = len(magical.TASKS), ("Demo", "TestAll")
-    step = SIZE + GAP
-    sheet = Image.new("RGB", (columns * step - GAP, CAPTION + len(rows) * step - GAP), "white")
-    draw = ImageDraw.Draw(sheet)
-    font = ImageFont.load_default(size=16)
-    for column, task in enumerate(magical.TASKS):
-        middle = (column * step + SIZE // 2, CAPTION // 2)
-        draw.text(middle, task, fill="black", font=font, anchor="mm")
-        for row, variant in enumerate(rows):
-            place = (column * step, CAPTION + row * step)
-            sheet.paste(Image.fromarray(scene(task, variant)), place)
+    step, tall = SIZE + GAP, SIZE + CAPTION
+    rows = -(-len(magical.TASKS) // COLUMNS)
+    sheets = [Image.new("RGB", (COLUMNS * step - GAP, rows * tall), "white") for _ in range(FRAMES)]
+    font = ImageFont.load_default(size=14)
+    for number, task in enumerate(magical.TASKS):
+        left, top = number % COLUMNS * step, number // COLUMNS * tall
+        for sheet, frame in zip(sheets, rollout(task), strict=True):
+            middle = (left + SIZE // 2, top + CAPTION // 2)
+            ImageDraw.Draw(sheet).text(middle, task, fill="black", font=font, anchor="mm")
+            sheet.paste(frame, (left, top + CAPTION))
     OUT.parent.mkdir(parents=True, exist_ok=True)
-    sheet.quantize(256).save(OUT, optimize=True)
+    durations = [MILLISECONDS] * (FRAMES - 1) + [LAST]
+    more = {"append_images": sheets[1:], "duration": durations, "loop": 0}
+    sheets[0].save(OUT, "WEBP", save_all=True, lossless=True, quality=80, method=4, **more)
 
 
 if __name__ == "__main__":

@@ -1,42 +1,28 @@
-"""Write the README's generated tables, between their `<!-- name -->` and `<!-- end -->` marks.
+"""Write the generated tables of pages, between their `<!-- name -->` and `<!-- end -->` marks.
 
 python tools/readme_tables.py [--check]
 
-With --check nothing is written; the exit status is 1 if the README is out of date.
+With --check nothing is written; the exit status is 1 if a page is out of date.
 """
 
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
+from statistics import fmean
 
-from magical.cli import find_commands
+from magical.evaluation import published_score, published_tasks
 from magical.observe import PRESETS, PixelSpec
-from magical.tasks import TASKS, VARIANTS
+from magical.report.leaderboard import make_leaderboard
 
-README = Path(__file__).resolve().parents[1] / "README.md"
+ROOT = Path(__file__).resolve().parents[1]
+PAPER = "BC (ST)"  # the published row that ours stand beside
+CLONING = ("BC (ST)", "BC (MT)")
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """A table in Markdown."""
     lines = [header, ["---"] * len(header), *rows]
     return "\n".join(f"| {' | '.join(map(str, line))} |" for line in lines)
-
-
-def tasks() -> str:
-    """How many there are; then a row for each task: goal, horizon, variants."""
-    short = [name.removeprefix("Test") for name in VARIANTS]
-    rows = (
-        (
-            f"`{task.name}`",
-            task.summary,
-            task.horizon,
-            *("✓" if name in task.variants else "" for name in VARIANTS),
-        )
-        for task in TASKS.values()
-    )
-    environments = sum(len(task.variants) for task in TASKS.values())
-    count = f"{len(TASKS)} tasks, {environments} environments:\n\n"
-    return count + table(("Task", "What to do", "Horizon", *short), rows)
 
 
 def presets() -> str:
@@ -55,14 +41,39 @@ def describe(preset: PixelSpec) -> str:
     return f"{views} frames, {preset.shape(sum(frames for _, frames in preset.parts))}"
 
 
-def commands() -> str:
-    """One row a command of the command line."""
-    return table(
-        ("Command", ""), ((f"`magical {name}`", module.HELP) for name, module in find_commands())
-    )
+def results() -> str:
+    """Mean scores over all tasks: the expert, the best entry, behavioural cloning, the paper's."""
+    board = make_leaderboard([ROOT / "studies"]).boards[0]
+    best = next(row for row in board.standings if not row.is_reference)
+    rows: list[Sequence[str]] = [
+        (
+            "scripted expert" if row.is_reference else row.method,
+            f"{row.demo.value:.2f}",
+            f"{row.test_all.value:.2f}",
+            ", ".join(row.used),
+            row.statements.demonstrations or "none",
+        )
+        for row in board.standings
+        if row.is_reference or row in (best,) or row.method in CLONING
+    ]
+    paper = [
+        [_published(task, variant) for task in published_tasks()] for variant in ("Demo", "All")
+    ]
+    means = (f"{fmean(column):.2f}" for column in paper)
+    rows.append((f"{PAPER}, published", *means, "demonstrations", "10 of each task (human)"))
+    return table(("Method", "Demo", "TestAll", "Used", "Demonstrations"), rows)
 
 
-TABLES = {"tasks": tasks, "presets": presets, "commands": commands}
+def _published(task: str, variant: str) -> float:
+    found = published_score(task, PAPER, variant)
+    assert found is not None  # every published method has Demo and TestAll
+    return found.mean
+
+
+PAGES: Mapping[Path, Mapping[str, Callable[[], str]]] = {
+    ROOT / "README.md": {"results": results},
+    ROOT / "docs/observations.md": {"presets": presets},
+}
 
 
 def renew(text: str, page: Path, tables: Mapping[str, Callable[[], str]]) -> str:
@@ -76,16 +87,21 @@ def renew(text: str, page: Path, tables: Mapping[str, Callable[[], str]]) -> str
     return text
 
 
-def main(
-    arguments: Sequence[str], page: Path = README, tables: Mapping[str, Callable[[], str]] = TABLES
+def renew_page(
+    arguments: Sequence[str], page: Path, tables: Mapping[str, Callable[[], str]]
 ) -> int:
-    """Write a page's tables, or check them."""
+    """Write a page's tables, or with --check compare them; 1 if they are out of date."""
     old = page.read_text(encoding="utf-8")
     new = renew(old, page, tables)
     if "--check" in arguments:
         return int(new != old)
     page.write_text(new, encoding="utf-8")
     return 0
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Write or compare the tables of all pages."""
+    return max(renew_page(arguments, page, tables) for page, tables in PAGES.items())
 
 
 if __name__ == "__main__":

@@ -1,0 +1,110 @@
+"""Build the documentation site into `site/` (`make docs`).
+
+python -m tools.site [--out FOLDER]
+
+A broken link, anchor or reference fails, and is named by file and line.
+"""
+
+import argparse
+import logging
+import re
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from mkdocs.commands.build import build
+from mkdocs.config import load_config
+
+from magical.report.leaderboard import make_leaderboard
+from tools.site import environments, leaderboard, reference
+from tools.site.staging import Source, assets, place, repository_pages
+
+ROOT = Path(__file__).resolve().parents[2]
+ENTRIES = ("studies", "entries")  # folders with evaluated runs
+NOTEBOOK = "examples/tutorial.ipynb"
+WORK = ROOT / "build"  # what is made on the way, and pictures for the next time
+FOUND = re.compile(r"Doc file '(?P<page>[^']+)' contains a link '(?P<link>[^']+)'")
+
+
+class Warnings(logging.Handler):
+    """Keeps the warnings of a build."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.messages: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep one."""
+        self.messages.append(record.getMessage())
+
+
+def navigation(outline: Sequence[Any], pages: Sequence[str]) -> Iterator[Any]:
+    """The outline of `mkdocs.yml`, where `folder/*` stands for the pages there not named so far."""
+    named = set(_named(outline))
+    for item in outline:
+        if isinstance(item, dict):
+            ((title, inner),) = item.items()
+            yield {title: list(navigation(inner, pages)) if isinstance(inner, list) else inner}
+        elif item == f"{environments.FOLDER}/*":
+            yield from environments.navigation()
+        elif item.endswith("/*"):
+            folder = item.removesuffix("*")
+            yield from sorted(p for p in pages if p.startswith(folder) and p not in named)
+        else:
+            yield item
+
+
+def _named(outline: Sequence[Any]) -> Iterator[str]:
+    for item in outline:
+        for inner in item.values() if isinstance(item, dict) else [item]:
+            yield from _named(inner) if isinstance(inner, list) else [inner]
+
+
+def build_site(out: Path) -> list[str]:
+    """Build the site; returns what is wrong, each with file and line."""
+    ranked = make_leaderboard([ROOT / name for name in ENTRIES])
+    generated = {
+        **assets(ROOT),
+        **reference.pages(ROOT),
+        **environments.pages(ROOT, WORK / "previews", ranked),
+        **leaderboard.pages(ranked),
+    }
+    source = Source(ROOT, WORK / "docs", generated, {place(NOTEBOOK): NOTEBOOK})
+    source.write(repository_pages(ROOT))
+    pages = [path.relative_to(source.folder).as_posix() for path in source.folder.rglob("*.md")]
+    outline = yaml.safe_load((ROOT / "mkdocs.yml").read_text())["nav"]
+    warnings = Warnings()
+    logger = logging.getLogger("mkdocs")
+    logger.addHandler(warnings)
+    config = load_config(
+        str(ROOT / "mkdocs.yml"),
+        docs_dir=str(source.folder),
+        site_dir=str(out),
+        nav=list(navigation(outline, pages)),
+    )
+    config.plugins.on_startup(command="build", dirty=False)
+    build(config)
+    config.plugins.on_shutdown()
+    logger.removeHandler(warnings)
+    return [*source.problems, *(_located(source, text) for text in warnings.messages)]
+
+
+def _located(source: Source, message: str) -> str:
+    """A warning of MkDocs with the file and the line that it is about."""
+    found = FOUND.search(message)
+    return f"{source.locate(found['page'], found['link'])}: {message}" if found else message
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Build; 1 if anything is wrong."""
+    parser = argparse.ArgumentParser(prog="python -m tools.site", description=__doc__)
+    parser.add_argument("--out", type=Path, default=ROOT / "site", metavar="FOLDER")
+    problems = build_site(parser.parse_args(argv).out.resolve())
+    print(*problems, sep="\n", end="\n" if problems else "", file=sys.stderr)
+    return 1 if problems else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,54 @@
+"""The page of ranked entries."""
+
+from collections.abc import Iterator
+
+from magical.report.leaderboard import Leaderboard
+from magical.report.leaderboard.checks import by_reasons
+from magical.report.leaderboard.ranking import Board, Standing
+from magical.report.scores.grids import interval_text
+from magical.runs.sources import CLASSES, SOURCES
+from tools.readme_tables import table
+
+HEADER = ("Rank", "Method", "TestAll", "Gap", "Class", "Used", "Demonstrations", "Over")
+
+
+def pages(board: Leaderboard) -> dict[str, str | bytes]:
+    """The page, by its place in the site."""
+    return {"leaderboard.md": "\n\n".join(_parts(board)) + "\n"}
+
+
+def _parts(board: Leaderboard) -> Iterator[str]:
+    yield (
+        "# Leaderboard\n\nMethods by their mean score on TestAll, beside the generalisation gap "
+        "(Demo less TestAll), with 95% intervals over training runs, or over rollouts where there "
+        "is one run. Entries are those of the [studies](studies/README.md) and those that were "
+        "[submitted](entries/README.md) and accepted: they keep [the protocol](protocol.md), and a "
+        "sample of their rollouts was run again. A reference learned nothing and sees the true "
+        "state; it takes no rank."
+    )
+    classes = ((name, SOURCES[source]) for name, source in CLASSES.items())
+    yield table(("Class", "What it may use"), classes)
+    for part in board.boards:
+        yield f"## {part.name}\n\n{_standings(part)}"
+    yield "## Not ranked\n\nEntries of the studies that were evaluated in another way:"
+    yield table(
+        ("Entries", "Reason"),
+        ((len(entries), reasons) for reasons, entries in by_reasons(board.rejected)),
+    )
+
+
+def _standings(part: Board) -> str:
+    return table(HEADER, (_row(row) for row in part.standings))
+
+
+def _row(row: Standing) -> list[object]:
+    return [
+        "reference" if row.is_reference else row.rank,
+        row.method,
+        interval_text(row.test_all),
+        interval_text(row.gap),
+        row.learning_class or "–",
+        ", ".join(row.used) or "nothing",
+        row.statements.demonstrations or "–",
+        row.unit,
+    ]

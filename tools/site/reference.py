@@ -1,0 +1,184 @@
+"""Generated reference: the API, commands, configurations, errors, examples, the notebook."""
+
+import argparse
+import base64
+import inspect
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+from magical import cli, errors
+from magical.learning import Config, algorithm_names, find_algorithm
+from magical.learning.config import options
+from tools import preset_tables, readme_tables
+
+# Modules whose public names have a page; a name is public where `__all__` has it, or without one
+# where it has no underscore.
+MODULES = {
+    "magical": "Registered environments and tasks",
+    "magical.envs": "Environment ids and registration",
+    "magical.envs.env": "The environment",
+    "magical.envs.vector": "Many environments at once",
+    "magical.observe": "Observation specs",
+    "magical.scene": "Scenes as plain data",
+    "magical.tasks": "Tasks, variants, scores",
+    "magical.render": "The renderer",
+    "magical.experts": "Scripted experts",
+    "magical.demos": "Datasets of demonstrations",
+    "magical.demos.generate": "Demonstrations by experts",
+    "magical.evaluation": "Evaluating policies",
+    "magical.evaluation.statistics": "Statistics over runs",
+    "magical.evaluation.intervals": "Intervals",
+    "magical.evaluation.collection": "Many entries in two files",
+    "magical.learning": "Training",
+    "magical.learning.config": "Configurations",
+    "magical.runs": "Run folders",
+    "magical.experiments.status": "Plans in progress",
+    "magical.conformance": "Comparison with recordings",
+}
+WIDTH = "88"  # columns of a command's help
+
+
+def pages(root: Path) -> dict[str, str | bytes]:
+    """Every page, by its place in the site."""
+    return {
+        "api/index.md": api_index(),
+        **{f"api/{name}.md": api_page(name) for name in MODULES},
+        "errors.md": error_page(),
+        **command_pages(),
+        **configuration_pages(),
+        **example_pages(root),
+        **notebook_pages(root / "examples/tutorial.ipynb"),
+    }
+
+
+def api_index() -> str:
+    """The modules with a page."""
+    rows = ((f"[`{name}`]({name}.md)", what) for name, what in MODULES.items())
+    return (
+        "# API\n\nFrom the docstrings. Names that are not here are not public and may change.\n\n"
+        f"{readme_tables.table(('Module', ''), rows)}\n"
+    )
+
+
+def api_page(name: str) -> str:
+    """A module's page, which mkdocstrings fills."""
+    return f"# {name}\n\n{MODULES[name]}.\n\n::: {name}\n"
+
+
+def error_page() -> str:
+    """Every class of error, what it means and what else it is."""
+    kinds = [
+        kind
+        for _, kind in inspect.getmembers(errors, inspect.isclass)
+        if issubclass(kind, errors.MagicalError)
+    ]
+    rows = (
+        (
+            f"`{kind.__name__}`",
+            " ".join(f"`{base.__name__}`" for base in kind.__bases__[1:]),
+            " ".join((inspect.getdoc(kind) or "").split()),
+        )
+        for kind in sorted(kinds, key=lambda kind: kind.__name__)
+    )
+    return (
+        "# Errors\n\nEvery error that the package raises on purpose is a class of "
+        "`magical.errors`, below `MagicalError`. Its message says what was expected, what was "
+        "found and what to do. On the command line it is printed to standard error, and the exit "
+        "status is 1 (2 for an unknown name or a wrong plan).\n\n"
+        f"{readme_tables.table(('Class', 'Also a', 'When'), rows)}\n"
+    )
+
+
+def command_pages() -> dict[str, str]:
+    """A page for each command, with its own help and that of its subcommands."""
+    rows = ((f"[`magical {name}`]({name}.md)", module.HELP) for name, module in cli.find_commands())
+    made = {
+        "commands/index.md": (
+            "# Commands\n\nEvery command takes `--help`; most take `--json`, with which the last "
+            "line of standard output is one JSON object. The exit status is 0 for success, 1 when "
+            "a check failed or an error occurred, 2 for wrong usage, 130 after an interrupt.\n\n"
+            f"{readme_tables.table(('Command', ''), rows)}\n"
+        )
+    }
+    with mock.patch.dict(os.environ, COLUMNS=WIDTH, NO_COLOR="1"):
+        for name, parser in _subparsers(cli.build_parser()):
+            text = "\n\n".join(_helps(f"magical {name}", parser, level=2))
+            made[f"commands/{name}.md"] = f"# magical {name}\n\n{text}\n"
+    return made
+
+
+def _subparsers(parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.ArgumentParser]]:
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            yield from action.choices.items()
+
+
+def _helps(name: str, parser: argparse.ArgumentParser, level: int) -> Iterator[str]:
+    yield f"```text\n{parser.format_help().rstrip()}\n```"
+    for inner, sub in _subparsers(parser):
+        yield f"{'#' * level} {name} {inner}"
+        yield from _helps(f"{name} {inner}", sub, level + 1)
+
+
+def configuration_pages() -> dict[str, str]:
+    """A page for each algorithm: every setting, by preset, beside the appendix's value."""
+    kinds = [find_algorithm(name).config for name in algorithm_names()]
+    rows = ((f"[`{kind.algorithm}`]({kind.algorithm}.md)", _summary(kind)) for kind in kinds)
+    made = {
+        "configuration/index.md": (
+            "# Configuration\n\nEvery setting is an option of `magical train ALGORITHM`, a keyword "
+            "of `preset` and `replace` in Python, and a key of `settings` in plans. In the tables, "
+            "what differs from the preset `paper` is bold; the last column has what the appendix "
+            "states. [Presets](../presets.md) says what they are for.\n\n"
+            f"{readme_tables.table(('Algorithm', ''), rows)}\n"
+        )
+    }
+    for kind in kinds:
+        meaning = readme_tables.table(
+            ("Setting", "Meaning"),
+            ((f"`{option.flag}`", option.help) for option in options(kind)),
+        )
+        made[f"configuration/{kind.algorithm}.md"] = (
+            f"# {kind.algorithm}\n\n{_summary(kind)}\n\n## Values\n\n"
+            f"{preset_tables.settings(kind)}\n\n## Meaning\n\n{meaning}\n"
+        )
+    return made
+
+
+def _summary(kind: type[Config]) -> str:
+    """The first paragraph of an algorithm's module."""
+    return (inspect.getdoc(inspect.getmodule(kind)) or "").split("\n\n")[0].replace("\n", " ")
+
+
+def example_pages(root: Path) -> dict[str, str]:
+    """A page for each program in `examples`."""
+    made = {}
+    for path in sorted((root / "examples").rglob("*.py")):
+        source = path.read_text(encoding="utf-8")
+        name = path.relative_to(root).with_suffix(".md").as_posix()
+        made[name] = f"# {path.stem}\n\n```python\n{source}```\n"
+    return made
+
+
+def notebook_pages(path: Path) -> dict[str, str | bytes]:
+    """A notebook as a page with its stored outputs; pictures beside it."""
+    notebook: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    place = f"examples/{path.stem}"
+    text: list[str] = []
+    pictures: dict[str, bytes] = {}
+    for cell in notebook["cells"]:
+        source = "".join(cell["source"])
+        text.append(source if cell["cell_type"] == "markdown" else f"```python\n{source}\n```")
+        for output in cell.get("outputs", ()):
+            data = output.get("data", {"text/plain": output.get("text", "")})
+            if "image/png" in data:
+                name = f"{path.stem}-{len(pictures)}.png"
+                pictures[f"examples/{name}"] = base64.b64decode(data["image/png"])
+                text.append(f"![output of the cell above]({name})")
+            else:
+                text.append(f"```text\n{''.join(data['text/plain']).rstrip()}\n```")
+    return {f"{place}.md": "\n\n".join(text) + "\n", **pictures}

@@ -1,0 +1,120 @@
+"""The site's source: pages of the repository and generated ones in one folder, links rewritten.
+
+A page keeps its place in the repository, but for `docs/`, whose files stand at the root. A line of
+a page stays a line, so that what MkDocs finds wrong can be told by file and line.
+"""
+
+import os
+import posixpath
+import re
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+LINK = re.compile(r"(?<=\]\()([^)#\s]+)(?=[)#\s])")
+CODE = re.compile(r"^ *```")
+ELSEWHERE = ("https://", "http://", "mailto:")
+SINGLE = (  # pages outside the folders of pages
+    *("CHANGELOG.md", "CONTRIBUTING.md", "entries/README.md", "examples/plugin/README.md"),
+    "src/magical/conformance/data/README.md",
+)
+PYTHON, NOTEBOOK, PAGE = ".py", ".ipynb", ".md"
+
+
+def place(path: str) -> str:
+    """Where a file of the repository stands in the site's source.
+
+    Python files and notebooks of `examples` become pages.
+    """
+    if path == "README.md":
+        return "index.md"
+    stem, suffix = posixpath.splitext(path)
+    if path.startswith("examples/") and suffix in (PYTHON, NOTEBOOK):
+        return f"{stem}{PAGE}"
+    return path.removeprefix("docs/")
+
+
+@dataclass
+class Source:
+    """The folder that MkDocs reads, and what has been put there.
+
+    Args:
+        root: of the repository.
+        folder: made anew.
+    """
+
+    root: Path
+    folder: Path
+    generated: Mapping[str, str | bytes]  # by their place in the site's source
+    converted: Mapping[str, str]  # generated pages with links of a file: place -> that file's path
+    origins: dict[str, str] = field(default_factory=dict)  # place -> path in the repository
+    problems: list[str] = field(default_factory=list)  # each with file and line
+
+    def write(self, pages: list[str]) -> None:
+        """Write these pages of the repository, what they link to, and what is generated."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+        for name, content in self.generated.items():
+            self._put(name, content if isinstance(content, bytes) else content.encode())
+        for name, path in self.converted.items():
+            text = (self.folder / name).read_text(encoding="utf-8")
+            self._put(name, "".join(self._rewritten(path, text)).encode())
+        for path in pages:
+            self.origins[place(path)] = path
+            text = (self.root / path).read_text(encoding="utf-8")
+            self._put(place(path), "".join(self._rewritten(path, text)).encode())
+
+    def _rewritten(self, path: str, text: str) -> Iterator[str]:
+        """The lines of a page, with links as the site has them."""
+        in_code = False
+        for number, line in enumerate(text.splitlines(keepends=True), 1):
+            if CODE.match(line):
+                in_code = not in_code
+            if in_code:
+                yield line
+                continue
+            yield LINK.sub(partial(self._link, path, f"{path}:{number}"), line)
+
+    def _link(self, path: str, at: str, found: re.Match[str]) -> str:
+        """A link's target as the site has it; what it leads to is copied there."""
+        target = found[1]
+        if target.startswith(ELSEWHERE):
+            return target
+        wanted = posixpath.normpath(posixpath.join(posixpath.dirname(path), target))
+        there = place(wanted)
+        if there not in self.generated:
+            if not (self.root / wanted).is_file():
+                self.problems.append(f"{at}: link to {target}: no such file")
+            elif not wanted.endswith(PAGE):
+                self._put(there, (self.root / wanted).read_bytes())
+        return posixpath.relpath(there, posixpath.dirname(place(path)) or ".")
+
+    def _put(self, name: str, content: bytes) -> None:
+        target = self.folder / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(content)
+
+    def locate(self, page: str, text: str) -> str:
+        """File and line in the repository of a text in a page of the site's source."""
+        origin = self.origins.get(page)
+        shown = origin or f"{page} (generated)"
+        lines = (self.folder / page).read_text(encoding="utf-8").splitlines()
+        numbers = [number for number, line in enumerate(lines, 1) if text in line]
+        return f"{shown}:{numbers[0]}" if numbers else shown
+
+
+def repository_pages(root: Path) -> list[str]:
+    """The pages of the repository that the site has, as paths with slashes."""
+    found = [*root.glob("docs/**/*.md"), *root.glob("studies/**/README.md")]
+    return sorted([*(path.relative_to(root).as_posix() for path in found), *SINGLE])
+
+
+def assets(root: Path) -> Mapping[str, bytes]:
+    """Files of `docs` that are no pages: pictures, styles, scripts."""
+    folder = root / "docs"
+    return {
+        path.relative_to(folder).as_posix().replace(os.sep, "/"): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.suffix != PAGE
+    }
