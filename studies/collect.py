@@ -22,6 +22,8 @@ Runs of another version of the package than those before are refused (exit statu
 """
 
 import argparse
+import hashlib
+import json
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -45,6 +47,7 @@ from magical.experiments.results import (
     RESULT,
     RUNS,
     is_results,
+    is_same_run,
     listed,
     read_state,
     run_folders,
@@ -55,6 +58,8 @@ from magical.runs.sources import DEMONSTRATIONS
 
 COLLECTED = "collected"  # in the plan's file: what is known of its runs
 LEADERBOARD = "leaderboard"  # in a run's folder: its evaluation by the leaderboard's protocol
+VARIED = ("tasks", "seed")  # settings in which runs of a method differ
+DIGITS = 10  # of a digest of settings, hexadecimal
 
 
 @dataclass
@@ -65,8 +70,10 @@ class Collected:
         version: of the package that all runs were made with; empty before the first.
         demonstrations: digests by task, of a dataset of the user's.
         generated: digests by folder and task, of generated ones.
-        runs: seconds of training and evaluation, and the time of the end, by the run's folder.
+        runs: seconds of training and evaluation, the time of the end, and the key of what it was
+            made with, by the run's folder.
         failed: the error of each run that failed.
+        settings: what runs were made with but for tasks and seed, by a digest.
         entries: by `runs/FOLDER` and `runs/FOLDER/leaderboard`.
     """
 
@@ -75,6 +82,7 @@ class Collected:
     runs: dict[str, dict[str, Any]] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
     generated: dict[str, str] = field(default_factory=dict)
+    settings: dict[str, dict[str, Any]] = field(default_factory=dict)
     entries: dict[str, Entry] = field(default_factory=dict)
 
     @classmethod
@@ -87,6 +95,37 @@ class Collected:
         if damaged := [entry for entry in entries.values() if not isinstance(entry, Entry)]:
             raise damaged[0]
         return cls(**found, entries={k: e for k, e in entries.items() if isinstance(e, Entry)})
+
+    def add(self, name: str, record: Mapping[str, Any], entry: Entry) -> None:
+        """Add a run that is done, from its final record and its entry."""
+        self.entries[f"{RUNS}/{name}"] = entry
+        self.failed.pop(name, None)
+        config = dict(record["settings"]["config"])
+        varied = {part: config.pop(part) for part in VARIED}
+        settings = {**record["settings"], "config": config}
+        key = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:DIGITS]
+        self.settings[key] = settings
+        seconds = {part: round(float(s), 1) for part, s in record["seconds"].items()}
+        ended = {"seconds": seconds, "finished": record["finished"]}
+        self.runs[name] = {**ended, "method": entry.method, **varied, "settings": key}
+
+    def record(self, name: str) -> dict[str, Any]:
+        """The final record of a run, as far as it is kept."""
+        facts = dict(self.runs[name])
+        settings = self.settings[facts["settings"]]
+        config = {**settings["config"], **{part: facts.pop(part) for part in VARIED}}
+        return {**facts, "settings": {**settings, "config": config}}
+
+    def adopt(self, planned: Mapping[str, PlannedRun]) -> None:
+        """Give runs whose settings were recorded in an earlier form the names of the plan's."""
+        earlier = {name: self.record(name) for name in self.runs.keys() - planned.keys()}
+        for run in planned.values():
+            name = next((name for name in earlier if is_same_run(run, earlier[name])), None)
+            if name and run.folder not in self.runs:
+                self.runs[run.folder] = self.runs.pop(name)
+                for key in [key for key in self.entries if Path(key).parts[1] == name]:
+                    renamed = Path(RUNS, run.folder, *Path(key).parts[2:]).as_posix()
+                    self.entries[renamed] = self.entries.pop(key)
 
     def write(self, folder: Path, runs: Sequence[Mapping[str, Any]]) -> None:
         """Write it, with the plan's runs."""
@@ -117,6 +156,7 @@ def collect(
     """
     planned = {run.folder: run for run in planned_runs(read_plan(plan))}
     collected = Collected.read(out)
+    collected.adopt(planned)
     for source in sources:
         _require_same(source, collected, out)
         for folder in run_folders(source):
@@ -156,10 +196,7 @@ def _collect_run(
         if name not in collected.runs and (state := read_state(folder)):
             record = read_json(folder / RESULT)
             if state == DONE:
-                collected.entries[key] = _entry(folder, collected.version, **stated)
-                collected.failed.pop(name, None)
-                seconds = {part: round(float(s), 1) for part, s in record["seconds"].items()}
-                collected.runs[name] = {"seconds": seconds, "finished": record["finished"]}
+                collected.add(name, record, _entry(folder, collected.version, **stated))
             else:
                 collected.failed[name] = str(record["error"])
         new = second not in collected.entries and name in collected.runs

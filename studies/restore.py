@@ -1,6 +1,6 @@
 """Make a results folder of what was collected, so that `magical run` does the other runs only.
 
-python -m studies.restore studies/STUDY/results/PLAN --out RUNS
+python -m studies.restore studies/STUDY/results/PLAN --out RUNS [--again SEED]
 
 RUNS is a folder that does not exist yet. The collected runs count as done in it. They have scores
 and no weights, so they can be reported and not evaluated again. Then
@@ -8,7 +8,8 @@ and no weights, so they can be reported and not evaluated again. Then
 magical run studies/STUDY/plans/PLAN.toml --out RUNS
 
 does what is missing, of the same version of the package and from the same demonstrations, and
-`studies/collect.py` collects it.
+`studies/collect.py` collects it. With --again the runs of a seed are left out and so done again,
+for their weights (`studies/weights.py`).
 """
 
 import argparse
@@ -24,8 +25,13 @@ from magical.runs.folder import read_json, write_json
 from studies.collect import Collected
 
 
-def restore(source: Path, out: Path) -> int:
+def restore(source: Path, out: Path, again: int | None = None) -> int:
     """Make the results folder; returns the number of runs that are done in it.
+
+    Args:
+        source: what was collected of a plan.
+        out: the results folder to make.
+        again: the training seed whose runs are left out.
 
     Raises:
         ResultsError: nothing was collected in `source`, or `out` exists.
@@ -35,8 +41,10 @@ def restore(source: Path, out: Path) -> int:
         raise ResultsError(f"{source}: expected collected runs, found none")
     if out.exists():
         raise ResultsError(f"{out}: expected a new folder; give another --out")
-    for name, facts in collected.runs.items():
-        write_json(out / RUNS / name / RESULT, {"state": DONE, **facts})
+    for name in [name for name, facts in collected.runs.items() if facts["seed"] == again]:
+        del collected.runs[name]
+    for name in collected.runs:
+        write_json(out / RUNS / name / RESULT, {"state": DONE, **collected.record(name)})
     for key, entry in collected.entries.items():
         if Path(key).parts[1] in collected.runs:
             entry.write(out / key)
@@ -56,9 +64,10 @@ def main(arguments: Sequence[str]) -> int:
     )
     parser.add_argument("source", type=Path, metavar="studies/STUDY/results/PLAN")
     parser.add_argument("--out", type=Path, required=True, metavar="RUNS")
+    parser.add_argument("--again", type=int, metavar="SEED", help="leave out the runs of this seed")
     args = parser.parse_args(arguments)
     try:
-        print(f"{args.out}: {restore(args.source, args.out)} runs done")
+        print(f"{args.out}: {restore(args.source, args.out, args.again)} runs done")
     except MagicalError as error:
         print(f"error: {error}", file=sys.stderr)
         return 1

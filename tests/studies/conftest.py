@@ -9,5 +9,7 @@ __all__ = ["finished", "inline", "planned", "tiny", "write_entry"]
 
 # What executes plans cannot even be imported without PyTorch.
 collect_ignore = (
-    [] if find_spec("torch") else ["test_collecting.py", "test_plans.py", "test_restoring.py"]
+    []
+    if find_spec("torch")
+    else [f"test_{name}.py" for name in ("collecting", "plans", "restoring", "weights")]
 )

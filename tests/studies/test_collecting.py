@@ -12,7 +12,8 @@ import pytest
 from magical.evaluation import Entry, Evaluation, environments, read_entry
 from magical.evaluation.collection import write_collection
 from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
-from magical.experiments.plan import PlannedRun
+from magical.experiments.plan import PlannedRun, planned_runs
+from magical.experiments.plan_file import read_plan
 from magical.report.found.search import search_results
 from magical.report.leaderboard import make_leaderboard
 from studies import collect as collect_results
@@ -233,3 +234,33 @@ def test_runs_that_are_no_longer_the_plans_count_nowhere(
         second,
         "not a run of the plan, but of an earlier one",
     )
+
+
+def test_runs_whose_settings_had_other_names_are_the_plans(
+    copied: Path, tiny: Path, out: Path, planned: Planned, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(collect_results, "Evaluation", partial(Evaluation, rollouts=1))
+    list(collect_results.collect([copied], out, tiny, leaderboard=True))
+    before, names = entries(out), [run.folder for run in planned()]
+    text = (
+        (out / "plan.json").read_text().replace('"log_every": 1', '"log_every": 1, "compile": ""')
+    )
+    earlier = {name: f"{name[:-10]}0123456789" for name in names}
+    for name in names:
+        text = text.replace(name, earlier[name])
+    (out / "plan.json").write_text(text)
+    write_collection(
+        out, {key.replace(n := key.split("/")[1], earlier[n]): e for key, e in before.items()}
+    )
+    assert collect(copied, out, tiny) == []
+    assert entries(out) == before
+    assert set(known(out)["runs"]) == set(names)
+
+
+def test_all_that_was_collected_is_of_todays_plans(root: Path) -> None:
+    for path in root.glob("studies/*/results/*/plan.json"):
+        collected = collect_results.Collected(**json.loads(path.read_text())["collected"])
+        plan = path.parents[2] / "plans" / f"{path.parent.name}.toml"
+        planned = {run.folder: run for run in planned_runs(read_plan(plan))}
+        collected.adopt(planned)
+        assert collected.runs.keys() <= planned.keys(), path

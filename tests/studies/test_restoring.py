@@ -50,6 +50,15 @@ def test_a_plan_goes_on_where_it_was_collected(
         assert (again / file).read_bytes() == (finished / file).read_bytes()
 
 
+def test_the_runs_of_a_seed_can_be_done_again(
+    finished: Path, tiny: Path, planned: Planned, tmp_path: Path
+) -> None:
+    out, again = tmp_path / "results" / "tiny", tmp_path / "again"
+    list(collect_results.collect([finished], out, tiny))
+    assert restore_results.restore(out, again, again=1) == 1
+    assert planned_states(again, planned()) == ["done", "waiting"]
+
+
 def test_restored_runs_cannot_be_evaluated_and_stop_nothing(
     finished: Path, tiny: Path, tmp_path: Path
 ) -> None:

@@ -10,7 +10,7 @@
 import glob
 import json
 import uuid
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -216,12 +216,12 @@ def _adopt_earlier(path: Path, runs: Sequence[PlannedRun]) -> None:
         prefix, new = run.folder.removesuffix(run.identity), path / RUNS / run.folder
         if not new.exists():
             for old in sorted((path / RUNS).glob(f"{glob.escape(prefix)}*")):
-                if (old / RESULT).is_file() and _is_same(run, read_record(old / RESULT)):
+                if (old / RESULT).is_file() and is_same_run(run, read_record(old / RESULT)):
                     old.replace(new)
                     break
 
 
-def _is_same(run: PlannedRun, record: dict[str, Any]) -> bool:
+def is_same_run(run: PlannedRun, record: Mapping[str, Any]) -> bool:
     """Whether a final record is of a run with these settings, whatever names they had then."""
     settings, now = record.get("settings"), run.settings()
     if record.get("method") != run.method or not isinstance(settings, dict):
@@ -230,7 +230,9 @@ def _is_same(run: PlannedRun, record: dict[str, Any]) -> bool:
         config = type(run.config).from_dict(settings.get("config", {})).to_dict()
     except (MagicalError, TypeError):
         return False
-    then = {**settings, "config": {**config, GRAPHS: now["config"].get(GRAPHS)}}
+    then = {**settings, "config": config}
+    for part in (then["config"], now["config"]):
+        part.pop(GRAPHS, None)
     return json.dumps(then, sort_keys=True) == json.dumps(now, sort_keys=True)
 
 
