@@ -55,10 +55,10 @@ def main() -> None:
         read = time.process_time()
         page = Path(name) / "page.html"
         write_page(page, "Benchmark", found, methods)
-        made = time.process_time()
+        made, size = time.process_time(), page.stat().st_size
     print(f"{len(found.results)} runs of {len(methods)} methods")
     print(f"finding and reading: {read - start:.1f} s of processor time")
-    print(f"the page: {made - read:.1f} s of processor time, {page.stat().st_size / 1e6:.1f} MB")
+    print(f"the page: {made - read:.1f} s of processor time, {size / 1e6:.1f} MB")
 
 
 if __name__ == "__main__":

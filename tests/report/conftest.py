@@ -1,7 +1,7 @@
 """Entries as `magical evaluate` writes them."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +14,19 @@ from magical.evaluation import Entry, RolloutScore
 WriteEntry = Callable[..., Path]
 
 
+def make_entry(method: str, scores: Mapping[str, Sequence[float]], **fields: Any) -> Entry:
+    """Scores by task and variant (`MakeLine-Demo`); the published code's rule gives half."""
+    rows = [
+        RolloutScore(EnvId(*env.split("-")), i, evaluation_seed(i), score, score / 2)
+        for env, values in scores.items()
+        for i, score in enumerate(values)
+    ]
+    return Entry(method=method, scores=rows, **fields)
+
+
 @pytest.fixture
 def write_entry(tmp_path: Path) -> WriteEntry:
-    """Write an entry and, with a training seed, the files of its run, below the test's folder.
-
-    The scores are by task and variant (`MakeLine-Demo`); the published code's rule gives half.
-    """
+    """Write an entry and, with a training seed, the files of its run, below the test's folder."""
 
     def write(
         name: str,
@@ -28,13 +35,8 @@ def write_entry(tmp_path: Path) -> WriteEntry:
         seed: int | None = None,
         **fields: Any,
     ) -> Path:
-        rows = [
-            RolloutScore(EnvId(*env.split("-")), i, evaluation_seed(i), score, score / 2)
-            for env, values in scores.items()
-            for i, score in enumerate(values)
-        ]
         folder = tmp_path / name
-        Entry(method=method, scores=rows, **fields).write(folder)
+        make_entry(method, scores, **fields).write(folder)
         if seed is not None:
             tasks = list(dict.fromkeys(env.split("-")[0] for env in scores))
             write_json(folder / "config.json", {"seed": seed, "tasks": tasks, "algorithm": "bc"})
@@ -44,6 +46,6 @@ def write_entry(tmp_path: Path) -> WriteEntry:
     return write
 
 
-def write_json(path: Path, data: Mapping[str, Any]) -> None:
+def write_json(path: Path, data: Any) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(data))

@@ -16,24 +16,6 @@ from studies import restore as restore_results
 Planned = Callable[..., list[PlannedRun]]
 
 
-def test_collected_runs_are_done_and_the_others_wait(
-    finished: Path, tiny: Path, planned: Planned, tmp_path: Path
-) -> None:
-    copied = Path(shutil.copytree(finished, tmp_path / "runs"))
-    (copied / "runs" / planned()[1].folder / "result.json").unlink()
-    out, again = tmp_path / "results" / "tiny", tmp_path / "again"
-    list(collect_results.collect([copied], out, tiny))
-    assert restore_results.restore(out, again) == 1
-    assert planned_states(again, planned()) == ["done", "waiting"]
-    done, waiting = read_status(again).runs
-    assert done.seconds is not None
-    assert (done.state, waiting.state) == ("done", "waiting")
-    before = (out / "plan.json").read_bytes()
-    missing = list(collect_results.collect([again], out, tiny))
-    assert missing == ["missing: BC tiny, MoveToRegion, seed 1: not done"]
-    assert (out / "plan.json").read_bytes() == before
-
-
 def test_a_plan_goes_on_where_it_was_collected(
     finished: Path, tiny: Path, planned: Planned, inline: list[PlannedRun], tmp_path: Path
 ) -> None:
@@ -42,7 +24,14 @@ def test_a_plan_goes_on_where_it_was_collected(
     (copied / "runs" / second / "result.json").unlink()
     out, again = tmp_path / "results" / "tiny", tmp_path / "again"
     list(collect_results.collect([copied], out, tiny))
-    restore_results.restore(out, again)
+    assert restore_results.restore(out, again) == 1
+    assert planned_states(again, planned()) == ["done", "waiting"]
+    assert read_status(again).runs[0].seconds is not None
+    before = (out / "plan.json").read_bytes()
+    left_out, missing = collect_results.collect([again], out, tiny, leaderboard=True)
+    assert left_out.startswith("left out: ")  # no weights to evaluate
+    assert missing == "missing: BC tiny, MoveToRegion, seed 1: not done"
+    assert (out / "plan.json").read_bytes() == before
     assert execute(planned(), again).complete
     assert [run.folder for run in inline] == [second]
     for name in (first, second):
@@ -57,17 +46,6 @@ def test_the_runs_of_a_seed_can_be_done_again(
     list(collect_results.collect([finished], out, tiny))
     assert restore_results.restore(out, again, again=1) == 1
     assert planned_states(again, planned()) == ["done", "waiting"]
-
-
-def test_restored_runs_cannot_be_evaluated_and_stop_nothing(
-    finished: Path, tiny: Path, tmp_path: Path
-) -> None:
-    out, again = tmp_path / "results" / "tiny", tmp_path / "again"
-    list(collect_results.collect([finished], out, tiny))
-    restore_results.restore(out, again)
-    lines = list(collect_results.collect([again], out, tiny, leaderboard=True))
-    assert len(lines) == 2
-    assert all(line.startswith("left out: ") for line in lines)
 
 
 @pytest.mark.parametrize("exists", [False, True])

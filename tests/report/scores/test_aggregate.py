@@ -1,28 +1,35 @@
-"""All environments in one row for each method."""
+"""Methods over all environments, along each axis, and pair by pair."""
 
 import math
 
 import pytest
 
-from magical.envs import EnvId
-from magical.evaluation import Entry, RolloutScore
+from magical.evaluation import Entry
 from magical.evaluation.statistics import probability_of_improvement
-from magical.report.scores.grids import Grid, aggregate_grid, interval_text
+from magical.report.scores.grids import (
+    THRESHOLDS,
+    Grid,
+    aggregate_grid,
+    gap_grid,
+    improvement_table,
+    interval_text,
+    profiles,
+)
 from magical.report.scores.methods import ComparedMethod, compared_methods
+from tests.report.conftest import make_entry
 
-LINE, LINE_ALL = EnvId("MakeLine", "Demo"), EnvId("MakeLine", "TestAll")
-DUPE, DUPE_ALL = EnvId("FindDupe", "Demo"), EnvId("FindDupe", "TestAll")
-NAMES = {"line": LINE, "line_all": LINE_ALL, "dupe": DUPE, "dupe_all": DUPE_ALL}
+NAMES = {
+    "line": "MakeLine-Demo",
+    "line_jitter": "MakeLine-TestJitter",
+    "line_all": "MakeLine-TestAll",
+    "dupe": "FindDupe-Demo",
+    "dupe_all": "FindDupe-TestAll",
+}
 T2, T4 = 4.302653, 2.776445  # 97.5% quantiles of Student's t
 
 
 def entry(method: str, **scores: list[float]) -> Entry:
-    rows = [
-        RolloutScore(NAMES[name], i, i, score, 0.0)
-        for name, values in scores.items()
-        for i, score in enumerate(values)
-    ]
-    return Entry(method=method, scores=rows)
+    return make_entry(method, {NAMES[name]: values for name, values in scores.items()})
 
 
 def compared(entries: list[Entry]) -> tuple[list[ComparedMethod], Grid]:
@@ -105,56 +112,65 @@ def test_only_environments_that_all_runs_on_a_task_have_count() -> None:
     runs = [entry("a", line=[1.0], line_all=[0.0]), entry("a", line=[1.0]), entry("a", dupe=[0.4])]
     rows, grid = compared(runs)
     assert grid.note.startswith("Over 2 environments.")
+    assert "there is no interval" in grid.note
     assert rows[0].mean().value == pytest.approx((1.0 + 0.4) / 2)
     assert rows[0].unit == "1 to 2 runs"  # two runs on one task, one on the other
     assert math.isnan(rows[0].mean().low)
     assert interval_text(rows[0].mean()) == "0.70"
 
 
-def test_a_run_without_one_task_takes_the_interval_away() -> None:
-    whole = [entry("a", line=[p], dupe=[p]) for p in (0.2, 0.5, 0.8)]
-    (row,), grid = compared([*whole, entry("a", line=[0.9])])
-    assert row.unit == "3 to 4 runs"
-    assert math.isnan(row.mean().low)
-    assert "there is no interval" in grid.note
-    (row,), _ = compared(whole)
-    assert row.mean().high - row.mean().low > 0.5
-
-
 def test_rows_and_header_fit() -> None:
     runs = [entry("a", line=[0.5], line_all=[0.5])] * 2 + [entry("b", line=[0.5], line_all=[0.5])]
     _, grid = compared(runs)
-    assert grid.header == (
-        "method",
-        "intervals over",
-        "mean",
-        "interquartile mean",
-        "optimality gap",
-        "generalisation gap",
-        "difference from a",
-        "P(better than a)",
+    assert grid.header[4:] == (
+        *("optimality gap", "generalisation gap", "difference from a", "P(better than a)"),
     )
     even = "0.50 [0.50, 0.50]"
-    assert grid.rows[0] == (
-        "a",
-        "2 runs",
-        even,
-        even,
-        even,
-        "0.00 [0.00, 0.00]",
-        "–",
-        "–",
-    )
-    assert grid.rows[1][1:5] == (
-        "rollouts of 1 run",
-        "0.50 [0.19, 0.81]",
-        "0.50",
-        "0.50",
-    )
-    assert {len(row) for row in grid.rows} == {8}
-
-
-def test_one_method_has_no_comparisons() -> None:
+    assert grid.rows[0] == ("a", "2 runs", even, even, even, "0.00 [0.00, 0.00]", "–", "–")
+    assert grid.rows[1][1:5] == ("rollouts of 1 run", "0.50 [0.19, 0.81]", "0.50", "0.50")
     _, grid = compared([entry("a", line=[0.5])])
     assert grid.header[-1] == "generalisation gap"
     assert grid.rows == [("a", "rollouts of 1 run", "0.50 [0.05, 0.95]", "0.50", "0.50", "–")]
+
+
+def test_gaps_have_a_column_for_each_axis_that_there_is() -> None:
+    names = ("line", "line_jitter", "line_all")
+    means = [("a", (0.9, 0.7, 0.4)), ("a", (0.9, 0.8, 0.5)), ("b", (1.0, 1.0, 0.0))]
+    entries = [
+        entry(method, **{name: [mean] for name, mean in zip(names, scores, strict=True)})
+        for method, scores in means
+    ]
+    grid = gap_grid(compared_methods(entries))
+    assert grid is not None
+    assert grid.header == ("method", "Jitter", "All")
+    # The runs' gaps are 0.2 and 0.1, and 0.5 and 0.4: half of t(1) = 12.706 times their std's root.
+    half = 12.706 * math.sqrt(0.005 / 2)
+    assert grid.rows[0][1] == f"0.15 [{0.15 - half:.2f}, {0.15 + half:.2f}]"
+    assert grid.rows[1][2].startswith("1.00 [")
+    assert gap_grid(compared_methods([entry("a", line_all=[1.0])])) is None
+
+
+def test_every_method_is_compared_with_every_other() -> None:
+    means = [("a", 0.9), ("a", 0.7), ("b", 0.8), ("b", 0.6), ("c", 0.9)]
+    entries = [entry(method, line=[mean]) for method, mean in means]
+    table = improvement_table(compared_methods(entries))
+    assert table is not None
+    assert table.variants == ("a", "b", "c")
+    cells = {row.label: {name: cell.mean for name, cell in row.cells.items()} for row in table.rows}
+    # Of 4 pairs a wins (0.9, 0.8), (0.9, 0.6), (0.7, 0.6); against c it ties once and loses once.
+    assert cells["a"] == pytest.approx({"b": 0.75, "c": 0.25})
+    assert cells["b"] == pytest.approx({"a": 0.25, "c": 0.0})
+    assert cells["c"] == pytest.approx({"a": 0.75, "b": 1.0})
+    assert improvement_table(compared_methods(entries[:2])) is None
+
+
+def test_profiles_fall_from_left_to_right() -> None:
+    methods = compared_methods(
+        [entry("a", line=[0.9]), entry("a", line=[0.3]), entry("b", line=[0.0])]
+    )
+    found = profiles(methods)
+    shares = [interval.value for interval in found["a"]]
+    assert shares[0] == 1.0
+    assert shares[list(THRESHOLDS).index(0.5)] == 0.5
+    assert shares == sorted(shares, reverse=True)
+    assert {interval.value for interval in found["b"]} == {0.0}

@@ -1,12 +1,8 @@
 """Score tables."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
-from magical.envs import parse_env_id
-from magical.evaluation import Entry, RolloutScore
 from magical.report.scores.tables import (
     ONE_RUN,
     RUNS_APART,
@@ -16,16 +12,7 @@ from magical.report.scores.tables import (
     task_table,
     text_rows,
 )
-
-
-def entry(method: str, scores: dict[str, list[float]], **fields: Any) -> Entry:
-    """Scores by environment name; the published code's rule gives half of each."""
-    rows = [
-        RolloutScore(parse_env_id(f"{name}-v0"), i, i, score, score / 2)
-        for name, values in scores.items()
-        for i, score in enumerate(values)
-    ]
-    return Entry(method=method, scores=rows, **fields)
+from tests.report.conftest import make_entry as entry
 
 
 def test_one_run_has_an_interval_over_rollouts() -> None:
@@ -38,6 +25,9 @@ def test_one_run_has_an_interval_over_rollouts() -> None:
     assert row.note == "mean, 95% interval over rollouts"
     assert table.variants[:2] == ("Demo", "Jitter")
     assert table.note == "Scored by the appendix's rule." + ONE_RUN
+    same = task_table("MoveToRegion", [entry("mine", {"MoveToRegion-Demo": [1.0]})], ["BC (ST)"])
+    rule = "The published code's rule and horizon are the appendix's on this task."
+    assert same.note == rule + ONE_RUN
 
 
 def test_runs_of_a_method_share_a_row() -> None:
@@ -61,19 +51,13 @@ def test_with_published_rows_all_are_scored_by_the_published_rule() -> None:
     assert "published code's rule" in table.note
 
 
-def test_a_different_horizon_is_said() -> None:
-    scores = {"ClusterShape-Demo": [1.0]}
-    appendix = task_table("ClusterShape", [entry("mine", scores)])
-    published = task_table("ClusterShape", [entry("mine", scores, horizon="published")])
-    assert appendix.rows[0].note.endswith("horizon 320")
-    assert published.rows[0].note.endswith("horizon 240")
-
-
 @pytest.mark.parametrize("horizon", ["published", "240"])
 def test_published_rows_are_beside_scores_of_the_published_horizon(horizon: str) -> None:
-    scores = {"ClusterShape-Demo": [1.0]}
-    table = task_table("ClusterShape", [entry("mine", scores, horizon=horizon)], ["BC (ST)"])
+    mine = entry("mine", {"ClusterShape-Demo": [1.0]}, horizon=horizon)
+    table = task_table("ClusterShape", [mine], ["BC (ST)"])
     assert [row.cells["Demo"].mean for row in table.rows] == [0.5, 0.35]
+    assert table.rows[0].cells["Demo"].difference is not None
+    assert "horizon 240" in table.rows[0].note
     assert "whose horizon is 240 control steps" in table.note
 
 
@@ -82,6 +66,7 @@ def test_published_rows_are_never_beside_scores_of_another_horizon() -> None:
     mine = entry("mine", scores, horizon="published")
     table = task_table("ClusterShape", [mine, entry("other", scores)], ["BC (ST)"])
     assert [row.label for row in table.rows] == ["mine", "other"]
+    assert table.rows[1].note.endswith("horizon 320")
     assert [row.cells["Demo"].mean for row in table.rows] == [1.0, 1.0]
     assert "Scored by the appendix's rule. The published rows are left out" in table.note
     assert "240 control steps, not 320; evaluate with --horizon published" in table.note
@@ -89,12 +74,6 @@ def test_published_rows_are_never_beside_scores_of_another_horizon() -> None:
     assert "--horizon 180 to compare" in task_table("MakeLine", [short], ["BC (ST)"]).note
     elsewhere = entry("elsewhere", {"MakeLine-Demo": [1.0]})
     assert len(task_table("ClusterShape", [mine, elsewhere], ["BC (ST)"]).rows) == 2
-
-
-def test_where_the_rules_agree_the_note_says_so() -> None:
-    table = task_table("MoveToRegion", [entry("mine", {"MoveToRegion-Demo": [1.0]})], ["BC (ST)"])
-    rule = "The published code's rule and horizon are the appendix's on this task."
-    assert table.note == rule + ONE_RUN
 
 
 def test_few_runs_of_which_some_fail_are_listed() -> None:
@@ -113,6 +92,13 @@ def test_methods_without_the_task_have_no_row() -> None:
     entries = [entry("a", {"MakeLine-Demo": [1.0]}), entry("b", {"FindDupe-Demo": [1.0]})]
     assert entry_tasks(entries) == ("MakeLine", "FindDupe")
     assert [row.label for row in task_table("FindDupe", entries).rows] == ["b"]
+    other = entry("b", {"FindDupe-TestAll": [0.5], "MakeLine-Demo": [0.5]})  # another task's score
+    (_, row) = task_table(
+        "MakeLine", [entries[0], entry("b", {"MakeLine-Demo": [1.0]}), other]
+    ).rows
+    assert row.cells["Demo"].mean == 0.75
+    (row,) = task_table("FindDupe", [entries[1], other]).rows
+    assert row.cells["Demo"].detail.endswith("(1 of 2 runs)")
 
 
 def test_text_rows_have_a_dash_where_nothing_was_evaluated() -> None:
