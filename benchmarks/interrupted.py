@@ -20,7 +20,7 @@ import time
 from collections import Counter
 from pathlib import Path
 
-from magical.experiments.results import RUNS, listed_runs
+from magical.runs.plan import RUNS, listed_runs
 
 DONE = re.compile(r"^done: (.*) \(", re.MULTILINE)
 

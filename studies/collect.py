@@ -43,9 +43,6 @@ from magical.experiments.plan_file import read_plan
 from magical.experiments.results import (
     DONE,
     EXPERIMENT,
-    PLAN,
-    RESULT,
-    RUNS,
     is_results,
     is_same_run,
     listed,
@@ -54,6 +51,7 @@ from magical.experiments.results import (
 )
 from magical.report.found.statements import LOOKS
 from magical.runs.folder import read_json, write_json
+from magical.runs.plan import PLAN, RESULT, RUNS
 from magical.runs.sources import DEMONSTRATIONS
 
 COLLECTED = "collected"  # in the plan's file: what is known of its runs

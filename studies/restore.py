@@ -20,8 +20,9 @@ from pathlib import Path
 
 from magical.errors import MagicalError, ResultsError
 from magical.experiments.demonstrations import DIGESTS, GENERATED
-from magical.experiments.results import DONE, EXPERIMENT, FORMAT, PLAN, RESULT, RUNS
+from magical.experiments.results import DONE, EXPERIMENT, FORMAT
 from magical.runs.folder import read_json, write_json
+from magical.runs.plan import PLAN, RESULT, RUNS
 from studies.collect import Collected
 
 

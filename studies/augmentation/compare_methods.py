@@ -19,9 +19,9 @@ from magical.envs import EnvId
 from magical.evaluation import RolloutScore
 from magical.evaluation.intervals import Floats
 from magical.evaluation.statistics import difference, run_means
-from magical.experiments.results import listed_runs
 from magical.grouping import group_by
-from magical.report.found.search import RUNS, search_results
+from magical.report.found.search import search_results
+from magical.runs.plan import RUNS, listed_runs
 from magical.tasks.axes import SHORT_VARIANTS, short_variant
 
 Runs = Sequence[Sequence[RolloutScore]]

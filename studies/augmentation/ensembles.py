@@ -12,8 +12,8 @@ from pathlib import Path
 
 from magical.evaluation import RolloutScore, evaluate, read_scores, write_scores
 from magical.evaluation.statistics import run_means
-from magical.experiments.results import RUNS, listed_runs
 from magical.learning import EnsemblePolicy
+from magical.runs.plan import RUNS, listed_runs
 from magical.tasks.axes import short_variant
 
 

@@ -12,11 +12,10 @@ from PIL import Image
 
 from magical import __version__
 from magical.envs.seeds import evaluation_seed
-from magical.evaluation import Entry, RolloutScore, environments, published_tasks
+from magical.evaluation import Entry, RolloutScore, environments
 from magical.evaluation.collection import write_collection
 from studies import pages
 from studies.collect import Collected
-from studies.plan_results import PlanResults
 
 pytest.importorskip("matplotlib", reason="the report extra is not installed")
 
@@ -109,16 +108,10 @@ def test_without_results_everything_is_not_run(repository: Path) -> None:
     assert claims[0][2].startswith("+0.09 [")
 
 
-def test_the_planned_runs_are_counted_without_reading_the_plans_methods(root: Path) -> None:
-    planned = {name: PlanResults.read(root, name).planned for name in pages.PLANS}
-    assert planned["bc-human"] == 5 * len(published_tasks())
-    assert planned["bc-multi-human"] == 3
-    assert planned["bc-ablations-human"] == 3 * 3 * len(published_tasks())
-
-
 def test_cells_by_hand(repository: Path) -> None:
     for seed, score in enumerate((0.9, 1.0)):
         write_run(repository, "bc-human", "BC (ST)", "MoveToRegion", seed, score)
+        write_run(repository, "object-bc", "object-bc (ST)", "MoveToRegion", seed, score)
     text = made(repository)
     ((_, runs, hours, minutes, version, missing),) = lines(text, "runs", "[bc-human](")
     assert (runs, hours, minutes) == ("2 of 40", "0.1", "2.0")
@@ -137,17 +130,10 @@ def test_cells_by_hand(repository: Path) -> None:
     assert verdict == "open"
     assert section(text, "far").startswith("- BC (ST), above: MoveToRegion All (+10.8), ")
     assert lines(text, "tasks", "MoveToCorner") == [["MoveToCorner", "not run"]]
-
-
-def test_a_row_that_was_not_published_has_a_table_of_its_own(repository: Path) -> None:
-    for seed, score in enumerate((0.9, 1.0)):
-        write_run(repository, "object-bc", "object-bc (ST)", "MoveToRegion", seed, score)
-    text = made(repository)
+    # A row that was not published has a table of its own.
     assert section(text, "others").startswith("### object-bc (ST)\n")
-    ((_, demo, *_),) = lines(text, "others", "MoveToRegion")
-    assert demo == "0.95 ± 0.07"
-    assert section(text, "cells") == "Nothing yet: not run.\n"
-    assert "object-bc" not in section(text, "counts")
+    assert lines(text, "others", "MoveToRegion")[0][1] == "0.95 ± 0.07"
+    assert all("object-bc" not in section(text, name) for name in ("cells", "counts"))
 
 
 def test_a_change_is_shown_variant_by_variant(repository: Path) -> None:
@@ -166,15 +152,19 @@ def test_entries_that_do_not_count_are_listed_by_reason(repository: Path) -> Non
     folder = write_run(repository, "bc-human", "BC (ST)", "MoveToRegion", 0, 0.5)
     write_run(repository, "bc-human", "BC (ST), mine", "MoveToRegion", 1, 0.5)
 
-    def age(key: str, entries: dict[str, Entry]) -> None:
+    def spoil(key: str, entries: dict[str, Entry]) -> None:
+        entries[f"{key}/leaderboard"] = entries[key]
         entries[key] = replace(entries[key], version="9.0.0")
 
-    change_entries(folder, age)
+    change_entries(folder, spoil)
     text = made(repository)
-    assert section(text, "cells") == "Nothing yet: not run.\n"
-    other, foreign = section(text, "rejected").splitlines()
-    assert other.startswith(f"- `{folder.relative_to(repository)}`: made by version 9.0.0")
+    for name in ("cells", "leaderboard"):
+        assert section(text, name) == "Nothing yet: not run.\n"
+    other, ranked, foreign = section(text, "rejected").splitlines()
+    path = folder.relative_to(repository)
+    assert other.startswith(f"- `{path}`: made by version 9.0.0")
     assert foreign == "- `studies`: BC (ST), mine is a method of none of the plans"
+    assert ranked.startswith(f"- `{path}/leaderboard`: nudge 0, expected 1e-09")
 
 
 def write_leaderboard_entry(folder: Path, score: float) -> None:
@@ -213,22 +203,12 @@ def test_the_leaderboards_evaluations_are_ranked_and_shown_nowhere_else(reposito
     assert text.replace(section(text, "leaderboard"), section(before, "leaderboard")) == before
 
 
-def test_what_the_leaderboard_does_not_allow_is_listed_with_its_reason(repository: Path) -> None:
-    folder = write_run(repository, "bc-human", "BC (ST)", "MoveToRegion", 0, 0.5)
-
-    def copy(key: str, entries: dict[str, Entry]) -> None:
-        entries[f"{key}/leaderboard"] = entries[key]
-
-    change_entries(folder, copy)
-    text = made(repository)
-    assert section(text, "leaderboard") == "Nothing yet: not run.\n"
-    (rejected,) = section(text, "rejected").splitlines()
-    name = "studies/published_tables/results/bc-human/runs/MoveToRegion-seed0/leaderboard"
-    assert rejected.startswith(f"- `{name}`: nudge 0, expected 1e-09")
-
-
 def test_the_check_finds_a_page_or_a_picture_that_is_out_of_date(repository: Path) -> None:
-    made(repository)
+    page = repository / "studies" / "published_tables" / "README.md"
+    page.write_text(
+        page.read_text().replace("## Why cells differ\n", "## Why cells differ\n\nX.\n")
+    )
+    assert "\n\nX.\n" in made(repository)  # what is written by hand stays
     assert pages.main(["--check"], repository) == 0
     write_run(repository, "bc-human", "BC (ST)", "MoveToRegion", 0, 0.5)
     before = pages_of(repository)
@@ -243,14 +223,5 @@ def test_the_check_finds_a_page_or_a_picture_that_is_out_of_date(repository: Pat
     picture.write_bytes(old)
     assert pages.main(["--check"], repository) == 1
     made(repository)
-    page = repository / "studies" / "published_tables" / "README.md"
     page.write_text(page.read_text().replace("1 of 40", "2 of 40"))
     assert pages.main(["--check"], repository) == 1
-
-
-def test_what_is_written_by_hand_stays(repository: Path) -> None:
-    page = repository / "studies" / "published_tables" / "README.md"
-    page.write_text(
-        page.read_text().replace("## Why cells differ\n", "## Why cells differ\n\nX.\n")
-    )
-    assert "\n\nX.\n" in made(repository)

@@ -8,8 +8,9 @@ from typing import Any
 
 from magical.experiments.display import duration
 from magical.experiments.estimates import SOURCE, estimate
-from magical.experiments.plan import PlannedRun, in_words
+from magical.experiments.plan import PlannedRun
 from magical.experiments.results import DONE, FAILED, planned_states
+from magical.runs.plan import in_words
 
 HEADER = ("method", "tasks", "seed", "time", "state")
 

@@ -15,13 +15,14 @@ from magical.evaluation.protocol import Evaluation
 from magical.evaluation.rollouts import roll_out
 from magical.experiments.entries import evaluation_details
 from magical.experiments.plan import PlannedRun
-from magical.experiments.results import DONE, FAILED, RESULT, Outcome
+from magical.experiments.results import DONE, FAILED, Outcome
 from magical.files import is_out_of_space, remove_partial_files
 from magical.learning import is_run, load_policy, train
 from magical.learning.config import DemonstrationSettings
 from magical.messages import printable
 from magical.runs.folder import write_json
 from magical.runs.machine import provenance, source_commit
+from magical.runs.plan import RESULT
 
 MAX_ERROR = 2_000  # characters of a recorded message
 MAX_TRACEBACK = 20_000  # and of a traceback, whose end says most

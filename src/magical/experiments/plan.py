@@ -24,6 +24,7 @@ from magical.learning import Config, find_algorithm
 from magical.learning.config import DemonstrationSettings, options
 from magical.learning.settings import option_types
 from magical.messages import quoted
+from magical.runs.plan import in_words
 from magical.tasks import TASKS, load_task, parse_horizon
 from magical.tasks.axes import full_variant
 from magical.untrusted import convert
@@ -255,11 +256,6 @@ class PlannedRun:
             "nudge": self.evaluation.nudge,
         }
         return {"config": config, **self.source.settings(), "evaluation": evaluation}
-
-
-def in_words(tasks: Sequence[str]) -> str:
-    """The name of the task, or the number of tasks."""
-    return tasks[0] if len(tasks) == 1 else f"{len(tasks)} tasks"
 
 
 def planned_runs(plan: Plan) -> list[PlannedRun]:

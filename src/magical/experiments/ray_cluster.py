@@ -25,11 +25,12 @@ from ray.exceptions import (
 from magical.errors import ClusterError, RunFolderError
 from magical.experiments.one_run import finish
 from magical.experiments.plan import PlannedRun
-from magical.experiments.results import DONE, EXPERIMENT, RESULT, Outcome, Results
+from magical.experiments.results import DONE, EXPERIMENT, Outcome, Results
 from magical.files import LOCK
 from magical.learning.running.interrupts import SIGNALS
 from magical.messages import printable
 from magical.runs.folder import CHECKPOINT, read_json
+from magical.runs.plan import RESULT
 
 RETRIES = 3  # after the end of a node or of a process on it
 MAX_ERROR = 500  # characters of Ray's own messages

@@ -20,16 +20,13 @@ from magical import __version__
 from magical.errors import MagicalError, ResultsError
 from magical.experiments.plan import PlannedRun
 from magical.files import OwnedFolder
-from magical.messages import quoted
 from magical.runs.folder import versions, write_json
+from magical.runs.plan import PLAN, RESULT, RUNS, ListedRun, listed_runs
 from magical.untrusted import read_json
 
 FORMAT = 1
 GRAPHS = "graphs"  # a setting of earlier records that no score depends on
-MAX_BYTES = 1 << 26  # of `plan.json`
-EXPERIMENT, PLAN = "experiment.json", "plan.json"
-PROGRESS, RESULT = "progress.json", "result.json"
-RUNS, DEMOS = "runs", "demos"
+EXPERIMENT, PROGRESS, DEMOS = "experiment.json", "progress.json", "demos"
 DONE, FAILED, WAITING = "done", "failed", "waiting"  # states; the first two are in `result.json`
 
 
@@ -142,37 +139,6 @@ def check_results(path: Path, runs: Sequence[PlannedRun]) -> None:
             f"{path} holds results of another plan, with the methods {', '.join(sorted(methods))}; "
             "choose another folder (--out)"
         )
-
-
-@dataclass(frozen=True, slots=True)
-class ListedRun:
-    """A run as `plan.json` lists it; `total` is the number of batches or updates of training."""
-
-    folder: str
-    method: str
-    tasks: tuple[str, ...]
-    seed: int
-    total: int
-
-    def __post_init__(self) -> None:
-        if Path(self.folder).name != self.folder:
-            raise ValueError(f"folder: expected a folder's name, found {quoted(self.folder)}")
-
-
-@dataclass(frozen=True, slots=True)
-class _PlanRecord:
-    runs: tuple[ListedRun, ...]
-
-
-def listed_runs(path: Path) -> Sequence[ListedRun]:
-    """The runs in `plan.json`.
-
-    Raises:
-        ResultsError: the file is damaged.
-    """
-    if not (path / PLAN).exists():
-        return ()
-    return read_json(path / PLAN, _PlanRecord, ResultsError, max_bytes=MAX_BYTES).runs
 
 
 def run_folders(path: Path) -> list[Path]:

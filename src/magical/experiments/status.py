@@ -8,20 +8,14 @@ from statistics import mean
 from typing import Any
 
 from magical.errors import ResultsError, RunFolderError
-from magical.experiments.plan import in_words
 from magical.experiments.results import (
     DONE,
     EXPERIMENT,
     FAILED,
-    MAX_BYTES,
     PROGRESS,
-    RESULT,
-    RUNS,
     WAITING,
-    ListedRun,
     Progress,
     is_results,
-    listed_runs,
     read_record,
     read_state,
     run_folders,
@@ -29,6 +23,7 @@ from magical.experiments.results import (
 from magical.files import LOCK, is_locked
 from magical.grouping import group_by
 from magical.runs.metrics import read_metrics
+from magical.runs.plan import MAX_BYTES, RESULT, RUNS, ListedRun, listed_runs
 from magical.untrusted import read_json
 
 RUNNING = "running"
@@ -50,10 +45,6 @@ class RunStatus(ListedRun):
     step: int
     seconds: float | None = None
     error: str = ""
-
-    def __str__(self) -> str:
-        """For messages, for instance `BC (ST), MoveToCorner, seed 0`."""
-        return f"{self.method}, {in_words(self.tasks)}, seed {self.seed}"
 
 
 @dataclass(frozen=True, slots=True)

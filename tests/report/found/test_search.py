@@ -1,9 +1,7 @@
 """Evaluated runs in folders, and what is missing among them."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -13,14 +11,10 @@ from magical.evaluation.collection import write_collection
 from magical.report.found.missing import find_missing
 from magical.report.found.search import find_results, search_results
 from magical.report.pages.evaluated import write_page
+from tests.report.conftest import write_json
 
 WriteEntry = Callable[..., Path]
 LINE = {"MakeLine-Demo": [1.0, 0.0]}
-
-
-def write_json(path: Path, data: Any) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(data))
 
 
 def test_entries_are_found_at_any_depth_in_order(write_entry: WriteEntry, tmp_path: Path) -> None:
@@ -58,7 +52,9 @@ def test_collections_are_read_like_folders(write_entry: WriteEntry, tmp_path: Pa
         folder, {"runs/b": read_entry(tmp_path / "a"), "runs/old": read_entry(tmp_path / "a")}
     )
     (folder / "plan.json").write_text(
-        json.dumps({"runs": [{"folder": "b", "method": "a", "tasks": ["MakeLine"], "seed": 0}]})
+        json.dumps(
+            {"runs": [{"folder": "b", "method": "a", "tasks": ["MakeLine"], "seed": 0, "total": 1}]}
+        )
     )
     write_entry("half", "half", LINE).rename(tmp_path / "other")
     (tmp_path / "damaged").mkdir()
@@ -133,10 +129,10 @@ def test_a_plan_says_which_runs_are_missing(write_entry: WriteEntry, tmp_path: P
     write_json(tmp_path / "runs" / "failed" / "config.json", {"seed": 1})
     write_json(tmp_path / "runs" / "failed" / "result.json", {"state": "failed", "error": "oh"})
     write_json(tmp_path / "runs" / "begun" / "config.json", {"seed": 2})
-    run = {"method": "a", "tasks": ["MoveToRegion"]}
+    run = {"method": "a", "tasks": ["MoveToRegion"], "total": 1}
     names = ("done", "failed", "begun", "waiting")
     runs = [{**run, "folder": name, "seed": seed} for seed, name in enumerate(names)]
-    write_json(tmp_path / "plan.json", {"runs": [*runs, {"folder": 7}, "nothing"]})
+    write_json(tmp_path / "plan.json", {"runs": runs})
     write_entry("runs/earlier", "a", region, seed=9)
     found = find_results([tmp_path])
     assert [result.folder.name for result in found.results] == ["done"]
@@ -209,7 +205,7 @@ def test_entries_inside_a_run_that_is_no_longer_the_plans_are_skipped(
 ) -> None:
     for name in ("runs/old/leaderboard", "runs/now/leaderboard", "runs/now"):
         write_entry(name, "bc", LINE)
-    plan = {"folder": "now", "method": "bc", "tasks": ["MakeLine"], "seed": 0}
+    plan = {"folder": "now", "method": "bc", "tasks": ["MakeLine"], "seed": 0, "total": 1}
     write_json(tmp_path / "plan.json", {"runs": [plan]})
     found = search_results([tmp_path])
     assert [r.folder.parent.name for r in found.results] == ["runs", "now"]

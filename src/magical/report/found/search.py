@@ -3,22 +3,19 @@
 import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from magical.errors import RunFolderError, ScoresError
+from magical.errors import ResultsError, RunFolderError, ScoresError
 from magical.evaluation import BUILT_IN, Entry, RolloutScore, by_variant, read_entry
 from magical.evaluation.collection import is_collection, read_collection
 from magical.evaluation.entry import ENTRY_FILE, POLICY, SCORES_FILE
 from magical.runs import is_run, read_json
 from magical.runs.folder import CONFIG, RECORD
-
-# Files of a plan's results folder (docs/experiments.md).
-PLAN = "plan.json"  # the planned runs
-FINAL = "result.json"  # a run's final record, in its folder
-RUNS = "runs"  # the folder of their folders
+from magical.runs.plan import PLAN, RESULT, RUNS, ListedRun, listed_runs
 
 TELLING = 20  # rollouts with another score than the most frequent one
 
@@ -46,7 +43,7 @@ class Result:
         """Versions, device, demonstrations and machine, as far as they were recorded."""
         if self.run is None:
             return {}
-        final = _read(self.run / FINAL)
+        final = _read(self.run / RESULT)
         names = ("versions", "commit", "machine", "finished", "seconds")
         return {**_read(self.run / RECORD), **{key: final[key] for key in names if key in final}}
 
@@ -66,13 +63,10 @@ class Skipped:
 
 
 @dataclass(frozen=True, slots=True)
-class Planned:
-    """A run of a plan that has no scores."""
+class Planned(ListedRun):
+    """A run of a plan that has no scores, and why, in words."""
 
-    method: str
-    tasks: tuple[str, ...]
-    seed: int
-    state: str  # in words
+    state: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,9 +236,9 @@ def _is_planned(place: Path, root: Path) -> bool:
     for folder in (place, *place.parents):
         if folder == root:
             break
-        plan = folder.parent.parent / PLAN
-        if folder.parent.name == RUNS and plan.is_file():
-            return folder.name in {run["folder"] for run in _runs(_read(plan))}
+        results = folder.parent.parent
+        if folder.parent.name == RUNS and (results / PLAN).is_file():
+            return folder.name in {run.folder for run in _listed(results)}
     return True
 
 
@@ -255,27 +249,23 @@ def _planned(places: Iterable[Path], evaluated: Iterable[Path | None]) -> list[P
         return None
     done = {folder.resolve() for folder in evaluated if folder is not None}
     return [
-        Planned(str(run["method"]), tuple(map(str, run["tasks"])), int(run["seed"]), _state(folder))
+        Planned(**asdict(run), state=_state(folder))
         for plan in plans
-        for run in _runs(_read(plan / PLAN))
-        if (folder := plan / RUNS / str(run["folder"])).resolve() not in done
+        for run in _listed(plan)
+        if (folder := plan / RUNS / run.folder).resolve() not in done
     ]
 
 
-def _runs(plan: dict[str, Any]) -> list[dict[str, Any]]:
-    """The runs that a plan lists, if it is one of ours."""
-    runs = plan.get("runs")
-    types = {"folder": str, "method": str, "tasks": list, "seed": int}
-    return [
-        run
-        for run in (runs if isinstance(runs, list) else [])
-        if isinstance(run, dict) and all(isinstance(run.get(key), t) for key, t in types.items())
-    ]
+def _listed(results: Path) -> Sequence[ListedRun]:
+    """The runs that a plan lists; none if the file is damaged."""
+    with suppress(ResultsError):
+        return listed_runs(results)
+    return ()
 
 
 def _state(folder: Path) -> str:
     """Why a planned run has no scores."""
-    final = _read(folder / FINAL)
+    final = _read(folder / RESULT)
     if final.get("state") == "failed":
         return f"failed: {final.get('error', 'unknown error')}"
     return "not finished" if is_run(folder) else "not run"

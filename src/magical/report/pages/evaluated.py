@@ -27,6 +27,7 @@ from magical.report.scores.grids import (
 )
 from magical.report.scores.methods import ComparedMethod, compared_methods
 from magical.report.scores.tables import DARKEST, LIGHTEST, report_tables
+from magical.runs.plan import in_words
 
 
 def write_page(
@@ -146,8 +147,8 @@ def _curves(results: Sequence[Result]) -> tuple[dict[str, list[str]], dict[Path,
 
 def _trained_on(result: Result) -> str:
     recorded = result.config.get("tasks")
-    tasks = recorded if recorded and isinstance(recorded, list) else result.tasks
-    return str(tasks[0]) if len(tasks) == 1 else f"{len(tasks)} tasks"
+    known = isinstance(recorded, list) and recorded
+    return in_words(tuple(map(str, known or result.tasks)))
 
 
 def _missing(found: Found) -> Grid | None:

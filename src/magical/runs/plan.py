@@ -1,0 +1,55 @@
+"""The runs of a plan as its results folder lists them (docs/experiments.md)."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from magical.errors import ResultsError
+from magical.messages import quoted
+from magical.untrusted import read_json
+
+PLAN = "plan.json"  # in a results folder: the planned runs
+RUNS = "runs"  # in a results folder: the folder of their folders
+RESULT = "result.json"  # in a run's folder: its final record
+MAX_BYTES = 1 << 26  # of `plan.json`
+
+
+@dataclass(frozen=True, slots=True)
+class ListedRun:
+    """A run as `plan.json` lists it; `total` is the number of batches or updates of training."""
+
+    folder: str
+    method: str
+    tasks: tuple[str, ...]
+    seed: int
+    total: int
+
+    def __post_init__(self) -> None:
+        if Path(self.folder).name != self.folder:
+            raise ValueError(f"folder: expected a folder's name, found {quoted(self.folder)}")
+
+    def __str__(self) -> str:
+        """For messages, for instance `BC (ST), MoveToCorner, seed 0`."""
+        return f"{self.method}, {in_words(self.tasks)}, seed {self.seed}"
+
+
+def in_words(tasks: tuple[str, ...]) -> str:
+    """The name of the task, or the number of tasks."""
+    return tasks[0] if len(tasks) == 1 else f"{len(tasks)} tasks"
+
+
+@dataclass(frozen=True, slots=True)
+class _PlanRecord:
+    runs: tuple[ListedRun, ...]
+    collected: dict[str, Any] = field(default_factory=dict)  # of the studies
+
+
+def listed_runs(path: Path) -> tuple[ListedRun, ...]:
+    """The runs in the `plan.json` of a results folder; none without it.
+
+    Raises:
+        ResultsError: the file is damaged, or lists something else.
+    """
+    if not (path / PLAN).exists():
+        return ()
+    return read_json(path / PLAN, _PlanRecord, ResultsError, max_bytes=MAX_BYTES).runs
