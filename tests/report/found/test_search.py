@@ -51,11 +51,8 @@ def test_collections_are_read_like_folders(write_entry: WriteEntry, tmp_path: Pa
     write_collection(
         folder, {"runs/b": read_entry(tmp_path / "a"), "runs/old": read_entry(tmp_path / "a")}
     )
-    (folder / "plan.json").write_text(
-        json.dumps(
-            {"runs": [{"folder": "b", "method": "a", "tasks": ["MakeLine"], "seed": 0, "total": 1}]}
-        )
-    )
+    run = {"folder": "b", "method": "a", "tasks": ["MakeLine"], "seed": 0, "total": 1}
+    write_json(folder / "plan.json", {"runs": [run]})
     write_entry("half", "half", LINE).rename(tmp_path / "other")
     (tmp_path / "damaged").mkdir()
     (tmp_path / "damaged" / "entries.json").write_text("{}")
