@@ -97,7 +97,7 @@ def test_the_scores_of_another_policy_are_not(entry: Entry) -> None:
         found = verify(better, RandomPolicy(), rng=rng, elsewhere=elsewhere, workers=0)
         assert not found.confirmed
         assert not replace(found, exact=False).confirmed
-        assert found.mean_change().high < 0.0
+        assert found.mean_changes()[0].high < 0.0
 
 
 def rows(*scores: float, env_id: EnvId = DEMO) -> list[RolloutScore]:
@@ -117,7 +117,7 @@ def test_one_changed_rollout_elsewhere_shows_nothing_and_here_it_does() -> None:
     found = Verification(rows(0, 0, 0, 0), rows(0, 0, 0, 1), exact=False)
     # The changes' standard deviation is 1/2, that of their mean 1/4; t(3) = 3.182446.
     half = 3.182446 / 4
-    assert found.mean_change() == pytest.approx((0.25, 0.25 - half, 1.0))
+    assert found.mean_changes()[0] == pytest.approx((0.25, 0.25 - half, 1.0))
     assert found.confirmed
     assert not replace(found, exact=True).confirmed
 
@@ -171,8 +171,25 @@ def test_swapped_environments_do_not_cancel() -> None:
     claimed = rows(*bad, env_id=first) + rows(*good, env_id=second)
     assert Verification(now, now, exact=False).confirmed
     found = Verification(claimed, now, exact=False)
-    assert found.mean_change().value == 0.0
+    assert found.mean_changes()[0].value == 0.0
     assert not found.confirmed
+
+
+def test_swapped_environments_of_one_rollout_tell_nothing() -> None:
+    first, second = (EnvId("MoveToRegion", variant) for variant in ("Demo", "TestAll"))
+    now = rows(1.0, env_id=first) + rows(0.0, env_id=second)
+    claimed = rows(0.0, env_id=first) + rows(1.0, env_id=second)
+    assert not Verification(claimed, now, exact=False).confirmed
+    assert Verification(now, now, exact=False).confirmed
+
+
+def test_a_change_by_one_rule_is_not_cancelled_by_the_other() -> None:
+    now = rows(*[0.5] * 8)
+    claimed = [
+        row._replace(score=0.9, published_code_score=0.5 if row.rollout % 2 else 0.09)
+        for row in now
+    ]
+    assert not Verification(claimed, now, exact=False).confirmed
 
 
 def test_the_command_confirms_or_exits_with_1(

@@ -83,7 +83,7 @@ def _verdict(found: "Verification") -> str:
             f"not confirmed: {count}; all should have, unless a network acts and the entry states "
             "another machine or other versions"
         )
-    value, low, high = found.mean_change()
+    value, low, high = found.mean_changes()[0]
     change = f"the mean score changed by {value:+.3f} ({low:+.3f} to {high:+.3f})"
     elsewhere = "the entry was evaluated on another machine or with other versions"
     if found.confirmed:
@@ -93,5 +93,5 @@ def _verdict(found: "Verification") -> str:
         )
     return (
         f"not confirmed: {count}; {change}; this, or the change in an environment, is more than "
-        f"chance explains, although {elsewhere}"
+        f"chance explains, or one rollout alone tells nothing, although {elsewhere}"
     )

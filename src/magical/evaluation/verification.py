@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magical.envs import EnvId
 from magical.errors import PolicyError
@@ -35,35 +36,40 @@ class Verification:
     exact: bool
 
     @property
-    def changes(self) -> Sequence[float]:
-        """The score now less the recorded one, of each rollout; the rule that changed it more."""
-        return [
-            max(now.score - old.score, now.published_code_score - old.published_code_score, key=abs)
-            for old, now in zip(self.recorded, self.again, strict=True)
-        ]
+    def changes(self) -> NDArray[np.float64]:
+        """The scores now less the recorded ones, (rollouts, 2): by each rule of scoring."""
+        pairs = zip(self.recorded, self.again, strict=True)
+        return np.array([np.subtract(_scores(now), _scores(old)) for old, now in pairs])
 
     @property
     def equal(self) -> int:
         """How many rollouts have the recorded scores."""
-        return sum(abs(change) <= TOLERANCE for change in self.changes)
+        return int((np.abs(self.changes) <= TOLERANCE).all(axis=1).sum())
 
-    def mean_change(self, confidence: float = CONFIDENCE) -> Interval:
-        """The mean change of the scores with a t interval over rollouts."""
-        changes = np.array(self.changes)
-        return t_interval(float(changes.mean()), [changes / len(changes)], confidence, (-1.0, 1.0))
+    def mean_changes(self, confidence: float = CONFIDENCE) -> Sequence[Interval]:
+        """The mean change by the appendix's rule, then by the published code's.
+
+        With a t interval over rollouts, which has no bounds where there is only one.
+        """
+        return [
+            t_interval(float(changes.mean()), [changes / len(changes)], confidence, (-1.0, 1.0))
+            for changes in self.changes.T
+        ]
 
     @property
     def confirmed(self) -> bool:
         """Whether the scores are what they would be.
 
-        Unless all must be equal, the mean of all must not differ by more than chance, nor that of
-        any environment, for which `CONFIDENCE` is that of all environments together.
+        Unless all must be equal, the means of all, and of each environment that is not equal, must
+        not differ by more than chance, by either rule: `CONFIDENCE` is that of both rules, and of
+        all environments, together.
         """
         if self.exact or self.equal == len(self.recorded):
             return self.equal == len(self.recorded)
-        parts = [part for part in self.by_environment().values() if len(part.recorded) > 1]
-        each = 1.0 - (1.0 - CONFIDENCE) / max(1, len(parts))
-        changes = [self.mean_change(), *(part.mean_change(each) for part in parts)]
+        parts = [part for part in self.by_environment().values() if part.equal < len(part.recorded)]
+        changes = list(self.mean_changes(1.0 - (1.0 - CONFIDENCE) / 2))
+        for part in parts:
+            changes += part.mean_changes(1.0 - (1.0 - CONFIDENCE) / 2 / len(parts))
         return all(change.low <= 0.0 <= change.high for change in changes)
 
     def by_environment(self) -> dict[EnvId, "Verification"]:
@@ -73,6 +79,10 @@ class Verification:
             env_id: replace(self, recorded=[old for old, _ in part], again=[now for _, now in part])
             for env_id, part in pairs.items()
         }
+
+
+def _scores(row: RolloutScore) -> tuple[float, float]:
+    return row.score, row.published_code_score
 
 
 def verify(
