@@ -18,12 +18,13 @@ from magical.envs.env import MagicalEnv
 from magical.errors import SiteError
 from magical.evaluation import environments
 from magical.experts import rollout
-from magical.report.gallery import EnvPreview, Gallery, check_site, make_previews
+from magical.report.gallery import EnvPreview, check_site, make_previews, write_gallery
 from magical.report.gallery.descriptions import (
     describe_changes,
     describe_scene,
     describe_task,
 )
+from magical.report.gallery.site import gallery_page
 from magical.scene import Block, Colour, Pose, Region, Scene, Shape
 from magical.tasks import CHANGES, TASKS, Axis, Task, get_task, register_task, unregister_task
 
@@ -78,7 +79,7 @@ def blank(env_id: EnvId) -> EnvPreview:
 
 
 def test_every_registered_environment_is_on_the_page() -> None:
-    text = Gallery([blank(env_id) for env_id in all_env_ids()]).html()
+    text = gallery_page([blank(env_id) for env_id in all_env_ids()])
     page = Elements(text)
     assert page.open == []
     ids = page.values("id")
@@ -172,7 +173,7 @@ def test_a_folder_with_something_else_is_refused(
     assert Path(name).parts[0] in capsys.readouterr().err
     assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == [Path(name).name]
     with pytest.raises(SiteError, match="choose another"):
-        Gallery([]).write(tmp_path)
+        write_gallery(tmp_path, [])
 
 
 def test_what_a_killed_gallery_left_is_no_obstacle(tmp_path: Path) -> None:

@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     from magical.evaluation import environments
     from magical.extras import require
     from magical.progress import progress_bar
-    from magical.report.gallery import Gallery, check_site, make_previews
+    from magical.report.gallery import check_site, make_previews, write_gallery
 
     require("report")
     env_ids = environments(args.task)
@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
         for preview in make_previews(env_ids, args.seed, args.workers):
             previews.append(preview)
             advance(1)
-    size = Gallery(previews, args.seed).write(args.out)
+    size = write_gallery(args.out, previews, args.seed)
     scores = {preview.env_id: preview.score for preview in previews}
     print_table(
         ("environment", "expert's score"),

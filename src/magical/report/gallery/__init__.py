@@ -6,6 +6,6 @@
 """
 
 from magical.report.gallery.previews import EnvPreview, make_previews
-from magical.report.gallery.site import Gallery, check_site
+from magical.report.gallery.site import check_site, write_gallery
 
-__all__ = ["EnvPreview", "Gallery", "check_site", "make_previews"]
+__all__ = ["EnvPreview", "check_site", "make_previews", "write_gallery"]

@@ -3,6 +3,7 @@
 import functools
 import inspect
 import re
+import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -30,15 +31,17 @@ class Description:
 def describe_task(task: Task) -> Description:
     """The score rule of a task and how its variants vary the scene.
 
-    The docstring of the task's module has both if it begins with the task's name and is laid out
-    like those of `magical.tasks`: the score rule before `Horizon:`, the variation in the list
-    after it. Otherwise the score rule is the first paragraph of the score function's docstring.
+    The docstring of the module whose `TASK` it is has both if it begins with the task's name and
+    is laid out like those of `magical.tasks`: the score rule before `Horizon:`, the variation in
+    the list after it. Otherwise the score rule is the first paragraph of the score function's
+    docstring.
     """
     score_fn = task.score_fn
     while isinstance(score_fn, functools.partial):
         score_fn = score_fn.func
-    module = inspect.getmodule(score_fn)
-    first, *paragraphs = (inspect.getdoc(module) or "").split("\n\n")
+    held = ((m, getattr(m, "__dict__", {})) for m in list(sys.modules.values()))
+    doc = next((m.__doc__ for m, names in held if names.get("TASK") is task), None) or ""
+    first, *paragraphs = inspect.cleandoc(doc).split("\n\n")
     horizon = [i for i, text in enumerate(paragraphs) if text.startswith("Horizon: ")]
     if not first.startswith(f"{task.name}: ") or not horizon:
         return Description([_paragraph((inspect.getdoc(score_fn) or "").split("\n\n")[0])])

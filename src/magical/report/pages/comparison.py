@@ -3,11 +3,13 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 
 from magical.errors import UnknownNameError
 from magical.evaluation.intervals import Interval
 from magical.evaluation.statistics import interquartile_mean, probability_of_improvement
+from magical.grouping import group_by
 from magical.report.figures.plots import interval_plot, profile_plot
 from magical.report.found.facts import MethodFacts, describe_methods
 from magical.report.found.search import Result
@@ -30,8 +32,6 @@ from magical.tasks.axes import short_variant
 class Comparison:
     """What is known about the difference between two methods."""
 
-    first: str
-    second: str
     headline: str
     summary: Grid
     gaps: Grid | None
@@ -52,7 +52,7 @@ class Comparison:
 
     def html(self) -> str:
         """The page's source, with everything inline."""
-        label = f"mean score of {self.first} minus that of {self.second}"
+        label = f"mean score of {self.methods[0].name} minus that of {self.methods[1].name}"
         figures = [
             Figure(
                 interval_plot(self.overall, label, "difference", zero=True),
@@ -85,8 +85,6 @@ def compare(results: Sequence[Result], first: str, second: str) -> Comparison:
         )
     described = describe_methods([result for runs in chosen for result in runs])
     return Comparison(
-        first,
-        second,
         _headline(*methods),
         _summary(*methods),
         gap_grid(methods),
@@ -144,31 +142,27 @@ def _summary(first: ComparedMethod, second: ComparedMethod) -> Grid:
 
 
 def _environments(first: ComparedMethod, second: ComparedMethod) -> Grid:
-    rows = []
-    for env_id in first.env_ids:
-        a, b = first.on([env_id]), second.on([env_id])
-        rows.append(
-            (
-                env_id.task,
-                short_variant(env_id.variant),
-                interval_text(a.mean()),
-                interval_text(b.mean()),
-                signed(a.difference(b)),
-            )
+    pairs = [(i, first.on([i]), second.on([i])) for i in first.env_ids]
+    rows = [
+        (
+            *(env_id.task, short_variant(env_id.variant)),
+            *(interval_text(a.mean()), interval_text(b.mean()), signed(a.difference(b))),
         )
+        for env_id, a, b in pairs
+    ]
     header = ("task", "variant", first.name, second.name, "difference")
     return Grid("Environment by environment", header, rows, "95% intervals, as above.")
 
 
 def _differences(first: ComparedMethod, second: ComparedMethod) -> dict[str, Interval]:
     """The difference of means over all environments, by task, and by variant."""
-    groups = {"all": list(first.env_ids)}
-    for task in dict.fromkeys(env_id.task for env_id in first.env_ids):
-        groups[task] = [env_id for env_id in first.env_ids if env_id.task == task]
+    env_ids = first.env_ids
+    groups = {"all": list(env_ids), **group_by(env_ids, attrgetter("task"))}
+    variants = group_by(env_ids, attrgetter("variant"))
     for variant in ("Demo", *AXES):
-        members = [env_id for env_id in first.env_ids if env_id.variant == variant]
-        if members:
-            groups[short_variant(variant) if variant != "TestAll" else "All (variant)"] = members
+        if variant in variants:
+            name = short_variant(variant) if variant != "TestAll" else "All (variant)"
+            groups[name] = variants[variant]
     return {
         name: first.on(members).difference(second.on(members)) for name, members in groups.items()
     }
