@@ -78,7 +78,7 @@ def test_perturbed_demonstrations_hold_both_actions(tmp_path: Path, run: Run) ->
     assert plain.metadata["perturb"] == 0.0
 
 
-@pytest.mark.parametrize("share", ["1.5", "-0.1", "nan", "much"])
+@pytest.mark.parametrize("share", ["1.5", "-0.1", "nan", "inf", "much"])
 def test_a_share_outside_0_to_1_is_refused(
     share: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

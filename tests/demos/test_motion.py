@@ -37,13 +37,3 @@ def test_wrong_predictions_correct_the_velocities(make_trajectory: MakeTrajector
     )
     change = estimated_states(jumped)[5, 0, 3] - estimated_states(trajectory)[5, 0, 3]
     assert abs(change - 8 * 0.01) < 1e-6
-
-
-def test_simulation_continues_from_written_states(make_trajectory: MakeTrajectory) -> None:
-    trajectory = make_trajectory(steps=20)
-    states = simulated(trajectory)
-    simulation = Simulation(trajectory.scene, trajectory.dynamics)
-    simulation.write(states[10])
-    np.testing.assert_array_equal(simulation.read(), states[10])
-    simulation.step(int(trajectory.actions[10]))
-    assert np.abs(simulation.read() - states[11])[0, :2].max() < 1e-3

@@ -29,9 +29,3 @@ def test_scores_depend_on_the_seed_alone() -> None:
 def test_unknown_environment(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["expert", "evaluate", "--env", "MoveToMoon-Demo-v0"]) == cli.USAGE
     assert "MoveToMoon" in capsys.readouterr().err
-
-
-def test_wrong_skill(capsys: pytest.CaptureFixture[str]) -> None:
-    wrong = ["expert", "evaluate", "--env", CORNER, "--rollouts", "1", "--skill", "7"]
-    assert cli.main([*wrong, "--workers", "1"]) == cli.FAILED
-    assert "from 0 to 1" in capsys.readouterr().err

@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-from magical.cli import main
 from magical.demos import Dataset
 from magical.demos.human.importing import import_published
 from tests.demos import crashes
@@ -41,14 +40,6 @@ def test_a_crash_costs_one_file_which_is_named(files: Path, tmp_path: Path, run:
     good = [f"{name}.pkl.gz" for name in "amnz"]
     assert result["imported"] == good
     assert [entry.source for entry in Dataset.open(out).entries] == good
-
-
-def test_errors_name_the_file(
-    files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command = ["demos", "import", str(files / "memory.pkl.gz"), "--out", str(tmp_path / "out")]
-    assert main([*command, "--workers", "1"]) == 1
-    assert f"error: {files / 'memory.pkl.gz'}: MemoryError: no room" in capsys.readouterr().err
 
 
 def test_a_file_that_crashes_can_be_mended_later(

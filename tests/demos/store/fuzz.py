@@ -31,20 +31,16 @@ from magical.scene import Poses
 
 Mutate = Callable[[bytes, np.random.Generator], bytes]
 VALUES: tuple[Any, ...] = (
-    None, True, -1, 0, 1.5, 10**400, 1e308, float("nan"), float("inf"), "", "x" * 5000, "\x1b[2J",
-    "\ud800", "magical/A-B-v0", "../..", [], {}, [[]], {"a": []}, [1] * 9, "0" * 64,
+    None, True, -1, 0, 1.5, 10**400, float("nan"), float("inf"), "", "x" * 5000, "\x1b[2J",
+    "\ud800", "magical/A-B-v0", "../..", [], {}, [[]], {"a": []}, [1] * 9, "0" * 64, "star",
+    "red", 2**70,
 )  # fmt: skip
+EXTREMES = (1e308, -1e308, 1e154, 1e18, 1e6, 11.0, 1.05, -0.5, 0.0, -0.0, 5e-324)
 NPY_WORDS = (
     b"'descr'", b"|u1", b"<f8", b"|O", b">f8", b"<u9", b"'shape'", b"(", b")", b"False", b"True",
     b"999999999", b"-1", b"((((", b"**", b"{", b"}", b"\\", b"\x00", b"\n",
 )  # fmt: skip
-
-
 ENV_IDS = ("MoveToCorner-Demo-v0", "MatchRegions-TestAll-v0", "ClusterShape-TestShape-v0")
-EXTREMES: tuple[Any, ...] = (
-    1e308, -1e308, 1e154, 1e18, 1e6, 11.0, 1.05, -0.5, 0.0, -0.0, 5e-324, 2**70, "star", "red",
-)  # fmt: skip
-NUMBERS = [value for value in EXTREMES if isinstance(value, float)]
 SLOW = 5.0  # s, for what is done with one mutant
 
 
@@ -86,49 +82,34 @@ def overwrite(raw: bytes, rng: np.random.Generator) -> bytes:
     return raw[:place] + new + raw[place + len(new) :]
 
 
-def place_below(data: Any, place: Any, rng: np.random.Generator, deeper: float) -> tuple[Any, Any]:
-    """A random place in nested data: its list or dict, and its index or key there."""
-    while isinstance(data[place], dict | list) and data[place] and rng.random() < deeper:
-        data = data[place]
-        keys = sorted(data) if isinstance(data, dict) else range(len(data))
-        place = keys[int(rng.integers(len(keys)))]
-    return data, place
-
-
 def change_json(text: bytes, rng: np.random.Generator) -> bytes:
-    """Replace, remove or nest a random value; sometimes nest so deeply that parsers give up."""
-    if rng.random() < 0.05:
+    """Replace, remove or nest a random value; sometimes nest so deeply that parsers give up.
+
+    In the header of a trajectory mostly the scene and the dynamics.
+    """
+    if rng.random() < 0.03:
         return b'{"env_id":' + b"[" * int(rng.choice([40, 900, 100_000]))
     data = json.loads(text)
-    parent, place = place_below(data, str(rng.choice(sorted(data))), rng, 0.7)
+    parent: Any = data
+    place: Any = str(
+        rng.choice([name for name in ("scene", "dynamics") if name in data] * 5 + [*data])
+    )
+    while isinstance(parent[place], dict | list) and parent[place] and rng.random() < 0.9:
+        parent = parent[place]
+        keys = sorted(parent) if isinstance(parent, dict) else range(len(parent))
+        place = keys[int(rng.integers(len(keys)))]
     action = rng.random()
-    if action < 0.15:
+    if action < 0.05:
         del parent[place]
-    elif action < 0.3:
-        deep: Any = parent[place]
+    elif action < 0.1:
         for _ in range(int(rng.choice([1, 40, 300]))):
-            deep = [deep]
-        parent[place] = deep
+            parent[place] = [parent[place]]
+    elif action < 0.2 and isinstance(parent, list):  # more blocks or regions, or none
+        parent[:] = parent * int(rng.choice([0, 2, 30, 3000]))
     else:
-        parent[place] = VALUES[int(rng.integers(len(VALUES)))]
+        values = EXTREMES if isinstance(parent[place], float) and rng.random() < 0.8 else VALUES
+        parent[place] = values[int(rng.integers(len(values)))]
     return json.dumps(data).encode()
-
-
-def change_scene(header: bytes, rng: np.random.Generator) -> bytes:
-    """Replace a number or name of the scene or the dynamics, or multiply blocks or regions."""
-    data = json.loads(header)
-    if rng.random() < 0.1:
-        data["scene"][rng.choice(["blocks", "regions"])] *= int(rng.choice([0, 2, 30, 3000]))
-    else:
-        parent, place = place_below(data, "scene" if rng.random() < 0.8 else "dynamics", rng, 1.0)
-        parent[place] = EXTREMES[int(rng.integers(len(EXTREMES)))]
-    return json.dumps(data).encode()
-
-
-def change_poses(member: bytes, rng: np.random.Generator) -> bytes:
-    """Replace a coordinate."""
-    place, value = 128 + 8 * int(rng.integers((len(member) - 128) // 8)), rng.choice(NUMBERS)
-    return member[:place] + np.float64(value).tobytes() + member[place + 8 :]
 
 
 def change_members(raw: bytes, rng: np.random.Generator) -> bytes:
@@ -138,11 +119,12 @@ def change_members(raw: bytes, rng: np.random.Generator) -> bytes:
     name = str(rng.choice(sorted(members)))
     action = rng.random()
     if action < 0.3:
-        change = change_scene if rng.random() < 0.5 else change_json
-        text = change(members["header.npy"][128:], rng)
+        text = change_json(members["header.npy"][128:], rng)
         members["header.npy"] = npy(np.frombuffer(text, np.uint8))
     elif action < 0.4:
-        members["poses.npy"] = change_poses(members["poses.npy"], rng)
+        poses = members["poses.npy"]
+        place, value = 128 + 8 * int(rng.integers((len(poses) - 128) // 8)), rng.choice(EXTREMES)
+        members["poses.npy"] = poses[:place] + np.float64(value).tobytes() + poses[place + 8 :]
     elif action < 0.5:
         members[name] = npy(np.zeros(tuple(rng.integers(0, 5, size=int(rng.integers(4)))), "<f4"))
     elif action < 0.75:

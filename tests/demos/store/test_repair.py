@@ -126,31 +126,24 @@ def test_files_that_cannot_be_read_now_are_not_set_aside(
     assert not (small_dataset / "damaged").exists()
 
 
-@contextmanager
-def full(path: Path, room: int = 0) -> Iterator[Any]:
-    """`write_atomically` on a disk with room for a few bytes."""
-    with write_atomically(path) as file:
-        yield SimpleNamespace(write=lambda data: _fill_then_fail(file, data, room))
-
-
-def _fill_then_fail(file: IO[bytes], data: bytes, room: int | None = None) -> None:
-    file.write(data[: len(data) // 2 if room is None else room])
+def fill(file: IO[bytes], data: bytes) -> None:
+    """Write half on a disk that is then full."""
+    file.write(data[: len(data) // 2])
     raise OSError(28, "No space left on device")
 
 
-@pytest.mark.parametrize("room", [0, 1, 500])
+@contextmanager
+def full(path: Path) -> Iterator[Any]:
+    with write_atomically(path) as file:
+        yield SimpleNamespace(write=partial(fill, file))
+
+
 def test_full_disk_leaves_no_partial_files(
-    small_dataset: Path,
-    make_trajectory: MakeTrajectory,
-    monkeypatch: pytest.MonkeyPatch,
-    room: int,
+    small_dataset: Path, make_trajectory: MakeTrajectory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = {path: path.read_bytes() for path in small_dataset.rglob("*") if path.is_file()}
     writer = DatasetWriter(small_dataset)
-    for name, failing in (
-        ("writer.write_atomically", partial(full, room=room)),
-        ("manifest._write_all", _fill_then_fail),
-    ):
+    for name, failing in (("writer.write_atomically", full), ("manifest._write_all", fill)):
         monkeypatch.setattr(f"magical.demos.store.{name}", failing)
         with pytest.raises(DatasetError, match="No space left"):
             writer.append(make_trajectory())
