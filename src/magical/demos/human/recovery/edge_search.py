@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from magical.compiled import entry_point, inlined
 from magical.render.display import DISC_SIDES
-from magical.render.frame import VIEW_WIDTH, body_frames
+from magical.render.frame import body_frames
 from magical.render.polygons import SUBSAMPLES, Floats, Ints
 
 MOST_LAYERS = 8  # polygons in a pixel's list; further ones are left out
@@ -28,6 +28,17 @@ AMBIGUOUS = 4.0  # square pixels: two explanations that differ by less in cost e
 FIRST, COUNT, ANCHOR, TURN, COLOUR, PART = range(6)  # columns of `items`
 
 Labels = NDArray[np.uint8]  # (size, size), lowest row first
+
+
+class Layers(NamedTuple):
+    """A scene's polygons, front to back, and the rectangles on the ground."""
+
+    vertices: Floats  # (2, V)
+    items: Ints  # (n, 6): first vertex, vertices, anchor row, turn row, colour, part
+    offsets: Floats  # (n, 2): in the anchor's frame
+    circles: Floats  # (n, 4): a point inside, radii of the circles about it inside and around
+    rectangles: Floats  # (R + 1, 4): left, right, bottom, top of regions and workspace
+    shades: Ints  # (R + 2, 2): colours of their fill and dashes (-1: none); last, what is outside
 
 
 class Near(NamedTuple):
@@ -46,7 +57,7 @@ class FramePlacement(NamedTuple):
     frames: Floats  # (bodies + 1, 4): cos, sin (times the scale), x, y; the workspace's last
     planes: Floats  # (3, V): each edge's outward normal x and y, and its distance along that
     origins: Floats  # (n, 2): of the polygons' own frames
-    circles: Floats  # (n, 4): as of `edges._Layers`
+    circles: Floats  # (n, 4): as of `Layers`
     to_workspace: Floats  # (4,): a, b, u, v of (a x + b y + u, a y - b x + v)
     scale: float  # pixels a unit
     size: int
@@ -54,11 +65,11 @@ class FramePlacement(NamedTuple):
 
 
 @inlined
-def _place_item(
-    item: Ints, offset: Floats, circle: Floats, vertices: Floats, placement: FramePlacement, i: int
-) -> None:
+def _place_item(layers: Layers, placement: FramePlacement, i: int) -> None:
     """Place one polygon on the frame."""
+    item, offset, circle = layers.items[i], layers.offsets[i], layers.circles[i]
     frames, planes, first = placement.frames, placement.planes, item[FIRST]
+    vertices = layers.vertices
     anchor, cos, sin = frames[item[ANCHOR]], frames[item[TURN], 0], frames[item[TURN], 1]
     x0 = anchor[0] * offset[0] - anchor[1] * offset[1] + anchor[2]
     y0 = anchor[1] * offset[0] + anchor[0] * offset[1] + anchor[3]
@@ -184,9 +195,8 @@ def _explain(
     near: Near,
     pixel: int,
     count: int,
-    items: Ints,
+    layers: Layers,
     ground: Floats,
-    shades: Ints,
     label: int,
     band: float,
 ) -> int:
@@ -197,6 +207,7 @@ def _explain(
     Returns:
         -1 where no layer, or more than one, explains the colour.
     """
+    items, shades = layers.items, layers.shades
     best = second = math.inf
     chosen, cost = -1, 0.0
     for i in range(count + len(ground)):
@@ -234,9 +245,7 @@ def _place(bodies: Floats, placement: FramePlacement) -> None:
 def _read_pixels(
     placement: FramePlacement,
     near: Near,
-    items: Ints,
-    rectangles: Floats,
-    shades: Ints,
+    layers: Layers,
     labels: Labels,
     ground_wanted: bool,
     band: float,
@@ -244,7 +253,7 @@ def _read_pixels(
     margins: Floats,
 ) -> int:
     """Explain the pixels near wanted edges, tile by tile, and empty the lists."""
-    size, rows = placement.size, 0
+    size, rectangles, rows = placement.size, layers.rectangles, 0
     ground, room = np.empty(len(rectangles)), len(margins) - MOST_LAYERS - len(rectangles)
     across = (size + TILE - 1) // TILE
     for tile in range(across * across):
@@ -260,7 +269,7 @@ def _read_pixels(
                     continue
                 x, y = column + 0.5, row + 0.5
                 if _depths(placement, rectangles, x, y, band, ground) or asked:
-                    layer = _explain(near, pixel, count, items, ground, shades, label, band)
+                    layer = _explain(near, pixel, count, layers, ground, label, band)
                     for i in range(min(layer + 1, count + len(ground))):
                         inside = near.inside[pixel, i] if i < count else ground[i - count]
                         if abs(inside) <= band and (placement.ego or i < count):
@@ -280,46 +289,30 @@ def compiled_search() -> Callable[..., int]:
     @entry_point
     def search(
         bodies: Floats,
-        vertices: Floats,
-        items: Ints,
-        offsets: Floats,
-        circles: Floats,
-        rectangles: Floats,
-        shades: Ints,
+        layers: Layers,
         labels: Labels,
-        counts: NDArray[np.int8],
-        asked: NDArray[np.bool_],
-        near_item: NDArray[np.int16],
-        near_edge: NDArray[np.int16],
-        near_inside: NDArray[np.float32],
-        numbers: NDArray[np.int32],
-        margins: Floats,
-        frames: Floats,
-        planes: Floats,
-        origins: Floats,
+        near: Near,
+        placement: FramePlacement,
         wanted: NDArray[np.bool_],
         band: float,
-        ego: bool,
+        numbers: NDArray[np.int32],
+        margins: Floats,
     ) -> int:
         """Write the statements to `numbers` and `margins`; returns how many.
 
         `numbers` are a polygon's number or -1 - that of a rectangle, the edge's column in `planes`,
-        the pixel, and 1 or -1 for inside or outside. The other arrays are those of `edges._Layers`,
-        `Near`, whose counts are 0 before and after, and `FramePlacement`, which are results too.
+        the pixel, and 1 or -1 for inside or outside. `placement` is a result too; the counts of
+        `near` are 0 before and after.
         """
-        near = Near(counts, asked, near_item, near_edge, near_inside)
-        circled, to, scale = np.empty_like(circles), np.empty(4), len(labels) / VIEW_WIDTH
-        placement = FramePlacement(frames, planes, origins, circled, to, scale, len(labels), ego)
+        items = layers.items
         _place(bodies, placement)
         for i in range(len(items)):
-            _place_item(items[i], offsets[i], circles[i], vertices, placement, i)
-        all_wanted = ego and wanted[0]  # the camera moves with the robot
+            _place_item(layers, placement, i)
+        all_wanted = placement.ego and wanted[0]  # the camera moves with the robot
         for i in range(len(items)):
             mine = all_wanted or wanted[items[i, ANCHOR]] or wanted[items[i, TURN]]
             if mine or _is_near_wanted(items, placement.circles, i, wanted, band):
                 _gather(placement, items, i, near, band, mine)
-        return _read_pixels(
-            placement, near, items, rectangles, shades, labels, all_wanted, band, numbers, margins
-        )
+        return _read_pixels(placement, near, layers, labels, all_wanted, band, numbers, margins)
 
     return search

@@ -9,7 +9,7 @@ changes with the bodies' poses.
 
 from collections.abc import Callable
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,14 +20,17 @@ from magical.demos.human.recovery.edge_search import (
     MIXED,
     MOST_LAYERS,
     TURN,
+    FramePlacement,
     Labels,
+    Layers,
+    Near,
     compiled_search,
 )
 from magical.errors import RenderError
 from magical.render.display import FAR, DisplayList, display_list
-from magical.render.frame import ROBOT_HEIGHT
+from magical.render.frame import ROBOT_HEIGHT, VIEW_WIDTH
 from magical.render.palette import OUTSIDE, WHITE, lanes
-from magical.render.polygons import Floats, Ints
+from magical.render.polygons import Floats
 from magical.scene.constants import RAW_FRAME_SIZE as SIZE
 from magical.scene.poses import FIRST_BLOCK
 from magical.scene.scene import Scene
@@ -63,7 +66,6 @@ class EdgeFinder:
         self._is_ego = view == View.EGO
         self._bodies = FIRST_BLOCK + len(scene.blocks)
         self._palette, self._layers = _layers(display_list(scene))
-        self._memory = _working_memory()
 
     def label(self, frame: NDArray[np.uint8]) -> Labels:
         """Name every pixel's colour.
@@ -104,26 +106,28 @@ class EdgeFinder:
         """
         if bodies.shape != (self._bodies, 3) or not np.abs(bodies).max() <= FAR:
             raise RenderError(f"expected {self._bodies} finite poses within {FAR:g} units")
-        *_, numbers, margins = self._memory
-        placed = (
-            np.empty((len(bodies) + 1, 4)),  # the frames of the bodies and the workspace
-            np.empty((3, self._layers.vertices.shape[1])),  # the edges
-            np.empty((len(self._layers.items), 2)),  # the polygons' origins
+        near, numbers, margins = _working_memory()
+        placement = FramePlacement(
+            frames=np.empty((len(bodies) + 1, 4)),
+            planes=np.empty((3, self._layers.vertices.shape[1])),
+            origins=np.empty((len(self._layers.items), 2)),
+            circles=np.empty_like(self._layers.circles),
+            to_workspace=np.empty(4),
+            scale=SIZE / VIEW_WIDTH,
+            size=SIZE,
+            ego=self._is_ego,
         )
-        arrays = (bodies, *self._layers, labels, *self._memory, *placed, wanted)
-        count = compiled_search()(*arrays, band, self._is_ego)
-        return self._edges(numbers[:, :count], margins[:count].copy(), *placed)
+        count = compiled_search()(
+            bodies, self._layers, labels, near, placement, wanted, band, numbers, margins
+        )
+        return self._edges(numbers[:, :count], margins[:count].copy(), placement)
 
     def _edges(
-        self,
-        numbers: NDArray[np.int32],
-        margins: Floats,
-        frames: Floats,
-        planes: Floats,
-        origins: Floats,
+        self, numbers: NDArray[np.int32], margins: Floats, placement: FramePlacement
     ) -> Edges:
         """The derivatives of the statements found by `edge_search.compiled_search`."""
         item, edge, pixel, sign = numbers
+        frames, planes, origins = placement.frames, placement.planes, placement.origins
         x, y = pixel % SIZE + 0.5, pixel // SIZE + 0.5
         ground, workspace = item < 0, frames[-1]
         nx, ny = planes[0, edge], planes[1, edge]
@@ -186,18 +190,7 @@ def _compiled_label() -> Callable[..., None]:
     return label
 
 
-class _Layers(NamedTuple):
-    """A scene's polygons, front to back, and the rectangles on the ground."""
-
-    vertices: Floats  # (2, V)
-    items: Ints  # (n, 6): first vertex, vertices, anchor row, turn row, colour, part
-    offsets: Floats  # (n, 2): in the anchor's frame
-    circles: Floats  # (n, 4): a point inside, radii of the circles about it inside and around
-    rectangles: Floats  # (R + 1, 4): left, right, bottom, top of regions and workspace
-    shades: Ints  # (R + 2, 2): colours of their fill and dashes (-1: none); last, what is outside
-
-
-def _layers(shown: DisplayList) -> tuple[NDArray[np.int32], _Layers]:
+def _layers(shown: DisplayList) -> tuple[NDArray[np.int32], Layers]:
     """The colours of everything in a scene, packed, in order; and its layers."""
     items, count = np.empty((len(shown.items), 6), np.int64), len(shown.items)
     regions, around = (
@@ -215,7 +208,7 @@ def _layers(shown: DisplayList) -> tuple[NDArray[np.int32], _Layers]:
     low, high = corners.min(axis=1), corners.max(axis=1)
     rectangles = np.stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]], axis=1)
     circles = np.array([_circles(shown.vertices[:, a : a + n]) for a, n in items[:, :2]])
-    return palette.astype(np.int32), _Layers(
+    return palette.astype(np.int32), Layers(
         shown.vertices, items, shown.offsets, circles, rectangles, np.array(shades, np.int64)
     )
 
@@ -236,15 +229,14 @@ def _circles(points: Floats) -> tuple[float, float, float, float]:
 
 
 @cache
-def _working_memory() -> tuple[Any, ...]:
-    """What `edge_search.compiled_search` works in; the last two arrays hold its result."""
+def _working_memory() -> tuple[Near, NDArray[np.int32], Floats]:
+    """What `edge_search.compiled_search` works in, and what it writes its result to."""
     pixels, rows = SIZE * SIZE, 4 * SIZE * SIZE
-    return (
-        np.zeros(pixels, np.int8),
-        np.zeros(pixels, np.bool_),
-        np.empty((pixels, MOST_LAYERS), np.int16),
-        np.empty((pixels, MOST_LAYERS), np.int16),
-        np.empty((pixels, MOST_LAYERS), np.float32),
-        np.empty((4, rows), np.int32),
-        np.empty(rows),
+    near = Near(
+        counts=np.zeros(pixels, np.int8),
+        wanted=np.zeros(pixels, np.bool_),
+        item=np.empty((pixels, MOST_LAYERS), np.int16),
+        edge=np.empty((pixels, MOST_LAYERS), np.int16),
+        inside=np.empty((pixels, MOST_LAYERS), np.float32),
     )
+    return near, np.empty((4, rows), np.int32), np.empty(rows)
