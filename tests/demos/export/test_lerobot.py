@@ -17,9 +17,12 @@ pq = pytest.importorskip("pyarrow.parquet", reason=MISSING)
 from magical.demos.export.lerobot import export_lerobot  # noqa: E402
 
 
-def test_lerobot_export_is_readable(mixed: Path, tmp_path: Path, decoded: Any) -> None:
+def test_lerobot_export_is_readable(
+    mixed: Path, tmp_path: Path, decoded: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("magical.demos.export.lerobot.FRAMES_PER_FILE", 10)
     root, dataset = tmp_path / "lerobot", Dataset.open(mixed).filter(demonstrator="random")
-    assert export_lerobot(dataset, root, frames_per_file=10) == 17
+    assert export_lerobot(dataset, root) == 17
     info = json.loads((root / "meta" / "info.json").read_text())
     assert (info["codebase_version"], info["fps"], info["total_frames"]) == ("v3.0", 8, 17)
     assert (info["total_episodes"], info["splits"]) == (3, {"train": "0:3"})

@@ -69,9 +69,7 @@ Columns = dict[str, NDArray[Any]]
 Stats = dict[str, NDArray[Any]]  # min, max, mean, std: (D,), or (3, 1, 1) for cameras; count (1,)
 
 
-def export_lerobot(
-    dataset: Dataset, folder: Path, *, frames_per_file: int = FRAMES_PER_FILE
-) -> int:
+def export_lerobot(dataset: Dataset, folder: Path) -> int:
     """Write the dataset into a new folder; returns the number of frames, one for each action.
 
     Features: both cameras at 96 x 96 (H.264, slightly lossy), `action` (int64, 0 to 17),
@@ -93,7 +91,7 @@ def export_lerobot(
         writer = _Writer(root, dataset)
         with writer.files:
             for trajectory in dataset:
-                if writer.total == 0 or writer.frames_in_file >= frames_per_file:
+                if writer.total == 0 or writer.frames_in_file >= FRAMES_PER_FILE:
                     writer.start_files()
                 writer.add(trajectory)
         writer.finish()
