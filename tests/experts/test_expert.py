@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 
@@ -85,15 +84,6 @@ def test_demonstrators_differ_even_in_short_tasks(task: str) -> None:
     """Demo's scene is always the same in these tasks; what is done in it should not be."""
     episodes = {tuple(rollout(task, "Demo", seed).actions.tolist()) for seed in range(10)}
     assert len(episodes) >= 4
-
-
-def test_episode_begins_as_the_environment_does() -> None:
-    env = gymnasium.make("magical/FixColour-TestAll-v0")
-    env.reset(seed=11)
-    done = rollout("FixColour", "TestAll", 11)
-    assert env.unwrapped.state().scene == done.scene  # type: ignore[attr-defined]
-    assert done.poses.shape[0] == len(done.actions) + 1 == get_task("FixColour").horizon + 1
-    env.close()
 
 
 def test_lower_skill_scores_lower() -> None:

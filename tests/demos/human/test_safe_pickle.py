@@ -16,8 +16,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magical.cli import main
-from magical.demos import Dataset
 from magical.demos.human.published import read_demonstration
 from magical.demos.human.safe_pickle import Record, load
 from magical.errors import MagicalError, UnsafeFileError
@@ -206,27 +204,6 @@ def test_message_names_the_byte_and_the_reason() -> None:
         UnsafeFileError, match=r"byte 2\d.*expected only numpy .*, found the name os\.system"
     ):
         load(io.BytesIO(P4 + text("a" * 8) + called("os", "system")), lambda a: a)
-
-
-def test_bad_file_does_not_stop_the_others(
-    here: Path, published: Any, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (here / "in").mkdir()
-    for i in range(3):
-        published(seed=i).write(here / "in" / f"demo-{i}.pkl.gz")
-    (here / "in" / "demo-1b.pkl.gz").write_bytes(gzip.compress(dumped(os.system, TOUCH)))
-    (here / "in" / "demo-2b.pkl.gz").write_bytes(b"")
-    status = main(["demos", "import", "in", "--out", "out", "--workers", "1"])
-    assert status == 1
-    shown = capsys.readouterr()
-    assert "imported 3 demonstrations" in shown.out
-    assert "in/demo-1b.pkl.gz: refused at byte" in shown.err
-    assert "in/demo-2b.pkl.gz" in shown.err
-    assert not (here / MARKER).exists()
-    assert [entry.source for entry in Dataset.open("out").entries] == [
-        f"demo-{i}.pkl.gz" for i in range(3)
-    ]
-    assert not [path for path in here.rglob("*") if "part" in path.name]
 
 
 DEEP = b")" + b"\x85" * 100_000  # a tuple in a tuple in a tuple ...

@@ -9,7 +9,6 @@ import pytest
 
 from magical.errors import NoExpertError
 from magical.experts import (
-    Expert,
     Move,
     MovePlan,
     Planner,
@@ -25,12 +24,6 @@ from magical.experts.goals import _file, _registered
 from magical.physics import Simulation
 from magical.tasks import TASKS, get_task, register_task, unregister_task
 from tests.experts.scenes import state_of
-
-
-@pytest.mark.parametrize("task", TASKS)
-def test_every_task_has_an_expert(task: str) -> None:
-    assert has_expert(task)
-    assert isinstance(expert_for(task, seed=0), Expert)
 
 
 def test_every_file_of_goals_has_the_name_of_a_task() -> None:
