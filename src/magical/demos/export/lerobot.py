@@ -34,17 +34,7 @@ FPS = int(CONTROL_RATE)
 CAMERAS = {view: f"observation.images.{view}" for view in VIEWS}
 _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 _STATE = ["robot_x", "robot_y", "robot_angle", "left_finger_angle", "right_finger_angle"]
-_FEATURES: dict[str, tuple[str, list[str] | None]] = {  # type, and names where it has some
-    "observation.state": ("float32", _STATE),
-    "action": ("int64", ["action"]),
-    "next.done": ("bool", None),
-    "executed_action": ("int64", None),
-    "timestamp": ("float32", None),
-    "frame_index": ("int64", None),
-    "episode_index": ("int64", None),
-    "index": ("int64", None),
-    "task_index": ("int64", None),
-}
+_NAMES = {"observation.state": _STATE, "action": ["action"]}  # of the parts of a feature
 
 # Chroma at full resolution: with the usual subsampling, outlines two pixels wide lose their colour.
 CODEC, PIXEL_FORMAT = "libx264", "yuv444p"
@@ -91,8 +81,6 @@ def export_lerobot(dataset: Dataset, folder: Path) -> int:
         writer = _Writer(root, dataset)
         with writer.files:
             for trajectory in dataset:
-                if writer.total == 0 or writer.frames_in_file >= FRAMES_PER_FILE:
-                    writer.start_files()
                 writer.add(trajectory)
         writer.finish()
         root.rename(folder)
@@ -105,27 +93,22 @@ class _Writer:
     def __init__(self, root: Path, dataset: Dataset) -> None:
         self.root = root
         self.total = 0
-        self.frames_in_file = 0
         self.files = ExitStack()
-        missing = set()
-        if not all(entry.has_poses for entry in dataset.entries):
-            missing.add("observation.state")
-        if all(trajectory.expert_actions is None for trajectory in dataset):
-            missing.add("executed_action")
-        self._features = {name: _FEATURES[name] for name in _FEATURES if name not in missing}
+        self._has_states = all(entry.has_poses for entry in dataset.entries)
+        self._has_labels = any(trajectory.expert_actions is not None for trajectory in dataset)
         self._tasks: dict[str, int] = {}
         self._episodes: list[dict[str, Any]] = []
         self._columns: list[Columns] = []
         self._levels: dict[str, list[NDArray[np.int64]]] = {c: [] for c in CAMERAS.values()}
         self._file = -1
 
-    def start_files(self) -> None:
+    def _start_files(self, schema: Any) -> None:
         """Close the files, and start the next ones."""
         self.files.close()
         self._file += 1
-        self.frames_in_file = 0
+        self._frames_in_file = 0
         path = self._path("data", "parquet")
-        self._table = self.files.enter_context(pq.ParquetWriter(path, self._schema()))
+        self._table = self.files.enter_context(pq.ParquetWriter(path, schema))
         self._videos = {
             view: self.files.enter_context(_Video(self._path(f"videos/{camera}", "mp4")))
             for view, camera in CAMERAS.items()
@@ -136,8 +119,10 @@ class _Writer:
         steps = len(trajectory)
         task = self._tasks.setdefault(trajectory.task.summary, len(self._tasks))
         columns = self._episode_columns(trajectory, task)
-        arrays = {name: _arrow(column) for name, column in columns.items()}
-        self._table.write_table(pa.table(arrays, schema=self._schema()))
+        table = pa.table({name: _arrow(column) for name, column in columns.items()})
+        if self.total == 0 or self._frames_in_file >= FRAMES_PER_FILE:
+            self._start_files(table.schema)
+        self._table.write_table(table)
         for view, video in self._videos.items():
             frames = Frames(trajectory, view, FRAME_SIZE).take(np.arange(steps))
             video.write(frames)
@@ -145,7 +130,7 @@ class _Writer:
         self._columns.append(columns)
         self._episodes.append(self._episode(trajectory))
         self.total += steps
-        self.frames_in_file += steps
+        self._frames_in_file += steps
 
     def finish(self) -> None:
         """Write the metadata of the closed files."""
@@ -176,22 +161,22 @@ class _Writer:
     def _episode_columns(self, trajectory: Trajectory, task: int) -> Columns:
         steps = len(trajectory)
         frame = np.arange(steps)
-        columns = {
-            "action": trajectory.labels,
-            "next.done": frame == steps - 1,
-            "executed_action": trajectory.actions,
+        columns: Columns = {}
+        if self._has_states and trajectory.poses is not None:
+            columns["observation.state"] = _robot_states(trajectory.poses[:-1])
+        columns |= {"action": trajectory.labels, "next.done": frame == steps - 1}
+        if self._has_labels:
+            columns["executed_action"] = trajectory.actions
+        return columns | {
             "timestamp": (frame / FPS).astype(np.float32),
             "frame_index": frame,
             "episode_index": np.full(steps, len(self._episodes)),
             "index": self.total + frame,
             "task_index": np.full(steps, task),
         }
-        if trajectory.poses is not None:
-            columns["observation.state"] = _robot_states(trajectory.poses[:-1])
-        return {name: columns[name] for name in self._features}
 
     def _episode(self, trajectory: Trajectory) -> dict[str, Any]:
-        steps, start = len(trajectory), self.frames_in_file
+        steps, start = len(trajectory), self._frames_in_file
         chunk, file = divmod(self._file, FILES_PER_CHUNK)
         row: dict[str, Any] = {
             "episode_index": len(self._episodes),
@@ -215,17 +200,14 @@ class _Writer:
             row[f"videos/{camera}/to_timestamp"] = (start + steps) / FPS
         return row
 
-    def _schema(self) -> Any:
-        types = {"bool": pa.bool_(), "int64": pa.int64(), "float32": pa.float32()}
-        columns = {name: types[kind] for name, (kind, _) in self._features.items()}
-        if "observation.state" in columns:
-            columns["observation.state"] = pa.list_(pa.float32(), len(_STATE))
-        return pa.schema(list(columns.items()))
-
     def _info(self) -> dict[str, Any]:
         features = {
-            name: {"dtype": kind, "shape": [len(names or "1")], "names": names}
-            for name, (kind, names) in self._features.items()
+            name: {
+                "dtype": column.dtype.name,
+                "shape": list(column.shape[1:]) or [1],
+                "names": _NAMES.get(name),
+            }
+            for name, column in self._columns[0].items()
         }
         return {
             "codebase_version": VERSION,
