@@ -5,24 +5,14 @@ from collections.abc import Callable
 import numpy as np
 
 from magical.demos import Trajectory
-from magical.demos.store.reader import estimated_states
-from magical.physics import Simulation
+from magical.demos.store.reader import TrajectorySource, estimated_states
 
 MakeTrajectory = Callable[..., Trajectory]
 
 
-def simulated(trajectory: Trajectory) -> np.ndarray:
-    simulation = Simulation(trajectory.scene, trajectory.dynamics)
-    states = [simulation.read().copy()]
-    for action in trajectory.actions.tolist():
-        simulation.step(action)
-        states.append(simulation.read().copy())
-    return np.stack(states)
-
-
 def test_poses_are_kept_and_velocities_are_the_simulations(make_trajectory: MakeTrajectory) -> None:
     trajectory = make_trajectory(steps=40)
-    found, true = estimated_states(trajectory), simulated(trajectory)
+    found, true = estimated_states(trajectory), TrajectorySource(trajectory).body_states()
     np.testing.assert_array_equal(found[..., :3], trajectory.poses)
     assert np.abs(found - true)[:, 0, 3:].max() < 0.02
     assert np.median(np.abs(found - true)[:, 0, 3:]) < 1e-6

@@ -35,13 +35,8 @@ def labelled(tmp_path: Path, make_trajectory: MakeTrajectory) -> Dataset:
     return Dataset.open(tmp_path / "labelled")
 
 
-@pytest.fixture
-def decoded() -> Any:
-    """Decodes a video: the time and the array of every frame."""
-    return _decoded
-
-
-def _decoded(av: Any, path: Path) -> list[tuple[float, Any]]:
+def decoded(av: Any, path: Path) -> list[tuple[float, Any]]:
+    """The time and the array of every frame of a video."""
     with av.open(str(path)) as video:
         return [
             (float(frame.pts * frame.time_base), frame.to_ndarray(format="rgb24"))

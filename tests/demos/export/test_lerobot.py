@@ -2,7 +2,6 @@
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ import pytest
 from magical.cli import main
 from magical.demos import Dataset, observations
 from magical.errors import DatasetError
-from tests.demos.export.conftest import MISSING
+from tests.demos.export.conftest import MISSING, decoded
 
 av = pytest.importorskip("av", reason=MISSING)
 pq = pytest.importorskip("pyarrow.parquet", reason=MISSING)
@@ -18,7 +17,7 @@ from magical.demos.export.lerobot import export_lerobot  # noqa: E402
 
 
 def test_lerobot_export_is_readable(
-    mixed: Path, tmp_path: Path, decoded: Any, monkeypatch: pytest.MonkeyPatch
+    mixed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("magical.demos.export.lerobot.FRAMES_PER_FILE", 10)
     root, dataset = tmp_path / "lerobot", Dataset.open(mixed).filter(demonstrator="random")

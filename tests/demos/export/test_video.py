@@ -3,7 +3,6 @@
 import io
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from PIL import Image
 from magical.cli import main
 from magical.demos import Trajectory
 from magical.demos.export.video import BANNER, LAST_FRAME_REPEATS, video_frames
-from tests.demos.export.conftest import MISSING
+from tests.demos.export.conftest import MISSING, decoded
 
 MakeTrajectory = Callable[..., Trajectory]
 
@@ -30,7 +29,7 @@ def test_video_as_webp(mixed: Path, tmp_path: Path) -> None:
         assert np.abs(np.asarray(video.convert("RGB")).astype(int) - start)[32:].max() > 30
 
 
-def test_video_as_mp4(mixed: Path, tmp_path: Path, decoded: Any) -> None:
+def test_video_as_mp4(mixed: Path, tmp_path: Path) -> None:
     av = pytest.importorskip("av", reason=MISSING)
     pytest.importorskip("imageio_ffmpeg", reason=MISSING)
     out = tmp_path / "video.mp4"

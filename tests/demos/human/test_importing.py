@@ -17,7 +17,6 @@ from magical.demos.human.importing import Keep, find_published, import_published
 from magical.demos.human.published import published_sums, read_demonstration
 from magical.errors import DatasetError
 
-MakeTrajectory = Callable[..., Trajectory]
 Run = Callable[..., tuple[int, dict[str, Any]]]
 
 
