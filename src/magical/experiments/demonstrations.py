@@ -9,7 +9,7 @@ from pathlib import Path
 from magical.demos.generate import MAX_DROPPED, generate
 from magical.demos.store.dataset import Dataset
 from magical.demos.store.manifest import ManifestEntry
-from magical.demos.store.repair import open_mended
+from magical.demos.store.repair import open_repaired
 from magical.demos.store.writer import DatasetWriter
 from magical.envs.seeds import episode_seed
 from magical.errors import DatasetError, DemonstrationsError, ResultsError
@@ -181,7 +181,7 @@ def _kept(folder: Path) -> list[ManifestEntry]:
 
     A kill between writing a file and listing it is mended.
     """
-    return _demos(open_mended(folder)) if folder.exists() else []
+    return _demos(open_repaired(folder)) if folder.exists() else []
 
 
 def _demos(dataset: Dataset) -> list[ManifestEntry]:

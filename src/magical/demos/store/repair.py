@@ -61,7 +61,7 @@ def repair(path: Path | str) -> list[Problem]:
     return problems
 
 
-def open_mended(path: Path | str) -> Dataset:
+def open_repaired(path: Path | str) -> Dataset:
     """Open a dataset; a damaged one is repaired, as after a kill between a file and its entry.
 
     Raises what `repair` raises.

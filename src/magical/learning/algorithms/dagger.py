@@ -21,7 +21,7 @@ from statistics import fmean
 from typing import Any, ClassVar
 
 from magical.demos import Dataset, DatasetWriter, Trajectory
-from magical.demos.store.repair import open_mended
+from magical.demos.store.repair import open_repaired
 from magical.envs import EnvId
 from magical.errors import InvalidConfigError, RunFolderError
 from magical.evaluation import environments
@@ -176,7 +176,7 @@ class AggregatedDataset:
         self._per_round = len(config.env_ids)
         self.folder = run.folder / AGGREGATE
         if self.folder.exists():
-            open_mended(self.folder)
+            open_repaired(self.folder)
         self._writer = DatasetWriter(self.folder)
         self._dataset = Dataset.open(self.folder)
         with restoring(run.folder):
