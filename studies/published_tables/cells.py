@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from magical.evaluation.intervals import Floats
-from magical.evaluation.published import RUNS, published_table
+from magical.evaluation.published import PUBLISHED_RUNS, published_table
 from magical.evaluation.statistics import Spread
 from magical.tasks.axes import short_variant
 from studies.published_tables.rows import MethodRuns
@@ -52,8 +52,8 @@ class ComparedCell:
         from scipy.special import stdtr  # slow to import
 
         ours = len(self.means)
-        t = limit * math.sqrt(ours * RUNS / (ours + RUNS))
-        return float(1.0 - 2.0 * stdtr(ours + RUNS - 2, -t))
+        t = limit * math.sqrt(ours * PUBLISHED_RUNS / (ours + PUBLISHED_RUNS))
+        return float(1.0 - 2.0 * stdtr(ours + PUBLISHED_RUNS - 2, -t))
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,8 @@ from magical.report.found.search import Found, Result, same_run
 from magical.report.found.statements import UNSTATED, Statements, gather_statements, stated_looks
 from magical.report.leaderboard.checks import (
     Rejected,
-    difference,
     incompleteness,
+    mismatch,
     misstatements,
 )
 from magical.report.scores.differences import RULE, is_comparable
@@ -71,7 +71,7 @@ def make_rows(found: Found) -> tuple[list[MethodRuns], list[Rejected]]:
         reasons = _faults(result)
         if other := same_run(result, runs):
             reasons.append(f"the same run as {other.folder}: each run counts once")
-        elif runs and (other_source := difference(result.entry, runs[0])):
+        elif runs and (other_source := mismatch(result.entry, runs[0])):
             reasons.append(other_source)
         if reasons:
             rejected.append(Rejected(str(result.folder), result.entry.method, reasons))

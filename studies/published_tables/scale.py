@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magical.evaluation.intervals import CONFIDENCE, Interval, welch_interval
-from magical.evaluation.published import RUNS, published_table
+from magical.evaluation.published import PUBLISHED_RUNS, published_table
 from magical.evaluation.statistics import Spread
 from magical.tasks.axes import full_variant, short_variant
 
@@ -27,8 +27,8 @@ def pooled_std(means: ArrayLike, published: Spread) -> float:
         published: the mean and standard deviation of the tables.
     """
     ours = np.asarray(means, np.float64)
-    squares = ((ours - ours.mean()) ** 2).sum() + (RUNS - 1) * published.std**2
-    return max(math.sqrt(squares / (len(ours) + RUNS - 2)), RESOLUTION)
+    squares = ((ours - ours.mean()) ** 2).sum() + (PUBLISHED_RUNS - 1) * published.std**2
+    return max(math.sqrt(squares / (len(ours) + PUBLISHED_RUNS - 2)), RESOLUTION)
 
 
 def published_contrast(
@@ -58,6 +58,6 @@ def published_contrast(
             key = "" if MULTI_TASK in method else task
             parts[key] = parts.get(key, 0.0) + abs(weight) * std / len(cells)
         deviations += parts.values()
-    variances = np.array(deviations) ** 2 / (RUNS - 1)
+    variances = np.array(deviations) ** 2 / (PUBLISHED_RUNS - 1)
     bounds = sum(min(w, 0.0) for w in weights.values()), sum(max(w, 0.0) for w in weights.values())
-    return welch_interval(value, variances, RUNS - 1, confidence, bounds)
+    return welch_interval(value, variances, PUBLISHED_RUNS - 1, confidence, bounds)

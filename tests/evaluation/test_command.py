@@ -28,7 +28,9 @@ def evaluate(capsys: pytest.CaptureFixture[str], *argv: str) -> tuple[int, str, 
     return status, captured.out, captured.err
 
 
-def test_json_of_one_task_is_by_variant(capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_is_by_variant_and_of_several_tasks_by_task(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     status, out, _ = evaluate(capsys, "noop", "--task", "MoveToRegion", "--rollouts", "3", "--json")
     assert status == 0
     summary = json.loads(out.splitlines()[-1])
@@ -37,6 +39,13 @@ def test_json_of_one_task_is_by_variant(capsys: pytest.CaptureFixture[str]) -> N
     assert len(summary["Demo"]["scores"]) == 3
     assert "95% interval" in out
     assert "do not include the spread between training runs" in out
+    argv = ["--task", "MoveToRegion", "FixColour", "--variants", "Demo", "TestJitter"]
+    _, out, _ = evaluate(capsys, "noop", *argv, "--rollouts", "1", "--json")
+    summary = json.loads(out.splitlines()[-1])
+    assert {task: list(cells) for task, cells in summary.items()} == {
+        "MoveToRegion": ["Demo", "Jitter"],
+        "FixColour": ["Demo", "Jitter"],
+    }
 
 
 def test_gaps_are_those_of_the_statistics(capsys: pytest.CaptureFixture[str]) -> None:
@@ -70,16 +79,6 @@ def test_a_policy_with_wrong_outputs_says_what_was_expected(
     status, _, err = evaluate(capsys, str(tmp_path))
     assert status == 1
     assert "expected a run folder" in err
-
-
-def test_json_of_several_tasks_is_by_task(capsys: pytest.CaptureFixture[str]) -> None:
-    argv = ["--task", "MoveToRegion", "FixColour", "--variants", "Demo", "TestJitter"]
-    _, out, _ = evaluate(capsys, "noop", *argv, "--rollouts", "1", "--json")
-    summary = json.loads(out.splitlines()[-1])
-    assert {task: list(cells) for task, cells in summary.items()} == {
-        "MoveToRegion": ["Demo", "Jitter"],
-        "FixColour": ["Demo", "Jitter"],
-    }
 
 
 def test_out_holds_an_entry(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

@@ -127,14 +127,6 @@ def function(
     return np.zeros(len(env_ids), np.int64)
 
 
-def test_what_a_name_may_stand_for_is_taken_itself(module: str) -> None:
-    policy = RandomPolicy()
-    assert load_policy(policy) is policy
-    assert isinstance(load_policy(NoopPolicy), NoopPolicy)
-    assert isinstance(load_policy(function), FunctionPolicy)
-    assert isinstance(load_policy(Path(f"{module}.py:function")), FunctionPolicy)
-
-
 class OnlyActs:
     """Has no memory, so nothing to reset."""
 
@@ -145,10 +137,22 @@ class OnlyActs:
 
 
 @pytest.mark.parametrize(
-    "source", [function, OnlyActs, OnlyActs(), "noop", "{}:function", "{}:OnlyActs", "{}.py:make"]
+    "source",
+    [
+        function,
+        OnlyActs,
+        OnlyActs(),
+        NoopPolicy,
+        "noop",
+        "{}:function",
+        "{}:OnlyActs",
+        "{}.py:make",
+    ],
 )
 def test_python_evaluates_what_the_command_line_does(module: str, source: Any) -> None:
     named = source.format(module) if isinstance(source, str) else source
+    policy = load_policy(named)
+    assert load_policy(policy) is policy
     assert len(evaluate(named, [DEMO], rollouts=2, horizon=1, workers=0)) == 2
 
 

@@ -103,13 +103,6 @@ def test_what_could_not_be_read_back_is_not_written(tmp_path: Path, fields: dict
     assert read_entry(tmp_path).scores == SCORES
 
 
-def test_true_states_are_privileged_whatever_an_entry_says(tmp_path: Path) -> None:
-    Entry(method="mine", scores=SCORES).write(tmp_path)
-    stated = {"method": "mine", "observation": "state", "privileged": False}
-    (tmp_path / "entry.json").write_text(json.dumps(stated))
-    assert read_entry(tmp_path).privileged
-
-
 @pytest.mark.parametrize(
     ("attributes", "observation", "expected"),
     [

@@ -30,6 +30,8 @@ def test_a_row_samples_the_same_in_any_batch(name: str, rest: tuple[int, ...]) -
 def test_sizes_may_be_plain_numbers_and_positional() -> None:
     first, second = RolloutRng("ab", [1, 2]), RolloutRng("ab", [1, 2])
     np.testing.assert_array_equal(first.integers(0, 18, 2), second.integers(18, size=(2,)))
+    one, other = RolloutRng("ab", [1, 1]).random((2, 5))  # environments share no stream
+    assert not set(one) & set(other)
 
 
 @pytest.mark.parametrize(
@@ -49,9 +51,3 @@ def test_other_samples_come_from_the_common_stream(sample: Any) -> None:
     words = [*rollout_stream("a", 1), *rollout_stream("b", 2)]
     common = np.random.Generator(np.random.PCG64(words))
     np.testing.assert_array_equal(sample(RolloutRng("ab", [1, 2])), sample(common))
-
-
-def test_environments_do_not_share_a_rollouts_stream() -> None:
-    rng = RolloutRng("ab", [1, 1])
-    first, second = rng.random((2, 5))
-    assert not set(first) & set(second)

@@ -1,4 +1,4 @@
-"""Statistics: worked out by hand, and against scipy and rliable."""
+"""Statistics: worked out by hand, and against scipy."""
 
 import math
 
@@ -76,11 +76,8 @@ def test_mean_has_student_s_interval_over_runs(
     assert stats.mean(scores) == approximately(expected)
 
 
-def test_environments_count_alike_whatever_the_number_of_runs() -> None:
+def test_environments_count_alike_and_one_run_has_no_interval() -> None:
     assert stats.mean([*ONE_TASK, [NAN, 0.7], [NAN, 0.9]]).value == pytest.approx((0.4 + 0.8) / 2)
-
-
-def test_one_run_has_no_interval_over_runs() -> None:
     for statistic in (stats.mean, stats.interquartile_mean, stats.optimality_gap):
         value, low, high = statistic([[0.4, 0.4]])
         assert value == pytest.approx(0.6 if statistic is stats.optimality_gap else 0.4)
@@ -110,9 +107,6 @@ def test_interquartile_mean_rounds_the_quarter_down_and_pools_environments() -> 
     assert found.value == pytest.approx((0.1 + 0.2 + 0.3 + 0.9) / 4)
     block = [[0.9, NAN], [NAN, 0.1], [0.2, NAN], [NAN, 0.3], [1.0, NAN], [NAN, 0.0]]
     assert stats.interquartile_mean(block).value == pytest.approx(found.value)
-
-
-def test_interquartile_mean_agrees_with_scipy() -> None:
     scores = np.random.default_rng(0).random((5, 7))
     trimmed = scipy.stats.trim_mean(scores, proportiontocut=0.25, axis=None)
     assert stats.interquartile_mean(scores).value == pytest.approx(trimmed)
@@ -141,9 +135,7 @@ def test_generalisation_gap_is_demo_less_all_by_task_then_over_tasks(
     means: list[list[float]], env_ids: list[EnvId], expected: Interval
 ) -> None:
     assert stats.generalisation_gap(means, env_ids) == approximately(expected)
-
-
-def test_generalisation_gap_along_an_axis_is_over_the_tasks_that_have_it() -> None:
+    # Along an axis it is over the tasks that have it.
     found = stats.generalisation_gap([[0.9, 0.6, 0.0, 1.0, 0.8]], IDS + OTHERS, "Jitter")
     assert found.value == pytest.approx(0.3)
 
@@ -216,13 +208,10 @@ def test_a_performance_profile_is_the_share_of_runs_above_each_threshold() -> No
     # Above 0.5 the runs' means over the two environments are 0, 1/2 and 1: std 1/2.
     half = T2 * 0.5 / math.sqrt(3)
     assert at[1] == pytest.approx((0.5, max(0.5 - half, 0.0), min(0.5 + half, 1.0)))
-
-
-def test_a_performance_profile_leaves_out_what_was_not_evaluated() -> None:
-    scores = [[0.2, np.nan], [0.6, np.nan], [np.nan, 0.9]]
-    (interval,) = stats.performance_profile(scores, [0.5])
+    # What was not evaluated is left out; the second environment has one run.
+    (interval,) = stats.performance_profile([[0.2, NAN], [0.6, NAN], [NAN, 0.9]], [0.5])
     assert interval.value == pytest.approx((1 / 2 + 1) / 2)
-    assert math.isnan(interval.low)  # the second environment has one run
+    assert math.isnan(interval.low)
 
 
 def test_over_rollouts_is_the_weighted_sum_of_environments() -> None:
@@ -235,10 +224,7 @@ def test_over_rollouts_is_the_weighted_sum_of_environments() -> None:
     assert gap == approximately(
         Interval(-0.2, -0.2 - (0.8 - 0.490162), -0.2 + math.hypot(high, 1 - 0.722467))
     )
-
-
-def test_over_rollouts_weighs_runs_equally() -> None:
-    runs = [rollouts(IDS[0], 1.0), rollouts(IDS[0], 0.0, 0.0, 0.0)]
+    runs = [rollouts(IDS[0], 1.0), rollouts(IDS[0], 0.0, 0.0, 0.0)]  # weighed equally
     assert stats.over_rollouts(runs, IDS[:1], [1.0]).value == 0.5
 
 
@@ -260,27 +246,6 @@ def test_wrong_scores_are_refused_with_what_was_expected(
 ) -> None:
     with pytest.raises(ValueError, match=message):
         stats.mean(scores)
-
-
-# Against rliable, where it is installed.
-
-
-def test_agreement_with_rliable() -> None:
-    metrics = pytest.importorskip("rliable.metrics", reason="rliable is not installed")
-    rng = np.random.default_rng(5)
-    table, other = np.round(rng.random((10, 4)), 1), np.round(rng.random((7, 4)), 1)
-    assert stats.mean(table).value == pytest.approx(metrics.aggregate_mean(table))
-    assert stats.interquartile_mean(table).value == pytest.approx(metrics.aggregate_iqm(table))
-    gap = stats.optimality_gap(table).value
-    assert gap == pytest.approx(metrics.aggregate_optimality_gap(table))
-    assert stats.probability_of_improvement(table, other).value == pytest.approx(
-        metrics.probability_of_improvement(table, other)
-    )
-    library = pytest.importorskip("rliable.library", reason="rliable is not installed")
-    thresholds = np.linspace(0.0, 1.0, 11)
-    found = [interval.value for interval in stats.performance_profile(table, thresholds)]
-    expected = [library.run_score_deviation(table, threshold) for threshold in thresholds]
-    assert found == pytest.approx(expected)
 
 
 def test_a_contrast_weighs_methods() -> None:

@@ -87,7 +87,10 @@ def test_a_policy_is_shown_again_what_it_was_shown() -> None:
     shown = evaluate(Undecided(), IDS, rollouts=2, observation="LoRes4A", workers=0)
     made = Entry(method="m", scores=shown, observation="LoRes4A")
     rng = np.random.default_rng(0)
-    assert verify(made, Undecided(), rng=rng, workers=0).confirmed
+    found = verify(made, Undecided(), rng=rng, workers=0)
+    assert found.confirmed
+    assert found.exact
+    assert not verify(made, Undecided(), rng=rng, elsewhere=True, workers=0).exact
 
 
 def test_the_scores_of_another_policy_are_not(entry: Entry) -> None:
@@ -95,6 +98,7 @@ def test_the_scores_of_another_policy_are_not(entry: Entry) -> None:
     for elsewhere in (True, False):
         rng = np.random.default_rng(0)
         found = verify(better, RandomPolicy(), rng=rng, elsewhere=elsewhere, workers=0)
+        assert found.exact  # without a network, on every machine
         assert not found.confirmed
         assert not replace(found, exact=False).confirmed
         assert found.mean_changes()[0].high < 0.0
@@ -152,15 +156,6 @@ def test_another_machine_counts_only_where_it_is_stated(
     details: dict[str, Any], expected: bool
 ) -> None:
     assert is_elsewhere(details, HERE, {"numpy": "1"}) == expected
-
-
-def test_policies_without_a_network_are_exact_on_every_machine(entry: Entry) -> None:
-    rng = np.random.default_rng(0)
-    for elsewhere in (True, False):
-        assert verify(entry, RandomPolicy(), rng=rng, elsewhere=elsewhere, workers=0).exact
-    undecided = replace(entry, observation="LoRes4A", privileged=False)
-    assert not verify(undecided, Undecided(), rng=rng, elsewhere=True, workers=0).exact
-    assert verify(undecided, Undecided(), rng=rng, workers=0).exact
 
 
 def test_swapped_environments_do_not_cancel() -> None:

@@ -9,9 +9,7 @@ import gzip
 import io
 import json
 import zlib
-from collections.abc import Iterator, Mapping
-from itertools import groupby
-from operator import itemgetter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +72,7 @@ def _entry(
 def _read_scores(path: Path) -> dict[str, list[RolloutScore]]:
     """The rows by entry."""
     scores: dict[str, list[RolloutScore]] = {}
+    env_ids: dict[str, EnvId] = {}
     try:
         with (
             open_regular(path, follow_links=True) as file,
@@ -82,22 +81,11 @@ def _read_scores(path: Path) -> dict[str, list[RolloutScore]]:
             lines = csv.reader(text)
             if next(lines, []) != ["entry", *HEADER]:
                 raise ScoresError(f"{path}: expected the header entry,{','.join(HEADER)}")
-            for name, rows in groupby(_bounded(lines, path), itemgetter(0)):
-                scores.setdefault(name, []).extend(_parsed(rows, path))
+            for number, line in enumerate(lines, 2):
+                if number > MAX_ROWS:
+                    raise ScoresError(f"{path}: expected at most {MAX_ROWS} rows, found more")
+                row = parse_row(line[1:], env_ids, path, number)
+                scores.setdefault(line[0], []).append(row)
     except (OSError, EOFError, zlib.error, csv.Error) as error:
         raise ScoresError(f"{path}: expected compressed scores: {error}") from error
     return scores
-
-
-def _bounded(lines: Iterator[list[str]], path: Path) -> Iterator[tuple[str, int, list[str]]]:
-    """The name, the line's number and the rest of each line."""
-    for number, line in enumerate(lines, 2):
-        if number > MAX_ROWS:
-            raise ScoresError(f"{path}: expected at most {MAX_ROWS} rows, found more")
-        yield (line[0] if line else ""), number, line[1:]
-
-
-def _parsed(rows: Iterator[tuple[str, int, list[str]]], path: Path) -> Iterator[RolloutScore]:
-    env_ids: dict[str, EnvId] = {}
-    for _, number, line in rows:
-        yield parse_row(line, env_ids, path, number)

@@ -20,12 +20,12 @@ from magical.evaluation.intervals import CONFIDENCE, Interval, welch_interval
 from magical.evaluation.statistics import Spread
 from magical.tasks.axes import full_variant, short_variant
 
-RUNS = 5
-Table = Mapping[tuple[str, str, str], Spread]  # (task, method, short variant)
+PUBLISHED_RUNS = 5
+PublishedTable = Mapping[tuple[str, str, str], Spread]  # (task, method, short variant)
 
 
 @cache
-def published_table() -> Table:
+def published_table() -> PublishedTable:
     """All 660 entries: (task, method, short variant) -> mean and standard deviation."""
     text = files("magical.evaluation").joinpath("data/published-scores.csv").read_text("utf-8")
     return MappingProxyType(
@@ -82,6 +82,8 @@ def difference_from_published(
     value = float(ours.mean()) - published.mean
     if len(ours) < 2:
         return Interval(value, math.nan, math.nan)
-    variances = ours.var(ddof=1) / len(ours), published.std**2 / (RUNS - 1)
+    variances = ours.var(ddof=1) / len(ours), published.std**2 / (PUBLISHED_RUNS - 1)
     unbounded = -math.inf, math.inf
-    return welch_interval(value, variances, (len(ours) - 1, RUNS - 1), confidence, unbounded)
+    return welch_interval(
+        value, variances, (len(ours) - 1, PUBLISHED_RUNS - 1), confidence, unbounded
+    )

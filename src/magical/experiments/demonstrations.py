@@ -14,7 +14,7 @@ from magical.demos.store.writer import DatasetWriter
 from magical.envs.seeds import episode_seed
 from magical.errors import DatasetError, DemonstrationsError, ResultsError
 from magical.evaluation import environments
-from magical.experiments.plan import PlannedRun, Source
+from magical.experiments.plan import DemonstrationSource, PlannedRun
 from magical.experiments.results import DEMOS, EXPERIMENT, Results
 from magical.learning.config import DemonstrationSettings
 from magical.runs.folder import read_json, write_json
@@ -133,7 +133,7 @@ def prepare_demonstrations(
 
 
 def _generated(
-    source: Source,
+    source: DemonstrationSource,
     tasks: Iterable[str],
     results: Results,
     workers: int | None,

@@ -160,7 +160,7 @@ def _require_each_once(key: str, values: Sequence[Any]) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class DemonstrationSource:
     """Where a run's demonstrations are sampled from; by default there are none.
 
     Attributes:
@@ -213,7 +213,7 @@ class PlannedRun:
     method: str
     preset: str
     config: Config
-    source: Source
+    source: DemonstrationSource
     evaluation: Evaluation
     variants: tuple[str, ...] = ()
 
@@ -302,7 +302,9 @@ def _planned_run(plan: Plan, method: Method, tasks: tuple[str, ...]) -> PlannedR
     if config.threads < 1:
         raise PlanError(f"threads: expected at least 1, found {config.threads}")
     demonstrations = config.part(DemonstrationSettings)
-    source = _source(plan, tasks, demonstrations.num_demos) if demonstrations else Source()
+    source = (
+        _source(plan, tasks, demonstrations.num_demos) if demonstrations else DemonstrationSource()
+    )
     evaluation = planned_evaluation(plan, tasks)
     return PlannedRun(method.name, preset, config, source, evaluation, plan.variants)
 
@@ -320,7 +322,7 @@ def planned_evaluation(plan: Plan, tasks: Sequence[str]) -> Evaluation:
     )
 
 
-def _source(plan: Plan, tasks: Sequence[str], num_demos: int) -> Source:
+def _source(plan: Plan, tasks: Sequence[str], num_demos: int) -> DemonstrationSource:
     """Where a run's `num_demos` demonstrations of each task come from."""
     dataset = plan.demos != EXPERT
     if plan.add_expert and not dataset:
@@ -334,14 +336,14 @@ def _source(plan: Plan, tasks: Sequence[str], num_demos: int) -> Source:
                     f"{name}: expected 0 for a dataset, found {getattr(plan, name)}: it is for "
                     f'generated demonstrations (demos = "{EXPERT}", or add_expert)'
                 )
-        return Source(dataset=True)
+        return DemonstrationSource(dataset=True)
     for task in tasks:
         get_planner(task)  # raises for a task without an expert
     if not dataset and plan.expert_demos < num_demos:
         raise PlanError(
             f"expert_demos: expected at least num_demos, {num_demos}, found {plan.expert_demos}"
         )
-    return Source(dataset, plan.expert_demos, plan.perturb, plan.min_score)
+    return DemonstrationSource(dataset, plan.expert_demos, plan.perturb, plan.min_score)
 
 
 def _require_distinct(runs: Iterable[PlannedRun]) -> None:

@@ -31,7 +31,7 @@ DONE, FAILED, WAITING = "done", "failed", "waiting"  # states; the first two are
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
+class RunsInProgress:
     """What `progress.json` holds: folders of the runs in progress, how many can be at a time."""
 
     running: tuple[str, ...] = ()
@@ -66,7 +66,7 @@ class Results:
     def write_progress(self, running: Iterable[PlannedRun], slots: int) -> None:
         """Note which runs are in progress, and how many can be at a time."""
         names = [run.folder for run in running]
-        write_json(self.path / PROGRESS, asdict(Progress(tuple(names), slots)))
+        write_json(self.path / PROGRESS, asdict(RunsInProgress(tuple(names), slots)))
 
 
 @dataclass(frozen=True, slots=True)

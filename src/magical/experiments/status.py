@@ -14,7 +14,7 @@ from magical.experiments.results import (
     FAILED,
     PROGRESS,
     WAITING,
-    Progress,
+    RunsInProgress,
     is_results,
     read_record,
     read_state,
@@ -113,9 +113,9 @@ def read_status(path: Path) -> Status:
             "makes one), found none"
         )
     active = is_locked(path / LOCK)
-    progress = Progress()
+    progress = RunsInProgress()
     if active and (path / PROGRESS).exists():
-        progress = read_json(path / PROGRESS, Progress, ResultsError, max_bytes=MAX_BYTES)
+        progress = read_json(path / PROGRESS, RunsInProgress, ResultsError, max_bytes=MAX_BYTES)
     runs = tuple(
         _run_status(path, run, run.folder in progress.running) for run in listed_runs(path)
     )

@@ -132,12 +132,12 @@ def _conflicts(result: Result, accepted: Sequence[Result]) -> Iterator[str]:
         )
         return
     for other in (run for run in accepted if run.entry.method == entry.method):
-        if found := difference(entry, other):
+        if found := mismatch(entry, other):
             yield found
             return
 
 
-def difference(entry: Entry, other: Result) -> str:
+def mismatch(entry: Entry, other: Result) -> str:
     """What an entry was shown or learned from, unlike a run of its method; empty for nothing."""
     for what, value, expected in (
         ("shown", entry.observation, other.entry.observation),

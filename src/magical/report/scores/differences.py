@@ -12,7 +12,7 @@ from magical.evaluation import (
     published_score,
 )
 from magical.evaluation.intervals import Interval
-from magical.tasks import Task
+from magical.tasks import Task, parse_horizon
 
 RULE = "published_code_score"
 
@@ -35,15 +35,14 @@ def counterparts(entries: Iterable[Entry], published: Sequence[str]) -> dict[str
     return same
 
 
-def steps(task: Task, run: Entry) -> str:
+def horizon_of(task: Task, run: Entry) -> int:
     """The number of control steps that a run was evaluated with on a task."""
-    known = {"appendix": task.horizon, "published": task.published_horizon}
-    return str(known.get(run.horizon, run.horizon))
+    return task.resolve_horizon(parse_horizon(run.horizon))
 
 
 def is_comparable(task: Task, run: Entry) -> bool:
     """Whether a run was evaluated with the horizon of the published rows of a task."""
-    return steps(task, run) == str(task.published_horizon)
+    return horizon_of(task, run) == task.published_horizon
 
 
 def differences(task: Task, runs: Sequence[Entry], method: str) -> Mapping[str, Interval]:

@@ -9,10 +9,10 @@ import numpy as np
 
 from magical.evaluation import Entry, by_variant, published_score, published_tasks
 from magical.evaluation.intervals import Interval, rollout_mean
-from magical.evaluation.published import RUNS
+from magical.evaluation.published import PUBLISHED_RUNS
 from magical.evaluation.statistics import over_runs
 from magical.grouping import group_by
-from magical.report.scores.differences import RULE, counterparts, differences, steps
+from magical.report.scores.differences import RULE, counterparts, differences, horizon_of
 from magical.tasks import Task, get_task
 from magical.tasks.axes import SHORT_VARIANTS, short_variant
 
@@ -205,20 +205,20 @@ def _published_row(task: str, method: str) -> Row:
         for variant, spread in spreads.items()
         if spread is not None
     }
-    return Row(f"{method}, published", cells, f"mean ± std over {RUNS} runs")
+    return Row(f"{method}, published", cells, f"mean ± std over {PUBLISHED_RUNS} runs")
 
 
 def _horizon_note(task: Task, runs: Sequence[Entry]) -> str:
     """Which horizon, where the published code's differs from the appendix's."""
     if not task.has_two_horizons:
         return ""
-    return f"; horizon {' and '.join(sorted({steps(task, run) for run in runs}))}"
+    return f"; horizon {' and '.join(map(str, sorted({horizon_of(task, run) for run in runs})))}"
 
 
 def _other_horizons(task: Task, entries: Sequence[Entry]) -> list[str]:
     """The horizons of the task's entries that are not the published code's, in control steps."""
-    found = {steps(task, entry) for entry in entries}
-    return sorted(found - {str(task.published_horizon)})
+    found = {horizon_of(task, entry) for entry in entries}
+    return list(map(str, sorted(found - {task.published_horizon})))
 
 
 def _left_out_note(task: Task, other: Sequence[str]) -> str:
