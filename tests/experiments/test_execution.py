@@ -166,7 +166,11 @@ def test_what_a_killed_process_left_does_not_stand_in_the_way(
 ) -> None:
     (run, _) = planned()
     folder = out / "runs" / run.folder
-    execute([], out)
+    with results.opened(out, [run]) as opened:
+        opened.write_progress([run], 2)
+        assert read_status(out).counts["running"] == 1
+    with results.opened(out, [run]):
+        assert read_status(out).counts["running"] == 0
     folder.mkdir(parents=True)
     for name in (".result.json.999.part", ".scores.csv.999.part"):
         (folder / name).write_text("{")
@@ -283,15 +287,3 @@ def test_runs_recorded_in_an_earlier_form_are_not_run_again(
         (old / "result.json").write_text(json.dumps(record))
     assert execute([first, second], copied).complete
     assert [run.seed for run in inline] == [second.seed]
-
-
-def test_what_a_killed_command_ran_is_not_running_in_the_next_one(
-    planned: Planned, copied: Path
-) -> None:
-    for folder in (copied / "runs").iterdir():
-        (folder / "result.json").unlink()
-    with results.opened(copied, planned()) as opened:
-        opened.write_progress(planned(), 2)
-        assert read_status(copied).counts["running"] == 2
-    with results.opened(copied, planned()):
-        assert read_status(copied).counts["running"] == 0

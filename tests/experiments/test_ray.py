@@ -118,22 +118,16 @@ def test_a_dead_cluster_is_no_failure_of_its_runs(
     assert scores_of(out) == scores_of(finished)
 
 
-def test_one_file_of_a_packed_folder_leaves_the_others(tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "result.json").write_text(name)
-    (tmp_path / "b" / "checkpoint").write_text("kept")
-    unpack(pack(tmp_path / "a"), tmp_path / "b", "result.json")
-    found = {path.name: path.read_text() for path in (tmp_path / "b").iterdir()}
-    assert found == {"result.json": "a", "checkpoint": "kept"}
-    assert {path.name for path in tmp_path.iterdir()} == {"a", "b"}
-
-
-def test_a_packed_folder_replaces_an_older_one(tmp_path: Path) -> None:
+def test_a_packed_folder_replaces_an_older_one_or_a_file_of_it(tmp_path: Path) -> None:
     for name, text in (("a", "new"), ("b", "old")):
         (tmp_path / name / "deep").mkdir(parents=True)
         (tmp_path / name / "deep" / f"{text}.txt").write_text(text)
+        (tmp_path / name / "result.json").write_text(text)
         (tmp_path / name / ".lock").touch()
+    unpack(pack(tmp_path / "a"), tmp_path / "b", "result.json")
+    assert (tmp_path / "b" / "result.json").read_text() == "new"
+    assert (tmp_path / "b" / "deep" / "old.txt").exists()
     unpack(pack(tmp_path / "a"), tmp_path / "b")
     found = sorted(path.relative_to(tmp_path / "b").as_posix() for path in tmp_path.glob("b/**/*"))
-    assert found == ["deep", "deep/new.txt"]
+    assert found == ["deep", "deep/new.txt", "result.json"]
+    assert {path.name for path in tmp_path.iterdir()} == {"a", "b"}

@@ -1,7 +1,10 @@
 """Best, median and worst rollouts."""
 
 from pathlib import Path
+from typing import Any
 
+import gymnasium
+import numpy as np
 import pytest
 
 from magical.envs import EnvId, parse_env_id
@@ -39,25 +42,31 @@ def test_extremes_are_chosen_by_score_then_number() -> None:
     ]
 
 
-def test_rollouts_are_recorded_as_they_were_evaluated() -> None:
-    evaluation = Evaluation.of(environments(["MoveToRegion"], ["All"]), rollouts=6)
-    scores = roll_out(RandomPolicy(), evaluation, workers=0)
-    rollouts = [(row.env_id, row.rollout) for row in scores[3:]]
-    clips = record_rollouts(RandomPolicy(), evaluation, rollouts, size=24, every=7)
-    assert [clip.score for clip in clips] == [row.score for row in scores[3:]]
-    # The first frame, steps 7 to 35, and the last step, 40.
-    assert all(clip.frames.shape == (7, 24, 24, 3) for clip in clips)
-    assert all(clip.shown is None for clip in clips)
-
-
-def test_nudge_and_horizon_are_those_of_the_evaluation() -> None:
-    ids = environments(["MoveToRegion"], ["Demo"])
-    evaluation = Evaluation.of(ids, rollouts=3, horizon=20, nudge=0.01)
+@pytest.mark.parametrize(
+    ("settings", "every", "frames"),
+    [
+        ({}, 7, 7),  # the first, steps 7 to 35, and the last step, 40
+        ({"horizon": 20, "nudge": 0.01}, 1, 21),
+    ],
+)
+def test_rollouts_are_recorded_as_they_were_evaluated(
+    settings: dict[str, Any], every: int, frames: int
+) -> None:
+    ids = environments(["MoveToRegion"], ["Demo", "All"])
+    evaluation = Evaluation.of(ids, rollouts=3, **settings)
     scores = roll_out(RandomPolicy(), evaluation, workers=0)
     rollouts = [(row.env_id, row.rollout) for row in scores]
-    clips = record_rollouts(RandomPolicy(), evaluation, rollouts, size=16)
-    assert [clip.score for clip in clips] == [row.score for row in scores]
-    assert len(clips[0].frames) == 21
+    clips = record_rollouts(RandomPolicy(), evaluation, rollouts, size=32, every=every)
+    assert [(clip.env_id, clip.score) for clip in clips] == [
+        (row.env_id, row.score) for row in scores
+    ]
+    assert all(clip.frames.shape == (frames, 32, 32, 3) for clip in clips)
+    assert all(clip.shown is None for clip in clips)
+    if "nudge" not in settings:
+        for clip, row in zip(clips, scores, strict=True):
+            env = gymnasium.make(clip.env_id, observation={"parts": [["allo", 1]], "size": 32})
+            np.testing.assert_array_equal(clip.frames[0], env.reset(seed=row.seed)[0])
+            assert (clip.frames[0] != clip.frames[-1]).any()
 
 
 class Watching(NoopPolicy):

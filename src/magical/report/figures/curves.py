@@ -59,7 +59,7 @@ def curves_by_task(
     for run in runs:
         try:
             found.append((run, read_metrics(run.folder)))
-        except (RunFolderError, OSError, UnicodeDecodeError) as error:
+        except RunFolderError as error:
             damaged[run.folder] = str(error)
     figures: dict[str, list[str]] = {}
     for number, task in enumerate(dict.fromkeys(run.task for run, rows in found if rows)):
