@@ -15,11 +15,10 @@ from types import ModuleType
 from typing import Any, NoReturn
 
 from magical import __version__, commands
+from magical.commands._common import FAILED, INTERRUPTED, USAGE
 from magical.errors import MagicalError, PlanError, UnknownNameError
 from magical.extras import missing
 from magical.plugins import import_user_module
-
-GOOD, FAILED, USAGE, INTERRUPTED = 0, 1, 2, 130
 
 
 def main(argv: Sequence[str] | None = None) -> int:

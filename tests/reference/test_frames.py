@@ -20,11 +20,11 @@ ROUNDING = 0.01  # of 255: single samples on an edge, which rounding puts on eit
 
 
 @pytest.fixture(scope="module", params=[96, 384])
-def recording(request: pytest.FixtureRequest) -> frames.Recording:
+def recording(request: pytest.FixtureRequest) -> frames.RecordedFrames:
     return frames.load(recording_path(f"frames-{request.param}.npz"))
 
 
-def test_within_limits(recording: frames.Recording) -> None:
+def test_within_limits(recording: frames.RecordedFrames) -> None:
     comparisons = frames.compare(recording, frames.compute(recording))
     assert [each for each in comparisons if not each.passed] == []
     expected = {f"{task} {view}" for task in published_tasks() for view in View}
@@ -35,7 +35,7 @@ def test_within_limits(recording: frames.Recording) -> None:
     assert max(each.figure for each in comparisons) < ROUNDING
 
 
-def test_a_wrong_frame_is_detected(recording: frames.Recording) -> None:
+def test_a_wrong_frame_is_detected(recording: frames.RecordedFrames) -> None:
     first = dataclasses.replace(recording, **_only_first(recording))
     rendered = frames.compute(first)
     rendered[View.EGO] = rendered[View.EGO][:, ::-1]
@@ -43,7 +43,7 @@ def test_a_wrong_frame_is_detected(recording: frames.Recording) -> None:
     assert failed == {f"{first.tasks[0]} ego", "worst ego frame"}
 
 
-def _only_first(recording: frames.Recording) -> dict[str, Any]:
+def _only_first(recording: frames.RecordedFrames) -> dict[str, Any]:
     cut = {name: getattr(recording, name)[:1] for name in ("scenes", "poses", "tasks", "names")}
     return {**cut, "frames": {view: array[:1] for view, array in recording.frames.items()}}
 

@@ -17,7 +17,7 @@ from magical.tasks import TASKS, get_task, placement
 from tests.tasks.placement_rules import check_placement
 
 RECORDED_ROUNDING = 3e-5  # units and rad: five decimals, of several coordinates together
-Recorded = dict[str, list[scenes.Row]]
+Recorded = dict[str, list[scenes.SceneRow]]
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_wrong_categories_and_constants_are_detected(recorded: Recorded) -> None
     sampled = scenes.compute(data, samples=200).scenes[env]
     (comparison,) = scenes.compare(data, scenes.SampledScenes({env: sampled}, {env: 1}))
     assert comparison.passed
-    changes: tuple[Callable[[scenes.Row], dict[str, Any]], ...] = (
+    changes: tuple[Callable[[scenes.SceneRow], dict[str, Any]], ...] = (
         lambda row: {"blocks": [[b[0], "red", *b[2:]] for b in row["blocks"]]},
         lambda row: {"blocks": [["star", *b[1:]] for b in row["blocks"]]},
         lambda row: {"robot": [0.7021, *row["robot"][1:]]},

@@ -62,25 +62,14 @@ def test_an_address_that_is_in_use_is_an_error(capsys: pytest.CaptureFixture[str
     assert "--port" in captured.err
 
 
-def test_a_folder_that_is_no_dataset_is_an_error(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").touch()
-    assert cli.main(["play", "--record", str(tmp_path / "file")]) == 1
-    assert str(tmp_path / "file") in capsys.readouterr().err
-
-
-def test_an_unknown_environment_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["play", "--env", "magical/MoveToMoon-Demo-v0"]) == 2
-    assert "MoveToMoon" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("option", ["--datasets", "--runs"])
+@pytest.mark.parametrize("option", ["--record", "--datasets", "--runs"])
 def test_a_folder_with_nothing_to_look_at_is_an_error(
     option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    missing = tmp_path / "missing"
-    assert cli.main(["play", option, str(missing)]) == 1
+    (tmp_path / "file").touch()
+    assert cli.main(["play", option, str(tmp_path / "file")]) == 1
     captured = capsys.readouterr()
     assert captured.out == ""
-    assert f"{missing}: expected a" in captured.err
+    assert f"{tmp_path / 'file'}: expected a" in captured.err
+    assert cli.main(["play", "--env", "magical/MoveToMoon-Demo-v0"]) == 2
+    assert "MoveToMoon" in capsys.readouterr().err

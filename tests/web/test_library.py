@@ -2,14 +2,12 @@
 
 import asyncio
 import json
-import random
 import struct
 import threading
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlencode
 
 import numpy as np
 import pytest
@@ -116,7 +114,7 @@ def test_the_recorded_dataset_is_always_listed_and_grows(
 def test_episodes_are_listed_newest_first_page_by_page(
     library: RunningServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(routes, "PAGE", 2)
+    monkeypatch.setattr(routes, "PAGE_LENGTH", 2)
     first = get(library, "/api/episodes?source=d0&task=&skip=0")
     assert first["total"] == 3
     assert [entry["number"] for entry in first["episodes"]] == [2, 1]
@@ -128,11 +126,6 @@ def test_episodes_are_listed_newest_first_page_by_page(
     assert get(library, of_task.format("FindDupe")) == {"total": 0, "episodes": []}
     (last,) = get(library, "/api/episodes?source=d0&task=&skip=2")["episodes"]
     assert last["number"] == 0
-
-
-def test_folders_of_one_name_are_told_apart() -> None:
-    folders = [Path("a/demos"), Path("b/demos"), Path("c/demos"), Path("other")]
-    assert unique_names(folders) == ["demos", "demos (2)", "demos (3)", "other"]
 
 
 # Episodes
@@ -160,19 +153,19 @@ def test_frames_are_rendered_where_poses_are_known(library: RunningServer) -> No
     assert first != second
 
 
-def test_without_poses_the_stored_frames_are_shown_and_no_scores(library: RunningServer) -> None:
+def test_without_poses_the_stored_frames_are_shown_and_no_scores(
+    library: RunningServer, demos: Path
+) -> None:
     shown = get(library, "/api/episode?source=d0&episode=2")
     assert (shown["has_poses"], shown["scores"], shown["score"]) == (False, None, None)
+    path = "/api/frames?source=d0&episode=2&view={}&first=5&count=1"
+    frames = Dataset.open(demos)[2].frames
+    assert frames is not None
+    sent = Image.open(BytesIO(library.get(path.format("ego")).body[4:]))
+    np.testing.assert_array_equal(np.array(sent), frames["ego"][5])
     path = "/api/frames?source=d0&episode=2&view={}&first=40&count=16"
     assert png_sizes(library.get(path.format("both")).body) == [(194, 96)]
     assert png_sizes(library.get(path.format("allo")).body) == [(96, 96)]
-
-
-def test_stored_frames_are_sent_as_they_are(library: RunningServer, demos: Path) -> None:
-    answer = library.get("/api/frames?source=d0&episode=2&view=ego&first=5&count=1").body
-    frames = Dataset.open(demos)[2].frames
-    assert frames is not None
-    np.testing.assert_array_equal(np.array(Image.open(BytesIO(answer[4:]))), frames["ego"][5])
 
 
 # Rollouts
@@ -187,11 +180,13 @@ def test_the_expert_is_rolled_out(library: RunningServer) -> None:
     assert listed[0]["number"] == made["episode"]
 
 
-def test_old_rollouts_are_dropped() -> None:
+def test_old_rollouts_are_dropped_and_folders_of_one_name_told_apart() -> None:
     source = RolloutSource(limit=2)
     episode = demonstrate(REGION, 1)
     assert [source.add(episode) for _ in range(3)] == [0, 1, 2]
     assert list(source.episodes()) == [1, 2]
+    folders = [Path("a/demos"), Path("b/demos"), Path("c/demos"), Path("other")]
+    assert unique_names(folders) == ["demos", "demos (2)", "demos (3)", "other"]
 
 
 def test_work_is_not_piled_up(library: RunningServer, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -261,6 +256,9 @@ def test_every_route_needs_token_host_and_origin(library: RunningServer, path: s
         ("/api/episode?source=d0&episode=../0", 400),
         ("/api/episode?source=d0&episode=1e1", 400),
         ("/api/episode?source=d0&episode=%C2%B2", 400),
+        ("/api/episode?source=d0&episode=%00%ED%A0%80%0D%0A", 400),
+        ("/api/episode?source=d0&episode=" + "9" * 30, 400),
+        ("/api/episode?source=d0&episode=" + "%5B" * 900, 400),
         ("/api/episode?source=rollouts&episode=99", 404),
         ("/api/frames?source=d0&episode=0&view=side&first=0&count=1", 400),
         ("/api/frames?source=d0&episode=0&view=allo&first=41&count=1", 404),
@@ -274,7 +272,8 @@ def test_other_queries_are_refused_and_say_why(
     library: RunningServer, path: str, status: int
 ) -> None:
     answer = library.get(path)
-    assert (answer.status, bool(json.loads(answer.body)["problem"])) == (status, True)
+    problem = json.loads(answer.body)["problem"]
+    assert (answer.status, 0 < len(problem) < 1000) == (status, True)
 
 
 @pytest.mark.parametrize(
@@ -284,6 +283,7 @@ def test_other_queries_are_refused_and_say_why(
         (b"[]", 400),
         (b"{" * 500, 400),
         (b" " * 5000, 400),
+        (b'{"policy": 0, "env_id": "\\ud800\\u0000", "seed": null}', 400),
         ({"policy": 0, "env_id": REGION}, 400),
         ({"policy": "0", "env_id": REGION, "seed": 1}, 400),
         ({"policy": 0, "env_id": "magical/MoveToMoon-Demo-v0", "seed": 1}, 400),
@@ -310,50 +310,6 @@ def test_a_body_is_read_no_further_than_is_allowed() -> None:
     with pytest.raises(MessageError, match="at most 1024 bytes"):
         asyncio.run(routes.body(request))
     assert request.parts == 2
-
-
-FIELDS: dict[str, dict[str, Any]] = {
-    "/api/library": {},
-    "/api/episodes": {"source": "d0", "task": "", "skip": "0"},
-    "/api/episode": {"source": "d0", "episode": "0"},
-    "/api/frames": {"source": "d0", "episode": "0", "view": "allo", "first": "0", "count": "1"},
-    "/api/probabilities": {"source": "d0", "episode": "0", "policy": "1"},
-    "/api/rollouts": {"policy": 0, "env_id": REGION, "seed": 1},
-}
-
-
-def hostile(rng: random.Random) -> str:
-    """A text that stands for no number, name or key."""
-    return rng.choice(
-        ["\0", "\ud800", "\u00b2", "1e5", "-1", "9" * 30, "[" * 40, "\U0001f916", "\r\n", "nan"]
-    ) * rng.randrange(1, 5)
-
-
-def test_a_thousand_malformed_requests_are_refused(
-    library: RunningServer, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(RateLimit, "allows", lambda *_: True)
-    rng = random.Random(0)
-    for number in range(1000):
-        path = list(FIELDS)[number % len(FIELDS)]
-        fields = dict(FIELDS[path])
-        choice = rng.randrange(3) if fields else 0
-        if choice == 0:
-            fields[hostile(rng)] = hostile(rng)
-        elif choice == 1:
-            del fields[rng.choice(list(fields))]
-        else:
-            fields[rng.choice([name for name in fields if name != "task"])] = hostile(rng)
-        if path == "/api/rollouts":
-            text = json.dumps(fields, ensure_ascii=rng.random() < 0.5)
-            status, answer = post(library, text.encode(errors="surrogatepass")[:1024])
-        else:
-            query = urlencode(fields, errors="surrogatepass")
-            found = library.get(f"{path}?{query}")
-            status, answer = found.status, json.loads(found.body)
-        assert status in (400, 404), (path, fields, answer)
-        assert len(answer["problem"]) < 1000
-    assert "Traceback" not in capfd.readouterr().err
 
 
 def test_requests_are_limited_in_rate(

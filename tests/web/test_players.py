@@ -7,7 +7,6 @@ import pytest
 
 from magical.envs import EnvId
 from magical.envs.keys import Control
-from magical.errors import ServerFullError
 from magical.web.messages import Keys
 from magical.web.players import RESUME_TIME, Player, Players
 from magical.web.policies import Policies
@@ -64,15 +63,3 @@ def test_an_episode_that_is_being_stored_is_not_dropped(players: Players) -> Non
     player.session.stored()
     players.drop_expired(1000.0)
     assert len(players) == 0
-
-
-def test_the_number_of_environments_is_limited(players: Players) -> None:
-    first = players.find_or_add(None, 0.0)
-    players.find_or_add(None, 0.0)
-    with pytest.raises(ServerFullError, match="all 2 environments"):
-        players.find_or_add(None, 0.0)
-    with pytest.raises(ServerFullError):
-        players.find_or_add("no such key", 0.0)
-    assert players.find_or_add(first.key, 0.0) is first
-    players.remove(first)
-    assert players.find_or_add(None, 0.0) is not first

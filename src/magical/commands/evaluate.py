@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from magical.commands._common import (
+    USAGE,
     add_count,
     add_json,
     add_out,
@@ -21,18 +22,19 @@ from magical.commands._common import (
     add_seed,
     add_tasks,
     add_workers,
+    explained,
     log,
+    number,
     print_json,
     print_table,
 )
+from magical.tasks import parse_horizon
 
 if TYPE_CHECKING:
     from magical.evaluation import Entry, RolloutScore
     from magical.evaluation.protocol import Evaluation
-    from magical.tasks import Horizon
 
 HELP = "score a policy on the test variants"
-USAGE = 2  # exit status
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -47,13 +49,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_rollouts(parser)
     parser.add_argument(
         "--horizon",
-        type=_horizon,
+        type=explained(parse_horizon),
         metavar="STEPS",
         help="control steps (default: the paper's); `published`: 240 for the Cluster tasks",
     )
     parser.add_argument(
         "--nudge",
-        type=_nudge,
+        type=explained(_nudge),
         default=0.0,
         metavar="X",
         help="shift initial poses by up to X units and radians, sampled from each rollout's seed; "
@@ -84,22 +86,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_json(parser)
 
 
-def _horizon(text: str) -> "Horizon":
-    from magical.tasks import parse_horizon
-
-    try:
-        return parse_horizon(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from error
-
-
 def _nudge(text: str) -> float:
     from magical.envs.episode import checked_nudge
 
-    try:
-        return checked_nudge(float(text))
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(str(error)) from error
+    return checked_nudge(number(float, 0)(text))
 
 
 def run(args: argparse.Namespace) -> int:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from magical.commands import report
 from magical.commands._common import (
+    INTERRUPTED,
     add_count,
     add_out,
     add_rollouts,
@@ -22,7 +23,6 @@ from magical.commands._common import (
 )
 
 HELP = "train, evaluate and report, from nothing"
-INTERRUPTED = 130  # exit status after Ctrl-C or SIGTERM
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -6,18 +6,25 @@ that is done is not done again, an interrupted one resumes from its last checkpo
 """
 
 import argparse
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from magical.commands._common import add_count, add_json, add_out, log, print_json, print_table
+from magical.commands._common import (
+    INTERRUPTED,
+    add_count,
+    add_json,
+    add_out,
+    log,
+    number,
+    print_json,
+    print_table,
+)
 
 if TYPE_CHECKING:
     from magical.experiments.plan import Plan, PlannedRun
 
 HELP = "run a plan of training runs, here or on a Ray cluster"
-INTERRUPTED = 130  # exit status after Ctrl-C or SIGTERM
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -45,7 +52,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_count(parser, "--workers", meaning)
     parser.add_argument(
         "--gpus",
-        type=_share,
+        type=number(float, 0),
         default=0.0,
         metavar="X",
         help="the share of a GPU that Ray reserves for each run (default: 0)",
@@ -57,17 +64,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--retry-failed", action="store_true", help="run those that failed again")
     add_json(parser)
-
-
-def _share(text: str) -> float:
-    """An argparse type: a finite number of at least 0."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"expected a number of at least 0, found {text!r}")
-    return value
 
 
 def run(args: argparse.Namespace) -> int:

@@ -8,13 +8,21 @@ import shlex
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from magical.commands._common import add_count, add_json, add_out, log, print_json, task_name
+from magical.commands._common import (
+    INTERRUPTED,
+    USAGE,
+    add_count,
+    add_json,
+    add_out,
+    log,
+    print_json,
+    task_name,
+)
 
 if TYPE_CHECKING:
     from magical.learning.config import Config, Option
 
 HELP = "train a policy"
-INTERRUPTED = 130  # exit status after Ctrl-C
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -47,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
         config = _config(args)
     except InvalidConfigError as error:  # wrong arguments, not a failure
         log(f"error: {error}")
-        return 2
+        return USAGE
     result = train(
         config,
         args.out,

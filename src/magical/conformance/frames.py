@@ -21,22 +21,22 @@ FRAME_LIMIT = 1.0  # of 255: mean absolute difference of the worst single frame
 UNIT = "of 255"
 SIZES = (96, 384)  # pixels: the resolutions of the recordings, lowest first
 
-Frames = NDArray[np.uint8]  # (N, size, size, 3)
+FrameArray = NDArray[np.uint8]  # (N, size, size, 3)
 
 
 @dataclass(frozen=True, slots=True)
-class Recording:
+class RecordedFrames:
     """N states and, for the views that were recorded, their frames."""
 
     scenes: tuple[Scene, ...]  # N
     poses: tuple[Poses, ...]  # N
     tasks: tuple[str, ...]  # N
     names: tuple[str, ...]  # N: environment, seed and step
-    frames: Mapping[View, Frames]
+    frames: Mapping[View, FrameArray]
     size: int  # pixels
 
 
-def load(path: Path | str) -> Recording:
+def load(path: Path | str) -> RecordedFrames:
     """Read a frames file: the JSON string `records` and, where recorded, `allo` and `ego`.
 
     The format is described beside the recordings in `data`. The states of a file without frames
@@ -58,10 +58,10 @@ def load(path: Path | str) -> Recording:
         tasks = tuple(parse_env_id(str(record["env"])).task for record in records)
         names = tuple(f"{r['env']} seed {r.get('seed')} step {r.get('step')}" for r in records)
     size = SIZES[1] if str(SIZES[1]) in Path(path).name else SIZES[0]
-    return Recording(scenes, poses, tasks, names, frames, next(iter(found), size))
+    return RecordedFrames(scenes, poses, tasks, names, frames, next(iter(found), size))
 
 
-def compute(data: Recording) -> dict[View, Frames]:
+def compute(data: RecordedFrames) -> dict[View, FrameArray]:
     """Render every state in both views at the recording's resolution."""
     shape = (len(data.scenes), data.size, data.size, 3)
     rendered = {view: np.empty(shape, np.uint8) for view in View}
@@ -71,7 +71,7 @@ def compute(data: Recording) -> dict[View, Frames]:
     return rendered
 
 
-def compare(data: Recording, computed: Mapping[View, Frames]) -> list[Comparison]:
+def compare(data: RecordedFrames, computed: Mapping[View, FrameArray]) -> list[Comparison]:
     """Mean absolute differences, for each task and view and for the worst frame of each view."""
     comparisons = []
     for view, recorded in data.frames.items():
@@ -89,13 +89,13 @@ def compare(data: Recording, computed: Mapping[View, Frames]) -> list[Comparison
     return comparisons
 
 
-def write(computed: Mapping[View, Frames], out: Path | str) -> None:
+def write(computed: Mapping[View, FrameArray], out: Path | str) -> None:
     """Write `allo` and `ego` as an .npz file, in the order of the records."""
     with write_atomically(out) as file:
         np.savez_compressed(file, allo=computed[View.ALLO], ego=computed[View.EGO])
 
 
-def _differences(recorded: Frames, rendered: Frames) -> NDArray[np.float64]:
+def _differences(recorded: FrameArray, rendered: FrameArray) -> NDArray[np.float64]:
     """The mean absolute difference of each frame, (N,)."""
     pairs = zip(recorded, rendered, strict=True)
     return np.array([np.abs(a.astype(np.int16) - b).mean() for a, b in pairs])

@@ -26,7 +26,7 @@ LEAST_RECORDED = 20  # the fewest values of a coordinate or category that are te
 SAMPLES = 1000  # scenes sampled for each environment, where the recording does not hold more
 BIASED_COLOURS = "FixColour"
 
-Row = Mapping[str, Any]
+SceneRow = Mapping[str, Any]
 Value = TypeVar("Value", float, str)
 
 
@@ -34,11 +34,11 @@ Value = TypeVar("Value", float, str)
 class SampledScenes:
     """Sampled scenes of each environment, and how many of them `write` writes."""
 
-    scenes: Mapping[str, Sequence[Row]]
+    scenes: Mapping[str, Sequence[SceneRow]]
     wanted: Mapping[str, int]
 
 
-def load(path: Path | str) -> dict[str, list[Row]]:
+def load(path: Path | str) -> dict[str, list[SceneRow]]:
     """Read recorded scenes: environment -> [{robot, blocks, regions, dynamics}, ...].
 
     An environment's list may be empty, and a plain list of environments is accepted: their scenes
@@ -50,7 +50,7 @@ def load(path: Path | str) -> dict[str, list[Row]]:
     with expecting(path, "JSON, <Task>-<Variant>-v0: {robot, blocks, regions, dynamics} each"):
         data = read_json(path, dict[str, list[dict[str, Any]] | None] | list[str])
         named = data if isinstance(data, dict) else dict.fromkeys(data)
-        recorded: dict[str, list[Row]] = {env: rows or [] for env, rows in named.items()}
+        recorded: dict[str, list[SceneRow]] = {env: rows or [] for env, rows in named.items()}
         for env, rows in recorded.items():
             parse_env_id(env)
             for row in filter(None, rows):
@@ -60,7 +60,7 @@ def load(path: Path | str) -> dict[str, list[Row]]:
 
 
 def compute(
-    data: Mapping[str, Sequence[Row]], seed: int = 0, samples: int = SAMPLES
+    data: Mapping[str, Sequence[SceneRow]], seed: int = 0, samples: int = SAMPLES
 ) -> SampledScenes:
     """Sample at least `samples` scenes of every environment (Demo: one).
 
@@ -75,7 +75,7 @@ def compute(
     return SampledScenes(scenes, {env: len(rows) or len(scenes[env]) for env, rows in data.items()})
 
 
-def row_of(scene: Scene, dynamics: Dynamics) -> Row:
+def row_of(scene: Scene, dynamics: Dynamics) -> SceneRow:
     """A scene in the recordings' format, with regions by their centres."""
     data = scene.to_dict()
     return {
@@ -91,7 +91,7 @@ def write(computed: SampledScenes, out: Path | str) -> None:
     write_json({env: rows[: computed.wanted[env]] for env, rows in computed.scenes.items()}, out)
 
 
-def compare(data: Mapping[str, Sequence[Row]], computed: SampledScenes) -> list[Comparison]:
+def compare(data: Mapping[str, Sequence[SceneRow]], computed: SampledScenes) -> list[Comparison]:
     """The smallest p-value of all tests, for each task with recorded scenes."""
     tests: dict[str, dict[str, float]] = {}  # task: name of the test: p-value
     for env, rows in data.items():
@@ -109,7 +109,7 @@ def compare(data: Mapping[str, Sequence[Row]], computed: SampledScenes) -> list[
 
 
 def _tests(
-    task: str, variant: str, recorded: Sequence[Row], sampled: Sequence[Row]
+    task: str, variant: str, recorded: Sequence[SceneRow], sampled: Sequence[SceneRow]
 ) -> dict[str, float]:
     least = 1 if variant == DEMO else LEAST_RECORDED
     found = {
@@ -157,7 +157,7 @@ def _chi_squared(recorded: Sequence[str], sampled: Sequence[str]) -> float:
     return float(stats.chi2_contingency(table).pvalue)
 
 
-def _coordinates(rows: Sequence[Row]) -> dict[str, list[float]]:
+def _coordinates(rows: Sequence[SceneRow]) -> dict[str, list[float]]:
     found: dict[str, list[float]] = {}
     for row in rows:
         bodies = {"robot": row["robot"]}
@@ -179,7 +179,7 @@ def _closest(blocks: Sequence[Sequence[Any]]) -> float:
     return min(float(np.hypot(a[2] - b[2], a[3] - b[3])) for a, b in combinations(blocks, 2))
 
 
-def _categories(task: str, rows: Sequence[Row]) -> dict[str, list[str]]:
+def _categories(task: str, rows: Sequence[SceneRow]) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     for row in rows:
         found.setdefault("number of blocks", []).append(str(len(row["blocks"])))

@@ -212,8 +212,8 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         self._running = False
         saved = parse_state(state, self.task)
         self._episode.restore(saved)
-        self.np_random.bit_generator.state = saved.rng
-        self._running = len(saved.actions) < saved.horizon
+        saved.restore_rng(self.np_random)
+        self._running = len(self._episode.actions) < self._episode.horizon
         return copy_arrays(self._episode.observer.out)
 
     def __reduce__(self) -> NoReturn:

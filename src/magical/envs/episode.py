@@ -135,15 +135,16 @@ class Episode:
 
         Poses and velocities alone would not be enough: the solver keeps impulses between steps.
         """
-        return SavedState(
-            self.task.name,
-            self.variant,
-            self.horizon,
-            self.simulation.scene,
-            self.simulation.dynamics,
-            tuple(self.actions),
-            dict(rng.bit_generator.state),
-        ).to_dict()
+        scene, dynamics = self.simulation.scene, self.simulation.dynamics
+        return {
+            "task": self.task.name,
+            "variant": self.variant,
+            "horizon": self.horizon,
+            "scene": scene.to_dict(),
+            "dynamics": dynamics.to_dict(),
+            "actions": list(self.actions),
+            "rng": dict(rng.bit_generator.state),
+        }
 
     def restore(self, state: SavedState) -> None:
         """Continue from a saved state, by simulating its actions again, to the state's horizon.
@@ -152,9 +153,9 @@ class Episode:
 
         Raises `InvalidStateError` if this episode's observation cannot show its scene.
         """
-        self.horizon, self.variant = state.horizon, state.variant
+        self.horizon, self.variant = state.record.horizon, state.record.variant
         try:
-            self._start_from(state.scene, state.dynamics, state.actions)
+            self._start_from(state.scene, state.dynamics, state.record.actions)
         except InvalidSceneError as error:
             raise InvalidStateError(f"saved state, 'scene': {error}") from error
 

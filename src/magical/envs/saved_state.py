@@ -4,7 +4,6 @@ from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from gymnasium.utils import seeding
 from msgspec import Meta
 
 from magical.errors import InvalidStateError, MagicalError
@@ -39,54 +38,29 @@ class _Generator:
 
 
 @dataclass(frozen=True, slots=True)
-class _Record:
-    """The plain data of a saved state."""
+class Record:
+    """The plain data of a saved state, as `Episode.save` makes it."""
 
     task: str
     variant: str
-    horizon: Annotated[int, Meta(ge=1, le=MAX_HORIZON)]
+    horizon: Annotated[int, Meta(ge=1, le=MAX_HORIZON)]  # control steps in the episode
     scene: dict[str, Any]
     dynamics: dict[str, Any]
-    actions: tuple[Annotated[int, Meta(ge=0, lt=NUM_ACTIONS)], ...]
+    actions: tuple[Annotated[int, Meta(ge=0, lt=NUM_ACTIONS)], ...]  # so far
     rng: _Generator
 
 
 @dataclass(frozen=True, slots=True)
 class SavedState:
-    """What an episode is continued from.
+    """What an episode is continued from: a record, with its scene and its dynamics parsed."""
 
-    Attributes:
-        task: the task's name.
-        variant: the variant's name.
-        horizon: control steps in the episode.
-        scene: the initial scene.
-        dynamics: the episode's dynamics.
-        actions: the actions so far.
-        rng: the state of the random generator, as NumPy has it.
-    """
-
-    task: str
-    variant: str
-    horizon: int
+    record: Record
     scene: Scene
     dynamics: Dynamics
-    actions: tuple[int, ...]
-    rng: dict[str, Any]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON, the inverse of `parse_state`."""
-        return {
-            **{name: getattr(self, name) for name in ("task", "variant", "horizon", "rng")},
-            "scene": self.scene.to_dict(),
-            "dynamics": self.dynamics.to_dict(),
-            "actions": list(self.actions),
-        }
-
-    def generator(self) -> np.random.Generator:
-        """A random generator in the saved state."""
-        rng, _ = seeding.np_random()
-        rng.bit_generator.state = self.rng
-        return rng
+    def restore_rng(self, rng: np.random.Generator) -> None:
+        """Put a random generator into the saved state."""
+        rng.bit_generator.state = asdict(self.record.rng)
 
 
 def parse_state(data: Any, task: Task) -> SavedState:
@@ -102,7 +76,7 @@ def parse_state(data: Any, task: Task) -> SavedState:
     Raises:
         InvalidStateError: a field is missing, of a wrong type or out of range; names the field.
     """
-    record: _Record = convert(data, _Record, "saved state", InvalidStateError)
+    record: Record = convert(data, Record, "saved state", InvalidStateError)
     if record.task != task.name:
         raise InvalidStateError(
             f"saved state: task: expected {task.name}, found {quoted(record.task)}"
@@ -122,12 +96,4 @@ def parse_state(data: Any, task: Task) -> SavedState:
         task.validate(scene, MAX_NUDGE)
     except MagicalError as error:
         raise InvalidStateError(f"saved state: scene or dynamics: {error}") from error
-    return SavedState(
-        record.task,
-        record.variant,
-        record.horizon,
-        scene,
-        dynamics,
-        record.actions,
-        asdict(record.rng),
-    )
+    return SavedState(record, scene, dynamics)

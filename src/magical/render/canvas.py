@@ -16,7 +16,7 @@ from magical.compiled import count_bits, inlined
 from magical.render.polygons import Ints, mask, pad, pixel_spans
 
 UNCOVERED = 48  # the lowest bit of a body pixel's mask; below it are the three lanes
-ALL = 0xFFFF  # sixteen bits of mask
+EVERY_SAMPLE = 0xFFFF  # sixteen bits of mask
 SUMS = 0xFFFFFFFFFFFF  # the three lanes
 LANES = 0x00FF00FF00FF  # their low bytes
 
@@ -114,7 +114,7 @@ def _paint_part(canvas: Canvas, pixel: int, bits: int, colour: int) -> None:
 def cover(canvas: Canvas, spans: Ints, low: int, high: int, colour: int) -> None:
     """Fill a scan-converted polygon of a body, behind the bodies that are there."""
     samples, size = canvas.samples, canvas.size
-    full = ALL >> (16 - samples * samples)
+    full = EVERY_SAMPLE >> (16 - samples * samples)
     pad(spans, low, high, samples, size * samples)
     for y in range(low // samples, (high + samples - 1) // samples):
         row = y * size
@@ -154,7 +154,7 @@ def finish_ground(canvas: Canvas) -> None:
 def finish_bodies(canvas: Canvas) -> None:
     """Composite the bodies over the ground in `pixels` and clear them for the next frame."""
     samples, size = canvas.samples * canvas.samples, canvas.size
-    full = ALL >> (16 - samples)
+    full = EVERY_SAMPLE >> (16 - samples)
     untouched = full << UNCOVERED
     for y in range(size):
         for pixel in range(y * size + canvas.touched[0, y], y * size + canvas.touched[1, y]):

@@ -43,7 +43,7 @@ EYE_RADIUS = 0.2 * c.ROBOT_RADIUS
 EYE_X, EYE_Y = 0.4 * c.ROBOT_RADIUS, 0.3 * c.ROBOT_RADIUS  # x times the side
 PUPIL_RADIUS = 0.12 * c.ROBOT_RADIUS
 PUPIL_AHEAD = 0.07 * c.ROBOT_RADIUS  # ahead of the eye's centre
-FAR = 1e6  # units: regions and poses beyond are rejected
+FURTHEST = 1e6  # units: regions and poses beyond are rejected
 DISC_SIDES, EYE_SIDES, PUPIL_SIDES = 100, 20, 10  # discs are rendered as polygons
 
 Vertices = NDArray[np.float64]  # (2, n): x and y
@@ -77,7 +77,7 @@ def display_list(scene: Scene) -> DisplayList:
     """All polygons of a scene, in rendering order (docs/specification.md, section 6).
 
     Raises:
-        RenderError: more than `MAX_BLOCKS` or `MAX_REGIONS`, or a region beyond `FAR`.
+        RenderError: more than `MAX_BLOCKS` or `MAX_REGIONS`, or a region beyond `FURTHEST`.
     """
     if len(scene.blocks) > c.MAX_BLOCKS or len(scene.regions) > c.MAX_REGIONS:
         raise RenderError(
@@ -88,8 +88,8 @@ def display_list(scene: Scene) -> DisplayList:
     areas = [(-half, half, 2 * half, 2 * half)]
     areas += [(r.x, r.y, r.height, r.width) for r in scene.regions]
     ground = np.array([_corners(*area) for area in areas])
-    if not np.abs(ground).max() <= FAR:
-        raise RenderError(f"expected regions within {FAR:g} units, found one beyond")
+    if not np.abs(ground).max() <= FURTHEST:
+        raise RenderError(f"expected regions within {FURTHEST:g} units, found one beyond")
     shades = [SHADES[region.colour] for region in scene.regions]
     colours = [(WHITE, GREY), *((shade.region, shade.fill) for shade in shades)]
     robot = _robot_parts()

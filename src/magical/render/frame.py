@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from magical.compiled import entry_point, inlined
 from magical.render.canvas import Canvas, cover, finish_bodies, finish_ground, pack, paint
-from magical.render.display import FAR
+from magical.render.display import FURTHEST
 from magical.render.lines import dashes, outline, round_up
 from magical.render.palette import OUTSIDE, lanes
 from magical.render.polygons import MOST_SIDES, SUBSAMPLES, Floats, Ints, place, scan
@@ -119,11 +119,11 @@ def render_bodies(
 
 @inlined
 def within_reach(bodies: Floats) -> bool:
-    """Whether all poses are finite and within `FAR`."""
+    """Whether all poses are finite and within `FURTHEST`."""
     good = True
     for i in range(len(bodies)):
         for k in range(3):
-            good &= abs(bodies[i, k]) <= FAR
+            good &= abs(bodies[i, k]) <= FURTHEST
     return good
 
 

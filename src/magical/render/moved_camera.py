@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from magical.compiled import inlined, nogil_entry_point
 from magical.errors import RenderError
 from magical.render.canvas import Canvas, blank, finish_bodies, finish_ground
-from magical.render.display import FAR, display_list
+from magical.render.display import FURTHEST, display_list
 from magical.render.frame import (
     BACKGROUND,
     Pixels,
@@ -25,7 +25,7 @@ from magical.scene.poses import FIRST_BLOCK
 from magical.scene.scene import Scene
 from magical.scene.vocabulary import View
 
-LANES = 16 * np.arange(CHANNELS)  # the lowest bits of a packed colour's lanes (`palette.lanes`)
+LANE_BITS = 16 * np.arange(CHANNELS)  # the lowest bits of a packed colour's lanes (`palette.lanes`)
 
 Floats32 = NDArray[np.float32]
 
@@ -59,7 +59,7 @@ class MovedCamera:
     @property
     def palette(self) -> NDArray[np.uint8]:
         """The scene's colours: (n, 3), 8-bit RGB."""
-        return (self._palette[:, None] >> LANES).astype(np.uint8)
+        return (self._palette[:, None] >> LANE_BITS).astype(np.uint8)
 
     def render(
         self,
@@ -108,11 +108,11 @@ class MovedCamera:
             channel,
         )
         if not good:
-            raise RenderError(f"expected finite poses within {FAR:g} units")
+            raise RenderError(f"expected finite poses within {FURTHEST:g} units")
 
     def _colours(self, palettes: NDArray[np.uint8], without_walls: NDArray[np.bool_]) -> Ints:
         """The packed colours of items, ground and background: (B, items + 2 * ground + 1)."""
-        lanes = palettes.astype(np.int64) << LANES  # (B, n, 3)
+        lanes = palettes.astype(np.int64) << LANE_BITS  # (B, n, 3)
         packed: Ints = lanes.sum(axis=2)[:, self._entries]
         inside = len(self._display.items)  # the workspace is the first on the ground
         for place in (inside + 1, -1):  # its edge, and the background

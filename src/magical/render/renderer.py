@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from magical.errors import RenderError
 from magical.messages import quoted
 from magical.render.canvas import blank
-from magical.render.display import FAR, display_list
+from magical.render.display import FURTHEST, display_list
 from magical.render.frame import ALLO, EGO, GROUND, compiled_render
 from magical.render.output import CHANNELS, compiled_store, push
 from magical.scene.constants import FRAME_SIZE, MAX_FRAME_SIZE, RAW_FRAME_SIZE, SAMPLES
@@ -131,7 +131,7 @@ class Renderer:
         mine[:] = bodies[:, :3]
         if self._compiled(mine, *self._arguments) < 0:
             raise RenderError(
-                f"expected finite poses within {FAR:g} units, found {quoted(mine.tolist())}"
+                f"expected finite poses within {FURTHEST:g} units, found {quoted(mine.tolist())}"
             )
 
     def _memory(self, layers: int, whole_dashes: bool) -> tuple[NDArray[Any], ...]:

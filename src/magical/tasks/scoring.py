@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from magical.errors import InvalidSceneError
 from magical.scene import Poses, Region, Scene
+from magical.scene.geometry import Point
 
 INLIER_DISTANCE = 0.18  # units from a line, d_i (appendix A.2.4)
 NEIGHBOUR_DISTANCE = 0.42  # units along a line, d_c (appendix A.2.4)
 
-Point = tuple[float, float]
 Distances = NDArray[np.float64]  # (number of blocks,) squared units
 
 

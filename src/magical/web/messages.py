@@ -20,7 +20,7 @@ from magical.untrusted import convert, parse_json
 MAX_BYTES = 1024  # of a message, and of a request's body
 MAX_NAME = 100  # characters of a demonstrator's name
 MAX_FRAMES = 16  # in one answer
-PAGE = 100  # episodes in one answer
+PAGE_LENGTH = 100  # episodes in one answer
 
 VIEWS: Mapping[str, tuple[View, ...]] = MappingProxyType(
     {"allo": (View.ALLO,), "ego": (View.EGO,), "both": (View.EGO, View.ALLO)}
@@ -110,7 +110,7 @@ class NoQuery(Struct, frozen=True):
 
 
 class ListQuery(Struct, frozen=True):
-    """Episodes of a source, newest first, `PAGE` of them after the first `skip`."""
+    """Episodes of a source, newest first, `PAGE_LENGTH` of them after the first `skip`."""
 
     source: SourceKey
     task: str  # empty: of all tasks

@@ -161,7 +161,7 @@ class RateLimit:
 class TimedProtocol(H11Protocol):
     """HTTP whose connections are closed when a request does not arrive within `REQUEST_TIME`.
 
-    Without it, somebody who sends a byte now and then keeps a connection for good.
+    Without it, a client that sends a byte now and then keeps a connection for good.
     """
 
     _deadline: asyncio.TimerHandle | None = None

@@ -6,7 +6,7 @@ A dataset DIR is a folder with one file for each demonstration, and a manifest.
 import argparse
 from pathlib import Path
 
-from magical.commands._common import add_count, add_json, add_out, add_seed, add_workers, fraction
+from magical.commands._common import add_count, add_json, add_out, add_seed, add_workers, number
 from magical.commands.demos import datasets, human
 
 HELP = "demonstrations: import, generate, replay, export"
@@ -84,7 +84,7 @@ def _generate(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--perturb",
-        type=fraction,
+        type=number(float, 0, 1),
         default=0.0,
         metavar="P",
         help="share of steps, 0 to 1, with a random action in place of the expert's; learners "

@@ -202,7 +202,9 @@ class _SubEnv:
     def restore(self, state: SavedState) -> tuple[int, Scene]:
         """Continue as `MagicalEnv.set_state` does."""
         self.episode.restore(state)
-        self.rng = state.generator()
+        if not hasattr(self, "rng"):
+            self.rng, _ = seeding.np_random()
+        state.restore_rng(self.rng)
         return self._started()
 
     def keep_final_observation(self) -> None:

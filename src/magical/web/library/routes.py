@@ -24,14 +24,14 @@ from magical.web.driver import episode_probabilities, roll_out
 from magical.web.library.sources import (
     ROLLOUTS,
     DatasetSource,
+    LibrarySource,
     RolloutSource,
-    Source,
     summary,
     unique_names,
 )
 from magical.web.library.viewing import ViewedEpisode
 from magical.web.messages import (
-    PAGE,
+    PAGE_LENGTH,
     EpisodeQuery,
     FramesQuery,
     ListQuery,
@@ -93,9 +93,9 @@ class Library:
     def __init__(
         self, datasets: Sequence[Path], policies: Policies, clock: Callable[[], float]
     ) -> None:
-        names = enumerate(zip(unique_names(datasets), datasets, strict=True))
+        sources = map(DatasetSource, unique_names(datasets), datasets)
         self._rollouts = RolloutSource()
-        self._sources: dict[str, Source] = {f"d{i}": DatasetSource(*named) for i, named in names}
+        self._sources: dict[str, LibrarySource] = {f"d{i}": one for i, one in enumerate(sources)}
         self._sources[ROLLOUTS] = self._rollouts
         self._policies = policies
         self._clock = clock
@@ -143,7 +143,7 @@ class Library:
 
         return Route(path, respond, methods=[method])
 
-    def _find(self, key: str) -> Source:
+    def _find(self, key: str) -> LibrarySource:
         if key not in self._sources:
             raise NotFoundError(f"source: expected one of {', '.join(self._sources)}")
         return self._sources[key]
@@ -170,7 +170,7 @@ class Library:
     def _list_episodes(self, query: ListQuery) -> Response:
         found = self._find(query.source).episodes().items()
         listed = [item for item in found if query.task in ("", item[1].env_id.task)]
-        newest = listed[::-1][query.skip : query.skip + PAGE]
+        newest = listed[::-1][query.skip : query.skip + PAGE_LENGTH]
         return JSONResponse({"total": len(listed), "episodes": [summary(*item) for item in newest]})
 
     def _show_episode(self, query: EpisodeQuery) -> Response:

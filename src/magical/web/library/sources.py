@@ -16,7 +16,7 @@ ROLLOUTS = "rollouts"  # the key of a server's `RolloutSource`
 MAX_ROLLOUTS = 50  # that are kept; the oldest are dropped first
 
 
-class Source(Protocol):
+class LibrarySource(Protocol):
     """Episodes that the page can list and open, by numbers that they keep."""
 
     name: str
@@ -42,11 +42,11 @@ class DatasetSource:
         self._open()
 
     def episodes(self) -> Mapping[int, ManifestEntry]:
-        """See `Source`."""
+        """See `LibrarySource`."""
         return {entry.index: entry for entry in self._open().entries}
 
     def read(self, number: int) -> Trajectory:
-        """See `Source`."""
+        """See `LibrarySource`."""
         dataset = self._open()
         for entry in dataset.entries:
             if entry.index == number:
@@ -74,11 +74,11 @@ class RolloutSource:
         return number
 
     def episodes(self) -> Mapping[int, Trajectory]:
-        """See `Source`."""
+        """See `LibrarySource`."""
         return self._episodes
 
     def read(self, number: int) -> Trajectory:
-        """See `Source`."""
+        """See `LibrarySource`."""
         if episode := self._episodes.get(number):
             return episode
         raise NotFoundError(f"rollout {number} is not kept any more; roll out again")

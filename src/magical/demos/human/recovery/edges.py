@@ -27,7 +27,7 @@ from magical.demos.human.recovery.edge_search import (
     compiled_search,
 )
 from magical.errors import RenderError
-from magical.render.display import FAR, DisplayList, display_list
+from magical.render.display import FURTHEST, DisplayList, display_list
 from magical.render.frame import ROBOT_HEIGHT, VIEW_WIDTH
 from magical.render.palette import OUTSIDE, WHITE, lanes
 from magical.render.polygons import Floats
@@ -104,8 +104,8 @@ class EdgeFinder:
         Raises:
             RenderError: the poses are not finite, or not one for each body.
         """
-        if bodies.shape != (self._bodies, 3) or not np.abs(bodies).max() <= FAR:
-            raise RenderError(f"expected {self._bodies} finite poses within {FAR:g} units")
+        if bodies.shape != (self._bodies, 3) or not np.abs(bodies).max() <= FURTHEST:
+            raise RenderError(f"expected {self._bodies} finite poses within {FURTHEST:g} units")
         near, numbers, margins = _working_memory()
         placement = FramePlacement(
             frames=np.empty((len(bodies) + 1, 4)),
