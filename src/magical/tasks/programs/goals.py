@@ -13,6 +13,7 @@ import numpy as np
 
 from magical.scene import Poses, Scene
 from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
+from magical.scene.geometry import Point
 from magical.tasks.programs.expressions import Attribute, Expression
 from magical.tasks.programs.places import InRegion, Place, depth_inside
 from magical.tasks.programs.selections import AllBlocks, Blocks, Selection, value_of
@@ -21,7 +22,6 @@ from magical.tasks.scoring import (
     INLIER_DISTANCE,
     NEIGHBOUR_DISTANCE,
     Distances,
-    Point,
     centroid_distances,
     longest_line,
     positions,

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 from magical.scene import Region, Scene
 from magical.scene.constants import WORKSPACE_HALF
+from magical.scene.geometry import Point
 from magical.tasks.programs.expressions import Corner, Expression, Wall
 from magical.tasks.programs.selections import Selection
 from magical.tasks.programs.wording import Style, describe, name_regions
-from magical.tasks.scoring import NEIGHBOUR_DISTANCE, Point
+from magical.tasks.scoring import NEIGHBOUR_DISTANCE
 
 CORNER_NO_SCORE = math.sqrt(2.0)  # units from a corner: no score from here on (appendix A.2.1)
 CORNER_FULL_SCORE = CORNER_NO_SCORE / 2  # units: full score within
