@@ -30,7 +30,7 @@ def fast(monkeypatch: pytest.MonkeyPatch) -> None:
     from magical.web import session
 
     monkeypatch.setattr(session, "STEP_TIME", 0.004)
-    monkeypatch.setattr(session, "LOOK_TIME", 0.001)
+    monkeypatch.setattr(session, "POLL_TIME", 0.001)
 
 
 @pytest.fixture

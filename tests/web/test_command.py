@@ -62,14 +62,27 @@ def test_an_address_that_is_in_use_is_an_error(capsys: pytest.CaptureFixture[str
     assert "--port" in captured.err
 
 
-@pytest.mark.parametrize("option", ["--record", "--datasets", "--runs"])
-def test_a_folder_with_nothing_to_look_at_is_an_error(
-    option: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("option", "value", "status", "message"),
+    [
+        ("--record", "file", 1, "file: cannot be written"),
+        ("--datasets", "missing", 1, "missing: expected a"),
+        ("--runs", "missing", 1, "missing: expected a"),
+        ("--env", "magical/MoveToMoon-Demo-v0", 2, "MoveToMoon"),
+    ],
+)
+def test_what_cannot_be_played_or_looked_at_is_an_error(
+    option: str,
+    value: str,
+    status: int,
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "file").touch()
-    assert cli.main(["play", option, str(tmp_path / "file")]) == 1
+    assert cli.main(["play", option, value]) == status
     captured = capsys.readouterr()
     assert captured.out == ""
-    assert f"{tmp_path / 'file'}: expected a" in captured.err
-    assert cli.main(["play", "--env", "magical/MoveToMoon-Demo-v0"]) == 2
-    assert "MoveToMoon" in capsys.readouterr().err
+    assert message in captured.err

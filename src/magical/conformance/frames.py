@@ -43,7 +43,7 @@ def load(path: Path | str) -> RecordedFrames:
     are rendered at 384 pixels if the file's name contains 384, otherwise at 96.
 
     Raises:
-        RecordingError: The file cannot be read, or is not in the documented format.
+        RecordingError: the file cannot be read, or is not in the documented format.
     """
     expected = "`records`, a JSON list, and perhaps `allo`, `ego` (N, size, size, 3) uint8"
     with expecting(path, f"an .npz file without pickled objects: {expected}"):

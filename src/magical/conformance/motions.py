@@ -34,7 +34,7 @@ def load(path: Path | str) -> dict[str, Motion]:
     """Read a motions file: name -> `robot`, `blocks`, `actions` and, where recorded, the results.
 
     Raises:
-        RecordingError: The file cannot be read, or is not in the documented format.
+        RecordingError: the file cannot be read, or is not in the documented format.
     """
     expected = "JSON, name: {robot [[x, y], angle], blocks [[shape, [x, y], angle], ...], actions}"
     with expecting(path, expected):

@@ -33,7 +33,7 @@ _DAMAGE = (
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """One figure, its limit, and whether it keeps to the limit."""
+    """One figure, its limit, and whether it is within the limit."""
 
     name: str
     figure: float
@@ -75,7 +75,7 @@ def recording_path(name: str) -> Path:
     """The path of a recording in the package.
 
     Raises:
-        RecordingError: The file, or the list of SHA-256 sums beside it, is missing or damaged.
+        RecordingError: the file, or the list of SHA-256 sums beside it, is missing or damaged.
     """
     path = DATA / name
     try:

@@ -45,7 +45,7 @@ def load(path: Path | str) -> dict[str, list[SceneRow]]:
     are then sampled without being compared.
 
     Raises:
-        RecordingError: The file cannot be read, or is not in the documented format.
+        RecordingError: the file cannot be read, or is not in the documented format.
     """
     with expecting(path, "JSON, <Task>-<Variant>-v0: {robot, blocks, regions, dynamics} each"):
         data = read_json(path, dict[str, list[dict[str, Any]] | None] | list[str])

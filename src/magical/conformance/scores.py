@@ -19,7 +19,7 @@ def load(path: Path | str) -> list[ScoredState]:
     """Read final states: [{task, variant, scene, final and, where recorded, scores}, ...].
 
     Raises:
-        RecordingError: The file cannot be read, or is not in the documented format.
+        RecordingError: the file cannot be read, or is not in the documented format.
     """
     with expecting(path, "JSON, a list of states with task, scene, final and perhaps scores"):
         data: list[ScoredState] = read_json(path, list[dict[str, Any]])

@@ -2,7 +2,7 @@
 
 An `ObservationSpec` owns its Gymnasium space, the arrays it is stored in, how it is made while an
 episode runs (`Observer`) and from a stored episode (`read`), and its network input. Code
-outside this package needs not know which kind of observation it has.
+outside this package need not know which kind of observation it has.
 """
 
 from collections.abc import Sequence

@@ -68,7 +68,7 @@ class Region:
     """
 
     colour: Colour
-    x: float  # workspace units, as are the others
+    x: float  # workspace units, like the others
     y: float
     height: float
     width: float

@@ -5,7 +5,7 @@
 - `frames`: frames as PNG files.
 - `episode`: an episode that is played, and its trajectory.
 - `policies`: the scripted expert and the runs, by number; loaded when they are first used.
-- `driver`: a policy in one episode: watched, rolled out, or judged.
+- `driver`: a policy in one episode: watched, rolled out, or asked for its action probabilities.
 - `session`: one player's environment, clock and episode.
 - `players`: all sessions of a server, at most so many.
 - `connection`: a session over one WebSocket.

@@ -23,7 +23,7 @@ from magical.web.session import Session
 
 MESSAGE_RATE = 60.0  # messages a second; the page sends 8, and two for each tap of a key
 MESSAGE_BURST = 120.0  # messages
-COMMAND_RATE = 4.0  # messages a second that are no keys: these start episodes, or render anew
+COMMAND_RATE = 4.0  # messages a second other than keys: these start episodes, or render again
 COMMAND_BURST = 8.0  # messages
 FIRST_TIME = 30.0  # s within which the page must have sent its first message
 MAX_UNSEEN = 4  # frames that the page has not confirmed, beyond which none is sent

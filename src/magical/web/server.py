@@ -43,7 +43,7 @@ PAGE_FILES = {
 }
 SHUTDOWN_TIME = 2  # s that open connections get to end
 DRIVING_THREADS = 2  # that policies which are watched are asked in
-SWEEP_TIME = 5.0  # s between looking for sessions that were not resumed in time
+SWEEP_TIME = 5.0  # s between checks for sessions that were not resumed in time
 
 
 @dataclass(frozen=True, slots=True)

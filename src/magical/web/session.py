@@ -25,7 +25,7 @@ from magical.web.messages import VIEWS, Message
 from magical.web.policies import Policies
 
 STEP_TIME = 1.0 / CONTROL_RATE  # s
-LOOK_TIME = STEP_TIME / 8  # s between looking whether a policy has chosen its action
+POLL_TIME = STEP_TIME / 8  # s between checks whether a policy has chosen its action
 SILENCE_TIME = 2.0  # s without a message from the page, after which a running episode is paused
 IDLE_TIME = 600.0  # s without a key or a button, after which a session ends
 
@@ -262,7 +262,7 @@ class Session:
             self.note_problem("Paused: the page did not answer.")
             return
         if self._driver is not None and self._proposal is None:
-            self.step_at = now + LOOK_TIME
+            self.step_at = now + POLL_TIME
             return
         late = now - self.step_at > STEP_TIME
         self.step_at = STEP_TIME + (now if late else self.step_at)

@@ -114,7 +114,9 @@ class Library:
             self._route("/api/episodes", ListQuery, self._reader, self._list_episodes),
             self._route("/api/episode", EpisodeQuery, self._reader, self._show_episode),
             self._route("/api/frames", FramesQuery, self._reader, self._send_frames),
-            self._route("/api/probabilities", ProbabilitiesQuery, self._runner, self._judge),
+            self._route(
+                "/api/probabilities", ProbabilitiesQuery, self._runner, self._probabilities
+            ),
             self._route("/api/rollouts", RolloutRequest, self._runner, self._roll_out, "POST"),
         ]
 
@@ -181,7 +183,7 @@ class Library:
         content = viewed.frames(query.view, query.first, query.count)
         return Response(content, media_type="application/octet-stream")
 
-    def _judge(self, query: ProbabilitiesQuery) -> Response:
+    def _probabilities(self, query: ProbabilitiesQuery) -> Response:
         policy = self._policies.load(query.policy)
         episode = self._find(query.source).read(query.episode)
         self._policies.find(query.policy).check(episode.env_id)
