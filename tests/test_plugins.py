@@ -1,8 +1,11 @@
+"""What other distributions offer, by entry points and by `module:NAME`."""
+
 import json
 import os
 import shutil
 import subprocess
 import sys
+from argparse import ArgumentTypeError
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,9 +13,11 @@ from pathlib import Path
 import pytest
 
 from magical import plugins
+from magical.commands._common import task_name
+from magical.envs import parse_env_id
 from magical.errors import PluginError, UnknownNameError
 from magical.plugins import Registry
-from magical.tasks import Task
+from magical.tasks import TASKS, Task, get_task, load_task, unregister_task
 
 GROUP = "magical.things"
 THINGS = Registry("thing", Task, GROUP, "magical.tasks", "TASK")
@@ -25,12 +30,12 @@ def _forget() -> Iterator[None]:
     plugins.plugins.cache_clear()
 
 
-def install(folder: Path, name: str, *lines: str) -> None:
+def install(folder: Path, name: str, *lines: str, group: str = GROUP) -> None:
     """Make a distribution with these entry points importable from a folder."""
     info = folder / f"{name}-1.0.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("\n".join([f"[{GROUP}]", *lines]))
+    (info / "entry_points.txt").write_text("\n".join([f"[{group}]", *lines]))
 
 
 @pytest.fixture
@@ -76,6 +81,38 @@ def test_an_unknown_name_lists_the_known_ones(path: Path) -> None:
         THINGS.get("your")
 
 
+TASK = """
+from dataclasses import replace
+from magical.tasks import get_task
+TASK = replace(get_task("MoveToRegion"), name="DriveThere", section="")
+"""
+
+
+def test_a_task_by_module_and_name(path: Path) -> None:
+    (path / "driving_task.py").write_text(TASK)
+    for env_id in ("magical/DriveThere-Demo-v0", "driving_task:TASK-Demo-v0"):
+        with pytest.raises(UnknownNameError, match=r"task '.*' is not registered; expected"):
+            parse_env_id(env_id)
+    assert "driving_task" not in sys.modules  # ids may come from anywhere, and import nothing
+    try:
+        assert task_name("driving_task:TASK") == "DriveThere"
+        assert get_task("DriveThere") is load_task("driving_task:TASK")
+        assert parse_env_id("magical/DriveThere-Demo-v0").task == "DriveThere"
+    finally:
+        unregister_task("DriveThere")
+    with pytest.raises(PluginError, match="expected a Task, found function"):
+        load_task("driving_task:replace")
+    with pytest.raises(ArgumentTypeError, match="no 'NO' in the module"):
+        task_name("driving_task:NO")
+
+
+def test_a_task_of_another_name_than_its_entry_points(path: Path) -> None:
+    install(path, "other", "Misnamed = magical.tasks.make_line:TASK", group="magical.tasks")
+    assert list(TASKS)[-1] == "Misnamed"
+    with pytest.raises(PluginError, match="expected the task 'Misnamed', found 'MakeLine'"):
+        get_task("Misnamed")
+
+
 def test_a_file_finds_its_neighbours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "neighbour_of_plugin.py").write_text("from magical.tasks import get_task\n")
     file = tmp_path / "user_plugin.py"
@@ -108,8 +145,12 @@ class Installed:
 
     def magical(self, command: str) -> str:
         """The standard output of a command."""
+        return self.python("-m", "magical", *command.split())
+
+    def python(self, *arguments: str) -> str:
+        """The standard output of an interpreter."""
         done = subprocess.run(
-            [sys.executable, "-m", "magical", *command.split()],
+            [sys.executable, *arguments],
             cwd=self.folder,
             env={**os.environ, "PYTHONPATH": str(self.folder / "site")},
             capture_output=True,
@@ -130,6 +171,29 @@ def installed(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Installed
     pip = ("pip", "install", "--quiet", "--no-index", "--no-deps", "--target", "site", wheel.name)
     subprocess.run([sys.executable, "-m", *pip], cwd=folder, check=True)
     return Installed(folder)
+
+
+LAZY = """
+import sys, gymnasium, magical
+from magical.errors import UnknownNameError
+from magical.experts import has_expert, rollout
+assert {"MoveToCorner", "EmptyRegion"} <= set(magical.TASKS) and has_expert("EmptyRegion")
+assert "magical/EmptyRegion-TestAll-LoRes4E-v0" in gymnasium.registry
+assert "magical_example" not in sys.modules
+env = gymnasium.make("magical/EmptyRegion-Demo-v0")
+assert "magical_example" in sys.modules
+magical.register_task(env.unwrapped.task)  # again; as a module would that is imported by name
+try:
+    gymnasium.make("magical/EmptyRegion-TestLayout-v0")
+except UnknownNameError as error:
+    print(error)
+assert rollout("EmptyRegion", seed=0).score == 1.0
+"""
+
+
+def test_entry_points_are_imported_when_they_are_needed(installed: Installed) -> None:
+    printed = installed.python("-W", "error::UserWarning", "-c", LAZY)
+    assert "EmptyRegion has no variant 'TestLayout'; it has: Demo," in printed
 
 
 def test_tasks_experts_and_policies_of_a_distribution(installed: Installed) -> None:

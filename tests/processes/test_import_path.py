@@ -3,9 +3,11 @@
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from importlib.machinery import ModuleSpec
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -74,52 +76,47 @@ def test_nothing_in_the_working_folder_is_executed(how: str, folder: Path, elsew
     assert not (folder / "executed").exists()
 
 
-class Interpreter:
-    """Stands for an interpreter started in a certain way."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self._patch = monkeypatch
-
-    def start(self, path: list[str], module: str | None = None, variable: str = "") -> list[str]:
-        """The import path of its children."""
-        main = ModuleType("__main__")
-        main.__spec__ = module and ModuleSpec(module, None)  # type: ignore[assignment]
-        self._patch.setitem(sys.modules, "__main__", main)
-        self._patch.setattr(sys, "path", path)
-        self._patch.setenv("PYTHONPATH", variable)
-        return import_path()
+Start = Callable[..., list[str]]
 
 
 @pytest.fixture
-def interpreter(monkeypatch: pytest.MonkeyPatch) -> Interpreter:
-    return Interpreter(monkeypatch)
+def start(monkeypatch: pytest.MonkeyPatch) -> Start:
+    """The import path of the children of an interpreter that was started in a certain way."""
+
+    def started(path: list[str], module: str | None = None, variable: str = "") -> list[str]:
+        main: Any = ModuleType("__main__")
+        main.__spec__ = module and ModuleSpec(module, None)
+        monkeypatch.setitem(sys.modules, "__main__", main)
+        monkeypatch.setattr(sys, "path", path)
+        monkeypatch.setenv("PYTHONPATH", variable)
+        return import_path()
+
+    return started
 
 
-def test_a_working_folder_that_python_added_is_left_out(
-    folder: Path, interpreter: Interpreter
-) -> None:
+def test_a_working_folder_that_python_added_is_left_out(folder: Path, start: Start) -> None:
     here = str(folder)
-    assert interpreter.start(["", "/lib"]) == ["/lib"]
-    assert interpreter.start([here, "/lib"], "program") == ["/lib"]
-    assert interpreter.start(["/bin", here, "/lib"], variable=":/x") == ["/bin", "/lib"]
-    assert interpreter.start([here, here, "/lib"], "program", variable=":/x") == ["/lib"]
+    assert start(["", "/lib"]) == ["/lib"]
+    assert start([here, "/lib"], "program") == ["/lib"]
+    assert start(["/bin", here, "/lib"], variable=":/x") == ["/bin", "/lib"]
+    assert start([here, here, "/lib"], "program", variable=":/x") == ["/lib"]
 
 
-def test_a_working_folder_that_was_chosen_stays(folder: Path, interpreter: Interpreter) -> None:
+def test_a_working_folder_that_was_chosen_stays(folder: Path, start: Start) -> None:
     here = str(folder)
-    assert interpreter.start([here, "/lib"]) == [here, "/lib"]  # a script in it
-    assert interpreter.start([here, "/lib"], "__main__") == [here, "/lib"]  # python FOLDER
+    assert start([here, "/lib"]) == [here, "/lib"]  # a script in it
+    assert start([here, "/lib"], "__main__") == [here, "/lib"]  # python FOLDER
     named = [here, here, "/lib"]
-    assert interpreter.start(named, "program", variable=here) == named
-    assert interpreter.start(named, "program", variable="/x:.") == named
-    assert interpreter.start([here, here, "/lib"], "program") == named  # added by the program
-    assert interpreter.start(["", "/lib", "."]) == ["/lib", here]
+    assert start(named, "program", variable=here) == named
+    assert start(named, "program", variable="/x:.") == named
+    assert start([here, here, "/lib"], "program") == named  # added by the program
+    assert start(["", "/lib", "."]) == ["/lib", here]
 
 
-def test_entries_are_absolute_texts(folder: Path, interpreter: Interpreter) -> None:
+def test_entries_are_absolute_texts(folder: Path, start: Start) -> None:
     odd: list[str] = ["sub", Path("/path"), "/lib"]  # type: ignore[list-item]
-    assert interpreter.start(odd) == [str(folder / "sub"), "/lib"]
-    interpreter.start([], variable=":/a:b::/c")
+    assert start(odd) == [str(folder / "sub"), "/lib"]
+    start([], variable=":/a:b::/c")
     assert absolute_python_path() == "/a:/c"
 
 

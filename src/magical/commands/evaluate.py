@@ -28,6 +28,7 @@ from magical.commands._common import (
     print_json,
     print_table,
 )
+from magical.scene.constants import MAX_NUDGE
 from magical.tasks import parse_horizon
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--nudge",
-        type=explained(_nudge),
+        type=number(float, 0, MAX_NUDGE),
         default=0.0,
         metavar="X",
         help="shift initial poses by up to X units and radians, sampled from each rollout's seed; "
@@ -84,12 +85,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
     meaning = "how often test variants were evaluated while the method was designed"
     add_count(parser, "--looks", meaning, least=0)
     add_json(parser)
-
-
-def _nudge(text: str) -> float:
-    from magical.envs.episode import checked_nudge
-
-    return checked_nudge(number(float, 0)(text))
 
 
 def run(args: argparse.Namespace) -> int:
