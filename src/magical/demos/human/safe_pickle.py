@@ -136,14 +136,9 @@ class _Machine:
 
     def do(self, opcode: str, argument: Any) -> None:
         """Execute one opcode; raises ValueError for one that is not implemented."""
-        if opcode in _CONSTANTS:
-            self._stack.append(_CONSTANTS[opcode]())
-        elif opcode in _PUSHES:
-            self._push(argument)
-        elif opcode in _ACTIONS:
-            _ACTIONS[opcode](self, argument)
-        else:
+        if opcode not in _ACTIONS:
             raise ValueError("not an opcode of plain data")
+        _ACTIONS[opcode](self, argument)
 
     def result(self) -> Any:
         """The one value on the stack at the end."""
@@ -268,19 +263,18 @@ def _is_size(value: Any) -> bool:
     return type(value) is int and 0 <= value < MAX_SIZE
 
 
-_CONSTANTS: dict[str, Callable[[], Any]] = {
-    "NONE": lambda: None,
-    "NEWTRUE": lambda: True,
-    "NEWFALSE": lambda: False,
-    "EMPTY_LIST": list,
-    "EMPTY_TUPLE": tuple,
-    "EMPTY_DICT": dict,
-}
 _NUMBERS = ("BININT", "BININT1", "BININT2", "LONG1", "BINFLOAT")
 _TEXTS = ("SHORT_BINUNICODE", "BINUNICODE", "BINUNICODE8")
-_PUSHES = frozenset({*_NUMBERS, *_TEXTS, "SHORT_BINBYTES", "BINBYTES", "BINBYTES8"})
+_BYTES = ("SHORT_BINBYTES", "BINBYTES", "BINBYTES8")
 _ACTIONS: dict[str, Callable[[_Machine, Any], None]] = {
     **dict.fromkeys(("PROTO", "FRAME", "STOP"), lambda machine, _: None),
+    "NONE": lambda machine, _: machine._push(None),
+    "NEWTRUE": lambda machine, _: machine._push(True),
+    "NEWFALSE": lambda machine, _: machine._push(False),
+    "EMPTY_LIST": lambda machine, _: machine._push([]),
+    "EMPTY_TUPLE": lambda machine, _: machine._push(()),
+    "EMPTY_DICT": lambda machine, _: machine._push({}),
+    **dict.fromkeys((*_NUMBERS, *_TEXTS, *_BYTES), _Machine._push),
     **dict.fromkeys(("BINGET", "LONG_BINGET"), _Machine._get),
     **dict.fromkeys(("BINPUT", "LONG_BINPUT"), _Machine._put),
     "MEMOIZE": lambda machine, _: machine._put(len(machine._memo)),
