@@ -37,12 +37,7 @@ from magical.experts.expert import Expert, expert_for
 from magical.experts.goals import get_planner, has_expert, register_planner
 from magical.experts.memory import Memory, note_other_action
 from magical.experts.planning import Move, MovePlan, Planner, Strategy
-from magical.experts.rollout import (
-    EpisodeExpert,
-    ExpertEpisode,
-    modules_of,
-    rollout,
-)
+from magical.experts.rollout import EpisodeExpert, ExpertEpisode, modules_of, rollout
 from magical.experts.state_view import StateView
 
 __all__ = [

@@ -14,12 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.demos.human.safe_pickle import MAX_UNPACKED, Array, Record, load
-from magical.demos.store.trajectory import (
-    Trajectory,
-    checked_actions,
-    checked_score,
-    stored_env_id,
-)
+from magical.demos.store.trajectory import Trajectory, checked_actions, checked_score, stored_env_id
 from magical.envs.ids import EnvId
 from magical.errors import MagicalError, TrajectoryError, UnsafeFileError
 from magical.files import open_regular, sha256_sum
