@@ -1,6 +1,7 @@
 """Only regular files of bounded size are read."""
 
 import os
+import tracemalloc
 from pathlib import Path
 
 import pytest
@@ -30,6 +31,16 @@ def test_special_files_are_refused(tmp_path: Path, name: str) -> None:
         read_regular(path, 10)
     with pytest.raises(OSError, match="special"):
         open_regular(path)
+
+
+def test_no_more_memory_is_taken_than_a_file_has_bytes(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"0123456789")
+    tracemalloc.start()
+    try:
+        assert read_regular(tmp_path / "file", 1 << 26) == b"0123456789"
+        assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    finally:
+        tracemalloc.stop()
 
 
 def test_links_are_followed_for_reading_alone(tmp_path: Path) -> None:

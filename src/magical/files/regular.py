@@ -55,10 +55,10 @@ def read_regular(path: Path, max_bytes: int) -> bytes:
         OSError: it cannot be read, is not a regular file, or has more than `max_bytes`.
     """
     with open_regular(path, follow_links=True) as file:
-        data = file.read(max_bytes + 1)
-    if len(data) > max_bytes:
-        raise OSError(errno.EFBIG, f"more than {max_bytes} bytes", str(path))
-    return data
+        size = os.fstat(file.fileno()).st_size
+        if size > max_bytes:
+            raise OSError(errno.EFBIG, f"more than {max_bytes} bytes", str(path))
+        return file.read(size)  # allocates what is asked for at once, whatever there is
 
 
 def sha256_sum(file: IO[bytes]) -> str:
