@@ -10,15 +10,8 @@ import pytest
 
 from magical import cli
 
-KEYS = {
-    "env_id",
-    "num_envs",
-    "workers",
-    "steps_per_second",
-    "state_steps_per_second",
-    "physics_steps_per_second",
-    "frames_per_second",
-}
+RATES = ("steps", "state_steps", "physics_steps", "frames")
+KEYS = {"env_id", "num_envs", "workers", *(f"{rate}_per_second" for rate in RATES)}
 SMALL = ["--seconds", "0.2", "--json"]
 
 

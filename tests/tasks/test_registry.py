@@ -61,6 +61,8 @@ def test_a_task_can_be_registered_and_unregistered() -> None:
     assert list(TASKS) == before
     with pytest.raises(UnknownNameError):
         unregister_task("MakeTwoLines")
+    with pytest.raises(TypeError):
+        TASKS["MakeLine"] = NEW  # type: ignore[index]
 
 
 def test_a_taken_name_is_refused() -> None:
@@ -84,8 +86,3 @@ def test_a_new_file_in_the_package_is_found(
     monkeypatch.syspath_prepend(tmp_path)
     registry.discover("moretasks", [str(package)])
     assert unregister_task("New").name == "New"
-
-
-def test_the_table_of_tasks_cannot_be_changed_from_outside() -> None:
-    with pytest.raises(TypeError):
-        TASKS["MakeLine"] = NEW  # type: ignore[index]

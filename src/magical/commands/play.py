@@ -55,7 +55,7 @@ def _add_several(
 def run(args: argparse.Namespace) -> int:
     """Listen, print the address, answer until interrupted."""
     from magical.envs import parse_env_id
-    from magical.web.security import is_loopback, make_guard, new_token, page_url
+    from magical.web.security import LOOPBACK, make_guard, new_token, page_url
     from magical.web.server import PlayServer, PlaySettings, listen, make_server
 
     env_id = parse_env_id(args.env).without_preset
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     with listen(args.host, args.port) as listening:
         print(page_url(args.host, listening.getsockname()[1], token), flush=True)
         log(f"recording into {args.record}" if args.record else "not recording (see --record)")
-        if not is_loopback(args.host):
+        if args.host not in LOOPBACK:
             log(
                 "the token and everything else travel in clear: whoever sees the traffic can use "
                 "the server; put a proxy with HTTPS in front of a server on loopback, and name its "

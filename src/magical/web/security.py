@@ -88,14 +88,9 @@ class Guard:
 def make_guard(host: str, token: str, allowed: frozenset[str] = frozenset()) -> Guard:
     """The guard of a server that is bound to `host` and may also be called by the allowed names."""
     names = LOOPBACK | {host} | {name.lower() for name in allowed}
-    if is_loopback(host):
+    if host in LOOPBACK:  # reachable from this machine alone
         return Guard(token, names)
     return Guard(token, names | {socket.gethostname().lower()}, any_address=True)
-
-
-def is_loopback(host: str) -> bool:
-    """Whether a server that listens on this address is reachable from this machine alone."""
-    return host in LOOPBACK
 
 
 def page_url(host: str, port: int, token: str) -> str:

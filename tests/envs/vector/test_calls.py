@@ -42,8 +42,7 @@ if not (child := os.fork()):
             call()
         print("worked", flush=True)
     except ForkedEnvironmentError as error:
-        print("refused", os.getppid() in [int(word.strip(",")) for word in str(error).split()
-              if word.strip(",").isdigit()], flush=True)
+        print("refused", f"process {os.getppid()}," in str(error), flush=True)
     os._exit(0)
 os.waitpid(child, 0)
 envs.step([1, 1])
