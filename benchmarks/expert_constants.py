@@ -27,7 +27,7 @@ from magical.progress import progress_bar
 from magical.tasks import TASKS
 
 FACTORS = (0.5, 1.5)
-FIRST_SEED = 70_000  # none of docs/benchmarks.md
+FIRST_SEED = 70_000  # none of evaluation (docs/protocol.md)
 PACKAGE = Path(str(magical.__file__)).parent / "experts"
 HEADER = ("file", "constant", "definition", "factor", "score", "difference", "changed")
 

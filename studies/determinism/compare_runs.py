@@ -1,9 +1,9 @@
-r"""Differences between runs of the physics over time: tables, and a figure for docs/determinism.md.
+r"""Differences between runs of the physics over time: tables, and a figure for its page.
 
     python studies/determinism/pymunk_versions.py runs --at-roots --out before.npz
     python studies/determinism/pymunk_versions.py runs --out after.npz
     python studies/determinism/compare_runs.py --published published.npz --nudged nudged.npz \
-        --before before.npz --after after.npz --figure docs/images/determinism.png
+        --before before.npz --after after.npz --figure studies/determinism/determinism.png
 
 published.npz and nudged.npz are of pymunk 5.6.0: see `pymunk_versions.py`. Motions are compared
 with the recordings of the published environments, nudged ones with published.npz; random actions

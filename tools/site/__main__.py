@@ -40,13 +40,14 @@ class Warnings(logging.Handler):
         self.messages.append(record.getMessage())
 
 
-def navigation(outline: Sequence[Any], pages: Sequence[str]) -> Iterator[Any]:
-    """The outline of `mkdocs.yml`, where `folder/*` stands for the pages there not named so far."""
-    named = set(_named(outline))
+def navigation(outline: Sequence[Any], pages: Sequence[str], named: set[str]) -> Iterator[Any]:
+    """The outline of `mkdocs.yml`, where `folder/*` stands for the pages there not named in it."""
     for item in outline:
         if isinstance(item, dict):
             ((title, inner),) = item.items()
-            yield {title: list(navigation(inner, pages)) if isinstance(inner, list) else inner}
+            yield {
+                title: list(navigation(inner, pages, named)) if isinstance(inner, list) else inner
+            }
         elif item == f"{environments.FOLDER}/*":
             yield from environments.navigation()
         elif item.endswith("/*"):
@@ -82,7 +83,7 @@ def build_site(out: Path) -> list[str]:
         str(ROOT / "mkdocs.yml"),
         docs_dir=str(source.folder),
         site_dir=str(out),
-        nav=list(navigation(outline, pages)),
+        nav=list(navigation(outline, pages, set(_named(outline)))),
     )
     config.plugins.on_startup(command="build", dirty=False)
     build(config)

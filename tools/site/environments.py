@@ -25,9 +25,9 @@ STILL, MOVING = ".still.webp", ".webp"
 NOTE = (
     "Means over training runs, and their standard deviation where there are several. Published "
     "scores are by the [published code's rule and horizon]"
-    "(../specification.md#9-where-the-published-code-scores-differently), all others by the "
-    "[protocol](../protocol.md). The best entry is that with the highest TestAll score in this "
-    "task on the [leaderboard](../leaderboard.md); the expert sees the true state."
+    "(../../specification.md#9-where-the-published-code-scores-differently), all others by the "
+    "[protocol](../../protocol.md). The best entry is that with the highest TestAll score in this "
+    "task on the [leaderboard](../../leaderboard.md); the expert sees the true state."
 )
 
 
@@ -50,14 +50,15 @@ def pages(root: Path, cache: Path, ranked: Leaderboard) -> dict[str, str | bytes
     made: dict[str, str | bytes] = {f"{FOLDER}/index.md": index()}
     for task in TASKS.values():
         leaders = [row.method for row in best.get(task.name, ()) if not row.is_reference]
-        rows = [*_published(task), *_evaluated(task, ranked.accepted, [EXPERT, *leaders[:1]])]
-        made[f"{FOLDER}/{task.name}.md"] = task_page(task, rows)
+        rows = [*_evaluated(task, ranked.accepted, [EXPERT, *leaders[:1]]), *_published(task)]
+        place = f"{FOLDER}/{task.name}"
+        made[f"{place}/index.md"] = task_page(task, rows)
         for variant in task.variants:
-            name = f"{task.name}-{variant}"
-            score = (folder / f"{name}.txt").read_text()
-            made[f"{FOLDER}/{name}.md"] = environment_page(task, variant, rows, score)
+            kept = f"{task.name}-{variant}"
+            score = (folder / f"{kept}.txt").read_text()
+            made[f"{place}/{variant}.md"] = environment_page(task, variant, rows, score)
             for suffix in (STILL, MOVING):
-                made[f"{FOLDER}/{name}{suffix}"] = (folder / f"{name}{suffix}").read_bytes()
+                made[f"{place}/{variant}{suffix}"] = (folder / f"{kept}{suffix}").read_bytes()
     return made
 
 
@@ -65,8 +66,8 @@ def navigation() -> list[dict[str, object]]:
     """The pages as MkDocs' navigation: an overview, then a section for each task."""
     sections: list[dict[str, object]] = [{"Overview": f"{FOLDER}/index.md"}]
     for task in TASKS.values():
-        inner = [{short_variant(v): f"{FOLDER}/{task.name}-{v}.md"} for v in task.variants]
-        sections.append({task.name: [f"{FOLDER}/{task.name}.md", *inner]})
+        inner = [{short_variant(v): f"{FOLDER}/{task.name}/{v}.md"} for v in task.variants]
+        sections.append({task.name: [f"{FOLDER}/{task.name}/index.md", *inner]})
     return sections
 
 
@@ -92,12 +93,13 @@ def index() -> str:
     """All tasks, their pictures and variants."""
     count = sum(len(task.variants) for task in TASKS.values())
     cards = "\n".join(
-        f'<a href="{task.name}.html">{picture(f"{task.name}-Demo", task.summary)}'
+        f'<a href="{task.name}/index.html">{picture(f"{task.name}/Demo", task.summary)}'
         f"<strong>{task.name}</strong> {task.summary}</a>"
         for task in TASKS.values()
     )
     rows = (
-        [f"[{task.name}]({task.name}.md)", task.horizon, *_marks(task)] for task in TASKS.values()
+        [f"[{task.name}]({task.name}/index.md)", task.horizon, *_marks(task)]
+        for task in TASKS.values()
     )
     header = ["Task", "Horizon", *map(short_variant, VARIANTS)]
     return (
@@ -111,7 +113,7 @@ def index() -> str:
 
 def _marks(task: Task) -> Iterator[str]:
     for name in VARIANTS:
-        link = f"[✓]({task.name}-{name}.md)"
+        link = f"[✓]({task.name}/{name}.md)"
         yield link if name in task.variants else ""
 
 
@@ -120,10 +122,7 @@ def task_page(task: Task, rows: Sequence[Row]) -> str:
     description = describe_task(task)
     varies = table(
         ("Variant", "Changes"),
-        (
-            (f"[{name}]({task.name}-{name}.md)", describe_changes(task, name))
-            for name in task.variants
-        ),
+        ((f"[{name}]({name}.md)", describe_changes(task, name)) for name in task.variants),
     )
     here = "\n".join(f"- {name}: {text}" for name, text in description.variation.items())
     scores = table(
@@ -131,8 +130,8 @@ def task_page(task: Task, rows: Sequence[Row]) -> str:
     )
     return (
         f"# {task.name}\n\n{task.summary}\n\n"
-        f"{picture(f'{task.name}-Demo', f'The expert in {task.name} Demo')}\n"
-        f"{picture(f'{task.name}-TestAll', f'The expert in {task.name} TestAll')}\n\n"
+        f"{picture('Demo', f'The expert in {task.name} Demo')}\n"
+        f"{picture('TestAll', f'The expert in {task.name} TestAll')}\n\n"
         "The scripted expert in Demo and in TestAll, at twice the control rate.\n\n"
         f"## Score\n\n{prose(description.score_rule)}\n\n"
         f"**Horizon**: {_horizon(task)}\n\n"
@@ -157,13 +156,13 @@ def environment_page(task: Task, variant: str, rows: Sequence[Row], kept: str) -
     )
     return (
         f"# {name}\n\n{task.summary}\n\n"
-        f"{picture(name, f'The expert in {name}: {scene}')}\n\n"
+        f"{picture(variant, f'The expert in {name}: {scene}')}\n\n"
         f"The scene of `reset(seed=0)` ({scene}), solved by the scripted expert.{reached}\n\n"
         "```python\nimport gymnasium\nimport magical\n\n"
         f'env = gymnasium.make("magical/{name}-v0")\n```\n\n'
         f"**What varies**: {changes}\n\n"
         f"**Horizon**: {_horizon(task)}\n\n"
-        f"**Score** ([the task]({task.name}.md) and its other variants):\n\n"
+        f"**Score** ([the task](index.md) and its other variants):\n\n"
         f"{prose(describe_task(task).score_rule)}\n\n"
         f"## Scores\n\n{scores}\n\n{NOTE}\n"
     )
@@ -171,8 +170,13 @@ def environment_page(task: Task, variant: str, rows: Sequence[Row], kept: str) -
 
 def prose(paragraphs: Sequence[Paragraph]) -> str:
     """Paragraphs in Markdown; formulas as blocks."""
-    shown = (f"```text\n{p.text}\n```" if p.is_formula else p.text for p in paragraphs)
-    return "\n\n".join(shown)
+    cited = "[specification](../../specification.md)"
+    return "\n\n".join(
+        f"```text\n{p.text}\n```"
+        if p.is_formula
+        else p.text.replace("docs/specification.md", cited)
+        for p in paragraphs
+    )
 
 
 def picture(name: str, text: str) -> str:
@@ -200,7 +204,7 @@ def _published(task: Task) -> Iterator[Row]:
             if (score := published_score(task.name, method, short))
         }
         if found:
-            cells = {short: f"{s.mean:.2f} ± {s.std:.2f}" for short, s in found.items()}
+            cells = {short: f"{s.mean:.2f}\u00a0±\u00a0{s.std:.2f}" for short, s in found.items()}
             yield Row(f"{method}, published", cells)
 
 
@@ -217,5 +221,5 @@ def _evaluated(task: Task, results: Sequence[Result], methods: Sequence[str]) ->
 
 
 def _spread(values: Sequence[float]) -> str:
-    deviation = f" ± {np.std(values, ddof=1):.2f}" if len(values) > 1 else ""
+    deviation = f"\u00a0±\u00a0{np.std(values, ddof=1):.2f}" if len(values) > 1 else ""
     return f"{np.mean(values):.2f}{deviation}"

@@ -9,6 +9,7 @@ from magical.report.scores.grids import interval_text
 from magical.runs.sources import CLASSES, SOURCES
 from tools.readme_tables import table
 
+NO_BREAK = "\u00a0"  # a space that holds a figure together
 HEADER = ("Rank", "Method", "TestAll", "Gap", "Class", "Used", "Demonstrations", "Over")
 
 
@@ -45,8 +46,7 @@ def _row(row: Standing) -> list[object]:
     return [
         "reference" if row.is_reference else row.rank,
         row.method,
-        interval_text(row.test_all),
-        interval_text(row.gap),
+        *(interval_text(value).replace(" ", NO_BREAK) for value in (row.test_all, row.gap)),
         row.learning_class or "–",
         ", ".join(row.used) or "nothing",
         row.statements.demonstrations or "–",

@@ -15,12 +15,12 @@ from magical.learning import Config, algorithm_names, find_algorithm
 from magical.learning.config import options
 from tools import preset_tables, readme_tables
 
-# Modules whose public names have a page; a name is public where `__all__` has it, or without one
-# where it has no underscore.
+# What has a page: modules with their public names (`__all__`, or without one all that have no
+# underscore), and a class.
 MODULES = {
     "magical": "Registered environments and tasks",
     "magical.envs": "Environment ids and registration",
-    "magical.envs.env": "The environment",
+    "magical.envs.env.MagicalEnv": "The environment",
     "magical.envs.vector": "Many environments at once",
     "magical.observe": "Observation specs",
     "magical.scene": "Scenes as plain data",
@@ -39,7 +39,7 @@ MODULES = {
     "magical.experiments.status": "Plans in progress",
     "magical.conformance": "Comparison with recordings",
 }
-WIDTH = "88"  # columns of a command's help
+WIDTH = "80"  # columns of a command's help
 
 
 def pages(root: Path) -> dict[str, str | bytes]:
@@ -157,10 +157,10 @@ def _summary(kind: type[Config]) -> str:
 def example_pages(root: Path) -> dict[str, str]:
     """A page for each program in `examples`."""
     made = {}
-    for path in sorted((root / "examples").rglob("*.py")):
+    for path in sorted((root / "examples").rglob("[!_]*.py")):
         source = path.read_text(encoding="utf-8")
         name = path.relative_to(root).with_suffix(".md").as_posix()
-        made[name] = f"# {path.stem}\n\n```python\n{source}```\n"
+        made[name] = f"# {path.name}\n\n```python\n{source}```\n"
     return made
 
 

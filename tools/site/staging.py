@@ -106,7 +106,7 @@ class Source:
 
 def repository_pages(root: Path) -> list[str]:
     """The pages of the repository that the site has, as paths with slashes."""
-    found = [*root.glob("docs/**/*.md"), *root.glob("studies/**/README.md")]
+    found = [*root.glob("docs/**/*.md"), *root.glob("studies/**/*.md")]
     return sorted([*(path.relative_to(root).as_posix() for path in found), *SINGLE])
 
 

@@ -1,6 +1,6 @@
 """Confidence intervals: Student's t over strata, Wilson's score interval, square-and-add.
 
-docs/protocol.md gives the formulas' sources, and how often each interval covers.
+docs/protocol.md gives the formulas' sources.
 """
 
 import math

@@ -7,8 +7,7 @@ such an array.
 
 The unit of all intervals over runs is the run: its scores in several environments are those of one
 policy and vary together. Runs that were evaluated on the same environments form a stratum; strata
-are independent of each other. docs/protocol.md gives the formulas, their sources, and how often
-each interval covers; `studies/published_tables/intervals.py` measures it.
+are independent of each other. docs/protocol.md gives the formulas and their sources.
 """
 
 from collections.abc import Iterable, Sequence

@@ -24,13 +24,13 @@ Where it fails. Mostly in the Cluster tasks' CountPlus and All variants: with ni
 fingers push neighbours aside, blocks enclosed by walls and others take several attempts, and time
 runs out with one or two blocks out of place. In MakeLine and the region tasks with random layouts
 a neighbour may be scooped up with a block, or two blocks wedged into a corner. The costs are rules
-of thumb: contacts, block shapes and angles are not modelled. Scores are in docs/benchmarks.md.
+of thumb: contacts, block shapes and angles are not modelled. `magical evaluate expert` scores them.
 
 Constants stand at the top of the file that uses them, each with its unit and how it was found:
 "measured" was read off the simulator; "swept" is the best of a grid of values by expert scores over
 many environments; "tuned" was set by hand on expert scores, most of them on the Cluster tasks and
-MakeLine; "for time" trades computing time for quality. None was set on the seeds that
-docs/benchmarks.md reports. `benchmarks/expert_constants.py` measures what each changes.
+MakeLine; "for time" trades computing time for quality. None was set on the seeds of evaluation
+(docs/protocol.md). `benchmarks/expert_constants.py` measures what each changes.
 """
 
 from magical.experts.expert import Expert, expert_for
