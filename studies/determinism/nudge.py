@@ -1,6 +1,6 @@
 """How far Demo's score depends on rounding: one policy, its start shifted by 1e-9 units.
 
-    python studies/determinism/nudge.py RUN [RUN ...] --out FOLDER --figure studies/determinism/nudge.png
+    python studies/determinism/nudge.py RUN [RUN ...] --out FOLDER --figure nudge.png
 
 Each run's policy is rolled out on its task's Demo scene as it is; then `--shifts` times with one
 shift of the initial poses that all rollouts share; then with a shift of its own for each rollout
