@@ -6,7 +6,6 @@ import re
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
-from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
@@ -27,34 +26,10 @@ from magical.report.gallery.descriptions import (
 from magical.report.gallery.site import gallery_page
 from magical.scene import Block, Colour, Pose, Region, Scene, Shape
 from magical.tasks import CHANGES, TASKS, Axis, Task, get_task, register_task, unregister_task
+from tests.report.html_elements import Elements
 
 pytest.importorskip("jinja2", reason="the report extra is not installed")
 pytest.importorskip("matplotlib", reason="the report extra is not installed")
-
-VOID = {"meta", "img", "br", "link", "input"}
-
-
-class Elements(HTMLParser):
-    """The elements of a page; fails where one is closed that is not open."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.found: list[tuple[str, dict[str, str]]] = []
-        self.feed(text)
-        self.close()
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.found.append((tag, {name: value or "" for name, value in attrs}))
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def values(self, name: str, tag: str = "") -> list[str]:
-        """An attribute's values, of elements with one tag or of all."""
-        return [a[name] for found, a in self.found if name in a and tag in ("", found)]
 
 
 @pytest.fixture(scope="module")

@@ -8,32 +8,27 @@ from typing import Any
 import pytest
 
 from magical import __version__
-from magical.envs import EnvId
-from magical.evaluation import Entry, RolloutScore
+from magical.evaluation import Entry
 from magical.evaluation.policy import FunctionPolicy, observed
 from magical.evaluation.protocol import NUDGE, ROLLOUTS
 from magical.observe import Observation, PixelSpec
 from magical.report.found.search import Found, Result, Skipped
 from magical.report.leaderboard.checks import check_entries, faults
 from magical.tasks import get_task
+from tests.report.conftest import make_entry
 
 
 def entry(score: float = 0.5, **fields: Any) -> Entry:
     """An entry on one task with which nothing is wrong."""
-    rows = [
-        RolloutScore(EnvId("MoveToRegion", variant), i, i, score, score)
-        for variant in get_task("MoveToRegion").variants
-        for i in range(ROLLOUTS)
-    ]
+    variants = get_task("MoveToRegion").variants
     right: dict[str, Any] = {
-        "method": "m",
-        "scores": rows,
         "observation": "LoRes4E",
         "nudge": NUDGE,
         "version": __version__,
         "details": {"learned_from": ["demonstrations"]},
     }
-    return Entry(**(right | fields))
+    scores = {f"MoveToRegion-{variant}": [score] * ROLLOUTS for variant in variants}
+    return replace(make_entry("m", scores), **(right | fields))
 
 
 def test_a_right_entry_has_no_faults() -> None:

@@ -6,24 +6,19 @@ from typing import Any
 
 import pytest
 
-from magical.envs import EnvId
-from magical.evaluation import Entry, RolloutScore
 from magical.report.found.search import Result
 from magical.report.leaderboard.ranking import ALL_TASKS, make_boards
 from magical.tasks import TASKS
+from tests.report.conftest import make_entry
 
 
 def run(
     method: str, demo: float, test_all: float, tasks: Sequence[str] = ("MakeLine",), **fields: Any
 ) -> Result:
-    scores = [
-        RolloutScore(EnvId(task, variant), 0, 0, score, 0.0)
-        for task in tasks
-        for variant, score in (("Demo", demo), ("TestAll", test_all))
-    ]
+    means = {"Demo": demo, "TestAll": test_all}
+    scores = {f"{task}-{name}": [mean] for task in tasks for name, mean in means.items()}
     details = fields.pop("details", {"learned_from": ["demonstrations"]})
-    entry = Entry(method=method, scores=scores, nudge=1e-9, details=details, **fields)
-    return Result(Path(method), entry)
+    return Result(Path(method), make_entry(method, scores, nudge=1e-9, details=details, **fields))
 
 
 def test_methods_are_ranked_by_test_all_and_by_gap() -> None:

@@ -4,7 +4,6 @@ import io
 import json
 import re
 from collections.abc import Callable
-from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
@@ -20,33 +19,12 @@ from magical.evaluation import (
     environments,
 )
 from magical.report.figures.clips import Clip
+from tests.report.html_elements import Elements
 
 pytest.importorskip("jinja2", reason="the report extra is not installed")
 pytest.importorskip("matplotlib", reason="the report extra is not installed")
 
 IDS = environments(["MoveToRegion"], ["Layout", "All"])
-
-
-class Balanced(HTMLParser):
-    """Checks that every element that is opened is closed."""
-
-    VOID = ("meta", "img", "br", "link", "input")
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.addresses: list[str] = []
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        if tag not in self.VOID:
-            self.open.append(tag)
-        self.addresses += [value or "" for name, value in attrs if name in ("src", "href")]
-
-    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.addresses += [value or "" for name, value in attrs if name in ("src", "href")]
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
 
 
 def test_a_clip_becomes_an_animation_and_a_strip() -> None:
@@ -114,12 +92,12 @@ def test_the_report_of_a_folder_says_everything(
     text = page.read_text()
     cli.main(argv)
     assert page.read_text() == text
-    parser = Balanced()
-    parser.feed(text)
-    assert parser.open == []
-    assert not [a for a in parser.addresses if a.startswith(("http", "//"))]
-    assert any(address.startswith("data:image/webp") for address in parser.addresses)
-    ids = re.findall(r' id="([^"]+)"', text)
+    elements = Elements(text)
+    assert elements.open == []
+    addresses = [*elements.values("src"), *elements.values("href")]
+    assert not [address for address in addresses if address.startswith(("http", "//"))]
+    assert any(address.startswith("data:image/webp") for address in addresses)
+    ids = elements.values("id")
     assert len(ids) == len(set(ids))
     used = re.findall(r'(?:url\(#|href="#)([^")]+)', text)
     assert set(used) <= set(ids)
