@@ -112,9 +112,6 @@ def test_without_a_valid_entry_the_page_says_why(
     assert cli.main(["leaderboard", str(folder), "--out", str(site)]) == 0
     assert "1 rollouts of each environment, expected 100" in capsys.readouterr().out
     assert "all variants of a task are needed" in (site / "index.html").read_text()
-
-
-def test_a_missing_folder_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["leaderboard", str(tmp_path / "missing")]) == 1
     assert f"{tmp_path / 'missing'}: expected a folder" in capsys.readouterr().err
 
