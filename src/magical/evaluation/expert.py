@@ -27,9 +27,7 @@ class ExpertPolicy:
 
     privileged = True
     exact = True
-    in_processes = (
-        True  # copies may run in several processes: it is fast to start and costly to run
-    )
+    in_processes = True  # it is fast to start and costly to run
 
     def __init__(self, skill: float = 1.0, random_share: float = 0.0) -> None:
         check_share("skill", skill)
