@@ -92,13 +92,10 @@ def test_a_dead_process_is_an_error() -> None:
 
 @pytest.mark.parametrize("workers", [1, 2])
 def test_an_exception_is_raised_or_returned(workers: int) -> None:
-    with pytest.raises(ValueError, match="not this one") as caught:
+    with pytest.raises(ValueError, match="not this one"):
         list(map_in_processes(work.raise_error, ["value"], workers))
-    assert caught.value.args == ("not this one", 3)
-    file, value = outcomes_in_processes(work.raise_error, ["file", "value"], workers)
-    assert type(file) is FileNotFoundError
-    assert str(file) == "[Errno 2] No such file: 'name.txt'"
-    assert type(value) is ValueError
+    outcomes = outcomes_in_processes(work.raise_error, ["file", "value"], workers)
+    assert list(map(type, outcomes)) == [FileNotFoundError, ValueError]
 
 
 def test_what_cannot_be_pickled() -> None:

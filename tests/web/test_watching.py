@@ -130,20 +130,16 @@ def test_a_state_is_asked_for_again_after_a_lost_connection() -> None:
     assert again.answer() == lost.answer()
 
 
-def test_playing_without_a_policy_again() -> None:
-    clocked = watched()
-    clocked.send(Watch(None))
-    assert (clocked.status["policy"], clocked.status["phase"]) == (None, "ready")
-    with pytest.raises(MessageError, match="no policy to hand back to"):
-        clocked.send(HandBack())
-
-
-def test_unknown_policies_change_nothing() -> None:
+def test_an_unknown_policy_changes_nothing_and_none_is_playing_again() -> None:
     clocked = watched()
     clocked.step(2)
     with pytest.raises(NotFoundError, match="policy"):
         clocked.send(Watch(1))
     assert (clocked.status["policy"], clocked.session.episode.steps > 0) == (0, True)
+    clocked.send(Watch(None))
+    assert (clocked.status["policy"], clocked.status["phase"]) == (None, "ready")
+    with pytest.raises(MessageError, match="no policy to hand back to"):
+        clocked.send(HandBack())
 
 
 def test_a_policy_that_fails_leaves_the_environment_to_the_person() -> None:

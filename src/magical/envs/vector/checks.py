@@ -4,6 +4,7 @@ import operator
 import os
 import threading
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -54,11 +55,13 @@ def checked_seeds(seed: int | Sequence[int | None] | None, num_envs: int) -> lis
     """
     if seed is None:
         return [None] * num_envs
-    entries: Any = seed  # arrays can be iterated over as well as lists: try
-    try:
-        seeds = [None if s is None else operator.index(s) for s in entries]
-    except TypeError:
-        seeds = _consecutive(seed, num_envs)
+    entries: Any = seed
+    seeds: list[int | None] = []
+    with suppress(TypeError, ValueError):  # neither an integer nor a list of them
+        if np.ndim(entries) == 0:
+            seeds = [operator.index(entries) + i for i in range(num_envs)]
+        else:
+            seeds = [None if s is None else operator.index(s) for s in entries]
     if len(seeds) != num_envs or any(s is not None and s < 0 for s in seeds):
         raise ValueError(
             f"seed: expected a non-negative integer, {num_envs} of them, or None, "
@@ -89,10 +92,3 @@ def require_episodes(what: str, running: NDArray[np.bool_], env_ids: Sequence[st
             f"{what}: expected a running episode in every environment, found none in {len(rows)} "
             f"of {len(env_ids)}: {names}{', ...' if len(rows) > 5 else ''}; call reset() first"
         )
-
-
-def _consecutive(seed: Any, num_envs: int) -> list[int | None]:
-    try:
-        return [operator.index(seed) + i for i in range(num_envs)]
-    except TypeError:
-        return []
