@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from magical.demos import DatasetWriter, Trajectory
+from magical.demos.generate import demonstrate
 from magical.envs import EnvId
 from magical.tasks import get_task
 
@@ -61,3 +62,14 @@ def trajectories() -> list[Trajectory]:
 def demos(tmp_path_factory: pytest.TempPathFactory, trajectories: list[Trajectory]) -> Path:
     """The same as a dataset."""
     return write_demos(tmp_path_factory.mktemp("demos") / "data", trajectories)
+
+
+@pytest.fixture(scope="session")
+def expert_demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two demonstrations of each of two tasks by the scripted experts, with poses."""
+    demonstrations = [
+        demonstrate(EnvId(task, "Demo"), seed=seed)
+        for task in ("MoveToRegion", "FixColour")
+        for seed in range(2)
+    ]
+    return write_demos(tmp_path_factory.mktemp("expert") / "data", demonstrations)

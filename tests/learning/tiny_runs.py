@@ -1,4 +1,4 @@
-"""Shared by the tests of PPO and what is built on it: minimal runs, comparisons."""
+"""Shared by the tests of algorithms: the smallest runs, and comparisons of them."""
 
 from pathlib import Path
 from typing import Any, TypeVar
@@ -6,33 +6,58 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
-from magical.learning.algorithms.ppo import ReinforcementConfig
+from magical.learning import Config
+from magical.learning.config import options
 from magical.learning.running.checkpoints import load_checkpoint
 from magical.runs.folder import CHECKPOINT
 
-AnyConfig = TypeVar("AnyConfig", bound=ReinforcementConfig)
+AnyConfig = TypeVar("AnyConfig", bound=Config)
+
+# Settings of all algorithms, by option; each takes those that it has.
+TINY: dict[str, Any] = {
+    "tasks": ("MoveToRegion",),
+    "demos": "",
+    "num_demos": 2,
+    "device": "cpu",
+    "precision": "float32",
+    "workers": 0,
+    # behavioural cloning, in each round of DAgger
+    "batches": 4,
+    "batch_size": 4,
+    "log_every": 2,
+    "rounds": 2,
+    "episodes": 1,
+    # PPO, and what is built on it: three updates
+    "num_envs": 3,
+    "num_steps": 2,
+    "epochs": 1,
+    "minibatch_size": 3,
+    "total_steps": 18,
+    "evaluate_every": 0,
+    "discriminator_steps": 1,
+    "discriminator_batch_size": 4,
+    "pretraining_batches": 2,
+    "pretraining_batch_size": 4,
+    "feature_samples": 16,
+}
 
 
 def tiny(kind: type[AnyConfig], preset: str = "quick", **fields: Any) -> AnyConfig:
-    """A configuration whose updates take a fraction of a second: three of them, by default."""
-    settings = {
-        "tasks": ("MoveToRegion",),
-        "num_envs": 3,
-        "num_steps": 2,
-        "epochs": 1,
-        "minibatch_size": 3,
-        "total_steps": 18,
-        "workers": 0,
-        "evaluate_every": 0,
-        "device": "cpu",
-        "precision": "float32",
-    }
-    return kind.preset(preset, **{**settings, **fields})
+    """A configuration of a run of a fraction of a second."""
+    own = {option.name for option in options(kind)}
+    shared = {name: value for name, value in TINY.items() if name in own}
+    return kind.preset(preset, **{**shared, **fields})
 
 
 def checkpoint(folder: Path) -> dict[str, Any]:
     """The newest checkpoint."""
     return load_checkpoint(folder / CHECKPOINT)
+
+
+def same_weights(first: Path, second: Path) -> bool:
+    """Whether the policies of two runs are equal, bit by bit."""
+    a, b = (checkpoint(folder)["policy"] for folder in (first, second))
+    return a.keys() == b.keys() and all(torch.equal(value, b[name]) for name, value in a.items())
 
 
 def assert_same(first: Any, second: Any, name: str = "") -> None:

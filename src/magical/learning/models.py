@@ -15,9 +15,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.modules.batchnorm import _BatchNorm
 
-from magical.learning.config import PIXEL_RANGES, Config, NetworkSettings
+from magical.learning.config import PIXEL_RANGES
 from magical.learning.networks import find_network
-from magical.learning.running.streams import seeded_init
 from magical.scene import NUM_ACTIONS
 
 EMBEDDING = 32  # size of the learnt embedding of an action (docs/specification.md, section 11)
@@ -93,15 +92,14 @@ class Trunk(nn.Module):
             flat, linear = self.linear[:-2](flat), self.linear[-2:]  # a last layer and its ReLU
         if self.action_input != "none":
             assert actions is not None
-            flat = torch.cat([flat, self._action_features(actions).to(flat.dtype)], dim=1)
+            added = (
+                functional.one_hot(actions, NUM_ACTIONS)  # (B, 18)
+                if self.embedding is None
+                else self.embedding(actions)  # (B, 32)
+            )
+            flat = torch.cat([flat, added.to(flat.dtype)], dim=1)
         features: Tensor = linear(flat)
         return features
-
-    def _action_features(self, actions: Tensor) -> Tensor:
-        if self.embedding is not None:
-            embedded: Tensor = self.embedding(actions)  # (B, 32)
-            return embedded
-        return functional.one_hot(actions, NUM_ACTIONS)  # (B, 18)
 
     def _to_range(self, images: Tensor) -> Tensor:
         low, high = self._pixels
@@ -196,22 +194,6 @@ class Discriminator(nn.Module):
         """Logits (B,)."""
         logits: Tensor = self.last(self.trunk(images, actions), tasks)
         return logits.squeeze(1)
-
-
-def make_actor_critic(config: Config, networks: NetworkSettings, init: str) -> ActorCritic:
-    """The policy of PPO and the algorithms built on it, initialised from the seed.
-
-    It has no batch norm (appendix B). Under `init` "centred" it can tell images apart from the
-    start (`centre`).
-    """
-    with seeded_init(config.seed):
-        trunk = Trunk(networks.network, config.input_shape, pixel_range=networks.pixel_range)
-        network = ActorCritic(trunk, len(config.tasks))
-        if init == "centred" and trunk.convolutions is not None:
-            centre(network, networks.pixel_range)
-        if networks.published:
-            init_normal(network.policy, network.value)
-        return network
 
 
 def init_normal(*layers: TaskLinear) -> None:

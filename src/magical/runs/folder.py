@@ -62,7 +62,8 @@ def opened_folder(path: Path, config: Mapping[str, Any], resume: bool) -> Iterat
     if resume and not is_run(path):
         raise RunFolderError(f"{path}: expected a run to resume, found none")
     existed = path.exists()
-    with _owned(path).locked():
+    then = "give the same command again, with --resume if the run has begun"
+    with OwnedFolder(path, WRITTEN, RunFolderError, "trains this run", then).locked():
         if is_run(path):
             _check_existing(path, config, resume)
             yield
@@ -76,11 +77,6 @@ def opened_folder(path: Path, config: Mapping[str, Any], resume: bool) -> Iterat
         except Exception:
             _remove_unless_begun(path, keep_folder=existed)
             raise
-
-
-def _owned(path: Path) -> OwnedFolder:
-    then = "give the same command again, with --resume if the run has begun"
-    return OwnedFolder(path, WRITTEN, RunFolderError, "trains this run", then)
 
 
 def _remove_unless_begun(path: Path, keep_folder: bool) -> None:

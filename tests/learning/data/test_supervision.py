@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from magical.demos import Trajectory, observations
 from magical.envs import EnvId
+from magical.envs.vector import MagicalVectorEnv
 from magical.experts import Memory, expert_for
 from magical.experts.memory import note_other_action
-from magical.learning.data.supervision import collect_labelled, make_envs
+from magical.learning.data.supervision import collect_labelled
 from magical.physics import Simulation
 from magical.scene import Poses, State
 
@@ -42,7 +43,9 @@ class Stubborn:
 
 def collect(share: float, seed: int = 0, workers: int = 0) -> tuple[list[Trajectory], Stubborn]:
     policy = Stubborn()
-    with closing(make_envs(ENV_IDS, "LoRes4E", workers)) as envs:
+    with closing(
+        MagicalVectorEnv(ENV_IDS, workers, "LoRes4E", autoreset_mode="Disabled", copy=False)
+    ) as envs:
         return collect_labelled(envs, policy, share, np.random.default_rng(seed), round=3), policy
 
 

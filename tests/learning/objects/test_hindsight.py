@@ -22,16 +22,16 @@ def episode() -> tuple[np.ndarray, np.ndarray]:
 
 def test_the_target_is_the_block_that_is_moved_next_and_then_the_robot() -> None:
     robot, blocks = episode()
-    goals = find_goals(robot, blocks, np.ones(30, np.bool_))
-    assert goals.targets.tolist() == [1] * 15 + [ROBOT_TARGET] * 15
-    assert np.allclose(goals.destinations[:15], [0.5, 0.0])
-    assert np.allclose(goals.destinations[15:], robot[-1, :2])
+    targets, destinations = find_goals(robot, blocks, np.ones(30, np.bool_))
+    assert targets.tolist() == [1] * 15 + [ROBOT_TARGET] * 15
+    assert np.allclose(destinations[:15], [0.5, 0.0])
+    assert np.allclose(destinations[15:], robot[-1, :2])
 
 
 def test_what_random_actions_move_is_no_goal() -> None:
     robot, blocks = episode()
-    goals = find_goals(robot, blocks, np.arange(30) >= 15)
-    assert (goals.targets == ROBOT_TARGET).all()
+    targets, _ = find_goals(robot, blocks, np.arange(30) >= 15)
+    assert (targets == ROBOT_TARGET).all()
 
 
 def test_a_block_that_glides_on_from_a_random_push_is_not_moved_on_purpose() -> None:
@@ -42,19 +42,20 @@ def test_a_block_that_glides_on_from_a_random_push_is_not_moved_on_purpose() -> 
     blocks = np.stack([x, np.zeros_like(x)], axis=1)[:, None]
     robot = np.zeros((len(x), 3))
     intended = ~np.isin(np.arange(16), (8, 9))
-    goals = find_goals(robot, blocks, intended)
-    assert goals.targets.tolist() == [0] * 5 + [ROBOT_TARGET] * 11
-    assert goals.destinations[0].tolist() == pytest.approx([0.16, 0.0])
+    targets, destinations = find_goals(robot, blocks, intended)
+    assert targets.tolist() == [0] * 5 + [ROBOT_TARGET] * 11
+    assert destinations[0].tolist() == pytest.approx([0.16, 0.0])
     steps[11:13] = 0.03  # then pushed on
     x = np.concatenate([[0.0], np.cumsum(steps)])
-    goals = find_goals(robot, np.stack([x, np.zeros_like(x)], axis=1)[:, None], intended)
-    assert goals.destinations[0].tolist() == pytest.approx([x[13], 0.0])
+    blocks = np.stack([x, np.zeros_like(x)], axis=1)[:, None]
+    _, destinations = find_goals(robot, blocks, intended)
+    assert destinations[0].tolist() == pytest.approx([x[13], 0.0])
 
 
 def test_without_blocks_the_target_is_the_robot() -> None:
     robot, _ = episode()
-    goals = find_goals(robot, np.full((31, MAX_BLOCKS, 2), FAR), np.ones(30, np.bool_))
-    assert (goals.targets == ROBOT_TARGET).all()
+    targets, _ = find_goals(robot, np.full((31, MAX_BLOCKS, 2), FAR), np.ones(30, np.bool_))
+    assert (targets == ROBOT_TARGET).all()
 
 
 def test_tracking_keeps_numbers_when_blocks_are_found_in_another_order_or_not_at_all() -> None:

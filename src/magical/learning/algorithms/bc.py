@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
 import torch
@@ -286,8 +287,8 @@ class BCTrainer:
         self,
         data: ExpertData,
         until: int,
-        extra_metrics: Mapping[str, float] | None = None,
-        extra_state: StateDict | None = None,
+        extra_metrics: Mapping[str, float] = MappingProxyType({}),
+        extra_state: Mapping[str, Any] = MappingProxyType({}),
     ) -> bool:
         """Train on `data` from the run's step until step `until`; true if the run stops before.
 
@@ -306,8 +307,8 @@ class BCTrainer:
                 done = number + 1
                 if run.finish_step(
                     done,
-                    lambda: {**(extra_metrics or {}), **averages.reset(speed_of="loss")},
-                    partial(self._state_dict, data, done, extra_state or {}),
+                    lambda: {**extra_metrics, **averages.reset(speed_of="loss")},
+                    partial(self._state_dict, data, done, extra_state),
                     log_every=config.cloning.log_every,
                     last=done == until,
                 ):
@@ -357,7 +358,7 @@ class BCTrainer:
         self.optimizer.step()
         return loss.detach(), logits.detach()
 
-    def _state_dict(self, data: ExpertData, done: int, extra: StateDict) -> StateDict:
+    def _state_dict(self, data: ExpertData, done: int, extra: Mapping[str, Any]) -> StateDict:
         """The state of network and optimiser after so many batches of the data."""
         averaged = {}
         if self._average:

@@ -23,6 +23,7 @@ from typing import Any, ClassVar
 from magical.demos import Dataset, DatasetWriter, Trajectory
 from magical.demos.store.repair import open_repaired
 from magical.envs import EnvId
+from magical.envs.vector import MagicalVectorEnv
 from magical.errors import InvalidConfigError, RunFolderError
 from magical.evaluation import environments
 from magical.experts import get_planner
@@ -30,7 +31,7 @@ from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.bc import BCConfig, BCTrainer, CloningSettings, make_policy
 from magical.learning.config import IMAGE_OBSERVATIONS
 from magical.learning.data.expert_data import TaskTrajectories, load_demonstrations
-from magical.learning.data.supervision import collect_labelled, make_envs
+from magical.learning.data.supervision import collect_labelled
 from magical.learning.policy import NetworkPolicy
 from magical.learning.running.checkpoints import restoring
 from magical.learning.running.run import Run
@@ -128,7 +129,15 @@ def train(config: DAggerConfig, run: Run) -> None:
     aggregated = AggregatedDataset(config, run)
     if run.step == config.num_updates:
         return
-    with closing(make_envs(config.env_ids, config.observation, config.workers)) as envs:
+    with closing(
+        MagicalVectorEnv(
+            config.env_ids,
+            workers=config.workers,
+            observation=config.observation,
+            autoreset_mode="Disabled",
+            copy=False,
+        )
+    ) as envs:
         for number in range(run.step // config.cloning.batches, config.rounds):
             if aggregated.rounds < number:
                 rng = stream(config.seed, Purpose.ENVIRONMENTS, number)
@@ -150,17 +159,20 @@ def train_round(
     aggregated: "AggregatedDataset",
 ) -> bool:
     """Train on everything labelled so far; true if the run stops in this round."""
-    labelled = (*demonstrations, *aggregated.labelled(number))
+    episodes = aggregated.until(number)
+    entries = episodes.entries
+    labelled = (*demonstrations, *zip((entry.task for entry in entries), episodes, strict=True))
     data = trainer.expert_data(labelled, remove_noops=not config.keep_noops)
     metrics = {
         "round": number,
         "expert_share": config.beta(number),
         "labels": sum(len(trajectory) for _, trajectory in labelled),  # before removing no-ops
         "samples": len(data),
-        **aggregated.score(number),
     }
+    if number:
+        metrics["score"] = fmean(e.final_score for e in entries[-len(config.env_ids) :])
     until = (number + 1) * config.cloning.batches
-    return trainer.fit(data, until, metrics, {"aggregate": aggregated.checksums(number)})
+    return trainer.fit(data, until, metrics, {"aggregate": [e.sha256 for e in entries]})
 
 
 class AggregatedDataset:
@@ -206,20 +218,6 @@ class AggregatedDataset:
     def until(self, number: int) -> Dataset:
         """The episodes of rounds 1 to `number`; later rounds may be stored already."""
         return self._dataset[: number * self._per_round]
-
-    def checksums(self, number: int) -> list[str]:
-        """The SHA-256 sums of the episodes until a round."""
-        return [entry.sha256 for entry in self.until(number).entries]
-
-    def labelled(self, number: int) -> TaskTrajectories:
-        """The episodes until a round, with the names of their tasks."""
-        episodes = self.until(number)
-        return tuple((e.task, t) for e, t in zip(episodes.entries, episodes, strict=True))
-
-    def score(self, number: int) -> dict[str, float]:
-        """The mean score of a round's episodes; nothing in round 0."""
-        newest = self.until(number).entries[-self._per_round :]
-        return {"score": fmean(entry.final_score for entry in newest)} if newest else {}
 
 
 ALGORITHM = Algorithm(DAggerConfig, train, make_policy)

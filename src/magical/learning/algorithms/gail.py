@@ -31,9 +31,8 @@ from magical.learning.algorithms.ppo import (
     ReinforcementConfig,
     make_policy,
 )
-from magical.learning.augmentation.augment import to_unit
+from magical.learning.augmentation.augment import Randoms, to_unit
 from magical.learning.augmentation.names import parse_augmentations
-from magical.learning.augmentation.randoms import Randoms
 from magical.learning.config import DemonstrationSettings
 from magical.learning.data.expert_data import ExpertData, load_demonstrations, split_evenly
 from magical.learning.models import Discriminator, Trunk, init_normal

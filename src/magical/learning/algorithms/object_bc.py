@@ -22,7 +22,7 @@ from torch.nn import functional
 from magical.learning.algorithms import Algorithm
 from magical.learning.config import Config, DemonstrationSettings
 from magical.learning.data.expert_data import load_demonstrations
-from magical.learning.objects.control import Controller, Ranges, control_inputs
+from magical.learning.objects.control import Controller, control_inputs
 from magical.learning.objects.data import ObjectData
 from magical.learning.objects.goals import BORDER, CANDIDATES, REFITTED, GoalModel, goal_losses
 from magical.learning.objects.hindsight import ROBOT_TARGET
@@ -107,11 +107,6 @@ class ObjectBCConfig(Config):
         return (*super().learned_from, OBJECT_PARSER)
 
     @property
-    def ranges(self) -> Ranges:
-        """How far from the robot blocks and walls are inputs of the controller."""
-        return Ranges(self.block_range, self.wall_range)
-
-    @property
     def num_updates(self) -> int:
         """All batches."""
         return self.batches
@@ -135,7 +130,7 @@ class ObjectPolicy(nn.Module):
         super().__init__()
         self.goals = GoalModel(len(config.tasks))
         self.controller = Controller(HIDDEN)
-        self.ranges = config.ranges
+        self.ranges = config.block_range, config.wall_range
         self.temperature, self.stuck_temperature = config.temperature, config.stuck_temperature
 
     def forward(self, observations: Tensor, tasks: Tensor) -> Tensor:
@@ -158,7 +153,7 @@ class ObjectPolicy(nn.Module):
         randomly: it is stuck.
         """
         with torch.autocast(table.robot.device.type, enabled=False):
-            inputs = control_inputs(table, targets, destinations, self.ranges)
+            inputs = control_inputs(table, targets, destinations, *self.ranges)
         logits: Tensor = self.controller(*inputs).float()
         stuck = _stands(table.robot, before) & (targets != ROBOT_TARGET)
         hot, cool = (logits.new_tensor(t) for t in (self.stuck_temperature, self.temperature))
@@ -247,7 +242,7 @@ class ObjectBCTrainer:
         numbers = torch.arange(table.blocks.shape[1], device=self.device)
         dropped = torch.from_numpy(rng.random(table.colours.shape) < config.drop_blocks)
         table = table.without(dropped.to(self.device) & (numbers != targets[:, None]))
-        inputs = control_inputs(table, targets, destinations, config.ranges, mirrored)
+        inputs = control_inputs(table, targets, destinations, *self.policy.ranges, mirrored)
         with self.compute.autocast():
             logits = self.policy.controller(*inputs).float()
         actions = data.actions[rows]

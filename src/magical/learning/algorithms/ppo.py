@@ -22,7 +22,7 @@ from magical.envs.env import Reward
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
 from magical.learning.config import IMAGE_OBSERVATIONS, PUBLISHED, Config, NetworkSettings
-from magical.learning.models import ActorCritic, make_actor_critic
+from magical.learning.models import ActorCritic, Trunk, centre, init_normal
 from magical.learning.policy import NetworkPolicy
 from magical.learning.reinforcement.advantages import Samples, make_samples
 from magical.learning.reinforcement.demo_evaluation import DemoEvaluation
@@ -44,7 +44,7 @@ from magical.learning.running.devices import choose_device, one_thread
 from magical.learning.running.graphs import GraphedStep, use_graphs
 from magical.learning.running.optimizers import make_adam, set_learning_rate
 from magical.learning.running.run import Run
-from magical.learning.running.streams import Purpose, stream
+from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, Settings, option
 from magical.observe import NAMED
 from magical.runs.sources import INTERACTION, SCORE
@@ -208,8 +208,19 @@ def train(config: PPOConfig, run: Run) -> None:
 
 
 def make_policy(config: ReinforcementConfig) -> ActorCritic:
-    """The policy of PPO and the algorithms built on it, initialised from the seed."""
-    return make_actor_critic(config, config.networks, config.ppo.init)
+    """The policy of PPO and the algorithms built on it, initialised from the seed.
+
+    It has no batch norm (appendix B).
+    """
+    networks = config.networks
+    with seeded_init(config.seed):
+        trunk = Trunk(networks.network, config.input_shape, pixel_range=networks.pixel_range)
+        network = ActorCritic(trunk, len(config.tasks))
+        if config.ppo.init == "centred" and trunk.convolutions is not None:
+            centre(network, networks.pixel_range)
+        if networks.published:
+            init_normal(network.policy, network.value)
+        return network
 
 
 class PPOTrainer:

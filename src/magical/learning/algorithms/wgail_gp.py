@@ -23,7 +23,7 @@ from magical.learning.algorithms.gail import (
     train_adversarially,
 )
 from magical.learning.algorithms.ppo import make_policy
-from magical.learning.augmentation.randoms import Randoms
+from magical.learning.augmentation.augment import Randoms
 from magical.learning.config import PIXEL_RANGES
 from magical.learning.models import Discriminator
 from magical.learning.running.run import Run

@@ -19,7 +19,7 @@ from torch.nn.functional import affine_grid, grid_sample
 from magical.learning.augmentation.colour import colour_jitter
 from magical.learning.augmentation.names import Augmentations
 from magical.learning.augmentation.noise import add_noise
-from magical.learning.augmentation.resampling import Jitter, resample
+from magical.learning.augmentation.resampling import resample
 
 NOISE_STD = 0.01  # of the range [0, 1]
 MAX_TRANSLATION = 0.05  # of the image's width and height
@@ -28,7 +28,6 @@ MAX_LIGHTNESS_CHANGE = 0.01  # factors from 0.99 to 1.01
 MAX_COLOUR_ROTATION = 0.15  # rad in the (a, b) plane
 
 PADDING_MODES = {"mirror": "reflection", "repeat": "border"}  # PyTorch's names
-CPU_CHUNK = 4  # stacks at a time, so that intermediate results fit into a core's cache
 NUM_PARAMETERS = 5  # of a stack
 
 Floats = NDArray[np.float64]
@@ -54,14 +53,6 @@ def augment(images: Tensor, which: Augmentations, rng: np.random.Generator) -> T
     return augment_in_pytorch(images, which, parameters, generator)
 
 
-def augment_on_device(images: Tensor, which: Augmentations, generator: torch.Generator) -> Tensor:
-    """Like `augment`, with random numbers of the device's generator: nothing waits for the host."""
-    shape = len(images), NUM_PARAMETERS
-    uniform = torch.rand(shape, device=images.device, generator=generator)
-    parameters = Parameters.scaled(2.0 * uniform - 1.0, which)
-    return augment_in_pytorch(images, which, parameters, generator)
-
-
 def resampled(
     images: Tensor,
     which: Augmentations,
@@ -76,10 +67,9 @@ def resampled(
         angles = torch.from_numpy(parameters.angles)
         maps = inverse_maps(angles, torch.from_numpy(parameters.shifts), height, width)
         inverses = in_pixels(maps.numpy(), height, width)
-    jitter = Jitter.none()
-    if which.colour:
-        jitter = Jitter.of(parameters.lightness, parameters.hues, which.linear_light)
-    resample(images.numpy(), inverses, jitter, which.borders == "mirror", out)
+    jitter = (parameters.lightness, parameters.hues) if which.colour else None
+    mirror = which.borders == "mirror"
+    resample(images.numpy(), inverses, jitter, which.linear_light, mirror, out)
     if which.noise:
         add_noise(out, NOISE_STD, seeds)
     return torch.from_numpy(out).permute(0, 3, 1, 2)
@@ -92,23 +82,15 @@ def augment_in_pytorch(
     generator: torch.Generator,
 ) -> Tensor:
     """`augment` in PyTorch, on any device; the generator is of the noise."""
-    chunk = CPU_CHUNK if images.device.type == "cpu" else max(len(images), 1)
-    out = torch.empty(images.shape, device=images.device, memory_format=torch.channels_last)
-    for first in range(0, len(images), chunk):
-        rows = slice(first, first + chunk)
-        some = images[rows]
-        if which.colour:
-            some = colour_jitter(
-                some, parameters.lightness[rows], parameters.hues[rows], which.linear_light
-            )
-        some = to_unit(some)
-        if which.translation or which.rotation:
-            some = warp(some, parameters.angles[rows], parameters.shifts[rows], which.borders)
-        if which.noise:
-            noise = torch.empty_like(some).normal_(0.0, NOISE_STD, generator=generator)
-            some = noise.add_(some).clamp_(0.0, 1.0)
-        out[rows] = some
-    return out
+    if which.colour:
+        images = colour_jitter(images, parameters.lightness, parameters.hues, which.linear_light)
+    images = to_unit(images)
+    if which.translation or which.rotation:
+        images = warp(images, parameters.angles, parameters.shifts, which.borders)
+    if which.noise:
+        noise = torch.empty_like(images).normal_(0.0, NOISE_STD, generator=generator)
+        images = noise.add_(images).clamp_(0.0, 1.0)
+    return images.contiguous(memory_format=torch.channels_last)
 
 
 def to_unit(observations: Tensor) -> Tensor:
@@ -195,3 +177,41 @@ def sample_parameters(
 def noise_seeds(count: int, rng: np.random.Generator) -> NDArray[np.uint64]:
     """A seed of noise for each stack of a batch: (B,)."""
     return rng.integers(2**64, size=count, dtype=np.uint64)
+
+
+class Randoms:
+    """Random numbers where networks compute.
+
+    On a CPU they are those of `rng`; elsewhere those of a generator on the device, which is seeded
+    from it: a step then neither waits for the host nor copies from it.
+    """
+
+    def __init__(self, device: str, rng: np.random.Generator | None = None) -> None:
+        self._device = device
+        self._generator = None if device == "cpu" else torch.Generator(device)
+        self.start(rng or np.random.default_rng(0))
+
+    @property
+    def generators(self) -> list[torch.Generator]:
+        """The device's generators that are used, for `GraphedStep`."""
+        return [self._generator] if self._generator else []
+
+    def start(self, rng: np.random.Generator) -> None:
+        """Continue with the numbers of another generator."""
+        self._rng = rng
+        if self._generator:
+            self._generator.manual_seed(int(rng.integers(2**63)))
+
+    def uniform(self, *shape: int) -> Tensor:
+        """Numbers from 0 to 1, float32."""
+        if self._generator:
+            return torch.rand(shape, device=self._device, generator=self._generator)
+        return torch.from_numpy(self._rng.random(shape, np.float32))
+
+    def augment(self, images: Tensor, which: Augmentations) -> Tensor:
+        """Augment a batch as the function `augment` does."""
+        if not self._generator:
+            return augment(images, which, self._rng)
+        unit = 2.0 * self.uniform(len(images), NUM_PARAMETERS) - 1.0
+        parameters = Parameters.scaled(unit, which)
+        return augment_in_pytorch(images, which, parameters, self._generator)

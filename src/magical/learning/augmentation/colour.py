@@ -5,7 +5,6 @@ Powers are exp(c * log(x)), several times faster than `pow` on a CPU.
 
 import math
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -44,41 +43,23 @@ def colour_jitter(
     batch, channels, height, width = images.shape
     linear = _decode_gamma(images) if linear_light else _to_float(images)
     linear = linear.reshape(batch, channels // 3, 3, height * width)
-    constants = _constants(images.device, linear.dtype)
-    matrices, offsets = _root_maps(scales, hues, constants)
-    roots = _to_roots(torch.matmul(constants.to_tristimulus, linear))  # (B, frames, 3, H * W)
-    roots = torch.matmul(matrices[:, None], roots).add_(offsets[:, None, :, None])
-    linear = torch.matmul(constants.from_tristimulus, _from_roots(roots))
+    to_xyz, from_xyz, lightness, cosine, sine, offset = _constants(images.device, linear.dtype)
+    # As `lab.root_maps` has them.
+    scale, hue = (torch.as_tensor(v).to(offset)[:, None, None] for v in (scales, hues))
+    matrices = scale * lightness + hue.cos() * cosine + hue.sin() * sine  # (B, 3, 3)
+    offsets = (scale - 1.0) * offset  # (B, 1, 3)
+    roots = _to_roots(torch.matmul(to_xyz, linear))  # (B, frames, 3, H * W)
+    roots = torch.matmul(matrices[:, None], roots).add_(offsets[..., None])
+    linear = torch.matmul(from_xyz, _from_roots(roots))
     out = _encode_gamma(linear) if linear_light else linear
     return out.clamp_(0.0, 1.0).reshape(images.shape)
 
 
-class _Constants(NamedTuple):
-    """The constants of `lab`, (3, 3) and (3,), on a device."""
-
-    to_tristimulus: Tensor
-    from_tristimulus: Tensor
-    lightness: Tensor
-    cosine: Tensor
-    sine: Tensor
-    offset: Tensor
-
-
 @cache
-def _constants(device: torch.device, dtype: torch.dtype) -> _Constants:
-    """Copied to the device once: a CUDA graph must not read the host's memory."""
+def _constants(device: torch.device, dtype: torch.dtype) -> tuple[Tensor, ...]:
+    """Those of `lab` on a device, once: a CUDA graph must not read the host's memory."""
     arrays = lab.TO_TRISTIMULUS, lab.FROM_TRISTIMULUS, lab.LIGHTNESS, lab.COSINE, lab.SINE
-    return _Constants(*(torch.from_numpy(a).to(device, dtype) for a in (*arrays, lab.OFFSET)))
-
-
-def _root_maps(scales: Values, hues: Values, constants: _Constants) -> tuple[Tensor, Tensor]:
-    """`lab.root_maps` on a device."""
-    like = constants.offset
-    scale, hue = (torch.as_tensor(v).to(like.device, like.dtype)[:, None] for v in (scales, hues))
-    parts = constants.lightness, constants.cosine, constants.sine
-    factors = scale, hue.cos(), hue.sin()
-    matrices = sum(factor[:, None] * part for factor, part in zip(factors, parts, strict=True))
-    return torch.as_tensor(matrices), (scale - 1.0) * like
+    return tuple(torch.from_numpy(a).to(device, dtype) for a in (*arrays, lab.OFFSET))
 
 
 def _to_float(images: Tensor) -> Tensor:

@@ -5,7 +5,7 @@ The slow reference, which also runs on other devices, is `magical.learning.augme
 
 from collections.abc import Callable
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,29 +36,13 @@ Floats32 = NDArray[np.float32]
 Packed = NDArray[np.int32]
 
 
-class Jitter(NamedTuple):
-    """A colour jitter for each stack."""
-
-    matrices: Floats  # (B, 3, 3): the affine maps of cube roots that they amount to
-    offsets: Floats  # (B, 3)
-    decoded: Floats  # (256,): what the 8-bit levels stand for, linear light or themselves
-    encodes: bool  # whether results are encoded as sRGB again
-
-    @classmethod
-    def of(cls, scales: Floats, hues: Floats, linear_light: bool) -> "Jitter":
-        """Jitters that scale the lightness and rotate the (a, b) plane; see `root_maps`."""
-        levels = np.arange(LEVELS + 1) / LEVELS
-        decoded = decode_gamma(levels) if linear_light else levels
-        return cls(*root_maps(scales, hues), decoded, linear_light)
-
-    @classmethod
-    def none(cls) -> "Jitter":
-        """No jitter."""
-        return cls(np.empty((0, 3, 3)), np.empty((0, 3)), np.empty(0), False)
-
-
 def resample(
-    images: NDArray[np.uint8], inverses: Floats | None, jitter: Jitter, mirror: bool, out: Floats32
+    images: NDArray[np.uint8],
+    inverses: Floats | None,
+    jitter: tuple[Floats, Floats] | None,
+    linear_light: bool,
+    mirror: bool,
+    out: Floats32,
 ) -> None:
     """Jitter the colours of each stack, then rotate and translate it.
 
@@ -66,12 +50,16 @@ def resample(
         images: (B, C, H, W) uint8, of any memory layout.
         inverses: (B, 2, 3) affine maps from the pixel (column, row) of the result to the place in
             the image, or None, which leaves everything where it is.
-        jitter: of the colours; its matrices are empty for none.
+        jitter: factors of the lightness (B,) and rotations of the (a, b) plane (B,), or None.
+        linear_light: decode sRGB before the jitter, and encode it afterwards.
         mirror: the image goes on beyond its borders mirrored; otherwise its outermost pixels do.
         out: (B, H, W, C) float32, the results, bilinearly interpolated, in [0, 1].
     """
     maps = np.empty((0, 2, 3)) if inverses is None else inverses
-    compiled_resample()(images, maps, *jitter, mirror, out)
+    matrices, offsets = root_maps(*jitter) if jitter else (np.empty((0, 3, 3)), np.empty((0, 3)))
+    levels = np.arange(LEVELS + 1) / LEVELS
+    decoded = decode_gamma(levels) if linear_light else levels  # (256,)
+    compiled_resample()(images, maps, matrices, offsets, decoded, linear_light, mirror, out)
 
 
 @inlined

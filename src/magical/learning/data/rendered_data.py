@@ -63,6 +63,7 @@ class RenderedExpertData(ExpertData):
 
     def _load_frames(self, trajectories: Sequence[Trajectory]) -> None:
         """Store the poses before actions, by scene: scenes differ in bodies or regions."""
+        assert isinstance(self.spec, PixelSpec)
         by_scene: dict[object, list[tuple[int, Trajectory]]] = {}
         first = 0
         for trajectory in trajectories:
@@ -81,14 +82,13 @@ class RenderedExpertData(ExpertData):
                 row += len(trajectory)
                 assert trajectory.poses is not None
                 poses.append(trajectory.poses[:-1])
-            cameras = self._cameras(members[0][1].scene)
-            palettes = [_permuted_palettes(camera.palette) for camera in cameras]
+            scene, parts = members[0][1].scene, self.spec.components
+            cameras = [MovedCamera(scene, part.view, part.size, part.samples) for part in parts]
+            palettes = [
+                np.stack([permuted(camera.palette, colours) for colours in PERMUTATIONS])
+                for camera in cameras
+            ]
             self._scenes.append(_SceneData(np.concatenate(poses), cameras, palettes))
-
-    def _cameras(self, scene: Scene) -> list[MovedCamera]:
-        assert isinstance(self.spec, PixelSpec)
-        parts = self.spec.components
-        return [MovedCamera(scene, part.view, part.size, part.samples) for part in parts]
 
     @property
     def batches_on_host(self) -> bool:
@@ -167,10 +167,6 @@ class _SceneData(NamedTuple):
                 channel,
             )
             channel += 3 * frames.shape[1]
-
-
-def _permuted_palettes(palette: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    return np.stack([permuted(palette, colours) for colours in PERMUTATIONS])
 
 
 def _jittered(

@@ -8,19 +8,11 @@ from numpy.typing import NDArray
 
 from magical.demos import Trajectory
 from magical.demos.store.provenance import provenance
-from magical.envs import EnvId
 from magical.envs.seeds import sample_training_seeds
 from magical.envs.vector import MagicalVectorEnv
 from magical.evaluation.policy import Policy
 from magical.experts import EpisodeExpert, expert_for
 from magical.scene import Dynamics
-
-
-def make_envs(env_ids: Sequence[EnvId], observation: str, workers: int | None) -> MagicalVectorEnv:
-    """Environments for `collect_labelled`, one per episode."""
-    return MagicalVectorEnv(
-        env_ids, workers=workers, observation=observation, autoreset_mode="Disabled", copy=False
-    )
 
 
 def collect_labelled(
@@ -32,7 +24,7 @@ def collect_labelled(
     over from the next state.
 
     Args:
-        envs: of `make_envs`.
+        envs: one for each episode, without automatic resets.
         policy: acts, except where the expert does.
         beta: the probability, at each step, that the expert's action is taken.
         rng: also determines the scenes, which are never those of evaluation.

@@ -6,8 +6,6 @@ are interchangeable. Ranges are short: in a single scene, distant walls and bloc
 the robot is, and the network would learn what was done there.
 """
 
-from typing import NamedTuple
-
 import torch
 from torch import Tensor, nn
 
@@ -19,18 +17,12 @@ FOCUS = 0.15  # units: the length scale of nearness
 HELD = 2  # blocks nearest to the fingers, which have inputs of their own
 
 
-class Ranges(NamedTuple):
-    """How far the controller sees, in units."""
-
-    blocks: float  # from the robot's centre, and from between its fingers
-    walls: float  # from the robot's centre, the target and the destination
-
-
 def control_inputs(
     table: ObjectTable,
     targets: Tensor,
     destinations: Tensor,
-    ranges: Ranges,
+    block_range: float,
+    wall_range: float,
     mirrored: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """What the controller sees.
@@ -39,7 +31,9 @@ def control_inputs(
         table: B scenes.
         targets: (B,), a block's number or ROBOT_TARGET.
         destinations: (B, 2).
-        ranges: what lies farther away is left out, but for target and destination.
+        block_range: units from the robot's centre, and from between its fingers: blocks farther
+            away are left out, but for the target.
+        wall_range: units from the robot's centre, the target and the destination, for walls.
         mirrored: (B,) bool, the scenes whose left and right are exchanged.
 
     Returns:
@@ -59,14 +53,14 @@ def control_inputs(
             _polar(target),
             _polar(end),
             _polar(end - target),
-            _held(blocks, is_target, table.present, ranges.blocks),
+            _held(blocks, is_target, table.present, block_range),
             view.fingers(),
-            *(view.walls(p, ranges.walls) for p in (table.robot[:, :2], start, destinations)),
+            *(view.walls(p, wall_range) for p in (table.robot[:, :2], start, destinations)),
         ],
         dim=1,
     )
     parts = _polar(blocks), _polar(blocks - end[:, None]), _polar(blocks - target[:, None])
-    near = table.present & (blocks.norm(dim=2) < ranges.blocks)
+    near = table.present & (blocks.norm(dim=2) < block_range)
     return own, torch.cat([*parts, is_target], dim=2), near
 
 
@@ -95,10 +89,7 @@ class _RobotView:
 
     def fingers(self) -> Tensor:
         """How far both fingers are open, roughly of unit size: (B, 2)."""
-        return self._sides(3 * self._table.fingers)
-
-    def _sides(self, values: Tensor) -> Tensor:
-        """Values of the left and the right side (B, 2), exchanged where mirrored."""
+        values = 3 * self._table.fingers
         if self._mirrored is None:
             return values
         return torch.where(self._mirrored[:, None], values.flip(1), values)

@@ -98,15 +98,14 @@ def _samples(
     """One demonstration's scenes, targets, destinations, actions, task, and which are not idle."""
     parsed = track(_parse(trajectory, component))
     intended = trajectory.is_demonstrated & (trajectory.labels == trajectory.actions)
-    goals = find_goals(parsed.robot, parsed.blocks, intended)
-    count = len(trajectory)
+    targets, destinations = find_goals(parsed.robot, parsed.blocks, intended)
     return (
         ObjectTable(*(to_tensor(column[:-1]) for column in parsed)),
-        to_tensor(goals.targets),
-        to_tensor(goals.destinations),
+        to_tensor(targets),
+        to_tensor(destinations),
         to_tensor(trajectory.labels),
-        torch.full((count,), task),
-        torch.from_numpy(_moves(parsed) | (goals.targets == ROBOT_TARGET)),
+        torch.full((len(trajectory),), task),
+        torch.from_numpy(_moves(parsed) | (targets == ROBOT_TARGET)),
     )
 
 

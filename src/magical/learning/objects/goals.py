@@ -104,16 +104,15 @@ class GoalModel(nn.Module):
 
     def __init__(self, num_tasks: int) -> None:
         super().__init__()
-        choice_knots = [r.knots[0] for r in RELATIONS]
-        choice_penalties = [r.choice_penalty for r in RELATIONS]
-        self.choice = PiecewiseLinear(choice_knots, choice_penalties, num_tasks)
+        self.choice = PiecewiseLinear(
+            [r.knots[0] for r in RELATIONS], [r.choice_penalty for r in RELATIONS], num_tasks
+        )
         self.grip = PiecewiseLinear([GRIP_KNOTS], [GRIP_PENALTY], num_tasks)
         self.finished_bias = nn.Parameter(torch.zeros(num_tasks))
         self.finished_slope = nn.Parameter(torch.ones(num_tasks))
-        destination_knots = [r.knots[1] for r in RELATIONS]
-        destination_penalties = [r.destination_penalty for r in RELATIONS]
+        penalties = [r.destination_penalty for r in RELATIONS]
         self.destination = PiecewiseLinear(  # of blocks and of the robot
-            destination_knots, destination_penalties, 2 * num_tasks
+            [r.knots[1] for r in RELATIONS], penalties, 2 * num_tasks
         )
 
     def target_logits(

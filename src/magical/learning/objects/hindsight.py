@@ -7,8 +7,6 @@ So every recorded state gets the goal that was reached from it (Andrychowicz et 
 experience replay", NeurIPS 2017, relabel in the same way).
 """
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
@@ -24,13 +22,6 @@ OTHER_COLOUR, OTHER_SHAPE = 2.0, 0.05  # the cost, in units, of tracking a block
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-
-
-class Goals(NamedTuple):
-    """For each of T states the goal that was reached from it."""
-
-    targets: Ints  # (T,) a block's number, or ROBOT_TARGET
-    destinations: Floats  # (T, 2)
 
 
 def track(parsed: ParsedFrames) -> ParsedFrames:
@@ -56,14 +47,17 @@ def track(parsed: ParsedFrames) -> ParsedFrames:
     return parsed._replace(blocks=blocks, colours=colours, shapes=shapes)
 
 
-def find_goals(robot: Floats, blocks: Floats, intended: NDArray[np.bool_]) -> Goals:
-    """The goals of a tracked episode of T steps.
+def find_goals(robot: Floats, blocks: Floats, intended: NDArray[np.bool_]) -> tuple[Ints, Floats]:
+    """The goals that were reached from each state of a tracked episode of T steps.
 
     Args:
         robot: (T + 1, 3) poses.
         blocks: (T + 1, N, 2) positions; absent ones never move.
         intended: (T,), where the demonstrator's own action was executed: what random actions move
             was no goal.
+
+    Returns:
+        Targets (T,), a block's number or ROBOT_TARGET, and destinations (T, 2).
     """
     steps = len(robot) - 1
     targets = np.full(steps, ROBOT_TARGET, np.int64)
@@ -73,7 +67,7 @@ def find_goals(robot: Floats, blocks: Floats, intended: NDArray[np.bool_]) -> Go
         targets[first : last + 1] = block
         destinations[first : last + 1] = blocks[last + 1, block]
         first = last + 1
-    return Goals(targets, destinations)
+    return targets, destinations
 
 
 def _carries(

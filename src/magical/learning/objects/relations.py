@@ -97,6 +97,10 @@ class _Scene:
         """Distances of the places to the regions' edges, (B, M, K)."""
         return _edge_distances(self.places, self.table.regions)
 
+    def region(self, mask: Tensor) -> Tensor:
+        """Distances of the places to the nearest region of a mask (B, M), (B, K)."""
+        return _nearest(self.to_regions, mask & self.regions)
+
     @cached_property
     def to_blocks(self) -> Tensor:
         """Distances of the places to the blocks, (B, N, K)."""
@@ -112,7 +116,7 @@ class _Scene:
     def around(self) -> Tensor:
         """Which regions the target is in now."""
         own = _edge_distances(self.now[:, None], self.table.regions)[..., 0]
-        return (own <= 0.02) & self.regions
+        return own <= 0.02
 
     @cached_property
     def line_residuals(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -232,21 +236,9 @@ def _block_relation(
 
 
 RELATIONS = (
-    Relation(
-        "region of the same colour",
-        lambda s: _nearest(s.to_regions, s.same_region & s.regions),
-        EDGE,
-        1.5,
-        1.5,
-    ),
-    Relation(
-        "region of another colour",
-        lambda s: _nearest(s.to_regions, ~s.same_region & s.regions),
-        EDGE,
-        1.5,
-        1.5,
-    ),
-    Relation("any region", lambda s: _nearest(s.to_regions, s.regions), EDGE, 1, 1),
+    Relation("region of the same colour", lambda s: s.region(s.same_region), EDGE, 1.5, 1.5),
+    Relation("region of another colour", lambda s: s.region(~s.same_region), EDGE, 1.5, 1.5),
+    Relation("any region", lambda s: s.region(s.regions), EDGE, 1, 1),
     _block_relation("block of the same colour and shape, in a region", True, True, True, 2, 2),
     _block_relation("block of the same colour and shape, in none", True, True, False, 2, 2),
     _block_relation("block of the same colour alone, in a region", True, False, True, 2, 2),
@@ -293,5 +285,5 @@ RELATIONS = (
     Relation("wall", lambda s: 1.0 - s.places.abs().amax(dim=2), WALL, 8, 2),
     Relation("x, where there is nothing else", partial(_coordinate, axis=0), PLACE, 1, 1),
     Relation("y, where there is nothing else", partial(_coordinate, axis=1), PLACE, 1, 1),
-    Relation("region that it is in now", lambda s: _nearest(s.to_regions, s.around), EDGE, 1, 1),
+    Relation("region that it is in now", lambda s: s.region(s.around), EDGE, 1, 1),
 )

@@ -39,9 +39,10 @@ class ObjectTable(NamedTuple):
         """The same scenes without the columns after the last block of any scene (but two)."""
         used = self.present.any(dim=0).nonzero()[:, 0].tolist()
         count = 1 + max([1, *used])
-        blocks, colours, shapes = self.blocks, self.colours, self.shapes
         return self._replace(
-            blocks=blocks[:, :count], colours=colours[:, :count], shapes=shapes[:, :count]
+            blocks=self.blocks[:, :count],
+            colours=self.colours[:, :count],
+            shapes=self.shapes[:, :count],
         )
 
     @property

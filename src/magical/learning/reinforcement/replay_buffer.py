@@ -18,12 +18,7 @@ class ReplayBuffer:
     """Observations (uint8) and actions of the newest rollouts, on their device."""
 
     def __init__(self, capacity: int, task_of: NDArray[np.int64]) -> None:
-        """Create an empty buffer.
-
-        Args:
-            capacity: in rollouts.
-            task_of: (N,), the task of each environment.
-        """
+        """Create an empty buffer for `capacity` rollouts of environments of tasks (N,)."""
         self._capacity = capacity
         self._envs_of = [np.flatnonzero(task_of == number) for number in range(task_of.max() + 1)]
         self._task_of = task_of

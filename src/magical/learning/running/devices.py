@@ -3,7 +3,7 @@
 import threading
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -40,10 +40,6 @@ class Compute:
         return torch.autocast(
             self.device, dtype=torch.bfloat16, enabled=self.precision == "bfloat16"
         )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
-        return asdict(self)
 
 
 def read_compute(record: Mapping[str, Any], folder: Path) -> Compute | None:

@@ -6,6 +6,7 @@ The folder's files are described in `magical.runs.folder`.
 import math
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Self
 
@@ -21,6 +22,7 @@ from magical.learning.running.checkpoints import (
 )
 from magical.learning.running.devices import Compute, Device, choose_compute, read_compute
 from magical.learning.running.interrupts import Interrupts
+from magical.messages import quoted
 from magical.runs.folder import CHECKPOINT, PREVIOUS, RECORD, TENSORBOARD, read_json, write_json
 from magical.runs.metrics import MetricsWriter
 
@@ -85,7 +87,7 @@ class Run:
             if name in self.record and self.record[name] != fact:
                 raise RunFolderError(
                     f"{self.folder}: the run began with other {name}; expected "
-                    f"{_shorten(self.record[name])}, found {_shorten(fact)}"
+                    f"{quoted(self.record[name])}, found {quoted(fact)}"
                 )
         if not set(facts) <= set(self.record):
             self._write_record(facts)
@@ -100,7 +102,7 @@ class Run:
             chosen = recorded
         else:
             chosen = choose_compute(device, precision, threads)
-            self._write_record({"compute": chosen.to_dict()})
+            self._write_record({"compute": asdict(chosen)})
         chosen.set_threads()
         return chosen
 
@@ -181,11 +183,6 @@ def _is_finite(node: Any) -> bool:
     if isinstance(node, list | tuple):
         return all(map(_is_finite, node))
     return not isinstance(node, float) or math.isfinite(node)
-
-
-def _shorten(fact: Any) -> str:
-    text = str(fact)
-    return text if len(text) < 100 else f"{text[:97]}..."
 
 
 def _summary_writer(folder: Path, step: int) -> Any:
