@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from magical.demos.generate import generate
 from magical.envs import EnvId
 from magical.errors import PolicyError
 from magical.evaluation import Policy, environments, evaluate
 from magical.learning import EnsemblePolicy, load_policy, train
 from magical.learning.algorithms.bc import BCConfig
 from tests.learning.test_policy import IDS, fixed
+from tests.learning.tiny_runs import tiny
 
 
 def test_actions_follow_the_mean_of_the_distributions() -> None:
@@ -29,25 +29,10 @@ def test_actions_follow_the_mean_of_the_distributions() -> None:
     assert abs((actions == 2).mean() - 0.5) < 0.04
 
 
-def test_one_member_acts_as_it_would_alone() -> None:
-    logits = torch.randn(2, 18, generator=torch.Generator().manual_seed(0))
-    frames = np.zeros((50, 96, 96, 12), np.uint8)
-    alone, ensemble = (
-        policy.act(frames, [IDS[1]] * 50, np.random.default_rng(3))
-        for policy in (fixed(logits), EnsemblePolicy([fixed(logits)]))
-    )
-    assert np.array_equal(alone, ensemble)
-
-
-def test_runs_are_loaded_and_evaluated(tmp_path: Path) -> None:
+def test_runs_are_loaded_and_evaluated(demos: Path, tmp_path: Path) -> None:
     env_id = EnvId("MoveToRegion", "Demo")
-    generate(env_id, 1, tmp_path / "demos", seed=0)
     for seed in (0, 1):
-        demos = {"demos": str(tmp_path / "demos"), "num_demos": 1}
-        config = BCConfig.preset(
-            "quick", tasks=(env_id.task,), network="light", batches=2, seed=seed, **demos
-        )
-        train(config, tmp_path / str(seed))
+        train(tiny(BCConfig, demos=str(demos), seed=seed), tmp_path / str(seed))
     policy = EnsemblePolicy.load([tmp_path / "0", tmp_path / "1"])
     assert len(evaluate(policy, environments(["MoveToRegion"], ["Demo"]), rollouts=2)) == 2
     frames = np.zeros((1, 96, 96, 12), np.uint8)

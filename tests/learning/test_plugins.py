@@ -2,16 +2,14 @@
 
 import json
 import sys
-from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
 
-from magical import plugins
 from magical.cli import main
 from magical.errors import PluginError, UnknownNameError
-from magical.learning import algorithm_names, find_algorithm, read_config
-from magical.learning.networks import find_network, network_names
+from magical.learning import find_algorithm, read_config
+from magical.learning.networks import find_network
 from magical.runs.folder import CONFIG
 
 MODULE = '''
@@ -83,24 +81,6 @@ def test_it_trains_resumes_and_is_evaluated_like_ours(
     capsys.readouterr()
     assert main(["train", f"{module}:ALGORITHM", "--help"]) == 0
     assert "--patience N" in capsys.readouterr().out
-
-
-def test_entry_points_are_found_by_name(module: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    def entries(group: str) -> list[EntryPoint]:
-        names = {"magical.algorithms": "ALGORITHM", "magical.networks": "NETWORK"}
-        value = f"{module}:{names[group]}"
-        return [EntryPoint("own", value, group)]
-
-    monkeypatch.setattr("importlib.metadata.entry_points", entries)
-    monkeypatch.setattr(plugins, "_any_offered", lambda: True)
-    plugins.plugins.cache_clear()
-    try:
-        assert "own" in algorithm_names()
-        assert "own" in network_names()
-        assert find_network("own").HIDDEN == (8,)
-        assert find_algorithm("own").config.__name__ == "OwnConfig"
-    finally:
-        plugins.plugins.cache_clear()
 
 
 def test_what_is_not_there_or_of_another_kind_is_named(module: str) -> None:

@@ -1,4 +1,4 @@
-"""TrainResult networks as policies, and runs loaded again."""
+"""Trained networks as policies, and runs loaded again."""
 
 import shutil
 from collections.abc import Iterator
@@ -191,19 +191,3 @@ def test_folders_that_hold_no_usable_run_are_named(run: Path, tmp_path: Path) ->
     (copy / "config.json").write_text("{")
     with pytest.raises(RunFolderError, match=r"config\.json: expected JSON"):
         load_policy(copy)
-
-
-def test_twenty_batches_of_the_paper_preset_resumed_and_evaluated(
-    demos: Path, tmp_path: Path
-) -> None:
-    config = BCConfig.preset(
-        "paper", tasks=("MoveToRegion",), demos=str(demos), num_demos=4, batches=20
-    )
-    assert not train(config, tmp_path / "run", stop_after=10).finished
-    result = train(config, tmp_path / "run", resume=True)
-    assert result.finished
-    scores = evaluate(
-        result.policy(), ["magical/MoveToRegion-Demo-v0"], rollouts=2, horizon=5, workers=0
-    )
-    assert len(scores) == 2
-    assert all(0.0 <= score.score <= 1.0 for score in scores)

@@ -12,7 +12,6 @@ from scipy.optimize import minimize
 
 from magical.demos import Trajectory
 from magical.errors import InvalidConfigError
-from magical.evaluation import evaluate
 from magical.learning import train
 from magical.learning.algorithms.al import (
     ALConfig,
@@ -31,37 +30,39 @@ from magical.learning.data.expert_data import ExpertData
 from magical.learning.reinforcement.replay_buffer import ReplayBuffer
 from magical.learning.running.devices import Compute
 from magical.observe import PRESETS
-from tests.learning.conftest import TASKS, picture_demo, write_demos
+from tests.learning.conftest import TASKS
 from tests.learning.tiny_runs import assert_same, checkpoint, tiny
 
 Weigh = Callable[[torch.Tensor, torch.Tensor], tuple[torch.Tensor, torch.Tensor]]
 
 
 def small(demos: Path | str, preset: str = "quick", **fields: Any) -> ALConfig:
-    settings = {
-        "tasks": ("MoveToCorner",),
-        "demos": str(demos),
-        "num_demos": 2,
-        "pretraining_batches": 2,
-        "pretraining_batch_size": 4,
-    }
-    return tiny(ALConfig, preset, **{**settings, **fields})
+    return tiny(ALConfig, preset, **{"tasks": TASKS[:1], "demos": str(demos), **fields})
 
 
-def test_weights_are_those_of_a_numerical_maximiser() -> None:
+@pytest.mark.parametrize(
+    ("weigh", "metric", "tolerance"),
+    [(feature_weights, "euclidean", 1e-5), (discriminant_weights, "covariance", 0.05)],
+)
+def test_weights_are_those_of_a_numerical_maximiser(
+    weigh: Weigh, metric: str, tolerance: float
+) -> None:
+    """But for the ridge of the covariance."""
     torch.manual_seed(0)
-    expert, novice = torch.randn(40, 5).double() + 0.5, torch.randn(60, 5).double()
+    mixing = torch.randn(5, 5).double()
+    expert, novice = (torch.randn(60, 5).double() @ mixing + shift for shift in (0.5, 0.0))
     difference = (expert.mean(0) - novice.mean(0)).numpy()
+    covariance = (np.cov(expert.numpy().T) + np.cov(novice.numpy().T)) / 2
+    bounded = np.eye(5) if metric == "euclidean" else covariance
     best = minimize(
         lambda w: -w @ difference,
-        np.ones(5),
-        constraints={"type": "ineq", "fun": lambda w: 4.0 - w @ w},
+        np.full(5, 0.1),
+        constraints={"type": "ineq", "fun": lambda w: 4.0 - w @ bounded @ w},
         options={"ftol": 1e-14, "maxiter": 500},
     )
-    weights, gap = feature_weights(expert, novice)
-    assert weights.norm().item() == pytest.approx(2.0)
-    np.testing.assert_allclose(weights.numpy(), best.x, atol=1e-5)
-    assert gap.item() == pytest.approx(-best.fun, rel=1e-8)
+    weights, gap = weigh(expert, novice)
+    np.testing.assert_allclose(weights.numpy(), best.x, rtol=tolerance, atol=0.4 * tolerance)
+    assert gap.item() == pytest.approx(-best.fun, rel=0.4 * tolerance)
 
 
 @pytest.mark.parametrize("weigh", [feature_weights, discriminant_weights])
@@ -69,23 +70,6 @@ def test_no_difference_no_weights(weigh: Weigh) -> None:
     for features in (torch.randn(8, 32), torch.zeros(8, 32)):
         weights, gap = weigh(features, features)
         assert weights.abs().sum().item() == gap.item() == 0.0
-
-
-def test_discriminant_weights_are_those_of_a_numerical_maximiser() -> None:
-    torch.manual_seed(0)
-    mixing = torch.randn(5, 5).double()
-    expert, novice = (torch.randn(60, 5).double() @ mixing + shift for shift in (0.5, 0.0))
-    difference = (expert.mean(0) - novice.mean(0)).numpy()
-    covariance = (np.cov(expert.numpy().T) + np.cov(novice.numpy().T)) / 2
-    best = minimize(
-        lambda w: -w @ difference,
-        np.full(5, 0.1),
-        constraints={"type": "ineq", "fun": lambda w: 4.0 - w @ covariance @ w},
-        options={"ftol": 1e-14, "maxiter": 500},
-    )
-    weights, gap = discriminant_weights(expert, novice)
-    np.testing.assert_allclose(weights.numpy(), best.x, rtol=0.05, atol=0.02)  # but for the ridge
-    assert gap.item() == pytest.approx(-best.fun, rel=0.02)
 
 
 def test_discriminant_rewards_do_not_depend_on_the_features_scales() -> None:
@@ -147,18 +131,6 @@ def test_resumed_runs_are_bit_equal(demos: Path, tmp_path: Path, stops: int) -> 
         assert picture.size == (10 * 96, 2 * 96)
 
 
-def test_paper_preset_for_three_iterations(tmp_path: Path) -> None:
-    """The published networks and settings, in a few environments: run, resumed, evaluated."""
-    data = write_demos(tmp_path / "data", [picture_demo("MoveToCorner", 0)])
-    config = small(data, "paper", num_demos=1, pretraining_batches=1, feature_samples=512)
-    assert train(config, tmp_path / "run", stop_after=2).step == 2
-    trained = train(config, tmp_path / "run", resume=True)
-    assert (trained.step, trained.total, trained.finished) == (4, 4, True)
-    assert trained.metrics["feature_distance"] > 0
-    ids = ["magical/MoveToCorner-Demo-v0"]
-    assert len(evaluate(trained.policy(), ids, rollouts=1, workers=0, horizon=2)) == 1
-
-
 def test_paper_settings_are_appendix_bs() -> None:
     config = ALConfig.preset("paper", tasks=("MoveToCorner",), demos="")
     assert (config.pretraining_batches, config.pretraining_batch_size) == (8192, 24)
@@ -193,13 +165,6 @@ def test_published_code_settings() -> None:
     kinds = [type(module) for module in network.image]
     normalised = kinds.count(torch.nn.BatchNorm2d)
     assert normalised == kinds.count(torch.nn.ReLU) == 7
-
-
-def test_published_code_preset_for_two_iterations(tmp_path: Path) -> None:
-    data = write_demos(tmp_path / "data", [picture_demo("MoveToCorner", 0)])
-    fields = {"network": "light", "feature_samples": 8, "total_steps": 12}
-    config = small(data, "published-code", num_demos=1, **fields)
-    assert train(config, tmp_path / "run").finished
 
 
 def test_annealing_lowers_the_autoencoders_learning_rate(expert: ExpertData) -> None:
@@ -253,17 +218,6 @@ def test_batch_norm_moves_on_in_training_mode_alone(demos: Path, tmp_path: Path)
         changed = {name for name in trained if not torch.equal(trained[name], pretrained[name])}
         assert bool(changed) == moves
         assert all("running" in name or "num_batches" in name for name in changed)
-
-
-def test_w_is_computed_by_the_configured_metric(demos: Path, tmp_path: Path) -> None:
-    states = []
-    for metric in ("euclidean", "covariance"):
-        folder = tmp_path / metric
-        trained = train(small(demos, weight_metric=metric), folder, stop_after=3)
-        states.append((trained.metrics["feature_distance"], checkpoint(folder)["policy"]))
-    (euclidean, first), (covariance, second) = states
-    assert euclidean != covariance
-    assert any(not torch.equal(first[name], second[name]) for name in first)
 
 
 def test_image_error_is_relative_to_the_mean_images(expert: ExpertData) -> None:

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
 from magical.demos import Trajectory, observations
 from magical.errors import CheckpointError, DivergedError, InvalidConfigError, RunFolderError
@@ -20,38 +19,18 @@ from magical.evaluation import evaluate
 from magical.learning import load_policy, train
 from magical.learning.algorithms.bc import BCConfig, CloningSettings, bc_loss
 from magical.learning.running import run
-from magical.learning.running.checkpoints import load_checkpoint
 from magical.physics import Simulation
 from magical.runs import read_metrics
 from magical.runs.folder import CHECKPOINT
 from magical.tasks import get_task
+from tests.learning import tiny_runs
 from tests.learning.conftest import TASKS, picture_demo, write_demos
+from tests.learning.tiny_runs import assert_same, checkpoint, same_weights
 
 
 def tiny(demos: Path, **fields: Any) -> BCConfig:
-    settings = {
-        "tasks": ("MoveToCorner",),
-        "demos": str(demos),
-        "num_demos": 2,
-        "batches": 6,
-        "batch_size": 4,
-        "log_every": 2,
-        "checkpoint_every": 2,
-        "precision": "float32",
-    }
-    return BCConfig.preset("quick", **{**settings, **fields})
-
-
-def weights(folder: Path) -> dict[str, Tensor]:
-    policy: dict[str, Tensor] = load_checkpoint(folder / CHECKPOINT)["policy"]
-    return policy
-
-
-def assert_same_weights(a: Path, b: Path) -> None:
-    first, second = weights(a), weights(b)
-    assert first.keys() == second.keys()
-    for name, tensor in first.items():
-        assert torch.equal(tensor, second[name]), name
+    settings = {"tasks": TASKS[:1], "demos": str(demos), "batches": 6, "checkpoint_every": 2}
+    return tiny_runs.tiny(BCConfig, **{**settings, **fields})
 
 
 @pytest.mark.parametrize("precision", ["float32", "bfloat16"])
@@ -68,12 +47,12 @@ def test_resumed_runs_are_bit_equal(
     assert second.step == 4
     last = train(config, tmp_path / "parts", resume=True)
     assert last.finished
-    assert_same_weights(tmp_path / "whole", tmp_path / "parts")
+    assert same_weights(tmp_path / "whole", tmp_path / "parts")
     steps = [line["step"] for line in read_metrics(tmp_path / "parts")]
     assert steps == [2, 3, 4, 6]
     again = train(config, tmp_path / "parts", resume=True)
     assert again.finished
-    assert_same_weights(tmp_path / "whole", tmp_path / "parts")
+    assert same_weights(tmp_path / "whole", tmp_path / "parts")
 
 
 def test_one_demonstration_is_overfitted(tmp_path: Path) -> None:
@@ -112,7 +91,7 @@ def test_the_learning_rate_is_constant_or_annealed_to_0(demos: Path) -> None:
 
 def test_the_optimiser_gets_the_learning_rate_of_the_batch(demos: Path, tmp_path: Path) -> None:
     train(tiny(demos, batches=4, learning_rate=1e-3, anneal=True), tmp_path / "run")
-    (group,) = load_checkpoint(tmp_path / "run" / CHECKPOINT)["optimizer"]["param_groups"]
+    (group,) = checkpoint(tmp_path / "run")["optimizer"]["param_groups"]
     assert group["lr"] == pytest.approx(0.25e-3)
 
 
@@ -128,50 +107,6 @@ def test_paper_preset_is_table_3() -> None:
         augment="all",
     )
     assert (config.networks.network, config.demonstrations.num_demos) == ("paper", 10)
-
-
-# Every field of the configuration that changes what is learned, with another value.
-CHANGES: dict[str, Any] = {
-    "num_demos": 3,
-    "observation": "LoRes4A",
-    "seed": 1,
-    "network": "paper",
-    "precision": "bfloat16",
-    "batches": 4,
-    "batch_size": 5,
-    "optimizer": "sgd",
-    "learning_rate": 2e-3,
-    "momentum": 0.5,
-    "anneal": False,
-    "augment": "noise",
-    "tasks": ("MoveToRegion",),
-}
-
-
-@pytest.fixture(scope="module")
-def plain(demos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("plain") / "run"
-    train(tiny(demos, batches=2), folder)
-    return folder
-
-
-@pytest.mark.parametrize("name", CHANGES)
-def test_every_setting_matters(name: str, demos: Path, tmp_path: Path, plain: Path) -> None:
-    config = tiny(demos, batches=2).replace(**{name: CHANGES[name]})
-    train(config, tmp_path / "run", stop_after=2)
-    before, after = weights(plain), weights(tmp_path / "run")
-    same = before.keys() == after.keys() and all(
-        before[key].shape == after[key].shape and torch.equal(before[key], after[key])
-        for key in before
-    )
-    assert not same
-
-
-def test_reports_and_checkpoints_come_as_often_as_asked(demos: Path, tmp_path: Path) -> None:
-    train(tiny(demos, log_every=3, checkpoint_every=5), tmp_path / "run")
-    assert [line["step"] for line in read_metrics(tmp_path / "run")] == [3, 6]
-    line = read_metrics(tmp_path / "run")[0]
-    assert set(line) == {"step", "loss", "accuracy", "samples_per_second"}
 
 
 def call_at(at: int, act: Callable[[], None]) -> Callable[[int, Mapping[str, float | str]], None]:
@@ -206,7 +141,7 @@ def test_what_the_callback_raises_ends_a_run_that_can_be_resumed(
         train(tiny(demos), tmp_path / "run", callback=call_at(4, prune))
     assert train(tiny(demos), tmp_path / "run", resume=True).finished
     train(tiny(demos), tmp_path / "whole")
-    assert_same_weights(tmp_path / "run", tmp_path / "whole")
+    assert same_weights(tmp_path / "run", tmp_path / "whole")
 
 
 def damage(path: Path) -> None:
@@ -229,14 +164,8 @@ def test_a_damaged_checkpoint_is_refused_and_the_previous_one_gives_the_same_wei
     assert result.step == 4
     assert train(config, folder, resume=True).finished
     train(config, tmp_path / "whole")
-    assert_same_weights(folder, tmp_path / "whole")
+    assert same_weights(folder, tmp_path / "whole")
     assert [line["step"] for line in read_metrics(folder)] == [2, 4, 6]
-
-
-def test_the_previous_checkpoint_is_for_resuming(demos: Path, tmp_path: Path) -> None:
-    with pytest.raises(InvalidConfigError, match="previous_checkpoint needs resume"):
-        train(tiny(demos), tmp_path / "run", previous_checkpoint=True)
-    assert not (tmp_path / "run").exists()
 
 
 def test_a_run_is_trained_once_at_a_time_and_evaluated_meanwhile(
@@ -285,7 +214,7 @@ def test_a_killed_run_leaves_no_lock_and_its_partial_files_are_removed(
     (folder / ".notes.txt.1.part").touch()  # of another program
     assert train(config, folder, resume=True).finished
     assert [path.name for path in folder.glob(".*.part")] == [".notes.txt.1.part"]
-    assert_same_weights(folder, tmp_path / "whole")
+    assert same_weights(folder, tmp_path / "whole")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -300,7 +229,7 @@ def test_signals_leave_a_checkpoint_to_go_on_from(
     assert signal.getsignal(number) is not None
     train(config, tmp_path / "run", resume=True)
     train(config, tmp_path / "whole")
-    assert_same_weights(tmp_path / "run", tmp_path / "whole")
+    assert same_weights(tmp_path / "run", tmp_path / "whole")
 
 
 def test_a_second_interrupt_stops_at_once(demos: Path, tmp_path: Path) -> None:
@@ -319,7 +248,8 @@ def test_divergence_stops_and_keeps_the_last_good_checkpoint(demos: Path, tmp_pa
     newest = read_metrics(tmp_path / "run")[-1]
     assert newest["step"] > 1 or newest["loss"] is None
     if (tmp_path / "run" / CHECKPOINT).exists():
-        assert all(torch.isfinite(tensor).all() for tensor in weights(tmp_path / "run").values())
+        policy = checkpoint(tmp_path / "run")["policy"]
+        assert all(torch.isfinite(tensor).all() for tensor in policy.values())
 
 
 def test_a_full_disk_is_named_and_the_last_checkpoint_kept(
@@ -327,7 +257,7 @@ def test_a_full_disk_is_named_and_the_last_checkpoint_kept(
 ) -> None:
     config = tiny(demos)
     train(config, tmp_path / "run", stop_after=2)
-    before = weights(tmp_path / "run")
+    before = checkpoint(tmp_path / "run")
 
     def full(*_: Any) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -336,7 +266,7 @@ def test_a_full_disk_is_named_and_the_last_checkpoint_kept(
         patch.setattr(run, "replace_checkpoint", full)
         with pytest.raises(RunFolderError, match=r"no space left.*resume"):
             train(config, tmp_path / "run", resume=True)
-    assert all(torch.equal(before[k], v) for k, v in weights(tmp_path / "run").items())
+    assert_same(checkpoint(tmp_path / "run"), before)
     assert train(config, tmp_path / "run", resume=True).finished
 
 
@@ -374,6 +304,7 @@ def test_state_vectors_are_learned_from(tmp_path: Path) -> None:
     [
         ({"augment": "noise"}, "augment: expected none"),
         ({"augment": "none", "tasks": TASKS}, "one task is expected"),
+        ({"augment": "none", "augment_by": "rendering"}, "state vectors are not rendered"),
     ],
 )
 def test_state_vectors_need_other_settings(fields: dict[str, Any], message: str) -> None:

@@ -18,35 +18,22 @@ from magical.errors import (
     RunFolderError,
     UnknownNameError,
 )
-from magical.evaluation import evaluate
 from magical.experts import goals
-from magical.learning import load_policy, train
+from magical.learning import train
 from magical.learning.algorithms.bc import BCConfig, make_policy
 from magical.learning.algorithms.dagger import AGGREGATE, DAggerConfig
 from magical.learning.running.run import Metrics
 from magical.runs import read_metrics
 from magical.runs.folder import CHECKPOINT
+from tests.learning import tiny_runs
 from tests.learning.conftest import TASKS
 from tests.learning.tiny_runs import assert_same, checkpoint
 
 
-def tiny(demos: Path, preset: str = "quick", **fields: Any) -> DAggerConfig:
-    settings = {
-        "tasks": ("MoveToRegion",),
-        "demos": str(demos),
-        "num_demos": 2,
-        "rounds": 3,
-        "batches": 2,
-        "batch_size": 3,
-        "episodes": 1,
-        "network": "light",
-        "log_every": 1,
-        "checkpoint_every": 1,
-        "precision": "float32",
-        "device": "cpu",
-        "workers": 0,
-    }
-    return DAggerConfig.preset(preset, **{**settings, **fields})
+def tiny(demos: Path, **fields: Any) -> DAggerConfig:
+    settings = {"rounds": 3, "batches": 2, "batch_size": 3, "network": "light", "log_every": 1}
+    every: dict[str, Any] = {**settings, "demos": str(demos), "checkpoint_every": 1}
+    return tiny_runs.tiny(DAggerConfig, **{**every, **fields})
 
 
 def assert_same_run(first: Path, second: Path) -> None:
@@ -143,18 +130,6 @@ def test_an_episode_that_was_stored_and_not_listed_is_kept(demos: Path, tmp_path
     assert train(config, folder, resume=True).finished
 
 
-def test_a_new_run_that_fails_at_once_leaves_nothing(
-    demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*args: Any) -> None:
-        raise InvalidConfigError("device: expected a GPU, found none")
-
-    monkeypatch.setattr("magical.learning.algorithms.dagger.BCTrainer", fail)
-    with pytest.raises(InvalidConfigError):
-        train(tiny(demos), tmp_path / "run")
-    assert not (tmp_path / "run").exists()
-
-
 def test_the_previous_checkpoint_may_be_of_an_earlier_round_than_the_episodes(
     demos: Path, tmp_path: Path, whole: Path
 ) -> None:
@@ -182,32 +157,15 @@ def test_another_aggregate_cannot_continue_a_run(demos: Path, tmp_path: Path, wh
         train(config, tmp_path / "run", resume=True)
 
 
-def test_the_paper_preset_runs_resumes_and_is_evaluated(demos: Path, tmp_path: Path) -> None:
-    paper = DAggerConfig.preset("paper", tasks=("MoveToRegion",), demos=str(demos))
-    table = BCConfig.preset("paper", tasks=("MoveToRegion",), demos=str(demos))
+def test_the_paper_preset_splits_the_batches_of_behavioural_cloning() -> None:
+    paper, table = (
+        kind.preset("paper", tasks=TASKS[:1], demos="") for kind in (DAggerConfig, BCConfig)
+    )
+    assert isinstance(paper, DAggerConfig)
     assert paper.num_updates == table.num_updates == 20_000
     assert paper.cloning == replace(table.cloning, batches=2_000)
     assert paper.networks == table.networks
-    small: dict[str, Any] = {
-        "num_demos": 2,
-        "batches": 1,
-        "rounds": 3,
-        "episodes": 1,
-        "batch_size": 2,
-    }
-    config = paper.replace(**small, device="cpu", precision="float32", workers=0)
-    assert train(config, tmp_path / "run", stop_after=1).step == 1
-    assert train(config, tmp_path / "run", resume=True).finished
-    scores = evaluate(
-        load_policy(tmp_path / "run"), ["magical/MoveToRegion-Demo-v0"], rollouts=1, workers=0
-    )
-    assert 0.0 <= scores[0].score <= 1.0
-
-
-def test_beta_falls_geometrically(demos: Path) -> None:
-    betas = [tiny(demos, beta_decay=0.5).beta(number) for number in range(4)]
-    assert betas == [1.0, 0.5, 0.25, 0.125]
-    assert [tiny(demos, beta_decay=0.0).beta(n) for n in range(3)] == [1.0, 0.0, 0.0]
+    assert [paper.beta(number) for number in range(3)] == [1.0, 0.5, 0.25]
 
 
 def test_the_learning_rate_is_annealed_over_all_rounds_or_in_each(demos: Path) -> None:
@@ -242,28 +200,6 @@ def test_every_variant_of_every_task_has_its_turn(demos: Path) -> None:
     assert set(region) == {
         f"MoveToRegion-{name}-v0" for name in ("Demo", "TestJitter", "TestLayout")
     }
-
-
-# Every field of the configuration that changes what is learned, with another value.
-CHANGES: dict[str, Any] = {
-    "rounds": 2,
-    "batches": 1,
-    "episodes": 2,
-    "variants": ("Layout",),
-    "beta_decay": 1.0,
-    "restart": True,
-    "keep_noops": True,
-    "num_demos": 1,
-    "seed": 1,
-    "tasks": ("MoveToCorner",),
-}
-
-
-@pytest.mark.parametrize("name", CHANGES)
-def test_every_setting_matters(name: str, demos: Path, tmp_path: Path, whole: Path) -> None:
-    train(tiny(demos).replace(**{name: CHANGES[name]}), tmp_path / "run")
-    before, after = checkpoint(whole)["policy"], checkpoint(tmp_path / "run")["policy"]
-    assert not all(torch.equal(before[key], after[key]) for key in before)
 
 
 def test_a_task_without_an_expert_is_named(demos: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -311,7 +247,3 @@ def test_from_the_command_line(
     assert (summary["finished"], summary["labels"]) == (True, 12 + 2 * 40)
     ids = {entry.env_id for entry in aggregate(tmp_path / "run").entries}
     assert ids == {f"magical/MoveToRegion-{name}-v0" for name in ("Demo", "TestJitter")}
-    assert main(["train", "dagger", "--help"]) == 0
-    shown = capsys.readouterr().out
-    for flag in ("--variants", "--beta-decay", "--restart", "--rounds", "--episodes"):
-        assert flag in shown

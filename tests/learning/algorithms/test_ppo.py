@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from magical.envs.vector import MagicalVectorEnv
-from magical.errors import DivergedError, InvalidConfigError, UnknownNameError
+from magical.errors import InvalidConfigError, UnknownNameError
 from magical.evaluation import evaluate
 from magical.learning import load_policy, train
 from magical.learning.algorithms import ppo
@@ -18,8 +18,7 @@ from magical.learning.augmentation.augment import to_unit
 from magical.learning.reinforcement.advantages import Samples
 from magical.learning.reinforcement.rollouts import RolloutEnvs, collect_rollout
 from magical.runs import read_metrics
-from magical.runs.folder import METRICS
-from tests.learning.tiny_runs import assert_same, checkpoint, tiny
+from tests.learning.tiny_runs import checkpoint, tiny
 
 
 def rng() -> np.random.Generator:
@@ -103,26 +102,6 @@ def test_environments_start_at_different_times() -> None:
     assert len(set(steps)) > 4
 
 
-@pytest.mark.parametrize(
-    "fields",
-    [
-        {"observation": "state", "num_steps": 30, "minibatch_size": 45},
-        {"observation": "LoRes4A", "tasks": ("MoveToCorner", "MoveToRegion")},
-    ],
-)
-def test_resumed_runs_are_bit_equal(tmp_path: Path, fields: dict[str, Any]) -> None:
-    config = tiny(PPOConfig, **fields)
-    config = config.replace(total_steps=3 * config.ppo.steps_per_update)
-    whole = train(config, tmp_path / "whole")
-    assert (whole.step, whole.total, whole.finished) == (3, 3, True)
-    assert not train(config, tmp_path / "parts", stop_after=1).finished
-    again = train(config, tmp_path / "parts", resume=True)
-    assert again.finished
-    assert_same(checkpoint(tmp_path / "whole"), checkpoint(tmp_path / "parts"))
-    for key in ("environment_steps", "reward", "entropy", "clip_fraction", "explained_variance"):
-        assert whole.metrics[key] == again.metrics[key]
-
-
 def test_learns_from_states(tmp_path: Path) -> None:
     config = PPOConfig.preset(
         "quick",
@@ -198,29 +177,6 @@ def test_a_collapse_is_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     train(config, tmp_path / "run", resume=True, callback=callback)  # counts are kept
     assert logged[-2]["warning"] == "one action for 5 updates"
     assert read_metrics(tmp_path / "run")[-1]["warning"] == "one action for 6 updates"
-
-
-def test_divergence_is_an_error_and_keeps_the_checkpoint(tmp_path: Path) -> None:
-    config = tiny(PPOConfig, observation="state", checkpoint_every=1)
-    train(config, tmp_path / "run", stop_after=1)
-    before = checkpoint(tmp_path / "run")
-    network = make_policy(config)
-    broken = {name: torch.full_like(w, 1e38) for name, w in network.state_dict().items()}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(torch.nn.Module, "load_state_dict", lambda self, state: None)
-        patch.setattr(ppo, "make_policy", lambda config: _loaded(network, broken))
-        with pytest.raises(DivergedError, match="not finite"):
-            train(config, tmp_path / "run", resume=True)
-    assert_same(before, checkpoint(tmp_path / "run"))
-    last = (tmp_path / "run" / METRICS).read_text().splitlines()[-1]
-    assert '"warning": "not finite"' in last
-
-
-def _loaded(network: torch.nn.Module, weights: dict[str, torch.Tensor]) -> torch.nn.Module:
-    with torch.no_grad():
-        for name, parameter in network.named_parameters():
-            parameter.copy_(weights[name])
-    return network
 
 
 @pytest.mark.parametrize(

@@ -58,16 +58,6 @@ def factors() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 @pytest.mark.parametrize("linear_light", [True, False])
-@pytest.mark.parametrize("brightness", [1.0, 0.2, 0.02])
-def test_floats_agree_with_scikit_image(
-    brightness: float, linear_light: bool, factors: tuple[NDArray[np.float64], NDArray[np.float64]]
-) -> None:
-    images = np.random.default_rng(0).random((4, 6, 20, 24)) * brightness
-    ours = colour_jitter(torch.from_numpy(images).float(), *factors, linear_light).numpy()
-    assert np.abs(ours - reference(images, *factors, linear_light)).max() < TOLERANCE
-
-
-@pytest.mark.parametrize("linear_light", [True, False])
 def test_every_grey_and_many_colours_of_uint8_agree_with_scikit_image(
     linear_light: bool, factors: tuple[NDArray[np.float64], NDArray[np.float64]]
 ) -> None:
@@ -76,19 +66,6 @@ def test_every_grey_and_many_colours_of_uint8_agree_with_scikit_image(
     ours = colour_jitter(torch.from_numpy(images), *factors, linear_light).numpy()
     expected = reference(images / 255.0, *factors, linear_light)
     assert np.abs(ours - expected).max() < TOLERANCE
-
-
-def test_identity_factors_change_nothing() -> None:
-    images = torch.rand(2, 12, 8, 8, generator=torch.Generator().manual_seed(0))
-    same = colour_jitter(images, np.ones(2), np.zeros(2))
-    assert torch.allclose(same, images, atol=1e-5)
-
-
-def test_greys_stay_grey_and_only_their_lightness_changes() -> None:
-    images = torch.full((1, 3, 4, 4), 0.5)
-    turned = colour_jitter(images, np.ones(1), np.full(1, 0.15))
-    assert torch.allclose(turned, images, atol=1e-3)
-    assert (colour_jitter(images, np.full(1, 1.01), np.zeros(1)) > images).all()
 
 
 def test_input_is_left_alone() -> None:

@@ -9,8 +9,8 @@ import pytest
 import torch
 from torch import nn
 
-from magical.demos import DatasetWriter, Trajectory
-from magical.demos.generate import demonstrate, generate
+from magical.demos import Trajectory
+from magical.demos.generate import demonstrate
 from magical.envs import EnvId
 from magical.errors import DemonstrationsError, InvalidConfigError, UnknownNameError
 from magical.learning import load_policy, train
@@ -25,14 +25,14 @@ from magical.learning.augmentation.transformations import (
 from magical.learning.data.expert_data import ExpertData
 from magical.learning.data.rendered_data import RenderedExpertData
 from magical.learning.models import new_statistics
-from magical.learning.running.checkpoints import load_newest_checkpoint
 from magical.observe import PRESETS
 from magical.render.palette import SHADES
 from magical.runs.sources import RENDERED_STATES
 from magical.scene import ACTION_NAMES
 from magical.scene.actions import MIRRORED_ACTIONS
 from magical.scene.vocabulary import COLOURS
-from tests.learning.conftest import picture_demo
+from tests.learning.conftest import picture_demo, write_demos
+from tests.learning.tiny_runs import checkpoint, tiny
 
 TASK = "MatchRegions"
 ROWS = np.array([0, 7, 30, 61])
@@ -108,16 +108,8 @@ def test_palettes_of_recorded_frames_are_permuted_as_if_rendered(pairs: Any) -> 
 
 
 def test_walls_cannot_be_removed_from_recorded_frames(tmp_path: Path) -> None:
-    writer = DatasetWriter(tmp_path / "demos")
-    writer.append(picture_demo("MoveToRegion", 0))
-    config = BCConfig.preset(
-        "quick",
-        tasks=("MoveToRegion",),
-        demos=str(tmp_path / "demos"),
-        num_demos=1,
-        batches=1,
-        transform="walls",
-    )
+    demos = write_demos(tmp_path / "demos", [picture_demo("MoveToRegion", 0)])
+    config = tiny(BCConfig, demos=str(demos), num_demos=1, transform="walls")
     with pytest.raises(DemonstrationsError, match="walls needs demonstrations with poses"):
         train(config, tmp_path / "run")
 
@@ -190,23 +182,6 @@ def test_rendered_states_are_declared() -> None:
     assert RENDERED_STATES not in sources("palette", augment_by="resampling")
 
 
-def config(tmp_path: Path, **changes: Any) -> BCConfig:
-    if not (tmp_path / "demos").exists():
-        generate(EnvId(TASK, "Demo"), 1, tmp_path / "demos", seed=0)
-    fields = {"network": "light", "precision": "float32", "batches": 6, "log_every": 1}
-    demos = {"demos": str(tmp_path / "demos"), "num_demos": 1}
-    return BCConfig.preset("quick", tasks=(TASK,), **{**fields, **demos, **changes})
-
-
-@pytest.mark.parametrize(
-    "change", [*({"transform": name} for name in TRANSFORMATIONS), {"augment_scale": 2.0}], ids=str
-)
-def test_each_setting_changes_what_is_learned(tmp_path: Path, change: dict[str, Any]) -> None:
-    plain = train(config(tmp_path), tmp_path / "plain").metrics["loss"]
-    changed = train(config(tmp_path, **change), tmp_path / "changed").metrics["loss"]
-    assert plain != changed
-
-
 def test_statistics_are_renewed_from_all_batches_alike() -> None:
     norm = nn.BatchNorm1d(2)
     images = [torch.randn(64, 2) * scale + scale for scale in (1.0, 3.0)]
@@ -220,15 +195,16 @@ def test_statistics_are_renewed_from_all_batches_alike() -> None:
     assert norm.momentum == nn.BatchNorm1d(2).momentum
 
 
-def test_averaged_weights_are_the_policy_and_survive_an_interruption(tmp_path: Path) -> None:
-    averaged = config(tmp_path, average_decay=0.9)
+def test_averaged_weights_are_the_policy_and_survive_an_interruption(
+    expert_demos: Path, tmp_path: Path
+) -> None:
+    plain = tiny(BCConfig, demos=str(expert_demos))
+    averaged = plain.replace(average_decay=0.9)
     train(averaged, tmp_path / "through")
     train(averaged, tmp_path / "twice", stop_after=3)
     train(averaged, tmp_path / "twice", resume=True)
-    train(config(tmp_path), tmp_path / "plain")
-    found = {
-        name: load_newest_checkpoint(tmp_path / name) for name in ("through", "twice", "plain")
-    }
+    train(plain, tmp_path / "plain")
+    found = {name: checkpoint(tmp_path / name) for name in ("through", "twice", "plain")}
     for key, value in found["through"]["policy"].items():
         assert torch.equal(value, found["twice"]["policy"][key])
         assert torch.equal(found["plain"]["policy"][key], found["through"]["network"][key])

@@ -10,7 +10,7 @@ import torch
 from magical.demos import Dataset, Trajectory
 from magical.demos.generate import generate
 from magical.envs import EnvId
-from magical.errors import DemonstrationsError, InvalidConfigError
+from magical.errors import DemonstrationsError
 from magical.learning import train
 from magical.learning.algorithms.bc import BCConfig
 from magical.learning.augmentation.augment import NOISE_STD
@@ -20,6 +20,7 @@ from magical.learning.data.rendered_data import RenderedExpertData, choose_augme
 from magical.observe import PRESETS
 from magical.runs.folder import RECORD, read_json
 from tests.learning.conftest import picture_demo
+from tests.learning.tiny_runs import tiny
 
 PIXELS = [name for name, spec in PRESETS.items() if not spec.separate]
 TASKS = ("MoveToRegion", "MatchRegions")
@@ -82,16 +83,6 @@ def test_noise_is_added_last(pairs: Pairs) -> None:
     assert abs(deviation / NOISE_STD - 1.0) < 0.02
 
 
-def test_same_generator_same_batch(pairs: Pairs) -> None:
-    rendered = both(pairs, "LoRes4E")[1]
-    rows = np.arange(8)
-    first = rendered.augmented(rows, SETS["all"], np.random.default_rng(1))
-    again = rendered.augmented(rows, SETS["all"], np.random.default_rng(1))
-    other = rendered.augmented(rows, SETS["all"], np.random.default_rng(2))
-    assert torch.equal(first, again)
-    assert not torch.equal(first, other)
-
-
 def test_auto_renders_where_all_poses_are_known(pairs: Pairs) -> None:
     recorded = [("MoveToCorner", picture_demo("MoveToCorner", 0))]
     assert choose_augment_by("auto", pairs) == "rendering"
@@ -105,35 +96,13 @@ def test_auto_renders_where_all_poses_are_known(pairs: Pairs) -> None:
         choose_augment_by("rendering", [*pairs, *recorded])
 
 
-def test_rendering_of_state_vectors_is_an_error() -> None:
-    with pytest.raises(InvalidConfigError, match="augment_by: state vectors are not rendered"):
-        BCConfig.preset(
-            "paper",
-            tasks=("MoveToRegion",),
-            demos="d",
-            observation="state",
-            augment="none",
-            augment_by="rendering",
-        )
-
-
-def test_auto_trains_on_rendered_frames_and_resampling_on_others(tmp_path: Path) -> None:
-    generate(EnvId("MoveToRegion", "Demo"), 2, tmp_path / "demos", seed=0)
+def test_auto_trains_on_rendered_frames_and_resampling_on_others(
+    expert_demos: Path, tmp_path: Path
+) -> None:
     found, recorded = {}, {}
     for way in ("auto", "rendering", "resampling"):
-        config = BCConfig.preset(
-            "quick",
-            tasks=("MoveToRegion",),
-            demos=str(tmp_path / "demos"),
-            num_demos=2,
-            network="light",
-            precision="float32",
-            batches=3,
-            log_every=1,
-            augment_by=way,
-        )
-        result = train(config, tmp_path / way)
-        found[way] = result.metrics["loss"]
+        config = tiny(BCConfig, demos=str(expert_demos), augment_by=way)
+        found[way] = train(config, tmp_path / way).metrics["loss"]
         recorded[way] = read_json(tmp_path / way / RECORD)["augment_by"]
     assert found["auto"] == found["rendering"]
     assert found["auto"] != found["resampling"]

@@ -139,7 +139,7 @@ def test_it_stops_only_where_it_is_sure(probability: float, stops: bool) -> None
     assert (model.decide(table, tasks)[0].item() == ROBOT_TARGET) is stops
 
 
-def test_nothing_is_left_to_do_where_no_block_has_an_urge() -> None:
+def test_nothing_is_left_to_do_where_no_block_has_a_high_score() -> None:
     table, model, tasks = one_scene(), GoalModel(1), torch.zeros(1, dtype=torch.int64)
     with torch.no_grad():
         model.finished_bias.fill_(0.5)

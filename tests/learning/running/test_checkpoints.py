@@ -1,10 +1,10 @@
 """State dicts on disk."""
 
 import errno
-import os
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from safetensors import safe_open
@@ -23,7 +23,6 @@ from magical.learning.running.checkpoints import (
     save_checkpoint,
 )
 from magical.runs.folder import CHECKPOINT, PREVIOUS
-from tests.learning.running.fuzz_checkpoints import fuzz_checkpoints
 
 
 def test_state_dicts_are_read_as_they_were_written(tmp_path: Path) -> None:
@@ -44,33 +43,13 @@ def test_state_dicts_are_read_as_they_were_written(tmp_path: Path) -> None:
     assert [file.name for file in tmp_path.iterdir()] == ["c"]
 
 
-def test_missing_cut_and_foreign_files_are_named(tmp_path: Path) -> None:
+def test_missing_and_foreign_files_are_named(tmp_path: Path) -> None:
     path = tmp_path / "c"
     with pytest.raises(CheckpointError, match="expected a file, found none"):
         load_checkpoint(path)
-    save_checkpoint(path, {"a": torch.rand(50)})
-    whole = path.read_bytes()
-    for damaged in (whole[:-10], whole[:20], b"", b"\x80\x04K\x01.", whole[8:]):
+    for damaged in (b"", b"\x80\x04K\x01."):
         path.write_bytes(damaged)
         with pytest.raises(CheckpointError, match=r"c is damaged"):
-            load_checkpoint(path)
-
-
-def test_special_files_are_refused(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "fifo")
-    (tmp_path / "endless").symlink_to("/dev/zero")
-    for name in ("fifo", "endless"):
-        with pytest.raises(CheckpointError, match="not a regular file"):
-            load_checkpoint(tmp_path / name)
-
-
-def test_a_changed_bit_anywhere_is_refused_before_anything_is_read(tmp_path: Path) -> None:
-    path = tmp_path / "c"
-    save_checkpoint(path, {"a": torch.rand(50), "step": 3})
-    whole = path.read_bytes()
-    for place in (0, 7, 9, 30, 60, 100, 200, len(whole) // 2, len(whole) - 1):
-        path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
-        with pytest.raises(CheckpointError, match=r"c is damaged or .*SHA-256"):
             load_checkpoint(path)
 
 
@@ -83,10 +62,33 @@ def test_a_checkpoint_is_a_safetensors_file(tmp_path: Path) -> None:
     assert load_checkpoint(tmp_path / "c") == {"step": 3}
 
 
-def test_mutants_are_refused(tmp_path: Path) -> None:
-    outcomes = fuzz_checkpoints(500, seed=1, folder=tmp_path)
-    assert outcomes["refused"] > 450
-    assert set(outcomes) <= {"refused", "equal"}
+WORDS = (b"F32", b"I64", b"shape", b"]", b"{", b",", b"9", b"-1", b"__metadata__", b"NaN", b"\x00")
+
+
+def mutant(raw: bytes, rng: np.random.Generator) -> bytes:
+    """A file with a bit flipped, cut, lengthened, with a block of zeros, or another header."""
+    start, end = sorted(rng.integers(len(raw), size=2).tolist())
+    kind = rng.integers(5)
+    if kind == 0:
+        return raw[:start] + bytes([raw[start] ^ 1 << int(rng.integers(8))]) + raw[start + 1 :]
+    if kind == 1:
+        return raw[:start]
+    if kind == 2:
+        return raw + rng.bytes(end - start + 1)
+    if kind == 3:
+        return raw[:start] + bytes(end - start) + raw[end:]
+    place = start % (8 + int.from_bytes(raw[:8], "little"))
+    return raw[:place] + WORDS[int(rng.integers(len(WORDS)))] + raw[place + end % 5 :]
+
+
+def test_mutants_are_refused_before_anything_is_read(tmp_path: Path) -> None:
+    path, rng = tmp_path / "c", np.random.default_rng(1)
+    save_checkpoint(path, {"a": {"weight": torch.rand(4, 3), "step": torch.tensor(5)}, "step": 3})
+    raw = path.read_bytes()
+    for changed in {mutant(raw, rng) for _ in range(500)} - {raw}:
+        path.write_bytes(changed)
+        with pytest.raises(CheckpointError, match=r"c is damaged or .*SHA-256"):
+            load_checkpoint(path)
 
 
 def step_of(folder: Path, name: str) -> int:
@@ -94,7 +96,17 @@ def step_of(folder: Path, name: str) -> int:
     return step
 
 
-def test_the_checkpoint_before_the_newest_is_kept(tmp_path: Path) -> None:
+@pytest.mark.parametrize("links", [True, False])
+def test_the_checkpoint_before_the_newest_is_kept(
+    links: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a copy where there are no hard links."""
+
+    def no_links(*_: object) -> None:
+        raise OSError(errno.EPERM, "not supported")
+
+    if not links:
+        monkeypatch.setattr(Path, "hardlink_to", no_links)
     for step in (1, 2, 3):
         replace_checkpoint(tmp_path, {"step": step})
     assert (step_of(tmp_path, CHECKPOINT), step_of(tmp_path, PREVIOUS)) == (3, 2)
@@ -122,18 +134,6 @@ def test_an_intact_checkpoint_is_there_wherever_a_replacement_ends(
         replace_checkpoint(tmp_path, {"step": 3})
     assert step_of(tmp_path, CHECKPOINT) == (3 if number_of_renames == 2 else 2)
     assert step_of(tmp_path, PREVIOUS) == (1 if number_of_renames == 0 else 2)
-
-
-def test_without_hard_links_the_previous_checkpoint_is_a_copy(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def no_links(*_: object) -> None:
-        raise OSError(errno.EPERM, "not supported")
-
-    monkeypatch.setattr(Path, "hardlink_to", no_links)
-    for step in (1, 2):
-        replace_checkpoint(tmp_path, {"step": step})
-    assert (step_of(tmp_path, CHECKPOINT), step_of(tmp_path, PREVIOUS)) == (2, 1)
 
 
 def test_a_damaged_checkpoint_names_the_intact_previous_one(tmp_path: Path) -> None:

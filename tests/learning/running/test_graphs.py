@@ -10,10 +10,12 @@ from torch import Tensor
 
 from magical.errors import DeviceError
 from magical.learning import find_algorithm, train
+from magical.learning.algorithms.bc import BCConfig
 from magical.learning.running.checkpoints import load_optimizer, optimizer_state
 from magical.learning.running.graphs import WARM_UP, GraphedStep, Recording, Step, use_graphs
 from magical.learning.running.optimizers import make_adam, set_learning_rate
 from magical.runs.metrics import read_metrics
+from tests.learning.tiny_runs import tiny
 
 ON_GPU = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 
@@ -34,25 +36,13 @@ class Replay(Recording):
         self.outputs = self._step(*self._places)
 
 
-def test_graphs_need_cuda() -> None:
+def test_graphs_need_cuda(demos: Path, tmp_path: Path) -> None:
     assert not use_graphs("auto", "cpu")
     assert not use_graphs("off", "cpu")
     assert use_graphs("auto", "cuda")
     assert not use_graphs("off", "cuda")
     with pytest.raises(DeviceError, match=r"graphs: on needs a CUDA device.*the cpu; use auto"):
-        use_graphs("on", "cpu")
-
-
-@pytest.mark.parametrize("algorithm", ["bc", "gail", "ppo"])
-def test_training_with_graphs_on_a_cpu_is_an_error(
-    algorithm: str, demos: Path, tmp_path: Path
-) -> None:
-    data: Any = {} if algorithm == "ppo" else {"demos": str(demos), "num_demos": 2}
-    config = find_algorithm(algorithm).config.preset(
-        "paper", tasks=("MoveToCorner",), device="cpu", graphs="on", network="light", **data
-    )
-    with pytest.raises(DeviceError, match="graphs"):
-        train(config, tmp_path / "run")
+        train(tiny(BCConfig, demos=str(demos), graphs="on"), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
@@ -126,30 +116,11 @@ def test_learning_rates_stay_where_they_are() -> None:
 @pytest.mark.parametrize("algorithm", ["bc", "gail", "wgail-gp"])
 def test_graphs_give_the_losses_of_plain_steps(algorithm: str, demos: Path, tmp_path: Path) -> None:
     """To rounding, which training enlarges: the first steps are compared."""
-    kind = find_algorithm(algorithm).config
-    small: Any = (
-        {"batches": 8, "log_every": 1}
-        if algorithm == "bc"
-        else {
-            "total_steps": 8 * 32,
-            "num_envs": 8,
-            "num_steps": 4,
-            "evaluate_every": 0,
-            "workers": 0,
-        }
-    )
+    sizes: Any = {"batches": 8, "log_every": 1} if algorithm == "bc" else {"total_steps": 8 * 6}
     losses = {}
     for graphs in ("off", "on"):
-        config = kind.preset(
-            "quick",
-            tasks=("MoveToCorner",),
-            demos=str(demos),
-            num_demos=2,
-            precision="float32",
-            graphs=graphs,
-            device="cuda",
-            **small,
-        )
+        kind = find_algorithm(algorithm).config
+        config = tiny(kind, demos=str(demos), graphs=graphs, device="cuda", **sizes)
         train(config, tmp_path / graphs)
         name = "loss" if algorithm == "bc" else "discriminator_loss"
         losses[graphs] = [float(row[name]) for row in read_metrics(tmp_path / graphs)]

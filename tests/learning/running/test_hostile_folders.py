@@ -11,30 +11,26 @@ import numpy as np
 import pytest
 import torch
 
-from magical.cli import main
-from magical.errors import MagicalError, PluginError, RunFolderError
+from magical.errors import MagicalError, PluginError
 from magical.learning import load_policy, read_config, train
 from magical.learning.algorithms.bc import BCConfig
 from magical.learning.running.checkpoints import load_checkpoint, save_checkpoint
 from magical.runs import read_metrics
 from magical.runs.folder import CHECKPOINT, CONFIG, METRICS, PREVIOUS, RECORD
+from tests.learning.tiny_runs import tiny
 
 ODD: tuple[Any, ...] = (None, True, -1, 10**400, 1e308, "", "x" * 10_000, [], {}, [[]], {"a": 1})
 
 
 @pytest.fixture(scope="module")
 def config(demos: Path) -> BCConfig:
-    return BCConfig.preset(
-        "quick",
-        tasks=("MoveToCorner",),
-        demos=str(demos),
-        num_demos=1,
-        batches=2,
-        batch_size=2,
-        average_decay=0.5,
-        checkpoint_every=1,
-        device="cpu",
-    )
+    sizes: dict[str, Any] = {
+        "num_demos": 1,
+        "batches": 2,
+        "average_decay": 0.5,
+        "checkpoint_every": 1,
+    }
+    return tiny(BCConfig, demos=str(demos), average_decay=0.5, **sizes)
 
 
 @pytest.fixture(scope="module")
@@ -108,19 +104,6 @@ def test_whatever_a_record_holds_is_accepted_or_refused(
             (folder / name).write_text(text + "\n")
         outcomes[outcome(folder, config)] += 1
     assert outcomes["refused"] > 3
-
-
-def test_metrics_that_are_no_text_are_named(folder: Path) -> None:
-    (folder / METRICS).write_bytes(b'{"step": 1}\n\xff\xfe\n')
-    with pytest.raises(RunFolderError, match=r"metrics.jsonl: line 2"):
-        read_metrics(folder)
-
-
-def test_there_is_nothing_to_resume(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    nowhere = tmp_path / "nowhere"
-    assert main(["train", "bc", "--out", str(nowhere), "--resume"]) == 1
-    assert f"{nowhere}: expected a run to resume, found none" in capsys.readouterr().err
-    assert not nowhere.exists()
 
 
 @pytest.mark.parametrize("key", ["algorithm", "network", "observation"])
