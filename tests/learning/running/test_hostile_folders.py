@@ -30,7 +30,7 @@ def config(demos: Path) -> BCConfig:
         "average_decay": 0.5,
         "checkpoint_every": 1,
     }
-    return tiny(BCConfig, demos=str(demos), average_decay=0.5, **sizes)
+    return tiny(BCConfig, demos=str(demos), **sizes)
 
 
 @pytest.fixture(scope="module")
