@@ -20,7 +20,7 @@ CLONING: dict[str, Any] = {
     "network": "small",
     "conventions": "published",
     "precision": "bfloat16",
-    "batches": 4,
+    "batches": 5,
     "batch_size": 5,
     "optimizer": "sgd",
     "learning_rate": 2e-3,
@@ -35,7 +35,7 @@ CLONING: dict[str, Any] = {
 CHANGES: dict[str, dict[str, Any]] = {
     "bc": CLONING,
     "dagger": {
-        "rounds": 2,
+        "rounds": 3,
         "batches": 1,
         "episodes": 2,
         "variants": ("Layout",),
@@ -52,7 +52,6 @@ CHANGES: dict[str, dict[str, Any]] = {
         "block_range": 3.0,
         "wall_range": 2.0,
         "drop_blocks": 1.0,
-        "goal_sparsity": 1.0,
     },
     "gail": {
         "conventions": "published",
@@ -71,7 +70,7 @@ CHANGES: dict[str, dict[str, Any]] = {
         "reward_std": 0.5,
     },
 }
-ONE_TASK = ("al", "wgail-gp")
+ONE_TASK = ("al", "wgail-gp", "object-bc")  # the last for its demonstrations
 PRESETS = [
     (name, preset) for name in algorithm_names() for preset in find_algorithm(name).config.presets
 ]

@@ -208,10 +208,7 @@ def train(config: PPOConfig, run: Run) -> None:
 
 
 def make_policy(config: ReinforcementConfig) -> ActorCritic:
-    """The policy of PPO and the algorithms built on it, initialised from the seed.
-
-    It has no batch norm (appendix B).
-    """
+    """The policy of PPO and what is built on it, without batch norm, initialised from the seed."""
     networks = config.networks
     with seeded_init(config.seed):
         trunk = Trunk(networks.network, config.input_shape, pixel_range=networks.pixel_range)
