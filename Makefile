@@ -2,10 +2,11 @@
 
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup test check docs test-all quickstart clean
+.PHONY: help setup test check docs entries test-all test-newest dist dist-check tag workflows \
+	quickstart clean
 
 VENV := .venv
-BIN := $(VENV)/bin
+BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
 READY := $(VENV)/.ready
 EXTRAS := dev,docs,learning,report,video,window,minari,lerobot,sb3,tensorboard,web
 # The first interpreter that runs; `make PYTHON=/path/to/python` overrules it.
@@ -41,10 +42,28 @@ check: $(READY) ## lint, format, file and function length, layers, types, docume
 docs: $(READY) ## the documentation site, in site/
 	@$(BIN)/python -m tools.site
 
+entries: $(READY) ## check the entries submitted to the leaderboard, running a sample again
+	@$(BIN)/python -m tools.entries
+
 # All of pyenv's interpreters count, where there are any.
 test-all: $(READY) ## the tests on each supported Python of this machine, without PyTorch
 	@PYENV_VERSION="$$(ls $${PYENV_ROOT:-$$HOME/.pyenv}/versions 2>/dev/null | paste -sd:)" \
 	$(BIN)/nox
+
+test-newest: $(READY) ## the tests with the newest version of every dependency
+	@$(BIN)/nox -s newest
+
+dist: $(READY) ## wheel and source distribution in dist/, built in a clean environment
+	@$(BIN)/nox -s dist
+
+dist-check: $(READY) ## what a new user does with the wheel alone; the source distribution's tests
+	@$(BIN)/nox -s wheel sdist
+
+tag: $(READY) ## whether TAG, version and changelog agree
+	@$(BIN)/python tools/check_tag.py "$(TAG)"
+
+workflows: $(READY) ## lint the workflows and the Dockerfile
+	@$(BIN)/nox -s workflows
 
 quickstart: $(READY) ## the package's main job, from nothing to a result
 	@$(BIN)/magical quickstart

@@ -12,6 +12,7 @@ import pytest
 
 import magical
 from magical import cli
+from tools import check_tag
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -134,6 +135,38 @@ def test_paper_presets_have_what_the_appendix_states() -> None:
         assert {field: paper[field] for field in stated} == stated
 
 
+def test_the_readme_has_few_figures_in_a_paragraph() -> None:
+    text = re.sub(
+        r"```.*?```|\]\([^)]*\)|`[^`]*`", "", (ROOT / "README.md").read_text(), flags=re.DOTALL
+    )
+    paragraphs = [part for part in text.split("\n\n") if "|" not in part]
+    assert [part for part in paragraphs if len(re.findall(r"\d[\d.,]*", part)) > 3] == []
+
+
 def test_one_version_everywhere() -> None:
     assert f"\nversion: {magical.__version__}\n" in (ROOT / "CITATION.cff").read_text()
-    assert f"\n## [{magical.__version__}]" in (ROOT / "CHANGELOG.md").read_text()
+    changelog = (ROOT / "CHANGELOG.md").read_text()
+    assert check_tag.disagreements(f"v{magical.__version__}", magical.__version__, changelog) == []
+
+
+@pytest.mark.parametrize(
+    ("tag", "changelog", "message"),
+    [
+        ("v1.0", "## [1.1] - 2026-01-02", "expected the tag v1.1"),
+        ("", "## [1.1] - 2026-01-02", "found none"),
+        ("v1.1", "## [1.0] - 2026-01-02", "expected 1.1 at the top of the changelog, found 1.0"),
+        ("v1.1", "## [1.1] - unreleased", "expected the date of 1.1"),
+    ],
+)
+def test_a_tag_that_disagrees_is_refused(tag: str, changelog: str, message: str) -> None:
+    (found,) = check_tag.disagreements(tag, "1.1", changelog)
+    assert message in found
+
+
+def test_the_steps_of_workflows_are_targets_of_make() -> None:
+    targets = re.findall(r"^([a-z-]+):.*##", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    files = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
+    steps = [line for file in files for line in re.findall(r"run: (.*)", file.read_text())]
+    assert len(steps) >= len(files)
+    assert {step.split()[0] for step in steps} == {"make"}
+    assert {step.split()[1] for step in steps} <= set(targets)

@@ -114,7 +114,8 @@ def test_the_tutorial_runs(root: Path, tmp_path: Path, monkeypatch: pytest.Monke
     codes = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
     stored = [kinds(cell) for cell in codes]
     assert sum(kind == "image/png" for cell in stored for kind in cell) >= 4
-    settings = codes[0]["source"]
+    install, settings = codes[0]["source"], codes[1]["source"]
+    assert install[4] == 'if importlib.util.find_spec("magical") is None:\n'
     assert settings[0] == 'TASK = "MoveToRegion"\n'
     # The same notebook with less of everything.
     short = {"NUM_DEMOS = 10": "NUM_DEMOS = 2", "BATCHES = 100": "BATCHES = 3"}

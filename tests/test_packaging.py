@@ -4,6 +4,7 @@ import os
 import re
 import subprocess
 import sys
+import tarfile
 import zipfile
 from pathlib import Path
 
@@ -28,14 +29,17 @@ def run_python(*args: str, cwd: Path, path: Path | None = None) -> str:
 
 
 @pytest.fixture(scope="module")
-def wheel(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The built wheel; nothing is fetched."""
-    folder = tmp_path_factory.mktemp("wheel")
-    run_python(
-        *("-m", "build", "--wheel", "--no-isolation", "--outdir", str(folder), str(root)),
-        cwd=folder,
-    )
-    (built,) = folder.glob("magical_benchmark-*-py3-none-any.whl")
+def distributions(root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder with the built wheel and source distribution; nothing is fetched."""
+    folder = tmp_path_factory.mktemp("dist")
+    run_python("-m", "build", "--no-isolation", "--outdir", str(folder), str(root), cwd=folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def wheel(distributions: Path) -> Path:
+    """The built wheel."""
+    (built,) = distributions.glob("magical_benchmark-*-py3-none-any.whl")
     return built
 
 
@@ -51,6 +55,23 @@ def test_wheel_holds_every_file_of_the_package(wheel: Path, root: Path) -> None:
     assert "magical/py.typed" in expected
     assert expected <= names
     assert {name.split("/")[0].split("-")[0] for name in names} == {"magical", "magical_benchmark"}
+    for needed in ("plans/quick.toml", "conformance/data", "evaluation/data/published-scores.csv"):
+        assert any(name.startswith(f"magical/{needed}") for name in names), needed
+    assert not [name for name in names if "studies" in name or "scores.csv.gz" in name]
+
+
+def test_the_source_distribution_has_what_its_tests_need(distributions: Path, root: Path) -> None:
+    (built,) = distributions.glob("magical_benchmark-*.tar.gz")
+    with tarfile.open(built) as archive:
+        names = {name.partition("/")[2] for name in archive.getnames()}
+    tops = {name.split("/")[0] for name in names}
+    files = {*("CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "LICENSE", "Makefile")}
+    files |= {*("PKG-INFO", "README.md", "constraints.txt", "mkdocs.yml", "noxfile.py")}
+    folders = {"benchmarks", "docs", "entries", "examples", "src", "tests", "tools"}
+    assert tops - {".gitignore"} == {*files, *folders, "pyproject.toml"}
+    tests = {path.relative_to(root).as_posix() for path in (root / "tests").rglob("*.py")}
+    assert tests <= names
+    assert not [name for name in names if "results" in name.split("/")]
 
 
 def test_the_package_page_has_no_link_into_the_repository(wheel: Path) -> None:
@@ -81,6 +102,21 @@ print(magical.__file__, second.shape, bool((first != second).any()), truncated, 
     assert version.split()[0] == "magical"
     table = run_python("-m", "magical", "conformance", "motions", cwd=tmp_path, path=site)
     assert {line.split()[0] for line in table.splitlines()[2:]} == {"ok"}
+
+
+def test_the_notebook_runs_from_the_wheel(wheel: Path, root: Path, tmp_path: Path) -> None:
+    pytest.importorskip("torch", reason="the learning extra is not installed")
+    site, notebook = tmp_path / "site", tmp_path / "tutorial.ipynb"
+    pip = ("-m", "pip", "--disable-pip-version-check", "install", "--quiet", "--no-index")
+    run_python(*pip, "--no-deps", "--target", str(site), str(wheel), cwd=tmp_path)
+    text = (root / "examples" / "tutorial.ipynb").read_text()
+    # The same notebook with less of everything.
+    for old, new in {"NUM_DEMOS = 10": "2", "BATCHES = 100": "3", "ROLLOUTS = 10": "1"}.items():
+        assert text.count(old) == 1
+        text = text.replace(old, f"{old.split()[0]} = {new}")
+    notebook.write_text(text)
+    run_python(str(root / "tools" / "run_notebook.py"), str(notebook), cwd=tmp_path, path=site)
+    assert "BC (ST), published" in notebook.read_text()
 
 
 def test_importing_loads_nothing_heavy(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from magical.envs import register_envs as _register_envs
 from magical.tasks import TASKS, Task, get_task
 from magical.tasks import register_task as _register_task
 
-__version__ = "0.1.0"
+__version__ = "1.0.0rc1"
 
 
 def register_task(task: Task) -> None:

@@ -25,6 +25,10 @@ ROOT = Path(__file__).resolve().parents[2]
 ENTRIES = ("studies", "entries")  # folders with evaluated runs
 NOTEBOOK = "examples/tutorial.ipynb"
 WORK = ROOT / "build"  # what is made on the way, and pictures for the next time
+ELSEWHERE = re.compile(
+    r'<(?:script|img|source|iframe)\b[^>]*\bsrc(?:set)?="https?:[^"]*"'
+    r'|<link\b[^>]*\bhref="https?:[^"]*"'
+)
 FOUND = re.compile(r"Doc file '(?P<page>[^']+)' contains a link '(?P<link>[^']+)'")
 
 
@@ -89,7 +93,15 @@ def build_site(out: Path) -> list[str]:
     build(config)
     config.plugins.on_shutdown()
     logger.removeHandler(warnings)
-    return [*source.problems, *(_located(source, text) for text in warnings.messages)]
+    located = (_located(source, text) for text in warnings.messages)
+    return [*source.problems, *located, *loaded_from_elsewhere(out)]
+
+
+def loaded_from_elsewhere(site: Path) -> Iterator[str]:
+    """The pages that load something from another host, which none may."""
+    for page in sorted(site.rglob("*.html")):
+        for found in ELSEWHERE.findall(page.read_text(encoding="utf-8")):
+            yield f"{page.relative_to(site)}: loads from another host: {found}"
 
 
 def _located(source: Source, message: str) -> str:

@@ -39,6 +39,7 @@ MODULES = {
     "magical.experiments.status": "Plans in progress",
     "magical.conformance": "Comparison with recordings",
 }
+COLAB = "https://colab.research.google.com/github"
 WIDTH = "80"  # columns of a command's help
 
 
@@ -168,7 +169,9 @@ def notebook_pages(path: Path) -> dict[str, str | bytes]:
     """A notebook as a page with its stored outputs; pictures beside it."""
     notebook: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     place = f"examples/{path.stem}"
-    text: list[str] = []
+    repository = os.environ.get("GITHUB_REPOSITORY")  # where the site is built for a repository
+    colab = f"{COLAB}/{repository}/blob/main/{place}.ipynb"
+    text = [f"[Open in Colab]({colab})"] if repository else []
     pictures: dict[str, bytes] = {}
     for cell in notebook["cells"]:
         source = "".join(cell["source"])

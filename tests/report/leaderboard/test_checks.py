@@ -35,6 +35,8 @@ def test_a_right_entry_has_no_faults() -> None:
     assert faults(entry()) == []
     assert faults(entry(details={"learned_from": []})) == []
     assert faults(entry(details={"learned_from": [], "looks": 0})) == []
+    assert faults(entry(version="0.1.0")) == []  # whose scores are those of 1.0
+    assert faults(entry(version="0.2.0")) != []
 
 
 @pytest.mark.parametrize(

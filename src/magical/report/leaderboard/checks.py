@@ -117,9 +117,13 @@ def _observation_faults(entry: Entry) -> Iterator[str]:
 
 
 def _series(version: str) -> str:
-    """The part of a version that scores depend on: one number, before 1.0 the first two."""
-    parts = version.split(".")
-    return ".".join(parts[:2] if parts[0] == "0" else parts[:1])
+    """The part of a version that scores depend on: its first number.
+
+    Before 1.0 it is the first two; nothing that scores depend on changed between 0.1 and 1.0.
+    """
+    first, second, *_ = [*version.split("."), ""]
+    series = f"{first}.{second}" if first == "0" else first
+    return "1" if series == "0.1" else series
 
 
 def _conflicts(result: Result, accepted: Sequence[Result]) -> Iterator[str]:

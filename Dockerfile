@@ -1,0 +1,11 @@
+# The package with training and reports, from pinned versions:
+#   docker build -t magical . && docker run --rm -v "$PWD:/work" magical envs
+FROM python:3.12-slim
+WORKDIR /source
+COPY pyproject.toml README.md LICENSE constraints.txt ./
+COPY tools/install.py tools/
+COPY src src
+RUN python tools/install.py learning,report && useradd --create-home --uid 1000 user
+USER 1000
+WORKDIR /work
+ENTRYPOINT ["magical"]

@@ -1,0 +1,152 @@
+"""Validate entries submitted to the leaderboard, each a folder with `submission.json`.
+
+    python -m tools.entries [--entries FOLDER] [NAME ...]
+    python -m tools.entries NAME --describe runs/0=policy.py:POLICY [...]
+
+An entry is refused, with the reason, if a file is missing or has another SHA-256 sum than it
+states, if it does not keep the protocol, or if a sample of its rollouts, run again, contradicts
+its scores. This runs the entry's code: only where that can do no harm. With --describe its
+`submission.json` is written instead.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from magical.errors import MagicalError
+from magical.files import open_regular, sha256_sum, write_atomically
+from magical.report.found.search import Found, search_results
+from magical.report.leaderboard.checks import check_entries
+from magical.untrusted import read_json
+
+ROOT = Path(__file__).resolve().parents[1]
+SUBMISSION = "submission.json"
+README = "README.md"  # may lie in an entry's folder, undescribed
+
+
+class SubmissionError(MagicalError, ValueError):
+    """A submission that cannot be accepted."""
+
+
+@dataclass(frozen=True)
+class Submission:
+    """What `submission.json` holds.
+
+    Args:
+        policies: what acts, by the run's folder: `file.py:NAME` of a file in the entry's folder;
+            empty for the policy of a run folder that lies there.
+        files: the SHA-256 sum of every other file, by its path in the entry's folder.
+    """
+
+    policies: Mapping[str, str]
+    files: Mapping[str, str]
+
+
+def reasons(folder: Path, others: Sequence[Path] = ()) -> list[str]:
+    """Why an entry is refused; empty if it is accepted.
+
+    Args:
+        folder: the entry's.
+        others: folders of the entries that it stands beside.
+    """
+    try:
+        submission = read_json(folder / SUBMISSION, Submission, SubmissionError)
+        return (
+            list(_file_faults(folder, submission))
+            or list(_protocol_faults(folder, submission, others))
+            or list(_contradictions(folder, submission))
+        )
+    except (MagicalError, OSError) as error:
+        return [str(error)]
+
+
+def _file_faults(folder: Path, submission: Submission) -> Iterator[str]:
+    for name, stated in submission.files.items():
+        path = folder / name
+        if PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts:
+            yield f"{name}: expected a path in the entry's folder"
+        elif not path.is_file() or path.is_symlink():
+            yield f"{name}: expected a file, found none"
+        elif (found := _digest(path)) != stated:
+            yield f"{name}: expected the SHA-256 sum {stated}, found {found}"
+    for name in sorted(set(_files(folder)) - set(submission.files)):
+        yield f"{name}: expected in {SUBMISSION}, or not at all"
+
+
+def _files(folder: Path) -> Iterator[str]:
+    for path in sorted(folder.rglob("*")):
+        name = path.relative_to(folder).as_posix()
+        if path.is_file() and name not in (SUBMISSION, README) and "__pycache__" not in path.parts:
+            yield name
+
+
+def _digest(path: Path) -> str:
+    with open_regular(path) as file:
+        return sha256_sum(file)
+
+
+def _protocol_faults(folder: Path, submission: Submission, others: Sequence[Path]) -> Iterator[str]:
+    found = search_results([folder, *others])
+    ours = {result.folder for result in found.results if folder in result.folder.parents}
+    missing = {folder / run for run in submission.policies} - ours
+    yield from (f"{run.relative_to(folder)}: expected an entry, found none" for run in missing)
+    for run in sorted(ours - {folder / run for run in submission.policies}):
+        yield f"{run.relative_to(folder)}: expected its policy in {SUBMISSION}"
+    _, rejected = check_entries(_ours_last(found, folder))
+    for entry in rejected:
+        if folder in (Path(entry.folder), *Path(entry.folder).parents):
+            yield f"{Path(entry.folder).relative_to(folder)}: {'; '.join(entry.reasons)}"
+
+
+def _ours_last(found: Found, folder: Path) -> Found:
+    """The same entries; of two that contradict each other, the one submitted is refused."""
+    ordered = sorted(found.results, key=lambda result: folder in result.folder.parents)
+    return Found(ordered, found.skipped)
+
+
+def _contradictions(folder: Path, submission: Submission) -> Iterator[str]:
+    for run, policy in submission.policies.items():
+        named = ["--policy", f"{folder / policy}"] if policy else []
+        command = [sys.executable, "-m", "magical", "verify", str(folder / run), *named]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            last = (done.stderr or done.stdout).strip().splitlines()[-1:]
+            yield f"{run}: {''.join(last)}"
+
+
+def describe(folder: Path, policies: Mapping[str, str]) -> None:
+    """Write an entry's `submission.json`."""
+    files = {name: _digest(folder / name) for name in _files(folder)}
+    text = json.dumps({"policies": dict(policies), "files": files}, indent=2)
+    with write_atomically(folder / SUBMISSION) as file:
+        file.write(f"{text}\n".encode())
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Validate, or describe; 1 if an entry is refused."""
+    parser = argparse.ArgumentParser(prog="python -m tools.entries", description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help="of an entry (default: all)")
+    parser.add_argument("--entries", type=Path, default=ROOT / "entries", metavar="FOLDER")
+    parser.add_argument("--describe", nargs="+", metavar="RUN=POLICY", help="write its submission")
+    arguments = parser.parse_args(argv)
+    everything = sorted(path for path in arguments.entries.iterdir() if path.is_dir())
+    chosen = [arguments.entries / name for name in arguments.names] or everything
+    if arguments.describe:
+        for folder in chosen:
+            describe(folder, dict(pair.split("=", 1) for pair in arguments.describe))
+        return 0
+    refused = False
+    for folder in chosen:
+        found = reasons(folder, [other for other in everything if other != folder])
+        refused |= bool(found)
+        for reason in found or ["accepted"]:
+            print(f"{folder.name}: {reason}")
+    return int(refused)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
