@@ -13,7 +13,7 @@ def source(tmp_path: Path) -> Source:
     root = tmp_path / "repository"
     for name, text in {
         "docs/page.md": "# Page\n\n[study](../studies/one/README.md#answer)\n[gone](gone.md)\n",
-        "studies/one/README.md": "[page](../../docs/page.md) [](script.py) [](../../docs/made.md)\n",
+        "studies/one/README.md": "[](../../docs/page.md) [](script.py) [](../../docs/made.md)\n",
         "studies/one/script.py": "print()\n",
         "docs/code.md": "```text\n[no link](gone.md)\n```\n[example](../examples/a.py)\n",
         "examples/a.py": "print()\n",
@@ -38,7 +38,7 @@ def test_links_are_rewritten_and_what_they_lead_to_is_copied(source: Source) -> 
     page = (source.folder / "page.md").read_text()
     assert "[study](studies/one/README.md#answer)" in page
     study = (source.folder / "studies/one/README.md").read_text()
-    assert study == "[page](../../page.md) [](script.py) [](../../made.md)\n"
+    assert study == "[](../../page.md) [](script.py) [](../../made.md)\n"
     assert (source.folder / "studies/one/script.py").is_file()
     code = (source.folder / "code.md").read_text()
     assert code == "```text\n[no link](gone.md)\n```\n[example](examples/a.md)\n"
