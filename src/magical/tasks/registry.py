@@ -9,6 +9,7 @@ from typing import Any
 from magical.errors import InvalidTaskError, PluginError, UnknownNameError
 from magical.plugins import load_plugin, plugins
 from magical.tasks.axes import VARIANTS
+from magical.tasks.programs.generated import generated_task, is_generated
 from magical.tasks.task import Task
 
 GROUP = "magical.tasks"  # of entry points, named like their tasks
@@ -19,7 +20,8 @@ _tasks: dict[str, Task] = {}
 class _Tasks(Mapping[str, Task]):
     """Tasks by name: ours in the order of the appendix, then the others.
 
-    Iteration imports no module of another distribution; taking a task from here does.
+    Generated tasks are in it, but there are too many to iterate over. Iteration imports no module
+    of another distribution; taking a task from here does.
     """
 
     def __iter__(self) -> Iterator[str]:
@@ -29,9 +31,11 @@ class _Tasks(Mapping[str, Task]):
         return len({*_tasks, *plugins(GROUP)})
 
     def __contains__(self, name: object) -> bool:
-        return name in _tasks or name in plugins(GROUP)
+        return name in _tasks or name in plugins(GROUP) or is_generated(str(name))
 
     def __getitem__(self, name: str) -> Task:
+        if is_generated(name):
+            return generated_task(name)
         if name not in _tasks and name in plugins(GROUP):
             task = _loaded(name)
             if task.name != name:

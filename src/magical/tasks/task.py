@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from magical.errors import InvalidSceneError, InvalidTaskError, UnknownNameError
+from magical.errors import InvalidSceneError, InvalidTaskError, PlacementError, UnknownNameError
 from magical.scene import Dynamics, Poses, Scene
 from magical.tasks.axes import TEST_ALL, VARIANTS, Axis
 from magical.tasks.placement import Placement, sample_placement
@@ -17,6 +17,8 @@ from magical.tasks.validation import validate_scene
 RandomiseFn = Callable[[Scene, Axis, np.random.Generator], Scene]
 ScoreFn = Callable[[Scene, Poses], float]
 ValidateFn = Callable[[Scene], str]
+MAX_SCENES = 1000  # that are sampled for an episode; the paper's tasks need one
+
 Horizon = int | Literal["published"] | None  # steps, the published code's, the appendix's
 
 
@@ -111,11 +113,15 @@ class Task:
 
         Raises:
             UnknownNameError: the task lacks the variant; the message says which it has.
-            PlacementError: no room was found for a body.
+            PlacementError: no room was found for a body, or no scene that fits the task.
         """
         axes = self.axes_of(variant)
-        scene = sample_placement(self.randomise_fn(self.demo, axes, rng), axes, rng, self.placement)
-        return scene, Dynamics.sample(rng) if Axis.DYNAMICS in axes else Dynamics()
+        for _ in range(MAX_SCENES):
+            scene = self.randomise_fn(self.demo, axes, rng)
+            scene = sample_placement(scene, axes, rng, self.placement)
+            if not (problem := self.validate_fn(scene)):
+                return scene, Dynamics.sample(rng) if Axis.DYNAMICS in axes else Dynamics()
+        raise PlacementError(f"{self.name}, {variant}: none of {MAX_SCENES} scenes fits: {problem}")
 
     def score(self, scene: Scene, poses: Poses) -> float:
         """The appendix's score, 0 to 1, of the poses at the end of an episode from `scene`."""

@@ -12,7 +12,8 @@ from importlib.util import find_spec
 from magical.errors import NoExpertError, PluginError
 from magical.experts.planning import Planner
 from magical.plugins import is_plugin, load_plugin, plugins
-from magical.tasks import TASKS
+from magical.tasks import TASKS, get_task
+from magical.tasks.programs.generated import is_generated
 
 __all__ = ["get_planner", "has_expert", "register_planner"]
 
@@ -39,6 +40,10 @@ def get_planner(task: str) -> Planner:
         planner = importlib.import_module(f"{__name__}.{_file(task)}").PLANNER
     elif is_plugin(GROUP, task):
         planner = load_plugin(GROUP, task)
+    elif is_generated(task) and (program := get_task(task).program) is not None:
+        from magical.experts.goals._programs import program_planner
+
+        planner = program_planner(program)
     else:
         known = ", ".join(name for name in TASKS if has_expert(name))
         raise NoExpertError(
@@ -54,7 +59,7 @@ def get_planner(task: str) -> Planner:
 
 def has_expert(task: str) -> bool:
     """Whether a task has a scripted expert; it is not imported."""
-    return task in _registered or _is_ours(task) or task in plugins(GROUP)
+    return task in _registered or _is_ours(task) or task in plugins(GROUP) or is_generated(task)
 
 
 def _is_ours(task: str) -> bool:

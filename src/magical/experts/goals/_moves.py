@@ -1,6 +1,6 @@
 """Moves into and out of goal regions, and what moves of blocks cost in all tasks."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 
@@ -108,10 +108,17 @@ def _place_inside(view: StateView, strategy: Strategy, region: Region, block: in
 def _place_outside(view: StateView, strategy: Strategy, block: int) -> Point:
     """A place outside all regions that is near, preferred, and clear of other blocks."""
     areas = [inset(region, -AIM) for region in view.scene.regions]
+    return place_on_grid(
+        view, strategy, block, lambda place: not any(area.contains(*place) for area in areas)
+    )
+
+
+def place_on_grid(
+    view: StateView, strategy: Strategy, block: int, is_allowed: Callable[[Point], bool]
+) -> Point:
+    """An allowed place in the workspace that is near, preferred, and clear of other blocks."""
     start, others = view.blocks[block], _points(view.other_blocks(block))
-    grid = _grid(_TICKS, _TICKS).tolist()
-    free = [place for place in grid if not any(area.contains(*place) for area in areas)]
-    places = np.array(free or [start])  # (P, 2)
+    places = np.array(list(filter(is_allowed, _grid(_TICKS, _TICKS).tolist())) or [start])  # (P, 2)
     preferred = preferred_point(strategy, _OUTER, block)
     _, gaps = project_on_segments(np.array(start), places[:, None], others)  # (P, M)
     cost = place_costs(places, start, others)

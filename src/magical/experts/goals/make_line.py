@@ -7,6 +7,7 @@ where they are, and the cheapest of these is made.
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from heapq import nsmallest
 from itertools import combinations, pairwise, permutations
 from typing import NamedTuple
@@ -45,19 +46,32 @@ PREFERENCE = 30.0  # between the most and the least preferred direction; tuned
 
 
 def plan(view: StateView, strategy: Strategy, last: MovePlan) -> MovePlan:
-    """Move blocks to their places on the line that is made soonest."""
-    if is_solved(view):
-        return MovePlan()
-    places = _best_places(view.blocks, strategy, last.places)
-    return MovePlan(tuple(_moves(view.blocks, places)), places)
+    """Move all blocks to their places on the line that is made soonest."""
+    return plan_line(view, range(len(view.blocks)), strategy, last)
 
 
 def is_solved(view: StateView) -> bool:
-    """Whether the blocks come to rest in one line."""
-    rest = max(map(math.dist, view.blocks, view.resting_blocks))
-    if rest > STILL:
-        return is_line(view.resting_blocks, MOVING)
-    return is_line(view.blocks, RESTING)
+    """Whether all blocks come to rest in one line."""
+    return is_line_made(view.blocks, view.resting_blocks)
+
+
+def plan_line(
+    view: StateView, chosen: Sequence[int], strategy: Strategy, last: MovePlan
+) -> MovePlan:
+    """As `plan`, for the chosen blocks alone."""
+    blocks, resting = [view.blocks[i] for i in chosen], [view.resting_blocks[i] for i in chosen]
+    if is_line_made(blocks, resting):
+        return MovePlan()
+    places = _best_places(blocks, strategy, last.places)
+    moves = (replace(move, block=chosen[move.block or 0]) for move in _moves(blocks, places))
+    return MovePlan(tuple(moves), places)
+
+
+def is_line_made(blocks: Sequence[Point], resting: Sequence[Point]) -> bool:
+    """Whether blocks, and where they come to rest, are in one line."""
+    if max(map(math.dist, blocks, resting)) > STILL:
+        return is_line(resting, MOVING)
+    return is_line(blocks, RESTING)
 
 
 def _moves(blocks: Sequence[Point], places: Places) -> Iterator[Move]:

@@ -23,11 +23,9 @@ class Selection(Expression):
 
     Attributes:
         single: whether it is one block by its meaning.
-        by_pose: whether it depends on where blocks are, apart from being inside regions.
     """
 
     single: ClassVar[bool] = False
-    by_pose: ClassVar[bool] = False
 
     def blocks(self, scene: Scene) -> Blocks:
         """Indices of the selected blocks."""
@@ -216,7 +214,6 @@ class Nearest(Selection):
     """The block nearest to a landmark, if it is so by `CLEAR_DIFFERENCE`."""
 
     single = True
-    by_pose = True
     landmark: Landmark
 
     def blocks(self, scene: Scene) -> Blocks:
@@ -232,7 +229,6 @@ class Farthest(Selection):
     """The block farthest from a landmark, if it is so by `CLEAR_DIFFERENCE`."""
 
     single = True
-    by_pose = True
     landmark: Landmark
 
     def blocks(self, scene: Scene) -> Blocks:
@@ -269,7 +265,8 @@ class And(Selection):
 
     @property
     def clause(self) -> str:
-        return f"{self.first.clause} and {self.second.clause}"
+        link = " " if isinstance(self.second, AllBut) else " and "
+        return f"{self.first.clause}{link}{self.second.clause}"
 
 
 @dataclass(frozen=True, repr=False)

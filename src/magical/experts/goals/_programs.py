@@ -1,0 +1,132 @@
+"""Moves for a program of the language of goals, whichever it is."""
+
+import math
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+
+from magical.experts.goals._clustering import cluster_planner
+from magical.experts.goals._moves import moves_in, moves_out, place_on_grid
+from magical.experts.goals.make_line import plan_line
+from magical.experts.planning import Move, MovePlan, Planner, Strategy
+from magical.experts.state_view import StateView
+from magical.scene import Poses
+from magical.scene.geometry import Point
+from magical.scene.poses import FIRST_BLOCK
+from magical.tasks.programs import (
+    Clustered,
+    Each,
+    Every,
+    Exactly,
+    Goal,
+    InOwnColour,
+    InRegion,
+    Lined,
+    OneOf,
+    Only,
+    OutOfRegions,
+    Place,
+    Together,
+    Undisturbed,
+)
+
+MARGIN = 0.06  # units within a corner, wall zone or neighbourhood that are aimed at
+TOLERANCE = 0.06  # units
+
+
+def program_planner(program: Goal) -> Planner:
+    """The planner of a task that is defined by a program."""
+    if isinstance(program, Clustered):
+        return cluster_planner(program.attribute)
+    return Planner(partial(plan, program), partial(is_solved, program))
+
+
+def plan(program: Goal, view: StateView, strategy: Strategy, last: MovePlan) -> MovePlan:
+    """The moves that the program's goals ask for; a block that several ask for moves once."""
+    if isinstance(program, Lined):
+        chosen = sorted(program.selection.blocks(view.scene))
+        return plan_line(view, chosen, strategy, last)
+    moves: dict[int | None, Move] = {}
+    for goal in _goals(program):
+        for move in _moves(goal, view, strategy):
+            moves.setdefault(move.block, move)
+    return MovePlan(tuple(moves.values()))
+
+
+def is_solved(program: Goal, view: StateView) -> bool:
+    """Whether the score is 1 where the blocks would come to rest."""
+    rows = np.zeros((FIRST_BLOCK + len(view.blocks), 3))
+    rows[0] = view.x, view.y, view.angle
+    rows[FIRST_BLOCK:, :2] = np.reshape(view.resting_blocks, (-1, 2))
+    return program.score(view.scene, Poses(rows)) == 1.0
+
+
+def _goals(program: Goal) -> Iterator[Goal]:
+    if isinstance(program, Together):
+        yield from _goals(program.first)
+        yield from _goals(program.second)
+    elif isinstance(program, Exactly):
+        yield Each(program.selection, InRegion())
+        yield Only(program.selection)
+    else:
+        yield program
+
+
+def _moves(goal: Goal, view: StateView, strategy: Strategy) -> list[Move]:
+    """Moves for one goal."""
+    scene = view.scene
+    if isinstance(goal, Only):
+        others = set(range(len(view.blocks))) - goal.selection.blocks(scene)
+        return moves_out(view, strategy, others)
+    if isinstance(goal, Undisturbed):
+        return _back(goal, view, strategy)
+    if not isinstance(goal, Each | Every | OneOf):
+        raise NotImplementedError(f"no expert for {goal!r}")
+    blocks = sorted(goal.selection.blocks(scene))
+    if isinstance(goal, OneOf) and any(_is_there(goal.place, view, i) for i in blocks):
+        return []
+    return [move for i in blocks for move in _to_place(goal.place, view, strategy, i)]
+
+
+def _to_place(place: Place, view: StateView, strategy: Strategy, block: int) -> list[Move]:
+    """The move that brings a block to a place, or none where it is there."""
+    if isinstance(place, OutOfRegions):
+        return moves_out(view, strategy, [block])
+    if isinstance(place, InRegion | InOwnColour):
+        colour = view.scene.blocks[block].colour
+        fitting = [
+            r for r in view.scene.regions if isinstance(place, InRegion) or r.colour == colour
+        ]
+        nearest = min(fitting, key=lambda region: math.dist(region.centre, view.blocks[block]))
+        return moves_in(view, strategy, nearest, [block])
+    if _is_there(place, view, block):
+        return []
+    goal = place_on_grid(view, strategy, block, partial(_is_well_within, place, view, block))
+    return [Move(goal, TOLERANCE, block)]
+
+
+def _is_there(place: Place, view: StateView, block: int) -> bool:
+    return place.degree(view.scene, block, view.resting_blocks) >= 1.0
+
+
+def _is_well_within(place: Place, view: StateView, block: int, point: Point) -> bool:
+    """Whether a block would be at a place at the point, and at all points `MARGIN` around it."""
+    points = list(view.blocks)
+    for dx, dy in ((MARGIN, 0.0), (-MARGIN, 0.0), (0.0, MARGIN), (0.0, -MARGIN)):
+        points[block] = point[0] + dx, point[1] + dy
+        if place.degree(view.scene, block, points) < 1.0:
+            return False
+    return True
+
+
+def _back(goal: Undisturbed, view: StateView, strategy: Strategy) -> list[Move]:
+    """Blocks that have left their regions back, others that have come out."""
+    moves, chosen = [], goal.selection.blocks(view.scene)
+    for region in view.scene.regions:
+        starts = {i for i, b in enumerate(view.scene.blocks) if region.contains(*b.pose[:2])}
+        if starts & chosen:
+            others = [i for i, at in enumerate(view.blocks) if region.contains(*at)]
+            moves += moves_in(view, strategy, region, starts)
+            moves += moves_out(view, strategy, set(others) - starts)
+    return moves

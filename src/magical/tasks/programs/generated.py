@@ -1,0 +1,132 @@
+"""Generated tasks: a number gives a program, a Demo scene and all variants.
+
+The tasks are called Generated0000 to Generated9999. What a number stands for depends on nothing
+but `GENERATOR`, which is the version in the ids of their environments.
+"""
+
+import re
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
+from functools import cache, partial
+
+import numpy as np
+
+from magical.errors import InvalidProgramError, PlacementError
+from magical.scene import COLOURS, SHAPES, Block, Pose, Region, Scene
+from magical.tasks.attributes import sample_attributes, sample_count, sample_item
+from magical.tasks.axes import EVERYTHING, Axis
+from magical.tasks.placement import Placement, sample_placement
+from magical.tasks.programs.goals import Clustered, Goal, instruction
+from magical.tasks.programs.places import AtWall, InCorner
+from magical.tasks.programs.sampling import Family, sample_program
+from magical.tasks.programs.validity import problem
+from magical.tasks.task import Task
+
+GENERATOR = 0  # the version of everything that a number's task depends on
+NAME = re.compile(r"Generated(\d{4})")
+MAX_PROGRAMS = 100  # that are sampled for a number
+MAX_SCENES = 200  # that are sampled for a program
+MAX_MOVED = 3  # blocks that a goal is about at most, but for clusters
+MORE_OUTSIDE = 2  # blocks outside the regions by which CountPlus may exceed the family's most
+REGION_SIZE = (0.45, 0.7)  # units
+MARGIN = 0.12  # units from an enclosed block's centre to its region's nearest edge
+
+
+def is_generated(name: str) -> bool:
+    """Whether a task's name is that of a generated task."""
+    return NAME.fullmatch(name) is not None
+
+
+@cache
+def generated_task(name: str) -> Task:
+    """The task of a name such as Generated0042.
+
+    Raises:
+        InvalidProgramError: none of the programs that were sampled has a scene.
+    """
+    (number,) = map(int, NAME.fullmatch(name).groups())  # type: ignore[union-attr]
+    rng = np.random.default_rng([GENERATOR, number])
+    program = None
+    for _ in range(MAX_PROGRAMS):
+        family, program = sample_program(rng)
+        if (demo := _sample_demo(family, program, rng)) is not None:
+            return _make_task(name, family, program, demo)
+    raise InvalidProgramError(f"{name}: found no scene for {MAX_PROGRAMS} programs; {program!r}")
+
+
+def _make_task(name: str, family: Family, program: Goal, demo: Scene) -> Task:
+    enclosed = len(demo.regions) if family.encloses else 0
+    most = family.outside[1] + MORE_OUTSIDE
+    return Task(
+        name=name,
+        summary=instruction(program, demo, attributes=False),
+        horizon=family.horizon,
+        demo=demo,
+        axes=EVERYTHING,
+        randomise_fn=partial(randomise, enclosed=enclosed, most=most),
+        placement=_placement(enclosed),
+        program=program,
+        score_fn=program.score,
+        max_blocks=most + enclosed,
+        max_regions=len(demo.regions),
+        mirror_symmetric=not any(isinstance(part, InCorner | AtWall) for part in program.parts),
+        validate_fn=partial(misfit, program=program),
+    )
+
+
+def randomise(
+    scene: Scene, axes: Axis, rng: np.random.Generator, enclosed: int, most: int
+) -> Scene:
+    """Uniform colours and shapes of everything, and up to `most` blocks outside the regions."""
+    outside = len(scene.blocks) - enclosed
+    count = outside
+    if Axis.COUNT in axes and outside:
+        count = sample_count(min(2, outside), most, rng)
+    regions = scene.regions
+    if Axis.COLOUR in axes:
+        regions = tuple(replace(region, colour=sample_item(COLOURS, rng)) for region in regions)
+    blocks = (*(scene.blocks[i % outside] for i in range(count)), *scene.blocks[outside:])
+    return replace(scene, blocks=sample_attributes(blocks, axes, rng), regions=regions)
+
+
+def misfit(scene: Scene, program: Goal) -> str:
+    """Why the scene does not fit the program as a generated task, or an empty string."""
+    if reason := problem(program, scene):
+        return reason
+    if any(isinstance(part, Clustered) for part in program.parts):
+        return ""
+    count = len(program.moved(scene))
+    if count > MAX_MOVED:
+        return f"expected at most {MAX_MOVED} blocks that {program!r} is about, found {count}"
+    if count == len(scene.blocks):
+        return f"expected a block that {program!r} is not about, found none"
+    return ""
+
+
+def _sample_demo(family: Family, program: Goal, rng: np.random.Generator) -> Scene | None:
+    """A Demo scene for a program, enclosed blocks last; `None` where none of `MAX_SCENES` fits."""
+    regions, nowhere = sample_count(*family.regions, rng), Pose(0.0, 0.0, 0.0)
+    enclosed = regions if family.encloses else 0
+    blocks = max(2, sample_count(*family.outside, rng) + enclosed)
+    outline = Scene(
+        nowhere,
+        tuple(Block(SHAPES[0], COLOURS[0], nowhere) for _ in range(blocks)),
+        tuple(Region(COLOURS[0], 0.0, 0.0, 0.5, 0.5) for _ in range(regions)),
+    )
+    for _ in range(MAX_SCENES):
+        scene = randomise(outline, Axis.COLOUR | Axis.SHAPE, rng, enclosed, blocks)
+        with suppress(PlacementError):
+            scene = sample_placement(scene, Axis.LAYOUT, rng, _placement(enclosed))
+            if not misfit(scene, program):
+                return scene
+    return None
+
+
+def _placement(enclosed: int) -> Placement:
+    """The last `enclosed` blocks each in the region of the same place in order."""
+
+    def regions_of(count: int) -> Mapping[int, int]:
+        return {count - enclosed + i: i for i in range(enclosed)}
+
+    return Placement(region_size=REGION_SIZE, enclosed=regions_of, margin=MARGIN)

@@ -1,0 +1,190 @@
+"""Random programs: families of goals with their weights, and how many bodies their scenes have.
+
+`DISTRIBUTION` is the whole distribution of programs.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from magical.scene import COLOURS, SHAPES
+from magical.tasks.attributes import sample_item
+from magical.tasks.programs.expressions import Attribute, Corner, Landmark, Wall
+from magical.tasks.programs.goals import (
+    Clustered,
+    Each,
+    Every,
+    Exactly,
+    Goal,
+    Lined,
+    OneOf,
+    Only,
+    Together,
+    Undisturbed,
+)
+from magical.tasks.programs.places import (
+    AtWall,
+    Beside,
+    InCorner,
+    InOwnColour,
+    InRegion,
+    OutOfRegions,
+    Place,
+)
+from magical.tasks.programs.selections import (
+    AllBut,
+    And,
+    Enclosed,
+    Farthest,
+    LikeEnclosed,
+    Matched,
+    Mismatched,
+    MostCommon,
+    Nearest,
+    OddOneOut,
+    OfRegionColour,
+    Outside,
+    Selection,
+    WithColour,
+    WithShape,
+)
+
+Rng = np.random.Generator
+
+OUTSIDE = (2, 5)  # blocks outside the regions: least and most in Demo
+CLUSTERED = (4, 6)  # blocks to be clustered: least and most in Demo
+LINED = (3, 4)  # blocks where some are to be in a line: least and most in Demo
+SHORT_HORIZON, HORIZON, LONG_HORIZON = 120, 180, 320  # control steps
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """Goals of one form: how often they are sampled, and what their scenes have.
+
+    Attributes:
+        weight: relative to the other families.
+        sample_fn: samples a goal.
+        regions: least and most in its scenes.
+        encloses: whether a block starts inside each region.
+        outside: blocks that start outside, least and most.
+        horizon: control steps.
+    """
+
+    weight: float
+    sample_fn: Callable[[Rng], Goal]
+    regions: tuple[int, int] = (0, 0)
+    encloses: bool = False
+    outside: tuple[int, int] = OUTSIDE
+    horizon: int = HORIZON
+
+
+def _into(rng: Rng) -> Goal:
+    return Each(sample_selection(rng), InRegion())
+
+
+def _exactly(rng: Rng) -> Goal:
+    return Exactly(sample_selection(rng))
+
+
+def _colour(rng: Rng) -> Goal:
+    return Each(OfRegionColour(), InOwnColour())
+
+
+def _landmark(rng: Rng) -> Goal:
+    place: Place = (
+        InCorner(sample_item(tuple(Corner), rng))
+        if rng.random() < 0.5
+        else AtWall(sample_item(tuple(Wall), rng))
+    )
+    return Each(sample_selection(rng, region=False), place)
+
+
+def _beside(rng: Rng) -> Goal:
+    other = sample_single(rng, region=False)
+    return Each(And(sample_selection(rng, region=False), AllBut(other)), Beside(other))
+
+
+def _out(rng: Rng) -> Goal:
+    return Every(And(Enclosed(), sample_selection(rng)), OutOfRegions())
+
+
+def _fix(rng: Rng) -> Goal:
+    return Together(Every(Mismatched(), OutOfRegions()), Undisturbed(Matched()))
+
+
+def _like(rng: Rng) -> Goal:
+    kind = LikeEnclosed(sample_item(tuple(Attribute), rng))
+    found: Goal = OneOf(And(Outside(), kind), InRegion())
+    if rng.random() < 0.5:
+        found = Each(And(Outside(), kind), InRegion())
+    return Together(found, Together(Every(Enclosed(), InRegion()), Only(kind)))
+
+
+def _swap(rng: Rng) -> Goal:
+    chosen = And(Outside(), sample_selection(rng))
+    return Together(Every(Enclosed(), OutOfRegions()), Each(chosen, InRegion()))
+
+
+def _line(rng: Rng) -> Goal:
+    return Lined(AllBut(sample_single(rng, region=False)))
+
+
+def _cluster(rng: Rng) -> Goal:
+    return Clustered(sample_item((Attribute.COLOUR, Attribute.SHAPE), rng))
+
+
+# The distribution of programs: families with their weights and scenes.
+DISTRIBUTION: Mapping[str, Family] = MappingProxyType(
+    {
+        "into": Family(3, _into, regions=(1, 1)),
+        "exactly": Family(2, _exactly, regions=(1, 1)),
+        "own colour": Family(1, _colour, regions=(2, 2)),
+        "landmark": Family(3, _landmark),
+        "beside": Family(2, _beside),
+        "out": Family(
+            2, _out, regions=(2, 3), encloses=True, outside=(0, 1), horizon=SHORT_HORIZON
+        ),
+        "fix": Family(
+            1, _fix, regions=(2, 3), encloses=True, outside=(0, 2), horizon=SHORT_HORIZON
+        ),
+        "like": Family(3, _like, regions=(1, 1), encloses=True),
+        "swap": Family(2, _swap, regions=(1, 1), encloses=True),
+        "line": Family(1, _line, outside=LINED),
+        "clusters": Family(1, _cluster, outside=CLUSTERED, horizon=LONG_HORIZON),
+    }
+)
+
+
+def sample_program(rng: Rng) -> tuple[Family, Goal]:
+    """A family, by its weight, and a program of it."""
+    names = tuple(DISTRIBUTION)
+    weights = np.array([DISTRIBUTION[name].weight for name in names])
+    name = names[int(rng.choice(len(names), p=weights / weights.sum()))]
+    return DISTRIBUTION[name], DISTRIBUTION[name].sample_fn(rng)
+
+
+def sample_selection(rng: Rng, region: bool = True) -> Selection:
+    """A selection of one or several blocks; of those that need a region only with `region`."""
+    kinds: list[Callable[[], Selection]] = [
+        lambda: WithColour(sample_item(COLOURS, rng)),
+        lambda: WithShape(sample_item(SHAPES, rng)),
+        lambda: MostCommon(sample_item((Attribute.COLOUR, Attribute.SHAPE), rng)),
+        lambda: sample_single(rng, region),
+        lambda: AllBut(sample_single(rng, region)),
+    ]
+    if region:
+        kinds.append(OfRegionColour)
+    return sample_item(kinds, rng)()
+
+
+def sample_single(rng: Rng, region: bool = True) -> Selection:
+    """A selection of one block by its meaning."""
+    landmarks = tuple(Landmark) if region else (Landmark.ROBOT, Landmark.CENTRE)
+    kinds: list[Callable[[], Selection]] = [
+        lambda: OddOneOut(sample_item((Attribute.COLOUR, Attribute.SHAPE), rng)),
+        lambda: Nearest(sample_item(landmarks, rng)),
+        lambda: Farthest(sample_item(landmarks, rng)),
+    ]
+    return sample_item(kinds, rng)()
