@@ -13,7 +13,12 @@ from magical.errors import PluginError
 from magical.observe.presets import PRESETS
 from magical.plugins import plugins
 from magical.tasks import TASKS, possible_variants
+from magical.tasks.programs.suite import SUITE, task_name
 from magical.tasks.registry import GROUP
+
+ENVIRONMENT = "magical.envs.env:MagicalEnv"
+VECTOR_ENVIRONMENT = "magical.envs.vector:make_vector_env"
+PUBLISHED_ID = "magical.envs.registration:make_by_published_id"
 
 
 def register_envs(task: str) -> None:
@@ -26,15 +31,8 @@ def register_envs(task: str) -> None:
     `TimeLimit` and `OrderEnforcing` wrappers are not used.
     """
     for variant, preset in product(possible_variants(task), (None, *PRESETS)):
-        if (env_id := str(EnvId(task, variant, preset))) in gym.registry:
-            continue  # as long as it is a task of this name, it is the same environment
-        gym.register(
-            id=env_id,
-            entry_point="magical.envs.env:MagicalEnv",
-            vector_entry_point="magical.envs.vector:make_vector_env",
-            order_enforce=False,
-            kwargs={"task": task, "variant": variant} | ({"observation": preset} if preset else {}),
-        )
+        kwargs = {"task": task, "variant": variant} | ({"observation": preset} if preset else {})
+        _add(EnvId(task, variant, preset), ENVIRONMENT, VECTOR_ENVIRONMENT, kwargs)
 
 
 def register_all() -> None:
@@ -43,20 +41,29 @@ def register_all() -> None:
     Tasks of the appendix are registered by the ids of the published package as well.
     """
     with suppress(PluginError):  # two offer the same task: raised where one is asked for
-        for task in TASKS:
+        for task in (*TASKS, *map(task_name, SUITE)):
             register_envs(task)
     published = [name for name in TASKS if name not in plugins(GROUP) and TASKS[name].section]
     for name, preset in product(published, (None, *PRESETS)):
         for variant in TASKS[name].variants:
             env_id = EnvId(name, variant, preset)
-            old_id = env_id.removeprefix(f"{NAMESPACE}/")
-            gym.registry[old_id] = EnvSpec(
-                id=old_id,
-                entry_point="magical.envs.registration:make_by_published_id",
-                vector_entry_point="magical.envs.registration:make_by_published_id",
-                order_enforce=False,
-                kwargs={**gym.registry[env_id].kwargs, "new_id": str(env_id)},
-            )
+            kwargs = {**gym.registry[env_id].kwargs, "new_id": str(env_id)}
+            _add(env_id.removeprefix(f"{NAMESPACE}/"), PUBLISHED_ID, PUBLISHED_ID, kwargs)
+
+
+def _add(env_id: str, entry_point: str, vector_entry_point: str, kwargs: dict[str, Any]) -> None:
+    """Add an environment, unless the id is taken: as long as it is a task of this name, it is that.
+
+    `gymnasium.register` compares each id with all others, which takes seconds for thousands.
+    """
+    spec = EnvSpec(
+        id=str(env_id),
+        entry_point=entry_point,
+        vector_entry_point=vector_entry_point,
+        order_enforce=False,
+        kwargs=kwargs,
+    )
+    gym.registry.setdefault(spec.id, spec)
 
 
 def make_by_published_id(new_id: str, num_envs: int | None = None, **options: Any) -> Any:
