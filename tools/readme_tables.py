@@ -13,6 +13,9 @@ from statistics import fmean
 from magical.evaluation import published_score, published_tasks
 from magical.observe import PRESETS, PixelSpec
 from magical.report.leaderboard import make_leaderboard
+from magical.tasks import TASKS, get_task
+from magical.tasks.programs import instruction
+from magical.tasks.programs.suite import SUITE, task_name
 
 ROOT = Path(__file__).resolve().parents[1]
 PAPER = "BC (ST)"  # the published row that ours stand beside
@@ -70,9 +73,24 @@ def _published(task: str, variant: str) -> float:
     return found.mean
 
 
+def programs() -> str:
+    """The programs of seven of the paper's tasks and three of the suite, with instructions."""
+    tasks = [task for task in TASKS.values() if task.section and task.name != "ClusterShape"]
+    tasks += [get_task(task_name(number)) for number in SUITE[:3]]
+    return table(
+        ("Task", "Program", "Demo's instruction"),
+        (
+            (task.name, f"`{task.program!r}`", instruction(task.program, task.demo))
+            for task in tasks
+            if task.program is not None
+        ),
+    )
+
+
 PAGES: Mapping[Path, Mapping[str, Callable[[], str]]] = {
     ROOT / "README.md": {"results": results},
     ROOT / "docs/observations.md": {"presets": presets},
+    ROOT / "docs/programs.md": {"programs": programs},
 }
 
 

@@ -1,0 +1,191 @@
+"""How many programs explain demonstrations of a scene, and how uncertain they leave a reader.
+
+    python -m studies.generated_tasks.ambiguity --generated 16
+
+Every program with selections of at most two parts, by itself or two of them together, is held
+against the expert's demonstrations. It explains them if it has score 1 at the end of each and was
+not solved at the start. Prior: every choice in writing a program down is uniform over what the
+language allows there, so that its probability is 2 to the minus its bits.
+"""
+
+import argparse
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from enum import StrEnum
+from itertools import combinations, product
+from typing import get_type_hints
+
+from magical.experts.rollout import rollout
+from magical.scene import Poses, Scene
+from magical.tasks import TASKS, get_task
+from magical.tasks.programs import (
+    SUCCESS,
+    VOCABULARY,
+    AllBut,
+    And,
+    Beside,
+    Clustered,
+    Expression,
+    Goal,
+    Or,
+    Place,
+    RobotInside,
+    Selection,
+    Together,
+)
+from magical.tasks.programs.suite import HELD_OUT, task_name
+
+KINDS = (Selection, Place, Goal)
+CHOICES = {kind: sum(issubclass(v, kind) for v in VOCABULARY.values()) for kind in KINDS}
+
+
+@dataclass(frozen=True, slots=True)
+class Mass:
+    """A set of programs: how many, the sum of their weights, and of weight times bits."""
+
+    count: int = 0
+    weight: float = 0.0
+    bits: float = 0.0
+
+    @staticmethod
+    def of(bits: float) -> "Mass":
+        """One program, or a choice in one."""
+        return Mass(1, 2.0**-bits, bits * 2.0**-bits)
+
+    def __add__(self, other: "Mass") -> "Mass":
+        return Mass(self.count + other.count, self.weight + other.weight, self.bits + other.bits)
+
+    def __mul__(self, other: "Mass") -> "Mass":
+        """All pairs of a part of either set."""
+        bits = self.bits * other.weight + self.weight * other.bits
+        return Mass(self.count * other.count, self.weight * other.weight, bits)
+
+    @property
+    def entropy(self) -> float:
+        """Bits that are needed to name one of the programs, by their weights."""
+        return self.bits / self.weight + math.log2(self.weight) if self.weight else 0.0
+
+
+def choice(kind: type[Expression]) -> Mass:
+    """The choice of a selection, a place or a goal."""
+    (base,) = (base for base in KINDS if issubclass(kind, base))
+    return Mass.of(math.log2(CHOICES[base]))
+
+
+def bits_of(program: Expression) -> float:
+    """The bits of a program."""
+    total = 0.0
+    for part in program.parts:
+        total += math.log2(CHOICES[next(kind for kind in KINDS if isinstance(part, kind))])
+        words = get_type_hints(type(part)).values()
+        total += sum(math.log2(len(w)) for w in words if _is_word(w))
+    return total
+
+
+def _is_word(kind: object) -> bool:
+    return isinstance(kind, type) and issubclass(kind, StrEnum)
+
+
+def simple(base: type[Expression]) -> Iterator[Expression]:
+    """All expressions of a kind whose fields are words."""
+    for kind in VOCABULARY.values():
+        hints = get_type_hints(kind)
+        words = [hints[field.name] for field in fields(kind)]  # type: ignore[arg-type]
+        if issubclass(kind, base) and all(map(_is_word, words)):
+            yield from (kind(*values) for values in product(*words))
+
+
+def selections(scene: Scene) -> Mapping[frozenset[int], tuple[Selection, Mass]]:
+    """Selections of at most two parts by the blocks that they select, with one of each."""
+    single = [s for s in simple(Selection) if isinstance(s, Selection)]
+    masses = {s: Mass.of(bits_of(s)) for s in single}
+    found: dict[frozenset[int], tuple[Selection, Mass]] = {}
+
+    def add(selection: Selection, mass: Mass) -> None:
+        blocks = selection.blocks(scene)
+        if blocks:
+            first, known = found.get(blocks, (selection, Mass()))
+            found[blocks] = first, known + mass
+
+    for selection in single:
+        add(selection, masses[selection])
+        add(AllBut(selection), choice(AllBut) * masses[selection])
+    for a, b in combinations(single, 2):
+        if a.blocks(scene) and b.blocks(scene):
+            for kind in (And, Or):
+                add(kind(a, b), choice(kind) * masses[a] * masses[b])
+    return found
+
+
+def goals(scene: Scene) -> Iterator[tuple[Goal, Mass]]:
+    """Goals of one part, one of each meaning, with all that mean the same in this scene."""
+    chosen = selections(scene).values()
+    places = [(p, Mass.of(bits_of(p))) for p in simple(Place) if isinstance(p, Place)]
+    places += [(Beside(s), choice(Beside) * mass) for s, mass in chosen]
+    for kind in VOCABULARY.values():
+        if not issubclass(kind, Goal) or kind is Together:
+            continue
+        names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+        if names == ["selection", "place"]:
+            for (s, mass), (p, place_mass) in product(chosen, places):
+                yield kind(s, p), choice(kind) * mass * place_mass
+        elif names == ["selection"]:
+            yield from ((kind(s), choice(kind) * mass) for s, mass in chosen)
+        elif kind is Clustered and len(scene.blocks) > 1:
+            words = (goal for goal in simple(Goal) if isinstance(goal, Clustered))
+            yield from ((goal, Mass.of(bits_of(goal))) for goal in words)
+        elif kind is RobotInside and scene.regions:
+            yield RobotInside(), choice(RobotInside)
+
+
+def explanations(scene: Scene, ends: Sequence[Poses]) -> tuple[Mass, Mass]:
+    """The programs of one goal, and of two together, that explain the final states."""
+    start = Poses.at_rest(scene)
+    by_start: dict[float, Mass] = defaultdict(Mass)  # score at the start -> goals that end at 1
+    for goal, mass in goals(scene):
+        if all(goal.score(scene, poses) >= 1.0 for poses in ends):
+            by_start[round(goal.score(scene, start), 6)] += mass
+    single = _sum(mass for score, mass in by_start.items() if score <= SUCCESS)
+    both = _sum(a * b for (x, a), (y, b) in product(by_start.items(), repeat=2) if x * y <= SUCCESS)
+    return single, choice(Together) * both
+
+
+def _sum(masses: Iterable[Mass]) -> Mass:
+    total = Mass()
+    for mass in masses:
+        total += mass
+    return total
+
+
+def row(name: str, demonstrations: int) -> str:
+    """A scene's line in the table."""
+    task = get_task(name)
+    assert task.program is not None
+    episodes = [rollout(name, "Demo", seed) for seed in range(demonstrations)]
+    solved = [Poses(episode.poses[-1]) for episode in episodes if episode.score >= 1.0]
+    single, both = explanations(task.demo, solved)
+    all_of_them = single + both
+    truth = 2.0 ** -bits_of(task.program) / all_of_them.weight if all_of_them.weight else 0.0
+    return (
+        f"| {name} | {len(solved)} | {single.count:,} | {all_of_them.count:,} | "
+        f"{all_of_them.entropy:.1f} | {bits_of(task.program):.1f} | {truth:.1e} |"
+    )
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--generated", type=int, default=0, help="held-out tasks besides")
+    args = parser.parse_args()
+    names = [name for name, task in TASKS.items() if task.section]
+    names += [task_name(number) for number in HELD_OUT[: args.generated]]
+    print("| Demo scene | demos | programs of one goal | with two | entropy | own bits | own p |")
+    print("| --- | --- | --- | --- | --- | --- | --- |")
+    for name, demonstrations in product(names, (1, 10)):
+        print(row(name, demonstrations), flush=True)
+
+
+if __name__ == "__main__":
+    main()
