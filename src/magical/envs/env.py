@@ -30,6 +30,7 @@ from magical.tasks import Horizon, Task, get_task
 
 Reward = Literal["none", "score", "dense"]
 SCORE_KEYS = ("eval_score", "published_code_score")  # of `info`
+Instruction = Literal["attributes", "task"]
 
 
 class MagicalEnv(gym.Env[Any, np.int64]):
@@ -52,6 +53,8 @@ class MagicalEnv(gym.Env[Any, np.int64]):
     ## Info
     `eval_score` and `published_code_score` at every step, as in the published environments: 0.0
     before the last step, then the final state's scores (`scores()` has the current state's).
+    `is_success`, whether the score is above 0.5 (`tasks.programs.SUCCESS`), False before the last
+    step. `instruction` at `reset`: what is to be done, in English (`Task.instruction`).
 
     Args:
         task: the task's name.
@@ -62,9 +65,12 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         reward: "none", "score" or "dense".
         render_mode: "rgb_array" (both views side by side), "human" (the same in a window, at the
             control rate; needs the extra `window`) or None.
+        instruction: "attributes" names blocks by colour and shape in `info["instruction"]`; "task"
+            only says what the task is about.
 
     Raises:
-        UnknownNameError: there is no such task, variant, observation, reward or render mode.
+        UnknownNameError: there is no such task, variant, observation, reward, render mode or
+            instruction.
         InvalidConfigError, ObservationError: an impossible horizon or observation.
         MissingDependencyError: "human" without pygame.
     """
@@ -83,8 +89,10 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         horizon: Horizon = None,
         reward: Reward = "none",
         render_mode: str | None = None,
+        instruction: Instruction = "attributes",
     ) -> None:
         self.task: Task = get_task(task)
+        self._named = names_attributes(instruction)
         self.task.axes_of(variant)  # raises for a variant that the task lacks
         self.variant = variant
         self.observation_spec = make_spec(observation, self.task)
@@ -133,7 +141,11 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         self._episode.start(self.np_random, options)
         self._running = True
         self._show()
-        return copy_arrays(self._episode.observer.out), score_info(Scores())
+        words = self.task.instruction(self._episode.simulation.scene, attributes=self._named)
+        return copy_arrays(self._episode.observer.out), {
+            **score_info(Scores()),
+            "instruction": words,
+        }
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Act for one control step of 1/8 s.
@@ -251,4 +263,14 @@ def not_picklable(name: str, constructor: str) -> NotPicklableError:
 
 def score_info(scores: Scores) -> dict[str, Any]:
     """The keys that every `info` has."""
-    return dict(zip(SCORE_KEYS, (scores.score, scores.published_code), strict=True))
+    values = dict(zip(SCORE_KEYS, (scores.score, scores.published_code), strict=True))
+    return {**values, "is_success": scores.is_success}
+
+
+def names_attributes(instruction: str) -> bool:
+    """Whether instructions name blocks by their attributes; raises `UnknownNameError`."""
+    if instruction not in ("attributes", "task"):
+        raise UnknownNameError(
+            f"instruction {quoted(instruction)} is unknown; expected attributes or task"
+        )
+    return instruction == "attributes"

@@ -22,7 +22,7 @@ from magical.scene.constants import MAX_NUDGE
 from magical.scene.poses import Poses, State
 from magical.scene.scene import Dynamics, Scene
 from magical.tasks import TASKS, Horizon, Task, parse_horizon
-from magical.tasks.programs import progress
+from magical.tasks.programs import is_success, progress
 
 RESET_OPTIONS = ("scene", "dynamics", "nudge")
 REWARDS = ("none", "score", "dense")
@@ -34,6 +34,11 @@ class Scores:
 
     score: float = 0.0
     published_code: float = 0.0
+
+    @property
+    def is_success(self) -> bool:
+        """Whether the score is above `programs.SUCCESS`."""
+        return is_success(self.score)
 
 
 class Episode:

@@ -11,7 +11,7 @@ from magical.errors import InvalidSceneError, InvalidTaskError, PlacementError, 
 from magical.scene import Dynamics, Poses, Scene
 from magical.tasks.axes import TEST_ALL, VARIANTS, Axis
 from magical.tasks.placement import Placement, sample_placement
-from magical.tasks.programs import Goal
+from magical.tasks.programs import Goal, instruction
 from magical.tasks.validation import validate_scene
 
 RandomiseFn = Callable[[Scene, Axis, np.random.Generator], Scene]
@@ -130,6 +130,21 @@ class Task:
     def published_code_score(self, scene: Scene, poses: Poses) -> float:
         """As `score`, the published code's (docs/specification.md, section 9)."""
         return (self.published_score_fn or self.score_fn)(scene, poses)
+
+    def instruction(self, scene: Scene, *, paraphrase: int = 0, attributes: bool = True) -> str:
+        """What is to be done in an episode from `scene`, in English.
+
+        Args:
+            scene: the initial scene.
+            paraphrase: which of several wordings.
+            attributes: whether blocks and regions are named by colour and shape.
+
+        Returns:
+            The instruction of the task's program, or its summary where it has none.
+        """
+        if self.program is None:
+            return self.summary
+        return instruction(self.program, scene, paraphrase=paraphrase, attributes=attributes)
 
     def validate(self, scene: Scene, nudge: float = 0.0) -> None:
         """Check that an episode of this task can start from the scene, nudged by so much at most.

@@ -12,7 +12,14 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from magical.envs.env import SCORE_KEYS, MagicalEnv, Reward, not_picklable
+from magical.envs.env import (
+    SCORE_KEYS,
+    Instruction,
+    MagicalEnv,
+    Reward,
+    names_attributes,
+    not_picklable,
+)
 from magical.envs.ids import EnvId, parse_env_id
 from magical.envs.saved_state import parse_state
 from magical.envs.vector.buffers import Copies, SharedMemory, VectorBuffers
@@ -42,6 +49,7 @@ from magical.scene.constants import RAW_FRAME_SIZE
 from magical.scene.poses import Poses, State
 from magical.scene.scene import Scene
 from magical.tasks import Horizon
+from magical.tasks.programs import SUCCESS
 
 Bools = NDArray[np.bool_]
 Infos = dict[str, Any]
@@ -53,8 +61,9 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
 
     Sub-environment i behaves as `MagicalEnv` of `env_ids[i]` does when it is reset with the same
     seed and given the same actions, to the last bit, whatever the number of workers. Observations
-    are batched as Gymnasium batches them; `infos` holds `eval_score` and `published_code_score`,
-    0.0 before an episode's last step, as arrays with their masks.
+    are batched as Gymnasium batches them; `infos` holds `eval_score`, `published_code_score` and
+    `is_success`, 0.0 and False before an episode's last step, as arrays with their masks, and the
+    `instruction` of each sub-environment that starts an episode.
 
     Args:
         env_ids: the sub-environments' ids, with or without a preset.
@@ -80,6 +89,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         timeout: seconds in which the workers must finish a step, a reset or a call of `get_state`
             or `set_state`; otherwise `WorkerTimeoutError` is raised and the environment is closed.
             By default there is no limit. Not available on Windows or without workers.
+        instruction: as for `MagicalEnv`.
 
     Raises:
         UnknownNameError: an unknown id, observation, reward or render mode.
@@ -99,7 +109,9 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         render_mode: str | None = None,
         plugins: Sequence[str] = (),
         timeout: float | None = None,
+        instruction: Instruction = "attributes",
     ) -> None:
+        self._named = names_attributes(instruction)
         if isinstance(env_ids, str) or not env_ids:
             raise ValueError(
                 f"env_ids: expected a list of environment ids, found {quoted(env_ids)}"
@@ -171,8 +183,10 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             super().reset(seed=seed if isinstance(seed, int) else None)
             rows = np.flatnonzero(mask).tolist()
             wanted = [(row, seeds[row]) for row in rows]
-            self._start(self._exchange(lambda: self._sub_envs.reset(wanted, chosen), rows))
-            return self._observations(-1), _score_infos(np.zeros((2, self.num_envs)), mask)
+            started = self._exchange(lambda: self._sub_envs.reset(wanted, chosen), rows)
+            self._start(started)
+            infos = _score_infos(np.zeros((2, self.num_envs)), mask)
+            return self._observations(-1), infos | self._instructions(started)
 
     def step(
         self, actions: Any, active: Bools | None = None
@@ -194,11 +208,12 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             require_episodes("step", self._running | ~acting, self.env_ids)
             self._buffers.actions[:] = np.where(acting, checked_actions(actions, self.num_envs), -1)
             copy = self._buffers.copy_to[0] = self._copies.choose()
-            self._start(self._exchange(self._sub_envs.step, range(self.num_envs)))
+            started = self._exchange(self._sub_envs.step, range(self.num_envs))
+            self._start(started)
             truncations = self._buffers.truncations.copy()
             if self.autoreset_mode is AutoresetMode.DISABLED:
                 self._running[truncations] = False
-            infos = self._infos(acting, truncations)
+            infos = self._infos(acting, truncations) | self._instructions(started)
             terminations = np.zeros(self.num_envs, np.bool_)
             rewards = self._buffers.rewards.copy()
             return self._observations(copy), rewards, terminations, truncations, infos
@@ -309,6 +324,16 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             ended = self._buffers.steps[row] >= self._buffers.horizons[row]
             self._running[row] = not (ended and self.autoreset_mode is AutoresetMode.DISABLED)
 
+    def _instructions(self, started: Sequence[tuple[int, Scene]]) -> Infos:
+        """The instructions of the sub-environments that have started an episode."""
+        if not started:
+            return {}
+        words, mask = np.full(self.num_envs, None, dtype=object), np.zeros(self.num_envs, np.bool_)
+        for row, scene in started:
+            task = self.env_ids[row].task_spec
+            words[row], mask[row] = task.instruction(scene, attributes=self._named), True
+        return {"instruction": words, "_instruction": mask}
+
     def _infos(self, acting: Bools, ended: Bools) -> Infos:
         """The infos of a step, as Gymnasium's own vector environments build them."""
         scores = self._buffers.scores
@@ -360,9 +385,10 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
 
 
 def _score_infos(scores: NDArray[np.float64], mask: Bools) -> Infos:
-    """Scores (2, N) under their names, each with its mask (N,)."""
+    """Scores (2, N) and success under their names, each with its mask (N,)."""
     infos: Infos = {}
-    for key, values in zip(SCORE_KEYS, scores, strict=True):
+    keyed = zip((*SCORE_KEYS, "is_success"), (*scores, scores[0] > SUCCESS), strict=True)
+    for key, values in keyed:
         infos[key] = values
         infos[f"_{key}"] = mask.copy()
     return infos

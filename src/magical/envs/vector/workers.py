@@ -28,6 +28,7 @@ from magical.errors import InvalidTaskError, WorkerDiedError, WorkerTimeoutError
 from magical.processes import Child, serve
 from magical.scene.actions import NOOP
 from magical.tasks import Task, load_tasks
+from magical.tasks.programs.generated import is_generated
 
 _GRACE_PERIOD = 2.0  # seconds that workers have to end by themselves
 _STEP = pickle.dumps(("step", ()))
@@ -178,7 +179,8 @@ def defining_modules(tasks: Sequence[Task]) -> list[str]:
     Raises `InvalidTaskError` for a task that no importable module holds.
     """
     own = [module for module in vars(magical.tasks).values() if isinstance(module, ModuleType)]
-    foreign = [task for task in tasks if not any(_holds(module, task) for module in own)]
+    others = [task for task in tasks if not is_generated(task.name)]
+    foreign = [task for task in others if not any(_holds(module, task) for module in own)]
     return sorted({_defining_module(task) for task in foreign})
 
 
