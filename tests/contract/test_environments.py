@@ -15,6 +15,7 @@ import magical
 from magical.envs.env import MagicalEnv
 from magical.observe import PRESETS
 from magical.tasks import TASKS
+from magical.tasks.programs import SUCCESS
 
 ENV_IDS = magical.all_env_ids()
 ALL_IDS = magical.all_env_ids(presets=True)
@@ -108,6 +109,7 @@ def test_whole_episode_with_state_observation(env_id: str) -> None:
     env = _make(env_id, observation="state", reward="score")
     rng = np.random.default_rng(3)
     observation, info = env.reset(seed=11)
+    assert info.pop("instruction").endswith(".")
     keys, steps, truncated = set(info), 0, False
     while not truncated:
         assert observation in env.observation_space
@@ -117,6 +119,7 @@ def test_whole_episode_with_state_observation(env_id: str) -> None:
         assert not terminated
     assert steps == env.horizon
     assert reward == info["eval_score"]
+    assert info["is_success"] == (reward > SUCCESS)
     assert 0.0 <= info["eval_score"] <= 1.0
     assert 0.0 <= info["published_code_score"] <= 1.0
     positions = env.state().poses.bodies[:, :2]

@@ -34,12 +34,13 @@ def _make(env_id: str = CORNER, **options: Any) -> MagicalEnv:
 def test_episode_truncates_at_the_horizon_and_scores_there() -> None:
     env = _make(reward="score", horizon=5)
     _, info = env.reset(seed=0)
-    assert info == {"eval_score": 0.0, "published_code_score": 0.0}
+    assert info.pop("instruction") == "Push the red square to the top left corner."
+    assert info == {"eval_score": 0.0, "published_code_score": 0.0, "is_success": False}
     for step in range(5):
         _, reward, terminated, truncated, info = env.step(0)
         assert not terminated
         assert truncated == (step == 4)
-    assert set(info) == {"eval_score", "published_code_score"}
+    assert set(info) == {"eval_score", "published_code_score", "is_success"}
     assert reward == info["eval_score"] == env.scores().score
 
 
@@ -48,7 +49,7 @@ def test_default_reward_is_zero() -> None:
     env = _make(horizon=1)
     env.reset(seed=0, options={"scene": scene})
     _, reward, _, _, info = env.step(0)
-    assert (reward, info["eval_score"]) == (0.0, 1.0)
+    assert (reward, info["eval_score"], info["is_success"]) == (0.0, 1.0, True)
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -75,6 +76,19 @@ def test_dense_reward_of_pushing() -> None:
 def test_a_task_without_a_program_has_no_dense_reward() -> None:
     with pytest.raises(UnknownNameError, match="MakeLine has no dense reward; expected one of: "):
         check_reward(replace(TASKS["MakeLine"], program=None), "dense")
+
+
+def test_instructions_name_what_the_variant_has_or_only_the_task() -> None:
+    words = {_make("magical/FindDupe-TestAll-v0").reset(seed=i)[1]["instruction"] for i in range(5)}
+    assert len(words) == 5
+    options = {"instruction": "task"}
+    (plain,) = {
+        _make(f"magical/FindDupe-{v}-v0", **options).reset(seed=i)[1]["instruction"]
+        for i, v in enumerate(TASKS["FindDupe"].variants)
+    }
+    assert plain.startswith("Push a block that is outside and that looks like one inside a region")
+    with pytest.raises(UnknownNameError, match="expected attributes or task"):
+        _make(instruction="colours")
 
 
 def test_horizons_are_the_appendix_s() -> None:

@@ -186,6 +186,7 @@ def test_text_that_is_no_program_is_refused(text: str, message: str) -> None:
     [
         ("Each(WithColour('yellow'), InRegion())", r"WithColour\('yellow'\) selects no block"),
         ("Each(WithColour('red'), InOwnColour())", "there is no such place in the scene"),
+        ("Lined(WithColour('green'))", "there is no such place in the scene"),
         ("Each(Enclosed(), InRegion())", "is solved at the start"),
     ],
 )

@@ -118,4 +118,5 @@ class MagicalSB3VecEnv(VecEnv):
 
 
 def _scores(infos: dict[str, Any], row: int) -> dict[str, Any]:
-    return {key: float(infos[key][row]) for key in SCORE_KEYS}
+    scores = {key: float(infos[key][row]) for key in SCORE_KEYS}
+    return {**scores, "is_success": bool(infos["is_success"][row])}

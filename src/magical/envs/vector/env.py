@@ -13,7 +13,6 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from magical.envs.env import (
-    SCORE_KEYS,
     Instruction,
     MagicalEnv,
     Reward,
@@ -30,6 +29,7 @@ from magical.envs.vector.checks import (
     checked_seeds,
     require_episodes,
 )
+from magical.envs.vector.infos import Bools, Infos, instruction_infos, score_infos
 from magical.envs.vector.sub_envs import SubEnvs, VectorSpec, common_observation
 from magical.envs.vector.workers import RemoteSubEnvs, defining_modules
 from magical.errors import (
@@ -49,10 +49,7 @@ from magical.scene.constants import RAW_FRAME_SIZE
 from magical.scene.poses import Poses, State
 from magical.scene.scene import Scene
 from magical.tasks import Horizon
-from magical.tasks.programs import SUCCESS
 
-Bools = NDArray[np.bool_]
-Infos = dict[str, Any]
 _CLOSING = (WorkerDiedError, WorkerTimeoutError)  # errors after which the environment is closed
 
 
@@ -185,8 +182,10 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             wanted = [(row, seeds[row]) for row in rows]
             started = self._exchange(lambda: self._sub_envs.reset(wanted, chosen), rows)
             self._start(started)
-            infos = _score_infos(np.zeros((2, self.num_envs)), mask)
-            return self._observations(-1), infos | self._instructions(started)
+            infos = score_infos(np.zeros((2, self.num_envs)), mask)
+            return self._observations(-1), infos | instruction_infos(
+                started, self.env_ids, self._named
+            )
 
     def step(
         self, actions: Any, active: Bools | None = None
@@ -213,7 +212,8 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             truncations = self._buffers.truncations.copy()
             if self.autoreset_mode is AutoresetMode.DISABLED:
                 self._running[truncations] = False
-            infos = self._infos(acting, truncations) | self._instructions(started)
+            infos = self._infos(acting, truncations)
+            infos |= instruction_infos(started, self.env_ids, self._named)
             terminations = np.zeros(self.num_envs, np.bool_)
             rewards = self._buffers.rewards.copy()
             return self._observations(copy), rewards, terminations, truncations, infos
@@ -324,29 +324,19 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             ended = self._buffers.steps[row] >= self._buffers.horizons[row]
             self._running[row] = not (ended and self.autoreset_mode is AutoresetMode.DISABLED)
 
-    def _instructions(self, started: Sequence[tuple[int, Scene]]) -> Infos:
-        """The instructions of the sub-environments that have started an episode."""
-        if not started:
-            return {}
-        words, mask = np.full(self.num_envs, None, dtype=object), np.zeros(self.num_envs, np.bool_)
-        for row, scene in started:
-            task = self.env_ids[row].task_spec
-            words[row], mask[row] = task.instruction(scene, attributes=self._named), True
-        return {"instruction": words, "_instruction": mask}
-
     def _infos(self, acting: Bools, ended: Bools) -> Infos:
         """The infos of a step, as Gymnasium's own vector environments build them."""
         scores = self._buffers.scores
         if self.autoreset_mode is not AutoresetMode.SAME_STEP or not ended.any():
-            return _score_infos(scores.copy(), acting)
+            return score_infos(scores.copy(), acting)
         observations = np.full(self.num_envs, None, dtype=object)
         for row in np.flatnonzero(ended).tolist():
             observations[row] = copy_arrays(select(self._buffers.final_observations, row))
         return {
-            **_score_infos(np.zeros_like(scores), acting),
+            **score_infos(np.zeros_like(scores), acting),
             "final_obs": observations,
             "_final_obs": ended.copy(),
-            "final_info": _score_infos(np.where(ended, scores, 0.0), ended),
+            "final_info": score_infos(np.where(ended, scores, 0.0), ended),
             "_final_info": ended.copy(),
         }
 
@@ -382,16 +372,6 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         if index is not None:
             running[np.arange(self.num_envs) != range(self.num_envs)[index]] = True
         require_episodes(what, running, self.env_ids)
-
-
-def _score_infos(scores: NDArray[np.float64], mask: Bools) -> Infos:
-    """Scores (2, N) and success under their names, each with its mask (N,)."""
-    infos: Infos = {}
-    keyed = zip((*SCORE_KEYS, "is_success"), (*scores, scores[0] > SUCCESS), strict=True)
-    for key, values in keyed:
-        infos[key] = values
-        infos[f"_{key}"] = mask.copy()
-    return infos
 
 
 def make_vector_env(

@@ -225,11 +225,8 @@ class Lined(Goal):
 
     def remaining(self, scene: Scene, poses: Poses) -> Remaining:
         points, chosen = self._points(scene, poses), sorted(self.selection.blocks(scene))
-        ways = min(
-            (_ways_to_line(i, j, points) for i, j in combinations(range(len(points)), 2)),
-            key=sum,
-            default=[],
-        )
+        pairs = combinations(range(len(points)), 2)
+        ways = min((_ways_to_line(i, j, points) for i, j in pairs), key=sum, default=[math.inf])
         return {block: way for block, way in zip(chosen, ways, strict=True) if way > 0.0}
 
     def moved(self, scene: Scene) -> Blocks:
