@@ -4,16 +4,20 @@ The tasks are called Generated0000 to Generated9999. What a number stands for de
 but `GENERATOR`, which is the version in the ids of their environments.
 """
 
+import math
 import re
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache, partial
+from itertools import combinations
 
 import numpy as np
 
 from magical.errors import InvalidProgramError, PlacementError
 from magical.scene import COLOURS, SHAPES, Block, Pose, Region, Scene
+from magical.scene.constants import STAR_OUTER_RADIUS, WORKSPACE_HALF
+from magical.scene.solids import Solid
 from magical.tasks.attributes import sample_attributes, sample_count, sample_item
 from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.placement import Placement, sample_placement
@@ -51,7 +55,11 @@ def generated_task(name: str) -> Task:
     for _ in range(MAX_PROGRAMS):
         family, program = sample_program(rng)
         if (demo := _sample_demo(family, program, rng)) is not None:
-            return _make_task(name, family, program, demo)
+            task = _make_task(name, family, program, demo)
+            with suppress(PlacementError):  # a variant that the program does not allow
+                for variant in task.variants:
+                    task.sample(variant, rng)
+                return task
     raise InvalidProgramError(f"{name}: found no scene for {MAX_PROGRAMS} programs; {program!r}")
 
 
@@ -118,9 +126,21 @@ def _sample_demo(family: Family, program: Goal, rng: np.random.Generator) -> Sce
         scene = randomise(outline, Axis.COLOUR | Axis.SHAPE, rng, enclosed, blocks)
         with suppress(PlacementError):
             scene = sample_placement(scene, Axis.LAYOUT, rng, _placement(enclosed))
-            if not misfit(scene, program):
+            if _has_room_for_all_shapes(scene) and not misfit(scene, program):
                 return scene
     return None
+
+
+def _has_room_for_all_shapes(scene: Scene) -> bool:
+    """Whether no shapes of the blocks would overlap: TestShape keeps Demo's poses."""
+    places = [block.pose[:2] for block in scene.blocks]
+    if any(math.dist(a, b) < 2 * STAR_OUTER_RADIUS for a, b in combinations(places, 2)):
+        return False
+    if any(abs(x) > WORKSPACE_HALF - STAR_OUTER_RADIUS for place in places for x in place):
+        return False
+    robot = Solid.of_robot(scene.robot)
+    shaped = (Solid.of_block(replace(b, shape=shape)) for b in scene.blocks for shape in SHAPES)
+    return not any(map(robot.overlaps, shaped))
 
 
 def _placement(enclosed: int) -> Placement:

@@ -107,7 +107,7 @@ def _beside(rng: Rng) -> Goal:
 
 
 def _out(rng: Rng) -> Goal:
-    return Every(And(Enclosed(), sample_selection(rng)), OutOfRegions())
+    return Every(And(Enclosed(), sample_selection(rng, region=False)), OutOfRegions())
 
 
 def _fix(rng: Rng) -> Goal:

@@ -6,9 +6,17 @@ one is held out.
 """
 
 SIZE = 96
-LEAST_SCORES = {"Demo": 0.9, "TestAll": 0.8}  # the expert's mean scores
+LEAST_SCORES = {"Demo": 0.9, "All": 0.8}  # the expert's mean scores, by variant
 
-SUITE = tuple(range(SIZE))
+# fmt: off
+SUITE = (
+    1, 2, 4, 5, 6, 7, 9, 11, 12, 13, 16, 17, 20, 21, 22, 24, 25, 29, 30, 32, 33, 35, 37, 38, 41,
+    42, 43, 46, 47, 49, 50, 51, 52, 53, 54, 56, 57, 61, 65, 66, 67, 69, 72, 74, 81, 83, 84, 85,
+    90, 92, 94, 108, 111, 112, 115, 117, 119, 120, 121, 123, 128, 129, 138, 140, 142, 145, 147,
+    149, 151, 152, 154, 156, 160, 162, 165, 166, 167, 169, 171, 180, 182, 183, 184, 185, 187,
+    188, 190, 204, 205, 207, 211, 218, 220, 227, 234, 240,
+)
+# fmt: on
 HELD_OUT = SUITE[2::3]
 TRAINING = tuple(number for number in SUITE if number not in HELD_OUT)
 
