@@ -108,7 +108,6 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         timeout: float | None = None,
         instruction: Instruction = "attributes",
     ) -> None:
-        self._named = names_attributes(instruction)
         if isinstance(env_ids, str) or not env_ids:
             raise ValueError(
                 f"env_ids: expected a list of environment ids, found {quoted(env_ids)}"
@@ -122,12 +121,11 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         modes = {"render_modes": ["rgb_array"], "autoreset_mode": self.autoreset_mode}
         self.metadata = {**MagicalEnv.metadata, **modes}
-        self.copy = copy
-        self.render_mode = render_mode
+        self.copy, self.render_mode = copy, render_mode
         common = common_observation(parsed, observation)
         spec = VectorSpec(self.env_ids, common, horizon, reward, self.autoreset_mode, copy)
-        layout = spec.layout()
         self._set_spaces(common.space)
+        self._named = names_attributes(instruction)
         self._running = np.zeros(self.num_envs, np.bool_)
         self._scenes: list[Scene | None] = [None] * self.num_envs
         self._lock = Lock()  # held by the call in progress
@@ -136,6 +134,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self._sub_envs: SubEnvs | RemoteSubEnvs
         self.workers = min(available_cores() if workers is None else workers, self.num_envs)
         check_timeout(timeout, self.workers)
+        layout = spec.layout()
         if self.workers:
             plugins = [*plugins, *defining_modules([] if plugins else spec.tasks())]
             memory = SharedMemory(layout.size)
