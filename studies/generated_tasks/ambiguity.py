@@ -25,15 +25,23 @@ from magical.tasks.programs import (
     VOCABULARY,
     AllBut,
     And,
+    Attribute,
     Beside,
     Clustered,
+    Each,
+    Every,
+    Exactly,
     Expression,
     Goal,
+    Lined,
+    OneOf,
+    Only,
     Or,
     Place,
     RobotInside,
     Selection,
     Together,
+    Undisturbed,
 )
 from magical.tasks.programs.suite import HELD_OUT, task_name
 
@@ -124,20 +132,16 @@ def goals(scene: Scene) -> Iterator[tuple[Goal, Mass]]:
     chosen = selections(scene).values()
     places = [(p, Mass.of(bits_of(p))) for p in simple(Place) if isinstance(p, Place)]
     places += [(Beside(s), choice(Beside) * mass) for s, mass in chosen]
-    for kind in VOCABULARY.values():
-        if not issubclass(kind, Goal) or kind is Together:
-            continue
-        names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
-        if names == ["selection", "place"]:
-            for (s, mass), (p, place_mass) in product(chosen, places):
-                yield kind(s, p), choice(kind) * mass * place_mass
-        elif names == ["selection"]:
-            yield from ((kind(s), choice(kind) * mass) for s, mass in chosen)
-        elif kind is Clustered and len(scene.blocks) > 1:
-            words = (goal for goal in simple(Goal) if isinstance(goal, Clustered))
-            yield from ((goal, Mass.of(bits_of(goal))) for goal in words)
-        elif kind is RobotInside and scene.regions:
-            yield RobotInside(), choice(RobotInside)
+    for kind in (Each, Every, OneOf):
+        for (selection, mass), (place, place_mass) in product(chosen, places):
+            yield kind(selection, place), choice(kind) * mass * place_mass
+    for simple_kind in (Exactly, Only, Undisturbed, Lined):
+        yield from ((simple_kind(s), choice(simple_kind) * mass) for s, mass in chosen)
+    if len(scene.blocks) > 1:
+        for goal in (Clustered(attribute) for attribute in Attribute):
+            yield goal, Mass.of(bits_of(goal))
+    if scene.regions:
+        yield RobotInside(), choice(RobotInside)
 
 
 def explanations(scene: Scene, ends: Sequence[Poses]) -> tuple[Mass, Mass]:
