@@ -7,8 +7,9 @@ from typing import Any
 import pytest
 
 from magical.report.found.search import Result
-from magical.report.leaderboard.ranking import ALL_TASKS, make_boards
+from magical.report.leaderboard.ranking import ALL_TASKS, HELD_OUT_TASKS, make_boards
 from magical.tasks import TASKS
+from magical.tasks.programs.suite import HELD_OUT, task_name
 from tests.report.conftest import make_entry
 
 
@@ -71,6 +72,16 @@ def test_methods_with_all_tasks_have_a_board_of_their_own() -> None:
     assert boards[0].standings[1].gap.value == pytest.approx(0.5)
     line = next(board for board in boards if board.name == "MakeLine")
     assert [row.method for row in line.standings] == ["part", "multi", "single"]
+
+
+def test_methods_with_all_held_out_tasks_have_a_board_of_their_own() -> None:
+    held_out = [task_name(number) for number in HELD_OUT]
+    results = [run("a", 0.9, 0.5, [*TASKS, *held_out]), run("b", 1.0, 0.7, held_out[1:])]
+    results.append(run("c", 1.0, 0.9, [*held_out, "MakeLine"]))
+    everything, suite, *tasks = make_boards(results)
+    assert [row.method for row in everything.standings] == ["a"]
+    assert (suite.name, [row.method for row in suite.standings]) == (HELD_OUT_TASKS, ["c", "a"])
+    assert [board.name for board in tasks] == list(TASKS)
 
 
 def test_what_was_used_is_what_was_learned_from_and_shown() -> None:

@@ -1,6 +1,6 @@
 """Methods in order: by TestAll, and by the generalisation gap."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from operator import attrgetter
 
@@ -12,8 +12,9 @@ from magical.report.found.statements import Statements, gather_statements
 from magical.report.scores.methods import ComparedMethod, compared_methods
 from magical.runs.sources import learned_from, learning_class
 from magical.tasks import TASKS
+from magical.tasks.programs.suite import HELD_OUT, task_name
 
-ALL_TASKS = "All tasks"
+ALL_TASKS, HELD_OUT_TASKS = "All tasks", "Held-out tasks"
 DEMO, TEST_ALL = "Demo", "TestAll"
 STATE = "state"  # what a privileged policy is shown, among what an entry used
 
@@ -45,24 +46,27 @@ class Standing:
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """The standings on a task, or on all of them."""
+    """The standings on a task, on all of the paper's, or on the held-out generated ones."""
 
     name: str
     standings: Sequence[Standing]  # by TestAll
 
 
 def make_boards(results: Sequence[Result]) -> list[Board]:
-    """A board of the methods that have all tasks, then one for each task that any has."""
+    """A board of the methods that have all tasks, and of those that have all held-out tasks.
+
+    Then one for each task that any has, but for generated tasks.
+    """
     groups = group_by(results, attrgetter("entry.method"))
     methods = {name: _method(runs) for name, runs in groups.items()}
-    whole = [m for m in methods.values() if {i.task for i in m.env_ids} >= set(TASKS)]
-    boards = [Board(ALL_TASKS, _ranked([_standing(m, groups[m.name]) for m in whole]))]
-    for task in TASKS:
-        parts = [_on_task(method, task) for method in methods.values()]
-        standings = [_standing(part, groups[part.name]) for part in parts if part is not None]
-        if standings:
-            boards.append(Board(task, _ranked(standings)))
-    return boards
+
+    def board(name: str, tasks: Collection[str]) -> Board:
+        parts = [_on_tasks(method, tasks) for method in methods.values()]
+        return Board(name, _ranked([_standing(m, groups[m.name]) for m in parts if m is not None]))
+
+    held_out = board(HELD_OUT_TASKS, [task_name(number) for number in HELD_OUT])
+    others = [held_out, *(board(task, [task]) for task in TASKS)]
+    return [board(ALL_TASKS, TASKS), *(other for other in others if other.standings)]
 
 
 def _method(runs: Sequence[Result]) -> ComparedMethod:
@@ -70,9 +74,10 @@ def _method(runs: Sequence[Result]) -> ComparedMethod:
     return method
 
 
-def _on_task(method: ComparedMethod, task: str) -> ComparedMethod | None:
-    env_ids = [env_id for env_id in method.env_ids if env_id.task == task]
-    return method.on(env_ids) if env_ids else None
+def _on_tasks(method: ComparedMethod, tasks: Collection[str]) -> ComparedMethod | None:
+    """The method on these tasks; `None` if it lacks any."""
+    env_ids = [env_id for env_id in method.env_ids if env_id.task in tasks]
+    return method.on(env_ids) if {env_id.task for env_id in env_ids} >= set(tasks) else None
 
 
 def _used(result: Result) -> tuple[str, ...]:
