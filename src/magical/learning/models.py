@@ -82,11 +82,16 @@ class Trunk(nn.Module):
         # Convolutions are fastest with this memory layout.
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
-    def forward(self, observations: Tensor, actions: Tensor | None = None) -> Tensor:
-        """Features (B, num_features) of observations (B, ...), and of actions (B,) int64."""
-        flat = observations
+    def forward(
+        self, observations: Tensor, actions: Tensor | None = None, *, in_range: bool = False
+    ) -> Tensor:
+        """Features (B, num_features) of observations (B, ...), and of actions (B,) int64.
+
+        `in_range`: the observations are what `to_range` returned.
+        """
+        flat = observations if in_range else self.to_range(observations)
         if self.convolutions is not None:
-            flat = self.convolutions(self._to_range(observations)).flatten(1)  # (B, C * H * W)
+            flat = self.convolutions(flat).flatten(1)  # (B, C * H * W)
         linear: nn.Module = self.linear
         if self.action_input == "embedding":
             flat, linear = self.linear[:-2](flat), self.linear[-2:]  # a last layer and its ReLU
@@ -101,9 +106,12 @@ class Trunk(nn.Module):
         features: Tensor = linear(flat)
         return features
 
-    def _to_range(self, images: Tensor) -> Tensor:
+    def to_range(self, observations: Tensor) -> Tensor:
+        """Images (B, C, H, W) in [0, 1] mapped to the range of this trunk; vectors unchanged."""
         low, high = self._pixels
-        return images if (low, high) == (0.0, 1.0) else images * (high - low) + low
+        if self.convolutions is None or (low, high) == (0.0, 1.0):
+            return observations
+        return (observations * (high - low)).add_(low)
 
 
 def _flat_size(convolutions: nn.Module, input_shape: tuple[int, ...]) -> int:
@@ -174,9 +182,11 @@ class ActorCritic(PolicyNetwork):
         super().__init__(trunk, num_tasks)
         self.value = TaskLinear(trunk.num_features, 1, num_tasks)
 
-    def logits_and_values(self, observations: Tensor, tasks: Tensor) -> tuple[Tensor, Tensor]:
-        """Logits (B, 18) and values (B,) from one pass through the trunk."""
-        features = self.trunk(observations)
+    def logits_and_values(
+        self, observations: Tensor, tasks: Tensor, *, in_range: bool = False
+    ) -> tuple[Tensor, Tensor]:
+        """Logits (B, 18) and values (B,) from one pass through the trunk; `in_range`: see there."""
+        features = self.trunk(observations, in_range=in_range)
         return self.policy(features, tasks), self.value(features, tasks).squeeze(1)
 
 

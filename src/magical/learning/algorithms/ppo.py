@@ -271,10 +271,12 @@ class PPOTrainer:
         """The numbers of the updates that are not done yet."""
         yield from range(max(self.run.step - self.previous_steps, 0), self.config.ppo.num_updates)
 
-    def forward(self, observations: Tensor, tasks: Tensor) -> tuple[Tensor, Tensor]:
-        """Logits (B, 18) and values (B,), float32, of network inputs (B, ...)."""
+    def forward(
+        self, observations: Tensor, tasks: Tensor, in_range: bool = False
+    ) -> tuple[Tensor, Tensor]:
+        """Logits (B, 18) and values (B,), float32, of inputs (B, ...); `in_range`: see `Trunk`."""
         with self.compute.autocast():
-            logits, values = self.network.logits_and_values(observations, tasks)
+            logits, values = self.network.logits_and_values(observations, tasks, in_range=in_range)
         return logits.float(), values.float()
 
     def collect_rollout(self, update: int) -> Rollout:
@@ -293,9 +295,9 @@ class PPOTrainer:
             samples = make_samples(
                 rollout, rewards, ppo.gamma, ppo.gae_lambda, ppo.normalise_advantages
             )
-            # Autocast would convert unit pixels in every epoch; others are converted when mapped.
-            if self.compute.precision == "bfloat16" and not config.networks.published:
-                samples = samples._replace(observations=samples.observations.bfloat16())
+            # Mapped and converted once, and not in every epoch.
+            observations = self.compute.cast(self.network.trunk.to_range(samples.observations))
+            samples = samples._replace(observations=observations)
             left = 1.0 - update / ppo.num_updates if ppo.anneal else 1.0
             set_learning_rate(self.optimizer, ppo.learning_rate * left)
             clip_range = torch.tensor(ppo.clip_range * left, device=self.device)
@@ -314,13 +316,10 @@ class PPOTrainer:
         }
 
     def _step(self, *inputs: Tensor) -> tuple[Tensor]:
-        """Take one step of the optimiser on a minibatch; returns the loss's parts.
-
-        The inputs are all samples, the rows of the minibatch (B,), and the clip range.
-        """
+        """Take one step of the optimiser on rows (B,) of all samples; returns the loss's parts."""
         *samples, rows, clip_range = inputs
         minibatch = Samples(*samples).select(rows)
-        logits, values = self.forward(minibatch.observations, minibatch.tasks)
+        logits, values = self.forward(minibatch.observations, minibatch.tasks, in_range=True)
         loss, parts = ppo_loss(logits, values, minibatch, clip_range, self.config.ppo.ent_coef)
         self.optimizer.zero_grad()
         torch.autograd.backward(loss)

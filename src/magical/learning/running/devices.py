@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 
 import torch
 from msgspec import Meta
+from torch import Tensor
 
 from magical.errors import DeviceError, RunFolderError
 from magical.runs.folder import RECORD
@@ -40,6 +41,10 @@ class Compute:
         return torch.autocast(
             self.device, dtype=torch.bfloat16, enabled=self.precision == "bfloat16"
         )
+
+    def cast(self, inputs: Tensor) -> Tensor:
+        """A network's inputs as `autocast` would convert them in each pass."""
+        return inputs.bfloat16() if self.precision == "bfloat16" else inputs
 
 
 def read_compute(record: Mapping[str, Any], folder: Path) -> Compute | None:

@@ -11,6 +11,7 @@ from magical.errors import InvalidConfigError
 from magical.learning.algorithms import find_algorithm
 from magical.learning.config import Config
 from magical.learning.policy import NetworkPolicy
+from magical.learning.running.allocator import keep_freed_memory
 from magical.learning.running.checkpoints import restore_previous_checkpoint
 from magical.learning.running.devices import full_float32, gpu_memory_as_error, restored_threads
 from magical.learning.running.interrupts import Interrupts
@@ -108,6 +109,7 @@ def train(
 @contextmanager
 def _opened(folder: Path, config: Config, resume: bool, previous: bool) -> Iterator[None]:
     """A run folder that is locked and ready to be trained in."""
+    keep_freed_memory()
     if previous and not resume:
         raise InvalidConfigError("previous_checkpoint needs resume: a new run has no checkpoints")
     with (

@@ -1,0 +1,50 @@
+"""The C library's allocator during training."""
+
+import platform
+import subprocess
+import sys
+
+import pytest
+
+from magical.learning.running.allocator import keep_freed_memory
+
+# Prints how many pages the system has to provide while some blocks of 20 MB come and go.
+FAULTS = """
+import ctypes, resource
+from magical.learning.running.allocator import keep_freed_memory
+SET
+libc = ctypes.CDLL(None)
+libc.malloc.restype, libc.free.argtypes = ctypes.c_void_p, (ctypes.c_void_p,)
+libc.memset.argtypes = (ctypes.c_void_p, ctypes.c_int, ctypes.c_size_t)
+for number in range(6):
+    blocks = [libc.malloc(20_000_000) for _ in range(4)]
+    for block in blocks:
+        libc.memset(block, 1, 20_000_000)
+    for block in blocks:
+        libc.free(block)
+    if number == 0:
+        before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+
+
+def page_faults(call: str) -> int:
+    code = FAULTS.replace("SET", call)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return int(done.stdout)
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="needs glibc")
+def test_freed_memory_is_used_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("GLIBC_TUNABLES", raising=False)
+    assert page_faults("assert keep_freed_memory()") < page_faults("") / 4
+
+
+def test_what_the_user_has_chosen_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MALLOC_TOP_PAD_", "0")
+    assert not keep_freed_memory()
+
+
+def test_on_other_systems_nothing_is_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(platform, "libc_ver", lambda: ("", ""))
+    assert not keep_freed_memory()
