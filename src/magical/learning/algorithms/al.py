@@ -53,6 +53,7 @@ RIDGE = 1e-3  # of the features' mean variance, added to each one's in `discrimi
 LOG_EVERY = 50  # batches of pretraining
 NUM_RECONSTRUCTIONS = 10  # frames in the picture
 PICTURE = "reconstructions.png"
+PASSED = 12  # samples, each of expert and novice, that the published code passes in training mode
 STATISTICS_BATCHES = 60
 REFINED = "refined"
 CHUNK = 64  # samples per forward pass without gradients and batch statistics
@@ -283,13 +284,14 @@ def imitate(
         with ppo.monitor.timed("features"):
             replay_buffer.add(rollout.observations, rollout.actions)
             rng = stream(config.seed, Purpose.DISCRIMINATOR, update)
-            training = config.networks.published
-            size = 2 * config.feature_samples if training else CHUNK
             batch = sample_batch(config, expert, replay_buffer, rng)
-            autoencoder.train(training)
-            chunks = zip(*(torch.split(part, size) for part in batch), strict=True)
+            chunks = zip(*(torch.split(part, CHUNK) for part in batch), strict=True)
             features = torch.cat([encode(images, actions) for images, actions in chunks])
-            autoencoder.eval()
+            if config.networks.published:  # batch norm's statistics follow the novice's images
+                autoencoder.train()
+                half = config.feature_samples
+                encode(*(torch.cat([p[:PASSED], p[half : half + PASSED]]) for p in batch))
+                autoencoder.eval()
             w, distance = WEIGHTS[config.weight_metric](*features.chunk(2))
             pairs = zip(rollout.observations, rollout.actions, strict=True)
             raw = torch.stack([encode(to_unit(o), a) @ w for o, a in pairs])  # (T, N)
