@@ -71,7 +71,7 @@ def measure(args: argparse.Namespace) -> float:
         train(config, run, stop_after=WARM_UP)
         start = time.process_time()
         train(config, run, resume=True, stop_after=args.updates)
-        return (time.process_time() - start) / args.updates
+        return (time.process_time() - start) / int(args.updates)
 
 
 if __name__ == "__main__":

@@ -63,6 +63,8 @@ PLANS = (
     "bc-multi-human",
     "bc-ablations-human",
     "adversarial-human",
+    "gail-published-code",
+    "adversarial-published-code",
     "bc-scripted",
     "bc-perturbed",
     "bc-mixed",
@@ -73,6 +75,7 @@ PLANS = (
     "settings",
     "settings-published-code",
     "settings-adversarial",
+    "settings-gail",
     "object-bc",
     "object-bc-human",
 )

@@ -11,5 +11,5 @@ __all__ = ["finished", "inline", "planned", "tiny", "write_entry"]
 collect_ignore = (
     []
     if find_spec("torch")
-    else [f"test_{name}.py" for name in ("collecting", "plans", "restoring", "weights")]
+    else [f"test_{name}.py" for name in ("collecting", "layout", "plans", "restoring", "weights")]
 )

@@ -19,8 +19,10 @@ RESULTS = {  # the plans of the benchmark's own results: number of runs, demonst
     "bc-human": (8 * 5, "dataset"),
     "bc-human-paper": (2 * 2, "dataset"),
     "bc-multi-human": (3, "dataset"),
-    "bc-ablations-human": (3 * 8 * 3, "dataset"),
+    "bc-ablations-human": (3 * 8 * 5, "dataset"),
     "adversarial-human": (3 * 3 * 3, "dataset"),
+    "gail-published-code": (8 * 3, "dataset"),
+    "adversarial-published-code": (4 * 8 * 3 + 3, "dataset"),
     "bc-scripted": (8 * 5, "expert"),
     "bc-perturbed": (8 * 5, "expert, perturb 0.2, min_score 1"),
     "bc-mixed": (8 * 5, "dataset and expert"),
@@ -29,8 +31,14 @@ RESULTS = {  # the plans of the benchmark's own results: number of runs, demonst
     "training-time-multi": (3, "dataset"),
     "training-time-adversarial": (3 * 3, "dataset"),
     "settings": (4 * 2 * 3, "dataset"),
-    "settings-published-code": (2 * 2 * 3, "dataset"),
+    "settings-published-code": (2 * 8 * 5, "dataset"),
     "settings-adversarial": (2 * 3, "dataset"),
+    "settings-gail": (4 * 3, "dataset"),
+}
+PRESETS = {  # the others: quick
+    "bc-human-paper": "paper",
+    "gail-published-code": "published-code",
+    "adversarial-published-code": "published-code",
 }
 
 
@@ -41,7 +49,7 @@ def test_the_results_are_evaluated_as_the_published_scores_were(root: Path, name
     for run in runs:
         env_ids = tuple(environments(run.tasks))
         assert run.evaluation == Evaluation(env_ids=env_ids, horizon="published")
-        assert run.preset == ("paper" if name == "bc-human-paper" else "quick")
+        assert run.preset == PRESETS.get(name, "quick")
         assert run.config.threads == (2 if name == "bc-human-paper" else 1)
         if run.source.expert_demos is not None:
             assert run.config.to_dict()["augment_by"] == "resampling"
@@ -51,7 +59,7 @@ def test_the_results_are_evaluated_as_the_published_scores_were(root: Path, name
 def test_no_two_plans_of_the_results_share_a_row(root: Path) -> None:
     plans = [read_study_plan(root, name) for name in RESULTS]
     names = [method.name for plan in plans for method in plan.methods]
-    assert len(names) == len(set(names)) == 24
+    assert len(names) == len(set(names)) == 34
 
 
 @pytest.mark.parametrize(
