@@ -131,3 +131,13 @@ def test_a_packed_folder_replaces_an_older_one_or_a_file_of_it(tmp_path: Path) -
     found = sorted(path.relative_to(tmp_path / "b").as_posix() for path in tmp_path.glob("b/**/*"))
     assert found == ["deep", "deep/new.txt", "result.json"]
     assert {path.name for path in tmp_path.iterdir()} == {"a", "b"}
+
+
+def test_a_planted_link_is_not_followed(tmp_path: Path) -> None:
+    for name in ("a", "b", "others"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "result.json").write_text(name)
+    (tmp_path / ".b.part").symlink_to("others")
+    unpack(pack(tmp_path / "a"), tmp_path / "b")
+    assert (tmp_path / "b" / "result.json").read_text() == "a"
+    assert (tmp_path / "others" / "result.json").read_text() == "others"

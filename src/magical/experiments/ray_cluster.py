@@ -26,7 +26,7 @@ from magical.errors import ClusterError, RunFolderError
 from magical.experiments.one_run import finish
 from magical.experiments.plan import PlannedRun
 from magical.experiments.results import DONE, EXPERIMENT, Outcome, Results
-from magical.files import LOCK
+from magical.files import LOCK, make_folder
 from magical.learning.running.interrupts import SIGNALS
 from magical.messages import printable
 from magical.runs.folder import CHECKPOINT, read_json
@@ -147,18 +147,17 @@ def unpack(packed: bytes, folder: Path, only: str | None = None) -> None:
 
     With the name of a file in it, only this one is written or replaced.
     """
-    temporary = folder.with_name(f".{folder.name}.part")
-    shutil.rmtree(temporary, ignore_errors=True)
-    try:
+    make_folder(folder.parent)
+    # Of a name that nobody can foresee: a link may be planted under another.
+    with tempfile.TemporaryDirectory(".part", f".{folder.name}.", folder.parent) as temporary:
+        new = Path(temporary) / "new"
         with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
-            archive.extractall(temporary, filter="data")
+            archive.extractall(new, filter="data")
         if only is None:
             shutil.rmtree(folder, ignore_errors=True)
-            temporary.replace(folder)
+            new.replace(folder)
         else:
-            (temporary / only).replace(folder / only)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+            (new / only).replace(folder / only)
 
 
 def _connect(address: str | None, cores: int | None) -> None:
