@@ -2,8 +2,8 @@
 
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup test check docs entries test-all test-newest dist dist-check tag workflows \
-	quickstart clean
+.PHONY: help setup test check docs entries test-all test-others test-newest dist dist-check \
+	tag workflows quickstart clean
 
 VENV := .venv
 BIN := $(VENV)/$(if $(filter Windows_NT,$(OS)),Scripts,bin)
@@ -46,9 +46,13 @@ entries: $(READY) ## check the entries submitted to the leaderboard, running a s
 	@$(BIN)/python -m tools.entries
 
 # All of pyenv's interpreters count, where there are any.
+PYENV := PYENV_VERSION="$$(ls $${PYENV_ROOT:-$$HOME/.pyenv}/versions 2>/dev/null | paste -sd:)"
+
 test-all: $(READY) ## the tests on each supported Python of this machine, without PyTorch
-	@PYENV_VERSION="$$(ls $${PYENV_ROOT:-$$HOME/.pyenv}/versions 2>/dev/null | paste -sd:)" \
-	$(BIN)/nox
+	@$(PYENV) $(BIN)/nox
+
+test-others: $(READY) ## those that take seconds, on the Pythons that `make test` has not used
+	@$(PYENV) $(BIN)/nox -s light
 
 test-newest: $(READY) ## the tests with the newest version of every dependency
 	@$(BIN)/nox -s newest

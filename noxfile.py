@@ -1,10 +1,13 @@
 """Work in environments of its own: tests on each Python, the release's checks, workflows.
 
 `make test-all` runs the tests on each supported Python that this machine has, without PyTorch:
-`make test` runs what needs it, this shows that nothing else does.
+`make test` runs what needs it, this shows that nothing else does. `make test-others` is for every
+change: on the Pythons that `make test` has not used, all tests are collected, and those run that
+take seconds.
 """
 
 import shutil
+import sys
 import tarfile
 from pathlib import Path
 
@@ -14,6 +17,14 @@ nox.options.error_on_missing_interpreters = False
 nox.options.reuse_existing_virtualenvs = True
 nox.options.sessions = ["tests"]
 EXTRAS = "dev,report,video,window,minari,lerobot,web"
+PYTHONS = ["3.11", "3.12", "3.13"]
+THIS = ".".join(map(str, sys.version_info[:2]))
+# They start many processes, fuzz, or compare with recordings, and take most of the time.
+LONG = (
+    "studies", "reference", "web", "report", "experts", "demos/export", "demos/human",
+    "demos/store/test_fuzz.py", "render/test_fuzz.py", "test_bench.py", "test_docs.py",
+    "test_examples.py", "test_packaging.py", "test_plugins.py", "test_written_paths.py",
+)  # fmt: skip
 PINNED = ("--constraint", "constraints.txt")
 DIST = Path("dist")
 RUN_NOTEBOOK, NOTEBOOK = (
@@ -21,11 +32,20 @@ RUN_NOTEBOOK, NOTEBOOK = (
 )
 
 
-@nox.session(python=["3.11", "3.12", "3.13"])
+@nox.session(python=PYTHONS)
 def tests(session: nox.Session) -> None:
     """Install the pinned versions and run the tests; arguments go to pytest."""
     session.run_install("python", "tools/install.py", EXTRAS)
     session.run("python", "-m", "pytest", *(session.posargs or ["-q", "-rs", "-n", "auto"]))
+
+
+@nox.session(python=[version for version in PYTHONS if version != THIS])
+def light(session: nox.Session) -> None:
+    """Collect all tests on the other Pythons, and run what does not take long."""
+    session.run_install("python", "tools/install.py", EXTRAS)
+    left_out = (f"--deselect=tests/{path}" for path in LONG)
+    flags = ("-q", "-rs", "-n", "auto", "--dist", "loadfile")
+    session.run("python", "-m", "pytest", *flags, *left_out)
 
 
 @nox.session
