@@ -1,6 +1,7 @@
 """Scores and entries on disk, and summed up."""
 
 import json
+import os
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -161,6 +162,27 @@ def test_a_damaged_entry_is_named(tmp_path: Path, text: str) -> None:
     with pytest.raises(ScoresError, match=r"entry\.json.*expected") as caught:
         read_entry(tmp_path)
     assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize("name", ["scores.csv", "entry.json"])
+@pytest.mark.parametrize("kind", ["FIFO", "/dev/zero"])
+def test_special_files_are_refused(tmp_path: Path, name: str, kind: str) -> None:
+    Entry(method="mine", scores=SCORES).write(tmp_path)
+    (tmp_path / name).unlink()
+    if kind == "FIFO":
+        os.mkfifo(tmp_path / name)
+    else:
+        (tmp_path / name).symlink_to(kind)
+    with pytest.raises(ScoresError, match=rf"{name}: expected a readable file, found not a reg"):
+        read_entry(tmp_path)
+
+
+def test_a_line_without_end_is_not_read_to_its_end(tmp_path: Path) -> None:
+    write_scores(SCORES, tmp_path / "scores.csv")
+    with (tmp_path / "scores.csv").open("ab") as file:
+        file.truncate(1 << 33)  # of zeros, which take no space
+    with pytest.raises(ScoresError, match=r"line 6"):
+        read_scores(tmp_path / "scores.csv")
 
 
 def rows(env_id: EnvId, numbers: list[int], seed: int = 0) -> list[RolloutScore]:

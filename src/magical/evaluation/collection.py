@@ -16,13 +16,12 @@ from typing import Any
 from magical.envs import EnvId
 from magical.errors import ScoresError
 from magical.evaluation.entry import Entry, make_entry
-from magical.evaluation.scores import HEADER, RolloutScore, parse_row
+from magical.evaluation.scores import HEADER, RolloutScore, parse_row, read_lines
 from magical.files import open_regular, write_atomically
 from magical.untrusted import read_json
 
 ENTRIES_FILE, ROWS_FILE = "entries.json", "scores.csv.gz"
 MAX_BYTES = 1 << 26  # of `entries.json`
-MAX_ROWS = 10_000_000  # a compressed file may hold any number
 
 
 def is_collection(folder: Path) -> bool:
@@ -76,16 +75,11 @@ def _read_scores(path: Path) -> dict[str, list[RolloutScore]]:
     try:
         with (
             open_regular(path, follow_links=True) as file,
-            gzip.open(file, "rt", encoding="utf-8", errors="replace", newline="") as text,
+            gzip.GzipFile(fileobj=file, mode="rb") as rows,
         ):
-            lines = csv.reader(text)
-            if next(lines, []) != ["entry", *HEADER]:
-                raise ScoresError(f"{path}: expected the header entry,{','.join(HEADER)}")
-            for number, line in enumerate(lines, 2):
-                if number > MAX_ROWS:
-                    raise ScoresError(f"{path}: expected at most {MAX_ROWS} rows, found more")
+            for number, line in enumerate(read_lines(rows, ("entry", *HEADER), path), 2):
                 row = parse_row(line[1:], env_ids, path, number)
                 scores.setdefault(line[0], []).append(row)
-    except (OSError, EOFError, zlib.error, csv.Error) as error:
+    except (OSError, EOFError, zlib.error) as error:
         raise ScoresError(f"{path}: expected compressed scores: {error}") from error
     return scores

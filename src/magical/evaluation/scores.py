@@ -2,18 +2,20 @@
 
 import csv
 import io
-from collections.abc import Iterable, Sequence
-from itertools import groupby
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
+from gzip import GzipFile
+from itertools import groupby, islice
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 
 from magical.envs import EnvId, parse_env_id
 from magical.envs.seeds import evaluation_seed
 from magical.errors import ScoresError
-from magical.files import write_atomically
+from magical.files import open_regular, write_atomically
 from magical.tasks.axes import short_variant
 
 
@@ -28,6 +30,8 @@ class RolloutScore(NamedTuple):
 
 
 HEADER = RolloutScore._fields
+MAX_ROWS = 10_000_000  # a compressed file may hold any number
+MAX_LINE = 2000  # characters
 SHOWN = 200  # characters of a damaged line that a message shows
 
 
@@ -42,14 +46,33 @@ def write_scores(scores: Iterable[RolloutScore], path: Path | str) -> None:
 def read_scores(path: Path | str) -> list[RolloutScore]:
     """Read what `write_scores` wrote; raises `ScoresError` naming the line that is wrong."""
     env_ids: dict[str, EnvId] = {}
-    with Path(path).open(newline="", encoding="utf-8", errors="replace") as file:
-        lines = csv.reader(file)
-        try:
-            header = next(lines, [])
-            if tuple(header) != HEADER:
-                found = repr(header)[:SHOWN] if header else "nothing"
-                raise ScoresError(f"{path}: expected the header {','.join(HEADER)}, found {found}")
+    try:
+        with open_regular(Path(path), follow_links=True) as file:
+            lines = read_lines(file, HEADER, path)
             return [parse_row(line, env_ids, path, number) for number, line in enumerate(lines, 2)]
+    except OSError as error:
+        raise ScoresError(f"{path}: expected a readable file, found {error.strerror}") from error
+
+
+def read_lines(
+    file: IO[bytes] | GzipFile, header: Sequence[str], path: Path | str
+) -> Iterator[list[str]]:
+    """The lines of a CSV file of any origin, after its header, bounded in length and number.
+
+    Raises:
+        ScoresError: another header, more lines than `MAX_ROWS`, or a line that is not CSV.
+    """
+    with io.TextIOWrapper(file, "utf-8", errors="replace", newline="") as text:
+        # A longer line comes in parts, which are no rows.
+        lines = csv.reader(iter(partial(text.readline, MAX_LINE), ""))
+        try:
+            found = next(lines, [])
+            if tuple(found) != tuple(header):
+                shown = repr(found)[:SHOWN] if found else "nothing"
+                raise ScoresError(f"{path}: expected the header {','.join(header)}, found {shown}")
+            yield from islice(lines, MAX_ROWS)
+            if next(lines, None) is not None:
+                raise ScoresError(f"{path}: expected at most {MAX_ROWS} rows, found more")
         except csv.Error as error:
             raise ScoresError(f"{path}: line {lines.line_num} is damaged: {error}") from error
 
