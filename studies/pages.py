@@ -13,6 +13,7 @@ from functools import cached_property
 from operator import attrgetter
 from pathlib import Path
 
+from magical.envs import EnvId
 from magical.evaluation import published_tasks
 from magical.grouping import group_by
 from magical.report.found.search import Found, search_results
@@ -33,6 +34,7 @@ from studies.published_tables.cells import (
 )
 from studies.published_tables.claims import (
     CLAIMS,
+    HUNDRED,
     PARTS,
     VARIATIONS,
     Claim,
@@ -85,9 +87,10 @@ SECTIONS = {  # the generated parts of each study's page
         *("runs", "counts", "tasks", "far", "agreement", "claims", "orders", "cells", "rejected"),
     ),
     "demonstrations": ("variations", "variants"),
-    "objects": ("gaps", "leaderboard", "others"),
+    "objects": ("baseline", "gaps", "leaderboard", "others"),
 }
 PICTURE = Path("published_tables", "results.png")
+BASELINE = ("object-bc (ST)", HUNDRED)  # from the same demonstrations
 EXPERT = "expert"  # folder and method of the scripted experts' entry, which is no run of a plan
 LEADERBOARD = "leaderboard"  # in the folder of a run's entry
 NOTHING = f"Nothing yet: {NOT_RUN}."
@@ -154,6 +157,7 @@ class Page:
             "variations": self.variation_table,
             "variants": self.variant_table,
             "orders": self.orders,
+            "baseline": self.baseline_table,
             "gaps": self.gap_table,
             "leaderboard": self.leaderboard,
             "others": self.other_tables,
@@ -255,6 +259,21 @@ class Page:
         """A table for each method that has been run: tasks by variants."""
         parts = [cell_table(method, cells) for method, cells in self.cells.items() if cells]
         return "\n\n".join(parts) or NOTHING
+
+    def baseline_table(self) -> str:
+        """The object-centred learner beside BC from the same demonstrations, task by task."""
+        known = {row.method: row for row in (*self.rows, *self.others)}
+        rows = [known[name] for name in BASELINE if name in known]
+        if len(rows) < len(BASELINE):
+            return NOTHING
+        lines = []
+        for env_id in [i for i in rows[0].env_ids if i.variant == "Demo"]:
+            pair = (env_id, EnvId(env_id.task, "TestAll"))
+            if all(i in row.env_ids for row in rows for i in pair):
+                means = [f"{row.runs_in(i).mean():.2f}" for i in pair for row in rows]
+                lines.append([f"{env_id.task} ({len(rows[1].runs_in(env_id))} runs)", *means])
+        header = [f"{name}, {variant}" for variant in ("Demo", "TestAll") for name in BASELINE]
+        return table(("Task", *header), lines)
 
     def gap_table(self) -> str:
         """Demo, TestAll and the gap of the published methods, and of those with all tasks."""

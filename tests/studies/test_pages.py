@@ -136,6 +136,17 @@ def test_cells_by_hand(repository: Path) -> None:
     assert all("object-bc" not in section(text, name) for name in ("cells", "counts"))
 
 
+def test_the_object_centred_learner_has_a_baseline_from_the_same_demonstrations(
+    repository: Path,
+) -> None:
+    write_run(repository, "object-bc", "object-bc (ST)", "MoveToRegion", 0, 0.75)
+    assert section(made(repository), "baseline") == "Nothing yet: not run.\n"
+    hundred = "BC (ST), 100 perturbed experts"
+    write_run(repository, "bc-perturbed-100", hundred, "MoveToRegion", 0, 0.5)
+    found = lines(made(repository), "baseline", "MoveToRegion")
+    assert found == [["MoveToRegion (1 runs)", "0.75", "0.50", "0.75", "0.50"]]
+
+
 def test_a_change_is_shown_variant_by_variant(repository: Path) -> None:
     scripted = "BC (ST), scripted experts"
     write_run(repository, "bc-human", "BC (ST)", "MoveToCorner", 0, 0.5)
