@@ -11,6 +11,7 @@ import pytest
 from magical.conformance import motions
 from magical.conformance.recordings import DATA
 from magical.physics import Simulation, chipmunk
+from magical.physics.simulation import compiled
 from magical.scene.actions import NUM_ACTIONS
 from magical.tasks import TASKS
 
@@ -74,9 +75,9 @@ def test_threads_step_simulations_of_their_own() -> None:
 
 @pytest.fixture
 def _unknown_yet() -> Iterator[None]:
-    chipmunk.compiled.cache_clear()
+    compiled.cache_clear()
     yield
-    chipmunk.compiled.cache_clear()
+    compiled.cache_clear()
 
 
 @pytest.mark.usefixtures("_unknown_yet")
@@ -93,7 +94,7 @@ def test_another_pymunk_is_simulated_plainly_with_one_warning(
 ) -> None:
     scene, actions = TASKS["MatchRegions"].demo, random_actions(0)
     expected = history(Simulation(scene), actions)
-    chipmunk.compiled.cache_clear()
+    compiled.cache_clear()
     monkeypatch.setattr(chipmunk, name, value)
     with pytest.warns(RuntimeWarning, match=f"pymunk {pymunk.version}: expected the C functions"):
         simulation = Simulation(scene)

@@ -2,13 +2,12 @@
 
 Through pymunk's properties, ten substeps and one read of all bodies take a third longer. The names
 and the layout used here are private and may change between releases, so importing this module
-checks that pymunk's version is in the range they were tested with, and `compiled` checks each.
+checks that pymunk's version is in the range they were tested with, and `c_functions` checks each.
 """
 
 import re
 import warnings
-from collections.abc import Callable
-from functools import cache
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -52,38 +51,29 @@ def address(thing: Any) -> int:
     return int(ffi.cast("intptr_t", getattr(thing, private[type(thing)])))
 
 
-@cache
-def compiled() -> tuple[Callable[..., None], Callable[..., None]] | None:
-    """`substeps` and `read` of the module `substeps`, or None if this pymunk is another.
+def c_functions() -> Mapping[str, int] | None:
+    """The addresses of the functions in `SIGNATURES`, or None if this pymunk is another.
 
-    It is another, and a warning says so, if it lacks one of the C functions, or if one has other
-    arguments or a body has another layout in memory.
+    It is another, and a warning says so, if it lacks one of them, or if one has other arguments or
+    a body has another layout in memory.
     """
     try:
         from pymunk._chipmunk_cffi import ffi, lib
 
         functions = {name: ffi.addressof(lib, name) for name in SIGNATURES}
         found = {name: ffi.typeof(function).cname for name, function in functions.items()}
-        known = found == SIGNATURES and _has_known_layout(ffi)
+        if found == SIGNATURES and _has_known_layout(ffi):
+            return {name: int(ffi.cast("intptr_t", f)) for name, f in functions.items()}
     except (ImportError, AttributeError):
-        known = False
-    if not known:
-        warnings.warn(
-            f"pymunk {pymunk.version}: expected the C functions and the layout of bodies of pymunk "
-            "7.3.1, found others; the physics is simulated without compiled code: the same "
-            "motions, but slower",
-            RuntimeWarning,
-            stacklevel=3,
-        )
-        return None
-    from magical.compiled import ADDRESS, FLOAT, c_function
-    from magical.physics.substeps import compiled_substeps, read
-
-    c_functions = (
-        c_function(name, int(ffi.cast("intptr_t", function)), ADDRESS, FLOAT)
-        for name, function in functions.items()
+        pass
+    warnings.warn(
+        f"pymunk {pymunk.version}: expected the C functions and the layout of bodies of pymunk "
+        "7.3.1, found others; the physics is simulated without compiled code: the same motions, "
+        "but slower",
+        RuntimeWarning,
+        stacklevel=4,
     )
-    return compiled_substeps(*c_functions), read
+    return None
 
 
 def _has_known_layout(ffi: Any) -> bool:

@@ -1,12 +1,15 @@
 """The physics of one episode."""
 
+from collections.abc import Callable
+from functools import cache
+
 import numpy as np
 import pymunk
 from numpy.typing import NDArray
 
 from magical.errors import InvalidSceneError
 from magical.physics.blocks import add_block, add_walls
-from magical.physics.chipmunk import address, compiled
+from magical.physics.chipmunk import address, c_functions
 from magical.physics.robot import COMMANDS, ROBOT_GROUP, Robot
 from magical.scene import constants as c
 from magical.scene.poses import Poses
@@ -102,6 +105,16 @@ class Simulation:
             x, y, angle, velocity_x, velocity_y, spin = row
             body.position, body.angle = (x, y), angle
             body.velocity, body.angular_velocity = (velocity_x, velocity_y), spin
+
+
+@cache
+def compiled() -> tuple[Callable[..., None], Callable[..., None]] | None:
+    """`substeps` and `read` of the module `substeps`; None with another pymunk (`c_functions`)."""
+    if (functions := c_functions()) is None:
+        return None
+    from magical.physics.substeps import compiled_substeps, read  # imports numba
+
+    return compiled_substeps(functions), read
 
 
 def _check_range(bodies: NDArray[np.float64]) -> None:

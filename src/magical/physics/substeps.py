@@ -6,13 +6,20 @@ The lock of the interpreter is not held, so that threads can step different simu
 """
 
 import math
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled import inlined, load_float, nogil_entry_point, store_float
+from magical.compiled import (
+    ADDRESS,
+    FLOAT,
+    c_function,
+    inlined,
+    load_float,
+    nogil_entry_point,
+    store_float,
+)
 from magical.physics.chipmunk import ANGLE, POSITION, SPIN, VELOCITY
 from magical.physics.robot import motor_rate
 from magical.scene import constants as c
@@ -20,8 +27,12 @@ from magical.scene import constants as c
 rate = inlined(motor_rate)
 
 
-def compiled_substeps(step_space: Any, set_angle: Any, set_motor_rate: Any) -> Callable[..., None]:
-    """The substeps as `Simulation` makes them plainly; the arguments are C functions."""
+def compiled_substeps(addresses: Mapping[str, int]) -> Callable[..., None]:
+    """The substeps as `Simulation` makes them plainly, by the C functions at these addresses."""
+    step_space, set_angle, set_motor_rate = (
+        c_function(name, addresses[name], ADDRESS, FLOAT)
+        for name in ("cpSpaceStep", "cpBodySetAngle", "cpSimpleMotorSetRate")
+    )
 
     @nogil_entry_point
     def substeps(
