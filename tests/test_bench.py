@@ -29,7 +29,7 @@ def test_one_environment(capsys: pytest.CaptureFixture[str]) -> None:
     assert (result["num_envs"], result["workers"]) == (1, 0)
     assert result["frames_per_second"] == 2 * result["steps_per_second"]
     assert 0 < result["steps_per_second"] < result["physics_steps_per_second"]
-    assert 0 < result["state_steps_per_second"] < result["physics_steps_per_second"]
+    assert result["state_steps_per_second"] > 0  # almost all of it physics
 
 
 @pytest.mark.parametrize("workers", [0, 1])

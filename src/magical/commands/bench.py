@@ -143,6 +143,8 @@ class BarePhysics:
         self._env_id = env_id
         self._rng = np.random.default_rng(seed)
         self._seconds, self._steps, self._left = 0.0, 0, 0
+        self.step([0])  # compiles
+        self._seconds, self._steps = 0.0, 0
 
     def step(self, actions: Any) -> None:
         """One control step."""
