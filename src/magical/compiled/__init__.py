@@ -13,6 +13,7 @@ from magical.compiled.jit import (
     fused,
     inlined,
     load_float,
+    merged,
     nogil_entry_point,
     store_float,
 )
@@ -26,6 +27,7 @@ __all__ = [
     "fused",
     "inlined",
     "load_float",
+    "merged",
     "nogil_entry_point",
     "store_float",
 ]

@@ -4,6 +4,7 @@ Nothing is compiled at import. Kernels marked `inlined` become part of the entry
 them; an entry point is compiled at its first call and kept on disk (see `cache`).
 """
 
+import gc
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
@@ -15,22 +16,37 @@ from numba.extending import intrinsic
 from magical.compiled.cache import CompileCache
 
 ADDRESS, FLOAT = numba.types.intp, numba.types.float64
+# Not called from Python or C, and divided by zero as numpy does: less to compile.
+_WITHIN: dict[str, Any] = {
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+    "error_model": "numpy",
+}
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 
 def inlined(function: Kernel) -> Kernel:
-    """Mark a kernel to be compiled into whatever calls it."""
-    return cast(Kernel, numba.njit(forceinline=True)(function))
+    """Mark a small kernel to be compiled into whatever calls it."""
+    return cast(Kernel, numba.njit(forceinline=True, **_WITHIN)(function))
+
+
+def merged(function: Kernel) -> Kernel:
+    """Like `inlined`, for a larger kernel that is called in one or two places.
+
+    It is not compiled by itself first, which takes longer for a large kernel than its caller's
+    compilation with it, and for a small one less.
+    """
+    return cast(Kernel, numba.njit(inline="always", error_model="numpy")(function))
 
 
 def fused(function: Kernel) -> Kernel:
     """Like `inlined`; a product and a sum may be rounded once together, which is faster."""
-    return cast(Kernel, numba.njit(forceinline=True, fastmath={"contract"})(function))
+    return cast(Kernel, numba.njit(forceinline=True, fastmath={"contract"}, **_WITHIN)(function))
 
 
 def entry_point(function: Kernel) -> Kernel:
     """Mark a function to be compiled at its first call and kept on disk."""
-    return _cached(function, numba.njit(function))
+    return _cached(function, numba.njit(error_model="numpy")(function))
 
 
 def nogil_entry_point(function: Kernel) -> Kernel:
@@ -38,7 +54,7 @@ def nogil_entry_point(function: Kernel) -> Kernel:
 
     Arrays that they are given must not be used by another thread meanwhile.
     """
-    return _cached(function, numba.njit(nogil=True)(function))
+    return _cached(function, numba.njit(nogil=True, error_model="numpy")(function))
 
 
 def c_function(name: str, address: int, *arguments: Any) -> Any:
@@ -58,6 +74,19 @@ def c_function(name: str, address: int, *arguments: Any) -> Any:
 
 def _cached(function: Kernel, dispatcher: Any) -> Kernel:
     dispatcher._cache = CompileCache(function)  # as `cache=True` does with numba's own
+    compile_signature = dispatcher.compile
+
+    def without_collection(signature: Any) -> Any:
+        # Looking for garbage among numba's many objects takes a seventh of the time.
+        enabled = gc.isenabled()
+        gc.disable()
+        try:
+            return compile_signature(signature)
+        finally:
+            if enabled:
+                gc.enable()
+
+    dispatcher.compile = without_collection
     return cast(Kernel, dispatcher)
 
 

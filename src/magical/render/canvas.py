@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled import count_bits, inlined
+from magical.compiled import count_bits, inlined, merged
 from magical.render.polygons import Ints, mask, pad, pixel_spans
 
 UNCOVERED = 48  # the lowest bit of a body pixel's mask; below it are the three lanes
@@ -84,7 +84,7 @@ def open_tile(canvas: Canvas, pixel: int) -> int:
     return tile
 
 
-@inlined
+@merged
 def paint(canvas: Canvas, spans: Ints, low: int, high: int, colour: int) -> None:
     """Fill a scan-converted polygon on the ground, over what is there."""
     samples, size = canvas.samples, canvas.size
@@ -93,12 +93,11 @@ def paint(canvas: Canvas, spans: Ints, low: int, high: int, colour: int) -> None
     for y in range(low // samples, (high + samples - 1) // samples):
         row = y * size
         touched, covered, uncovered, end = pixel_spans(spans, y * samples, samples)
-        for x in range(touched, covered):
-            _paint_part(canvas, row + x, mask(spans, y * samples, samples, x), colour)
         for x in range(covered, uncovered):
             canvas.ground[row + x] = flat
-        for x in range(uncovered, end):
-            _paint_part(canvas, row + x, mask(spans, y * samples, samples, x), colour)
+        for first, last in ((touched, covered), (uncovered, end)):
+            for x in range(first, last):
+                _paint_part(canvas, row + x, mask(spans, y * samples, samples, x), colour)
 
 
 @inlined
@@ -110,7 +109,7 @@ def _paint_part(canvas: Canvas, pixel: int, bits: int, colour: int) -> None:
             canvas.tiles[tile, i] = colour if bits >> i & 1 else under
 
 
-@inlined
+@merged
 def cover(canvas: Canvas, spans: Ints, low: int, high: int, colour: int) -> None:
     """Fill a scan-converted polygon of a body, behind the bodies that are there."""
     samples, size = canvas.samples, canvas.size
@@ -121,12 +120,11 @@ def cover(canvas: Canvas, spans: Ints, low: int, high: int, colour: int) -> None
         touched, covered, uncovered, end = pixel_spans(spans, y * samples, samples)
         canvas.touched[0, y] = min(canvas.touched[0, y], touched)
         canvas.touched[1, y] = max(canvas.touched[1, y], end)
-        for x in range(touched, covered):
-            _cover_part(canvas, row + x, mask(spans, y * samples, samples, x), colour)
         for x in range(covered, uncovered):
             _cover_part(canvas, row + x, full, colour)
-        for x in range(uncovered, end):
-            _cover_part(canvas, row + x, mask(spans, y * samples, samples, x), colour)
+        for first, last in ((touched, covered), (uncovered, end)):
+            for x in range(first, last):
+                _cover_part(canvas, row + x, mask(spans, y * samples, samples, x), colour)
 
 
 @inlined
@@ -137,7 +135,7 @@ def _cover_part(canvas: Canvas, pixel: int, bits: int, colour: int) -> None:
     canvas.bodies[pixel] = (entry ^ (new << UNCOVERED)) + count_bits(new) * colour
 
 
-@inlined
+@merged
 def finish_ground(canvas: Canvas) -> None:
     """Average the tiles in `pixels`, except where bodies were composited over them."""
     samples = canvas.samples * canvas.samples
@@ -150,7 +148,7 @@ def finish_ground(canvas: Canvas) -> None:
             canvas.pixels[pixel] = pack(mean(total, samples))
 
 
-@inlined
+@merged
 def finish_bodies(canvas: Canvas) -> None:
     """Composite the bodies over the ground in `pixels` and clear them for the next frame."""
     samples, size = canvas.samples * canvas.samples, canvas.size

@@ -7,10 +7,10 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled import entry_point, inlined
+from magical.compiled import entry_point, inlined, merged
 from magical.render.canvas import Canvas, cover, finish_bodies, finish_ground, pack, paint
 from magical.render.display import FURTHEST
-from magical.render.lines import dashes, outline, round_up
+from magical.render.lines import outline, round_up
 from magical.render.palette import OUTSIDE, lanes
 from magical.render.polygons import MOST_SIDES, SUBSAMPLES, Floats, Ints, place, scan
 from magical.scene.constants import RAW_FRAME_SIZE
@@ -23,7 +23,7 @@ BACKGROUND = lanes(OUTSIDE)
 Pixels = NDArray[np.int32]
 
 
-@inlined
+@merged
 def body_frames(bodies: Floats, ego: bool, extent: float, frames: Floats) -> None:
     """Every body's frame on the grid, the workspace's last: cos, sin (times the scale), x, y."""
     scale = SUBSAMPLES * extent / VIEW_WIDTH
@@ -44,7 +44,7 @@ def body_frames(bodies: Floats, ego: bool, extent: float, frames: Floats) -> Non
     frames[count, 3] = centre_y - (sin * x + cos * y)
 
 
-@inlined
+@merged
 def render_ground(
     canvas: Canvas,
     corners: Floats,
@@ -62,22 +62,20 @@ def render_ground(
     for pixel in range(canvas.size * canvas.size):
         canvas.ground[pixel] = outside
     turned, placed, on_frame = np.empty((2, 4)), np.empty((2, 5)), np.empty((4, 2))
-    counter = 0.0
+    counter, sides = 0.0, corners.shape[1]
     if ego:
         counter = _counter_left_by_allocentric_frame(corners[len(corners) - 1], whole)
     for i in range(len(corners)):
-        for k in range(4):
+        for k in range(sides):
             x, y = corners[i, k, 0], corners[i, k, 1]
-            turned[0, 3 - k], turned[1, 3 - k] = x, y
+            turned[0, sides - 1 - k], turned[1, sides - 1 - k] = x, y
             on_frame[k, 0] = (workspace[0] * x - workspace[1] * y + workspace[2]) / SUBSAMPLES
             on_frame[k, 1] = (workspace[1] * x + workspace[0] * y + workspace[3]) / SUBSAMPLES
-        place(turned, 0, 4, workspace, placed)
-        low, high = scan(placed, 4, extent, extent, edges, spans)
+        place(turned, 0, sides, workspace, placed)
+        low, high = scan(placed, sides, extent, extent, edges, spans)
         paint(canvas, spans, low, high, colours[i, 0])
-        if i == 0:
-            outline(canvas, on_frame, colours[i, 1])
-        else:
-            counter = dashes(canvas, on_frame, colours[i, 1], counter, whole)
+        advanced = outline(canvas, on_frame, colours[i, 1], i > 0, counter, whole)
+        counter = advanced if i > 0 else counter
 
 
 @inlined
@@ -93,7 +91,7 @@ def _counter_left_by_allocentric_frame(corners: Floats, whole: bool) -> float:
     return 2.0 * float(width + height) / pixel
 
 
-@inlined
+@merged
 def render_bodies(
     canvas: Canvas,
     vertices: Floats,
@@ -117,7 +115,7 @@ def render_bodies(
         cover(canvas, spans, low, high, items[i, 4])
 
 
-@inlined
+@merged
 def within_reach(bodies: Floats) -> bool:
     """Whether all poses are finite and within `FURTHEST`."""
     good = True
@@ -154,7 +152,7 @@ def compiled_render(samples: int) -> Callable[..., int]:
 
         Mode EGO renders everything; `ground` is the same array as `pixels`. GROUND renders the
         allocentric ground only. ALLO renders bodies over a ground that was rendered before, its
-        finished pixels in `kept`. `whole` is for `lines.dashes`. The other arrays are those of
+        finished pixels in `kept`. `whole` is for `lines.outline`. The other arrays are those of
         `display.DisplayList` and `canvas.Canvas`.
         """
         if not within_reach(bodies):
@@ -165,8 +163,8 @@ def compiled_render(samples: int) -> Callable[..., int]:
         canvas = Canvas(ground, tiles, owners, counts, body_pixels, touched, pixels, size, samples)
         body_frames(bodies, mode == EGO, extent, frames)
         if mode != ALLO:
-            areas = corners, colours, BACKGROUND
-            render_ground(canvas, *areas, frames[count], mode == EGO, whole, edges, spans)
+            workspace, ego = frames[count], mode == EGO
+            render_ground(canvas, corners, colours, BACKGROUND, workspace, ego, whole, edges, spans)
         if mode != EGO:
             source = ground if mode == GROUND else kept
             for pixel in range(size * size):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled import inlined
+from magical.compiled import inlined, merged
 from magical.render.canvas import Canvas, open_tile
 from magical.render.polygons import Floats
 from magical.scene.constants import RAW_FRAME_SIZE
@@ -57,7 +57,7 @@ def clip(line: Floats, extent: float) -> bool:
     return True
 
 
-@inlined
+@merged
 def stroke(canvas: Canvas, line: Floats, width: float, colour: int) -> None:
     """Blend one line (x0, y0, x1, y1) of a width in samples into the ground."""
     dx, dy = line[2] - line[0], line[3] - line[1]
@@ -140,19 +140,11 @@ def _side(corners: Floats, i: int, extent: float, line: Floats) -> bool:
     return clip(line, extent)
 
 
-@inlined
-def outline(canvas: Canvas, corners: Floats, colour: int) -> None:
-    """The workspace's edge: four lines, each clipped to the frame."""
-    extent = canvas.size * canvas.samples
-    line = np.empty(4)
-    for i in range(4):
-        if _side(corners, i, extent, line):
-            stroke(canvas, line, EDGE_WIDTH * extent / RAW_FRAME_SIZE, colour)
-
-
-@inlined
-def dashes(canvas: Canvas, corners: Floats, colour: int, counter: float, whole: bool) -> float:
-    """A region's dashed outline; takes and returns the dash counter.
+@merged
+def outline(
+    canvas: Canvas, corners: Floats, colour: int, dashed: bool, counter: float, whole: bool
+) -> float:
+    """The workspace's edge, or a region's dashes; takes and returns the dash counter.
 
     Every side counts the pixels of the 384 frame from where it comes into view and advances the
     counter, so that dashes continue round corners: by a whole number, or, as in the frames of the
@@ -161,21 +153,24 @@ def dashes(canvas: Canvas, corners: Floats, colour: int, counter: float, whole: 
     """
     extent = canvas.size * canvas.samples
     unit = extent / RAW_FRAME_SIZE
-    line, dash = np.empty(4), np.empty(4)
+    width = (DASH_WIDTH if dashed else EDGE_WIDTH) * unit
+    line = np.empty(4)
     for i in range(4):
         if _side(corners, i, extent, line):
             counter = 0.0 if i == 0 else counter
             base = int(counter + 1e-9)
-            dx, dy = line[2] - line[0], line[3] - line[1]
+            x, y = line[0], line[1]
+            dx, dy = line[2] - x, line[3] - y
             length = math.sqrt(dx * dx + dy * dy) / unit
-            count, start = round_up(length), 0
+            count, start = round_up(length) if dashed else 1, 0
             while start < count:
                 stop = min(start + DASH - (base + start) % DASH, count)
-                if (base + start) // DASH % 2 == 0:
-                    a, b = start / length, min(stop / length, 1.0)
-                    dash[0], dash[1] = line[0] + a * dx, line[1] + a * dy
-                    dash[2], dash[3] = line[0] + b * dx, line[1] + b * dy
-                    stroke(canvas, dash, DASH_WIDTH * unit, colour)
+                if not dashed or (base + start) // DASH % 2 == 0:
+                    if dashed:
+                        a, b = start / length, min(stop / length, 1.0)
+                        line[0], line[1] = x + a * dx, y + a * dy
+                        line[2], line[3] = x + b * dx, y + b * dy
+                    stroke(canvas, line, width, colour)
                 start = stop
             counter += count if whole else length
     return counter

@@ -204,8 +204,8 @@ def compiled_render_moved(samples: int) -> Callable[..., bool]:
                 canvas = Canvas(*memory, size, samples)
                 body_frames(bodies[b, k], ego, extent, frames)
                 _move(frames, moves[b], extent)
-                areas = corners, ground_colours[b], backgrounds[b]
-                render_ground(canvas, *areas, frames[count], ego, True, edges, spans)
+                colours, outside, area = ground_colours[b], backgrounds[b], frames[count]
+                render_ground(canvas, corners, colours, outside, area, ego, True, edges, spans)
                 render_bodies(canvas, vertices, coloured, offsets, frames, edges, spans)
                 finish_bodies(canvas)
                 finish_ground(canvas)

@@ -24,12 +24,11 @@ def compiled_store() -> Callable[..., None]:
         height, width = out.shape[0], out.shape[1]
         for y in range(height):
             first = (height - 1 - y) * width
-            source, target = pixels[first : first + width], out[y]
             for x in range(width):
-                colour = source[x]
-                target[x, 0] = colour
-                target[x, 1] = colour >> 8
-                target[x, 2] = colour >> 16
+                colour = pixels[first + x]
+                out[y, x, 0] = colour
+                out[y, x, 1] = colour >> 8
+                out[y, x, 2] = colour >> 16
 
     return store
 

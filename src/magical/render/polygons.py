@@ -9,7 +9,7 @@ those at the height of a vertex go with the edge above.
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled import inlined
+from magical.compiled import inlined, merged
 
 SUBSAMPLES = 256.0  # vertices lie on a grid of this many lines a sample
 LEFT, RIGHT = 0, 1  # rows of `spans`
@@ -35,7 +35,7 @@ def place(vertices: Floats, first: int, count: int, frame: Floats, placed: Float
     placed[1, count] = placed[1, 0]
 
 
-@inlined
+@merged
 def scan(
     placed: Floats, count: int, width: int, height: int, edges: Floats, spans: Ints
 ) -> tuple[int, int]:
