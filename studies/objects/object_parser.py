@@ -20,7 +20,6 @@ from magical.demos.store.reader import TrajectorySource
 from magical.envs.ids import all_env_ids
 from magical.learning.objects import parser as p
 from magical.render import Renderer
-from magical.render.palette import SHADES
 from magical.scene import Poses, Scene, View
 from magical.scene.constants import FINGER_OPEN
 from magical.scene.poses import FIRST_BLOCK
@@ -167,18 +166,14 @@ def fit() -> None:
 
 def block_features(frame: NDArray[np.uint8], scene: Scene) -> tuple[list[Floats], list[int]]:
     """The features of a frame's blocks, and their shapes' numbers."""
+    rows = np.zeros((1, p.MAX_BLOCKS, p.FEATURES))
+    parsed = p.parse_frames(frame, features=rows)
     features, shapes = [], []
-    for colour in COLOURS:
-        parts = p._components(np.asarray(p._codes(frame) == p._code(SHADES[colour].fill)))
-        if parts.number:
-            x, y = p._coordinates(parts.columns, parts.rows)
-            centres = np.stack([parts.total(x), parts.total(y)], 1) / parts.total()[:, None]
-            rows = p._shape_features(parts, centres, x, y)
-            for block in scene.blocks:
-                far = np.hypot(*(centres - block.pose[:2]).T)
-                if block.colour == colour and far.min() < 0.03:
-                    features.append(rows[far.argmin()])
-                    shapes.append(SHAPES.index(block.shape))
+    for block in scene.blocks:
+        far = np.hypot(*(parsed.blocks[0] - block.pose[:2]).T)
+        if COLOURS[parsed.colours[0, far.argmin()]] == block.colour and far.min() < 0.03:
+            features.append(rows[0, far.argmin()])
+            shapes.append(SHAPES.index(block.shape))
     return features, shapes
 
 

@@ -27,7 +27,8 @@ from magical.experts.planning import Move, MovePlan, Planner, Strategy
 from magical.experts.state_view import StateView
 from magical.learning.algorithms.object_bc import ObjectPolicy
 from magical.learning.objects.hindsight import ROBOT_TARGET
-from magical.learning.objects.parser import FAR, MAX_BLOCKS, MAX_REGIONS
+from magical.learning.objects.parser import FAR, MAX_BLOCKS
+from magical.learning.objects.regions import MAX_REGIONS
 from magical.learning.objects.table import ObjectTable, parse_table, to_tensor
 from magical.learning.policy import NetworkPolicy, sample_actions
 from magical.learning.running.loading import load_policy

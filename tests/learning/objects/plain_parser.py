@@ -1,11 +1,4 @@
-"""Objects from pixels: robot, blocks and goal regions of allocentric 96 x 96 frames.
-
-The parser is made for the benchmark's palette and shapes (docs/specification.md, sections 2, 3, 4
-and 6); only the constants of the shape classifier and of the fingers were fitted, on rendered
-scenes. The interiors of objects have exact colours, and what is mixed lies on an edge. So a block
-is a component of a fill colour (its darker outline keeps touching blocks apart), a goal region a
-rectangle of a region colour, and the robot's body the disc of grey around the eyes.
-"""
+"""`magical.learning.objects.parser` without compiled code: all frames of a batch at once."""
 
 from typing import Any, NamedTuple
 
@@ -14,6 +7,27 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from magical.learning.objects.components import PIXEL, VIEW_HALF
+from magical.learning.objects.parser import (
+    ABSENT,
+    BODY_WINDOW,
+    FAR,
+    FINGER_OFFSET,
+    FINGER_REACH,
+    FINGER_SLOPE,
+    FINGER_WINDOW,
+    MAX_BLOCKS,
+    MIN_BLOCK_PIXELS,
+    SHAPE_WEIGHTS,
+    ParsedFrames,
+)
+from magical.learning.objects.regions import (
+    MAX_REGION_PIXELS,
+    MAX_REGIONS,
+    MAX_WHITE,
+    MIN_REGION_PIXELS,
+    REGION_MARGIN,
+)
 from magical.render.palette import GREY, RGB, SHADES, WHITE
 from magical.scene.constants import FINGER_ROOT_X, FINGER_ROOT_Y, FRAME_SIZE, ROBOT_RADIUS, SIDES
 from magical.scene.vocabulary import COLOURS
@@ -22,33 +36,6 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Pixels = NDArray[np.uint8]
 Codes = NDArray[np.int32]  # pixels as one integer each
-
-MAX_BLOCKS, MAX_REGIONS = 10, 3  # of the benchmark's tasks
-VIEW_HALF = 1.02  # units: half of what the allocentric camera shows
-PIXEL = 2 * VIEW_HALF / FRAME_SIZE  # units
-FAR = 9.0  # the coordinates of absent blocks, units
-ABSENT = -1  # the colour and shape of absent objects
-
-MIN_BLOCK_PIXELS = 12  # smaller components are slivers beside another object
-MIN_REGION_PIXELS = 12
-MAX_REGION_PIXELS = 40  # of a side: 0.8 units and a margin
-MAX_WHITE = 14  # pixels within one region: the robot's eyes; a gap between two has more
-REGION_MARGIN = 0.36  # pixels between a region's outermost exact pixels and its edge
-
-# The classifier of shapes is linear in `_shape_features`; a row for each of `SHAPES`.
-SHAPE_WEIGHTS = np.array(
-    (
-        (1.05, -3.01, 8.42, -1.65, -2.47, 0.08, 3.28, -0.32, 5.45),
-        (42.8, 2.05, -2.57, -14.26, 1.82, -0.98, -4.2, 0.87, -36.0),
-        (-9.89, 0.12, -4.88, 10.2, -0.92, -0.74, 1.27, -0.79, 15.23),
-        (-33.97, 0.84, -0.97, 5.71, 1.57, 1.64, -0.34, 0.25, 15.32),
-    )
-)
-# A finger's angle is linear in the mean direction of its pixels, seen from its root.
-FINGER_SLOPE, FINGER_OFFSET = 1.0081, 0.0696  # rad
-FINGER_REACH = 0.42  # units from the robot's centre to beyond the fingertips
-FINGER_WINDOW = 23  # pixels to either side of the robot's centre
-BODY_WINDOW = 11
 
 
 def _code(colour: RGB) -> int:
@@ -62,18 +49,6 @@ FILLS, REGIONS = (
 
 _IN_FRAME = np.zeros((3, 3, 3), np.bool_)  # neighbours within a frame of a batch, none between
 _IN_FRAME[1] = ndimage.generate_binary_structure(2, 1)
-
-
-class ParsedFrames(NamedTuple):
-    """The objects of B frames, in units of the workspace; blocks and regions in no order."""
-
-    robot: Floats  # (B, 3) x, y, angle
-    fingers: Floats  # (B, 2) how far the left and the right finger are open, rad
-    blocks: Floats  # (B, MAX_BLOCKS, 2)
-    colours: Ints  # (B, MAX_BLOCKS) positions in COLOURS
-    shapes: Ints  # (B, MAX_BLOCKS) positions in SHAPES
-    regions: Floats  # (B, MAX_REGIONS, 4) centre x and y, half the width and the height
-    region_colours: Ints  # (B, MAX_REGIONS)
 
 
 def parse_frames(frames: Pixels) -> ParsedFrames:

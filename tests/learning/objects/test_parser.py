@@ -7,13 +7,15 @@ import pytest
 from numpy.typing import NDArray
 
 from magical.learning.objects.parser import parse_frames
+from magical.physics import Simulation
 from magical.render import Renderer
-from magical.scene import Poses, Scene, View
+from magical.scene import NUM_ACTIONS, Poses, Scene, View
 from magical.scene.constants import FINGER_OPEN, SQUARE_SIDE
 from magical.scene.poses import FINGERS, FIRST_BLOCK, ROBOT
 from magical.scene.scene import Block, Pose, Region
 from magical.scene.vocabulary import COLOURS, SHAPES, Colour, Shape
 from magical.tasks import TASKS, get_task
+from tests.learning.objects import plain_parser
 
 
 def render(scene: Scene, bodies: NDArray[np.float64]) -> NDArray[np.uint8]:
@@ -90,3 +92,23 @@ def test_a_frame_without_objects_is_parsed() -> None:
     assert (parsed.colours == -1).all()
     assert (parsed.region_colours == -1).all()
     assert np.isfinite(parsed.robot).all()
+
+
+@pytest.mark.parametrize("task", list(TASKS))
+def test_the_compiled_parser_finds_what_the_plain_one_does(task: str) -> None:
+    rng = np.random.default_rng(1)
+    frames = []
+    for variant in TASKS[task].variants:
+        scene, dynamics = TASKS[task].sample(variant, rng)
+        simulation = Simulation(scene, dynamics)
+        for action in rng.integers(NUM_ACTIONS, size=10):
+            for _ in range(4):
+                simulation.step(int(action))
+            frames.append(render(scene, simulation.poses().bodies))
+    batch = np.stack([*frames, np.zeros_like(frames[0]), np.full_like(frames[0], 255)])
+    found, expected = parse_frames(batch), plain_parser.parse_frames(batch)
+    for name, array in expected._asdict().items():
+        assert np.allclose(getattr(found, name), array, rtol=0, atol=1e-12), name
+    alone = parse_frames(batch, robot_alone=True)
+    assert np.array_equal(alone.robot, found.robot)
+    assert (alone.colours == -1).all()

@@ -22,11 +22,12 @@ from torch.nn import functional
 from magical.learning.algorithms import Algorithm
 from magical.learning.config import Config, DemonstrationSettings
 from magical.learning.data.expert_data import load_demonstrations
+from magical.learning.objects.components import Pixels
 from magical.learning.objects.control import Controller, control_inputs
 from magical.learning.objects.data import ObjectData
 from magical.learning.objects.goals import BORDER, CANDIDATES, REFITTED, GoalModel, goal_losses
 from magical.learning.objects.hindsight import ROBOT_TARGET
-from magical.learning.objects.parser import Pixels, parse_robot
+from magical.learning.objects.parser import parse_frames
 from magical.learning.objects.table import ObjectTable, parse_table
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import (
@@ -137,7 +138,7 @@ class ObjectPolicy(nn.Module):
         """Logits (B, 18) of stacks (B, 12, 96, 96), uint8."""
         newest, oldest = (_frames(observations, k) for k in (STACK - 1, 0))
         table = ObjectTable(*(column.to(tasks.device) for column in parse_table(newest)))
-        before = torch.from_numpy(parse_robot(oldest)).to(table.robot)
+        before = torch.from_numpy(parse_frames(oldest, robot_alone=True).robot).to(table.robot)
         plain = torch.autocast(tasks.device.type, enabled=False)  # positions need float32
         with one_thread():
             with plain:

@@ -7,7 +7,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from magical.learning.objects.parser import ABSENT, FAR, Pixels, parse_frames
+from magical.learning.objects.components import Pixels
+from magical.learning.objects.parser import ABSENT, FAR, parse_frames
 
 GRIP = 0.28  # units ahead of the robot's centre: where a gripped block's centre lies
 
