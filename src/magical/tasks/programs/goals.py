@@ -88,7 +88,6 @@ class _Placed(Goal):
         return f"{style.of(MOVE)} {what} {self.place.phrase(scene, style)}."
 
 
-@dataclass(frozen=True, repr=False)
 class Each(_Placed):
     """Each selected block counts: the score is the mean of how well they are placed."""
 
@@ -97,7 +96,6 @@ class Each(_Placed):
         return sum(degrees) / len(degrees) if degrees else 0.0
 
 
-@dataclass(frozen=True, repr=False)
 class Every(_Placed):
     """All selected blocks or nothing: 1 if all are there, otherwise 0."""
 
@@ -106,7 +104,6 @@ class Every(_Placed):
         return float(bool(degrees) and min(degrees) >= 1.0)
 
 
-@dataclass(frozen=True, repr=False)
 class OneOf(_Placed):
     """Any one of the selected blocks: 1 if at least one is there, otherwise 0."""
 
@@ -131,10 +128,15 @@ class OneOf(_Placed):
 
 
 @dataclass(frozen=True, repr=False)
-class Only(Goal):
-    """No others in the regions: 1 less the share of other blocks among those in regions."""
-
+class _OfBlocks(Goal):
     selection: Selection
+
+    def moved(self, scene: Scene) -> Blocks:
+        return self.selection.blocks(scene)
+
+
+class Only(_OfBlocks):
+    """No others in the regions: 1 less the share of other blocks among those in regions."""
 
     def score(self, scene: Scene, poses: Poses) -> float:
         points, chosen = positions(scene, poses), self.selection.blocks(scene)
@@ -155,11 +157,8 @@ class Only(Goal):
         return f"{style.of(KEEP)} all other blocks out of {place}."
 
 
-@dataclass(frozen=True, repr=False)
-class Exactly(Goal):
+class Exactly(_OfBlocks):
     """All of a selection and no others in the regions: the product of `Each` and `Only`."""
-
-    selection: Selection
 
     def score(self, scene: Scene, poses: Poses) -> float:
         each = Each(self.selection, InRegion()).score(scene, poses)
@@ -169,19 +168,13 @@ class Exactly(Goal):
         each = Each(self.selection, InRegion()).remaining(scene, poses)
         return {**each, **Only(self.selection).remaining(scene, poses)}
 
-    def moved(self, scene: Scene) -> Blocks:
-        return self.selection.blocks(scene)
-
     def sentence(self, scene: Scene, style: Style) -> str:
         each = Each(self.selection, InRegion()).sentence(scene, style)
         return f"{each} {Only(self.selection).sentence(scene, style)}"
 
 
-@dataclass(frozen=True, repr=False)
-class Undisturbed(Goal):
+class Undisturbed(_OfBlocks):
     """Every region in which a selected block starts has the same blocks at the end: 1, else 0."""
-
-    selection: Selection
 
     def score(self, scene: Scene, poses: Poses) -> float:
         return float(all(before == after for before, after in self._contents(scene, poses)))
@@ -212,11 +205,8 @@ class Undisturbed(Goal):
         return [(before, after) for before, after in both if before & chosen]
 
 
-@dataclass(frozen=True, repr=False)
-class Lined(Goal):
+class Lined(_OfBlocks):
     """Selected blocks in one line: 1, for all but one 0.5, otherwise 0 (appendix A.2.4)."""
-
-    selection: Selection
 
     def score(self, scene: Scene, poses: Poses) -> float:
         points = self._points(scene, poses)
@@ -228,9 +218,6 @@ class Lined(Goal):
         pairs = combinations(range(len(points)), 2)
         ways = min((_ways_to_line(i, j, points) for i, j in pairs), key=sum, default=[math.inf])
         return {block: way for block, way in zip(chosen, ways, strict=True) if way > 0.0}
-
-    def moved(self, scene: Scene) -> Blocks:
-        return self.selection.blocks(scene)
 
     def sentence(self, scene: Scene, style: Style) -> str:
         verb = style.of(("Arrange", "Put", "Place"))
@@ -270,7 +257,6 @@ class Clustered(Goal):
         return centroid_distances(values, positions(scene, poses))
 
 
-@dataclass(frozen=True, repr=False)
 class RobotInside(Goal):
     """The robot's centre inside a region: 1, otherwise 0 (appendix A.2.2)."""
 

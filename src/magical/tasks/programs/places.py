@@ -38,7 +38,6 @@ class Place(Expression):
         raise NotImplementedError
 
 
-@dataclass(frozen=True, repr=False)
 class InRegion(Place):
     """Inside any region."""
 
@@ -52,7 +51,6 @@ class InRegion(Place):
         return f"into {name_regions(scene, style)}"
 
 
-@dataclass(frozen=True, repr=False)
 class InOwnColour(Place):
     """Inside a region of the block's own colour."""
 
@@ -65,7 +63,6 @@ class InOwnColour(Place):
         return "into the region of its colour"
 
 
-@dataclass(frozen=True, repr=False)
 class OutOfRegions(Place):
     """Outside all regions."""
 

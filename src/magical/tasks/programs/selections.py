@@ -42,7 +42,6 @@ class Selection(Expression):
         return f"{'the' if self.single else 'every'} block {self.clause}"
 
 
-@dataclass(frozen=True, repr=False)
 class AllBlocks(Selection):
     """All blocks."""
 
@@ -86,7 +85,6 @@ class WithShape(Selection):
         return f"that is a {self.shape}"
 
 
-@dataclass(frozen=True, repr=False)
 class OfRegionColour(Selection):
     """The blocks of the colour of a region, whichever."""
 
@@ -99,7 +97,6 @@ class OfRegionColour(Selection):
         return "of the region's colour"
 
 
-@dataclass(frozen=True, repr=False)
 class Enclosed(Selection):
     """The blocks that start inside a region."""
 
@@ -111,7 +108,6 @@ class Enclosed(Selection):
         return "that is inside a region"
 
 
-@dataclass(frozen=True, repr=False)
 class Outside(Selection):
     """The blocks that start outside all regions."""
 
@@ -123,7 +119,6 @@ class Outside(Selection):
         return "that is outside"
 
 
-@dataclass(frozen=True, repr=False)
 class Mismatched(Selection):
     """The blocks that start inside a region of another colour."""
 
@@ -139,7 +134,6 @@ class Mismatched(Selection):
         return "that is inside a region of another colour"
 
 
-@dataclass(frozen=True, repr=False)
 class Matched(Selection):
     """The blocks that start inside a region of their own colour."""
 
@@ -152,13 +146,20 @@ class Matched(Selection):
 
 
 @dataclass(frozen=True, repr=False)
-class LikeEnclosed(Selection):
+class _ByAttribute(Selection):
+    attribute: Attribute
+
+    @property
+    def what(self) -> str:
+        """The attribute in English."""
+        return "colour and shape" if self.attribute == Attribute.KIND else self.attribute
+
+
+class LikeEnclosed(_ByAttribute):
     """The blocks that have an attribute in common with a block that starts inside a region.
 
     That block is one of them; `And(Outside(), LikeEnclosed(...))` are the others.
     """
-
-    attribute: Attribute
 
     def blocks(self, scene: Scene) -> Blocks:
         values = [value_of(block, self.attribute) for block in scene.blocks]
@@ -172,12 +173,10 @@ class LikeEnclosed(Selection):
         return f"that has the {self.attribute} of one inside a region"
 
 
-@dataclass(frozen=True, repr=False)
-class OddOneOut(Selection):
+class OddOneOut(_ByAttribute):
     """The block whose value of an attribute no other has, if there is one such block."""
 
     single = True
-    attribute: Attribute
 
     def blocks(self, scene: Scene) -> Blocks:
         values = [value_of(block, self.attribute) for block in scene.blocks]
@@ -186,15 +185,11 @@ class OddOneOut(Selection):
 
     @property
     def clause(self) -> str:
-        what = "colour and shape" if self.attribute == Attribute.KIND else self.attribute
-        return f"whose {what} no other block has"
+        return f"whose {self.what} no other block has"
 
 
-@dataclass(frozen=True, repr=False)
-class MostCommon(Selection):
+class MostCommon(_ByAttribute):
     """The blocks with the most common value of an attribute, if one is the most common."""
-
-    attribute: Attribute
 
     def blocks(self, scene: Scene) -> Blocks:
         values = [value_of(block, self.attribute) for block in scene.blocks]
@@ -205,16 +200,17 @@ class MostCommon(Selection):
 
     @property
     def clause(self) -> str:
-        what = "colour and shape" if self.attribute == Attribute.KIND else self.attribute
-        return f"of the most common {what}"
+        return f"of the most common {self.what}"
 
 
 @dataclass(frozen=True, repr=False)
-class Nearest(Selection):
-    """The block nearest to a landmark, if it is so by `CLEAR_DIFFERENCE`."""
-
+class _ByDistance(Selection):
     single = True
     landmark: Landmark
+
+
+class Nearest(_ByDistance):
+    """The block nearest to a landmark, if it is so by `CLEAR_DIFFERENCE`."""
 
     def blocks(self, scene: Scene) -> Blocks:
         return _first(distances_to(self.landmark, scene))
@@ -224,12 +220,8 @@ class Nearest(Selection):
         return f"nearest to the {self.landmark}"
 
 
-@dataclass(frozen=True, repr=False)
-class Farthest(Selection):
+class Farthest(_ByDistance):
     """The block farthest from a landmark, if it is so by `CLEAR_DIFFERENCE`."""
-
-    single = True
-    landmark: Landmark
 
     def blocks(self, scene: Scene) -> Blocks:
         return _first([-distance for distance in distances_to(self.landmark, scene)])
@@ -254,11 +246,13 @@ class AllBut(Selection):
 
 
 @dataclass(frozen=True, repr=False)
-class And(Selection):
-    """The blocks in both selections."""
-
+class _Both(Selection):
     first: Selection
     second: Selection
+
+
+class And(_Both):
+    """The blocks in both selections."""
 
     def blocks(self, scene: Scene) -> Blocks:
         return self.first.blocks(scene) & self.second.blocks(scene)
@@ -269,12 +263,8 @@ class And(Selection):
         return f"{self.first.clause}{link}{self.second.clause}"
 
 
-@dataclass(frozen=True, repr=False)
-class Or(Selection):
+class Or(_Both):
     """The blocks in either selection."""
-
-    first: Selection
-    second: Selection
 
     def blocks(self, scene: Scene) -> Blocks:
         return self.first.blocks(scene) | self.second.blocks(scene)
