@@ -220,6 +220,29 @@ def test_batch_norm_moves_on_in_training_mode_alone(demos: Path, tmp_path: Path)
         assert all("running" in name or "num_batches" in name for name in changed)
 
 
+@pytest.mark.parametrize("conventions", CONVENTIONS)
+def test_features_are_of_evaluation_mode(
+    demos: Path, tmp_path: Path, conventions: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the published code's conventions a small batch passes in training mode besides."""
+    passes: list[tuple[bool, int]] = []  # of the encoder: in training mode, samples
+
+    def watched(config: ALConfig) -> Autoencoder:
+        autoencoder = make_autoencoder(config)
+        note = lambda encoder, inputs: passes.append((encoder.training, len(inputs[0])))  # noqa: E731
+        autoencoder.encoder.register_forward_pre_hook(note)
+        return autoencoder
+
+    monkeypatch.setattr("magical.learning.algorithms.al.make_autoencoder", watched)
+    config = small(demos, conventions=conventions, feature_samples=20)
+    train(config, tmp_path / "run", stop_after=config.pretraining_batches)
+    passes.clear()
+    train(config, tmp_path / "run", resume=True, stop_after=1)
+    assert (False, 40) in passes
+    training = [samples for is_training, samples in passes if is_training]
+    assert training == ([24] if conventions == "published" else [])
+
+
 def test_image_error_is_relative_to_the_mean_images(expert: ExpertData) -> None:
     images = unaugmented(expert, np.arange(len(expert)))
     mean, error = mean_image(expert)

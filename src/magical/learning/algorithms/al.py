@@ -289,8 +289,7 @@ def imitate(
             features = torch.cat([encode(images, actions) for images, actions in chunks])
             if config.networks.published:  # batch norm's statistics follow the novice's images
                 autoencoder.train()
-                half = config.feature_samples
-                encode(*(torch.cat([p[:PASSED], p[half : half + PASSED]]) for p in batch))
+                encode(*(torch.cat([p[:PASSED] for p in part.chunk(2)]) for part in batch))
                 autoencoder.eval()
             w, distance = WEIGHTS[config.weight_metric](*features.chunk(2))
             pairs = zip(rollout.observations, rollout.actions, strict=True)
