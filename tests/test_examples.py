@@ -82,10 +82,23 @@ def test_ninth_task_reaches_worker_processes(root: Path, tmp_path: Path) -> None
     assert done.stdout.strip() == "3", done.stderr
 
 
-def test_stable_baselines3_ppo(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("stable_baselines3", reason="the sb3 extra is not installed")
-    example(root, "stable_baselines3_ppo")["main"](steps=1280, rollouts=2, workers=0)
-    assert len(capsys.readouterr().out.splitlines()) == 6
+@pytest.mark.filterwarnings("default")  # the libraries' own
+@pytest.mark.parametrize(
+    ("name", "library"),
+    [
+        ("stable_baselines3_ppo", "stable_baselines3"),
+        ("torchrl_ppo", "torchrl"),
+    ],
+)
+def test_ppo_of_other_libraries(
+    name: str, library: str, root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip(library, reason="not installed; the example says how")
+    example(root, name)["main"](steps=1280, rollouts=2, workers=0)
+    means = capsys.readouterr().out.splitlines()[-6:]
+    assert [line.split()[0] for line in means] == [
+        *("Demo", "Jitter", "Layout", "Colour", "Dynamics", "All")
+    ]
 
 
 def test_the_training_of_five_minutes_runs(root: Path, tmp_path: Path) -> None:

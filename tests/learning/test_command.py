@@ -101,7 +101,7 @@ def test_a_run_that_could_not_begin_leaves_no_folder(
         out.mkdir()
     shared = ["train", algorithm, "--task", "MoveToCorner", "--out", str(out), "--preset", "quick"]
     if find_spec("tensorboard"):
-        shared.append("--tensorboard")
+        shared += ["--track", "tensorboard"]
     assert main([*shared, "--demos", str(tmp_path / "none")]) == 1
     assert main([*shared, "--demos", str(demos), "--num-demos", "9"]) == 1
     assert out.exists() == existed

@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         stop_after=args.stop_after,
         progress=True,
         callback=draw_at_evaluations,
-        tensorboard=args.tensorboard,
+        track=args.track,
     )
     save_learning_curves(args.out)
     print_json(args, result.summary())
@@ -110,6 +110,7 @@ class _AlgorithmParser(argparse.ArgumentParser):
 def _add_options(parser: argparse.ArgumentParser, algorithm: str) -> None:
     from magical.learning import find_algorithm
     from magical.learning.config import options
+    from magical.learning.trackers import tracker_names
 
     kind = find_algorithm(algorithm).config
     parser.description = (kind.__doc__ or "").splitlines()[0]
@@ -137,7 +138,11 @@ def _add_options(parser: argparse.ArgumentParser, algorithm: str) -> None:
         _add_option(parser, option)
     add_count(parser, "--stop-after", "leave a checkpoint and stop after N more batches or updates")
     parser.add_argument(
-        "--tensorboard", action="store_true", default=False, help="log to TensorBoard too"
+        "--track",
+        nargs="+",
+        default=(),
+        metavar=f"{{{','.join(tracker_names())}}}",
+        help="log the metrics there too; or module:NAME",
     )
     add_json(parser)
     parser.set_defaults(json=False)

@@ -124,17 +124,6 @@ def test_stop_after_counts_from_the_checkpoint(folder: Path) -> None:
             assert run.step == steps[-1]
 
 
-def test_tensorboard_gets_the_metrics(folder: Path) -> None:
-    pytest.importorskip("tensorboard")
-    with opened(folder, tensorboard=True) as run:
-        finish(run, 1, loss=0.5)
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    events = EventAccumulator(str(folder / "tensorboard"))
-    events.Reload()
-    assert [(event.step, event.value) for event in events.Scalars("loss")] == [(1, 0.5)]
-
-
 def test_configurations_are_checked() -> None:
     def made(**fields: object) -> BCConfig:
         return BCConfig.preset("quick", **{"tasks": "MoveToCorner", "demos": "d", **fields})

@@ -23,7 +23,7 @@ from magical.learning.running.checkpoints import (
 from magical.learning.running.devices import Compute, Device, choose_compute, read_compute
 from magical.learning.running.interrupts import Interrupts
 from magical.messages import quoted
-from magical.runs.folder import CHECKPOINT, PREVIOUS, RECORD, TENSORBOARD, read_json, write_json
+from magical.runs.folder import CHECKPOINT, PREVIOUS, RECORD, read_json, write_json
 from magical.runs.metrics import MetricsWriter
 
 Metrics = Mapping[str, float | str]
@@ -47,7 +47,6 @@ class Run:
         on_metrics: OnMetrics = lambda step, total, metrics: None,
         interrupts: Interrupts | None = None,
         stop_after: int | None = None,
-        tensorboard: bool = False,
     ) -> None:
         """See `magical.learning.train`; `on_metrics` is called after each line of metrics.
 
@@ -66,17 +65,12 @@ class Run:
         self._last = math.inf if stop_after is None else self.step + stop_after
         self._saved_at = time.monotonic()
         self._metrics = MetricsWriter(folder, self.step)
-        self._tensorboard = (
-            _summary_writer(folder / TENSORBOARD, self.step) if tensorboard else None
-        )
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
         self._metrics.close()
-        if self._tensorboard:
-            self._tensorboard.close()
 
     def describe(self, **facts: Any) -> None:
         """Write facts into `run.json`; a resumed run must find the same ones.
@@ -146,12 +140,8 @@ class Run:
         return stops
 
     def _log(self, step: int, metrics: Metrics) -> None:
-        """Log metrics to `metrics.jsonl`, to TensorBoard (numbers only) and to the callback."""
+        """Log metrics to `metrics.jsonl` and to the callback."""
         self._metrics.write(step, metrics)
-        if self._tensorboard:
-            for name, value in metrics.items():
-                if not isinstance(value, str):
-                    self._tensorboard.add_scalar(name, value, step)
         self._on_metrics(step, self._total, metrics)
 
     def _checkpoint_is_due(self, step: int) -> bool:
@@ -183,9 +173,3 @@ def _is_finite(node: Any) -> bool:
     if isinstance(node, list | tuple):
         return all(map(_is_finite, node))
     return not isinstance(node, float) or math.isfinite(node)
-
-
-def _summary_writer(folder: Path, step: int) -> Any:
-    from torch.utils.tensorboard import SummaryWriter  # needs the extra tensorboard
-
-    return SummaryWriter(str(folder), purge_step=step + 1)

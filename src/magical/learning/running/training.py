@@ -1,6 +1,6 @@
 """Start or resume a run of any algorithm."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from functools import partial
@@ -17,6 +17,7 @@ from magical.learning.running.devices import full_float32, gpu_memory_as_error, 
 from magical.learning.running.interrupts import Interrupts
 from magical.learning.running.loading import load_policy
 from magical.learning.running.run import Metrics, Run
+from magical.learning.trackers import opened_trackers
 from magical.progress import ProgressBar
 from magical.runs.folder import opened_folder
 from magical.runs.metrics import read_metrics
@@ -63,7 +64,7 @@ def train(
     stop_after: int | None = None,
     progress: bool = False,
     callback: Callback | None = None,
-    tensorboard: bool = False,
+    track: Sequence[str] = (),
 ) -> TrainResult:
     """Train a policy, in the run folder `out`.
 
@@ -80,7 +81,8 @@ def train(
         progress: show a progress bar on standard error.
         callback: called as `callback(step, metrics)` after each line of `metrics.jsonl`. What it
             raises ends the training; the run can be resumed from its newest checkpoint.
-        tensorboard: log the metrics for TensorBoard too (needs the extra).
+        track: trackers that get the metrics too: `tensorboard` (needs the extra), `trackio`,
+            `wandb`, `mlflow`, or `module:NAME`.
 
     Raises:
         RunFolderError: the folder holds something else, or is in use, or the disk is full.
@@ -88,19 +90,18 @@ def train(
         DemonstrationsError, DatasetError: too few demonstrations, or damaged ones.
         DivergedError: the loss or the weights are not finite; the newest good checkpoint is kept.
         InvalidConfigError: `previous_checkpoint` without `resume`.
+        MissingDependencyError: a tracker's library is not installed.
     """
     folder, algorithm = Path(out), find_algorithm(config.algorithm)
     display = ProgressBar(config.algorithm, transient=False) if progress else nullcontext(None)
     with _opened(folder, config, resume, previous_checkpoint), Interrupts() as stop, display as bar:
-        show = partial(_show, bar, callback)
-        with Run(
-            folder,
-            config,
-            on_metrics=show,
-            interrupts=stop,
-            stop_after=stop_after,
-            tensorboard=tensorboard,
-        ) as run:
+        callbacks = [callback] if callback else []
+        show = partial(_show, bar, callbacks)
+        with (
+            Run(folder, config, on_metrics=show, interrupts=stop, stop_after=stop_after) as run,
+            opened_trackers(track, folder, run.step) as log,
+        ):
+            callbacks.insert(0, log)
             algorithm.train(config, run)
     newest = (read_metrics(folder) or [{"step": run.step}])[-1]
     return TrainResult(folder, run.step, config.num_updates, stop.seen, newest)
@@ -124,9 +125,9 @@ def _opened(folder: Path, config: Config, resume: bool, previous: bool) -> Itera
 
 
 def _show(
-    bar: ProgressBar | None, callback: Callback | None, step: int, total: int, metrics: Metrics
+    bar: ProgressBar | None, callbacks: Sequence[Callback], step: int, total: int, metrics: Metrics
 ) -> None:
     if bar is not None:
         bar.update(step, total, metrics)
-    if callback is not None:
+    for callback in callbacks:
         callback(step, metrics)
