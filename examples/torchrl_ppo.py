@@ -86,7 +86,7 @@ def train(steps: int) -> TorchRLPolicy:
             with torch.no_grad():
                 advantages(batch)
             samples = batch.reshape(-1)
-            for rows in torch.randperm(len(samples)).split(MINIBATCH_SIZE):
+            for rows in torch.randperm(len(samples)).split(MINIBATCH_SIZE):  # type: ignore[no-untyped-call]
                 losses = loss_of(samples[rows])
                 loss = sum(value for name, value in losses.items() if name.startswith("loss_"))
                 optimizer.zero_grad()

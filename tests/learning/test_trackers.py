@@ -88,17 +88,18 @@ class MLflow(Library):
 
 def log_twice(name: str, folder: Path) -> None:
     """Log as a run does that is interrupted after step 4, with a checkpoint of step 2."""
+    metrics: dict[str, float | str] = {"loss": 0.5, "phase": "second"}
     for step, steps in ((0, (2, 4)), (2, (4, 6))):
         with opened_trackers([name], folder, step) as log:
             for number in steps:
-                log(number, {"loss": 0.5, "phase": "second"})
+                log(number, metrics)
 
 
 @pytest.mark.parametrize(("name", "kind"), [("wandb", Wandb), ("trackio", Trackio)])
 def test_sessions_are_opened_and_closed(
     name: str, kind: Callable[[], Library], folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, name, library := kind())  # type: ignore[arg-type]
+    monkeypatch.setitem(sys.modules, name, library := kind())
     log_twice(name, folder)
     first, second = library.opened
     assert first == second  # so that the second continues the first
@@ -113,7 +114,7 @@ def test_sessions_are_opened_and_closed(
 def test_mlflow_continues_the_run_that_has_its_tag(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "mlflow", library := MLflow())  # type: ignore[arg-type]
+    monkeypatch.setitem(sys.modules, "mlflow", library := MLflow())
     log_twice("mlflow", folder)
     assert [run["run_id"] for run in library.opened] == [None, "first"]
     assert library.params == [CONFIGURATION]  # once: parameters of a run cannot be changed

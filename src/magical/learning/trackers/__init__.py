@@ -18,6 +18,7 @@ from magical.plugins import Registry
 from magical.runs.folder import CONFIG, RECORD, read_json
 
 Log = Callable[[int, Mapping[str, float]], object]  # step, metrics that are numbers
+LogAll = Callable[[int, Mapping[str, float | str]], object]  # step, metrics
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +72,7 @@ def tracker_names() -> list[str]:
 
 
 @contextmanager
-def opened_trackers(names: Sequence[str], folder: Path, step: int) -> Iterator[Log]:
+def opened_trackers(names: Sequence[str], folder: Path, step: int) -> Iterator[LogAll]:
     """Open sessions of the trackers of these names, for a run; the value logs to all of them.
 
     Raises:

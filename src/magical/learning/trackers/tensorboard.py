@@ -13,11 +13,11 @@ def _opened(run: TrackedRun) -> Iterator[Log]:
     require("tensorboard")
     from torch.utils.tensorboard import SummaryWriter
 
-    with SummaryWriter(str(run.folder / TENSORBOARD), purge_step=run.step + 1) as writer:  # type: ignore[no-untyped-call]
+    with SummaryWriter(str(run.folder / TENSORBOARD), purge_step=run.step + 1) as writer:
 
         def log(step: int, metrics: Mapping[str, float]) -> None:
             for name, value in metrics.items():
-                writer.add_scalar(name, value, step)  # type: ignore[no-untyped-call]
+                writer.add_scalar(name, value, step)
 
         yield log
 
