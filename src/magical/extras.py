@@ -9,7 +9,7 @@ from magical.errors import MissingDependencyError
 EXTRAS = {
     "learning": ("torch", "safetensors"),
     "report": ("jinja2", "matplotlib"),
-    "video": ("imageio", "imageio_ffmpeg"),
+    "video": ("av",),
     "minari": ("minari", "h5py"),
     "lerobot": ("av", "pyarrow"),
     "web": ("starlette", "uvicorn", "websockets", "h11"),

@@ -31,7 +31,6 @@ def test_video_as_webp(mixed: Path, tmp_path: Path) -> None:
 
 def test_video_as_mp4(mixed: Path, tmp_path: Path) -> None:
     av = pytest.importorskip("av", reason=MISSING)
-    pytest.importorskip("imageio_ffmpeg", reason=MISSING)
     out = tmp_path / "video.mp4"
     assert main(["demos", "video", str(mixed), "--out", str(out)]) == 0
     video = decoded(av, out)

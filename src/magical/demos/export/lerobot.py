@@ -8,18 +8,16 @@ concatenated into large files; `meta/episodes` has the position of each. Needs t
 import json
 import tempfile
 from contextlib import ExitStack
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import av
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
 import magical
+from magical.demos.export.video import Mp4Writer
 from magical.demos.store.dataset import Dataset
 from magical.demos.store.reader import Frames
 from magical.demos.store.trajectory import VIEWS, Trajectory
@@ -37,7 +35,7 @@ _STATE = ["robot_x", "robot_y", "robot_angle", "left_finger_angle", "right_finge
 _NAMES = {"observation.state": _STATE, "action": ["action"]}  # of the parts of a feature
 
 # Chroma at full resolution: with the usual subsampling, outlines two pixels wide lose their colour.
-CODEC, PIXEL_FORMAT = "libx264", "yuv444p"
+PIXEL_FORMAT = "yuv444p"
 OPTIONS = {"crf": "12", "g": "2", "bf": "0"}  # nearly lossless; a key frame every other frame
 _CAMERA = {
     "dtype": "video",
@@ -110,7 +108,9 @@ class _Writer:
         path = self._path("data", "parquet")
         self._table = self.files.enter_context(pq.ParquetWriter(path, schema))
         self._videos = {
-            view: self.files.enter_context(_Video(self._path(f"videos/{camera}", "mp4")))
+            view: self.files.enter_context(
+                Mp4Writer(self._path(f"videos/{camera}", "mp4"), FPS, PIXEL_FORMAT, OPTIONS)
+            )
             for view, camera in CAMERAS.items()
         }
 
@@ -125,7 +125,8 @@ class _Writer:
         self._table.write_table(table)
         for view, video in self._videos.items():
             frames = Frames(trajectory, view, FRAME_SIZE).take(np.arange(steps))
-            video.write(frames)
+            for frame in frames:
+                video.write(frame)
             self._levels[CAMERAS[view]].append(_levels(frames))
         self._columns.append(columns)
         self._episodes.append(self._episode(trajectory))
@@ -232,34 +233,6 @@ class _Writer:
         path = self.root / folder / f"{name}.{suffix}"
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
-
-
-class _Video:
-    """A video file being written; frame k has the timestamp k / FPS seconds."""
-
-    def __init__(self, path: Path) -> None:
-        self._container = av.open(str(path), "w")
-        stream = self._container.add_stream(CODEC, rate=FPS, options=dict(OPTIONS))
-        assert isinstance(stream, VideoStream)
-        stream.width = stream.height = FRAME_SIZE
-        stream.pix_fmt = PIXEL_FORMAT
-        self._stream = stream
-        self._count = 0
-
-    def write(self, frames: NDArray[np.uint8]) -> None:
-        """Append frames (T, 96, 96, 3) uint8."""
-        for array in frames:
-            frame = av.VideoFrame.from_ndarray(array, format="rgb24")
-            frame.pts, frame.time_base = self._count, Fraction(1, FPS)
-            self._container.mux(self._stream.encode(frame))
-            self._count += 1
-
-    def __enter__(self) -> "_Video":
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._container.mux(self._stream.encode())
-        self._container.close()
 
 
 def _levels(frames: NDArray[np.uint8]) -> NDArray[np.int64]:

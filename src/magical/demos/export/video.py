@@ -1,10 +1,10 @@
 """Videos of demonstrations: both views side by side, with the score."""
 
-from collections.abc import Iterable, Iterator
-from contextlib import closing
-from itertools import chain, islice
+from collections.abc import Iterable, Iterator, Mapping
+from fractions import Fraction
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,26 +88,49 @@ def _score(trajectory: Trajectory, time: int) -> str:
     return f"score {trajectory.published_code_score:.2f}" if last else "score  ...  "
 
 
-def _write_mp4(frames: Iterable[Image], path: Path, rate: float) -> int:
-    import imageio_ffmpeg
+class Mp4Writer:
+    """An MP4 in H.264 that is being written; frame k has the timestamp k / rate seconds."""
 
-    rest, count = iter(frames), 0
-    first = next(rest)
-    with write_atomically(path) as file:
-        # The encoder needs a path, so it writes beside `file` and the video is copied.
-        temporary = Path(file.name).with_suffix(".mp4")
-        size = first.shape[1], first.shape[0]
-        options = {"fps": rate, "codec": "libx264", "quality": 8, "macro_block_size": 2}
-        try:
-            with closing(imageio_ffmpeg.write_frames(str(temporary), size, **options)) as writer:
-                writer.send(None)
-                for frame in chain([first], rest):
-                    writer.send(np.ascontiguousarray(frame))
-                    count += 1
-            file.write(temporary.read_bytes())
-        finally:
-            temporary.unlink(missing_ok=True)
-    return count
+    def __init__(
+        self, file: Path | IO[bytes], rate: float, pixel_format: str, options: Mapping[str, str]
+    ) -> None:
+        """`options` are those of the encoder libx264."""
+        import av
+
+        self._container = av.open(file, "w", format="mp4")
+        self._rate = Fraction(rate)
+        self._stream: Any = self._container.add_stream("libx264", self._rate, dict(options))
+        self._stream.pix_fmt = pixel_format
+        self.count = 0
+
+    def write(self, image: Image) -> None:
+        """Append a frame (H, W, 3) uint8; all are of the first one's size."""
+        from av import VideoFrame
+
+        if not self.count:
+            self._stream.height, self._stream.width = image.shape[:2]
+        frame = VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
+        frame.pts, frame.time_base = self.count, 1 / self._rate
+        self._container.mux(self._stream.encode(frame))
+        self.count += 1
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self.count:
+            self._container.mux(self._stream.encode())
+        self._container.close()
+
+
+def _write_mp4(frames: Iterable[Image], path: Path, rate: float) -> int:
+    with (
+        write_atomically(path) as file,
+        Mp4Writer(file, rate, "yuv420p", {"qp": "10"}) as video,
+    ):
+        for frame in frames:
+            video.write(frame)
+    return video.count
 
 
 def _write_webp(frames: Iterable[Image], path: Path, rate: float) -> int:
