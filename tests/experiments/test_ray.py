@@ -68,7 +68,8 @@ def test_a_cluster_that_cannot_be_reached_is_named(
 def test_sigterm_leaves_checkpoints(
     tiny: Path, planned: Planned, out: Path, finished: Path
 ) -> None:
-    with running(tiny, out, "--executor", "ray") as process:
+    # With --workers in a cluster of its own, whatever else runs on this machine.
+    with running(tiny, out, "--executor", "ray", "--workers", "2") as process:
         assert reached(out, 1)
         process.send_signal(signal.SIGTERM)
         assert process.wait(TIMEOUT) == 130
