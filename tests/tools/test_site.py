@@ -59,3 +59,17 @@ def test_what_a_page_loads_from_another_host_is_found(tmp_path: Path) -> None:
     (tmp_path / "b.html").write_text('<link rel="x" href="https://a.org/b.css">')
     (found,) = loaded_from_elsewhere(tmp_path)
     assert found.startswith("b.html: loads from another host: ")
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        "Doc file 'page.md' contains a link 'studies/one/README.md', but ...",
+        "mkdocs_autorefs: page.md: Could not find cross-reference target 'gone'",
+    ],
+)
+def test_what_mkdocs_finds_wrong_is_named_by_file_and_line(source: Source, message: str) -> None:
+    pytest.importorskip("mkdocs", reason="the docs extra is not installed")
+    from tools.site.__main__ import located
+
+    assert located(source, message).startswith(("docs/page.md:3: ", "docs/page.md:4: "))

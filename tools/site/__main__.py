@@ -29,7 +29,10 @@ ELSEWHERE = re.compile(
     r'<(?:script|img|source|iframe)\b[^>]*\bsrc(?:set)?="https?:[^"]*"'
     r'|<link\b[^>]*\bhref="https?:[^"]*"'
 )
-FOUND = re.compile(r"Doc file '(?P<page>[^']+)' contains a link '(?P<link>[^']+)'")
+FOUND = (
+    re.compile(r"Doc file '(?P<page>[^']+)' contains a link '(?P<link>[^']+)'"),
+    re.compile(r"(?P<page>\S+\.md): .*cross-reference target '(?P<link>[^']+)'"),
+)
 
 
 class Warnings(logging.Handler):
@@ -93,8 +96,8 @@ def build_site(out: Path) -> list[str]:
     build(config)
     config.plugins.on_shutdown()
     logger.removeHandler(warnings)
-    located = (_located(source, text) for text in warnings.messages)
-    return [*source.problems, *located, *loaded_from_elsewhere(out)]
+    found = (located(source, text) for text in warnings.messages)
+    return [*source.problems, *found, *loaded_from_elsewhere(out)]
 
 
 def loaded_from_elsewhere(site: Path) -> Iterator[str]:
@@ -104,10 +107,12 @@ def loaded_from_elsewhere(site: Path) -> Iterator[str]:
             yield f"{page.relative_to(site)}: loads from another host: {found}"
 
 
-def _located(source: Source, message: str) -> str:
+def located(source: Source, message: str) -> str:
     """A warning of MkDocs with the file and the line that it is about."""
-    found = FOUND.search(message)
-    return f"{source.locate(found['page'], found['link'])}: {message}" if found else message
+    for pattern in FOUND:
+        if found := pattern.search(message):
+            return f"{source.locate(found['page'], found['link'])}: {message}"
+    return message
 
 
 def main(argv: Sequence[str] | None = None) -> int:
