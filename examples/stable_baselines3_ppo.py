@@ -15,6 +15,7 @@ from stable_baselines3 import PPO
 from magical.envs.sb3 import MagicalSB3VecEnv
 from magical.envs.vector import MagicalVectorEnv
 from magical.evaluation import environments, evaluate, summarise
+from magical.progress import progress_bar
 
 NUM_ENVS = 16
 DEMO = "magical/MoveToRegion-Demo-v0"
@@ -57,7 +58,9 @@ def train(steps: int, workers: int | None = None) -> SB3Policy:
         seed=0,
         device="cpu",
     )
-    model.learn(steps)
+    print(f"training for {steps:,} steps")
+    with progress_bar("steps", steps) as advance:
+        model.learn(steps, callback=lambda *_: advance(NUM_ENVS) is None)  # True: go on
     envs.close()
     return SB3Policy(model)
 
@@ -65,7 +68,10 @@ def train(steps: int, workers: int | None = None) -> SB3Policy:
 def main(steps: int = 50_000, rollouts: int = 100, workers: int | None = None) -> None:
     """Train, evaluate on all variants, print the scores."""
     policy = train(steps, workers)
-    scores = evaluate(policy, environments(policy.tasks), rollouts=rollouts, workers=workers)
+    env_ids = environments(policy.tasks)
+    print(f"evaluating {rollouts} rollouts in each of {len(env_ids)} environments")
+    with progress_bar("rollouts", rollouts * len(env_ids)) as advance:
+        scores = evaluate(policy, env_ids, rollouts=rollouts, workers=workers, progress=advance)
     for variant, summary in summarise(scores).items():
         print(f"{variant:10} {summary['mean']:.2f}")
 
