@@ -16,7 +16,7 @@ import nox
 nox.options.error_on_missing_interpreters = False
 nox.options.reuse_existing_virtualenvs = True
 nox.options.sessions = ["tests"]
-EXTRAS = "dev,report,video,window,minari,lerobot,web"
+EXTRAS = "dev,report,video,window,minari,lerobot,hub,web"
 PYTHONS = ["3.11", "3.12", "3.13"]
 THIS = ".".join(map(str, sys.version_info[:2]))
 # They start many processes, fuzz, or compare with recordings, and take most of the time.

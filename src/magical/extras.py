@@ -12,6 +12,7 @@ EXTRAS = {
     "video": ("av",),
     "minari": ("minari", "h5py"),
     "lerobot": ("av", "pyarrow"),
+    "hub": ("huggingface_hub",),
     "web": ("starlette", "uvicorn", "websockets", "h11"),
     "window": ("pygame",),
     "ray": ("ray",),

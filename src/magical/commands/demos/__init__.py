@@ -7,9 +7,9 @@ import argparse
 from pathlib import Path
 
 from magical.commands._common import add_count, add_json, add_out, add_seed, add_workers, number
-from magical.commands.demos import datasets, human
+from magical.commands.demos import datasets, hub, human
 
-HELP = "demonstrations: import, generate, replay, export"
+HELP = "demonstrations: import, generate, replay, export, push"
 DATASET = "dataset to append to, or to create"
 
 
@@ -23,6 +23,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     _replay(add("replay", help="simulate the recorded actions again and score the result"))
     _video(add("video", help="a video, both views side by side"))
     _export(add("export", help="to Minari or LeRobot"))
+    _push(add("push", help="upload a dataset to the Hugging Face Hub"))
+    _pull(add("pull", help="download a dataset from there"))
 
 
 def run(args: argparse.Namespace) -> int:
@@ -134,6 +136,33 @@ def _export(parser: argparse.ArgumentParser) -> None:
         "--skip-damaged", action="store_true", help="leave damaged trajectories out"
     )
     add_json(parser)
+
+
+def _push(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(run_demos=hub.run_push)
+    _dataset(parser)
+    _repository(parser)
+    parser.add_argument(
+        "--licence",
+        "--license",
+        required=True,
+        metavar="ID",
+        help="an identifier of the Hub, such as cc-by-4.0",
+    )
+    parser.add_argument("--private", action="store_true", help="make a new repository private")
+    add_json(parser)
+
+
+def _pull(parser: argparse.ArgumentParser) -> None:
+    parser.set_defaults(run_demos=hub.run_pull)
+    _repository(parser)
+    add_out(parser, "a new folder", "DIR", required=True)
+    parser.add_argument("--revision", metavar="REV", help="a branch, tag or commit")
+    add_json(parser)
+
+
+def _repository(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("repo", metavar="OWNER/NAME", help="the repository, of kind dataset")
 
 
 def _dataset(parser: argparse.ArgumentParser) -> None:
