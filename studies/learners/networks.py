@@ -23,7 +23,6 @@ from statistics import fmean, median
 import numpy as np
 import torch
 
-import magical.learning.networks
 from magical.demos.generate import generate
 from magical.envs import EnvId
 from magical.evaluation import evaluate
@@ -39,7 +38,10 @@ ROLLOUTS = 40
 EVALUATION_SEED = 1  # not the protocol's scenes
 ROUNDS = 8  # of timing
 
-magical.learning.networks.__path__.append(str(Path(__file__).parent / "candidate_networks"))
+CANDIDATES = {
+    file.stem.replace("_", "-"): f"candidate_networks:{file.stem}"
+    for file in sorted((Path(__file__).parent / "candidate_networks").glob("[!_]*.py"))
+}
 
 
 def configuration(arguments: argparse.Namespace, network: str, task: str, seed: int) -> BCConfig:
@@ -48,7 +50,7 @@ def configuration(arguments: argparse.Namespace, network: str, task: str, seed: 
         tasks=(task,),
         demos=str(arguments.out / "demos" / f"{task}-{seed}"),
         num_demos=25,
-        network=network,
+        network=CANDIDATES.get(network, network),
         seed=seed,
         threads=1,
         checkpoint_every=EVERY,
@@ -103,8 +105,9 @@ def batch_times(networks: list[str], precision: str) -> dict[str, float]:
 
 
 def training_step(network: str, precision: str) -> Callable[[], None]:
+    chosen = CANDIDATES.get(network, network)
     config = BCConfig.preset(
-        "quick", tasks=TASKS[:1], demos="", network=network, precision=precision
+        "quick", tasks=TASKS[:1], demos="", network=chosen, precision=precision
     )
     policy = make_policy(config)
     optimizer = make_optimizer(config.cloning, policy)
@@ -147,7 +150,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add = parser.add_argument
-    names = [name for name in network_names() if name != "paper"]
+    names = [name for name in (*network_names(), *CANDIDATES) if name != "paper"]
     add("--out", type=Path, required=True, help="folder for demonstrations, runs, scores")
     add("--network", nargs="+", choices=names, default=names, metavar="NAME", help=", ".join(names))
     add("--task", nargs="+", choices=TASKS, default=list(TASKS), metavar="TASK")

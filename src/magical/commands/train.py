@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     from magical.learning import train
     from magical.report.figures.curves import save_learning_curves
 
-    def draw_at_evaluations(step: int, metrics: Mapping[str, float | str]) -> None:
+    def plot_at_evaluations(step: int, metrics: Mapping[str, float | str]) -> None:
         if "evaluation_score" in metrics:
             save_learning_curves(args.out)
 
@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
         previous_checkpoint=args.previous_checkpoint,
         stop_after=args.stop_after,
         progress=True,
-        callback=draw_at_evaluations,
+        callback=plot_at_evaluations,
         track=args.track,
     )
     save_learning_curves(args.out)

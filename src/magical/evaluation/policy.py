@@ -18,7 +18,7 @@ Actions = NDArray[np.int64]  # (B,)
 Mask = NDArray[np.bool_]  # (B,)
 
 DEFAULT_OBSERVATION = "LoRes4E"
-NOTHING = "nothing"  # the observation of a policy that needs none
+NO_OBSERVATION = "nothing"  # the observation of a policy that needs none
 
 
 @runtime_checkable
@@ -70,7 +70,7 @@ def observation_for(policy: Policy, observation: Observation = None) -> Observat
     Nothing is rendered for a policy that gets true states, or nothing.
     """
     own = getattr(policy, "observation", None)
-    if is_privileged(policy) or own == NOTHING:
+    if is_privileged(policy) or own == NO_OBSERVATION:
         return STATE
     chosen: Observation = own if observation is None else observation
     return DEFAULT_OBSERVATION if chosen is None else chosen
@@ -86,8 +86,8 @@ def observed(policy: Policy, observation: Observation, task: Task) -> tuple[str,
         observation: of its evaluation, as for `observation_for`.
         task: that it is evaluated on.
     """
-    if getattr(policy, "observation", None) == NOTHING and not is_privileged(policy):
-        return NOTHING, False
+    if getattr(policy, "observation", None) == NO_OBSERVATION and not is_privileged(policy):
+        return NO_OBSERVATION, False
     shown = observation_for(policy, observation)
     spec = make_spec(shown, task)
     name = shown if isinstance(shown, str) else spec.to_dict()
@@ -98,7 +98,7 @@ def given_to(policy: Policy, envs: MagicalVectorEnv, observations: Any) -> Any:
     """What `act` gets of environments that have returned these observations."""
     if is_privileged(policy):
         return envs.states()
-    return None if getattr(policy, "observation", None) == NOTHING else observations
+    return None if getattr(policy, "observation", None) == NO_OBSERVATION else observations
 
 
 def checked_actions(actions: Any, count: int) -> Actions:
@@ -133,7 +133,7 @@ _EXPECTED = (
 class RandomPolicy:
     """Every action with equal probability at every step."""
 
-    observation = NOTHING
+    observation = NO_OBSERVATION
     exact = True
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
@@ -147,7 +147,7 @@ class RandomPolicy:
 class NoopPolicy:
     """The no-op at every step: the score of the scene itself."""
 
-    observation = NOTHING
+    observation = NO_OBSERVATION
     exact = True
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:

@@ -11,7 +11,7 @@ from magical.envs import EnvId
 from magical.errors import PolicyError
 from magical.evaluation.entry import Entry
 from magical.evaluation.intervals import CONFIDENCE, Interval, t_interval
-from magical.evaluation.policy import NOTHING, Policy, observed
+from magical.evaluation.policy import NO_OBSERVATION, Policy, observed
 from magical.evaluation.rollouts import evaluate_round
 from magical.evaluation.scores import RolloutScore
 from magical.grouping import group_by
@@ -143,7 +143,7 @@ def _check_policy(entry: Entry, policy: Policy) -> None:
     """Raise `PolicyError` where the policy is not shown what the entry says."""
     evaluation = entry.evaluation(policy)
     shown, privileged = observed(policy, evaluation.observation, evaluation.env_ids[0].task_spec)
-    if shown == NOTHING:
+    if shown == NO_OBSERVATION:
         return  # whatever an entry says that it was shown, it needs less
     if privileged != entry.privileged:
         words = {True: "privileged", False: "not privileged"}

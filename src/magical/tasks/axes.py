@@ -32,8 +32,7 @@ CHANGES: Mapping[Axis, str] = MappingProxyType(
     }
 )
 
-NOTHING = Axis(0)
-EVERYTHING = ~NOTHING
+EVERYTHING = ~Axis(0)
 DEMO = "Demo"
 TEST_ALL = "TestAll"
 
@@ -41,7 +40,7 @@ TEST_ALL = "TestAll"
 # `Task.axes_of` for the others.
 VARIANTS: Mapping[str, Axis] = MappingProxyType(
     {
-        DEMO: NOTHING,
+        DEMO: Axis(0),
         "TestJitter": Axis.JITTER,
         "TestLayout": Axis.LAYOUT,
         "TestColour": Axis.COLOUR,

@@ -22,7 +22,7 @@ MAX_NAME = 100  # characters of a demonstrator's name
 MAX_FRAMES = 16  # in one answer
 PAGE_LENGTH = 100  # episodes in one answer
 
-VIEWS: Mapping[str, tuple[View, ...]] = MappingProxyType(
+PAGE_VIEWS: Mapping[str, tuple[View, ...]] = MappingProxyType(
     {"allo": (View.ALLO,), "ego": (View.EGO,), "both": (View.EGO, View.ALLO)}
 )
 
@@ -70,7 +70,7 @@ class Pause(_Message, frozen=True):
 
 
 class Show(_Message, frozen=True, tag="view"):
-    """Render another view, one of `VIEWS`."""
+    """Render another view, one of `PAGE_VIEWS`."""
 
     view: ViewName
 

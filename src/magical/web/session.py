@@ -21,7 +21,7 @@ from magical.web import messages
 from magical.web.driver import Driver, Proposal
 from magical.web.episode import PlayedEpisode
 from magical.web.frames import FrameEncoder
-from magical.web.messages import VIEWS, Message
+from magical.web.messages import PAGE_VIEWS, Message
 from magical.web.policies import Policies
 
 STEP_TIME = 1.0 / CONTROL_RATE  # s
@@ -338,7 +338,7 @@ class Session:
 
     def _new_encoder(self) -> None:
         scene = self.episode.env.state().scene
-        self._encoder = FrameEncoder(scene, VIEWS[self.view])
+        self._encoder = FrameEncoder(scene, PAGE_VIEWS[self.view])
 
     def _changed(self) -> None:
         self.changes += 1

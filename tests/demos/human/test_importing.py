@@ -13,7 +13,7 @@ import pytest
 
 from magical.cli import main
 from magical.demos import Dataset, Trajectory
-from magical.demos.human.importing import Keep, find_published, import_published
+from magical.demos.human.importing import find_published, import_published
 from magical.demos.human.published import published_sums, read_demonstration
 from magical.errors import DatasetError
 
@@ -24,7 +24,7 @@ Run = Callable[..., tuple[int, dict[str, Any]]]
 def human(human_archive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """All 40 files, imported as frames."""
     out = tmp_path_factory.mktemp("human") / "dataset"
-    report = import_published(find_published(human_archive), out, keep=Keep.FRAMES)
+    report = import_published(find_published(human_archive), out, keep="frames")
     assert len(report.imported) == 40
     assert (report.failed, report.duplicates, report.already) == ([], [], [])
     return out

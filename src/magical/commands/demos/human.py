@@ -61,15 +61,14 @@ def _import(
     sums: Mapping[Path, str] | None = None,
     not_fetched: Sequence[str] = (),
 ) -> int:
-    from magical.demos.human.importing import Keep, import_published
+    from magical.demos.human.importing import import_published
     from magical.progress import progress_bar
 
-    keep = Keep.FRAMES if args.frames_only else Keep.BOTH if args.keep_frames else Keep.POSES
     with progress_bar("import", len(files)) as advance:
         report = import_published(
             files,
             args.out,
-            keep=keep,
+            keep="frames" if args.frames_only else "both" if args.keep_frames else "poses",
             workers=args.workers,
             max_bytes=max_bytes,
             skip_duplicates=args.skip_duplicates,

@@ -3,9 +3,9 @@
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
-from enum import StrEnum
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 from magical.demos.human.published import MAX_PATH, file_sum, naming_errors, read_demonstration
 from magical.demos.human.safe_pickle import MAX_UNPACKED
@@ -19,14 +19,8 @@ from magical.messages import printable
 from magical.processes import available_cores, outcomes_in_processes
 
 SUFFIX = ".pkl.gz"
-
-
-class Keep(StrEnum):
-    """What imported trajectories hold."""
-
-    POSES = "poses"  # or frames where poses cannot be recovered
-    BOTH = "both"
-    FRAMES = "frames"
+# What imported trajectories hold; frames in any case where poses cannot be recovered.
+Contents = Literal["poses", "both", "frames"]
 
 
 @dataclass(slots=True)
@@ -58,7 +52,7 @@ def import_published(
     files: Sequence[Path],
     out: Path | str,
     *,
-    keep: Keep = Keep.POSES,
+    keep: Contents = "poses",
     workers: int | None = None,
     max_bytes: int = MAX_UNPACKED,
     skip_duplicates: bool = False,
@@ -118,7 +112,7 @@ def _is_copy(
 
 
 def _convert(
-    file: Path, keep: Keep, max_bytes: int, sums: Mapping[Path, str] | None
+    file: Path, keep: Contents, max_bytes: int, sums: Mapping[Path, str] | None
 ) -> tuple[ManifestEntry, bytes, str | None]:
     """One file as an encoded trajectory, and why that has no poses where they were wanted."""
     demonstration = read_demonstration(file, max_bytes)
@@ -126,13 +120,13 @@ def _convert(
     if sums is not None and found != sums[file]:
         raise DatasetError(f"expected SHA-256 {sums[file][:12]}..., found {found[:12]}...")
     with naming_errors(file):
-        if keep == Keep.FRAMES:
+        if keep == "frames":
             trajectory = demonstration.trajectory()
         else:
             # Imports numba, which only the recovery needs.
             from magical.demos.human.recovery.recovery import recovered_trajectory
 
-            trajectory = recovered_trajectory(demonstration, keep_frames=keep == Keep.BOTH)
+            trajectory = recovered_trajectory(demonstration, keep_frames=keep == "both")
     raw = encode(trajectory)
     problem = trajectory.metadata.get(RECOVERY, {}).get("problem")
     return ManifestEntry.of(trajectory, raw), raw, problem

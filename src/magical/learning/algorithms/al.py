@@ -158,7 +158,7 @@ def train(config: ALConfig, run: Run) -> None:
         autoencoder = make_autoencoder(config).to(ppo.device)
         if not pretrain(config, run, ppo, expert, autoencoder):
             return
-        draw_reconstructions(run, ppo, expert, autoencoder)
+        save_expert_reconstructions(run, ppo, expert, autoencoder)
         imitate(config, run, ppo, expert, autoencoder)
 
 
@@ -360,7 +360,7 @@ def unaugmented(expert: ExpertData, rows: Rows) -> Tensor:
     return augment(expert.images(rows), SETS["none"], np.random.default_rng(0))
 
 
-def draw_reconstructions(
+def save_expert_reconstructions(
     run: Run, ppo: PPOTrainer, expert: ExpertData, autoencoder: Autoencoder
 ) -> None:
     """Save a picture of reconstructed expert frames in the run folder."""

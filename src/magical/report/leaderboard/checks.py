@@ -8,7 +8,7 @@ from magical import __version__
 from magical.errors import MagicalError
 from magical.evaluation import Entry, by_variant
 from magical.evaluation.entry import APPENDIX
-from magical.evaluation.policy import NOTHING
+from magical.evaluation.policy import NO_OBSERVATION
 from magical.evaluation.protocol import NUDGE, ROLLOUTS, SEED
 from magical.grouping import group_by
 from magical.observe import parse_spec
@@ -105,7 +105,7 @@ def _protocol_faults(entry: Entry) -> Iterator[str]:
 
 def _observation_faults(entry: Entry) -> Iterator[str]:
     """Why an entry that does not say so may nevertheless have observed true states."""
-    if entry.privileged or entry.observation == NOTHING:
+    if entry.privileged or entry.observation == NO_OBSERVATION:
         return
     try:
         spec = parse_spec(entry.observation, entry.scores[0].env_id.task_spec)

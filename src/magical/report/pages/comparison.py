@@ -29,7 +29,7 @@ from magical.tasks.axes import short_variant
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class ComparisonPage:
     """What is known about the difference between two methods."""
 
     headline: str
@@ -71,7 +71,7 @@ class Comparison:
         write_text(path, self.html())
 
 
-def compare(results: Sequence[Result], first: str, second: str) -> Comparison:
+def compare(results: Sequence[Result], first: str, second: str) -> ComparisonPage:
     """Compare two methods on the environments that both have; scores by the appendix's rule.
 
     Raises `UnknownNameError` where there is no such method, or no environment in common.
@@ -84,7 +84,7 @@ def compare(results: Sequence[Result], first: str, second: str) -> Comparison:
             f"{first!r} and {second!r}"
         )
     described = describe_methods([result for runs in chosen for result in runs])
-    return Comparison(
+    return ComparisonPage(
         _headline(*methods),
         _summary(*methods),
         gap_grid(methods),

@@ -11,7 +11,7 @@ from magical.demos.store.trajectory import Trajectory
 from magical.errors import NotFoundError, TrajectoryError
 from magical.scene import Poses
 from magical.web.frames import FrameEncoder, encode_png
-from magical.web.messages import VIEWS
+from magical.web.messages import PAGE_VIEWS
 
 MAX_STEPS = 5000  # of an episode that can be looked at: ten minutes
 STORED_GAP = 2  # white pixels between two stored frames
@@ -60,17 +60,17 @@ class ViewedEpisode:
 
     @property
     def views(self) -> list[str]:
-        """The names in `VIEWS` that frames can be had in."""
+        """The names in `PAGE_VIEWS` that frames can be had in."""
         stored = self.trajectory.frames
         if self.trajectory.poses is not None or stored is None:
-            return list(VIEWS)
-        return [name for name, views in VIEWS.items() if set(views) <= set(stored)]
+            return list(PAGE_VIEWS)
+        return [name for name, views in PAGE_VIEWS.items() if set(views) <= set(stored)]
 
     def frames(self, view: str, first: int, count: int) -> bytes:
         """Frames of the states from `first` on as PNG files, each after its size in four bytes.
 
         Args:
-            view: one of `VIEWS`.
+            view: one of `PAGE_VIEWS`.
             first: the first state, 0 to T.
             count: at most so many; there are fewer at the end.
 
@@ -90,9 +90,9 @@ class ViewedEpisode:
         episode = self.trajectory
         if episode.poses is None:
             assert episode.frames is not None
-            return encode_png(_side_by_side([episode.frames[v][time] for v in VIEWS[view]]))
+            return encode_png(_side_by_side([episode.frames[v][time] for v in PAGE_VIEWS[view]]))
         if view not in self._encoders:
-            self._encoders[view] = FrameEncoder(episode.scene, VIEWS[view])
+            self._encoders[view] = FrameEncoder(episode.scene, PAGE_VIEWS[view])
         return self._encoders[view].png(episode.poses[time])
 
     def _scores(self) -> list[float] | None:
