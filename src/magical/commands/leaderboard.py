@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     from magical.extras import require
     from magical.report.leaderboard import make_leaderboard
     from magical.report.leaderboard.checks import by_reasons
-    from magical.report.scores.grids import interval_text
+    from magical.report.scores.summaries import interval_text
 
     if args.out:
         require("report")

@@ -13,7 +13,7 @@ from magical.commands._common import add_count, add_out, log, print_table
 
 if TYPE_CHECKING:
     from magical.report.found.search import Found
-    from magical.report.scores.grids import Grid
+    from magical.report.scores.tables import TextTable
 
 HELP = "make a page of tables from evaluated runs"
 
@@ -71,26 +71,26 @@ def _compare(args: argparse.Namespace, found: "Found") -> int:
     from magical.report.pages.comparison import compare
 
     comparison = compare(found.results, *args.compare)
-    _print_grids(comparison.grids)
+    _print_tables(comparison.tables)
     if args.out:
         comparison.write(args.out)
         log(f"wrote {args.out}")
     return 0
 
 
-def _print_grids(grids: "Iterable[Grid]") -> None:
-    for grid in grids:
-        print_table(grid.header, grid.rows)
-        print(f"{grid.note}\n")
+def _print_tables(tables: "Iterable[TextTable]") -> None:
+    for table in tables:
+        print_table(table.header, table.rows)
+        print(f"{table.note}\n")
 
 
 def _tabulate(args: argparse.Namespace, found: "Found", kind: str | None) -> int:
     """Print every table of the page as text, and write the file."""
-    from magical.report.pages.export import FORMATS, all_grids
+    from magical.report.pages.export import FORMATS, all_tables
     from magical.report.scores.differences import matching_methods
 
     published = tuple(matching_methods(found.entries) if args.published is None else args.published)
-    _print_grids(all_grids(found, published))
+    _print_tables(all_tables(found, published))
     if kind is None:
         return 0
     notes: Sequence[str] = ()

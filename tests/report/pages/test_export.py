@@ -11,7 +11,7 @@ import pytest
 from magical import cli
 from magical.evaluation import published_score
 from magical.report.pages.export import escape_latex, format_of, latex, markdown
-from magical.report.scores.grids import Grid
+from magical.report.scores.tables import TextTable
 
 WriteEntry = Callable[..., Path]
 BC = "BC (ST)"
@@ -99,14 +99,14 @@ def test_latex_compiles(results: Path, tmp_path: Path) -> None:
     assert "Overfull" not in done.stdout
 
 
-def test_grids_become_tables() -> None:
-    grid = Grid("T", ("a", "b"), [("x", "0.50 [0.40, 0.60]")], "note")
-    assert markdown(grid).splitlines()[2:5] == [
+def test_tables_are_escaped() -> None:
+    table = TextTable("T", ("a", "b"), [("x", "0.50 [0.40, 0.60]")], "note")
+    assert markdown(table).splitlines()[2:5] == [
         "| a | b |",
         "| --- | --- |",
         r"| x | 0.50 \[0.40, 0.60\] |",
     ]
-    assert "x & 0.50 {[}0.40, 0.60{]} \\\\" in latex(grid)
+    assert "x & 0.50 {[}0.40, 0.60{]} \\\\" in latex(table)
     assert escape_latex("±−–ü") == r"$\pm$$-$--?"
 
 

@@ -6,16 +6,16 @@ import pytest
 
 from magical.evaluation import Entry
 from magical.evaluation.statistics import probability_of_improvement
-from magical.report.scores.grids import (
+from magical.report.scores.methods import ComparedMethod, compared_methods
+from magical.report.scores.summaries import (
     THRESHOLDS,
-    Grid,
-    aggregate_grid,
-    gap_grid,
+    aggregate_table,
+    gap_table,
     improvement_table,
     interval_text,
     profiles,
 )
-from magical.report.scores.methods import ComparedMethod, compared_methods
+from magical.report.scores.tables import TextTable
 from tests.report.conftest import make_entry
 
 NAMES = {
@@ -32,9 +32,9 @@ def entry(method: str, **scores: list[float]) -> Entry:
     return make_entry(method, {NAMES[name]: values for name, values in scores.items()})
 
 
-def compared(entries: list[Entry]) -> tuple[list[ComparedMethod], Grid]:
+def compared(entries: list[Entry]) -> tuple[list[ComparedMethod], TextTable]:
     methods = compared_methods(entries)
-    return methods, aggregate_grid(methods, entries)
+    return methods, aggregate_table(methods, entries)
 
 
 def test_one_run_each_is_compared_over_rollouts() -> None:
@@ -70,7 +70,7 @@ def test_several_runs_each_are_compared_over_runs() -> None:
 
 def test_a_method_with_one_run_leaves_others_their_intervals_over_runs() -> None:
     runs = [entry("a", line=[score]) for score in (0.3, 0.4, 0.5)]
-    rows, _grid = compared([*runs, entry("b", line=[0.0, 1.0])])
+    rows, _table = compared([*runs, entry("b", line=[0.0, 1.0])])
     assert [row.unit for row in rows] == ["3 runs", "rollouts of 1 run"]
     below = math.hypot(rows[1].mean().value - rows[1].mean().low, rows[0].mean().high - 0.4)
     assert rows[1].difference(rows[0]).low == pytest.approx(0.1 - below)
@@ -80,7 +80,7 @@ def test_runs_of_single_tasks_are_strata_and_those_of_several_tasks_are_not() ->
     line = [entry("single", line=[score]) for score in (0.3, 0.4, 0.5)]
     dupe = [entry("single", dupe=[score]) for score in (0.5, 0.6, 0.7)]
     multi = [entry("multi", line=[s], dupe=[s + 0.2]) for s in (0.3, 0.4, 0.5)]
-    rows, _grid = compared([*line, *dupe, *multi])
+    rows, _table = compared([*line, *dupe, *multi])
     assert [row.unit for row in rows] == ["3 runs", "3 runs"]
     half = T4 * math.sqrt(2 * 0.01 / 3) / 2
     assert rows[0].mean() == pytest.approx((0.5, 0.5 - half, 0.5 + half))
@@ -140,14 +140,14 @@ def test_gaps_have_a_column_for_each_axis_that_there_is() -> None:
         entry(method, **{name: [mean] for name, mean in zip(names, scores, strict=True)})
         for method, scores in means
     ]
-    grid = gap_grid(compared_methods(entries))
+    grid = gap_table(compared_methods(entries))
     assert grid is not None
     assert grid.header == ("method", "Jitter", "All")
     # The runs' gaps are 0.2 and 0.1, and 0.5 and 0.4: half of t(1) = 12.706 times their std's root.
     half = 12.706 * math.sqrt(0.005 / 2)
     assert grid.rows[0][1] == f"0.15 [{0.15 - half:.2f}, {0.15 + half:.2f}]"
     assert grid.rows[1][2].startswith("1.00 [")
-    assert gap_grid(compared_methods([entry("a", line_all=[1.0])])) is None
+    assert gap_table(compared_methods([entry("a", line_all=[1.0])])) is None
 
 
 def test_every_method_is_compared_with_every_other() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from magical.evaluation import Entry, published_score
 from magical.report.scores.differences import counterparts, differences, matching_methods
-from magical.report.scores.tables import report_tables, task_table, text_rows
+from magical.report.scores.tables import report_tables, task_table
 from magical.tasks import get_task
 from tests.report.conftest import make_entry
 
@@ -59,7 +59,7 @@ def test_cells_show_the_difference() -> None:
     assert published is not None
     expected = f"{0.5 - published.mean:+.2f}".replace("-", "−")
     assert table.rows[0].cells["Demo"].beside == [expected]
-    assert text_rows(table)[0][1].endswith(f"({expected})")
+    assert table.as_text().rows[0][1].endswith(f"({expected})")
     assert table.rows[1].cells["Demo"].difference is None
     interval = table.rows[0].cells["Demo"].difference
     assert interval is not None

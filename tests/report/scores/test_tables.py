@@ -7,10 +7,9 @@ from magical.report.scores.tables import (
     ONE_RUN,
     RUNS_APART,
     Cell,
-    Table,
+    ScoreTable,
     entry_tasks,
     task_table,
-    text_rows,
 )
 from tests.report.conftest import make_entry as entry
 
@@ -77,7 +76,7 @@ def test_published_rows_are_never_beside_scores_of_another_horizon() -> None:
 
 
 def test_few_runs_of_which_some_fail_are_listed() -> None:
-    def table(*means: float) -> Table:
+    def table(*means: float) -> ScoreTable:
         return task_table("MakeLine", [entry("a", {"MakeLine-Demo": [m]}) for m in means])
 
     found = table(1.0, 0.0, 0.75)
@@ -101,9 +100,9 @@ def test_methods_without_the_task_have_no_row() -> None:
     assert row.cells["Demo"].detail.endswith("(1 of 2 runs)")
 
 
-def test_text_rows_have_a_dash_where_nothing_was_evaluated() -> None:
+def test_texts_have_a_dash_where_nothing_was_evaluated() -> None:
     table = task_table("MoveToRegion", [entry("mine", {"MoveToRegion-TestAll": [1.0, 1.0]})])
-    assert text_rows(table) == [("mine", "–", "–", "–", "–", "–", "1.00 [0.34, 1.00]")]
+    assert table.as_text().rows == [("mine", "–", "–", "–", "–", "–", "1.00 [0.34, 1.00]")]
 
 
 @pytest.mark.parametrize(("mean", "ink"), [(0.0, "#222"), (0.5, "#222"), (1.0, "#fff")])

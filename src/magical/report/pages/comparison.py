@@ -14,17 +14,16 @@ from magical.report.figures.plots import interval_plot, profile_plot
 from magical.report.found.facts import MethodFacts, describe_methods
 from magical.report.found.search import Result
 from magical.report.pages.page import Figure, render_template, write_text
-from magical.report.scores.grids import (
+from magical.report.scores.methods import ComparedMethod, compared_methods
+from magical.report.scores.summaries import (
     AXES,
     NOTE,
     THRESHOLDS,
-    Grid,
-    gap_grid,
+    gap_table,
     interval_text,
     profiles,
 )
-from magical.report.scores.methods import ComparedMethod, compared_methods
-from magical.report.scores.tables import signed
+from magical.report.scores.tables import TextTable, signed
 from magical.tasks.axes import short_variant
 
 
@@ -33,21 +32,21 @@ class ComparisonPage:
     """What is known about the difference between two methods."""
 
     headline: str
-    summary: Grid
-    gaps: Grid | None
-    environments: Grid
+    summary: TextTable
+    gaps: TextTable | None
+    environments: TextTable
     overall: dict[str, Interval]  # differences of means, by task and all together
     methods: Sequence[ComparedMethod]
-    settings: Grid | None  # what the methods' runs do not have in common
+    settings: TextTable | None  # what the methods' runs do not have in common
     described: Sequence[MethodFacts]
 
     @property
-    def grids(self) -> list[Grid]:
+    def tables(self) -> list[TextTable]:
         """All tables."""
         return [
-            grid
-            for grid in (self.summary, self.gaps, self.environments, self.settings)
-            if grid is not None
+            table
+            for table in (self.summary, self.gaps, self.environments, self.settings)
+            if table is not None
         ]
 
     def html(self) -> str:
@@ -87,7 +86,7 @@ def compare(results: Sequence[Result], first: str, second: str) -> ComparisonPag
     return ComparisonPage(
         _headline(*methods),
         _summary(*methods),
-        gap_grid(methods),
+        gap_table(methods),
         _environments(*methods),
         _differences(*methods),
         methods,
@@ -120,7 +119,7 @@ def _headline(first: ComparedMethod, second: ComparedMethod) -> str:
     return text
 
 
-def _summary(first: ComparedMethod, second: ComparedMethod) -> Grid:
+def _summary(first: ComparedMethod, second: ComparedMethod) -> TextTable:
     better = probability_of_improvement(first.means, second.means)
     rows = [
         ("runs", first.unit, second.unit, ""),
@@ -138,10 +137,10 @@ def _summary(first: ComparedMethod, second: ComparedMethod) -> Grid:
         ),
         (f"P({first.name} better)", "", "", interval_text(better)),
     ]
-    return Grid("Summary", ("", first.name, second.name, "difference"), rows, NOTE)
+    return TextTable("Summary", ("", first.name, second.name, "difference"), rows, NOTE)
 
 
-def _environments(first: ComparedMethod, second: ComparedMethod) -> Grid:
+def _environments(first: ComparedMethod, second: ComparedMethod) -> TextTable:
     pairs = [(i, first.on([i]), second.on([i])) for i in first.env_ids]
     rows = [
         (
@@ -151,7 +150,7 @@ def _environments(first: ComparedMethod, second: ComparedMethod) -> Grid:
         for env_id, a, b in pairs
     ]
     header = ("task", "variant", first.name, second.name, "difference")
-    return Grid("Environment by environment", header, rows, "95% intervals, as above.")
+    return TextTable("Environment by environment", header, rows, "95% intervals, as above.")
 
 
 def _differences(first: ComparedMethod, second: ComparedMethod) -> dict[str, Interval]:
@@ -168,11 +167,11 @@ def _differences(first: ComparedMethod, second: ComparedMethod) -> dict[str, Int
     }
 
 
-def _settings(described: Sequence[MethodFacts]) -> Grid | None:
+def _settings(described: Sequence[MethodFacts]) -> TextTable | None:
     """Settings that all runs of a method share and the two methods do not."""
     a, b = ({fact.name: fact.value for fact in method.common} for method in described)
     names = [name for name in {**a, **b} if a.get(name) != b.get(name)]
     rows = [(name, a.get(name, "–"), b.get(name, "–")) for name in names]
     header = ("setting", *(method.method for method in described))
     note = "Settings that all runs of a method have in common; a dash where they have none."
-    return Grid("Settings that differ", header, rows, note) if rows else None
+    return TextTable("Settings that differ", header, rows, note) if rows else None

@@ -17,16 +17,15 @@ from magical.report.found.facts import describe_methods
 from magical.report.found.missing import find_missing
 from magical.report.found.search import Found, Result
 from magical.report.pages.page import Figure, render_template, write_text
-from magical.report.scores.grids import (
+from magical.report.scores.methods import ComparedMethod, compared_methods
+from magical.report.scores.summaries import (
     THRESHOLDS,
-    Grid,
-    aggregate_grid,
-    gap_grid,
+    aggregate_table,
+    gap_table,
     improvement_table,
     profiles,
 )
-from magical.report.scores.methods import ComparedMethod, compared_methods
-from magical.report.scores.tables import DARKEST, LIGHTEST, report_tables
+from magical.report.scores.tables import DARKEST, LIGHTEST, TextTable, report_tables
 from magical.runs.plan import in_words
 
 
@@ -84,9 +83,9 @@ def _html(
         subtitle=_subtitle(found, len(skipped)),
         tables=report_tables(found.entries, published),
         rollouts=_rollouts(found.entries),
-        aggregate=aggregate_grid(methods, found.entries) if methods else None,
+        aggregate=aggregate_table(methods, found.entries) if methods else None,
         aggregate_figures=_figures(methods) if methods else (),
-        gaps=gap_grid(methods) if methods else None,
+        gaps=gap_table(methods) if methods else None,
         improvement=improvement_table(methods) if methods else None,
         curves=curves,
         extremes=reels,
@@ -151,7 +150,7 @@ def _trained_on(result: Result) -> str:
     return in_words(tuple(map(str, known or result.tasks)))
 
 
-def _missing(found: Found) -> Grid | None:
+def _missing(found: Found) -> TextTable | None:
     note = (
         "Every method is expected to have each task that another has, with as many runs, with the "
         "same seeds, on all variants."
@@ -159,12 +158,12 @@ def _missing(found: Found) -> Grid | None:
         else "Runs of the plan without scores, and variants that runs were not evaluated on."
     )
     rows = find_missing(found)
-    return Grid("Scores", ("method", "task", "missing"), rows, note) if rows else None
+    return TextTable("Scores", ("method", "task", "missing"), rows, note) if rows else None
 
 
-def _skipped(rows: Sequence[tuple[str, str]]) -> Grid | None:
+def _skipped(rows: Sequence[tuple[str, str]]) -> TextTable | None:
     note = "Folders whose files cannot be used; nothing in the tables comes from them."
-    return Grid("Skipped", ("folder", "reason"), rows, note) if rows else None
+    return TextTable("Skipped", ("folder", "reason"), rows, note) if rows else None
 
 
 def _facts(results: Sequence[Result]) -> dict[str, str]:

@@ -18,25 +18,25 @@ from magical.grouping import group_by
 from magical.report.found.search import Found
 from magical.report.pages.page import write_text
 from magical.report.scores.differences import RULE, counterparts, differences
-from magical.report.scores.grids import Grid, aggregate_grid, gap_grid, improvement_table
 from magical.report.scores.methods import compared_methods
-from magical.report.scores.tables import Table, entry_tasks, report_tables, text_rows
+from magical.report.scores.summaries import aggregate_table, gap_table, improvement_table
+from magical.report.scores.tables import TextTable, entry_tasks, report_tables
 from magical.tasks import get_task
 
 DIGITS = 6
 Write = Callable[[Found, Sequence[str], Path], None]
 
 
-def all_grids(found: Found, published: Sequence[str]) -> list[Grid]:
+def all_tables(found: Found, published: Sequence[str]) -> list[TextTable]:
     """Every table of a page, as plain text."""
     entries = found.entries
-    grids = [_grid(table) for table in report_tables(entries, published)]
+    tables = [table.as_text() for table in report_tables(entries, published)]
     if methods := compared_methods(entries):
         improvement = improvement_table(methods)
-        grids.append(aggregate_grid(methods, entries))
-        grids += [grid for grid in (gap_grid(methods),) if grid]
-        grids += [_grid(improvement)] if improvement else []
-    return grids
+        tables.append(aggregate_table(methods, entries))
+        tables += [gaps] if (gaps := gap_table(methods)) else []
+        tables += [improvement.as_text()] if improvement else []
+    return tables
 
 
 def write_csv(found: Found, published: Sequence[str], path: Path) -> None:
@@ -55,13 +55,13 @@ def write_csv(found: Found, published: Sequence[str], path: Path) -> None:
 
 def write_markdown(found: Found, published: Sequence[str], path: Path) -> None:
     """All tables in Markdown."""
-    write_text(path, "\n".join(map(markdown, all_grids(found, published))))
+    write_text(path, "\n".join(map(markdown, all_tables(found, published))))
 
 
 def write_latex(found: Found, published: Sequence[str], path: Path) -> None:
     r"""All tables in LaTeX, to be `\input` into a document that uses booktabs and graphicx."""
     head = "% Needs \\usepackage{booktabs,graphicx}.\n"
-    write_text(path, head + "\n".join(map(latex, all_grids(found, published))))
+    write_text(path, head + "\n".join(map(latex, all_tables(found, published))))
 
 
 FORMATS: Mapping[str, Write] = MappingProxyType(
@@ -75,24 +75,24 @@ def format_of(path: Path) -> str:
     return _SUFFIXES.get(path.suffix.lower(), "html")
 
 
-def markdown(grid: Grid) -> str:
+def markdown(table: TextTable) -> str:
     """A table in Markdown, with its heading and note."""
-    rows = [grid.header, tuple("---" for _ in grid.header), *grid.rows]
+    rows = [table.header, tuple("---" for _ in table.header), *table.rows]
     lines = [f"| {' | '.join(_escape_markdown(cell) for cell in row)} |" for row in rows]
-    return "\n".join([f"## {_escape_markdown(grid.title)}", "", *lines, "", grid.note, ""])
+    return "\n".join([f"## {_escape_markdown(table.title)}", "", *lines, "", table.note, ""])
 
 
-def latex(grid: Grid) -> str:
+def latex(table: TextTable) -> str:
     """A table in LaTeX with booktabs' rules, its heading and note as the caption."""
-    rows = [" & ".join(map(escape_latex, row)) + r" \\" for row in (grid.header, *grid.rows)]
-    caption = f"{escape_latex(grid.title)}. {escape_latex(grid.note)}"
+    rows = [" & ".join(map(escape_latex, row)) + r" \\" for row in (table.header, *table.rows)]
+    caption = f"{escape_latex(table.title)}. {escape_latex(table.note)}"
     return "\n".join(
         [
             r"\begin{table}",
             r"  \centering\footnotesize\setlength{\tabcolsep}{3pt}",
             rf"  \caption{{{caption}}}",
             r"  \resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%",
-            rf"  \begin{{tabular}}{{l{'c' * (len(grid.header) - 1)}}}",
+            rf"  \begin{{tabular}}{{l{'c' * (len(table.header) - 1)}}}",
             r"    \toprule",
             f"    {rows[0]}",
             r"    \midrule",
@@ -128,11 +128,6 @@ def escape_latex(text: str) -> str:
 
 def _escape_markdown(text: str) -> str:
     return re.sub(r"([\\|`*_<>\[\]])", r"\\\1", text)
-
-
-def _grid(table: Table) -> Grid:
-    title = f"{table.task}, beside the published scores" if table.published else table.task
-    return Grid(title, (table.task, *table.variants), text_rows(table), table.note)
 
 
 def _rows(task: str, found: Found, published: Sequence[str]) -> Iterator[dict[str, object]]:

@@ -73,7 +73,17 @@ class Row:
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class TextTable:
+    """A table of plain text with a heading, and how it is to be read."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: Sequence[tuple[str, ...]]
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class ScoreTable:
     """All methods' scores on one task."""
 
     task: str
@@ -82,8 +92,17 @@ class Table:
     note: str  # by which rule and horizon, and what intervals are over
     published: bool = False  # by the published code's rule, with published rows
 
+    def as_text(self) -> TextTable:
+        """The table as plain text, without colours and the rows' notes."""
+        title = f"{self.task}, beside the published scores" if self.published else self.task
+        rows = [
+            (row.label, *(row.cells[v].text if v in row.cells else "–" for v in self.variants))
+            for row in self.rows
+        ]
+        return TextTable(title, (self.task, *self.variants), rows, self.note)
 
-def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = ()) -> Table:
+
+def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = ()) -> ScoreTable:
     """A row for each method among the entries, then the published rows of the methods named.
 
     Entries with the same method are runs of it. With published rows, all scores are by the
@@ -110,7 +129,7 @@ def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = (
     note += _left_out_note(found, other) if methods and other else ""
     note += ONE_RUN if one_run else ""
     note += RUNS_APART if any(cell.are_apart for row in kept for cell in row.cells.values()) else ""
-    return Table(task, variants, kept, note, compared)
+    return ScoreTable(task, variants, kept, note, compared)
 
 
 def entry_tasks(entries: Iterable[Entry]) -> tuple[str, ...]:
@@ -118,7 +137,7 @@ def entry_tasks(entries: Iterable[Entry]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(task for entry in entries for task in by_variant(entry.scores)))
 
 
-def report_tables(entries: Sequence[Entry], published: Sequence[str] = ()) -> list[Table]:
+def report_tables(entries: Sequence[Entry], published: Sequence[str] = ()) -> list[ScoreTable]:
     """The tables of every task: by the appendix's rule, and with published rows by theirs.
 
     Where the two rules and horizons are the same, one table shows both.
@@ -130,17 +149,6 @@ def report_tables(entries: Sequence[Entry], published: Sequence[str] = ()) -> li
             tables.append(task_table(name, entries))
         tables.append(beside)
     return tables
-
-
-def text_rows(table: Table) -> list[tuple[str, ...]]:
-    """A table as plain text: a line for each method, a cell for each of all variants."""
-    return [
-        (
-            row.label,
-            *(row.cells[v].text if v in row.cells else "–" for v in table.variants),
-        )
-        for row in table.rows
-    ]
 
 
 def _method_row(task: Task, method: str, runs: Sequence[Entry], rule: str) -> Row:

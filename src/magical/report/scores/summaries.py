@@ -5,7 +5,6 @@ Intervals as in Agarwal et al. (2021).
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,7 +17,7 @@ from magical.evaluation.statistics import (
     probability_of_improvement,
 )
 from magical.report.scores.methods import ComparedMethod
-from magical.report.scores.tables import Cell, Row, Table
+from magical.report.scores.tables import Cell, Row, ScoreTable, TextTable
 from magical.tasks import VARIANTS
 from magical.tasks.axes import short_variant
 
@@ -33,16 +32,6 @@ NOTE = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Grid:
-    """A table of plain text with a heading, and what it says."""
-
-    title: str
-    header: tuple[str, ...]
-    rows: Sequence[tuple[str, ...]]
-    note: str = ""
-
-
 def interval_text(interval: Interval | None) -> str:
     """An interval as text; without brackets where there is only the estimate."""
     if interval is None:
@@ -52,7 +41,7 @@ def interval_text(interval: Interval | None) -> str:
     return f"{interval.value:.2f} [{interval.low:.2f}, {interval.high:.2f}]"
 
 
-def aggregate_grid(methods: Sequence[ComparedMethod], entries: Sequence[Entry]) -> Grid:
+def aggregate_table(methods: Sequence[ComparedMethod], entries: Sequence[Entry]) -> TextTable:
     """A row for each method over all environments that the methods have in common.
 
     Args:
@@ -75,7 +64,9 @@ def aggregate_grid(methods: Sequence[ComparedMethod], entries: Sequence[Entry]) 
         rows.append((method.name, method.unit, *map(interval_text, found)))
     count = len(first.env_ids)
     over = f"Over {count} environment{'s' if count != 1 else ''}."
-    return Grid("All together", tuple(header), rows, f"{over}{_left_out(first, entries)} {NOTE}")
+    return TextTable(
+        "All together", tuple(header), rows, f"{over}{_left_out(first, entries)} {NOTE}"
+    )
 
 
 def _left_out(method: ComparedMethod, entries: Sequence[Entry]) -> str:
@@ -88,7 +79,7 @@ def _left_out(method: ComparedMethod, entries: Sequence[Entry]) -> str:
     return f" Left out, since not all runs and methods have them: {', '.join(names[:SHOWN])}{more}."
 
 
-def gap_grid(methods: Sequence[ComparedMethod]) -> Grid | None:
+def gap_table(methods: Sequence[ComparedMethod]) -> TextTable | None:
     """Each method's generalisation gap along each axis; `None` where there is none."""
     axes = [axis for axis in AXES if methods[0].generalisation_gap(axis) is not None]
     if not axes:
@@ -102,10 +93,10 @@ def gap_grid(methods: Sequence[ComparedMethod]) -> Grid | None:
         "the variant: the larger, the worse the method generalises along that axis. Intervals as "
         "above."
     )
-    return Grid("Generalisation gaps", ("method", *map(short_variant, axes)), rows, note)
+    return TextTable("Generalisation gaps", ("method", *map(short_variant, axes)), rows, note)
 
 
-def improvement_table(methods: Sequence[ComparedMethod]) -> Table | None:
+def improvement_table(methods: Sequence[ComparedMethod]) -> ScoreTable | None:
     """How probably a run of the row's method beats one of the column's; `None` for one method."""
     if len(methods) < 2:
         return None
@@ -120,7 +111,7 @@ def improvement_table(methods: Sequence[ComparedMethod]) -> Table | None:
         "99 to 100%, and with five runs of one policy exclude one half only where at least 94% of "
         "the pairs of runs are won. Which method is better is told by the difference of the means."
     )
-    return Table("Probability of improvement", names, rows, note)
+    return ScoreTable("Probability of improvement", names, rows, note)
 
 
 def _improvement(method: ComparedMethod, other: ComparedMethod) -> Cell:
