@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.demos import Dataset, DatasetWriter, Frames, ObservationReader, Trajectory
-from magical.demos.human.importing import Keep, find_published, import_published
+from magical.demos.human.importing import find_published, import_published
 from magical.physics import Simulation
 from magical.processes import available_cores
 from magical.tasks import TASKS
@@ -41,7 +41,7 @@ def main() -> None:
 def measure_import(source: Path, out: Path) -> None:
     files = find_published(source)
     start = time.perf_counter()
-    import_published(files, out, keep=Keep.FRAMES)  # without recovering poses
+    import_published(files, out, keep="frames")  # without recovering poses
     elapsed = time.perf_counter() - start
     own, workers = (
         resource.getrusage(who).ru_maxrss // 1024
