@@ -63,6 +63,15 @@ def test_soak_reports_what_it_watched(root: Path) -> None:
     assert output.count("Usage(") == 20
 
 
+def test_a_checkout_is_compared_with_itself(root: Path) -> None:
+    lines = script(root, "paired.py", str(root), "--seconds", "0.1").splitlines()
+    assert [line.partition("before")[0].strip() for line in lines] == [
+        "simulation",
+        "state only",
+        "with pixels",
+    ]
+
+
 def test_step_profile_adds_up(root: Path) -> None:
     lines = script(root, "step_profile.py", "--num-envs", "2").splitlines()
     shares = [float(line.split()[-1].rstrip("%")) for line in lines]

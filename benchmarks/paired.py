@@ -1,0 +1,103 @@
+"""Compares two checkouts by turns in one process, in processor time, which other work sways least.
+
+python benchmarks/paired.py BEFORE [AFTER] [--task NAME] [--seconds S]
+
+BEFORE and AFTER are checkouts of this repository, AFTER by default this one. Both take the same
+actions in the same scenes, and what they simulate and observe must be equal to the last bit.
+"""
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+HERE = Path(__file__).parents[1]
+TURN = 20  # steps
+EPISODE = 10  # turns
+NUM_ACTIONS = 18
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("before", type=Path)
+    parser.add_argument("after", type=Path, nargs="?", default=HERE)
+    parser.add_argument("--task", default="ClusterColour")
+    parser.add_argument("--seconds", type=float, default=20.0, help="of each comparison")
+    arguments = parser.parse_args()
+    trees = [load(path / "src", arguments.task) for path in (arguments.before, arguments.after)]
+    for name in trees[0]:
+        compare(name, [tree[name] for tree in trees], arguments.seconds)
+
+
+def load(source: Path, task_name: str) -> dict[str, Callable[[int], Any]]:
+    """Functions from a seed to something with `step(action)`, from the package in a folder."""
+    for name in [name for name in sys.modules if name.partition(".")[0] == "magical"]:
+        del sys.modules[name]
+    sys.path.insert(0, str(source))
+    envs, physics, tasks = (
+        import_module(f"magical.{room}") for room in ("envs.env", "physics", "tasks")
+    )
+    sys.path.pop(0)
+
+    def simulate(seed: int) -> Any:
+        return physics.Simulation(
+            *tasks.TASKS[task_name].sample("Demo", np.random.default_rng(seed))
+        )
+
+    def observe(observation: str) -> Callable[[int], Any]:
+        env = envs.MagicalEnv(task_name, "Demo", observation)
+
+        def start(seed: int) -> Any:
+            env.reset(seed=seed)
+            return env
+
+        return start
+
+    return {
+        "simulation": simulate,
+        "state only": observe("state"),
+        "with pixels": observe("LoRes4E"),
+    }
+
+
+def compare(name: str, sides: list[Callable[[int], Any]], seconds: float) -> None:
+    """Step both sides by turns and print microseconds a step and their ratio."""
+    rng = np.random.default_rng(0)
+    times: list[list[float]] = []
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        running = [start(len(times)) for start in sides]
+        for one in running:
+            one.step(0)  # compiles
+        for turn in range(EPISODE):
+            actions = rng.integers(NUM_ACTIONS, size=TURN).tolist()
+            order = (0, 1) if turn % 2 else (1, 0)
+            spent = {side: step(running[side], actions) for side in order}
+            times.append([spent[side][0] for side in (0, 1)])
+            assert np.array_equal(spent[0][1], spent[1][1]), "not equal"
+    before, after = 1e6 / TURN * np.array(times).T
+    low, middle, high = np.quantile(before / after, (0.25, 0.5, 0.75))
+    print(
+        f"{name:12} before {np.median(before):6.1f} us, after {np.median(after):6.1f} us, "
+        f"ratio {middle:.2f} (quartiles {low:.2f} to {high:.2f}), {len(times)} turns"
+    )
+
+
+def step(side: Any, actions: list[int]) -> tuple[float, Any]:
+    """The seconds that some steps take, and what is observed at last."""
+    began = time.thread_time()
+    for action in actions:
+        result = side.step(action)
+    spent = time.thread_time() - began
+    return spent, side.read() if result is None else result[0]
+
+
+if __name__ == "__main__":
+    main()
