@@ -47,7 +47,7 @@ def prepare(*, at_roots: bool) -> None:
     package.__path__ = [str(SOURCES)]
     sys.modules["magical"] = package
     plain = types.ModuleType("magical.physics.chipmunk")
-    setattr(plain, "compiled", lambda: None)  # noqa: B010
+    setattr(plain, "c_functions", lambda: None)  # noqa: B010
     setattr(plain, "address", None)  # noqa: B010
     sys.modules[plain.__name__] = plain
     if at_roots:
