@@ -38,8 +38,9 @@ def main() -> None:
         controller = load_policy(run, device="cpu")
         acting = object_policy(controller)
         policy = object_policy(goals)
-        for name in ("controller", "sight", "temperature", "stuck_temperature"):
-            setattr(policy, name, getattr(acting, name))
+        policy.controller, policy.ranges = acting.controller, acting.ranges
+        policy.temperature = acting.temperature
+        policy.stuck_temperature = acting.stuck_temperature
         means = score(goals, tasks, args)
         others = [m for m, task in zip(means, tasks, strict=True) if task not in controller.tasks]
         cells = " | ".join(f"{mean:.2f}" for mean in means)

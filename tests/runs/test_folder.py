@@ -109,12 +109,10 @@ def test_damaged_and_special_files_are_named(tmp_path: Path) -> None:
     (tmp_path / "damaged").write_text("{")
     (tmp_path / "list").write_text("[]")
     os.mkfifo(tmp_path / "fifo")
-    (tmp_path / "endless").symlink_to("/dev/zero")
     for name, problem in {
         "damaged": "expected JSON, found something else",
         "list": r"expected object, found \[\]",
         "fifo": "expected a readable file, found not a regular file",
-        "endless": "expected a readable file, found not a regular file",
         "missing": "expected a readable file, found No such file",
     }.items():
         with pytest.raises(RunFolderError, match=f"{name}: {problem}"):
