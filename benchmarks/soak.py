@@ -22,7 +22,7 @@ from magical.scene.actions import NUM_ACTIONS
 
 NUM_ENVS = 32
 SETTLED = 10_000  # steps after which memory must not grow any more
-MOST_GROWTH = 10.0  # MB
+MAX_GROWTH = 10.0  # MB
 REPORTS = 20
 
 
@@ -72,7 +72,7 @@ def main() -> int:
         for early, late in ((before, after), (start, end))
         for kind in ("descriptors", "shared")
     )
-    return int(growth > MOST_GROWTH or leaked)
+    return int(growth > MAX_GROWTH or leaked)
 
 
 def soak(steps: int, workers: int | None, observation: str) -> tuple[Usage, Usage]:

@@ -20,7 +20,7 @@ from numba.core.compiler import CompileResult
 import magical
 from magical.compiled import cache, entry_point
 from magical.compiled.cache import (
-    MOST_FILES,
+    MAX_FILES,
     SHARED,
     CompileCache,
     cache_folder,
@@ -209,12 +209,12 @@ def test_the_key_has_the_sources_of_every_kernel() -> None:
 
 
 def test_the_oldest_files_are_removed(folder: Path) -> None:
-    for i in range(MOST_FILES + 5):
+    for i in range(MAX_FILES + 5):
         (folder / f"old-{i}.bin").write_bytes(b"")
         os.utime(folder / f"old-{i}.bin", (i, i))
     next(folder.glob("double-*")).write_bytes(b"")
     assert hits(folder) == 0
-    assert len(list(folder.iterdir())) == MOST_FILES
+    assert len(list(folder.iterdir())) == MAX_FILES
     assert list(folder.glob("double-*"))
     assert not (folder / "old-0.bin").exists()
 

@@ -29,8 +29,8 @@ import numba
 from magical.files import read_regular, write_atomically
 
 DIGEST_BYTES = hashlib.sha256().digest_size
-MOST_BYTES = 1 << 26  # of a file: many times what a function takes
-MOST_FILES = 64  # in the folder: those of older sources and other machines are removed
+MAX_BYTES = 1 << 26  # of a file: many times what a function takes
+MAX_FILES = 64  # in the folder: those of older sources and other machines are removed
 SHARED = ("compiled", "render", "scene")  # rooms whose code and constants kernels elsewhere use
 
 
@@ -63,7 +63,7 @@ class CompileCache:
             from numba.core import compiler
 
             rebuild: Callable[..., Any] = compiler.CompileResult._rebuild
-            content = read_regular(self._path(signature, target_context.codegen()), MOST_BYTES)
+            content = read_regular(self._path(signature, target_context.codegen()), MAX_BYTES)
             digest, payload = content[:DIGEST_BYTES], content[DIGEST_BYTES:]
             if hashlib.sha256(payload).digest() != digest:
                 return None
@@ -150,5 +150,5 @@ def digest_of(*folders: Path) -> str:
 
 def _remove_oldest(folder: Path) -> None:
     files = sorted(folder.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)
-    for path in files[MOST_FILES:]:
+    for path in files[MAX_FILES:]:
         path.unlink(missing_ok=True)

@@ -12,7 +12,7 @@ from magical.runs import is_run
 from magical.runs.machine import provenance
 from magical.runs.sources import LEARNED_FROM
 
-MOST_THREADS = 1024  # that an entry can ask for
+MAX_THREADS = 1024  # that an entry can ask for
 
 
 def evaluation_details(policy: str, out: Path) -> dict[str, Any]:
@@ -67,7 +67,7 @@ def recorded_threads(entry: Entry) -> AbstractContextManager[None]:
     changes, and PyTorch is not imported.
     """
     number = entry.details.get(THREADS)
-    if not isinstance(number, int) or not 1 <= number <= MOST_THREADS:
+    if not isinstance(number, int) or not 1 <= number <= MAX_THREADS:
         return nullcontext()
     from magical.learning.running.devices import cpu_threads
 

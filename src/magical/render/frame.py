@@ -12,7 +12,7 @@ from magical.render.canvas import Canvas, cover, finish_bodies, finish_ground, p
 from magical.render.display import FURTHEST
 from magical.render.lines import outline, round_up
 from magical.render.palette import OUTSIDE, lanes
-from magical.render.polygons import MOST_SIDES, SUBSAMPLES, Floats, Ints, place, scan
+from magical.render.polygons import MAX_SIDES, SUBSAMPLES, Floats, Ints, place, scan
 from magical.scene.constants import RAW_FRAME_SIZE
 
 VIEW_WIDTH = 2.04  # units: both cameras show as much (docs/specification.md, section 6)
@@ -103,7 +103,7 @@ def render_bodies(
 ) -> None:
     """Blocks and robot, front to back (see `display.DisplayList` for the arrays)."""
     extent = canvas.size * canvas.samples
-    placed, frame = np.empty((2, MOST_SIDES + 1)), np.empty(4)
+    placed, frame = np.empty((2, MAX_SIDES + 1)), np.empty(4)
     for i in range(len(items)):
         first, count, anchor, turn = items[i, 0], items[i, 1], items[i, 2], items[i, 3]
         x, y = offsets[i, 0], offsets[i, 1]
@@ -158,7 +158,7 @@ def compiled_render(samples: int) -> Callable[..., int]:
         if not within_reach(bodies):
             return -1
         extent, count, counts = size * samples, len(bodies), np.zeros(1, np.int64)
-        edges, spans = np.empty((3, MOST_SIDES + 1)), np.empty((2, extent + samples), np.int64)
+        edges, spans = np.empty((3, MAX_SIDES + 1)), np.empty((2, extent + samples), np.int64)
         frames = np.empty((count + 1, 4))
         canvas = Canvas(ground, tiles, owners, counts, body_pixels, touched, pixels, size, samples)
         body_frames(bodies, mode == EGO, extent, frames)

@@ -19,7 +19,7 @@ from magical.render.frame import (
     within_reach,
 )
 from magical.render.output import CHANNELS
-from magical.render.polygons import MOST_SIDES, SUBSAMPLES, Floats, Ints
+from magical.render.polygons import MAX_SIDES, SUBSAMPLES, Floats, Ints
 from magical.render.renderer import checked_samples
 from magical.scene.poses import FIRST_BLOCK
 from magical.scene.scene import Scene
@@ -192,7 +192,7 @@ def compiled_render_moved(samples: int) -> Callable[..., bool]:
         extent, stack = size * samples, np.empty((stacked, size * size), np.int32)
         tiles, owners, counts, body_pixels, touched = _memory(size, samples, len(corners))
         body_pixels[:] = empty
-        edges, spans = np.empty((3, MOST_SIDES + 1)), np.empty((2, extent + samples), np.int64)
+        edges, spans = np.empty((3, MAX_SIDES + 1)), np.empty((2, extent + samples), np.int64)
         frames, coloured = np.empty((count + 1, 4)), items.copy()
         for b in range(len(bodies)):
             coloured[:, 4] = item_colours[b]

@@ -13,7 +13,7 @@ from magical.compiled import inlined, merged
 
 SUBSAMPLES = 256.0  # vertices lie on a grid of this many lines a sample
 LEFT, RIGHT = 0, 1  # rows of `spans`
-MOST_SIDES = 100  # of any polygon
+MAX_SIDES = 100  # of any polygon
 ROW, BOUNDARY, SLOPE = 0, 1, 2  # rows of `edges`
 
 Floats = NDArray[np.float64]

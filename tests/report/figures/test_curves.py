@@ -68,5 +68,5 @@ def test_smoothing_keeps_the_newest_rows_and_draws_enough_points(count: int) -> 
     width = max(1, min(curves.SMOOTHING, count // 10))
     assert xs[-1] == count - 1
     assert ys[-1] == pytest.approx(np.mean([y for _, y in points[-width:]]))
-    assert min(count, curves.MOST_POINTS) <= len(xs) <= 2 * curves.MOST_POINTS
+    assert min(count, curves.MAX_POINTS) <= len(xs) <= 2 * curves.MAX_POINTS
     assert ys[0] == pytest.approx(np.mean([y for x, y in points[:width] if x <= xs[0]]))

@@ -99,7 +99,7 @@ def test_what_is_not_shown_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     assert [reel.title for reel in shown] == ["b on MoveToRegion"]
     assert notes[0] == "a on MoveToRegion: no such policy"
     assert "c on MoveToRegion" in notes[1]
-    monkeypatch.setattr(reels, "MOST_BYTES", 100)
+    monkeypatch.setattr(reels, "MAX_BYTES", 100)
     shown, notes = record_reels(results[1:2], load, 2)
     assert shown == []
     assert "to keep the page small" in notes[0]

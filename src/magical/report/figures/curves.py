@@ -26,7 +26,7 @@ from magical.runs.metrics import read_metrics
 
 PANELS = ("loss", "accuracy", "score")  # of a page, where the metrics have them
 SMOOTHING = 50  # rows of metrics that a curve is averaged over, at most a tenth of all
-MOST_POINTS = 200  # of a curve, up to twice as many
+MAX_POINTS = 200  # of a curve, up to twice as many
 LARGEST = 1e300  # number that is plotted
 NOT_PLOTTED = ("step", "environment_steps", "warning")
 COLUMNS = 4  # of `save_learning_curves`
@@ -110,7 +110,7 @@ def _smooth(points: Sequence[tuple[float, float]]) -> tuple[Floats, Floats]:
     """Means over each point and those before it: the metrics of single batches are noisy."""
     steps, values = np.array(points, np.float64).T
     width = max(1, min(SMOOTHING, len(points) // 10))
-    ends = np.arange(len(points), 0, -max(1, len(points) // MOST_POINTS))[::-1]
+    ends = np.arange(len(points), 0, -max(1, len(points) // MAX_POINTS))[::-1]
     means = [values[max(end - width, 0) : end].mean() for end in ends]
     return steps[ends - 1], np.array(means)
 

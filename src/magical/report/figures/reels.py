@@ -14,9 +14,9 @@ from magical.tasks import get_task
 from magical.tasks.axes import short_variant
 
 SIZE = 120  # pixels across
-MOST_FRAMES = 60  # of a clip
+MAX_FRAMES = 60  # of a clip
 QUALITY = 55  # of WebP, 0 to 100
-MOST_BYTES = 9_000_000  # of all clips of a page, encoded
+MAX_BYTES = 9_000_000  # of all clips of a page, encoded
 
 LoadPolicy = Callable[[Result], Policy]
 
@@ -52,7 +52,7 @@ def record_reels(
     Returns:
         The reels, and what is not shown and why.
     """
-    reels, notes, room = [], [], MOST_BYTES
+    reels, notes, room = [], [], MAX_BYTES
     chosen = _median_runs(results)
     for task, result in chosen[:limit]:
         title = f"{result.entry.row} on {task}"
@@ -108,7 +108,7 @@ def _record(policy: Policy, result: Result, task: str, title: str) -> Reel:
         for name, row in extremes(cell)
     ]
     rollouts = [(row.env_id, row.rollout) for _, _, row in named]
-    every = -(-steps // MOST_FRAMES)
+    every = -(-steps // MAX_FRAMES)
     clips = record_rollouts(policy, evaluation, rollouts, size=SIZE, every=every)
     shown = [
         ShownClip(

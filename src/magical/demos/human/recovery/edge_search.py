@@ -18,7 +18,7 @@ from magical.render.display import DISC_SIDES
 from magical.render.frame import body_frames
 from magical.render.polygons import SUBSAMPLES, Floats, Ints
 
-MOST_LAYERS = 8  # polygons in a pixel's list; further ones are left out
+MAX_LAYERS = 8  # polygons in a pixel's list; further ones are left out
 MIXED = 255  # the label of a pixel of no plain colour
 TILE = 8  # pixels across the tiles in which edges on the ground are looked for
 DEEP = 1e3  # pixels: stands for any distance beyond the band
@@ -46,9 +46,9 @@ class Near(NamedTuple):
 
     counts: NDArray[np.int8]  # (P,)
     wanted: NDArray[np.bool_]  # (P,): whether an edge of a wanted body is near
-    item: NDArray[np.int16]  # (P, MOST_LAYERS)
-    edge: NDArray[np.int16]  # (P, MOST_LAYERS): the nearest, a column of `FramePlacement.planes`
-    inside: NDArray[np.float32]  # (P, MOST_LAYERS): how far inside that the pixel's centre lies
+    item: NDArray[np.int16]  # (P, MAX_LAYERS)
+    edge: NDArray[np.int16]  # (P, MAX_LAYERS): the nearest, a column of `FramePlacement.planes`
+    inside: NDArray[np.float32]  # (P, MAX_LAYERS): how far inside that the pixel's centre lies
 
 
 class FramePlacement(NamedTuple):
@@ -168,7 +168,7 @@ def _add(
             count = last
         elif near.inside[pixel, last] > band:
             return  # hidden
-    if count < MOST_LAYERS:
+    if count < MAX_LAYERS:
         near.item[pixel, count], near.edge[pixel, count] = i, edge
         near.inside[pixel, count] = inside
         near.counts[pixel] = count + 1
@@ -254,7 +254,7 @@ def _read_pixels(
 ) -> int:
     """Explain the pixels near wanted edges, tile by tile, and empty the lists."""
     size, rectangles, rows = placement.size, layers.rectangles, 0
-    ground, room = np.empty(len(rectangles)), len(margins) - MOST_LAYERS - len(rectangles)
+    ground, room = np.empty(len(rectangles)), len(margins) - MAX_LAYERS - len(rectangles)
     across = (size + TILE - 1) // TILE
     for tile in range(across * across):
         left, bottom = tile % across * TILE, tile // across * TILE

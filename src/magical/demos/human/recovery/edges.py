@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from magical.compiled import entry_point
 from magical.demos.human.recovery.edge_search import (
     ANCHOR,
+    MAX_LAYERS,
     MIXED,
-    MOST_LAYERS,
     TURN,
     FramePlacement,
     Labels,
@@ -235,8 +235,8 @@ def _working_memory() -> tuple[Near, NDArray[np.int32], Floats]:
     near = Near(
         counts=np.zeros(pixels, np.int8),
         wanted=np.zeros(pixels, np.bool_),
-        item=np.empty((pixels, MOST_LAYERS), np.int16),
-        edge=np.empty((pixels, MOST_LAYERS), np.int16),
-        inside=np.empty((pixels, MOST_LAYERS), np.float32),
+        item=np.empty((pixels, MAX_LAYERS), np.int16),
+        edge=np.empty((pixels, MAX_LAYERS), np.int16),
+        inside=np.empty((pixels, MAX_LAYERS), np.float32),
     )
     return near, np.empty((4, rows), np.int32), np.empty(rows)
