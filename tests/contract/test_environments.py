@@ -14,6 +14,7 @@ from gymnasium.utils.env_checker import check_env
 import magical
 from magical.envs.env import MagicalEnv
 from magical.observe import PRESETS
+from magical.scene import to_continuous
 from magical.tasks import TASKS
 from magical.tasks.programs import SUCCESS
 
@@ -46,6 +47,20 @@ def test_gymnasium_s_checker_reports_nothing(env_id: str, monkeypatch: pytest.Mo
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(gym.make(env_id, render_mode="rgb_array").unwrapped, skip_render_check=False)
+
+
+@pytest.mark.parametrize("env_id", [env_id for env_id in ENV_IDS if env_id.variant == "Demo"])
+def test_discrete_actions_are_points_of_the_continuous_ones(env_id: str) -> None:
+    envs = [_make(env_id, observation="state", action_space=a) for a in ("discrete", "continuous")]
+    for env in envs:
+        env.reset(seed=5)
+    order = np.random.default_rng(0).permutation(np.tile(np.arange(18), 2))
+    for action, point in zip(order.tolist(), to_continuous(order), strict=True):
+        bodies = [env.step(given)[0] for env, given in zip(envs, (action, point), strict=True)]
+        assert _equal(*bodies), action
+        first, second = (env.state() for env in envs)
+        np.testing.assert_array_equal(first.poses.bodies, second.poses.bodies)
+        np.testing.assert_array_equal(first.velocities, second.velocities)
 
 
 @pytest.mark.parametrize("env_id", ENV_IDS)

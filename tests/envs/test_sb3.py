@@ -97,8 +97,9 @@ def test_networks_get_channels_first(observation: str) -> None:
     model.learn(2 * HORIZON)
 
 
-def test_a_short_run_of_ppo_learns_from_states() -> None:
-    envs = adapter(num_envs=4, workers=2)
+@pytest.mark.parametrize("action_space", ["discrete", "continuous"])
+def test_a_short_run_of_ppo_learns_from_states(action_space: str) -> None:
+    envs = adapter(num_envs=4, workers=2, action_space=action_space)
     model = sb3.PPO("MlpPolicy", envs, n_steps=8, batch_size=16, n_epochs=2, device="cpu", seed=0)
     before = [parameter.detach().clone() for parameter in model.policy.parameters()]
     model.learn(128)

@@ -10,7 +10,7 @@ import pytest
 from magical.envs import EnvId, parse_env_id
 from magical.envs.seeds import evaluation_seed
 from magical.envs.vector import MagicalVectorEnv
-from magical.errors import InvalidConfigError, UnknownNameError
+from magical.errors import InvalidConfigError, PolicyError, UnknownNameError
 from magical.evaluation import (
     Evaluation,
     NoopPolicy,
@@ -19,6 +19,7 @@ from magical.evaluation import (
     evaluate,
     load_policy,
 )
+from magical.evaluation.expert import ExpertPolicy
 from magical.evaluation.policy import Actions, Mask
 from magical.evaluation.rollouts import RepeatedEvaluation
 from magical.evaluation.seeds import rollout_stream
@@ -266,3 +267,58 @@ def test_a_nudge_does_not_depend_on_processes(name: str) -> None:
     policy = load_policy(name)
     one = evaluate(policy, [DEMO], rollouts=12, nudge=1e-9, workers=0)
     assert evaluate(policy, [DEMO], rollouts=12, nudge=1e-9, workers=2) == one
+
+
+class Drives:
+    """Drives at half speed in continuous environments."""
+
+    action_space = "continuous"
+    observation = "nothing"
+
+    def __init__(self, speed: float = 0.5) -> None:
+        self.speed = speed
+
+    def act(self, observations: Any, env_ids: Sequence[EnvId], rng: np.random.Generator) -> Actions:
+        return np.tile([self.speed, 0.0, -1.0], (len(env_ids), 1))
+
+    def reset(self, mask: Mask) -> None:
+        pass
+
+
+def test_policies_with_continuous_actions_are_evaluated_in_such_environments() -> None:
+    env_id = "magical/MoveToRegion-TestJitter-v0"
+    (score,) = evaluate(Drives(), [env_id], rollouts=1, workers=0)
+    env = gymnasium.make(env_id, observation="state", action_space="continuous")
+    env.reset(seed=evaluation_seed(0))
+    ended = False
+    while not ended:
+        *_, ended, info = env.step(np.array([0.5, 0.0, -1.0]))
+    assert score.score == info["eval_score"]
+
+
+@pytest.mark.parametrize(
+    ("policy", "message"),
+    [
+        (Drives(np.nan), "found drive nan in row 0"),
+        (Drives(1.5), "found drive 1.5 in row 0"),
+        (lambda observations, env_ids, rng: np.zeros((len(env_ids), 3)), "found shape"),
+    ],
+)
+def test_other_continuous_actions_are_named(policy: Any, message: str) -> None:
+    with pytest.raises(PolicyError, match=message):
+        evaluate(policy, ["magical/MoveToRegion-Demo-v0"], rollouts=1, workers=0)
+
+
+def test_an_unknown_action_space_is_named() -> None:
+    policy = Drives()
+    policy.action_space = "box"
+    with pytest.raises(UnknownNameError, match="expected discrete or continuous"):
+        evaluate(policy, ["magical/MoveToRegion-Demo-v0"], rollouts=1, workers=0)
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_the_expert_scores_the_same_with_points(workers: int) -> None:
+    env_ids = ["magical/MoveToCorner-TestJitter-v0"]
+    policies = [ExpertPolicy(0.7, action_space=name) for name in ("discrete", "continuous")]
+    first, second = (evaluate(p, env_ids, rollouts=3, workers=workers) for p in policies)
+    assert first == second

@@ -10,6 +10,7 @@ from magical.physics import Simulation
 from magical.physics.robot import COMMANDS
 from magical.scene import Action, Block, Colour, Dynamics, Pose, Poses, Scene, Shape
 from magical.scene.actions import Gripper, Longitudinal, Turn
+from magical.scene.constants import TURN_MAX_BIAS
 from magical.scene.poses import FINGERS
 
 SCENE = Scene(
@@ -58,7 +59,9 @@ def test_steering_rates() -> None:
         Action(Longitudinal.FORWARD, Turn.LEFT): (0.8, 1.5, math.pi / 8),
         Action(Longitudinal.BACK, Turn.RIGHT, Gripper.CLOSED): (-0.6, -1.5, 0),
     }.items():
-        assert COMMANDS[action.id] == pytest.approx(command)
+        motion, turn_limit = COMMANDS[action.id]
+        assert motion == pytest.approx(command)
+        assert turn_limit == TURN_MAX_BIAS
 
 
 @pytest.mark.parametrize("field", Dynamics().to_dict())

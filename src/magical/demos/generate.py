@@ -12,6 +12,7 @@ from magical.demos.store.manifest import ManifestEntry
 from magical.demos.store.provenance import provenance
 from magical.demos.store.trajectory import Trajectory
 from magical.demos.store.writer import DatasetWriter
+from magical.envs.action_spec import ActionSpaceName, action_spec
 from magical.envs.ids import EnvId, parse_env_id
 from magical.envs.seeds import episode_seed
 from magical.errors import DatasetError
@@ -44,6 +45,7 @@ def generate(
     perturb: float = 0.0,
     min_score: float = 0.0,
     workers: int | None = None,
+    action_space: ActionSpaceName = "discrete",
     progress: Callable[[int], None] | None = None,
 ) -> GenerateReport:
     """Append `number` demonstrations by the task's scripted expert to a dataset.
@@ -52,23 +54,23 @@ def generate(
     the number of the first attempt, to continue a series. Attempts that score less than
     `min_score` (appendix's rule) are dropped. In a share `perturb` of the control steps a random
     action is executed; the expert's remain those to imitate (`Trajectory.labels`). The result does
-    not depend on `workers` (processes; default: the available cores).
+    not depend on `workers` (processes; default: the available cores). The actions are stored as
+    those of `action_space`.
 
     Raises:
         DatasetError: too few attempts reach the score, or the dataset cannot be written.
         InvalidConfigError: `skill` or `perturb` is not between 0 and 1.
-        InvalidTaskError: worker processes could not import the task.
-        NoExpertError: the task has no expert.
+        InvalidTaskError, NoExpertError: workers could not import the task, or it has no expert.
+        UnknownNameError: there is no such environment or action space.
         InvalidSceneError: a sampled scene does not fit its task.
         WorkerDiedError: a worker process was killed. What was kept before any error stays.
     """
-    parsed = parse_env_id(env_id)
+    parsed, name = parse_env_id(env_id), action_spec(action_space).name
     check_share("perturb", perturb)
     workers = available_cores() if workers is None else workers
     modules = modules_of(parsed.task) if workers > 1 else []
-    attempt = partial(_attempt, modules, parsed, seed, skill, perturb)
-    writer, dropped = DatasetWriter(out), 0
-    scores: list[float] = []
+    attempt = partial(_attempt, modules, parsed, seed, skill, perturb, name)
+    writer, scores, dropped = DatasetWriter(out), list[float](), 0
     with closing(map_in_processes(attempt, count(first), workers)) as results:
         while len(scores) < number:
             if dropped > MAX_DROPPED * number:
@@ -117,10 +119,17 @@ def demonstrate(env_id: str, seed: int, skill: float = 1.0, *, perturb: float = 
 
 
 def _attempt(
-    modules: Sequence[str], env_id: EnvId, seed: int, skill: float, perturb: float, attempt: int
+    modules: Sequence[str],
+    env_id: EnvId,
+    seed: int,
+    skill: float,
+    perturb: float,
+    action_space: ActionSpaceName,
+    attempt: int,
 ) -> tuple[ManifestEntry, bytes]:
     for module in modules:
         load_tasks(module)
     trajectory = demonstrate(env_id, episode_seed(seed, attempt), skill, perturb=perturb)
+    trajectory = trajectory.with_action_space(action_space)
     raw = encode(trajectory)
     return ManifestEntry.of(trajectory, raw), raw

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 
 from magical.physics import Simulation
 from magical.scene import Dynamics, Scene
+from magical.scene.actions import AnyAction
 from magical.scene.constants import CONTROL_RATE
 
 PRECISION = 1e-3  # units or radians: differences below may be due to the recorded poses
@@ -27,7 +28,7 @@ class PoseFollower:
         self._simulation = Simulation(scene, dynamics)
         self.states: States = self._simulation.read().copy()
 
-    def predict(self, action: int) -> Bodies:
+    def predict(self, action: AnyAction) -> Bodies:
         """Simulate one control step from the current poses and velocities; the predicted poses."""
         self._simulation.write(self.states)
         self._simulation.step(action)

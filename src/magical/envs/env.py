@@ -1,6 +1,5 @@
 """The Gymnasium environment."""
 
-import operator
 from collections.abc import Mapping
 from typing import Any, ClassVar, Literal, NoReturn
 
@@ -9,13 +8,13 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from magical.envs.action_spec import ActionSpaceName, action_spec
 from magical.envs.episode import Episode, Scores
 from magical.envs.ids import EnvId
 from magical.envs.keys import KEYS_TO_ACTION
 from magical.envs.saved_state import parse_state
 from magical.envs.window import Window
 from magical.errors import (
-    InvalidActionError,
     NotPicklableError,
     ResetNeededError,
     UnknownNameError,
@@ -23,7 +22,7 @@ from magical.errors import (
 from magical.messages import quoted
 from magical.observe import Observation, make_spec
 from magical.observe.arrays import copy_arrays
-from magical.scene.actions import ACTION_NAMES, NUM_ACTIONS
+from magical.scene.actions import ACTION_NAMES
 from magical.scene.constants import CONTROL_RATE, RAW_FRAME_SIZE
 from magical.scene.poses import State
 from magical.tasks import Horizon, Task, get_task
@@ -33,11 +32,15 @@ SCORE_KEYS = ("eval_score", "published_code_score")  # of `info`
 Instruction = Literal["attributes", "task"]
 
 
-class MagicalEnv(gym.Env[Any, np.int64]):
+class MagicalEnv(gym.Env[Any, Any]):
     """One task in one variant (appendix A.1; docs/specification.md, sections 1 and 7).
 
     ## Action space
-    `Discrete(18)`: combinations of driving, turning and gripping, named in `ACTION_NAMES`.
+    `Discrete(18)`: combinations of driving, turning and gripping, named in `ACTION_NAMES`. With
+    `action_space="continuous"`, `Box(-1, 1, (3,))`: drive (share of the speed, of 0.8 units / s
+    forward and 0.6 back), turn (share of 2.5 rad / s, left is positive) and grip (-1 open, 1
+    closed). The 18 are points of it (`scene.to_continuous`), which make the same motions to the
+    last bit.
 
     ## Observation space
     By default a dict of the views `allo` and `ego`, 384 x 384 x 3 uint8; see `observe.PixelSpec`
@@ -67,10 +70,11 @@ class MagicalEnv(gym.Env[Any, np.int64]):
             control rate; needs the extra `window`) or None.
         instruction: "attributes" names blocks by colour and shape in `info["instruction"]`; "task"
             only says what the task is about.
+        action_space: "discrete" or "continuous".
 
     Raises:
-        UnknownNameError: there is no such task, variant, observation, reward, render mode or
-            instruction.
+        UnknownNameError: there is no such task, variant, observation, reward, render mode,
+            instruction or action space.
         InvalidConfigError, ObservationError: an impossible horizon or observation.
         MissingDependencyError: "human" without pygame.
     """
@@ -90,6 +94,7 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         reward: Reward = "none",
         render_mode: str | None = None,
         instruction: Instruction = "attributes",
+        action_space: ActionSpaceName = "discrete",
     ) -> None:
         self.task: Task = get_task(task)
         self._named = names_attributes(instruction)
@@ -107,7 +112,8 @@ class MagicalEnv(gym.Env[Any, np.int64]):
             else None
         )
         self.observation_space = self.observation_spec.space
-        self.action_space = spaces.Discrete(NUM_ACTIONS)
+        self.action_spec = action_spec(action_space)
+        self.action_space: spaces.Space[Any] = self.action_spec.space
         self._episode = Episode(self.task, variant, self.observation_spec, horizon, reward)
         self._running = False
 
@@ -151,7 +157,8 @@ class MagicalEnv(gym.Env[Any, np.int64]):
         """Act for one control step of 1/8 s.
 
         Raises:
-            InvalidActionError: not an integer from 0 to 17.
+            InvalidActionError: not an integer from 0 to 17, or for continuous actions not three
+                numbers from -1 to 1; nothing has happened.
             ResetNeededError: before the first reset, or after the episode's end.
             InvalidScoreError: the task's score at the episode's end is no number from 0 to 1.
         """
@@ -160,7 +167,7 @@ class MagicalEnv(gym.Env[Any, np.int64]):
                 "step: expected a running episode, found none (not reset yet, or ended); "
                 "call reset() first"
             )
-        truncated = self._episode.step(checked_action(action))
+        truncated = self._episode.step(self.action_spec.checked(action))
         self._running = not truncated
         reward, scores = self._episode.outcome(truncated)
         self._show()
@@ -222,7 +229,7 @@ class MagicalEnv(gym.Env[Any, np.int64]):
                 `set_state`.
         """
         self._running = False
-        saved = parse_state(state, self.task)
+        saved = parse_state(state, self.task, self.action_spec)
         self._episode.restore(saved)
         saved.restore_rng(self.np_random)
         self._running = len(self._episode.actions) < self._episode.horizon
@@ -231,26 +238,14 @@ class MagicalEnv(gym.Env[Any, np.int64]):
     def __reduce__(self) -> NoReturn:
         raise not_picklable("MagicalEnv", "MagicalEnv(...)")
 
-    def get_keys_to_action(self) -> dict[tuple[str, ...], int]:
+    def get_keys_to_action(self) -> dict[tuple[str, ...], Any]:
         """Keys for `gymnasium.utils.play`: w, s drive, a, d turn, space closes the fingers."""
-        return dict(KEYS_TO_ACTION)
+        actions = self.action_spec.convert(np.array(list(KEYS_TO_ACTION.values())))
+        return dict(zip(KEYS_TO_ACTION, actions, strict=True))
 
     def _require_episode(self, what: str) -> None:
         if not hasattr(self._episode, "simulation"):
             raise ResetNeededError(f"{what}: there is no episode yet; call reset() first")
-
-
-def checked_action(action: Any) -> int:
-    """The action as a Python integer; raises `InvalidActionError`."""
-    try:
-        number = operator.index(action)
-    except TypeError:
-        number = -1
-    if isinstance(action, (bool, np.bool_)) or not 0 <= number < NUM_ACTIONS:
-        raise InvalidActionError(
-            f"action: expected an integer from 0 to {NUM_ACTIONS - 1}, found {quoted(action)}"
-        )
-    return number
 
 
 def not_picklable(name: str, constructor: str) -> NotPicklableError:

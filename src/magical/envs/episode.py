@@ -18,6 +18,7 @@ from magical.errors import (
 from magical.messages import quoted
 from magical.observe import ObservationSpec
 from magical.physics import Simulation
+from magical.scene.actions import AnyAction
 from magical.scene.constants import MAX_NUDGE
 from magical.scene.poses import Poses, State
 from magical.scene.scene import Dynamics, Scene
@@ -63,7 +64,7 @@ class Episode:
         self.reward = reward
         self.observer = spec.observer(out)
         self._frames = spec.frames
-        self.actions: list[int] = []
+        self.actions: list[AnyAction] = []
         self._progress = 0.0
         self.simulation: Simulation
         self.bodies: NDArray[np.float64]  # (5 + blocks, 6): poses and velocities
@@ -95,7 +96,7 @@ class Episode:
             scene = scene.nudged(nudge, rng)
         self._start_from(scene, dynamics)
 
-    def step(self, action: int) -> bool:
+    def step(self, action: AnyAction) -> bool:
         """Advance by one control step and observe it; returns whether the horizon is reached."""
         self.simulation.step(action)
         self.actions.append(action)
@@ -147,7 +148,7 @@ class Episode:
             "horizon": self.horizon,
             "scene": scene.to_dict(),
             "dynamics": dynamics.to_dict(),
-            "actions": list(self.actions),
+            "actions": np.array(self.actions).tolist(),
             "rng": dict(rng.bit_generator.state),
         }
 
@@ -160,11 +161,13 @@ class Episode:
         """
         self.horizon, self.variant = state.record.horizon, state.record.variant
         try:
-            self._start_from(state.scene, state.dynamics, state.record.actions)
+            self._start_from(state.scene, state.dynamics, state.actions)
         except InvalidSceneError as error:
             raise InvalidStateError(f"saved state, 'scene': {error}") from error
 
-    def _start_from(self, scene: Scene, dynamics: Dynamics, actions: Sequence[int] = ()) -> None:
+    def _start_from(
+        self, scene: Scene, dynamics: Dynamics, actions: Sequence[AnyAction] = ()
+    ) -> None:
         self.simulation = Simulation(scene, dynamics)
         unobserved = max(0, len(actions) - self._frames + 1)
         for action in actions[:unobserved]:

@@ -1,19 +1,23 @@
 """Saved states of an episode, as plain data from outside: checked before anything is done."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from msgspec import Meta
+from msgspec import Meta, Struct
+from msgspec.structs import astuple
 
-from magical.errors import InvalidStateError, MagicalError
+from magical.envs.action_spec import ActionSpec
+from magical.errors import InvalidActionError, InvalidStateError, MagicalError
 from magical.messages import quoted
-from magical.scene.actions import NUM_ACTIONS
+from magical.scene.actions import NUM_ACTIONS, AnyAction
 from magical.scene.constants import MAX_NUDGE
 from magical.scene.scene import Dynamics, Scene
 from magical.tasks import MAX_HORIZON, Task
 from magical.untrusted import convert
 
+_Part = Annotated[float, Meta(ge=-1.0, le=1.0)]  # of a continuous action
 _WORD = 1 << 128  # the integers in the random generator's state are below it
 
 
@@ -37,6 +41,14 @@ class _Generator:
     uinteger: Annotated[int, Meta(ge=0, lt=1 << 32)]
 
 
+class _Point(Struct, array_like=True, frozen=True, forbid_unknown_fields=True):
+    """A continuous action, as a list of its parts."""
+
+    drive: _Part
+    turn: _Part
+    grip: _Part
+
+
 @dataclass(frozen=True, slots=True)
 class Record:
     """The plain data of a saved state, as `Episode.save` makes it."""
@@ -46,15 +58,16 @@ class Record:
     horizon: Annotated[int, Meta(ge=1, le=MAX_HORIZON)]  # control steps in the episode
     scene: dict[str, Any]
     dynamics: dict[str, Any]
-    actions: tuple[Annotated[int, Meta(ge=0, lt=NUM_ACTIONS)], ...]  # so far
+    actions: tuple[Annotated[int, Meta(ge=0, lt=NUM_ACTIONS)] | _Point, ...]  # so far
     rng: _Generator
 
 
 @dataclass(frozen=True, slots=True)
 class SavedState:
-    """What an episode is continued from: a record, with its scene and its dynamics parsed."""
+    """What an episode is continued from: a record, with its actions, scene and dynamics parsed."""
 
     record: Record
+    actions: tuple[AnyAction, ...]  # of the environment's action space
     scene: Scene
     dynamics: Dynamics
 
@@ -63,7 +76,7 @@ class SavedState:
         rng.bit_generator.state = asdict(self.record.rng)
 
 
-def parse_state(data: Any, task: Task) -> SavedState:
+def parse_state(data: Any, task: Task, spec: ActionSpec) -> SavedState:
     """A saved state from plain data, as `MagicalEnv.get_state` returns it.
 
     The scene is held to the same conditions as one that `reset` is given, but for the nudge that it
@@ -72,6 +85,7 @@ def parse_state(data: Any, task: Task) -> SavedState:
     Args:
         data: plain data; nothing else is assumed about it.
         task: the task that the state must be of.
+        spec: the action space that the actions are converted to.
 
     Raises:
         InvalidStateError: a field is missing, of a wrong type or out of range; names the field.
@@ -96,4 +110,17 @@ def parse_state(data: Any, task: Task) -> SavedState:
         task.validate(scene, MAX_NUDGE)
     except MagicalError as error:
         raise InvalidStateError(f"saved state: scene or dynamics: {error}") from error
-    return SavedState(record, scene, dynamics)
+    return SavedState(record, _converted(record.actions, spec), scene, dynamics)
+
+
+def _converted(actions: Sequence[int | _Point], spec: ActionSpec) -> tuple[AnyAction, ...]:
+    plain = [astuple(action) if isinstance(action, _Point) else action for action in actions]
+    try:
+        array = np.array(plain) if plain else np.empty(0, np.int64)
+        return tuple(spec.convert(array).tolist())
+    except InvalidActionError as error:
+        raise InvalidStateError(f"saved state: {error}") from error
+    except ValueError as error:  # ragged
+        raise InvalidStateError(
+            "saved state: actions: expected all discrete or all continuous, found both"
+        ) from error

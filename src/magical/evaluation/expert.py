@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from magical.envs import EnvId
-from magical.evaluation.policy import Actions, Mask
+from magical.envs.action_spec import Actions, ActionSpaceName, action_spec
+from magical.evaluation.policy import Mask
 from magical.experts import Expert, expert_for, modules_of
 from magical.experts.noise import check_share
 from magical.scene import NUM_ACTIONS, State
@@ -19,21 +20,30 @@ class ExpertPolicy:
         skill: 1 acts as well as it can; below, it makes mistakes.
         random_share: the share of each episode, from its start, in which actions are uniformly
             random; then the expert takes over from wherever that led.
+        action_space: "continuous" returns the same actions as points of that space.
 
     Raises:
         InvalidConfigError: a share or skill outside [0, 1].
         NoExpertError: a task has no expert; raised by the first `act`.
+        UnknownNameError: there is no such action space.
     """
 
     privileged = True
     exact = True
     in_processes = True  # it is fast to start and costly to run
 
-    def __init__(self, skill: float = 1.0, random_share: float = 0.0) -> None:
+    def __init__(
+        self,
+        skill: float = 1.0,
+        random_share: float = 0.0,
+        action_space: ActionSpaceName = "discrete",
+    ) -> None:
         check_share("skill", skill)
         check_share("random_share", random_share)
         self.skill = skill
         self.random_share = random_share
+        self.action_space = action_space
+        self._spec = action_spec(action_space)
         self._experts: list[Expert | None] = []
         self._memories: list[Any] = []
 
@@ -52,7 +62,7 @@ class ExpertPolicy:
             assert expert is not None
             if state.step >= random_steps[row]:
                 actions[row], self._memories[row] = expert.act(state, self._memories[row])
-        return actions
+        return self._spec.convert(actions)
 
     def reset(self, mask: Mask) -> None:
         """Drop the experts of the environments that begin an episode."""
@@ -61,9 +71,9 @@ class ExpertPolicy:
         for row in np.flatnonzero(mask):
             self._experts[row] = self._memories[row] = None
 
-    def __reduce__(self) -> tuple[type["ExpertPolicy"], tuple[float, float]]:
+    def __reduce__(self) -> tuple[type["ExpertPolicy"], tuple[float, float, ActionSpaceName]]:
         """A copy for another process has the settings, and no episode in progress."""
-        return ExpertPolicy, (self.skill, self.random_share)
+        return ExpertPolicy, (self.skill, self.random_share, self.action_space)
 
     def modules(self, tasks: Sequence[str]) -> list[str]:
         """The modules from which a new process learns of the tasks' experts."""

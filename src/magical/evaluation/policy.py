@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.envs import EnvId
+from magical.envs.action_spec import CONTINUOUS, DISCRETE, ActionSpec, action_spec
+from magical.envs.action_spec import Actions as Actions
 from magical.envs.vector import MagicalVectorEnv
-from magical.errors import PolicyError
+from magical.errors import InvalidActionError, PolicyError
 from magical.observe import STATE, Observation, make_spec
 from magical.scene import NOOP, NUM_ACTIONS
 from magical.tasks import Task
 
-Actions = NDArray[np.int64]  # (B,)
 Mask = NDArray[np.bool_]  # (B,)
 
 DEFAULT_OBSERVATION = "LoRes4E"
@@ -30,6 +31,8 @@ class Policy(Protocol):
     - `privileged` (bool): it gets true states; `observations` is then a list of B `State`s.
     - `observation`: the observation it was made for, as in `gymnasium.make(..., observation=...)`;
       `"nothing"` for a policy that needs none: `observations` is then `None`.
+    - `action_space`: the action space it was made for, `"discrete"` (the default) or
+      `"continuous"`; evaluated in environments of that.
     - `tasks` (sequence of names): the tasks it was made for.
     - `in_processes` (bool): copies of it may act in several processes; it can be pickled.
     - `modules(tasks)`: the modules that such processes must import first.
@@ -49,7 +52,7 @@ class Policy(Protocol):
             rng: the only source of randomness to use.
 
         Returns:
-            Integers from 0 to 17, shape (B,).
+            Integers from 0 to 17, shape (B,); or continuous, floats from -1 to 1, shape (B, 3).
         """
 
     def reset(self, mask: Mask) -> None:
@@ -62,6 +65,11 @@ class Policy(Protocol):
 def is_privileged(policy: Policy) -> bool:
     """Whether the policy gets true states instead of observations."""
     return bool(getattr(policy, "privileged", False))
+
+
+def action_spec_of(policy: Policy) -> ActionSpec:
+    """The action space of the environments that a policy acts in; raises `UnknownNameError`."""
+    return action_spec(getattr(policy, "action_space", None) or "discrete")
 
 
 def observation_for(policy: Policy, observation: Observation = None) -> Observation:
@@ -101,12 +109,17 @@ def given_to(policy: Policy, envs: MagicalVectorEnv, observations: Any) -> Any:
     return None if getattr(policy, "observation", None) == NO_OBSERVATION else observations
 
 
-def checked_actions(actions: Any, count: int) -> Actions:
-    """What a policy returned as an integer array (count,).
+def checked_actions(actions: Any, count: int, spec: ActionSpec = DISCRETE) -> Actions:
+    """What a policy returned as an array of actions: integers (count,), or floats (count, 3).
 
     Raises:
         PolicyError: wrong shape, wrong type, or numbers that are no actions.
     """
+    if spec is CONTINUOUS:
+        try:
+            return spec.checked_batch(actions, count)
+        except InvalidActionError as error:
+            raise PolicyError(f"policy: act(): {error}") from error
     try:
         array = np.asarray(actions)
     except (TypeError, ValueError, RuntimeError) as error:
@@ -161,8 +174,8 @@ class NoopPolicy:
 class FunctionPolicy:
     """A policy without memory from a function `(observations, env_ids, rng) -> actions`.
 
-    Its attributes `privileged`, `observation` and `tasks` are those of the function, or of the
-    object whose `act` that is.
+    Its attributes `privileged`, `observation`, `action_space` and `tasks` are those of the
+    function, or of the object whose `act` that is.
     """
 
     def __init__(self, function: Callable[..., Any], owner: object = None) -> None:
@@ -170,6 +183,7 @@ class FunctionPolicy:
         self.function = function
         self.privileged = bool(getattr(stated, "privileged", False))
         self.observation = getattr(stated, "observation", None)
+        self.action_space = getattr(stated, "action_space", None)
         self.tasks = getattr(stated, "tasks", None)
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:

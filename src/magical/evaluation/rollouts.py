@@ -13,7 +13,14 @@ from magical.envs.seeds import evaluation_seed
 from magical.envs.vector import MagicalVectorEnv
 from magical.envs.vector.workers import defining_modules
 from magical.evaluation.loading import PolicySource, load_policy
-from magical.evaluation.policy import Mask, Policy, checked_actions, given_to, observation_for
+from magical.evaluation.policy import (
+    Mask,
+    Policy,
+    action_spec_of,
+    checked_actions,
+    given_to,
+    observation_for,
+)
 from magical.evaluation.protocol import ROLLOUTS, SEED, Evaluation, environments
 from magical.evaluation.scores import RolloutScore
 from magical.evaluation.seeds import RolloutRng
@@ -224,7 +231,7 @@ def play(
     ended = False
     while not ended:
         given = given_to(policy, envs, observations)
-        actions = checked_actions(policy.act(given, env_ids, rng), len(seeds))
+        actions = checked_actions(policy.act(given, env_ids, rng), len(seeds), envs.action_spec)
         observations, _, _, truncated, infos = envs.step(actions, active)
         ended = bool(truncated.any())
         yield observations, infos
@@ -256,6 +263,7 @@ class _Rollouts:
             workers=workers,
             observation=observation_for(policy, evaluation.observation),
             horizon=evaluation.horizon,  # observations are copies: the policy may change them
+            action_space=action_spec_of(policy).name,
         )
 
     def __enter__(self) -> "_Rollouts":

@@ -232,5 +232,5 @@ def _digest_of_actions(dataset: Dataset, task: str) -> str:
     digest = hashlib.sha256()
     for trajectory in dataset.filter(task=task, variant="Demo"):
         for column in (trajectory.actions, trajectory.labels):
-            digest.update(column.astype("<i8").tobytes())
+            digest.update(column.astype("<i8" if column.ndim == 1 else "<f8").tobytes())
     return digest.hexdigest()

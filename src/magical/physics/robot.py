@@ -5,36 +5,48 @@ Source: docs/specification.md, section 2.
 
 import math
 
+import numpy as np
 import pymunk
 
 from magical.physics.pins import finger_position
 from magical.scene import constants as c
-from magical.scene.actions import ACTIONS, Gripper, Longitudinal, Turn
+from magical.scene.actions import POINTS, AnyAction
 from magical.scene.geometry import finger_polygons
 from magical.scene.scene import Dynamics, Pose
 
 ROBOT_GROUP = 1  # collision group shared by all shapes of the robot
 
-_SPEED = {
-    Longitudinal.STOP: 0.0,
-    Longitudinal.FORWARD: c.DRIVE_SPEED_FORWARD,
-    Longitudinal.BACK: c.DRIVE_SPEED_BACK,
-}
-_LEAD = {Turn.STRAIGHT: 0.0, Turn.LEFT: c.TURN_LEAD, Turn.RIGHT: -c.TURN_LEAD}
-_TARGET = {Gripper.OPEN: c.FINGER_OPEN, Gripper.CLOSED: 0.0}
-# Each action's drive speed (units / s), lead of the control body (rad) and finger target (rad).
-COMMANDS = tuple((_SPEED[a.longitudinal], _LEAD[a.turn], _TARGET[a.gripper]) for a in ACTIONS)
+# A drive speed (units / s), lead of the control body (rad) and finger target (rad), which are set
+# before every substep; and the limit of the rate of turning (rad / s), which is the joint's.
+Command = tuple[tuple[float, float, float], float]
+
+
+def command(action: AnyAction) -> Command:
+    """What an action commands: speed, rate of turning and finger target are linear in its parts.
+
+    The joint between control body and robot turns as fast as its limit allows wherever there is a
+    lead of more than some hundredths, so it is the limit that a share of turning scales.
+    """
+    drive, turn, grip = POINTS[action] if isinstance(action, (int, np.integer)) else action
+    speed = drive * (c.DRIVE_SPEED_FORWARD if drive > 0.0 else -c.DRIVE_SPEED_BACK)
+    target = c.FINGER_OPEN * (1.0 - grip) / 2.0
+    if turn == 0.0:  # the joint holds the angle, with its full limit
+        return (speed, 0.0, target), c.TURN_MAX_BIAS
+    return (speed, math.copysign(c.TURN_LEAD, turn), target), abs(turn) * c.TURN_MAX_BIAS
+
+
+COMMANDS = tuple(command(number) for number in range(len(POINTS)))  # of the discrete actions
 
 
 class Robot:
-    """The robot in a pymunk space, and its control law for one of `COMMANDS`."""
+    """The robot in a pymunk space, and its control law for a `Command`."""
 
     def __init__(self, space: pymunk.Space, pose: Pose, dynamics: Dynamics) -> None:
         moment = pymunk.moment_for_circle(c.ROBOT_MASS, 0, c.ROBOT_RADIUS)
         self.body = pymunk.Body(c.ROBOT_MASS, moment)
         self.body.position, self.body.angle = pose[:2], pose.angle
         space.add(self.body)
-        self.control = _add_drive(space, self.body, pose, dynamics)
+        self.control, self.gear = _add_drive(space, self.body, pose, dynamics)
         self.eyes = [_add_eye(space, self.body, pose) for _ in c.SIDES]
         fingers = [_add_finger(space, self.body, side, pose, dynamics) for side in c.SIDES]
         self.fingers = [finger for finger, _ in fingers]
@@ -70,7 +82,7 @@ def motor_rate(error: float) -> float:
 
 def _add_drive(
     space: pymunk.Space, body: pymunk.Body, pose: Pose, dynamics: Dynamics
-) -> pymunk.Body:
+) -> tuple[pymunk.Body, pymunk.GearJoint]:
     control = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
     control.position, control.angle = pose[:2], pose.angle
     pivot = pymunk.PivotJoint(control, body, (0, 0), (0, 0))
@@ -82,7 +94,7 @@ def _add_drive(
     gear.max_force = dynamics.body_gear_max_force
     for part in (control, pivot, gear):
         space.add(part)
-    return control
+    return control, gear
 
 
 def _add_eye(space: pymunk.Space, body: pymunk.Body, pose: Pose) -> pymunk.Body:

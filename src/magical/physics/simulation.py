@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from magical.errors import InvalidSceneError
 from magical.physics.blocks import add_block, add_walls
 from magical.physics.chipmunk import address, c_functions
-from magical.physics.robot import COMMANDS, ROBOT_GROUP, Robot
+from magical.physics.robot import COMMANDS, ROBOT_GROUP, Robot, command
 from magical.scene import constants as c
+from magical.scene.actions import AnyAction
 from magical.scene.poses import Poses
 from magical.scene.scene import Dynamics, Scene
 
@@ -46,6 +47,7 @@ class Simulation:
         ]
         if not scene.robot_first:
             self._robot = Robot(self._space, scene.robot, self.dynamics)
+        self._turn_limit = c.TURN_MAX_BIAS
         self._bodies = [self._robot.body, *self._robot.fingers, *self._robot.eyes, *blocks]
         # For each row of `Poses`, the body that has its position and the one that has its angle.
         places = [self._robot.body if b in self._robot.eyes else b for b in self._bodies]
@@ -57,17 +59,20 @@ class Simulation:
             self._drive = [address(part) for part in drive]
             self._addresses = np.array([list(map(address, pair)) for pair in self._places])
 
-    def step(self, action: int) -> None:
+    def step(self, action: AnyAction) -> None:
         """Advance by one control step of 1/8 s.
 
         Args:
-            action: index into `scene.ACTIONS`, not checked here.
+            action: index into `scene.ACTIONS`, or drive, turn and grip; not checked here.
         """
+        motion, turn_limit = COMMANDS[action] if isinstance(action, int) else command(action)
+        if turn_limit != self._turn_limit:
+            self._robot.gear.max_bias = self._turn_limit = turn_limit
         if self._compiled:
-            self._compiled[0](*self._drive, *COMMANDS[action])
+            self._compiled[0](*self._drive, *motion)
             return
         for _ in range(c.SUBSTEPS):
-            self._robot.steer(*COMMANDS[action])
+            self._robot.steer(*motion)
             self._space.step(c.SUBSTEP_TIME)
 
     def poses(self) -> Poses:

@@ -1,6 +1,14 @@
 """Scenes as plain frozen data. Nothing here is simulated, rendered or scored."""
 
-from magical.scene.actions import ACTION_NAMES, ACTIONS, NOOP, NUM_ACTIONS, Action
+from magical.scene.actions import (
+    ACTION_NAMES,
+    ACTIONS,
+    NOOP,
+    NUM_ACTIONS,
+    Action,
+    to_continuous,
+    to_discrete,
+)
 from magical.scene.poses import Poses, State
 from magical.scene.scene import Block, Dynamics, Pose, Region, Scene
 from magical.scene.vocabulary import COLOURS, SHAPES, Colour, Shape, View
@@ -23,4 +31,6 @@ __all__ = [
     "Shape",
     "State",
     "View",
+    "to_continuous",
+    "to_discrete",
 ]

@@ -1,10 +1,16 @@
-"""The 18 discrete actions and their names (appendix A.1; docs/specification.md, section 1).
+"""The 18 discrete actions, their names, and where they lie among the continuous ones.
 
-`id = longitudinal + 3 * turn + 9 * gripper`; action 0 (stop, straight, open) is the no-op.
+`id = longitudinal + 3 * turn + 9 * gripper`; action 0 (stop, straight, open) is the no-op (appendix
+A.1; docs/specification.md, section 1). A continuous action is a point (drive, turn, grip), each
+from -1 to 1: back to forward, right to left, open to closed.
 """
 
+from collections.abc import Sequence
 from enum import IntEnum
 from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 
 class Longitudinal(IntEnum):
@@ -57,3 +63,31 @@ NUM_ACTIONS = len(ACTIONS)
 # The number of each action with left and right exchanged.
 MIRRORED_ACTIONS = tuple(a._replace(turn=Turn(-a.turn % len(Turn))).id for a in ACTIONS)
 NOOP = Action().id
+
+AnyAction = int | Sequence[float]  # a discrete action's number, or a continuous one's three parts
+PARTS = ("drive", "turn", "grip")  # of a continuous action
+
+_DRIVE = {Longitudinal.STOP: 0.0, Longitudinal.FORWARD: 1.0, Longitudinal.BACK: -1.0}
+_TURN = {Turn.STRAIGHT: 0.0, Turn.LEFT: 1.0, Turn.RIGHT: -1.0}
+_GRIP = {Gripper.OPEN: -1.0, Gripper.CLOSED: 1.0}
+# Each discrete action as a continuous one.
+POINTS = tuple((_DRIVE[a.longitudinal], _TURN[a.turn], _GRIP[a.gripper]) for a in ACTIONS)
+
+
+def to_continuous(actions: ArrayLike) -> NDArray[np.float64]:
+    """Discrete actions (...,) as continuous ones (..., 3), which make the same motions."""
+    return np.array(POINTS)[np.asarray(actions, np.intp)]
+
+
+def to_discrete(actions: ArrayLike) -> NDArray[np.int64]:
+    """The inverse of `to_continuous`; raises `ValueError` for a point that is none of the 18."""
+    points = np.asarray(actions, np.float64).reshape(*np.shape(actions)[:-1], len(PARTS))
+    equal = (points[..., None, :] == POINTS).all(axis=-1)  # (..., 18)
+    others = points[~equal.any(axis=-1)]
+    if len(others):
+        raise ValueError(
+            f"expected points of the {NUM_ACTIONS} discrete actions, of -1, 0 and 1 (grip: -1 and "
+            f"1), found {others[0].tolist()}; {len(others)} of {equal[..., 0].size} are no such"
+        )
+    numbers: NDArray[np.int64] = equal.argmax(axis=-1)
+    return numbers

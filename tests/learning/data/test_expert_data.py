@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magical.demos import Actor, Dataset, Trajectory, observations
+from magical.demos import Actor, Dataset, DatasetWriter, Trajectory, observations
 from magical.errors import DemonstrationsError
 from magical.learning.data.expert_data import ExpertData, sample_demonstrations, split_evenly
 from magical.observe import PRESETS
@@ -136,3 +136,18 @@ def test_too_few_and_other_tasks_are_named(demos: Path) -> None:
         sample_demonstrations(str(demos), TASKS, 5, 0)
     with pytest.raises(DemonstrationsError, match=r"of FindDupe .*found 0"):
         sample_demonstrations(str(demos), ("FindDupe",), 1, 0)
+
+
+def test_continuous_actions_are_learned_where_they_are_discrete_ones(
+    trajectories: list[Trajectory], tmp_path: Path
+) -> None:
+    points = trajectories[0].with_action_space("continuous")
+    DatasetWriter(tmp_path / "points").append(points)
+    ((_, learned),) = sample_demonstrations(
+        str(tmp_path / "points"), [points.task.name], 1, 0, [points.variant]
+    ).trajectories
+    assert learned.actions.tolist() == trajectories[0].actions.tolist()
+    between = replace(points, actions=np.full((len(points), 3), 0.5))
+    DatasetWriter(tmp_path / "between").append(between)
+    with pytest.raises(DemonstrationsError, match="learners learn discrete actions"):
+        sample_demonstrations(str(tmp_path / "between"), [points.task.name], 1, 0, [points.variant])

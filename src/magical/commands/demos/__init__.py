@@ -92,6 +92,7 @@ def _generate(parser: argparse.ArgumentParser) -> None:
         help="share of steps, 0 to 1, with a random action in place of the expert's; learners "
         "imitate the expert's (default: 0)",
     )
+    _action_space(parser, "of the stored actions (default: discrete)", default="discrete")
     add_workers(parser)
     add_json(parser)
 
@@ -132,6 +133,7 @@ def _export(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--preset", default="LoRes4E", help="minari: the observations (default: LoRes4E)"
     )
+    _action_space(parser, "of the exported actions (default: the dataset's)")
     parser.add_argument(
         "--skip-damaged", action="store_true", help="leave damaged trajectories out"
     )
@@ -163,6 +165,14 @@ def _pull(parser: argparse.ArgumentParser) -> None:
 
 def _repository(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("repo", metavar="OWNER/NAME", help="the repository, of kind dataset")
+
+
+def _action_space(
+    parser: argparse.ArgumentParser, meaning: str, default: str | None = None
+) -> None:
+    parser.add_argument(
+        "--action-space", choices=("discrete", "continuous"), default=default, help=meaning
+    )
 
 
 def _dataset(parser: argparse.ArgumentParser) -> None:

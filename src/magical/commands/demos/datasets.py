@@ -23,7 +23,7 @@ def run_generate(args: argparse.Namespace) -> int:
     from magical.progress import progress_bar
 
     ids = [parse_env_id(env_id).without_preset for env_id in args.env]
-    names = ("seed", "first", "skill", "perturb", "min_score", "workers")
+    names = ("seed", "first", "skill", "perturb", "min_score", "action_space", "workers")
     options = {name: getattr(args, name) for name in names}
     with progress_bar("generate", args.n * len(ids)) as advance:
         reports = [
@@ -89,10 +89,14 @@ def _print_summaries(summaries: "Sequence[DatasetSummary]") -> None:
     print_table((*columns, "kB each", "by"), rows)
     print("labels: trajectories with expert actions beside those that were executed.\n")
     most = [
-        (s.env_id, ", ".join(f"{name} {share:.0%}" for name, share in s.action_frequencies[:6]))
+        (
+            s.env_id,
+            ", ".join(s.action_spaces),
+            ", ".join(f"{name} {share:.0%}" for name, share in s.action_frequencies[:6]),
+        )
         for s in summaries
     ]
-    print_table(("environment", "actions, most frequent first"), most)
+    print_table(("environment", "action space", "actions, most frequent first"), most)
 
 
 def run_replay(args: argparse.Namespace) -> int:
@@ -170,14 +174,17 @@ def run_export(args: argparse.Namespace) -> int:
     if args.to == "minari":
         from magical.demos.export.minari import export_minari
 
-        result["datasets"] = export_minari(dataset, args.name, args.preset, args.out)
+        result["datasets"] = export_minari(
+            dataset, args.name, args.preset, args.out, args.action_space
+        )
         print("\n".join(result["datasets"]))
     else:
         from magical.demos.export.lerobot import export_lerobot
 
         if args.out is None:
             raise DatasetError("--out: expected a new folder for the LeRobot dataset, found none")
-        result |= {"out": str(args.out), "frames": export_lerobot(dataset, args.out)}
+        frames = export_lerobot(dataset, args.out, args.action_space)
+        result |= {"out": str(args.out), "frames": frames}
         print(f"wrote {args.out}: {len(dataset)} episodes, {result['frames']} frames")
     print_json(args, {**result, "episodes": len(dataset)})
     return 0

@@ -21,7 +21,9 @@ from magical.demos.export.video import Mp4Writer
 from magical.demos.store.dataset import Dataset
 from magical.demos.store.reader import Frames
 from magical.demos.store.trajectory import VIEWS, Trajectory
+from magical.envs.action_spec import Actions, ActionSpaceName
 from magical.errors import DatasetError
+from magical.scene.actions import PARTS
 from magical.scene.constants import CONTROL_RATE, FRAME_SIZE
 from magical.scene.poses import FINGERS, ROBOT
 
@@ -32,7 +34,8 @@ FPS = int(CONTROL_RATE)
 CAMERAS = {view: f"observation.images.{view}" for view in VIEWS}
 _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 _STATE = ["robot_x", "robot_y", "robot_angle", "left_finger_angle", "right_finger_angle"]
-_NAMES = {"observation.state": _STATE, "action": ["action"]}  # of the parts of a feature
+_NAMES = {"observation.state": _STATE}  # of the parts of a feature
+_ACTION_NAMES = {"discrete": ["action"], "continuous": list(PARTS)}
 
 # Chroma at full resolution: with the usual subsampling, outlines two pixels wide lose their colour.
 PIXEL_FORMAT = "yuv444p"
@@ -57,16 +60,25 @@ Columns = dict[str, NDArray[Any]]
 Stats = dict[str, NDArray[Any]]  # min, max, mean, std: (D,), or (3, 1, 1) for cameras; count (1,)
 
 
-def export_lerobot(dataset: Dataset, folder: Path) -> int:
+def export_lerobot(
+    dataset: Dataset, folder: Path, action_space: ActionSpaceName | None = None
+) -> int:
     """Write the dataset into a new folder; returns the number of frames, one for each action.
 
-    Features: both cameras at 96 x 96 (H.264, slightly lossy), `action` (int64, 0 to 17),
-    `next.done`, and where all poses are known `observation.state` (robot pose and finger angles).
+    Features: both cameras at 96 x 96 (H.264, slightly lossy), `action` (int64, 0 to 17, or
+    of continuous ones drive, turn and grip, float32 from -1 to 1), `next.done`, and where all poses
+    are known `observation.state` (robot pose and finger angles).
     `action` is the one to imitate; where some trajectory has others that were executed, those are
     `executed_action`.
     Scores, demonstrator and environment id are columns of `meta/episodes`.
 
+    Args:
+        dataset: the trajectories.
+        folder: a new one.
+        action_space: of the exported actions; by default the dataset's, continuous where some are.
+
     Raises:
+        TrajectoryError: continuous actions that are no discrete ones, where those are asked for.
         DatasetError: the folder exists, the dataset is empty or a trajectory is damaged; no partial
             export remains.
     """
@@ -76,7 +88,7 @@ def export_lerobot(dataset: Dataset, folder: Path) -> int:
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".part-") as temporary:
         root = Path(temporary) / folder.name
-        writer = _Writer(root, dataset)
+        writer = _Writer(root, dataset, action_space)
         with writer.files:
             for trajectory in dataset:
                 writer.add(trajectory)
@@ -88,12 +100,15 @@ def export_lerobot(dataset: Dataset, folder: Path) -> int:
 class _Writer:
     """An export: its open files, one table and one video for each camera, and its metadata."""
 
-    def __init__(self, root: Path, dataset: Dataset) -> None:
+    def __init__(
+        self, root: Path, dataset: Dataset, action_space: ActionSpaceName | None = None
+    ) -> None:
         self.root = root
         self.total = 0
         self.files = ExitStack()
         self._has_states = all(entry.has_poses for entry in dataset.entries)
         self._has_labels = any(trajectory.expert_actions is not None for trajectory in dataset)
+        self._action_space = action_space or dataset.action_space()
         self._tasks: dict[str, int] = {}
         self._episodes: list[dict[str, Any]] = []
         self._columns: list[Columns] = []
@@ -116,6 +131,7 @@ class _Writer:
 
     def add(self, trajectory: Trajectory) -> None:
         """Write one episode: the frame before each action, and the action."""
+        trajectory = trajectory.with_action_space(self._action_space)
         steps = len(trajectory)
         task = self._tasks.setdefault(trajectory.task.summary, len(self._tasks))
         columns = self._episode_columns(trajectory, task)
@@ -165,9 +181,9 @@ class _Writer:
         columns: Columns = {}
         if self._has_states and trajectory.poses is not None:
             columns["observation.state"] = _robot_states(trajectory.poses[:-1])
-        columns |= {"action": trajectory.labels, "next.done": frame == steps - 1}
+        columns |= {"action": _exported(trajectory.labels), "next.done": frame == steps - 1}
         if self._has_labels:
-            columns["executed_action"] = trajectory.actions
+            columns["executed_action"] = _exported(trajectory.actions)
         return columns | {
             "timestamp": (frame / FPS).astype(np.float32),
             "frame_index": frame,
@@ -202,11 +218,12 @@ class _Writer:
         return row
 
     def _info(self) -> dict[str, Any]:
+        names = {**_NAMES, "action": _ACTION_NAMES[self._action_space]}
         features = {
             name: {
                 "dtype": column.dtype.name,
                 "shape": list(column.shape[1:]) or [1],
-                "names": _NAMES.get(name),
+                "names": names.get(name),
             }
             for name, column in self._columns[0].items()
         }
@@ -261,6 +278,11 @@ def _column_stats(column: NDArray[Any]) -> Stats:
     table = column.reshape(len(column), -1).astype(np.float64)
     stats = {name: getattr(table, name)(axis=0) for name in ("min", "max", "mean", "std")}
     return {**stats, "count": np.array([len(table)])}
+
+
+def _exported(actions: Actions) -> NDArray[Any]:
+    """Continuous actions as float32, which LeRobot's policies take."""
+    return actions.astype(np.float32) if actions.dtype.kind == "f" else actions
 
 
 def _robot_states(poses: NDArray[np.float64]) -> NDArray[np.float32]:

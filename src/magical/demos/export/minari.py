@@ -24,29 +24,36 @@ import magical
 from magical.demos.store.dataset import Dataset
 from magical.demos.store.reader import observations
 from magical.demos.store.trajectory import Trajectory
+from magical.envs.action_spec import DISCRETE, ActionSpaceName, ActionSpec, action_spec
 from magical.envs.ids import EnvId
 from magical.errors import DatasetError
 from magical.observe import PRESETS
-from magical.scene import NUM_ACTIONS
 
 _ROOT = "MINARI_DATASETS_PATH"
 
 
 def export_minari(
-    dataset: Dataset, name: str = "demos", preset: str = "LoRes4E", root: Path | None = None
+    dataset: Dataset,
+    name: str = "demos",
+    preset: str = "LoRes4E",
+    root: Path | None = None,
+    action_space: ActionSpaceName | None = None,
 ) -> list[str]:
     """Write Minari datasets `magical/<Task>-<Variant>-<preset>/<name>-v0`; returns their ids.
 
     Observations are the preset's, as the environment returned them, in HDF5 with
     `jpeg_encoding=False`. Actions are those that were executed; where the trajectory has others to
-    imitate, the info beside observation t has the one of step t as `expert_action`, -1 at the end.
+    imitate, the info beside observation t has the one of step t as `expert_action`, -1 at the end
+    (NaN, of continuous actions).
     Rewards are 0; the last info of an episode has both scores, and its metadata the demonstrator.
-    `root` is Minari's folder of datasets (default: Minari's own).
+    `root` is Minari's folder of datasets (default: Minari's own). `action_space` is that of the
+    exported actions, by default each environment's own in the dataset, continuous where some are.
 
     Raises:
         DatasetError: the name is invalid, a dataset of that name exists, or a trajectory is
             damaged; no partial dataset remains.
-        TrajectoryError: a recording of frames lacks those of the preset.
+        TrajectoryError: a recording of frames lacks those of the preset, or continuous actions are
+            no discrete ones, where those are asked for.
     """
     if preset not in PRESETS:
         raise DatasetError(f"preset: expected one of {', '.join(PRESETS)}, found {preset!r}")
@@ -58,21 +65,24 @@ def export_minari(
         with_preset = EnvId(env_id.task, env_id.variant, preset)
         minari_id = f"magical/{env_id.task}-{env_id.variant}-{preset}/{name}-v0"
         with _moved_when_complete(minari_id, root):
-            _create(minari_id, _env_spec(with_preset, part), part, preset)
+            actions = action_spec(action_space or part.action_space())
+            _create(minari_id, _env_spec(with_preset, part, actions), part, preset, actions)
         made.append(minari_id)
     return made
 
 
-def _env_spec(env_id: EnvId, part: Dataset) -> Any:
+def _env_spec(env_id: EnvId, part: Dataset, actions: ActionSpec) -> Any:
     """The environment's specification, with the horizon of the episodes where all share one."""
     spec = copy.deepcopy(gym.spec(env_id))
+    if actions is not DISCRETE:
+        spec.kwargs["action_space"] = actions.name
     lengths = {entry.length for entry in part.entries}
     if len(lengths) == 1 and lengths != {env_id.task_spec.horizon}:
         spec.kwargs["horizon"] = lengths.pop()
     return spec
 
 
-def _create(minari_id: str, spec: Any, part: Dataset, preset: str) -> None:
+def _create(minari_id: str, spec: Any, part: Dataset, preset: str, actions: ActionSpec) -> None:
     with warnings.catch_warnings():
         # Minari warns of every missing author and link; those are for the dataset's owner to add.
         warnings.filterwarnings(
@@ -80,10 +90,10 @@ def _create(minari_id: str, spec: Any, part: Dataset, preset: str) -> None:
         )
         created = minari.create_dataset_from_buffers(
             minari_id,
-            buffer=_buffers(part, preset),  # a generator: one episode in memory at a time
+            buffer=_buffers(part, preset, actions),  # a generator: one episode in memory at a time
             env=spec,
             observation_space=PRESETS[preset].space,
-            action_space=gym.spaces.Discrete(NUM_ACTIONS),
+            action_space=actions.space,
             jpeg_encoding=False,
             data_format="hdf5",
             algorithm_name=", ".join(sorted({entry.demonstrator for entry in part.entries})),
@@ -102,14 +112,15 @@ def _create(minari_id: str, spec: Any, part: Dataset, preset: str) -> None:
     )
 
 
-def _buffers(part: Dataset, preset: str) -> Iterator[Any]:
-    for index, trajectory in enumerate(part):
+def _buffers(part: Dataset, preset: str, actions: ActionSpec) -> Iterator[Any]:
+    for index, stored in enumerate(part):
+        trajectory = stored.with_action_space(actions.name)
         steps = len(trajectory)
         yield EpisodeBuffer(
             id=index,
             seed=trajectory.seed,
             observations=observations(trajectory, preset),
-            actions=trajectory.actions,
+            actions=trajectory.actions.astype(actions.space.dtype),
             rewards=[0.0] * steps,
             terminations=[False] * steps,
             truncations=[False] * (steps - 1) + [True],
@@ -124,7 +135,9 @@ def _infos(trajectory: Trajectory) -> dict[str, Any]:
         scores["eval_score"] = trajectory.score
     infos = {name: np.append(np.zeros(len(trajectory)), score) for name, score in scores.items()}
     if trajectory.expert_actions is not None:
-        infos["expert_action"] = np.append(trajectory.expert_actions, -1)
+        spec = action_spec(trajectory.action_space)
+        none = np.full((1, *spec.shape), spec.nothing, spec.dtype)
+        infos["expert_action"] = np.concatenate([trajectory.expert_actions, none])
     return infos
 
 

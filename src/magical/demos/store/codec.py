@@ -2,9 +2,9 @@
 
 Members: `header` (JSON as uint8), `actions` (T,) uint8, and `poses` (T + 1, 5 + blocks, 3) float64
 or `frames_allo` and `frames_ego` (T + 1, 96, 96, 3) uint8, or all of them; and `expert_actions`,
-`actors` and `policy_actions` (T,) uint8 where the trajectory has them. Deflate already exploits the
-repeated rows of blocks at rest and the similarity of successive frames: filters in front of it
-saved nothing.
+`actors` and `policy_actions` (T,) uint8 where the trajectory has them. Continuous actions are
+(T, 3) float64. Deflate already exploits the repeated rows of blocks at rest and the similarity of
+successive frames: filters in front of it saved nothing.
 """
 
 import hashlib
@@ -24,6 +24,7 @@ from magical.demos.store.trajectory import VIEWS, Trajectory, stored_env_id
 from magical.errors import DatasetError, MagicalError, TrajectoryError
 from magical.messages import printable, quoted
 from magical.scene import Dynamics, Scene
+from magical.scene.actions import PARTS
 from magical.scene.constants import FRAME_SIZE
 from magical.untrusted import convert
 
@@ -41,7 +42,8 @@ class _Member(NamedTuple):
     more_rows: int | None  # than there are actions; None: any number
 
 
-_BY_STEP = ("expert_actions", "actors", "policy_actions")  # one small number for each action
+_BY_STEP = ("expert_actions", "actors", "policy_actions")  # a row for each action
+_CONTINUOUS = "<f8", (len(PARTS),)  # dtype and trailing sizes of continuous actions
 _FRAMES = _Member("|u1", (FRAME_SIZE, FRAME_SIZE, 3), more_rows=1)
 _MEMBERS = {  # in the order of reading
     "header": _Member("|u1", (), more_rows=None),
@@ -94,11 +96,10 @@ def encode(trajectory: Trajectory) -> bytes:
         )
     arrays: dict[str, NDArray[Any]] = {
         "header": np.frombuffer(text, np.uint8),
-        "actions": trajectory.actions.astype(np.uint8),
     }
-    for name in _BY_STEP:
+    for name in ("actions", *_BY_STEP):
         if (array := getattr(trajectory, name)) is not None:
-            arrays[name] = array.astype(np.uint8)
+            arrays[name] = array if array.dtype.kind == "f" else array.astype(np.uint8)
     if trajectory.poses is not None:
         arrays["poses"] = trajectory.poses
     for view, frames in (trajectory.frames or {}).items():
@@ -173,7 +174,7 @@ def _check_members(infos: list[zipfile.ZipInfo]) -> dict[str, zipfile.ZipInfo]:
     if not {"header", "actions"} <= set(members) <= set(_MEMBERS) or len(members) < len(infos):
         found = printable(", ".join(sorted(members)))
         raise DatasetError(f"expected members {', '.join(_MEMBERS)}, each once; found {found}")
-    limits = {"header": MAX_HEADER, "actions": MAX_STEPS}
+    limits = {"header": MAX_HEADER, "actions": MAX_STEPS * 8 * len(PARTS)}
     size = sum(info.file_size for info in infos)
     if size > MAX_UNPACKED or any(
         members[name].file_size > limit + _MAX_NPY_HEADER for name, limit in limits.items()
@@ -199,9 +200,16 @@ def _read_array(file: IO[bytes], name: str, size: int, rows: int | None) -> NDAr
     if not header:
         raise DatasetError(f"{name}: expected a plain array without pickled objects, found another")
     dtype, shape = header[1].decode(), tuple(map(int, header[2].split(b", ")))
-    fits = len(shape) == 1 + len(expected.trailing) and all(
-        wanted in (None, found)
-        for wanted, found in zip((rows, *expected.trailing), shape, strict=True)
+    if name in ("actions", "expert_actions", "policy_actions") and dtype == _CONTINUOUS[0]:
+        expected = _Member(*_CONTINUOUS, expected.more_rows)
+    bounded = rows is not None or shape[0] <= MAX_STEPS
+    fits = (
+        bounded
+        and len(shape) == 1 + len(expected.trailing)
+        and all(
+            wanted in (None, found)
+            for wanted, found in zip((rows, *expected.trailing), shape, strict=True)
+        )
     )
     nbytes = math.prod(shape) * np.dtype(expected.dtype).itemsize
     if dtype != expected.dtype or not fits or nbytes + len(start) + length != size:

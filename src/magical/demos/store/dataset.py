@@ -13,6 +13,7 @@ from magical.demos.store import manifest
 from magical.demos.store.codec import MAX_FILE, decode
 from magical.demos.store.manifest import ManifestEntry
 from magical.demos.store.trajectory import Trajectory
+from magical.envs.action_spec import ActionSpaceName
 from magical.envs.ids import parse_env_id, split_env_id
 from magical.errors import DatasetError
 from magical.files import LOCK, locked, open_regular
@@ -188,13 +189,21 @@ class Dataset(Sequence[Trajectory]):
         chosen = sorted(rng.choice(len(self), count, replace=False).tolist())
         return Dataset(self.path, [self.entries[i] for i in chosen])
 
+    def action_space(self) -> ActionSpaceName:
+        """The kind of actions that all trajectories can have: continuous where those of some are.
+
+        Reads every trajectory, until one is continuous.
+        """
+        spaces = (trajectory.action_space for trajectory in self)
+        return "continuous" if "continuous" in spaces else "discrete"
+
     def arrays(self, preset: Observation = "LoRes4E") -> dict[str, Any]:
         """Every step of every trajectory, N in all, as plain arrays.
 
         Returns:
             `observations` (N, *shape), or a dict of such: the observation before each action.
-            `actions` (N,) int64: those that were executed.
-            `labels` (N,) int64: those to imitate; others only where the expert chose others.
+            `actions` (N,) int64, or (N, 3) float64 where some are continuous: those executed.
+            `labels`, likewise: those to imitate; others only where the expert chose others.
             `is_demonstrated` (N,) bool: false where a policy that was watched acted by itself.
             `episodes` (N,) int64: index of the trajectory in the dataset.
             `steps` (N,) int64: index of the step in the trajectory.

@@ -1,6 +1,6 @@
 """The observations of a stored trajectory, bit for bit as the environment returned them."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from magical.demos.motion import PoseFollower
 from magical.demos.store.trajectory import Trajectory
+from magical.envs.action_spec import CONTINUOUS, Actions
 from magical.errors import ObservationError, TrajectoryError
 from magical.observe import Observation, make_spec
 from magical.observe.arrays import SINGLE, empty, select
@@ -188,12 +189,14 @@ def read_all(
 ) -> dict[str, Any]:
     """Every step of the trajectories, `total` in all, as plain arrays: see `Dataset.arrays`."""
     batch: Any = None
-    actions, labels = np.empty(total, np.int64), np.empty(total, np.int64)
+    actions: list[Actions] = []
+    labels: list[Actions] = []
     demonstrated = np.empty(total, np.bool_)
     start = 0
     for trajectory in trajectories:
         rows = slice(start, start + len(trajectory))
-        actions[rows], labels[rows] = trajectory.actions, trajectory.labels
+        actions.append(trajectory.actions)
+        labels.append(trajectory.labels)
         demonstrated[rows] = trajectory.is_demonstrated
         reader = ObservationReader(trajectory, observation)
         fields = reader.spec.fields
@@ -207,10 +210,18 @@ def read_all(
         start = rows.stop
     return {
         "observations": batch,
-        "actions": actions,
-        "labels": labels,
+        "actions": _concatenated(actions),
+        "labels": _concatenated(labels),
         "is_demonstrated": demonstrated,
     }
+
+
+def _concatenated(columns: Sequence[Actions]) -> Actions:
+    """Actions of several trajectories, all continuous if some are."""
+    if len({column.ndim for column in columns}) > 1:
+        columns = [CONTINUOUS.convert(column) for column in columns]
+    actions: Actions = np.concatenate(columns) if columns else np.empty(0, np.int64)
+    return actions
 
 
 def estimated_states(trajectory: Trajectory) -> NDArray[np.float64]:

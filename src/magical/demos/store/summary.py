@@ -5,11 +5,14 @@ from dataclasses import dataclass
 from operator import attrgetter
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magical.demos.store.dataset import Dataset
 from magical.demos.store.manifest import ManifestEntry
+from magical.envs.action_spec import Actions, ActionSpaceName
 from magical.grouping import group_by
 from magical.scene import ACTION_NAMES, NUM_ACTIONS
+from magical.scene.actions import POINTS
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,12 +28,13 @@ class DatasetSummary:
     score: float | None  # mean of the known scores by the appendix's rule
     published_code_score: float  # mean
     size: int  # bytes on disk
-    actions: tuple[int, ...]  # count of each of the 18
+    action_spaces: tuple[ActionSpaceName, ...]  # of the actions
+    actions: tuple[int, ...]  # count of each of the 18; of continuous ones, of the equal points
 
     @property
     def action_frequencies(self) -> list[tuple[str, float]]:
-        """Names of the actions taken and their relative frequencies, most frequent first."""
-        total = sum(self.actions)
+        """Names of the discrete actions taken and their share of all, most frequent first."""
+        total = round(self.count * self.lengths[1])
         order = np.argsort(self.actions, kind="stable")[::-1]
         return [(ACTION_NAMES[i], self.actions[i] / total) for i in order if self.actions[i]]
 
@@ -62,8 +66,10 @@ def _summary(part: Dataset) -> DatasetSummary:
     lengths = [entry.length for entry in entries]
     scores = [entry.score for entry in entries if entry.score is not None]
     actions, labelled = np.zeros(NUM_ACTIONS, np.int64), 0
+    spaces: set[ActionSpaceName] = set()
     for trajectory in part:
-        actions += np.bincount(trajectory.actions, minlength=NUM_ACTIONS)
+        spaces.add(trajectory.action_space)
+        actions += _counts(trajectory.actions)
         labelled += trajectory.expert_actions is not None
     return DatasetSummary(
         env_id=entries[0].env_id,
@@ -75,5 +81,14 @@ def _summary(part: Dataset) -> DatasetSummary:
         score=float(np.mean(scores)) if scores else None,
         published_code_score=float(np.mean([entry.published_code_score for entry in entries])),
         size=sum(entry.size for entry in entries),
+        action_spaces=tuple(sorted(spaces)),
         actions=tuple(actions.tolist()),
     )
+
+
+def _counts(actions: Actions) -> NDArray[np.int64]:
+    """How often each discrete action is among some of either kind, (18,)."""
+    if actions.ndim == 1:
+        return np.bincount(actions.astype(np.int64), minlength=NUM_ACTIONS)
+    counts: NDArray[np.int64] = (actions[:, None] == POINTS).all(axis=-1).sum(axis=0)
+    return counts

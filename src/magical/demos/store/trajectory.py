@@ -3,7 +3,7 @@
 import json
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from functools import partial
 from typing import Any
@@ -11,8 +11,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from magical.envs.action_spec import (
+    CONTINUOUS,
+    Actions,
+    ActionSpaceName,
+    action_spec,
+    checked_points,
+    spec_of,
+)
 from magical.envs.ids import EnvId, parse_env_id
-from magical.errors import TrajectoryError
+from magical.errors import InvalidActionError, TrajectoryError
 from magical.messages import quoted
 from magical.scene import NUM_ACTIONS, Dynamics, Poses, Scene, View
 from magical.scene.constants import FRAME_SIZE, MAX_COORDINATE, MAX_NUDGE
@@ -24,6 +32,7 @@ VIEWS = tuple(str(view) for view in View)
 RECOVERY = "recovery"  # in the metadata: how poses were recovered from frames
 MAX_NAME = 1000  # characters of an environment id or a demonstrator's name
 MAX_POSE = (10.0, 10.0, 1e6)  # units, units and radians: the workspace is [-1, 1] x [-1, 1]
+_ACTIONS = "actions", "expert_actions", "policy_actions"  # columns of one kind
 _ENV_ID = re.compile(r"[\w/-]{1,200}")
 
 
@@ -42,7 +51,8 @@ class Trajectory:
     `poses` are known, from which any view can be rendered exactly at any resolution, or `frames`,
     or both. Arrays are copied and made read-only. Metadata must be plain JSON data.
 
-    `actions` are those that were executed, which led from each pose to the next. Where others than
+    `actions` are those that were executed, which led from each pose to the next: numbers, or the
+    points of continuous ones, and then so are all others of the episode. Where others than
     the expert's were executed, in perturbed demonstrations and in DAgger's episodes,
     `expert_actions` has what the expert chose in each state. Imitation learners learn `labels`.
 
@@ -59,16 +69,16 @@ class Trajectory:
 
     env_id: EnvId  # without a preset, such as magical/FindDupe-TestAll-v0; a string is parsed
     scene: Scene  # the initial scene
-    actions: NDArray[np.int64]  # (T,), executed
+    actions: Actions  # (T,), or (T, 3) of continuous ones; executed
     published_code_score: float  # of the final state (docs/specification.md, section 9)
     score: float | None = None  # of the final state by the appendix's rule; None: poses unknown
     dynamics: Dynamics = field(default_factory=Dynamics)
     seed: int | None = None  # passed to `reset`, where known
     poses: NDArray[np.float64] | None = None  # (T + 1, 5 + blocks, 3), rows as in `Poses`
     frames: Mapping[str, NDArray[np.uint8]] | None = None  # view: (T + 1, 96, 96, 3)
-    expert_actions: NDArray[np.int64] | None = None  # (T,); None: those that were executed
+    expert_actions: Actions | None = None  # as `actions`; None: those that were executed
     actors: NDArray[np.uint8] | None = None  # (T,), of `Actor`; None: the demonstrator, always
-    policy_actions: NDArray[np.int64] | None = None  # (T,), of the policy that was watched
+    policy_actions: Actions | None = None  # as `actions`, of the policy that was watched
     demonstrator: str = "unknown"  # the person or policy that chose the actions
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
@@ -78,13 +88,13 @@ class Trajectory:
         self.task.validate(self.scene, MAX_NUDGE)
         if not np.abs(Poses.at_rest(self.scene).bodies).max() <= MAX_COORDINATE:
             raise TrajectoryError(f"scene: expected angles of at most {MAX_COORDINATE:g} rad")
-        put("actions", checked_actions("actions", self.actions))
+        put("actions", _checked_like("actions", self.actions, np.ndim(self.actions)))
         published = checked_score("published_code_score", self.published_code_score)
         put("published_code_score", published)
-        count = len(self.actions)
+        count, ndim = len(self.actions), self.actions.ndim
         optional: dict[str, Callable[[Any], Any]] = {
-            "expert_actions": partial(checked_actions, "expert_actions", count=count),
-            "policy_actions": partial(checked_actions, "policy_actions", count=count),
+            "expert_actions": partial(_checked_like, "expert_actions", ndim=ndim, count=count),
+            "policy_actions": partial(_checked_like, "policy_actions", ndim=ndim, count=count),
             "actors": self._checked_actors,
             "poses": self._checked_poses,
             "frames": self._checked_frames,
@@ -132,8 +142,8 @@ class Trajectory:
         return len(self.actions)
 
     @property
-    def labels(self) -> NDArray[np.int64]:
-        """The actions to imitate, (T,): the expert's where it has others than were executed."""
+    def labels(self) -> Actions:
+        """The actions to imitate: the expert's where it has others than were executed."""
         return self.actions if self.expert_actions is None else self.expert_actions
 
     @property
@@ -143,6 +153,30 @@ class Trajectory:
             return np.ones(len(self), np.bool_)
         demonstrated: NDArray[np.bool_] = self.actors != Actor.POLICY
         return demonstrated
+
+    @property
+    def action_space(self) -> ActionSpaceName:
+        """The kind of its actions."""
+        return spec_of(self.actions).name
+
+    def with_action_space(self, name: ActionSpaceName) -> "Trajectory":
+        """The same episode with actions of another kind, which make the same motions.
+
+        Raises:
+            TrajectoryError: continuous actions that are none of the 18 discrete ones.
+            UnknownNameError: there is no such action space.
+        """
+        spec = action_spec(name)
+        if self.action_space == name:
+            return self
+        columns = {each: getattr(self, each) for each in _ACTIONS}
+        try:
+            converted: dict[str, Any] = {
+                each: spec.convert(column) for each, column in columns.items() if column is not None
+            }
+        except InvalidActionError as error:
+            raise TrajectoryError(f"{self.env_id}: {error}") from error
+        return replace(self, **converted)
 
     @property
     def task(self) -> Task:
@@ -161,7 +195,7 @@ class Trajectory:
 
     def _checked_actors(self, actors: ArrayLike) -> NDArray[np.uint8]:
         array = np.asarray(actors)
-        if array.shape != self.actions.shape or not np.isin(array, list(Actor)).all():
+        if array.shape != (len(self),) or not np.isin(array, list(Actor)).all():
             raise TrajectoryError(
                 f"actors: expected numbers of {', '.join(map(str.lower, Actor.__members__))}, one "
                 f"for each of {len(self.actions)} actions, found {array.dtype} {array.shape}"
@@ -227,7 +261,7 @@ def checked_score(name: str, value: Any) -> float:
 
 
 def checked_actions(name: str, actions: ArrayLike, count: int | None = None) -> NDArray[np.int64]:
-    """Actions (T,), read-only; raises `TrajectoryError` for anything else, or not `count`."""
+    """Discrete actions (T,), read-only; raises `TrajectoryError` otherwise, or if not `count`."""
     array = np.asarray(actions)
     if array.ndim != 1 or not len(array) or array.dtype.kind not in "iu":
         raise TrajectoryError(
@@ -244,6 +278,17 @@ def checked_actions(name: str, actions: ArrayLike, count: int | None = None) -> 
             f"{name}: expected one for each of {count} actions, found {len(array)}"
         )
     return _frozen(array.astype(np.int64))
+
+
+def _checked_like(name: str, actions: ArrayLike, ndim: int, count: int | None = None) -> Actions:
+    """Actions (T,), or with two dimensions (T, 3), read-only; raises `TrajectoryError`."""
+    if ndim != 2:
+        return checked_actions(name, actions, count)
+    rows = len(np.atleast_1d(actions)) if count is None else count
+    try:
+        return _frozen(checked_points(name, actions, (rows, *CONTINUOUS.shape)))
+    except InvalidActionError as error:
+        raise TrajectoryError(str(error)) from error
 
 
 def _checked_seed(seed: Any) -> int:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from magical.envs.action_spec import Actions, ActionSpec
 from magical.observe import ObservationSpec
 from magical.observe.arrays import copy_arrays, gather
 from magical.processes.children import above_standard
@@ -31,6 +32,7 @@ class BufferLayout:
 
     num_envs: int
     spec: ObservationSpec
+    action_spec: ActionSpec
     max_bodies: int
     keep_final: bool
     copies: int
@@ -39,7 +41,8 @@ class BufferLayout:
         """Shape and type of each array by name; an observation's arrays are `name/part`."""
         n = self.num_envs
         fields: dict[str, tuple[Shape, DTypeLike]] = {
-            "actions": ((n,), np.int64),
+            "actions": ((n, *self.action_spec.shape), self.action_spec.dtype),
+            "active": ((n,), np.bool_),
             "rewards": ((n,), np.float64),
             "truncations": ((n,), np.bool_),
             "scores": ((2, n), np.float64),
@@ -72,7 +75,8 @@ class BufferLayout:
 class VectorBuffers:
     """The arrays of N sub-environments."""
 
-    actions: NDArray[np.int64]  # (N,), -1 for an inactive sub-environment
+    actions: Actions  # (N,), or (N, 3) of continuous ones
+    active: NDArray[np.bool_]  # (N,): where a step acts
     rewards: NDArray[np.float64]  # (N,)
     truncations: NDArray[np.bool_]  # (N,)
     scores: NDArray[np.float64]  # (2, N): by the appendix's rule, by the published code's

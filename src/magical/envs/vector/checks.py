@@ -10,30 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.errors import InvalidActionError, ResetNeededError
+from magical.errors import ResetNeededError
 from magical.messages import quoted
-from magical.scene.actions import NUM_ACTIONS
-
-
-def checked_actions(actions: Any, num_envs: int) -> NDArray[Any]:
-    """Actions as an array of integers (N,); raises `InvalidActionError`."""
-    array: NDArray[Any]
-    try:
-        array = np.asarray(actions)
-    except ValueError:  # ragged
-        array = np.empty(0)
-    good = (
-        array.shape == (num_envs,)
-        and array.dtype.kind in "iu"
-        and array.min() >= 0
-        and array.max() < NUM_ACTIONS
-    )
-    if not good:
-        raise InvalidActionError(
-            f"actions: expected {num_envs} integers from 0 to {NUM_ACTIONS - 1}, "
-            f"found {quoted(actions)}"
-        )
-    return array
 
 
 def checked_mask(name: str, mask: Any, num_envs: int) -> NDArray[np.bool_]:

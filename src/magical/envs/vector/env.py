@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from magical.envs.action_spec import ActionSpaceName, action_spec
 from magical.envs.env import (
     Instruction,
     MagicalEnv,
@@ -24,7 +25,6 @@ from magical.envs.saved_state import parse_state
 from magical.envs.vector.buffers import Copies, SharedMemory, VectorBuffers
 from magical.envs.vector.checks import (
     check_timeout,
-    checked_actions,
     checked_mask,
     checked_seeds,
     require_episodes,
@@ -44,7 +44,6 @@ from magical.messages import quoted
 from magical.observe import Observation
 from magical.observe.arrays import copy_arrays, select
 from magical.processes import available_cores
-from magical.scene.actions import NUM_ACTIONS
 from magical.scene.constants import RAW_FRAME_SIZE
 from magical.scene.poses import Poses, State
 from magical.scene.scene import Scene
@@ -86,10 +85,10 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         timeout: seconds in which the workers must finish a step, a reset or a call of `get_state`
             or `set_state`; otherwise `WorkerTimeoutError` is raised and the environment is closed.
             By default there is no limit. Not available on Windows or without workers.
-        instruction: as for `MagicalEnv`.
+        instruction, action_space: as for `MagicalEnv`.
 
     Raises:
-        UnknownNameError: an unknown id, observation, reward or render mode.
+        UnknownNameError: an unknown id, observation, reward, render mode or action space.
         MismatchedSpacesError: sub-environments whose observation spaces differ.
         InvalidTaskError: a task that workers could not import.
     """
@@ -107,6 +106,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         plugins: Sequence[str] = (),
         timeout: float | None = None,
         instruction: Instruction = "attributes",
+        action_space: ActionSpaceName = "discrete",
     ) -> None:
         if isinstance(env_ids, str) or not env_ids:
             raise ValueError(
@@ -123,7 +123,10 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self.metadata = {**MagicalEnv.metadata, **modes}
         self.copy, self.render_mode = copy, render_mode
         common = common_observation(parsed, observation)
-        spec = VectorSpec(self.env_ids, common, horizon, reward, self.autoreset_mode, copy)
+        self.action_spec = action_spec(action_space)
+        spec = VectorSpec(
+            self.env_ids, common, horizon, reward, self.autoreset_mode, copy, self.action_spec
+        )
         self._set_spaces(common.space)
         self._named = names_attributes(instruction)
         self._running = np.zeros(self.num_envs, np.bool_)
@@ -134,6 +137,11 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self._sub_envs: SubEnvs | RemoteSubEnvs
         self.workers = min(available_cores() if workers is None else workers, self.num_envs)
         check_timeout(timeout, self.workers)
+        self._make_sub_envs(spec, plugins, timeout)
+
+    def _make_sub_envs(
+        self, spec: VectorSpec, plugins: Sequence[str], timeout: float | None
+    ) -> None:
         layout = spec.layout()
         if self.workers:
             plugins = [*plugins, *defining_modules([] if plugins else spec.tasks())]
@@ -149,7 +157,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self.num_envs = len(self.env_ids)
         self.single_observation_space = single
         self.observation_space = batch_space(single, self.num_envs)
-        self.single_action_space = spaces.Discrete(NUM_ACTIONS)
+        self.single_action_space = self.action_spec.space
         self.action_space = batch_space(self.single_action_space, self.num_envs)
 
     def reset(
@@ -192,7 +200,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         """Act in every sub-environment for one control step of 1/8 s.
 
         Args:
-            actions: integers (N,), each from 0 to 17.
+            actions: integers (N,), each from 0 to 17; continuous ones (N, 3), each from -1 to 1.
             active: bool (N,); where it is False nothing changes, and `infos` masks the
                 sub-environment out. By default all are active.
 
@@ -204,7 +212,8 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         with self._call("step"):
             acting = checked_mask("active", active, self.num_envs)
             require_episodes("step", self._running | ~acting, self.env_ids)
-            self._buffers.actions[:] = np.where(acting, checked_actions(actions, self.num_envs), -1)
+            self._buffers.actions[:] = self.action_spec.checked_batch(actions, self.num_envs)
+            self._buffers.active[:] = acting
             copy = self._buffers.copy_to[0] = self._copies.choose()
             started = self._exchange(self._sub_envs.step, range(self.num_envs))
             self._start(started)
@@ -273,7 +282,10 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             task = self.env_ids[row].task_spec
             self._start(
                 self._exchange(
-                    lambda: self._sub_envs.set_state(row, parse_state(state, task)), [row]
+                    lambda: self._sub_envs.set_state(
+                        row, parse_state(state, task, self.action_spec)
+                    ),
+                    [row],
                 )
             )
             return copy_arrays(select(self._buffers.observations, index))

@@ -8,6 +8,7 @@ import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 
+from magical.envs.action_spec import ActionSpec
 from magical.envs.env import Reward
 from magical.envs.episode import Episode, check_reward
 from magical.envs.ids import EnvId
@@ -16,6 +17,7 @@ from magical.envs.vector.buffers import BufferLayout, VectorBuffers
 from magical.errors import InvalidSceneError, MismatchedSpacesError
 from magical.observe import Observation, ObservationSpec, make_spec
 from magical.observe.arrays import assign, select
+from magical.scene.actions import AnyAction
 from magical.scene.poses import FIRST_BLOCK
 from magical.scene.scene import Scene
 from magical.tasks import Horizon, Task, parse_horizon
@@ -40,6 +42,7 @@ class VectorSpec:
     reward: Reward
     autoreset_mode: AutoresetMode
     copy: bool
+    action_spec: ActionSpec
 
     def __post_init__(self) -> None:
         parse_horizon(self.horizon)
@@ -55,7 +58,9 @@ class VectorSpec:
         bodies = FIRST_BLOCK + max(task.max_blocks for task in self.tasks())
         keep_final = self.autoreset_mode is AutoresetMode.SAME_STEP
         copies = COPIES if self.copy and self.observation.num_images else 0
-        return BufferLayout(len(self.env_ids), self.observation, bodies, keep_final, copies)
+        return BufferLayout(
+            len(self.env_ids), self.observation, self.action_spec, bodies, keep_final, copies
+        )
 
 
 def common_observation(env_ids: Sequence[EnvId], observation: Observation) -> ObservationSpec:
@@ -95,21 +100,22 @@ class SubEnvs:
         self._in_order = list(self._envs.values())
         self._same_step = spec.autoreset_mode is AutoresetMode.SAME_STEP
         part = slice(rows[0], rows[-1] + 1)
-        self._actions = buffers.actions[part]
+        self._actions, self._active = buffers.actions[part], buffers.active[part]
         self._steps = buffers.steps[part]
         self._copy_to = buffers.copy_to
         self._ends = (buffers.rewards[part], buffers.truncations[part], buffers.scores[:, part])
 
     def step(self) -> Started:
-        """Act in every sub-environment whose action is not -1; reset those whose episode ended."""
+        """Act in every active sub-environment; reset those whose episode ended."""
         started: Started = []
         for array in self._ends:
             array.fill(0)
-        np.add(self._steps, 1, out=self._steps, where=self._actions >= 0)
+        np.add(self._steps, 1, out=self._steps, where=self._active)
         copy = int(self._copy_to[0])
-        for env, action in zip(self._in_order, self._actions.tolist(), strict=True):
+        columns = self._in_order, self._active.tolist(), self._actions.tolist()
+        for env, is_active, action in zip(*columns, strict=True):
             try:
-                if action >= 0 and self._advance(env, action):
+                if is_active and self._advance(env, action):
                     started.append(env.reset())
             except Exception as error:
                 error.add_note(f"in {env.name}")
@@ -118,7 +124,7 @@ class SubEnvs:
                 env.copy_observation(copy)
         return started
 
-    def _advance(self, env: "_SubEnv", action: int) -> bool:
+    def _advance(self, env: "_SubEnv", action: AnyAction) -> bool:
         """Act unless the episode has ended; returns whether to start another."""
         if env.ended:
             return True
@@ -177,7 +183,7 @@ class _SubEnv:
         self._always_rewarded = spec.reward == "dense"
         self._bodies = buffers.bodies[row]
 
-    def step(self, action: int) -> bool:
+    def step(self, action: AnyAction) -> bool:
         """Act; returns whether the episode has ended."""
         episode = self.episode
         self.ended = episode.step(action)

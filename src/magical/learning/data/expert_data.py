@@ -16,7 +16,7 @@ from torch import Tensor
 
 from magical.demos import Dataset, Trajectory
 from magical.demos.store.reader import TrajectorySource
-from magical.errors import DemonstrationsError
+from magical.errors import DemonstrationsError, TrajectoryError
 from magical.learning.augmentation.augment import augment
 from magical.learning.augmentation.names import Augmentations
 from magical.learning.augmentation.palette import permute_palette
@@ -71,7 +71,7 @@ def sample_demonstrations(
         variants: the variants that demonstrations are sampled from.
 
     Raises:
-        DemonstrationsError: fewer than asked for.
+        DemonstrationsError: fewer than asked for, or continuous actions that are no discrete ones.
         DatasetError: no dataset, or a damaged one.
     """
     dataset = Dataset.open(path)
@@ -88,9 +88,16 @@ def sample_demonstrations(
             )
         of_task = Dataset(dataset.path, entries)
         some = of_task.sample(count, stream(seed, Purpose.DEMONSTRATIONS))
-        trajectories += [(task, trajectory) for trajectory in some]
+        trajectories += [(task, _discrete(trajectory)) for trajectory in some]
         record += [{"task": task, "file": e.file, "sha256": e.sha256} for e in some.entries]
     return Demonstrations(tuple(trajectories), tuple(record))
+
+
+def _discrete(trajectory: Trajectory) -> Trajectory:
+    try:
+        return trajectory.with_action_space("discrete")
+    except TrajectoryError as error:
+        raise DemonstrationsError(f"learners learn discrete actions: {error}") from error
 
 
 class ExpertData:

@@ -14,7 +14,7 @@ from PIL import Image
 from magical.envs import EnvId
 from magical.envs.seeds import evaluation_seed
 from magical.envs.vector import MagicalVectorEnv
-from magical.evaluation.policy import Policy, is_privileged, observation_for
+from magical.evaluation.policy import Policy, action_spec_of, is_privileged, observation_for
 from magical.evaluation.protocol import Evaluation
 from magical.evaluation.rollouts import play
 from magical.observe import ObservationSpec
@@ -90,7 +90,13 @@ def record_rollouts(
     seeds = [evaluation_seed(number, evaluation.seed) for _, number in rollouts]
     observation = observation_for(policy, evaluation.observation)
     with closing(
-        MagicalVectorEnv(env_ids, workers=0, observation=observation, horizon=evaluation.horizon)
+        MagicalVectorEnv(
+            env_ids,
+            workers=0,
+            observation=observation,
+            horizon=evaluation.horizon,
+            action_space=action_spec_of(policy).name,
+        )
     ) as envs:
         last = env_ids[0].task_spec.resolve_horizon(evaluation.horizon)
         shown: list[NDArray[np.uint8] | None] = [None for _ in env_ids]

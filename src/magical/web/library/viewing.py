@@ -105,7 +105,7 @@ class ViewedEpisode:
         ]
 
 
-def _plain(array: NDArray[Any] | None) -> list[int] | None:
+def _plain(array: NDArray[Any] | None) -> list[Any] | None:
     return None if array is None else array.tolist()
 
 

@@ -56,6 +56,13 @@ export function inWords(controls) {
   return controls?.length ? controls.join(" + ") : controls ? "none" : "–";
 }
 
+// An action's number, or the parts of a continuous one; nothing: no more action.
+export function actionInWords(action) {
+  if (!Array.isArray(action)) return inWords(offered.actions[action]?.controls ?? null);
+  const [drive, turn, grip] = action.map((part) => part.toFixed(2));
+  return `drive ${drive}, turn ${turn}, grip ${grip}`;
+}
+
 export function isField(target) {
   return target.matches("input, select, button") && !target.matches("[type=checkbox]");
 }

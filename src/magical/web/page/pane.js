@@ -1,6 +1,6 @@
 // One episode on the page: its frames, loaded in the background, and what happened in each step.
 
-import { ask, element, inWords, make, offered, Refused } from "./common.js";
+import { actionInWords, ask, element, make, offered, Refused } from "./common.js";
 import { drawChart, moveChart } from "./chart.js";
 import { showGrid } from "./grid.js";
 
@@ -123,7 +123,7 @@ export class Pane {
 
   facts() {
     const { scores, actions, actors, expert_actions: labels, policy_actions: chosen } = this.details;
-    const at = (table) => inWords(offered.actions[table[this.step]]?.controls ?? null);
+    const at = (table) => actionInWords(table[this.step]);
     const facts = [["Action", at(actions)]];
     if (scores) facts.unshift(["Score", scores[this.step].toFixed(2)]);
     if (labels) facts.push(["To imitate", at(labels)]);

@@ -33,7 +33,7 @@ def record() -> Record:
         frames = [render(trajectory.scene, bodies) for bodies in trajectory.poses[: steps + 1]]
         return PublishedDemonstration(
             env_id=trajectory.env_id,
-            actions=trajectory.actions[:steps],
+            actions=trajectory.actions[:steps].astype(np.int64),
             score=1.0,
             source={"source": "demo.pkl.gz", "source_sha256": "0" * 64},
             packed={view: [pack(pair[view]) for pair in frames] for view in View},

@@ -1,0 +1,176 @@
+"""What an environment's actions are, discrete or continuous: their space, their checks, arrays."""
+
+import operator
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from magical.errors import InvalidActionError, UnknownNameError
+from magical.messages import quoted
+from magical.scene.actions import (
+    NUM_ACTIONS,
+    PARTS,
+    AnyAction,
+    to_continuous,
+    to_discrete,
+)
+
+ActionSpaceName = Literal["discrete", "continuous"]
+Actions = NDArray[np.int64 | np.float64]  # (N,) int64, or (N, 3) float64
+
+
+class ActionSpec(ABC):
+    """The one owner of all that depends on the kind of actions; `DISCRETE` and `CONTINUOUS`."""
+
+    name: ClassVar[ActionSpaceName]
+    shape: ClassVar[tuple[int, ...]]  # of one action in an array
+    dtype: ClassVar[type[np.int64] | type[np.float64]]  # of such arrays
+    expected: ClassVar[str]  # what an action is, for messages
+    nothing: ClassVar[float]  # in an array, where there is no action
+
+    @property
+    @abstractmethod
+    def space(self) -> spaces.Space[Any]:
+        """Gymnasium's space."""
+
+    @abstractmethod
+    def checked(self, action: Any) -> AnyAction:
+        """One action as plain Python numbers; raises `InvalidActionError`."""
+
+    @abstractmethod
+    def checked_batch(self, actions: Any, count: int) -> Actions:
+        """Actions of `count` environments as an array; raises `InvalidActionError`."""
+
+    @abstractmethod
+    def convert(self, actions: Actions) -> Actions:
+        """Actions of either kind as these, which make the same motions.
+
+        Raises `InvalidActionError` for continuous actions that are no discrete ones.
+        """
+
+
+class _Discrete(ActionSpec):
+    name = "discrete"
+    shape = ()
+    dtype = np.int64
+    expected = f"integer from 0 to {NUM_ACTIONS - 1}"
+    nothing = -1
+
+    @property
+    def space(self) -> spaces.Space[Any]:
+        return spaces.Discrete(NUM_ACTIONS)
+
+    def checked(self, action: Any) -> int:
+        try:
+            number = operator.index(action)
+        except TypeError:
+            number = -1
+        if isinstance(action, (bool, np.bool_)) or not 0 <= number < NUM_ACTIONS:
+            raise InvalidActionError(f"action: expected an {self.expected}, found {quoted(action)}")
+        return number
+
+    def checked_batch(self, actions: Any, count: int) -> Actions:
+        array: NDArray[Any]
+        try:
+            array = np.asarray(actions)
+        except ValueError:  # ragged
+            array = np.empty(0)
+        good = (
+            array.shape == (count,)
+            and array.dtype.kind in "iu"
+            and array.min() >= 0
+            and array.max() < NUM_ACTIONS
+        )
+        if not good:
+            raise InvalidActionError(
+                f"actions: expected {count} integers from 0 to {NUM_ACTIONS - 1}, "
+                f"found {quoted(actions)}"
+            )
+        return array
+
+    def convert(self, actions: Actions) -> Actions:
+        if actions.ndim == 1:
+            return actions
+        try:
+            return to_discrete(actions)
+        except ValueError as error:
+            raise InvalidActionError(f"actions: {error}") from error
+
+
+class _Continuous(ActionSpec):
+    name = "continuous"
+    shape = (len(PARTS),)
+    dtype = np.float64
+    expected = f"numbers from -1 to 1 for {', '.join(PARTS)}"
+    nothing = np.nan
+
+    @property
+    def space(self) -> spaces.Space[Any]:
+        return spaces.Box(-1.0, 1.0, self.shape, np.float32)
+
+    def checked(self, action: Any) -> tuple[float, float, float]:
+        if (
+            isinstance(action, np.ndarray)
+            and action.shape == self.shape
+            and action.dtype.kind in "fiu"
+        ):
+            drive, turn, grip = action.tolist()  # exact, and faster than NumPy's comparisons
+            if -1.0 <= drive <= 1.0 and -1.0 <= turn <= 1.0 and -1.0 <= grip <= 1.0:
+                return float(drive), float(turn), float(grip)
+        drive, turn, grip = checked_points("action", action, self.shape).tolist()
+        return drive, turn, grip
+
+    def checked_batch(self, actions: Any, count: int) -> Actions:
+        return checked_points("actions", actions, (count, *self.shape))
+
+    def convert(self, actions: Actions) -> Actions:
+        return to_continuous(actions) if actions.ndim == 1 else actions
+
+
+def checked_points(name: str, points: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Continuous actions as an array of this shape.
+
+    Raises `InvalidActionError` that begins with `name` and names the first number that is wrong.
+    """
+    array: NDArray[Any]
+    try:
+        array = np.asarray(points)
+    except (TypeError, ValueError, RuntimeError):  # ragged, or a tensor that is no plain array
+        array = np.empty(0)
+    if array.shape != shape or array.dtype.kind not in "fiu":
+        raise InvalidActionError(
+            f"{name}: expected {_Continuous.expected}, of shape {shape}, found {quoted(points)}"
+        )
+    floats: NDArray[np.float64] = array.astype(np.float64)
+    good = np.abs(floats) <= 1.0  # NaN is not
+    if not good.all():
+        *row, part = np.argwhere(~good)[0].tolist()
+        where = f" in row {row[0]}" if row else ""
+        raise InvalidActionError(
+            f"{name}: expected {_Continuous.expected}, found {PARTS[part]} "
+            f"{floats[*row, part]:g}{where}; clip them, or correct what computes them"
+        )
+    return floats
+
+
+DISCRETE: ActionSpec = _Discrete()
+CONTINUOUS: ActionSpec = _Continuous()
+ACTION_SPECS = {spec.name: spec for spec in (DISCRETE, CONTINUOUS)}
+
+
+def action_spec(name: str) -> ActionSpec:
+    """The action space of a name; raises `UnknownNameError`."""
+    for spec in ACTION_SPECS.values():
+        if spec.name == name:
+            return spec
+    raise UnknownNameError(
+        f"action space {quoted(name)} is unknown; expected {' or '.join(ACTION_SPECS)}"
+    )
+
+
+def spec_of(actions: Actions) -> ActionSpec:
+    """The action space of an array of actions, by its shape."""
+    return DISCRETE if actions.ndim == 1 else CONTINUOUS
