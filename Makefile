@@ -33,7 +33,7 @@ check: $(READY) ## lint, format, file and function length, layers, types, docume
 	@failed=; \
 	$(BIN)/ruff check --quiet . || failed+=" lint"; \
 	$(BIN)/ruff format --check --quiet --diff . || failed+=" format"; \
-	$(BIN)/python tools/check_sizes.py src tests benchmarks studies examples tools || failed+=" sizes"; \
+	$(BIN)/python tools/check_sizes.py src tests benchmarks studies examples tools integrations || failed+=" sizes"; \
 	$(BIN)/lint-imports --no-logo --no-cache || failed+=" layers"; \
 	$(BIN)/mypy || failed+=" types"; \
 	$(BIN)/python -m tools.site || failed+=" docs"; \

@@ -88,6 +88,7 @@ def test_ninth_task_reaches_worker_processes(root: Path, tmp_path: Path) -> None
     [
         ("stable_baselines3_ppo", "stable_baselines3"),
         ("torchrl_ppo", "torchrl"),
+        ("pufferlib_ppo", "pufferlib"),
     ],
 )
 def test_ppo_of_other_libraries(

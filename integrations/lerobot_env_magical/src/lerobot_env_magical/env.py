@@ -1,0 +1,94 @@
+"""The environment with LeRobot's keys; it needs no LeRobot."""
+
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+
+from magical.envs import EnvId, parse_env_id
+from magical.observe import PixelSpec
+from magical.scene.constants import CONTROL_RATE
+from magical.scene.vocabulary import View
+
+GYM_ID = "lerobot_env_magical/Magical-v0"
+VIEWS = (View.ALLO, View.EGO)
+STATE_SIZE = 5  # x, y, angle of the robot, angles of the left and the right finger
+
+
+class LeRobotMagicalEnv(gymnasium.Env[dict[str, Any], Any]):
+    """A task in a variant, with the keys of LeRobot's environments.
+
+    Observations are `pixels` (`allo` and `ego`, uint8) and `agent_pos` (the robot's x, y and angle
+    and the angles of its fingers, float32), as in a dataset of `magical demos export --to lerobot`.
+    Actions are drive, turn and grip, each from -1 to 1 and clipped to that. The reward of an
+    episode is its score, from 0 to 1, at the last step; `info["is_success"]` says whether that is
+    above 0.5.
+
+    Args:
+        env_id: such as `MoveToCorner-Demo-v0`.
+        size: of the images in pixels.
+        instruction: "attributes" names colours and shapes in the instruction, "task" does not.
+        render_mode: "rgb_array" or None.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
+        "render_modes": ["rgb_array"],
+        "render_fps": int(CONTROL_RATE),
+    }
+
+    def __init__(
+        self,
+        env_id: str,
+        size: int = 96,
+        instruction: Any = "attributes",
+        render_mode: str | None = "rgb_array",
+    ) -> None:
+        parsed: EnvId = parse_env_id(env_id if "/" in env_id else f"magical/{env_id}")
+        self.render_mode = render_mode
+        made: Any = gymnasium.make(
+            parsed,
+            observation=PixelSpec(tuple((v, 1) for v in VIEWS), separate=True, size=size),
+            reward="score",
+            render_mode=render_mode,
+            instruction=instruction,
+            action_space="continuous",
+        )
+        self._env = made.unwrapped
+        self.task = f"{parsed.task}-{parsed.variant}"
+        self.task_description = ""
+        self._max_episode_steps = self._env.horizon
+        self.action_space = self._env.action_space
+        state = spaces.Box(-np.inf, np.inf, (STATE_SIZE,), np.float32)
+        pixels = self._env.observation_space
+        self.observation_space = spaces.Dict({"pixels": pixels, "agent_pos": state})
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Start an episode; `task_description` becomes its instruction."""
+        observation, info = self._env.reset(seed=seed, options=options)
+        self.task_description = info["instruction"]
+        return self._with_state(observation), info
+
+    def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
+        """Act for one control step; numbers beyond -1 and 1, which policies predict, are clipped.
+
+        Raises:
+            InvalidActionError: a number is not finite, or there are not three.
+        """
+        observation, *outcome = self._env.step(np.clip(action, -1, 1))
+        return self._with_state(observation), *outcome
+
+    def _with_state(self, observation: Any) -> dict[str, Any]:
+        poses = self._env.state().poses
+        state = np.array([*poses.robot, *poses.finger_angles], np.float32)
+        return {"pixels": observation, "agent_pos": state}
+
+    def render(self) -> Any:
+        """Both views side by side."""
+        return self._env.render()
+
+    def close(self) -> None:
+        """Close the environment."""
+        self._env.close()
