@@ -137,8 +137,6 @@ def test_gymnasiums_wrappers_and_specs_work() -> None:
         infos = envs.step(np.array([1, 1]))[4]
     assert infos["episode"]["l"].tolist() == [3, 3]
     listed = gymnasium.wrappers.vector.DictInfoToList(again)
-    start = {
-        **{"eval_score": 0.0, "published_code_score": 0.0, "is_success": False},
-        "instruction": "Push the red square to the top left corner.",
-    }
+    start: dict[str, Any] = {"eval_score": 0.0, "published_code_score": 0.0, "is_success": False}
+    start["instruction"] = "Push the red square to the top left corner."
     assert listed.reset(seed=0)[1] == [start] * 2
