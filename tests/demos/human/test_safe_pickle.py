@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from magical.demos.human.published import read_demonstration
-from magical.demos.human.safe_pickle import Record, load
+from magical.demos.human.safe_pickle import PublishedRecord, load
 from magical.errors import MagicalError, UnsafeFileError
 from tests.demos.conftest import name, text
 
@@ -168,7 +168,7 @@ def test_malicious_pickle_is_refused_and_not_executed(
 ) -> None:
     payload = MALICIOUS[name]()
     record = ModuleType("milbench.baselines.saved_trajectories")
-    vars(record)["MILBenchTrajectory"] = Record
+    vars(record)["MILBenchTrajectory"] = PublishedRecord
     for module in ("milbench", "milbench.baselines", record.__name__):
         monkeypatch.setitem(sys.modules, module, record)
     with suppress(pickle.UnpicklingError):

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.demos.human.safe_pickle import MAX_UNPACKED, Array, Record, load
+from magical.demos.human.safe_pickle import MAX_UNPACKED, Array, PublishedRecord, load
 from magical.demos.store.trajectory import Trajectory, checked_actions, checked_score, stored_env_id
 from magical.envs.ids import EnvId
 from magical.errors import MagicalError, TrajectoryError, UnsafeFileError
@@ -140,7 +140,7 @@ def _demonstration(data: Any, source: Mapping[str, str]) -> PublishedDemonstrati
     if type(data) is not dict or not {"env_name", "score", "trajectory"} <= set(data):
         raise TrajectoryError("expected a dict of env_name, score and trajectory")
     record, env_name, score = data["trajectory"], data["env_name"], data["score"]
-    if type(record) is not Record:
+    if type(record) is not PublishedRecord:
         raise TrajectoryError("expected a trajectory of acts, obs, rews and infos")
     if type(score) not in (int, float):
         raise TrajectoryError(f"score: expected a number, found {quoted(score)}")

@@ -52,7 +52,7 @@ ALLOWED = {name: name for name in (DTYPE, NDARRAY, RECONSTRUCT, ORDERED_DICT, RE
 BYTE_ORDERS = {"u1": "|", "i8": "<", "f8": "<", "f4": "<"}  # by the codes of data types
 
 
-class Record(NamedTuple):
+class PublishedRecord(NamedTuple):
     """The named tuple of the published files."""
 
     acts: Any
@@ -95,7 +95,7 @@ class _Reader:
 
 
 def load(file: IO[bytes] | GzipFile, reduce: Reduce, max_bytes: int = MAX_UNPACKED) -> Any:
-    """The data of a pickle: None, bool, int, float, str, list, tuple, dict, `Array`, `Record`.
+    """The data of a pickle: plain data, `Array`, `PublishedRecord`.
 
     `reduce` is applied to every array as it is read, so that large ones need not be kept.
 
@@ -223,9 +223,9 @@ class _Machine:
 
     def _new(self, _: Any) -> None:
         arguments, name = self._pop(tuple), self._pop(Name)
-        if name != RECORD or len(arguments) != len(Record._fields):
+        if name != RECORD or len(arguments) != len(PublishedRecord._fields):
             raise ValueError(f"constructing {name} from {len(arguments)} arguments")
-        self._stack.append(Record(*arguments))
+        self._stack.append(PublishedRecord(*arguments))
 
     def _build(self, _: Any) -> None:
         state, target = self._pop(tuple), self._stack[-1]

@@ -146,7 +146,7 @@ class DiscriminatorBatch(NamedTuple):
 
 # Discriminator, batch, random numbers -> the loss to be minimised, and what is logged beside it.
 Loss = Callable[[Discriminator, DiscriminatorBatch, Randoms], tuple[Tensor, dict[str, Tensor]]]
-Reward = Callable[[Tensor], Tensor]  # logits -> rewards of the same shape
+RewardFn = Callable[[Tensor], Tensor]  # logits -> rewards of the same shape
 
 
 def gail_loss(
@@ -166,7 +166,7 @@ def gail_reward(logits: Tensor) -> Tensor:
     return functional.logsigmoid(logits)
 
 
-def train_adversarially(config: AdversarialConfig, run: Run, loss: Loss, reward: Reward) -> None:
+def train_adversarially(config: AdversarialConfig, run: Run, loss: Loss, reward: RewardFn) -> None:
     """Train policy and discriminator in alternation."""
     demonstrations = load_demonstrations(config, run)
     with PPOTrainer(config, run) as ppo:
@@ -202,7 +202,7 @@ class DiscriminatorTrainer:
         replay_buffer: ReplayBuffer,
         compute: Compute,
         loss: Loss,
-        reward: Reward,
+        reward: RewardFn,
     ) -> None:
         self.config = config
         self.network = make_discriminator(config).to(compute.device)

@@ -23,7 +23,7 @@ from magical.scene import NUM_ACTIONS
 from magical.tasks import Horizon, get_task
 
 Forward = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]  # -> logits (B, 18), values (B,)
-Scores = tuple[tuple[int, float], ...]  # task and score of each episode that ended
+EpisodeScores = tuple[tuple[int, float], ...]  # task and score of each episode that ended
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class Rollout:
     rewards: Tensor  # (T, N) float32, the environment's
     dones: Tensor  # (T, N) bool, at the last step of an episode
     tasks: Tensor  # (N,) int64, each environment's position in the configuration's tasks
-    scores: Scores
+    scores: EpisodeScores
 
 
 class RolloutEnvs:
@@ -105,7 +105,7 @@ class RolloutEnvs:
 
     def step(
         self, actions: Tensor
-    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], Tensor | None, Scores]:
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], Tensor | None, EpisodeScores]:
         """Take actions (N,) int64; environments whose episode ends are reset.
 
         Returns:
@@ -152,7 +152,7 @@ def collect_rollout(
     actions = torch.empty(shape, dtype=torch.int64, device=device)
     log_probs, values, final_values = torch.zeros((3, *shape), device=device)
     rewards, dones = np.empty(shape, np.float32), np.empty(shape, np.bool_)
-    scores: Scores = ()
+    scores: EpisodeScores = ()
     with torch.no_grad():
         for t in range(num_steps):
             observations[t] = envs.observations()

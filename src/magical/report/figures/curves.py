@@ -31,7 +31,7 @@ LARGEST = 1e300  # number that is plotted
 NOT_PLOTTED = ("step", "environment_steps", "warning")
 COLUMNS = 4  # of `save_learning_curves`
 
-Rows = Sequence[Mapping[str, Any]]
+MetricRows = Sequence[Mapping[str, Any]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +72,7 @@ def curves_by_task(
 
 
 def _panel(
-    runs: Sequence[tuple[str, Rows]], key: str, methods: Sequence[str], label: str, name: str
+    runs: Sequence[tuple[str, MetricRows]], key: str, methods: Sequence[str], label: str, name: str
 ) -> str:
     """One quantity of all runs on a task as SVG; empty where none has it."""
     curves = [(method, points) for method, rows in runs if (points := _points(rows, key))]
@@ -93,7 +93,7 @@ def _panel(
         return svg(figure, name, f"Learning curves: {label}")
 
 
-def _points(rows: Rows, key: str) -> list[tuple[float, float]]:
+def _points(rows: MetricRows, key: str) -> list[tuple[float, float]]:
     """(step, value) where a quantity was measured."""
     return [
         (row["step"], row[key])
@@ -132,7 +132,7 @@ def save_learning_curves(run: Path) -> Path | None:
     return picture
 
 
-def _figure(rows: Rows, names: Sequence[str]) -> Any:
+def _figure(rows: MetricRows, names: Sequence[str]) -> Any:
     # Figure alone: no window system, no global state.
     from matplotlib.figure import Figure
 
