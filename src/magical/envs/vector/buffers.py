@@ -19,7 +19,7 @@ from magical.observe.arrays import copy_arrays, gather
 from magical.processes.children import above_standard
 
 _ALIGNMENT = 64  # bytes: a cache line
-Shape = tuple[int, ...]
+ArrayShape = tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,10 +37,10 @@ class BufferLayout:
     keep_final: bool
     copies: int
 
-    def fields(self) -> dict[str, tuple[Shape, DTypeLike]]:
+    def fields(self) -> dict[str, tuple[ArrayShape, DTypeLike]]:
         """Shape and type of each array by name; an observation's arrays are `name/part`."""
         n = self.num_envs
-        fields: dict[str, tuple[Shape, DTypeLike]] = {
+        fields: dict[str, tuple[ArrayShape, DTypeLike]] = {
             "actions": ((n, *self.action_spec.shape), self.action_spec.dtype),
             "active": ((n,), np.bool_),
             "rewards": ((n,), np.float64),
@@ -58,7 +58,7 @@ class BufferLayout:
                 fields[f"{name}/{part}"] = ((n, *shape), dtype)
         return fields
 
-    def offsets(self) -> dict[str, tuple[Shape, DTypeLike, int]]:
+    def offsets(self) -> dict[str, tuple[ArrayShape, DTypeLike, int]]:
         """Shape, type and offset in bytes of each array by name."""
         offsets, offset = {}, 0
         for name, (shape, dtype) in self.fields().items():
@@ -190,7 +190,7 @@ def _unnamed_file(size: int) -> int:
         return os.dup(file.fileno())
 
 
-def _bytes(shape: Shape, dtype: DTypeLike) -> int:
+def _bytes(shape: ArrayShape, dtype: DTypeLike) -> int:
     size = int(np.prod(shape)) * np.dtype(dtype).itemsize
     return -(-size // _ALIGNMENT) * _ALIGNMENT
 
