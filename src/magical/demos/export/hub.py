@@ -42,9 +42,9 @@ def push(dataset: Dataset, repo: str, licence: str, *, private: bool = False) ->
     from huggingface_hub import CommitOperationAdd, HfApi
 
     _require_publishable(dataset)
-    content = {CARD: card(dataset, repo, licence).encode()}
-    paths = [NAME, *(entry.file for entry in dataset.entries)]
-    files = {**content, **{path: dataset.path / path for path in paths}}
+    files: dict[str, bytes | Path] = {CARD: card(dataset, repo, licence).encode()}
+    for path in (NAME, *(entry.file for entry in dataset.entries)):
+        files[path] = dataset.path / path
     with _hub_errors(repo):
         api = HfApi(library_name="magical-benchmark", library_version=__version__)
         made = api.create_repo(repo, repo_type="dataset", private=private, exist_ok=True)
