@@ -9,15 +9,16 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
+from textwrap import fill
 
 from magical.evaluation import published_score, published_tasks
 from magical.observe import PRESETS, PixelSpec
 from magical.report.leaderboard import make_leaderboard
 from magical.tasks import TASKS, get_task
-from magical.tasks.programs import instruction
 from magical.tasks.programs.suite import SUITE, task_name
 
 ROOT = Path(__file__).resolve().parents[1]
+INDENT = {"initial_indent": "    ", "subsequent_indent": "      "}
 PAPER = "BC (ST)"  # the published row that ours stand beside
 CLONING = ("BC (ST)", "BC (MT)")
 
@@ -77,14 +78,11 @@ def programs() -> str:
     """The programs of seven of the paper's tasks and three of the suite, with instructions."""
     tasks = [task for task in TASKS.values() if task.section and task.name != "ClusterShape"]
     tasks += [get_task(task_name(number)) for number in SUITE[:3]]
-    return table(
-        ("Task", "Program", "Demo's instruction"),
-        (
-            (task.name, f"`{task.program!r}`", instruction(task.program, task.demo))
-            for task in tasks
-            if task.program is not None
-        ),
-    )
+    lines = ["```text"]
+    for task in tasks:
+        words = f"{task.program!r}", task.instruction(task.demo)
+        lines += [task.name, *(fill(text, 84, **INDENT) for text in words)]
+    return "\n".join([*lines, "```"])
 
 
 PAGES: Mapping[Path, Mapping[str, Callable[[], str]]] = {
