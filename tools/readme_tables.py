@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
-from textwrap import fill
+from textwrap import TextWrapper
 
 from magical.evaluation import published_score, published_tasks
 from magical.observe import PRESETS, PixelSpec
@@ -18,7 +18,7 @@ from magical.tasks import TASKS, get_task
 from magical.tasks.programs.suite import SUITE, task_name
 
 ROOT = Path(__file__).resolve().parents[1]
-INDENT = {"initial_indent": "    ", "subsequent_indent": "      "}
+WRAP = TextWrapper(84, initial_indent="    ", subsequent_indent="      ")
 PAPER = "BC (ST)"  # the published row that ours stand beside
 CLONING = ("BC (ST)", "BC (MT)")
 
@@ -81,7 +81,7 @@ def programs() -> str:
     lines = ["```text"]
     for task in tasks:
         words = f"{task.program!r}", task.instruction(task.demo)
-        lines += [task.name, *(fill(text, 84, **INDENT) for text in words)]
+        lines += [task.name, *map(WRAP.fill, words)]
     return "\n".join([*lines, "```"])
 
 
