@@ -163,9 +163,8 @@ ACTION_SPECS = {spec.name: spec for spec in (DISCRETE, CONTINUOUS)}
 
 def action_spec(name: str) -> ActionSpec:
     """The action space of a name; raises `UnknownNameError`."""
-    for spec in ACTION_SPECS.values():
-        if spec.name == name:
-            return spec
+    if isinstance(name, str) and name in ACTION_SPECS:
+        return ACTION_SPECS[name]
     raise UnknownNameError(
         f"action space {quoted(name)} is unknown; expected {' or '.join(ACTION_SPECS)}"
     )

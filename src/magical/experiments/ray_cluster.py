@@ -148,7 +148,7 @@ def unpack(packed: bytes, folder: Path, only: str | None = None) -> None:
     With the name of a file in it, only this one is written or replaced.
     """
     make_folder(folder.parent)
-    # Of a name that nobody can foresee: a link may be planted under another.
+    # Under an unpredictable name: a link may be planted under a known one.
     with tempfile.TemporaryDirectory(".part", f".{folder.name}.", folder.parent) as temporary:
         new = Path(temporary) / "new"
         with tarfile.open(fileobj=io.BytesIO(packed)) as archive:

@@ -115,7 +115,7 @@ def _require_publishable(dataset: Dataset) -> None:
         raise DatasetError(
             f"{dataset.path}: {len(published)} of {len(dataset)} demonstrations are from published "
             f"files, such as {quoted(published[0].source or published[0].file)}; they carry no "
-            "licence, so that nobody may publish them again; others can get them by "
+            "licence, so they may not be published again; others can get them by "
             "`magical demos download`"
         )
 

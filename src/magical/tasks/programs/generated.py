@@ -51,7 +51,6 @@ def generated_task(name: str) -> Task:
     """
     (number,) = map(int, NAME.fullmatch(name).groups())  # type: ignore[union-attr]
     rng = np.random.default_rng([GENERATOR, number])
-    program = None
     for _ in range(MAX_PROGRAMS):
         family, program = sample_program(rng)
         if (demo := _sample_demo(family, program, rng)) is not None:
@@ -60,7 +59,7 @@ def generated_task(name: str) -> Task:
                 for variant in task.variants:
                     task.sample(variant, rng)
                 return task
-    raise InvalidProgramError(f"{name}: found no scene for {MAX_PROGRAMS} programs; {program!r}")
+    raise InvalidProgramError(f"{name}: found no scene for any of {MAX_PROGRAMS} programs")
 
 
 def _make_task(name: str, family: Family, program: Goal, demo: Scene) -> Task:
