@@ -3,7 +3,7 @@
 import shlex
 import time
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
@@ -160,7 +160,7 @@ def execute(
         runs: of a plan.
         out: the results folder, new or of an earlier version of the plan.
         resources: where to execute them.
-        references: of the plan; they are evaluated at the end, on this machine.
+        references: of the plan; they are evaluated on this machine, by cores that no run needs.
         retry_failed: try those again that have failed; they continue from their last checkpoint.
 
     Raises:
@@ -179,17 +179,15 @@ def execute(
             if stop.seen:
                 raise _Interrupted
 
-        with suppress(_Interrupted):
+        with suppress(_Interrupted), closing(_References(references, results, resources)) as others:
             if waiting:
                 with closing(_executor(waiting, results, resources)) as executor:
                     with _timed("demonstrations", seconds):
                         demos = prepare_demonstrations(waiting, results, resources.workers, go_on)
                     with _timed("training and evaluation", seconds), Display(out) as display:
-                        _finish_all(waiting, demos, results, executor, display, stop)
-            for name, evaluation in references:
-                with _timed("reference policies", seconds):
-                    go_on(0)
-                    evaluate_reference(name, evaluation, results.path, resources.workers, go_on)
+                        _finish_all(waiting, demos, results, executor, display, stop, others)
+            with _timed("reference policies", seconds):
+                others.finish(go_on)
         counts = Counter(filter(None, map(results.state, runs)))
         return Summary(results.path, counts, len(runs), stop.seen, seconds)
 
@@ -213,6 +211,7 @@ def _finish_all(
     executor: Executor,
     display: Display,
     stop: Interrupts,
+    references: "_References",
 ) -> None:
     waiting = deque(runs)
     lost: Counter[PlannedRun] = Counter()
@@ -223,6 +222,8 @@ def _finish_all(
             run = waiting.popleft()
             running[executor.start(run, demos)] = run
             results.write_progress(running.values(), executor.slots())
+        if not (waiting or stop.seen):
+            references.start(executor.slots() - len(running))
         ended, _ = wait(running, POLL, FIRST_COMPLETED)
         for future in ended:
             run = running.pop(future)
@@ -244,6 +245,40 @@ def _finish_all(
             executor.stop()
     if full:
         raise results.full()
+
+
+class _References:
+    """Reference policies, each evaluated in a process of this machine."""
+
+    def __init__(
+        self,
+        references: Sequence[tuple[str, Evaluation]],
+        results: Results,
+        resources: Resources,
+    ) -> None:
+        self._waiting = deque(references)
+        self._started: list[Future[None]] = []
+        self._evaluate = partial(evaluate_reference, results=results.path)
+        self._pool = ProcessPool(min(resources.workers or available_cores(), len(references)))
+
+    def start(self, slots: int) -> None:
+        """Have as many evaluations in progress as there are slots."""
+        free = slots - sum(not future.done() for future in self._started)
+        for _ in range(min(free, len(self._waiting))):
+            self._started.append(self._pool.submit(self._evaluate, self._waiting.popleft()))
+
+    def finish(self, progress: Callable[[int], None]) -> None:
+        """Evaluate what is left; `progress` is called meanwhile, and may raise."""
+        self.start(len(self._started) + len(self._waiting))
+        while not all(future.done() for future in self._started):
+            progress(0)
+            wait(self._started, POLL)
+        for future in self._started:
+            future.result()
+
+    def close(self) -> None:
+        """End what is in progress."""
+        self._pool.close()
 
 
 def _outcome(run: PlannedRun, future: Future[Outcome], results: Results, stopping: bool) -> Outcome:

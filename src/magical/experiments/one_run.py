@@ -2,7 +2,7 @@
 
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -115,24 +115,15 @@ def evaluate_run(run: PlannedRun, folder: Path, out: Path, evaluation: Evaluatio
     Entry.of(policy, evaluation, method=run.method, scores=scores, details=details).write(out)
 
 
-def evaluate_reference(
-    name: str,
-    evaluation: Evaluation,
-    results: Path,
-    workers: int | None = None,
-    progress: Callable[[int], None] | None = None,
-) -> None:
-    """Evaluate a built-in policy on a task, unless the results folder has its entry already.
-
-    `progress` is called after some rollouts, with their number.
-    """
+def evaluate_reference(reference: tuple[str, Evaluation], results: Path) -> None:
+    """Evaluate a built-in policy on a task, unless the results folder has its entry already."""
+    name, evaluation = reference
     policy = BUILT_IN[name]()
     folder = results / REFERENCES / f"{name}-{evaluation.env_ids[0].task}"
     details = evaluation_details(name, folder)
     entry = Entry.of(policy, evaluation, method=name, details=details)
     if not _is_entry_of(folder, entry, evaluation):
-        scores = roll_out(policy, evaluation, workers=workers, progress=progress)
-        replace(entry, scores=scores).write(folder)
+        replace(entry, scores=roll_out(policy, evaluation, workers=0)).write(folder)
 
 
 def _is_entry_of(folder: Path, entry: Entry, evaluation: Evaluation) -> bool:
