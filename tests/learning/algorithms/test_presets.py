@@ -9,6 +9,7 @@ import pytest
 from magical.evaluation import evaluate
 from magical.learning import Config, algorithm_names, find_algorithm, train
 from magical.learning.algorithms import object_bc
+from magical.learning.config import options
 from tests.learning.conftest import TASKS
 from tests.learning.tiny_runs import assert_same, checkpoint, same_weights, tiny
 
@@ -99,7 +100,13 @@ def test_every_preset_trains_resumes_bit_equal_and_is_evaluated(
     """The networks and settings that it has, but for the sizes of batches and of the run."""
     demos = {} if algorithm == "ppo" else {"demos": data(algorithm)}
     tasks = TASKS[1:] if algorithm in ONE_TASK else TASKS
-    config = tiny(kind_of(algorithm), preset, **demos, tasks=tasks)
+    shorter = {"batches": 2, "total_steps": 12}  # the networks are large
+    lengths = {
+        option.name: shorter[option.name]
+        for option in options(kind_of(algorithm))
+        if option.name in shorter
+    }
+    config = tiny(kind_of(algorithm), preset, **demos, **lengths, tasks=tasks)
     assert train(config, tmp_path / "whole").finished
     assert train(config, tmp_path / "parts", stop_after=1).step == 1
     trained = train(config, tmp_path / "parts", resume=True)
