@@ -15,7 +15,8 @@ import pytest
 from magical import plugins
 from magical.commands._common import task_name
 from magical.envs import parse_env_id
-from magical.errors import PluginError, UnknownNameError
+from magical.errors import MissingDependencyError, PluginError, UnknownNameError
+from magical.evaluation.loading import LOADERS, load_policy
 from magical.plugins import Registry
 from magical.tasks import TASKS, Task, get_task, load_task, unregister_task
 
@@ -66,6 +67,23 @@ def test_a_broken_plugin_is_named_and_leaves_the_others(
     assert THINGS.get("good").name == "MakeLine"
     with pytest.raises(PluginError, match=message):
         THINGS.get("broken")
+
+
+def test_a_loader_of_a_distribution_loads_policies(path: Path) -> None:
+    install(path, "other", "lerobot = tool:Loaded", group=LOADERS)
+    (path / "tool.py").write_text(
+        "class Loaded:\n"
+        "    def __init__(self, what): self.what = what\n"
+        "    def act(self, observations, env_ids, rng): return [0] * len(env_ids)\n"
+        "    def reset(self, mask): pass\n"
+    )
+    assert vars(load_policy("lerobot:runs/a:b")) == {"what": "runs/a:b"}
+
+
+def test_a_loader_that_is_not_installed_is_named_with_the_command() -> None:
+    command = "pip install ./integrations/lerobot_env_magical"
+    with pytest.raises(MissingDependencyError, match=command):
+        load_policy("lerobot:policy")
 
 
 def test_two_distributions_with_one_name(path: Path) -> None:

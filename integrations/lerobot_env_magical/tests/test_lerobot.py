@@ -13,6 +13,10 @@ from lerobot.envs.factory import make_env
 from lerobot.envs.utils import add_envs_task, env_to_policy_features, preprocess_observation
 from lerobot_env_magical import MagicalEnvConfig
 
+from magical.envs.seeds import evaluation_seed
+from magical.errors import PolicyError
+from magical.evaluation import evaluate, load_policy
+
 HUB = Path(__file__).resolve().parents[1] / "hub" / "env.py"
 
 
@@ -61,7 +65,9 @@ def test_the_hub_file_makes_every_variant() -> None:
         suite[0].close()
 
 
-def test_a_policy_is_evaluated_by_lerobots_command(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def policy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a small ACT, without training."""
     from lerobot.configs.types import PolicyFeature
     from lerobot.policies.act.configuration_act import ACTConfig
     from lerobot.policies.act.modeling_act import ACTPolicy
@@ -79,22 +85,42 @@ def test_a_policy_is_evaluated_by_lerobots_command(tmp_path: Path) -> None:
         dim_model=32,
         dim_feedforward=32,
         n_heads=2,
+        chunk_size=4,
+        n_action_steps=2,
         use_vae=False,
         push_to_hub=False,
     )
-    policy = tmp_path / "policy"
-    ACTPolicy(config).save_pretrained(policy)
+    folder = tmp_path_factory.mktemp("act") / "policy"
+    ACTPolicy(config).save_pretrained(folder)
     stats = {name: dict.fromkeys(("mean", "std", "min", "max"), np.ones(1)) for name in features}
     for processor in make_pre_post_processors(config, dataset_stats=stats):
-        processor.save_pretrained(policy)
+        processor.save_pretrained(folder)
+    return folder
+
+
+def test_lerobots_command_and_ours_give_the_same_scores(policy: Path, tmp_path: Path) -> None:
     command = [
         *(sys.executable, "-m", "lerobot.scripts.lerobot_eval", f"--policy.path={policy}"),
         *("--env.discover_packages_path=lerobot_env_magical", "--env.type=magical"),
-        *("--env.task=MoveToCorner-TestJitter-v0", "--eval.n_episodes=2", "--eval.batch_size=2"),
+        *("--env.task=MatchRegions-TestAll-v0", "--eval.n_episodes=4", "--eval.batch_size=4"),
         *(f"--output_dir={tmp_path / 'out'}", "--policy.device=cpu"),
+        f"--seed={evaluation_seed(0)}",
     ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-3000:]
     results = json.loads((tmp_path / "out" / "eval_info.json").read_text())
-    assert results["overall"]["n_episodes"] == 2
-    assert 0 <= results["overall"]["avg_sum_reward"] <= 1
+    assert results["overall"]["n_episodes"] == 4
+    ours = evaluate(f"lerobot:{policy}", ["magical/MatchRegions-TestAll-v0"], rollouts=4)
+    rewards = results["per_task"][0]["metrics"]["sum_rewards"]
+    assert [row.score for row in ours] == pytest.approx(rewards)
+
+
+def test_other_features_are_named(policy: Path, tmp_path: Path) -> None:
+    config = json.loads((policy / "config.json").read_text())
+    config["input_features"]["observation.state"]["shape"] = [7]
+    config["input_features"]["observation.depth"] = {"type": "STATE", "shape": [2]}
+    (tmp_path / "config.json").write_text(json.dumps(config))
+    with pytest.raises(PolicyError, match=r"state \(7,\) \(expected \(5,\)\).*depth \(unknown\)"):
+        load_policy(f"lerobot:{tmp_path}")
+    with pytest.raises(PolicyError, match=r"expected a folder with LeRobot's config\.json"):
+        load_policy(f"lerobot:{tmp_path / 'none'}")

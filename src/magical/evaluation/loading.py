@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from magical.errors import PolicyError, UnknownNameError
+from magical.errors import MissingDependencyError, PolicyError, UnknownNameError
 from magical.evaluation.policy import FunctionPolicy, NoopPolicy, Policy, RandomPolicy
 from magical.plugins import load_plugin, plugins
 
@@ -28,7 +28,10 @@ BUILT_IN: dict[str, Callable[[], Policy]] = {
 # needs no PyTorch, which is imported when a run is loaded.
 RUN_LOADER = "magical.learning:load_policy"
 GROUP = "magical.policies"  # of entry points of other distributions
-
+# And of functions that load the policies of another tool: `lerobot:PATH` is what that of the name
+# `lerobot` returns of PATH.
+LOADERS = "magical.policy_loaders"
+INTEGRATIONS = {"lerobot": "lerobot_env_magical"}  # in integrations/ of the repository, by loader
 
 PolicySource = str | os.PathLike[str] | Policy | Callable[..., Any]  # for `load_policy`
 
@@ -40,6 +43,7 @@ def load_policy(source: PolicySource) -> Policy:
         source: one of
 
             - a name in `BUILT_IN`, or of another distribution's entry point;
+            - `lerobot:PATH`, or another loader's name and what it loads;
             - a run folder, whose newest checkpoint is loaded (needs PyTorch;
               `magical.learning.load_policy` also chooses the device, or greedy actions);
             - `module:name` or `path/to/file.py:name`. The working directory is searched last for
@@ -53,7 +57,7 @@ def load_policy(source: PolicySource) -> Policy:
         PluginError: the module or the name in it cannot be found.
         PolicyError: it is not a policy.
         RunFolderError, CheckpointError: the folder holds no run, or a damaged one.
-        MissingDependencyError: a run folder, without PyTorch.
+        MissingDependencyError: a run folder, without PyTorch; or a loader's distribution.
     """
     if not isinstance(source, str | os.PathLike):
         return as_policy(source)
@@ -63,6 +67,14 @@ def load_policy(source: PolicySource) -> Policy:
     if Path(name).is_dir():
         policy: Policy = _attribute(RUN_LOADER)(name)
         return policy
+    loader, colon, what = name.partition(":")
+    if colon and loader in plugins(LOADERS):
+        return as_policy(load_plugin(LOADERS, loader)(what), name)
+    if colon and loader in INTEGRATIONS:
+        raise MissingDependencyError(
+            f"policy {name!r}: this needs {INTEGRATIONS[loader]}, which is not installed; in a "
+            f"clone of the repository: pip install ./integrations/{INTEGRATIONS[loader]}"
+        )
     return as_policy(_attribute(name), name)
 
 

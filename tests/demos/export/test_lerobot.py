@@ -37,7 +37,9 @@ def test_lerobot_export_is_readable(
         )
         assert [step["action"] for step in steps] == trajectory.actions.tolist()
         assert [step["next.done"] for step in steps] == [False] * (len(steps) - 1) + [True]
-        assert {step["task_index"] for step in steps} == {tasks[trajectory.task.summary]}
+        assert {step["task_index"] for step in steps} == {
+            tasks[trajectory.task.instruction(trajectory.scene)]
+        }
         assert trajectory.poses is not None
         np.testing.assert_allclose(
             [step["observation.state"][:3] for step in steps], trajectory.poses[:-1, 0], atol=1e-6

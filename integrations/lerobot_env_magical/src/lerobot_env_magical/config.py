@@ -7,7 +7,8 @@ from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 
-from lerobot_env_magical.env import GYM_ID, STATE_SIZE, VIEWS
+from lerobot_env_magical.env import GYM_ID
+from lerobot_env_magical.observation import STATE_SIZE, VIEWS
 from magical.scene.constants import CONTROL_RATE
 
 

@@ -6,14 +6,11 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+from lerobot_env_magical.observation import ROBOT_STATE, ViewsAndRobot
 from magical.envs import EnvId, parse_env_id
-from magical.observe import PixelSpec
 from magical.scene.constants import CONTROL_RATE
-from magical.scene.vocabulary import View
 
 GYM_ID = "lerobot_env_magical/Magical-v0"
-VIEWS = (View.ALLO, View.EGO)
-STATE_SIZE = 5  # x, y, angle of the robot, angles of the left and the right finger
 
 
 class LeRobotMagicalEnv(gymnasium.Env[dict[str, Any], Any]):
@@ -48,7 +45,7 @@ class LeRobotMagicalEnv(gymnasium.Env[dict[str, Any], Any]):
         self.render_mode = render_mode
         made: Any = gymnasium.make(
             parsed,
-            observation=PixelSpec(tuple((v, 1) for v in VIEWS), separate=True, size=size),
+            observation=ViewsAndRobot(size),
             reward="score",
             render_mode=render_mode,
             instruction=instruction,
@@ -59,9 +56,13 @@ class LeRobotMagicalEnv(gymnasium.Env[dict[str, Any], Any]):
         self.task_description = ""
         self._max_episode_steps = self._env.horizon
         self.action_space = self._env.action_space
-        state = spaces.Box(-np.inf, np.inf, (STATE_SIZE,), np.float32)
-        pixels = self._env.observation_space
-        self.observation_space = spaces.Dict({"pixels": pixels, "agent_pos": state})
+        boxes = self._env.observation_space
+        self.observation_space = spaces.Dict(
+            {
+                "pixels": spaces.Dict({k: v for k, v in boxes.items() if k != ROBOT_STATE}),
+                ROBOT_STATE: boxes[ROBOT_STATE],
+            }
+        )
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -69,7 +70,7 @@ class LeRobotMagicalEnv(gymnasium.Env[dict[str, Any], Any]):
         """Start an episode; `task_description` becomes its instruction."""
         observation, info = self._env.reset(seed=seed, options=options)
         self.task_description = info["instruction"]
-        return self._with_state(observation), info
+        return _by_key(observation), info
 
     def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         """Act for one control step; numbers beyond -1 and 1, which policies predict, are clipped.
@@ -78,12 +79,7 @@ class LeRobotMagicalEnv(gymnasium.Env[dict[str, Any], Any]):
             InvalidActionError: a number is not finite, or there are not three.
         """
         observation, *outcome = self._env.step(np.clip(action, -1, 1))
-        return self._with_state(observation), *outcome
-
-    def _with_state(self, observation: Any) -> dict[str, Any]:
-        poses = self._env.state().poses
-        state = np.array([*poses.robot, *poses.finger_angles], np.float32)
-        return {"pixels": observation, "agent_pos": state}
+        return _by_key(observation), *outcome
 
     def render(self) -> Any:
         """Both views side by side."""
@@ -92,3 +88,9 @@ class LeRobotMagicalEnv(gymnasium.Env[dict[str, Any], Any]):
     def close(self) -> None:
         """Close the environment."""
         self._env.close()
+
+
+def _by_key(observation: dict[str, Any]) -> dict[str, Any]:
+    """Both frames under LeRobot's key."""
+    pixels = {name: frame for name, frame in observation.items() if name != ROBOT_STATE}
+    return {"pixels": pixels, ROBOT_STATE: observation[ROBOT_STATE]}

@@ -133,7 +133,9 @@ class _Writer:
         """Write one episode: the frame before each action, and the action."""
         trajectory = trajectory.with_action_space(self._action_space)
         steps = len(trajectory)
-        task = self._tasks.setdefault(trajectory.task.summary, len(self._tasks))
+        task = self._tasks.setdefault(
+            trajectory.task.instruction(trajectory.scene), len(self._tasks)
+        )
         columns = self._episode_columns(trajectory, task)
         table = pa.table({name: _arrow(column) for name, column in columns.items()})
         if self.total == 0 or self._frames_in_file >= FRAMES_PER_FILE:
