@@ -2,7 +2,8 @@
 
 The layout follows the format's documentation and its reference writer: `meta/info.json`,
 `meta/stats.json`, `meta/tasks.parquet`, `meta/episodes/`, `data/`, `videos/<camera>/`. Episodes are
-concatenated into large files; `meta/episodes` has the position of each. Needs the `lerobot` extra.
+concatenated into large files; `meta/episodes` has the position of each. Needs the `lerobot` extra:
+LeRobot's own writer would need LeRobot, and with it PyTorch and a hundred other distributions.
 """
 
 import json

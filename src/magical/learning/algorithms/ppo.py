@@ -186,6 +186,19 @@ class PPOConfig(ReinforcementConfig):
         "paper": {},
         # The environment's rewards are sparser than a discriminator's: a longer time scale.
         "quick": {**QUICK, "minibatch_size": 128, "gamma": 0.95, "gae_lambda": 0.95},
+        # State vectors and the dense reward, which looks as far ahead as an episode lasts.
+        "states": {
+            **QUICK,
+            "observation": "state",
+            "total_steps": 1_500_000,
+            "num_steps": 64,
+            "epochs": 8,
+            "minibatch_size": 256,
+            "learning_rate": 7e-4,
+            "gamma": 0.99,
+            "gae_lambda": 0.95,
+            "ent_coef": 3e-3,
+        },
     }
 
     algorithm: str = "ppo"
