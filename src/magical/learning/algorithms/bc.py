@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
@@ -14,7 +13,7 @@ from torch.optim import SGD, Optimizer
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from magical.errors import DemonstrationsError, InvalidConfigError
-from magical.learning.algorithms import Algorithm, read_config
+from magical.learning.algorithms import Algorithm
 from magical.learning.augmentation.names import Augmentations, parse_augmentations
 from magical.learning.augmentation.transformations import (
     NONE,
@@ -45,7 +44,6 @@ from magical.learning.models import PolicyNetwork, Trunk, init_normal, new_stati
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import (
     StateDict,
-    load_newest_checkpoint,
     load_optimizer,
     optimizer_state,
     restoring,
@@ -53,12 +51,12 @@ from magical.learning.running.checkpoints import (
 from magical.learning.running.devices import choose_device
 from magical.learning.running.graphs import GraphedStep, use_graphs
 from magical.learning.running.optimizers import make_adam, set_learning_rate
+from magical.learning.running.pretrained import load_pretrained
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, Settings, option
 from magical.observe import STATE
-from magical.runs.folder import CHECKPOINT
-from magical.runs.sources import EXTRA_DATA, PRETRAINED_ON, RENDERED_STATES
+from magical.runs.sources import EXTRA_DATA, RENDERED_STATES
 
 ADAM_BETA_2 = 0.999
 STATISTICS_BATCHES = 50  # that batch norm's statistics of averaged weights are from
@@ -252,8 +250,7 @@ class BCTrainer:
         """Initialise network and optimiser."""
         network = make_policy(self.config)
         if self.config.init_from:
-            tasks = load_pretrained(network.trunk, self.config)
-            self.run.describe(**{PRETRAINED_ON: list(tasks)})
+            load_pretrained(network.trunk, self.config, self.config.init_from, self.run)
         self.network = network.to(self.device)
         graphs = use_graphs(self.config.networks.graphs, self.device)
         self.optimizer = make_optimizer(self.config.cloning, self.network, graphs)
@@ -397,32 +394,6 @@ def make_policy(config: BCConfig) -> PolicyNetwork:
         if networks.published:
             init_normal(network.policy)
         return network
-
-
-def load_pretrained(trunk: Trunk, config: BCConfig) -> tuple[str, ...]:
-    """Load the trunk of the run `init_from`; returns the tasks that the run learned.
-
-    Raises:
-        InvalidConfigError: no run of bc from its own initialisation, or of another observation.
-        RunFolderError, CheckpointError: a damaged run, or one of another network.
-    """
-    folder = Path(config.init_from)
-    before = read_config(folder)
-    if type(before) is not BCConfig or before.init_from:
-        raise InvalidConfigError(
-            f"init_from: expected a run of bc that was itself not fine-tuned, found {folder}"
-        )
-    if before.observation_spec != config.observation_spec:
-        raise InvalidConfigError(
-            f"init_from: expected a run with the observation {config.observation}, found "
-            f"{before.observation} in {folder}"
-        )
-    state = load_newest_checkpoint(folder)
-    with restoring(folder / CHECKPOINT):
-        network = make_policy(before)
-        network.load_state_dict(state["policy"])
-        trunk.load_state_dict(network.trunk.state_dict())
-    return before.tasks
 
 
 def make_optimizer(
