@@ -18,7 +18,7 @@ from mkdocs.commands.build import build
 from mkdocs.config import load_config
 
 from magical.report.leaderboard import make_leaderboard
-from tools.site import environments, leaderboard, reference
+from tools.site import environments, leaderboard, reference, suite
 from tools.site.staging import Source, assets, place, repository_pages
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -78,6 +78,7 @@ def build_site(out: Path) -> list[str]:
         **reference.pages(ROOT),
         **environments.pages(ROOT, WORK / "previews", ranked),
         **leaderboard.pages(ranked),
+        **suite.pages(ROOT),
     }
     source = Source(ROOT, WORK / "docs", generated, {place(NOTEBOOK): NOTEBOOK})
     source.write(repository_pages(ROOT))

@@ -9,8 +9,9 @@ from magical.errors import PolicyError
 from magical.evaluation import BUILT_IN, Entry, Policy, load_policy
 from magical.evaluation.entry import POLICY, THREADS
 from magical.runs import is_run
+from magical.runs.folder import RECORD, read_json
 from magical.runs.machine import provenance
-from magical.runs.sources import LEARNED_FROM
+from magical.runs.sources import LEARNED_FROM, PRETRAINED_ON
 
 MAX_THREADS = 1024  # that an entry can ask for
 
@@ -30,6 +31,9 @@ def evaluation_details(policy: str, out: Path) -> dict[str, Any]:
     from magical.learning.running.devices import num_threads
 
     details = {**read_config(Path(policy)).training_details, THREADS: num_threads()}
+    record = read_json(Path(policy) / RECORD)
+    if PRETRAINED_ON in record:
+        details[PRETRAINED_ON] = record[PRETRAINED_ON]
     return {POLICY: os.path.relpath(policy, out), **details, **provenance()}
 
 

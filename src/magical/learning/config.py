@@ -29,7 +29,7 @@ from magical.messages import quoted
 from magical.observe import PRESETS, ObservationSpec, make_spec
 from magical.observe.presets import GROUP
 from magical.plugins import is_plugin
-from magical.runs.sources import DEMONSTRATIONS, LEARNED_FROM
+from magical.runs.sources import DEMONSTRATIONS, LEARNED_FROM, NUM_DEMOS
 from magical.tasks import get_task
 from magical.untrusted import convert
 
@@ -176,6 +176,7 @@ class Config(Settings):
         details: dict[str, Any] = {"algorithm": self.algorithm, "training_seed": self.seed}
         if demonstrations:
             details["demonstrations"] = f"{demonstrations.num_demos} of each task"
+            details[NUM_DEMOS] = demonstrations.num_demos
         return {**details, LEARNED_FROM: list(self.learned_from)}
 
     @property

@@ -14,7 +14,10 @@ TEST_VARIANTS = "test variants"
 EXTRA_DATA = "extra data"
 OBJECT_PARSER = "object parser"
 
-LEARNED_FROM = "learned_from"  # the field of an entry's details
+# Fields of an entry's details.
+LEARNED_FROM = "learned_from"
+NUM_DEMOS = "num_demos"  # of each task, that a policy learned from
+PRETRAINED_ON = "pretrained_on"  # the tasks that a network learned before; also of `run.json`
 
 SOURCES: Mapping[str, str] = MappingProxyType(
     {

@@ -16,8 +16,9 @@ import torch
 from magical.demos import Trajectory, observations
 from magical.errors import CheckpointError, DivergedError, InvalidConfigError, RunFolderError
 from magical.evaluation import evaluate
+from magical.experiments.entries import evaluation_details
 from magical.learning import load_policy, train
-from magical.learning.algorithms.bc import BCConfig, CloningSettings, bc_loss
+from magical.learning.algorithms.bc import BCConfig, CloningSettings, bc_loss, make_policy
 from magical.learning.running import run
 from magical.physics import Simulation
 from magical.runs import read_metrics
@@ -310,3 +311,32 @@ def test_state_vectors_are_learned_from(tmp_path: Path) -> None:
 def test_state_vectors_need_other_settings(fields: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidConfigError, match=message):
         tiny(Path("demos"), observation="state", **fields)
+
+
+def test_a_run_is_fine_tuned_from_the_trunk_of_another(demos: Path, tmp_path: Path) -> None:
+    before = tmp_path / "before"
+    train(tiny(demos, tasks=TASKS), before)
+    config = tiny(demos, num_demos=1, init_from=str(before), learning_rate=1e-12, batches=2)
+    train(config, tmp_path / "after")
+    first, last = (checkpoint(tmp_path / name)["policy"] for name in ("before", "after"))
+    own = make_policy(config).state_dict()
+    for name in (name for name, _ in make_policy(config).named_parameters()):
+        expected = first[name] if name.startswith("trunk.") else own[name]
+        assert torch.allclose(last[name], expected, atol=1e-6), name
+    details = evaluation_details(str(tmp_path / "after"), tmp_path)
+    assert details["learned_from"] == ["demonstrations", "extra data"]
+    assert (details["pretrained_on"], details["num_demos"]) == (list(TASKS), 1)
+
+
+def test_what_cannot_be_fine_tuned_is_refused(demos: Path, tmp_path: Path) -> None:
+    train(tiny(demos), tmp_path / "before")
+    once = tiny(demos, init_from=str(tmp_path / "before"))
+    train(once, tmp_path / "once")
+    for changed, message in (
+        ({"init_from": str(tmp_path / "once")}, "that was itself not fine-tuned"),
+        ({"observation": "LoRes4A"}, "expected a run with the observation LoRes4A"),
+    ):
+        with pytest.raises(InvalidConfigError, match=message):
+            train(once.replace(**changed), tmp_path / "refused")
+    with pytest.raises(RunFolderError, match=r"nowhere"):
+        train(once.replace(init_from="nowhere"), tmp_path / "refused")

@@ -9,7 +9,7 @@ import pytest
 from magical.report.found.search import Result
 from magical.report.leaderboard.ranking import ALL_TASKS, HELD_OUT_TASKS, make_boards
 from magical.tasks import TASKS
-from magical.tasks.programs.suite import HELD_OUT, task_name
+from magical.tasks.programs.suite import HELD_OUT, TRAINING, task_name
 from tests.report.conftest import make_entry
 
 
@@ -82,6 +82,33 @@ def test_methods_with_all_held_out_tasks_have_a_board_of_their_own() -> None:
     assert [row.method for row in everything.standings] == ["a"]
     assert (suite.name, [row.method for row in suite.standings]) == (HELD_OUT_TASKS, ["c", "a"])
     assert [board.name for board in tasks] == list(TASKS)
+
+
+def test_methods_pre_trained_on_training_tasks_have_a_board_for_each_number() -> None:
+    held_out = [task_name(number) for number in HELD_OUT]
+    training = [task_name(number) for number in TRAINING]
+    learned = {"learned_from": ["demonstrations", "extra data"]}
+
+    def entry(method: str, number: int, before: list[str]) -> Result:
+        details = {**learned, "num_demos": number, "pretrained_on": before}
+        return run(method, 0.9, 0.5, held_out, details=details)
+
+    results = [
+        run("alone", 0.9, 0.5, held_out),
+        entry("one", 1, training),
+        entry("ten", 10, training[:2]),
+        entry("three", 3, training),
+        entry("tuned to held-out tasks", 10, [*training, held_out[0]]),
+        entry("mixed", 1, training),
+        run("mixed", 0.9, 0.5, held_out, details={**learned, "num_demos": 1}),
+    ]
+    boards = {board.name: [row.method for row in board.standings] for board in make_boards(results)}
+    assert boards == {
+        ALL_TASKS: [],
+        HELD_OUT_TASKS: ["alone"],
+        f"{HELD_OUT_TASKS}, pre-trained, k = 1": ["one"],
+        f"{HELD_OUT_TASKS}, pre-trained, k = 10": ["ten"],
+    }
 
 
 def test_what_was_used_is_what_was_learned_from_and_shown() -> None:

@@ -51,11 +51,12 @@ from magical.learning.running.checkpoints import (
 from magical.learning.running.devices import choose_device
 from magical.learning.running.graphs import GraphedStep, use_graphs
 from magical.learning.running.optimizers import make_adam, set_learning_rate
+from magical.learning.running.pretrained import load_pretrained
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, Settings, option
 from magical.observe import STATE
-from magical.runs.sources import RENDERED_STATES
+from magical.runs.sources import EXTRA_DATA, RENDERED_STATES
 
 ADAM_BETA_2 = 0.999
 STATISTICS_BATCHES = 50  # that batch norm's statistics of averaged weights are from
@@ -142,6 +143,12 @@ class BCConfig(Config):
     networks: NetworkSettings = field(default_factory=NetworkSettings)
     demonstrations: DemonstrationSettings
     cloning: CloningSettings = field(default_factory=CloningSettings)
+    init_from: str = option(
+        "",
+        "run of bc whose trunk the network is initialised with, to be fine-tuned; the last layer "
+        "is new",
+        metavar="RUN",
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -164,7 +171,8 @@ class BCConfig(Config):
     def learned_from(self) -> tuple[str, ...]:
         """See `Config`."""
         rendered = (RENDERED_STATES,) if self.cloning.renders_changes else ()
-        return (*super().learned_from, *rendered)
+        pretrained = (EXTRA_DATA,) if self.init_from else ()
+        return (*super().learned_from, *rendered, *pretrained)
 
     @property
     def num_updates(self) -> int:
@@ -240,7 +248,10 @@ class BCTrainer:
 
     def reset(self) -> None:
         """Initialise network and optimiser."""
-        self.network = make_policy(self.config).to(self.device)
+        network = make_policy(self.config)
+        if self.config.init_from:
+            load_pretrained(network.trunk, self.config, self.config.init_from, self.run)
+        self.network = network.to(self.device)
         graphs = use_graphs(self.config.networks.graphs, self.device)
         self.optimizer = make_optimizer(self.config.cloning, self.network, graphs)
         self._graphed_step = GraphedStep(self._step, graphs)

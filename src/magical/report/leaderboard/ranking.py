@@ -10,11 +10,12 @@ from magical.grouping import group_by
 from magical.report.found.search import Result
 from magical.report.found.statements import Statements, gather_statements
 from magical.report.scores.methods import ComparedMethod, compared_methods
-from magical.runs.sources import learned_from, learning_class
+from magical.runs.sources import NUM_DEMOS, PRETRAINED_ON, learned_from, learning_class
 from magical.tasks import TASKS
-from magical.tasks.programs.suite import HELD_OUT, task_name
+from magical.tasks.programs.suite import HELD_OUT, TRAINING, task_name
 
 ALL_TASKS, HELD_OUT_TASKS = "All tasks", "Held-out tasks"
+FINE_TUNED = (1, 5, 10)  # demonstrations of a held-out task after pre-training
 DEMO, TEST_ALL = "Demo", "TestAll"
 STATE = "state"  # what a privileged policy is shown, among what an entry used
 
@@ -55,18 +56,44 @@ class Board:
 def make_boards(results: Sequence[Result]) -> list[Board]:
     """A board of the methods that have all tasks, and of those that have all held-out tasks.
 
+    Those that were pre-trained on training tasks have a board for each number of demonstrations.
     Then one for each task that any has, but for generated tasks.
     """
     groups = group_by(results, attrgetter("entry.method"))
     methods = {name: _method(runs) for name, runs in groups.items()}
 
-    def board(name: str, tasks: Collection[str]) -> Board:
-        parts = [_on_tasks(method, tasks) for method in methods.values()]
+    def board(name: str, tasks: Collection[str], track: str | None = None) -> Board:
+        chosen = [m for m in methods.values() if track in (None, held_out_board(groups[m.name]))]
+        parts = [_on_tasks(method, tasks) for method in chosen]
         return Board(name, _ranked([_standing(m, groups[m.name]) for m in parts if m is not None]))
 
-    held_out = board(HELD_OUT_TASKS, [task_name(number) for number in HELD_OUT])
-    others = [held_out, *(board(task, [task]) for task in TASKS)]
+    held_out = [task_name(number) for number in HELD_OUT]
+    tracks = [HELD_OUT_TASKS, *map(pretrained_board, FINE_TUNED)]
+    suite = [board(name, held_out, track=name) for name in tracks]
+    others = [*suite, *(board(task, [task]) for task in TASKS)]
     return [board(ALL_TASKS, TASKS), *(other for other in others if other.standings)]
+
+
+def pretrained_board(num_demos: int) -> str:
+    """The name of the board of methods that were pre-trained on training tasks."""
+    return f"{HELD_OUT_TASKS}, pre-trained, k = {num_demos}"
+
+
+def held_out_board(runs: Sequence[Result]) -> str:
+    """The name of the board of held-out tasks that a method belongs to; empty for none.
+
+    A method was pre-trained if any of its runs was, and all must be alike.
+    """
+    details = [run.entry.details for run in runs]
+    if not any(PRETRAINED_ON in stated for stated in details):
+        return HELD_OUT_TASKS
+    allowed = {task_name(number) for number in TRAINING}
+    before = [stated.get(PRETRAINED_ON) for stated in details]
+    numbers = {stated.get(NUM_DEMOS) for stated in details}
+    if not all(isinstance(tasks, list) and allowed.issuperset(map(str, tasks)) for tasks in before):
+        return ""
+    known = [number for number in FINE_TUNED if numbers == {number}]
+    return pretrained_board(known[0]) if known else ""
 
 
 def _method(runs: Sequence[Result]) -> ComparedMethod:

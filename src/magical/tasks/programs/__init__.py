@@ -8,7 +8,8 @@ final state is scored. A program is one goal, for instance
 The language's page in the documentation has all expressions and examples.
 """
 
-from magical.tasks.programs.expressions import Attribute, Corner, Expression, Landmark, Wall
+from magical.scene.vocabulary import Corner, Landmark, Wall
+from magical.tasks.programs.expressions import Attribute, Expression
 from magical.tasks.programs.goals import (
     SUCCESS,
     Clustered,

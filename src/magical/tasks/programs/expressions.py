@@ -24,32 +24,6 @@ class Attribute(StrEnum):
     KIND = "kind"  # colour and shape
 
 
-class Corner(StrEnum):
-    """A corner of the workspace."""
-
-    TOP_LEFT = "top left"
-    TOP_RIGHT = "top right"
-    BOTTOM_LEFT = "bottom left"
-    BOTTOM_RIGHT = "bottom right"
-
-
-class Wall(StrEnum):
-    """A wall of the workspace."""
-
-    LEFT = "left"
-    RIGHT = "right"
-    TOP = "top"
-    BOTTOM = "bottom"
-
-
-class Landmark(StrEnum):
-    """What a block can be near to or far from."""
-
-    REGION = "region"  # the nearest one
-    ROBOT = "robot"  # where it starts
-    CENTRE = "centre"  # of the workspace
-
-
 class Expression:
     """A typed expression.
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from magical.scene import Region, Scene
 from magical.scene.constants import WORKSPACE_HALF
 from magical.scene.geometry import Point
-from magical.tasks.programs.expressions import Corner, Expression, Wall
+from magical.scene.vocabulary import Corner, Wall
+from magical.tasks.programs.expressions import Expression
 from magical.tasks.programs.selections import Selection
 from magical.tasks.programs.wording import Style, describe, name_regions
 from magical.tasks.scoring import NEIGHBOUR_DISTANCE

@@ -10,8 +10,9 @@ from types import MappingProxyType
 import numpy as np
 
 from magical.scene import COLOURS, SHAPES
+from magical.scene.vocabulary import Corner, Landmark, Wall
 from magical.tasks.attributes import sample_item
-from magical.tasks.programs.expressions import Attribute, Corner, Landmark, Wall
+from magical.tasks.programs.expressions import Attribute
 from magical.tasks.programs.goals import (
     Clustered,
     Each,

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from magical.scene import Block, Colour, Region, Scene, Shape
-from magical.tasks.programs.expressions import Attribute, Expression, Landmark
+from magical.scene.vocabulary import Landmark
+from magical.tasks.programs.expressions import Attribute, Expression
 
 Blocks = frozenset[int]  # indices of a scene's blocks
 CLEAR_DIFFERENCE = 0.1  # units by which the nearest or farthest block must differ from the next
