@@ -12,7 +12,7 @@ from torch.nn import functional
 from torch.optim import SGD, Optimizer
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
-from magical.errors import DemonstrationsError, InvalidConfigError
+from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
 from magical.learning.augmentation.names import Augmentations, parse_augmentations
 from magical.learning.augmentation.transformations import (
@@ -143,12 +143,7 @@ class BCConfig(Config):
     networks: NetworkSettings = field(default_factory=NetworkSettings)
     demonstrations: DemonstrationSettings
     cloning: CloningSettings = field(default_factory=CloningSettings)
-    init_from: str = option(
-        "",
-        "run of bc whose trunk the network is initialised with, to be fine-tuned; the last layer "
-        "is new",
-        metavar="RUN",
-    )
+    init_from: str = option("", "run of bc whose trunk is fine-tuned", metavar="RUN")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -271,19 +266,14 @@ class BCTrainer:
         How their images are augmented is recorded in `run.json`.
 
         Raises:
-            DemonstrationsError: see `choose_augment_by` and `ExpertData`; or there are no poses
-                for a transformation that needs them.
+            DemonstrationsError: see `choose_augment_by` and `ExpertData`.
         """
         config, cloning = self.config, self.config.cloning
         kind = ExpertData
         if not config.observes_vectors:
-            augment_by = choose_augment_by(cloning.augment_by, demonstrations)
-            if augment_by == RESAMPLING and WALLS in cloning.transformations:
-                raise DemonstrationsError(
-                    f"transform: {WALLS} needs demonstrations with poses, and some have recorded "
-                    "frames only. Import the published files with `magical demos import`, which "
-                    f"recovers their poses, or leave out {WALLS}"
-                )
+            augment_by = choose_augment_by(
+                cloning.augment_by, demonstrations, cloning.transformations
+            )
             self.run.describe(augment_by=augment_by)
             kind = RenderedExpertData if augment_by == RENDERING else ExpertData
         return kind(

@@ -25,8 +25,6 @@ from torch.nn import functional
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.ppo import (
-    PUBLISHED_CODE,
-    QUICK,
     PPOTrainer,
     ReinforcementConfig,
     make_policy,
@@ -37,6 +35,7 @@ from magical.learning.config import DemonstrationSettings
 from magical.learning.data.expert_data import ExpertData, load_demonstrations, split_evenly
 from magical.learning.models import Discriminator, Trunk, init_normal
 from magical.learning.reinforcement.monitoring import Metrics
+from magical.learning.reinforcement.presets import PUBLISHED_CODE, QUICK
 from magical.learning.reinforcement.replay_buffer import ROLLOUTS, ReplayBuffer
 from magical.learning.reinforcement.reward_normalisation import RewardNormaliser, reward_floor
 from magical.learning.reinforcement.rollouts import Rollout

@@ -27,6 +27,7 @@ from magical.learning.policy import NetworkPolicy
 from magical.learning.reinforcement.advantages import Samples, make_samples
 from magical.learning.reinforcement.demo_evaluation import DemoEvaluation
 from magical.learning.reinforcement.monitoring import Metrics, Monitor, explained_variance
+from magical.learning.reinforcement.presets import QUICK, STATES
 from magical.learning.reinforcement.rollouts import (
     Rollout,
     RolloutEnvs,
@@ -52,33 +53,6 @@ from magical.tasks import Horizon, have_two_horizons, require_two_horizons
 
 VF_COEF = 0.5
 LOSS_PARTS = ("policy_loss", "value_loss", "entropy", "clip_fraction")
-
-# What the presets `quick` of PPO and the algorithms with learned rewards change.
-QUICK: Mapping[str, Any] = {
-    "network": "light",
-    "init": "centred",
-    "precision": "auto",
-    "total_steps": 100_000,
-    "num_steps": 16,
-    "epochs": 4,
-    "minibatch_size": 64,
-    "learning_rate": 5e-4,
-    "clip_range": 0.2,
-    "gamma": 0.9,
-    "gae_lambda": 0.8,
-    "ent_coef": 1e-3,
-    "normalise_advantages": True,
-    "bootstrap": True,
-    "evaluate_every": 50,
-}
-
-# What `published-code` changes in those with learned rewards (docs/specification.md, section 11).
-PUBLISHED_CODE: Mapping[str, Any] = {
-    "conventions": PUBLISHED,
-    "ent_coef": 2.5e-5,
-    "reward_std": 0.01,
-    "horizon": PUBLISHED,
-}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,19 +160,7 @@ class PPOConfig(ReinforcementConfig):
         "paper": {},
         # The environment's rewards are sparser than a discriminator's: a longer time scale.
         "quick": {**QUICK, "minibatch_size": 128, "gamma": 0.95, "gae_lambda": 0.95},
-        # State vectors and the dense reward, which looks as far ahead as an episode lasts.
-        "states": {
-            **QUICK,
-            "observation": "state",
-            "total_steps": 1_500_000,
-            "num_steps": 64,
-            "epochs": 8,
-            "minibatch_size": 256,
-            "learning_rate": 7e-4,
-            "gamma": 0.99,
-            "gae_lambda": 0.95,
-            "ent_coef": 3e-3,
-        },
+        "states": STATES,
     }
 
     algorithm: str = "ppo"

@@ -5,7 +5,7 @@ as much as a plain one, and pixels are never resampled. It needs the poses: demo
 scripted experts have them, and the published human ones as `magical demos import` reads them.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -27,7 +27,7 @@ from magical.learning.augmentation.colour import colour_jitter
 from magical.learning.augmentation.names import SETS, Augmentations
 from magical.learning.augmentation.noise import add_noise
 from magical.learning.augmentation.palette import PERMUTATIONS
-from magical.learning.augmentation.transformations import StackTransformations
+from magical.learning.augmentation.transformations import WALLS, StackTransformations
 from magical.learning.data.expert_data import ExpertData, Rows
 from magical.observe import PixelSpec
 from magical.render.moved_camera import MovedCamera
@@ -37,14 +37,19 @@ from magical.scene import Scene
 AUTO, RENDERING, RESAMPLING = "auto", "rendering", "resampling"  # how images are augmented
 
 
-def choose_augment_by(augment_by: str, demonstrations: Iterable[tuple[str, Trajectory]]) -> str:
+def choose_augment_by(
+    augment_by: str,
+    demonstrations: Iterable[tuple[str, Trajectory]],
+    transformations: Collection[str] = (),
+) -> str:
     """How images are augmented, where the configuration says `auto`: by rendering if possible.
 
     Returns:
         `rendering` or `resampling`.
 
     Raises:
-        DemonstrationsError: rendering was asked for and poses are unknown.
+        DemonstrationsError: rendering, or a transformation that needs it, was asked for and poses
+            are unknown.
     """
     unknown = [trajectory.env_id for _, trajectory in demonstrations if trajectory.poses is None]
     if augment_by == RENDERING and unknown:
@@ -54,7 +59,13 @@ def choose_augment_by(augment_by: str, demonstrations: Iterable[tuple[str, Traje
             "`magical demos import`, which recovers their poses, or use augment_by: resampling"
         )
     if augment_by == AUTO:
-        return RESAMPLING if unknown else RENDERING
+        augment_by = RESAMPLING if unknown else RENDERING
+    if augment_by == RESAMPLING and WALLS in transformations:
+        raise DemonstrationsError(
+            f"transform: {WALLS} needs demonstrations with poses, and some have recorded frames "
+            "only. Import the published files with `magical demos import`, which recovers their "
+            f"poses, or leave out {WALLS}"
+        )
     return augment_by
 
 
