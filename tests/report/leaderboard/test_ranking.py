@@ -101,6 +101,14 @@ def test_methods_pre_trained_on_training_tasks_have_a_board_for_each_number() ->
         entry("tuned to held-out tasks", 10, [*training, held_out[0]]),
         entry("mixed", 1, training),
         run("mixed", 0.9, 0.5, held_out, details={**learned, "num_demos": 1}),
+        run("extra data", 0.9, 0.5, held_out, details={**learned, "num_demos": 10}),
+        run(
+            "too many",
+            0.9,
+            0.5,
+            held_out,
+            details={"learned_from": ["demonstrations"], "num_demos": 100},
+        ),
     ]
     boards = {board.name: [row.method for row in board.standings] for board in make_boards(results)}
     assert boards == {

@@ -10,11 +10,18 @@ from magical.grouping import group_by
 from magical.report.found.search import Result
 from magical.report.found.statements import Statements, gather_statements
 from magical.report.scores.methods import ComparedMethod, compared_methods
-from magical.runs.sources import NUM_DEMOS, PRETRAINED_ON, learned_from, learning_class
+from magical.runs.sources import (
+    EXTRA_DATA,
+    NUM_DEMOS,
+    PRETRAINED_ON,
+    learned_from,
+    learning_class,
+)
 from magical.tasks import TASKS
 from magical.tasks.programs.suite import HELD_OUT, TRAINING, task_name
 
 ALL_TASKS, HELD_OUT_TASKS = "All tasks", "Held-out tasks"
+DEMOS = 10  # of a held-out task, without pre-training
 FINE_TUNED = (1, 5, 10)  # demonstrations of a held-out task after pre-training
 DEMO, TEST_ALL = "Demo", "TestAll"
 STATE = "state"  # what a privileged policy is shown, among what an entry used
@@ -82,14 +89,16 @@ def pretrained_board(num_demos: int) -> str:
 def held_out_board(runs: Sequence[Result]) -> str:
     """The name of the board of held-out tasks that a method belongs to; empty for none.
 
-    A method was pre-trained if any of its runs was, and all must be alike.
+    A method was pre-trained if any of its runs was, and all must be alike; without pre-training
+    it has `DEMOS` demonstrations, where it says how many, and no extra data.
     """
     details = [run.entry.details for run in runs]
+    numbers = {stated.get(NUM_DEMOS) for stated in details}
     if not any(PRETRAINED_ON in stated for stated in details):
-        return HELD_OUT_TASKS
+        extra = any(EXTRA_DATA in learned_from(stated) for stated in details)
+        return HELD_OUT_TASKS if numbers <= {DEMOS, None} and not extra else ""
     allowed = {task_name(number) for number in TRAINING}
     before = [stated.get(PRETRAINED_ON) for stated in details]
-    numbers = {stated.get(NUM_DEMOS) for stated in details}
     if not all(isinstance(tasks, list) and allowed.issuperset(map(str, tasks)) for tasks in before):
         return ""
     known = [number for number in FINE_TUNED if numbers == {number}]
