@@ -15,6 +15,7 @@ OLD = [
     for line in Path(__file__).with_name("old_configurations.jsonl").read_text().splitlines()
 ]
 PRESETS = OLD[:-2]  # of every algorithm, in their order, for ClusterColour with seed 3
+LATER = ("states",)  # presets that it did not have
 
 
 def read(data: dict[str, Any], folder: Path) -> Any:
@@ -30,6 +31,7 @@ def test_presets_are_todays(tmp_path: Path) -> None:
         )
         for name in dict.fromkeys(data["algorithm"] for data in PRESETS)
         for preset in find_algorithm(name).config.presets
+        if preset not in LATER
     ]
     found = [read(data, tmp_path) for data in PRESETS]
     unchanged = [c if c.algorithm == "object-bc" else c.replace(graphs="off") for c in found]

@@ -44,9 +44,9 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def outside() -> Iterator[Task]:
     """A task of a user's own, without an expert."""
-    task = replace(get_task("MoveToRegion"), name="MoveThere", section="")
+    task = replace(get_task("MoveToRegion"), name="DriveThere", section="")
     yield register_task(task)
-    unregister_task("MoveThere")
+    unregister_task("DriveThere")
 
 
 def blank(env_id: EnvId) -> EnvPreview:

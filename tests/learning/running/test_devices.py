@@ -136,7 +136,7 @@ def test_every_paper_preset_is_float32() -> None:
         given = {option.name for option in options(kind)} & set(fields)
         for preset in kind.presets:
             config = kind.preset(preset, **{field: fields[field] for field in given})
-            assert config.precision == ("auto" if preset == "quick" else "float32")
+            assert config.precision == ("auto" if preset in ("quick", "states") else "float32")
 
 
 def test_overlapping_contexts_of_several_threads_leave_everything_as_it_was() -> None:
