@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import sys
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -105,6 +106,7 @@ def test_no_module_of_the_working_folder_is_imported_on_a_record_s_word(
     key: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    monkeypatch.delitem(sys.modules, "this", raising=False)  # another test may have imported it
     for module in ("planted.py", "run/planted.py"):
         Path(module).write_text("raise SystemExit('imported')\n")
     data = json.loads((folder / CONFIG).read_text())
