@@ -165,10 +165,14 @@ def test_three_processes_append_at_once(tmp_path: Path, small_dataset: Path) -> 
             for job in jobs:
                 assert job.stdout is not None
                 assert job.stdout.readline() == b"appended\n"
+        for job in jobs:
+            job.communicate()  # closes its input, which ends it
+        assert [job.returncode for job in jobs] == [0, 0, 0]
     dataset = Dataset.open(path)
     assert [entry.index for entry in dataset.entries] == list(range(75))
     seeds = [t.seed or 0 for t in dataset]
     assert sorted(seeds) == [1] * 25 + [2] * 25 + [3] * 25
+    assert seeds != sorted(seeds)  # they did take turns
     assert not Dataset.open(path, skip_damaged=True).problems
 
 
