@@ -7,6 +7,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
+from magical.errors import ObservationError
 from magical.observe import PixelSpec
 from magical.observe.arrays import ArrayFields, empty
 from magical.observe.spec import EpisodeSource
@@ -88,7 +89,12 @@ class ViewsAndRobot:
         return out
 
     def to_dict(self) -> str:
-        """See `ObservationSpec`: the entry point's name, which stands for the size of 96."""
+        """See `ObservationSpec`: the entry point's name; other sizes have none."""
+        if self != VIEWS_AND_ROBOT:
+            raise ObservationError(
+                f"size: expected {VIEWS_AND_ROBOT.size}, the only one with a name by which worker "
+                f"processes and entries know it, found {self.size}"
+            )
         return NAME
 
 
