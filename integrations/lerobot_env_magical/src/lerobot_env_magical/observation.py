@@ -92,8 +92,8 @@ class ViewsAndRobot:
         """See `ObservationSpec`: the entry point's name; other sizes have none."""
         if self != VIEWS_AND_ROBOT:
             raise ObservationError(
-                f"size: expected {VIEWS_AND_ROBOT.size}, the only one with a name by which worker "
-                f"processes and entries know it, found {self.size}"
+                f"size: expected {VIEWS_AND_ROBOT.size}, the only one that entries have a "
+                f"name for, found {self.size}"
             )
         return NAME
 
