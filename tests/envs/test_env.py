@@ -1,6 +1,7 @@
 """The Gymnasium environment: its interface, errors and options."""
 
 import json
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -18,9 +19,12 @@ from magical.errors import (
     ResetNeededError,
     UnknownNameError,
 )
-from magical.scene import ACTION_NAMES, Block, Colour, Dynamics, Pose, Scene, Shape
+from magical.scene import ACTION_NAMES, Block, Colour, Dynamics, Pose, Poses, Scene, Shape
+from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
+from magical.scene.poses import FIRST_BLOCK, ROBOT
 from magical.tasks import TASKS
 from magical.tasks.programs import progress
+from magical.tasks.programs.goals import UNFINISHED
 
 CORNER = "magical/MoveToCorner-Demo-v0"
 
@@ -71,6 +75,23 @@ def test_dense_reward_of_pushing() -> None:
     behind = Scene(Pose(0.5, -0.6, 0.7), (Block(Shape.CIRCLE, Colour.RED, Pose(0.2, -0.3, 0)),))
     env.reset(seed=0, options={"scene": behind})
     assert sum(env.step(1)[1] for _ in range(8)) > 0.3
+
+
+def test_dense_reward_of_a_block_that_arrives_is_positive_though_the_next_one_is_far() -> None:
+    program = TASKS["MatchRegions"].program
+    assert program is not None
+    env = MagicalEnv("MatchRegions", "Demo")
+    env.reset(seed=0)
+    scene, bodies = env.state().scene, env.state().poses.bodies.copy()
+    near, far = (FIRST_BLOCK + block for block in sorted(program.moved(scene))[:2])
+    (region,) = scene.regions
+    x, gained = region.x + region.width / 2, []
+    for y in (region.y + 0.01, region.y - 0.01):
+        bodies[near, :2] = x, y
+        bodies[ROBOT] = x, y + ROBOT_RADIUS + BLOCK_SIZE, math.pi
+        gained.append(progress(program, scene, Poses(bodies.copy())))
+    assert math.dist(bodies[far, :2], bodies[near, :2]) > 1.0
+    assert gained[1] > gained[0] + 0.9 * UNFINISHED
 
 
 def test_a_task_without_a_program_has_no_dense_reward() -> None:

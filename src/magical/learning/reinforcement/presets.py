@@ -32,12 +32,15 @@ PUBLISHED_CODE: Mapping[str, Any] = {
     "horizon": PUBLISHED,
 }
 
-# `states`, of PPO: state vectors and the dense reward, for which an episode is a short time.
+# `states`, of PPO: state vectors and the dense reward, for which an episode is a short time. All
+# environments start together: with fewer steps, an update would see one part of an episode alone.
 STATES: Mapping[str, Any] = {
     **QUICK,
     "observation": "state",
+    "network": "paper",
     "total_steps": 1_500_000,
-    "num_steps": 64,
+    "num_envs": 16,
+    "num_steps": 128,
     "epochs": 8,
     "minibatch_size": 256,
     "learning_rate": 7e-4,

@@ -13,7 +13,7 @@ import numpy as np
 
 from magical.scene import Poses, Scene
 from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
-from magical.scene.geometry import Point
+from magical.scene.geometry import Point, to_workspace
 from magical.tasks.programs.expressions import Attribute, Expression
 from magical.tasks.programs.places import InRegion, Place, depth_inside
 from magical.tasks.programs.selections import AllBlocks, Blocks, Selection, value_of
@@ -29,8 +29,7 @@ from magical.tasks.scoring import (
 
 SUCCESS = 0.5  # a final state is a success above this score: where every graded rule is past half
 CLUSTER_NO_SCORE = 0.5  # fraction of blocks clustered up to which the score is 0 (appendix A.2.7)
-UNFINISHED = 1.5  # what every block that must move costs in `progress`, in units
-APPROACH = 0.5  # weight in `progress` of the robot's way to the nearest of them
+UNFINISHED = 0.5  # what every block that must move costs in `progress`, in units
 MOVE = ("Push", "Move", "Bring")  # one a paraphrase
 KEEP = ("Keep", "Leave", "Hold")
 ROBOT = None  # in place of a block's index
@@ -331,17 +330,27 @@ def instruction(goal: Goal, scene: Scene, *, paraphrase: int = 0, attributes: bo
 def progress(goal: Goal, scene: Scene, poses: Poses) -> float:
     """The potential whose increase is the dense reward, in units.
 
-    With d_i the units that block i has still to go and r the distance from the robot to the nearest
-    of the blocks that must move, less their radii,
+    With d_i the units that block i has still to go, and w those of the robot's way along the blocks
+    that must move, from between its fingers to the nearest block and from each to the nearest left,
 
-        progress = - sum over blocks that must move of (UNFINISHED + d_i)  -  APPROACH x r.
+        progress = - sum over blocks that must move of (UNFINISHED + d_i)  -  w.
 
-    It depends on the state alone, so that rewards sum to zero over a loop.
+    It depends on the state alone, so that rewards sum to zero over a loop, and it does not fall
+    where a block is finished and the next one is far.
     """
     ways = goal.remaining(scene, poses)
     points = positions(scene, poses)
-    x, y, _ = poses.robot
-    contact = ROBOT_RADIUS + BLOCK_SIZE
-    apart = (math.dist(points[i], (x, y)) - contact for i in ways if i is not None)
-    approach = max(0.0, min(apart, default=0.0))
-    return -sum(UNFINISHED + way for way in ways.values()) - APPROACH * approach
+    between_fingers = to_workspace((0.0, ROBOT_RADIUS + BLOCK_SIZE), poses.robot)
+    way = _way_along(between_fingers, [points[i] for i in ways if i is not None])
+    return -sum(UNFINISHED + left for left in ways.values()) - way
+
+
+def _way_along(start: Point, points: list[Point]) -> float:
+    """Units from a point along all others, each time to the nearest one left."""
+    length, left = 0.0, list(points)
+    while left:
+        nearest = min(left, key=lambda point: math.dist(point, start))
+        length += math.dist(nearest, start)
+        left.remove(nearest)
+        start = nearest
+    return length
