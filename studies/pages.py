@@ -19,7 +19,7 @@ from magical.grouping import group_by
 from magical.report.found.search import Found, search_results
 from magical.report.found.statements import Statements
 from magical.report.leaderboard.checks import Rejected, by_reasons, check_entries
-from magical.report.leaderboard.ranking import make_boards
+from magical.report.leaderboard.ranking import ALL_TASKS, Board, make_boards
 from magical.report.scores.tables import signed
 from magical.tasks.axes import SHORT_VARIANTS
 from studies.plan_results import NOT_RUN, PlanResults
@@ -280,7 +280,7 @@ class Page:
         header = ("Row", "Class", "Demonstrations", "Earlier looks", "Demo", "TestAll", "Gap")
         rows = (
             [
-                drop.method,
+                drop.method + drop.statements.mark,
                 drop.learning_class or "–",
                 *_stated(drop.statements),
                 *(mean_text(drop.demo), mean_text(drop.test_all), signed(drop.gap)),
@@ -290,24 +290,9 @@ class Page:
         return table(header, rows)
 
     def leaderboard(self) -> str:
-        """The methods in the leaderboard's order, of those that have all tasks."""
-        head = ("Rank", "Method", "Class", "Demonstrations", "Earlier looks", "Used")
-        header = (*head, "Intervals over", "Demo", "TestAll", "Gap", "Rank by gap")
-        rows = [
-            [
-                *(
-                    "reference" if row.is_reference else row.rank,
-                    row.method,
-                    row.learning_class or "–",
-                    *_stated(row.statements),
-                ),
-                *(", ".join(row.used) or "–", row.unit),
-                *(mean_text(row.demo), mean_text(row.test_all), signed(row.gap)),
-                "–" if row.is_reference else row.gap_rank,
-            ]
-            for row in make_boards(self.ranked)[0].standings
-        ]
-        return table(header, rows) if rows else NOTHING
+        """The leaderboard of all tasks, then that of methods with a prior for the benchmark."""
+        boards = [board for board in make_boards(self.ranked) if ALL_TASKS in board.name]
+        return "\n\n".join(map(_standings, boards)) if boards[0].standings else NOTHING
 
     def other_tables(self) -> str:
         """A table for each row without a published counterpart: tasks by variants."""
@@ -330,6 +315,26 @@ def _evaluations(found: Found, leaderboard: bool) -> Found:
     """Of the leaderboard's evaluations and the others of the same policies, one kind."""
     kept = [r for r in found.results if (r.folder.name == LEADERBOARD) == leaderboard]
     return replace(found, results=kept, skipped=() if leaderboard else found.skipped)
+
+
+def _standings(board: Board) -> str:
+    head = ("Rank", "Method", "Class", "Demonstrations", "Earlier looks", "Used")
+    header = (*head, "Intervals over", "Demo", "TestAll", "Gap", "Rank by gap")
+    rows = [
+        [
+            *(
+                "reference" if row.is_reference else row.rank,
+                row.method + row.statements.mark,
+                row.learning_class or "–",
+                *_stated(row.statements),
+            ),
+            *(", ".join(row.used) or "–", row.unit),
+            *(mean_text(row.demo), mean_text(row.test_all), signed(row.gap)),
+            "–" if row.is_reference else row.gap_rank,
+        ]
+        for row in board.standings
+    ]
+    return table(header, rows)
 
 
 def _stated(statements: Statements) -> tuple[str, str]:

@@ -206,7 +206,7 @@ def test_the_leaderboards_evaluations_are_ranked_and_shown_nowhere_else(reposito
     write_leaderboard_entry(folder, 0.25)
     text = made(repository)
     ((*row, demo, test_all, _, gap_rank),) = lines(text, "leaderboard", "1")
-    assert row[:5] == ["1", "BC (ST)", "P", "10 of each task (dataset)", "3"]
+    assert row[:5] == ["1", "BC (ST)†", "P", "10 of each task (dataset)", "3"]
     assert row[5:] == ["demonstrations", "rollouts of 1 run"]
     assert demo.startswith("0.25 [")
     assert test_all.startswith("0.25 [")

@@ -13,6 +13,7 @@ from magical.report.found.search import Result
 from magical.report.gallery.descriptions import Paragraph, describe_changes, describe_task
 from magical.report.gallery.previews import SIZE, EnvPreview, make_previews
 from magical.report.leaderboard import Leaderboard
+from magical.report.leaderboard.ranking import WITH_PRIOR
 from magical.scene.constants import CONTROL_RATE
 from magical.tasks import TASKS, VARIANTS, Task
 from magical.tasks.axes import short_variant
@@ -26,8 +27,9 @@ NOTE = (
     "Means over training runs, and their standard deviation where there are several. Published "
     "scores are by the [published code's rule and horizon]"
     "(../../specification.md#9-where-the-published-code-scores-differently), all others by the "
-    "[protocol](../../protocol.md). The best entry is that with the highest TestAll score in this "
-    "task on the [leaderboard](../../leaderboard.md); the expert sees the true state."
+    "[protocol](../../protocol.md). The best entries are those with the highest TestAll score in this "
+    "task on the [leaderboard](../../leaderboard.md), with a prior made for the benchmark (class B) "
+    "and without; the expert sees the true state."
 )
 
 
@@ -46,11 +48,14 @@ class Row:
 def pages(root: Path, cache: Path, ranked: Leaderboard) -> dict[str, str | bytes]:
     """Every page and picture, by its place in the site."""
     folder = previews(root, cache)
-    best = {board.name: board.standings for board in ranked.boards}
+    standings = {board.name: board.standings for board in ranked.boards}
     made: dict[str, str | bytes] = {f"{FOLDER}/index.md": index()}
     for task in TASKS.values():
-        leaders = [row.method for row in best.get(task.name, ()) if not row.is_reference]
-        rows = [*_evaluated(task, ranked.accepted, [EXPERT, *leaders[:1]]), *_published(task)]
+        ranked_rows = (standings.get(task.name + which, ()) for which in ("", WITH_PRIOR))
+        best = [
+            r.method for rows in ranked_rows for r in rows if r.rank == 1 and not r.is_reference
+        ]
+        rows = [*_evaluated(task, ranked.accepted, [EXPERT, *best]), *_published(task)]
         place = f"{FOLDER}/{task.name}"
         made[f"{place}/index.md"] = task_page(task, rows)
         for variant in task.variants:

@@ -25,7 +25,8 @@ def _parts(board: Leaderboard) -> Iterator[str]:
         "is one run. Entries are those of the [studies](studies/README.md) and those that were "
         "[submitted](entries/README.md) and accepted: they keep [the protocol](protocol.md), and a "
         "sample of their rollouts was run again. A reference learned nothing and sees the true "
-        "state; it takes no rank."
+        "state; it takes no rank. Methods with a prior made for this benchmark are ranked apart; "
+        "†: test variants had been evaluated while the method was designed."
     )
     classes = ((name, SOURCES[source]) for name, source in CLASSES.items())
     yield table(("Class", "What it may use"), classes)
@@ -45,7 +46,7 @@ def _standings(part: Board) -> str:
 def _row(row: Standing) -> list[object]:
     return [
         "reference" if row.is_reference else row.rank,
-        row.method,
+        row.method + row.statements.mark,
         *(interval_text(value).replace(" ", NO_BREAK) for value in (row.test_all, row.gap)),
         row.learning_class or "–",
         ", ".join(row.used) or "nothing",

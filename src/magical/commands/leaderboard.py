@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
             (
                 "reference" if row.is_reference else row.rank,
                 row.method,
-                interval_text(row.test_all),
+                row.statements.mark + interval_text(row.test_all),
                 interval_text(row.gap),
                 "–" if row.is_reference else row.gap_rank,
                 row.unit,

@@ -13,6 +13,7 @@ EXPERT_LABELS = "expert labels"
 TEST_VARIANTS = "test variants"
 EXTRA_DATA = "extra data"
 OBJECT_PARSER = "object parser"
+BENCHMARK_PRIOR = "benchmark prior"
 
 # Fields of an entry's details.
 LEARNED_FROM = "learned_from"
@@ -30,17 +31,19 @@ SOURCES: Mapping[str, str] = MappingProxyType(
         TEST_VARIANTS: "test variants, seen before the final evaluation",
         EXTRA_DATA: "data from elsewhere, such as a pre-trained network",
         OBJECT_PARSER: "a parser made for the known palette, or fitted on rendered scenes",
+        BENCHMARK_PRIOR: "features or penalties chosen by those who know the tasks, or a part "
+        "fitted on scenes of test variants",
     }
 )
 
 # Of what learns from Demo demonstrations: each class may use what those before it may.
 CLASSES: Mapping[str, str] = MappingProxyType(
-    {"P": DEMONSTRATIONS, "R": RENDERED_STATES, "X": SIMULATOR}
+    {"P": DEMONSTRATIONS, "R": RENDERED_STATES, "X": SIMULATOR, "B": BENCHMARK_PRIOR}
 )
 
 
 def learning_class(names: Iterable[str]) -> str:
-    """`P`, `R` or `X`, by the furthest of `CLASSES` that was used; empty for all other entries.
+    """`P`, `R`, `X` or `B`, by the furthest of `CLASSES` that was used; empty for all other entries.
 
     Those learned from something besides, such as interaction, or without demonstrations. A parser
     of frames is declared and changes no class.

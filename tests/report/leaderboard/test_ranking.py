@@ -7,7 +7,12 @@ from typing import Any
 import pytest
 
 from magical.report.found.search import Result
-from magical.report.leaderboard.ranking import ALL_TASKS, HELD_OUT_TASKS, make_boards
+from magical.report.leaderboard.ranking import (
+    ALL_TASKS,
+    HELD_OUT_TASKS,
+    WITH_PRIOR,
+    make_boards,
+)
 from magical.tasks import TASKS
 from magical.tasks.programs.suite import HELD_OUT, TRAINING, task_name
 from tests.report.conftest import make_entry
@@ -119,6 +124,21 @@ def test_methods_pre_trained_on_training_tasks_have_a_board_for_each_number() ->
     }
 
 
+def test_methods_with_a_prior_made_for_the_benchmark_are_ranked_apart() -> None:
+    details = {"learned_from": ["demonstrations", "benchmark prior"]}
+    prior = [
+        run(name, 0.9, score, TASKS, details=details) for name, score in (("a", 0.8), ("b", 1))
+    ]
+    boards = {board.name: board for board in make_boards([*prior, run("c", 0.9, 0.1, TASKS)])}
+    for name in (ALL_TASKS, "MakeLine"):
+        apart = boards[name + WITH_PRIOR].standings
+        assert [(row.method, row.rank) for row in boards[name].standings] == [("c", 1)]
+        assert [(r.method, r.rank, r.learning_class) for r in apart] == [
+            ("b", 1, "B"),
+            ("a", 2, "B"),
+        ]
+
+
 def test_what_was_used_is_what_was_learned_from_and_shown() -> None:
     details = {"learned_from": ["extra data", "demonstrations"]}
     board = make_boards([run("m", 1.0, 1.0, details=details, privileged=True)])[1]
@@ -132,5 +152,7 @@ def test_demonstrations_and_looks_are_as_the_entries_say() -> None:
         run("m", 1.0, 0.8, details={**learned, "demonstrations": "10 (human)", "looks": 7}),
         run("n", 1.0, 0.7, details=learned),
     ]
+    results.append(run("o", 1.0, 0.6, details={**learned, "looks": 0}))
     stated = [row.statements for row in make_boards(results)[1].standings]
-    assert stated == [("10 (human)", 7), ("", None)]
+    assert stated == [("10 (human)", 7), ("", None), ("", 0)]
+    assert [each.mark for each in stated] == ["†", "", ""]

@@ -87,7 +87,7 @@ def test_the_page_explains_its_words_and_says_what_was_run_again(
     argv = ["leaderboard", str(entries), "--out", str(site), "--rerun"]
     assert cli.main([*argv, "C"]) == 0
     text = (site / "index.html").read_text()
-    for word in ("nudge", "class", "earlier looks", "gap", "reference"):
+    for word in ("nudge", "class", "earlier looks, †", "gap", "reference"):
         assert f"<dt>{word}</dt>" in text
     assert "Scores are as submitted, unless marked" in text
     assert text.count("<small>run again</small>") == 1

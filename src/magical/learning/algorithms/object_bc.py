@@ -42,7 +42,7 @@ from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
 from magical.observe.pixels import CHANNELS, STACK
-from magical.runs.sources import OBJECT_PARSER
+from magical.runs.sources import BENCHMARK_PRIOR, OBJECT_PARSER
 from magical.scene.actions import MIRRORED_ACTIONS
 
 STANDS, STANDS_ANGLE = 0.01, 0.05  # units, rad: a robot that moved less over the stack stands still
@@ -104,8 +104,8 @@ class ObjectBCConfig(Config):
 
     @property
     def learned_from(self) -> tuple[str, ...]:
-        """See `Config`; the parser was made for the palette and fitted on rendered scenes."""
-        return (*super().learned_from, OBJECT_PARSER)
+        """See `Config`; the relations' penalties were chosen, and the parser was fitted on TestAll."""
+        return (*super().learned_from, OBJECT_PARSER, BENCHMARK_PRIOR)
 
     @property
     def num_updates(self) -> int:

@@ -18,6 +18,11 @@ class Statements(NamedTuple):
     demonstrations: str = ""
     looks: int | None = None
 
+    @property
+    def mark(self) -> str:
+        """A dagger where test variants were evaluated before, otherwise nothing."""
+        return "†" if self.looks else ""
+
 
 UNSTATED = Statements()
 

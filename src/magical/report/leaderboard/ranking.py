@@ -11,6 +11,7 @@ from magical.report.found.search import Result
 from magical.report.found.statements import Statements, gather_statements
 from magical.report.scores.methods import ComparedMethod, compared_methods
 from magical.runs.sources import (
+    BENCHMARK_PRIOR,
     EXTRA_DATA,
     NUM_DEMOS,
     PRETRAINED_ON,
@@ -21,6 +22,7 @@ from magical.tasks import TASKS
 from magical.tasks.programs.suite import HELD_OUT, TRAINING, task_name
 
 ALL_TASKS, HELD_OUT_TASKS = "All tasks", "Held-out tasks"
+WITH_PRIOR = ", with a benchmark prior"  # after the name of a board
 DEMOS = 10  # of a held-out task, without pre-training
 FINE_TUNED = (1, 5, 10)  # demonstrations of a held-out task after pre-training
 DEMO, TEST_ALL = "Demo", "TestAll"
@@ -43,7 +45,7 @@ class Standing:
 
     @property
     def learning_class(self) -> str:
-        """`P`, `R`, `X` or nothing: `magical.runs.sources.learning_class`."""
+        """`P`, `R`, `X`, `B` or nothing: `magical.runs.sources.learning_class`."""
         return learning_class(self.used)
 
     @property
@@ -54,7 +56,10 @@ class Standing:
 
 @dataclass(frozen=True, slots=True)
 class Board:
-    """The standings on a task, on all of the paper's, or on the held-out generated ones."""
+    """The standings on a task, on all of the paper's, or on the held-out generated ones.
+
+    Those of methods with a prior made for the benchmark are on a board of their own.
+    """
 
     name: str
     standings: Sequence[Standing]  # by TestAll
@@ -64,21 +69,27 @@ def make_boards(results: Sequence[Result]) -> list[Board]:
     """A board of the methods that have all tasks, and of those that have all held-out tasks.
 
     Those that were pre-trained on training tasks have a board for each number of demonstrations.
-    Then one for each task that any has, but for generated tasks.
+    Then one for each task that any has, but for generated tasks. All but the first have standings.
     """
     groups = group_by(results, attrgetter("entry.method"))
     methods = {name: _method(runs) for name, runs in groups.items()}
 
-    def board(name: str, tasks: Collection[str], track: str | None = None) -> Board:
+    def boards(name: str, tasks: Collection[str], track: str | None = None) -> list[Board]:
         chosen = [m for m in methods.values() if track in (None, held_out_board(groups[m.name]))]
         parts = [_on_tasks(method, tasks) for method in chosen]
-        return Board(name, _ranked([_standing(m, groups[m.name]) for m in parts if m is not None]))
+        standings = [_standing(m, groups[m.name]) for m in parts if m is not None]
+        prior = [row for row in standings if BENCHMARK_PRIOR in row.used]
+        others = [row for row in standings if row not in prior]
+        return [Board(name, _ranked(others)), Board(name + WITH_PRIOR, _ranked(prior))]
 
     held_out = [task_name(number) for number in HELD_OUT]
     tracks = [HELD_OUT_TASKS, *map(pretrained_board, FINE_TUNED)]
-    suite = [board(name, held_out, track=name) for name in tracks]
-    others = [*suite, *(board(task, [task]) for task in TASKS)]
-    return [board(ALL_TASKS, TASKS), *(other for other in others if other.standings)]
+    first, *rest = boards(ALL_TASKS, TASKS)
+    for name in tracks:
+        rest += boards(name, held_out, track=name)
+    for task in TASKS:
+        rest += boards(task, [task])
+    return [first, *(board for board in rest if board.standings)]
 
 
 def pretrained_board(num_demos: int) -> str:
