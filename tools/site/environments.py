@@ -1,6 +1,6 @@
 """A page for each task and for each environment, from the registry and the entries."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,9 +27,9 @@ NOTE = (
     "Means over training runs, and their standard deviation where there are several. Published "
     "scores are by the [published code's rule and horizon]"
     "(../../specification.md#9-where-the-published-code-scores-differently), all others by the "
-    "[protocol](../../protocol.md). The best entries are those with the highest TestAll score in this "
-    "task on the [leaderboard](../../leaderboard.md), with a prior made for the benchmark (class B) "
-    "and without; the expert sees the true state."
+    "[protocol](../../protocol.md). The best entries are those with the highest TestAll score in "
+    "this task on the [leaderboard](../../leaderboard.md), with a prior made for the benchmark "
+    "(class B) and without; the expert sees the true state."
 )
 
 
@@ -51,11 +51,12 @@ def pages(root: Path, cache: Path, ranked: Leaderboard) -> dict[str, str | bytes
     standings = {board.name: board.standings for board in ranked.boards}
     made: dict[str, str | bytes] = {f"{FOLDER}/index.md": index()}
     for task in TASKS.values():
-        ranked_rows = (standings.get(task.name + which, ()) for which in ("", WITH_PRIOR))
-        best = [
-            r.method for rows in ranked_rows for r in rows if r.rank == 1 and not r.is_reference
+        parts = (standings.get(task.name + which, ()) for which in ("", WITH_PRIOR))
+        best = [row.method for part in parts for row in part if row.rank == 1]
+        rows = [
+            *_evaluated(task, ranked.accepted, dict.fromkeys([EXPERT, *best])),
+            *_published(task),
         ]
-        rows = [*_evaluated(task, ranked.accepted, [EXPERT, *best]), *_published(task)]
         place = f"{FOLDER}/{task.name}"
         made[f"{place}/index.md"] = task_page(task, rows)
         for variant in task.variants:
@@ -213,7 +214,7 @@ def _published(task: Task) -> Iterator[Row]:
             yield Row(f"{method}, published", cells)
 
 
-def _evaluated(task: Task, results: Sequence[Result], methods: Sequence[str]) -> Iterator[Row]:
+def _evaluated(task: Task, results: Sequence[Result], methods: Iterable[str]) -> Iterator[Row]:
     for method in methods:
         means: dict[str, list[float]] = {}
         for result in results:

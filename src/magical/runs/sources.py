@@ -43,7 +43,7 @@ CLASSES: Mapping[str, str] = MappingProxyType(
 
 
 def learning_class(names: Iterable[str]) -> str:
-    """`P`, `R`, `X` or `B`, by the furthest of `CLASSES` that was used; empty for all other entries.
+    """`P`, `R`, `X` or `B`, by the furthest of `CLASSES` that was used; empty for all others.
 
     Those learned from something besides, such as interaction, or without demonstrations. A parser
     of frames is declared and changes no class.

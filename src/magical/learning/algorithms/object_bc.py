@@ -104,7 +104,7 @@ class ObjectBCConfig(Config):
 
     @property
     def learned_from(self) -> tuple[str, ...]:
-        """See `Config`; the relations' penalties were chosen, and the parser was fitted on TestAll."""
+        """See `Config`; relations are for these tasks, and the parser was fitted on TestAll."""
         return (*super().learned_from, OBJECT_PARSER, BENCHMARK_PRIOR)
 
     @property
