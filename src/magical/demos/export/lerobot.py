@@ -144,9 +144,7 @@ class _Writer:
         trajectory = trajectory.with_action_space(self._action_space)
         steps = len(trajectory)
         words = trajectory.task.instruction(trajectory.scene, attributes=self._attributes)
-        columns = self._episode_columns(
-            trajectory, self._tasks.setdefault(words, len(self._tasks))
-        )
+        columns = self._episode_columns(trajectory, self._tasks.setdefault(words, len(self._tasks)))
         table = pa.table({name: _arrow(column) for name, column in columns.items()})
         if self.total == 0 or self._frames_in_file >= FRAMES_PER_FILE:
             self._start_files(table.schema)

@@ -339,10 +339,11 @@ def progress(goal: Goal, scene: Scene, poses: Poses) -> float:
     With d_i the units that block i has still to go, and w those of the robot's way along the blocks
     that must move, from between its fingers to the nearest block and from each to the nearest left,
 
-        progress = - sum over blocks that must move of (UNFINISHED + d_i)  -  w.
+        progress = - sum over blocks that must move of (UNFINISHED + d_i)  -  w,
 
-    It depends on the state alone, so that rewards sum to zero over a loop, and it does not fall
-    where a block is finished and the next one is far.
+    the highest of the goal's plans. It depends on the state alone, so that rewards sum to zero over
+    a loop, and it falls neither where a block is finished and the next one is far nor where another
+    plan becomes better.
     """
     points = positions(scene, poses)
     between_fingers = to_workspace((0.0, ROBOT_RADIUS + BLOCK_SIZE), poses.robot)
