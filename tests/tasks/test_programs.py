@@ -116,7 +116,7 @@ def test_scores(
 ) -> None:
     program = parse(goal)
     assert program.score(SCENE, final(places)) == pytest.approx(expected)
-    finished = {} in program.plans(SCENE, final(places))
+    finished = {} in program.ways(SCENE, final(places))
     assert finished == (expected == 1.0)
 
 
@@ -147,7 +147,7 @@ def test_progress_rises_to_zero_and_is_a_function_of_the_state(
         ),
     ],
 )
-def test_progress_is_that_of_the_best_plan(
+def test_progress_is_that_of_the_best_way(
     goal: str,
     places: dict[int, tuple[float, float]],
     block: int,

@@ -34,6 +34,6 @@ def _unreachable(goal: Goal, scene: Scene) -> str:
         return "" if len(kinds) > 1 else "expected blocks of at least two values, found fewer"
     if isinstance(goal, Together):
         return ""
-    plans = goal.plans(scene, Poses.at_rest(scene))
-    reachable = any(math.inf not in plan.values() for plan in plans)
+    ways = goal.ways(scene, Poses.at_rest(scene))
+    reachable = any(math.inf not in remaining.values() for remaining in ways)
     return "" if reachable else "there is no such place in the scene"
