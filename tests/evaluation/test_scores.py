@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from magical.envs import EnvId
+from magical.envs.action_spec import ActionSpaceName
 from magical.envs.seeds import evaluation_seed
 from magical.errors import ScoresError
 from magical.evaluation import (
@@ -22,6 +23,7 @@ from magical.evaluation import (
     summarise,
     write_scores,
 )
+from magical.evaluation.expert import ExpertPolicy
 
 SCORES = [
     RolloutScore(EnvId("MakeLine", "Demo"), 0, 1_000_000_000, 0.5, 0.0),
@@ -123,6 +125,17 @@ def test_an_entry_says_what_the_policy_was_shown(
     evaluation = Evaluation.of([DEMO], observation=observation)
     entry = Entry.of(policy, evaluation, method="m", details={})
     assert (entry.observation, entry.privileged) == expected
+
+
+@pytest.mark.parametrize(
+    ("action_space", "expected"), [("discrete", {}), ("continuous", {"action_space": "continuous"})]
+)
+def test_an_entry_names_other_actions_than_the_discrete_ones(
+    action_space: ActionSpaceName, expected: dict[str, str]
+) -> None:
+    policy = ExpertPolicy(action_space=action_space)
+    entry = Entry.of(policy, Evaluation.of([DEMO]), method="m", details={"authors": "us"})
+    assert entry.details == {"authors": "us", **expected}
 
 
 @pytest.mark.parametrize("missing", ["scores.csv", "entry.json"])

@@ -1,5 +1,6 @@
 """The language of goals: types, text, meaning, words."""
 
+import math
 from collections.abc import Callable
 
 import pytest
@@ -8,6 +9,7 @@ from magical.conformance import scores
 from magical.conformance.recordings import recording_path
 from magical.errors import InvalidProgramError
 from magical.scene import Block, Colour, Pose, Poses, Region, Scene, Shape
+from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
 from magical.tasks import TASKS, Task
 from magical.tasks.programs import (
     Lined,
@@ -17,6 +19,7 @@ from magical.tasks.programs import (
     progress,
     validate,
 )
+from magical.tasks.programs.goals import UNFINISHED
 
 PAPER = [task for task in TASKS.values() if task.section]
 
@@ -113,7 +116,7 @@ def test_scores(
 ) -> None:
     program = parse(goal)
     assert program.score(SCENE, final(places)) == pytest.approx(expected)
-    finished = not program.remaining(SCENE, final(places))
+    finished = {} in program.ways(SCENE, final(places))
     assert finished == (expected == 1.0)
 
 
@@ -128,6 +131,34 @@ def test_progress_rises_to_zero_and_is_a_function_of_the_state(
     assert values == sorted(values)
     assert len(set(values)) == 4
     assert values[-1] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("goal", "places", "block", "way"),
+    [
+        # Another block has less to go to the region, and is farther from the robot.
+        ("OneOf(WithColour('red'), InRegion())", {0: (0.1, 0.6), 1: (0.05, -0.05)}, 1, 0.5),
+        # A line through the first two blocks needs one move, others less in all of two.
+        (
+            "Lined(AllBut(WithColour('blue')))",
+            {0: (0.0, 0.0), 1: (0.4, 0.0), 2: (0.8, 0.48)},
+            2,
+            0.3,
+        ),
+    ],
+)
+def test_progress_is_that_of_the_best_way(
+    goal: str,
+    places: dict[int, tuple[float, float]],
+    block: int,
+    way: float,
+    final: Callable[..., Poses],
+) -> None:
+    program, poses = parse(goal), final(places)
+    x, y, _ = poses.robot
+    between_fingers = x, y + ROBOT_RADIUS + BLOCK_SIZE
+    expected = -(UNFINISHED + way) - math.dist(between_fingers, places[block])
+    assert progress(program, SCENE, poses) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(

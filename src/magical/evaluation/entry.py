@@ -9,9 +9,10 @@ from typing import Annotated, Any, Self
 from msgspec import Meta
 
 from magical import __version__
+from magical.envs.action_spec import DISCRETE
 from magical.envs.episode import checked_nudge
 from magical.errors import ScoresError
-from magical.evaluation.policy import Policy, observed
+from magical.evaluation.policy import Policy, action_spec_of, observed
 from magical.evaluation.protocol import Evaluation
 from magical.evaluation.scores import RolloutScore, check_protocol, read_scores, write_scores
 from magical.files import write_atomically
@@ -87,9 +88,15 @@ class Entry(_EntryFile):
         scores: Sequence[RolloutScore] = (),
         details: dict[str, Any],
     ) -> Self:
-        """The entry of a policy that is evaluated so; raises as the class does."""
+        """The entry of a policy that is evaluated so; raises as the class does.
+
+        Its details have the `action_space`, unless that is the discrete one of the benchmark.
+        """
         task = evaluation.env_ids[0].task_spec
         observation, privileged = observed(policy, evaluation.observation, task)
+        actions = action_spec_of(policy)
+        if actions is not DISCRETE:
+            details = {**details, "action_space": actions.name}
         return cls(
             method=method,
             scores=scores,

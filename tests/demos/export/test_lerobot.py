@@ -37,9 +37,9 @@ def test_lerobot_export_is_readable(
         )
         assert [step["action"] for step in steps] == trajectory.actions.tolist()
         assert [step["next.done"] for step in steps] == [False] * (len(steps) - 1) + [True]
-        assert {step["task_index"] for step in steps} == {
-            tasks[trajectory.task.instruction(trajectory.scene)]
-        }
+        words = trajectory.task.instruction(trajectory.scene)
+        assert row["tasks"] == [words]
+        assert {step["task_index"] for step in steps} == {tasks[words]}
         assert trajectory.poses is not None
         np.testing.assert_allclose(
             [step["observation.state"][:3] for step in steps], trajectory.poses[:-1, 0], atol=1e-6
@@ -58,6 +58,15 @@ def test_lerobot_export_is_readable(
                 assert time == (start + step) / 8
                 assert np.abs(frame.astype(int) - expected[step, :, :, -3:]).mean() < 2
     assert {row["data/file_index"] for row in episodes} == {0, 1}
+
+
+def test_lerobot_tasks_without_colours_and_shapes(mixed: Path, tmp_path: Path) -> None:
+    dataset, command = Dataset.open(mixed), ["demos", "export", str(mixed), "--to", "lerobot"]
+    main([*command, "--instruction", "task", "--out", str(tmp_path / "lerobot")])
+    tasks = pq.read_table(tmp_path / "lerobot" / "meta" / "tasks.parquet").to_pylist()
+    plain = {one.task.instruction(one.scene, attributes=False) for one in dataset}
+    assert {row["task"] for row in tasks} == plain
+    assert plain.isdisjoint(one.task.instruction(one.scene) for one in dataset)
 
 
 def test_lerobot_actions_are_those_to_imitate(labelled: Dataset, tmp_path: Path) -> None:

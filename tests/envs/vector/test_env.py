@@ -13,8 +13,8 @@ from magical.envs.env import MagicalEnv
 from magical.envs.ids import parse_env_id
 from magical.errors import InvalidStateError, ResetNeededError
 from magical.observe.arrays import copy_arrays
+from magical.scene import Block, Colour, Dynamics, Pose, Scene, Shape
 from magical.scene.actions import NUM_ACTIONS
-from magical.scene.scene import Dynamics, Pose
 from tests.envs.vector.making import MIXED, vector
 
 HORIZON = 7
@@ -107,11 +107,18 @@ def test_autoreset_as_gymnasiums_own(mode: AutoresetMode, workers: int) -> None:
     makers = [partial(single, env_id, **options) for env_id in env_ids]
     plain = SyncVectorEnv(makers, autoreset_mode=mode)
     assert own.metadata["autoreset_mode"] is mode
-    same(own.reset(seed=5), plain.reset(seed=5))
+    square = Block(Shape.SQUARE, Colour.RED, Pose(-0.7, 0.7, 0.0))
+    solved: dict[str, Any] = {"scene": Scene(Pose(0.5, 0.0, 0.0), (square,))}
+    same(own.reset(seed=5, options=solved), plain.reset(seed=5, options=solved))
     own.set_state(1, own.get_state(0))
     plain.envs[1].set_state(plain.envs[0].get_state())  # type: ignore[attr-defined]
+    successes = []
     for actions in actions_for(3, 8):
-        same(own.step(actions), plain.step(actions))
+        found = own.step(actions)
+        same(found, plain.step(actions))
+        ended = found[4].get("final_info", found[4])
+        successes.append(ended["is_success"].all())
+    assert successes == [False, False, True, *[False] * 5]  # the first episodes are solved
     own.close()
 
 

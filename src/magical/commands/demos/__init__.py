@@ -135,6 +135,12 @@ def _export(parser: argparse.ArgumentParser) -> None:
     )
     _action_space(parser, "of the exported actions (default: the dataset's)")
     parser.add_argument(
+        "--instruction",
+        choices=("attributes", "task"),
+        default="attributes",
+        help="lerobot: whether an episode's task names colours and shapes (default: attributes)",
+    )
+    parser.add_argument(
         "--skip-damaged", action="store_true", help="leave damaged trajectories out"
     )
     add_json(parser)

@@ -183,7 +183,7 @@ def run_export(args: argparse.Namespace) -> int:
 
         if args.out is None:
             raise DatasetError("--out: expected a new folder for the LeRobot dataset, found none")
-        frames = export_lerobot(dataset, args.out, args.action_space)
+        frames = export_lerobot(dataset, args.out, args.action_space, args.instruction)
         result |= {"out": str(args.out), "frames": frames}
         print(f"wrote {args.out}: {len(dataset)} episodes, {result['frames']} frames")
     print_json(args, {**result, "episodes": len(dataset)})

@@ -23,6 +23,7 @@ from magical.demos.store.dataset import Dataset
 from magical.demos.store.reader import Frames
 from magical.demos.store.trajectory import VIEWS, Trajectory
 from magical.envs.action_spec import Actions, ActionSpaceName
+from magical.envs.env import Instruction, names_attributes
 from magical.errors import DatasetError
 from magical.scene.actions import PARTS
 from magical.scene.constants import CONTROL_RATE, FRAME_SIZE
@@ -62,7 +63,10 @@ Stats = dict[str, NDArray[Any]]  # min, max, mean, std: (D,), or (3, 1, 1) for c
 
 
 def export_lerobot(
-    dataset: Dataset, folder: Path, action_space: ActionSpaceName | None = None
+    dataset: Dataset,
+    folder: Path,
+    action_space: ActionSpaceName | None = None,
+    instruction: Instruction = "attributes",
 ) -> int:
     """Write the dataset into a new folder; returns the number of frames, one for each action.
 
@@ -77,6 +81,7 @@ def export_lerobot(
         dataset: the trajectories.
         folder: a new one.
         action_space: of the exported actions; by default the dataset's, continuous where some are.
+        instruction: each episode's task, as `MagicalEnv` takes it: "attributes" or "task".
 
     Raises:
         TrajectoryError: continuous actions that are no discrete ones, where those are asked for.
@@ -89,7 +94,7 @@ def export_lerobot(
     folder.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".part-") as temporary:
         root = Path(temporary) / folder.name
-        writer = _Writer(root, dataset, action_space)
+        writer = _Writer(root, dataset, action_space, names_attributes(instruction))
         with writer.files:
             for trajectory in dataset:
                 writer.add(trajectory)
@@ -102,9 +107,13 @@ class _Writer:
     """An export: its open files, one table and one video for each camera, and its metadata."""
 
     def __init__(
-        self, root: Path, dataset: Dataset, action_space: ActionSpaceName | None = None
+        self,
+        root: Path,
+        dataset: Dataset,
+        action_space: ActionSpaceName | None = None,
+        attributes: bool = True,
     ) -> None:
-        self.root = root
+        self.root, self._attributes = root, attributes
         self.total = 0
         self.files = ExitStack()
         self._has_states = all(entry.has_poses for entry in dataset.entries)
@@ -134,10 +143,8 @@ class _Writer:
         """Write one episode: the frame before each action, and the action."""
         trajectory = trajectory.with_action_space(self._action_space)
         steps = len(trajectory)
-        task = self._tasks.setdefault(
-            trajectory.task.instruction(trajectory.scene), len(self._tasks)
-        )
-        columns = self._episode_columns(trajectory, task)
+        words = trajectory.task.instruction(trajectory.scene, attributes=self._attributes)
+        columns = self._episode_columns(trajectory, self._tasks.setdefault(words, len(self._tasks)))
         table = pa.table({name: _arrow(column) for name, column in columns.items()})
         if self.total == 0 or self._frames_in_file >= FRAMES_PER_FILE:
             self._start_files(table.schema)
@@ -148,7 +155,7 @@ class _Writer:
                 video.write(frame)
             self._levels[CAMERAS[view]].append(_levels(frames))
         self._columns.append(columns)
-        self._episodes.append(self._episode(trajectory))
+        self._episodes.append(self._episode(trajectory, words))
         self.total += steps
         self._frames_in_file += steps
 
@@ -195,12 +202,12 @@ class _Writer:
             "task_index": np.full(steps, task),
         }
 
-    def _episode(self, trajectory: Trajectory) -> dict[str, Any]:
+    def _episode(self, trajectory: Trajectory, words: str) -> dict[str, Any]:
         steps, start = len(trajectory), self._frames_in_file
         chunk, file = divmod(self._file, FILES_PER_CHUNK)
         row: dict[str, Any] = {
             "episode_index": len(self._episodes),
-            "tasks": [trajectory.task.summary],
+            "tasks": [words],
             "length": steps,
             "dataset_from_index": self.total,
             "dataset_to_index": self.total + steps,

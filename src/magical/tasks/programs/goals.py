@@ -7,7 +7,8 @@ instruction. Goals are combined by `Together`, whose score is the product.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import combinations, pairwise
+from functools import cached_property
+from itertools import combinations, pairwise, product
 
 import numpy as np
 
@@ -45,8 +46,8 @@ class Goal(Expression):
         """The score, 0 to 1, of final poses in an episode that started from `scene`."""
         raise NotImplementedError
 
-    def remaining(self, scene: Scene, poses: Poses) -> Remaining:
-        """The blocks that must still move, each with the units that it has to go."""
+    def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
+        """The ways to reach the goal: the blocks that must still move, and how far each."""
         raise NotImplementedError
 
     def moved(self, scene: Scene) -> Blocks:
@@ -74,15 +75,15 @@ class _Placed(Goal):
         chosen = sorted(self.selection.blocks(scene))
         return [self.place.degree(scene, block, points) for block in chosen]
 
-    def remaining(self, scene: Scene, poses: Poses) -> Remaining:
+    def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
         points = positions(scene, poses)
         chosen = self.selection.blocks(scene)
-        ways = {block: self.place.remaining(scene, block, points) for block in chosen}
-        return {block: way for block, way in ways.items() if way > 0.0}
+        units = {block: self.place.remaining(scene, block, points) for block in chosen}
+        return [{block: left for block, left in units.items() if left > 0.0}]
 
     def sentence(self, scene: Scene, style: Style) -> str:
         what = describe(self.selection, scene, style)
-        if not self.remaining(scene, Poses.at_rest(scene)):
+        if not all(self.ways(scene, Poses.at_rest(scene))):
             return f"{style.of(KEEP)} {what} {stay(what, self.moved(scene))}."
         return f"{style.of(MOVE)} {what} {self.place.phrase(scene, style)}."
 
@@ -109,11 +110,11 @@ class OneOf(_Placed):
     def score(self, scene: Scene, poses: Poses) -> float:
         return float(max(self.degrees(scene, poses), default=0.0) >= 1.0)
 
-    def remaining(self, scene: Scene, poses: Poses) -> Remaining:
+    def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
+        (remaining,) = super().ways(scene, poses)
         if self.score(scene, poses) == 1.0:
-            return {}
-        ways = super().remaining(scene, poses)
-        return dict([min(ways.items(), key=lambda item: item[1])]) if ways else {}
+            return [{}]
+        return [{block: left} for block, left in remaining.items()] or [{}]
 
     def sentence(self, scene: Scene, style: Style) -> str:
         chosen = self.selection.blocks(scene)
@@ -142,11 +143,11 @@ class Only(_OfBlocks):
         inside = {i for i in range(len(points)) if InRegion().degree(scene, i, points)}
         return 1.0 - len(inside - chosen) / len(inside) if inside else 1.0
 
-    def remaining(self, scene: Scene, poses: Poses) -> Remaining:
+    def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
         points = positions(scene, poses)
         others = AllBlocks().blocks(scene) - self.selection.blocks(scene)
-        ways = {block: depth_inside(scene, points[block]) for block in others}
-        return {block: way for block, way in ways.items() if way > 0.0}
+        units = {block: depth_inside(scene, points[block]) for block in others}
+        return [{block: left for block, left in units.items() if left > 0.0}]
 
     def moved(self, scene: Scene) -> Blocks:
         return frozenset()
@@ -160,16 +161,17 @@ class Exactly(_OfBlocks):
     """All of a selection and no others in the regions: the product of `Each` and `Only`."""
 
     def score(self, scene: Scene, poses: Poses) -> float:
-        each = Each(self.selection, InRegion()).score(scene, poses)
-        return each * Only(self.selection).score(scene, poses)
+        return self._both.score(scene, poses)
 
-    def remaining(self, scene: Scene, poses: Poses) -> Remaining:
-        each = Each(self.selection, InRegion()).remaining(scene, poses)
-        return {**each, **Only(self.selection).remaining(scene, poses)}
+    def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
+        return self._both.ways(scene, poses)
 
     def sentence(self, scene: Scene, style: Style) -> str:
-        each = Each(self.selection, InRegion()).sentence(scene, style)
-        return f"{each} {Only(self.selection).sentence(scene, style)}"
+        return self._both.sentence(scene, style)
+
+    @cached_property
+    def _both(self) -> Goal:
+        return Together(Each(self.selection, InRegion()), Only(self.selection))
 
 
 class Undisturbed(_OfBlocks):
@@ -178,13 +180,13 @@ class Undisturbed(_OfBlocks):
     def score(self, scene: Scene, poses: Poses) -> float:
         return float(all(before == after for before, after in self._contents(scene, poses)))
 
-    def remaining(self, scene: Scene, poses: Poses) -> Remaining:
+    def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
         contents = self._contents(scene, poses)
         left = {block for before, after in contents for block in before - after}
         came = {block for before, after in contents for block in after - before}
         points = positions(scene, poses)
-        ways: dict[int | None, float] = {i: InRegion().remaining(scene, i, points) for i in left}
-        return {**ways, **{i: depth_inside(scene, points[i]) for i in came}}
+        units: dict[int | None, float] = {i: InRegion().remaining(scene, i, points) for i in left}
+        return [{**units, **{i: depth_inside(scene, points[i]) for i in came}}]
 
     def moved(self, scene: Scene) -> Blocks:
         return frozenset()
@@ -212,11 +214,14 @@ class Lined(_OfBlocks):
         missing = len(points) - longest_line(points)
         return {0: 1.0, 1: 0.5}.get(missing, 0.0) if len(points) > 1 else 0.0
 
-    def remaining(self, scene: Scene, poses: Poses) -> Remaining:
+    def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
         points, chosen = self._points(scene, poses), sorted(self.selection.blocks(scene))
         pairs = combinations(range(len(points)), 2)
-        ways = min((_ways_to_line(i, j, points) for i, j in pairs), key=sum, default=[math.inf])
-        return {block: way for block, way in zip(chosen, ways, strict=True) if way > 0.0}
+        lines = [_units_to_line(i, j, points) for i, j in pairs] or [[math.inf]]
+        return [
+            {block: left for block, left in zip(chosen, units, strict=True) if left > 0.0}
+            for units in lines
+        ]
 
     def sentence(self, scene: Scene, style: Style) -> str:
         verb = style.of(("Arrange", "Put", "Place"))
@@ -238,10 +243,10 @@ class Clustered(Goal):
         fraction = float(np.mean(own < other / 3))
         return max(0.0, fraction - CLUSTER_NO_SCORE) / (1.0 - CLUSTER_NO_SCORE)
 
-    def remaining(self, scene: Scene, poses: Poses) -> Remaining:
+    def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
         own, other = self._distances(scene, poses)
-        ways = np.sqrt(own) - np.sqrt(other / 3)
-        return {i: way for i, way in enumerate(ways.tolist()) if way >= 0.0}
+        units = np.sqrt(own) - np.sqrt(other / 3)
+        return [{i: left for i, left in enumerate(units.tolist()) if left >= 0.0}]
 
     def moved(self, scene: Scene) -> Blocks:
         return AllBlocks().blocks(scene)
@@ -263,9 +268,9 @@ class RobotInside(Goal):
         x, y, _ = poses.robot
         return float(any(region.contains(x, y) for region in scene.regions))
 
-    def remaining(self, scene: Scene, poses: Poses) -> Remaining:
+    def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
         way = InRegion().remaining(scene, 0, [poses.robot[:2]])
-        return {ROBOT: way} if way > 0.0 else {}
+        return [{ROBOT: way} if way > 0.0 else {}]
 
     def moved(self, scene: Scene) -> Blocks:
         return frozenset()
@@ -285,8 +290,9 @@ class Together(Goal):
     def score(self, scene: Scene, poses: Poses) -> float:
         return self.first.score(scene, poses) * self.second.score(scene, poses)
 
-    def remaining(self, scene: Scene, poses: Poses) -> Remaining:
-        return {**self.first.remaining(scene, poses), **self.second.remaining(scene, poses)}
+    def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
+        both = product(self.first.ways(scene, poses), self.second.ways(scene, poses))
+        return [{**first, **second} for first, second in both]
 
     def moved(self, scene: Scene) -> Blocks:
         return self.first.moved(scene) | self.second.moved(scene)
@@ -296,16 +302,16 @@ class Together(Goal):
         return f"{first} {second}"
 
 
-def _ways_to_line(i: int, j: int, points: list[Point]) -> list[float]:
+def _units_to_line(i: int, j: int, points: list[Point]) -> list[float]:
     """Units that each block has to go for a line through blocks i and j."""
     (x, y), length = points[i], math.dist(points[i], points[j]) or 1.0
     ux, uy = (points[j][0] - x) / length, (points[j][1] - y) / length
-    ways = [max(0.0, abs(ux * (py - y) - uy * (px - x)) - INLIER_DISTANCE) for px, py in points]
+    units = [max(0.0, abs(ux * (py - y) - uy * (px - x)) - INLIER_DISTANCE) for px, py in points]
     order = sorted(range(len(points)), key=lambda k: ux * points[k][0] + uy * points[k][1])
     for a, b in pairwise(order):
         gap = ux * (points[b][0] - points[a][0]) + uy * (points[b][1] - points[a][1])
-        ways[b] += max(0.0, gap - NEIGHBOUR_DISTANCE)
-    return ways
+        units[b] += max(0.0, gap - NEIGHBOUR_DISTANCE)
+    return units
 
 
 def is_success(score: float) -> bool:
@@ -333,16 +339,19 @@ def progress(goal: Goal, scene: Scene, poses: Poses) -> float:
     With d_i the units that block i has still to go, and w those of the robot's way along the blocks
     that must move, from between its fingers to the nearest block and from each to the nearest left,
 
-        progress = - sum over blocks that must move of (UNFINISHED + d_i)  -  w.
+        progress = - sum over blocks that must move of (UNFINISHED + d_i)  -  w,
 
-    It depends on the state alone, so that rewards sum to zero over a loop, and it does not fall
-    where a block is finished and the next one is far.
+    the highest over all ways to reach the goal. It depends on the state alone, so that rewards sum
+    to zero over a loop, and it falls neither where a block is finished and the next one is far nor
+    where another way becomes better.
     """
-    ways = goal.remaining(scene, poses)
     points = positions(scene, poses)
     between_fingers = to_workspace((0.0, ROBOT_RADIUS + BLOCK_SIZE), poses.robot)
-    way = _way_along(between_fingers, [points[i] for i in ways if i is not None])
-    return -sum(UNFINISHED + left for left in ways.values()) - way
+    return -min(
+        sum(UNFINISHED + left for left in remaining.values())
+        + _way_along(between_fingers, [points[i] for i in remaining if i is not None])
+        for remaining in goal.ways(scene, poses)
+    )
 
 
 def _way_along(start: Point, points: list[Point]) -> float:

@@ -1,5 +1,7 @@
 """Whether an episode can have a program as its goal in a given scene."""
 
+import math
+
 from magical.errors import InvalidProgramError
 from magical.scene import Poses, Scene
 from magical.tasks.programs.expressions import Attribute
@@ -32,5 +34,6 @@ def _unreachable(goal: Goal, scene: Scene) -> str:
         return "" if len(kinds) > 1 else "expected blocks of at least two values, found fewer"
     if isinstance(goal, Together):
         return ""
-    ways = goal.remaining(scene, Poses.at_rest(scene)).values()
-    return "there is no such place in the scene" if float("inf") in ways else ""
+    ways = goal.ways(scene, Poses.at_rest(scene))
+    reachable = any(math.inf not in remaining.values() for remaining in ways)
+    return "" if reachable else "there is no such place in the scene"
