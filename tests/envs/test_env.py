@@ -108,6 +108,8 @@ def test_instructions_name_what_the_variant_has_or_only_the_task() -> None:
         for i, v in enumerate(TASKS["FindDupe"].variants)
     }
     assert plain.startswith("Push a block that is outside and that looks like one inside a region")
+    other = _make("magical/FindDupe-Demo-v0", paraphrase=1, **options).reset()[1]["instruction"]
+    assert other.startswith("Move a block that is outside")
     with pytest.raises(UnknownNameError, match="expected attributes or task"):
         _make(instruction="colours")
 

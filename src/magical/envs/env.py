@@ -70,6 +70,7 @@ class MagicalEnv(gym.Env[Any, Any]):
             control rate; needs the extra `window`) or None.
         instruction: "attributes" names blocks by colour and shape in `info["instruction"]`; "task"
             only says what the task is about.
+        paraphrase: which of the instruction's wordings.
         action_space: "discrete" or "continuous".
 
     Raises:
@@ -94,10 +95,11 @@ class MagicalEnv(gym.Env[Any, Any]):
         reward: Reward = "none",
         render_mode: str | None = None,
         instruction: Instruction = "attributes",
+        paraphrase: int = 0,
         action_space: ActionSpaceName = "discrete",
     ) -> None:
         self.task: Task = get_task(task)
-        self._named = names_attributes(instruction)
+        self._named, self._paraphrase = names_attributes(instruction), paraphrase
         self.task.axes_of(variant)  # raises for a variant that the task lacks
         self.variant = variant
         self.observation_spec = make_spec(observation, self.task)
@@ -147,7 +149,9 @@ class MagicalEnv(gym.Env[Any, Any]):
         self._episode.start(self.np_random, options)
         self._running = True
         self._show()
-        words = self.task.instruction(self._episode.simulation.scene, attributes=self._named)
+        words = self.task.instruction(
+            self._episode.simulation.scene, paraphrase=self._paraphrase, attributes=self._named
+        )
         return copy_arrays(self._episode.observer.out), {
             **score_info(Scores()),
             "instruction": words,

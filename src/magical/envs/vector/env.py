@@ -85,7 +85,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         timeout: seconds in which the workers must finish a step, a reset or a call of `get_state`
             or `set_state`; otherwise `WorkerTimeoutError` is raised and the environment is closed.
             By default there is no limit. Not available on Windows or without workers.
-        instruction: as for `MagicalEnv`.
+        instruction, paraphrase: as for `MagicalEnv`.
         action_space: as for `MagicalEnv`.
 
     Raises:
@@ -107,6 +107,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         plugins: Sequence[str] = (),
         timeout: float | None = None,
         instruction: Instruction = "attributes",
+        paraphrase: int = 0,
         action_space: ActionSpaceName = "discrete",
     ) -> None:
         if isinstance(env_ids, str) or not env_ids:
@@ -129,7 +130,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             self.env_ids, common, horizon, reward, self.autoreset_mode, copy, self.action_spec
         )
         self._set_spaces(common.space)
-        self._named = names_attributes(instruction)
+        self._named, self._paraphrase = names_attributes(instruction), paraphrase
         self._running = np.zeros(self.num_envs, np.bool_)
         self._scenes: list[Scene | None] = [None] * self.num_envs
         self._lock = Lock()  # held by the call in progress
@@ -191,9 +192,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             started = self._exchange(lambda: self._sub_envs.reset(wanted, chosen), rows)
             self._start(started)
             infos = score_infos(np.zeros((2, self.num_envs)), mask)
-            return self._observations(-1), infos | instruction_infos(
-                started, self.env_ids, self._named
-            )
+            return self._observations(-1), infos | self._instructions(started)
 
     def step(
         self, actions: Any, active: Bools | None = None
@@ -222,10 +221,13 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             if self.autoreset_mode is AutoresetMode.DISABLED:
                 self._running[truncations] = False
             infos = self._infos(acting, truncations)
-            infos |= instruction_infos(started, self.env_ids, self._named)
+            infos |= self._instructions(started)
             terminations = np.zeros(self.num_envs, np.bool_)
             rewards = self._buffers.rewards.copy()
             return self._observations(copy), rewards, terminations, truncations, infos
+
+    def _instructions(self, started: Sequence[tuple[int, Scene]]) -> Infos:
+        return instruction_infos(started, self.env_ids, self._paraphrase, self._named)
 
     def states(self) -> list[State]:
         """The true state of every sub-environment, for experts and privileged policies."""

@@ -22,13 +22,16 @@ def score_infos(scores: NDArray[np.float64], mask: Bools) -> Infos:
 
 
 def instruction_infos(
-    started: Sequence[tuple[int, Scene]], env_ids: Sequence[EnvId], attributes: bool
+    started: Sequence[tuple[int, Scene]],
+    env_ids: Sequence[EnvId],
+    paraphrase: int,
+    attributes: bool,
 ) -> Infos:
     """The instructions of the sub-environments that have started an episode, by their scenes."""
     if not started:
         return {}
     words, mask = np.full(len(env_ids), None, dtype=object), np.zeros(len(env_ids), np.bool_)
     for row, scene in started:
-        task = env_ids[row].task_spec
-        words[row], mask[row] = task.instruction(scene, attributes=attributes), True
+        task, mask[row] = env_ids[row].task_spec, True
+        words[row] = task.instruction(scene, paraphrase=paraphrase, attributes=attributes)
     return {"instruction": words, "_instruction": mask}
