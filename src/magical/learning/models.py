@@ -213,8 +213,8 @@ def init_normal(*layers: TaskLinear) -> None:
         nn.init.normal_(layer.linear.bias)
 
 
-def centre(network: ActorCritic, pixel_range: str = "unit") -> None:
-    """Initialise an actor-critic of images without batch norm so that it can tell frames apart.
+def centre(network: PolicyNetwork, pixel_range: str = "unit") -> None:
+    """Initialise a policy of images without batch norm so that it can tell frames apart.
 
     With PyTorch's initialisation the difference between two frames, which are nearly white,
     shrinks to a thousandth in the features. He initialisation keeps it, the first convolution's
