@@ -17,7 +17,7 @@ from magical.learning.algorithms import bc
 from magical.learning.algorithms.bc import BCConfig
 from magical.learning.algorithms.gail import GAILConfig
 from magical.learning.encoders import FrameFeatures, FrozenEncoder
-from magical.learning.models import Trunk
+from magical.learning.models import PolicyNetwork, Trunk
 from magical.learning.networks import find_network, is_pretrained
 from magical.runs import read_metrics
 from tests.learning.tiny_runs import checkpoint, tiny
@@ -70,7 +70,7 @@ class FakeTimm(SimpleNamespace):
 @pytest.fixture
 def timm(monkeypatch: pytest.MonkeyPatch) -> FakeTimm:
     fake = FakeTimm()
-    monkeypatch.setitem(sys.modules, "timm", fake)  # type: ignore[arg-type]
+    monkeypatch.setitem(sys.modules, "timm", fake)
     return fake
 
 
@@ -138,9 +138,14 @@ def test_images_stay_in_the_unit_range() -> None:
 def test_the_encoder_is_neither_trained_nor_saved_and_stays_as_it_is(
     timm: FakeTimm, demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made: list[bc.PolicyNetwork] = []
+    made: list[PolicyNetwork] = []
     original = bc.make_policy
-    monkeypatch.setattr(bc, "make_policy", lambda config: made.append(original(config)) or made[-1])
+
+    def spy(config: BCConfig) -> PolicyNetwork:
+        made.append(original(config))
+        return made[-1]
+
+    monkeypatch.setattr(bc, "make_policy", spy)
     config = tiny(BCConfig, demos=str(demos), network="timm:tiny.tag")
     assert train(config, tmp_path).finished
     features = made[0].trunk.convolutions

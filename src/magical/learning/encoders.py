@@ -89,8 +89,9 @@ class FrameFeatures(nn.Module):
 
     def _apply(self, fn: Any, recurse: bool = True) -> Self:
         """Move the encoder, too."""
-        self._encoder[0]._apply(fn)
-        return super()._apply(fn, recurse)
+        self._encoder[0]._apply(fn)  # type: ignore[no-untyped-call]
+        super()._apply(fn, recurse)  # type: ignore[no-untyped-call]
+        return self
 
     def _load_from_state_dict(self, state_dict: Any, prefix: str, *rest: Any) -> None:
         """Refuse what was learned on another encoder's features."""

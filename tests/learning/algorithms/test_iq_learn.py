@@ -30,8 +30,6 @@ from magical.runs import read_metrics
 from tests.learning.conftest import TASKS
 from tests.learning.tiny_runs import checkpoint, tiny
 
-SETTINGS = IQSettings(gamma=0.9, temperature=0.2, chi2_scale=0.7)
-
 
 def batch_of(actions: list[int], ends: list[bool]) -> Transitions:
     nothing = torch.zeros(len(actions), 1)
@@ -83,7 +81,7 @@ def test_soft_value_is_the_maximum_of_q_plus_entropy() -> None:
 
 def test_the_minimum_imitates_and_its_rewards_are_the_divergence_s() -> None:
     """One state, which follows itself: occupancies are those of actions, so r is known."""
-    settings = IQSettings(gamma=0.5, temperature=0.3, chi2_scale=0.5, bootstrap=True)
+    settings = IQSettings(gamma=0.5, temperature=0.3, chi2_scale=0.5)
     demonstrated, policy = [0, 0, 0, 1], [0, 1, 1, 2]
     batch = batch_of(demonstrated + policy, [False] * 8)
     q = torch.zeros(1, 18, dtype=torch.float64, requires_grad=True)
@@ -138,9 +136,14 @@ def test_the_target_network_is_replaced_every_so_many_steps(trainer: Any) -> Non
         return all(torch.equal(a, b) for a, b in pairs)
 
     assert equal()
-    copies = []
+    copies: list[int] = []
     original = subject.target.load_state_dict
-    subject.target.load_state_dict = lambda state: copies.append(0) or original(state)
+
+    def spy(state: Any) -> None:
+        copies.append(len(copies))
+        original(state)
+
+    subject.target.load_state_dict = spy
     for update, expected in enumerate([1, 2, 2, 3]):  # before steps 0, 3, 6
         subject.improve(update)
         assert len(copies) == expected
@@ -214,7 +217,8 @@ def test_paper_settings_are_the_published_codes() -> None:
     config = IQLearnConfig.preset("paper", tasks=("MoveToRegion",), demos="")
     iq = config.iq
     assert (iq.learning_rate, iq.gamma, iq.temperature, iq.chi2_scale) == (1e-4, 0.99, 1e-3, 0.5)
-    assert (iq.batch_size, iq.buffer_size, iq.target_every) == (128, 100_000, 0)
+    assert (iq.batch_size, iq.buffer_size, iq.target_every) == (128, 50_000, 0)
+    assert iq.bootstrap
     assert (iq.total_steps, config.environment_steps) == (1_000_000, 1_000_000)
     assert iq.gradient_steps == iq.steps_per_update  # one step of the optimiser for each of these
     assert config.learned_from == ("demonstrations", "interaction")

@@ -46,7 +46,7 @@ class PlainEnvs:
             self.times[row] += 1
         dones = np.array([time == LENGTH for time in self.times])
         final = self.observations()[torch.from_numpy(dones)] if dones.any() else None
-        for row in np.flatnonzero(dones):
+        for row in np.flatnonzero(dones).tolist():
             self.stacks[row], self.times[row] = self._first(), 0
         return dones, final
 
@@ -144,14 +144,14 @@ def test_transitions_of_demonstrations(trajectories: list[Trajectory]) -> None:
                 allo = [t.frames["allo"][max(time - 1, 0)], t.frames["allo"][time]]
                 stack = np.concatenate([*allo, t.frames["ego"][time]], axis=2)
                 stacks.append(stack.transpose(2, 0, 1).tobytes())
-            last = step == len(t) - 1
-            every[stacks[0]] = (action, stacks[1], last, TASKS.index(named[number][0]))
+            is_last = step == len(t) - 1
+            every[stacks[0]] = (action, stacks[1], is_last, TASKS.index(named[number][0]))
     keys = [images.numpy().tobytes() for images in found.observations]
     assert len(set(keys)) > 70  # of 96
     for row, key in enumerate(keys):
-        rest = found.actions[row], found.next_observations[row], found.ends[row], found.tasks[row]
-        action, after, last, task = (part.numpy() for part in rest)
-        assert (action, after.tobytes(), last, task) == every[key]
+        after = found.next_observations[row].numpy().tobytes()
+        action, last, task = (int(part[row]) for part in (found.actions, found.ends, found.tasks))
+        assert (action, after, bool(last), task) == every[key]
 
 
 def test_what_was_not_executed_is_left_out() -> None:

@@ -12,19 +12,23 @@ Q maximises, with the chi-square divergence,
     E_demo[r] - E_both[V(s) - gamma V(s')] - E_both[r^2] / (4 beta)
 
 where `demo` are transitions of the demonstrations, and `both` in equal parts those and the policy's
-own, from a replay buffer. (The second term stands for the value of initial states; the published
-code calls alpha `init_temp`, and beta `alpha`.) One update:
+own, from a replay buffer. The second term stands for the value of initial states. The third is over
+the demonstrations alone in the paper's objective; over both, as in the published code's commands
+for MuJoCo, it bounds the reward (Al-Hafez et al., "LS-IQ: implicit reward regularization for
+inverse reinforcement learning", ICLR 2023). That code calls alpha `init_temp`, and beta `alpha`.
+
+One update:
 
 1. collect a rollout: T steps of N environments with actions sampled from pi;
 2. add it to the replay buffer;
 3. take some optimiser steps on batches of one half demonstrations, one half the policy's.
 
-Every episode here ends by its time limit, which is no part of the state, in demonstrations as in
-rollouts: with `bootstrap` V of the final state is what follows, as if the episode went on, and
-without it 0.
+Every episode here is truncated by its time limit, none terminates, in demonstrations as in
+rollouts. With `bootstrap`, as in the published code, V of the final observation is what follows, as
+if the episode went on; without it 0.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from copy import deepcopy
 from dataclasses import dataclass, field
@@ -75,7 +79,7 @@ class IQSettings(Settings):
     total_steps: int = option(1_000_000, "environment steps in all", POSITIVE)
     num_envs: int = option(32, "N: parallel environments, split evenly between the tasks", POSITIVE)
     num_steps: int = option(1, "T: steps of each environment per update", POSITIVE)
-    buffer_size: int = option(100_000, "frames in the replay buffer, about one a step", POSITIVE)
+    buffer_size: int = option(50_000, "frames in the replay buffer, about one a step", POSITIVE)
     gradient_steps: int = option(32, "optimiser steps per update", POSITIVE)
     batch_size: int = option(
         128, "transitions per such step, half of them the demonstrations'", POSITIVE
@@ -91,7 +95,7 @@ class IQSettings(Settings):
         "gradients pass through it",
         NOT_NEGATIVE,
     )
-    bootstrap: bool = option(False, "bootstrap the value at the time limit instead of using 0")
+    bootstrap: bool = option(True, "bootstrap the value at the time limit instead of using 0")
     augment: str = option(
         "none",
         "augmentation of images: all, none, no-trans-rot, or names joined by +",
@@ -125,18 +129,18 @@ class IQLearnConfig(Config):
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {},
         "quick": {
-            "network": "light",
+            "network": "narrow",
             "precision": "auto",
             "total_steps": 100_000,
             "num_steps": 16,
             "buffer_size": 20_000,
+            "gradient_steps": 16,
             "batch_size": 64,
             "learning_rate": 5e-4,
             "anneal": True,
             "gamma": 0.9,
             "temperature": 0.1,
             "target_every": 100,
-            "bootstrap": True,
             "augment": "noise+translation+rotation",
             "evaluate_every": 25,
         },
@@ -192,7 +196,7 @@ def train(config: IQLearnConfig, run: Run) -> None:
     """Imitate demonstrations."""
     demonstrations = load_demonstrations(config, run)
     with IQTrainer(config, run, demonstrations) as iq:
-        for update in iq.remaining_updates():
+        for update in range(run.step, config.num_updates):
             iq.collect(update)
             metrics = iq.improve(update)
             if iq.finish_update(update, metrics):
@@ -298,10 +302,6 @@ class IQTrainer:
 
     def __exit__(self, *error: object) -> None:
         self._stack.close()
-
-    def remaining_updates(self) -> Iterator[int]:
-        """The numbers of the updates that are not done yet."""
-        yield from range(self.run.step, self.config.num_updates)
 
     def collect(self, update: int) -> None:
         """Step all environments T times with actions sampled from the policy, into the buffer."""

@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 class Architecture(Protocol):
     """What a file in this folder defines."""
 
-    HIDDEN: tuple[int, ...]
+    @property
+    def HIDDEN(self) -> tuple[int, ...]:
+        """The sizes of the linear layers."""
 
     def make_convolutions(self, channels: int, batch_norm: bool) -> "nn.Module":
         """A module from images (B, channels, H, W) to feature maps (B, ...)."""

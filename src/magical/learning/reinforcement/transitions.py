@@ -85,7 +85,8 @@ class TransitionBuffer:
             steps = np.flatnonzero(done)
             windows = first + stack_indices(steps + 1, spec.frames + 1)
             task = np.full(len(steps), task_names.index(name))
-            buffer._append(windows, trajectory.labels[steps], steps == length - 1, task)
+            labels = trajectory.labels[steps].astype(np.int64)
+            buffer._append(windows, labels, steps == length - 1, task)
             buffer._stored += length + 1
         return buffer
 
@@ -151,12 +152,13 @@ class TransitionBuffer:
     def _store(self, observations: Tensor) -> Numbers:
         """Store the newest frames of observations (B, ...); returns their numbers (B,)."""
         numbers = np.arange(self._stored, self._stored + len(observations))
-        slots = torch.from_numpy(numbers % self._capacity)
+        slots = torch.from_numpy(numbers % self._capacity).to(self._frames[0].device)
         last = 0
         for frames, component in zip(self._frames, self._spec.components, strict=True):
             channels = frames.shape[1]
             last += component.frames * channels
-            frames[slots] = observations[:, last - channels : last].to(frames.device)
+            newest = observations[:, last - channels : last].to(frames.device)
+            frames.index_copy_(0, slots, newest)
         self._stored += len(observations)
         return numbers
 
@@ -175,7 +177,7 @@ class TransitionBuffer:
         parts = []
         for frames, component in zip(self._frames, self._spec.components, strict=True):
             slots = windows[:, -component.frames :].reshape(-1) % self._capacity
-            found = frames[torch.from_numpy(slots).to(frames.device)]
+            found = frames.index_select(0, torch.from_numpy(slots).to(frames.device))
             parts.append(found.view(len(windows), -1, *frames.shape[2:]))
         return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
 
