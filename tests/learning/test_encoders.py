@@ -202,6 +202,15 @@ def test_other_learners_take_it_too(timm: FakeTimm, demos: Path, tmp_path: Path)
     assert len(read_metrics(tmp_path)) == 2
 
 
+@pytest.mark.parametrize(("name", "size"), [("tiny.tag", None), ("vit.tag", 32)])
+def test_frames_are_resized_for_a_model_of_a_fixed_size(
+    timm: FakeTimm, name: str, size: int | None
+) -> None:
+    found = find_network(f"timm:{name}")
+    assert isinstance(found, FrozenEncoder)
+    assert (found.mean, found.std, found.size) == (MEAN, STD, size)
+
+
 def test_which_networks_are_pretrained(timm: FakeTimm) -> None:
     assert is_pretrained("timm:tiny.tag")
     assert is_pretrained(__name__ + ":ENCODER")

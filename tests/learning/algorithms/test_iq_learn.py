@@ -24,6 +24,7 @@ from magical.learning.algorithms.iq_learn import (
     make_policy,
     soft_value,
 )
+from magical.learning.augmentation.augment import to_unit
 from magical.learning.reinforcement.transitions import Transitions
 from magical.learning.running.run import Run
 from magical.runs import read_metrics
@@ -171,9 +172,15 @@ def test_batches_are_half_demonstrations_in_equal_parts_of_the_tasks(
     subject = trainer(batch_size=8)
     batches: list[Transitions] = []
 
-    def spy(q: Tensor, next_values: Tensor, batch: Transitions, *rest: Any) -> Any:
+    def spy(q: Tensor, next_values: Tensor, batch: Transitions, settings: IQSettings) -> Any:
         batches.append(batch)
-        return iq_loss(q, next_values, batch, *rest)
+        before, after = (
+            subject.network.q(to_unit(images), batch.tasks)
+            for images in (batch.observations, batch.next_observations)
+        )
+        assert torch.allclose(q, before)
+        assert torch.allclose(next_values, soft_value(after, settings.temperature))
+        return iq_loss(q, next_values, batch, settings)
 
     monkeypatch.setattr(iq_learn, "iq_loss", spy)
     subject.improve(0)

@@ -188,8 +188,8 @@ class IQLearnConfig(Config):
 
     @property
     def training_samples(self) -> int:
-        """The transitions of all batches."""
-        return self.num_updates * self.iq.gradient_steps * self.iq.batch_size
+        """The transitions of all batches; a third more for the passes of next observations."""
+        return self.num_updates * self.iq.gradient_steps * self.iq.batch_size * 4 // 3
 
 
 def train(config: IQLearnConfig, run: Run) -> None:
