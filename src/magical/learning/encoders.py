@@ -49,7 +49,7 @@ class FrozenEncoder:
 
     def make_convolutions(self, channels: int, batch_norm: bool) -> "FrameFeatures":
         """See `magical.learning.networks`; batch norm is of the features."""
-        return FrameFeatures(self, channels, batch_norm)
+        return FrameFeatures(self, batch_norm)
 
 
 class FrameFeatures(nn.Module):
@@ -61,12 +61,14 @@ class FrameFeatures(nn.Module):
     """
 
     digest: Tensor
+    mean: Tensor
+    std: Tensor
 
-    def __init__(self, settings: FrozenEncoder, channels: int, batch_norm: bool) -> None:
+    def __init__(self, settings: FrozenEncoder, batch_norm: bool) -> None:
         super().__init__()
         encoder = settings.load().eval().requires_grad_(False)
         self._encoder = (encoder,)
-        self._size, self._frames = settings.size, channels // CHANNELS
+        self._size = settings.size
         self.register_buffer("digest", _digest(encoder))
         for name in ("mean", "std"):
             values = torch.tensor(getattr(settings, name)).view(-1, 1, 1)
@@ -79,7 +81,7 @@ class FrameFeatures(nn.Module):
     def forward(self, images: Tensor) -> Tensor:
         """The features."""
         (encoder,) = self._encoder
-        frames = images.unflatten(1, (self._frames, CHANNELS)).flatten(0, 1)  # (B * frames, 3, ...)
+        frames = images.reshape(-1, CHANNELS, *images.shape[2:])  # (B * frames, 3, H, W)
         if self._size is not None and frames.shape[2:] != (self._size, self._size):
             frames = functional.interpolate(frames, self._size, mode="bicubic", antialias=True)
         features = encoder((frames - self.mean) / self.std)  # (B * frames, F, ...)
