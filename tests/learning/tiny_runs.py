@@ -35,6 +35,8 @@ TINY: dict[str, Any] = {
     "total_steps": 18,
     "evaluate_every": 0,
     "discriminator_steps": 1,
+    "gradient_steps": 1,
+    "buffer_size": 100,
     "discriminator_batch_size": 4,
     "pretraining_batches": 2,
     "pretraining_batch_size": 4,

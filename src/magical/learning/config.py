@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
 
 from magical.errors import InvalidConfigError, UnknownNameError
 from magical.learning.augmentation.names import Augmentations, parse_augmentations
-from magical.learning.networks import network_names
+from magical.learning.networks import is_pretrained, network_names
 from magical.learning.settings import (
     NOT_NEGATIVE,
     POSITIVE,
@@ -29,7 +29,7 @@ from magical.messages import quoted
 from magical.observe import PRESETS, ObservationSpec, make_spec
 from magical.observe.presets import GROUP
 from magical.plugins import is_plugin
-from magical.runs.sources import DEMONSTRATIONS, LEARNED_FROM, NUM_DEMOS
+from magical.runs.sources import DEMONSTRATIONS, EXTRA_DATA, LEARNED_FROM, NUM_DEMOS
 from magical.tasks import get_task
 from magical.untrusted import convert
 
@@ -167,7 +167,10 @@ class Config(Settings):
     @property
     def learned_from(self) -> tuple[str, ...]:
         """What is learned from, in the words of `magical.runs.sources`."""
-        return (DEMONSTRATIONS,) if self.part(DemonstrationSettings) else ()
+        networks = self.part(NetworkSettings)
+        demonstrations = (DEMONSTRATIONS,) if self.part(DemonstrationSettings) else ()
+        pretrained = networks is not None and is_pretrained(networks.network)
+        return (*demonstrations, *((EXTRA_DATA,) if pretrained else ()))
 
     @property
     def training_details(self) -> dict[str, Any]:
@@ -177,7 +180,7 @@ class Config(Settings):
         if demonstrations:
             details["demonstrations"] = f"{demonstrations.num_demos} of each task"
             details[NUM_DEMOS] = demonstrations.num_demos
-        return {**details, LEARNED_FROM: list(self.learned_from)}
+        return {**details, LEARNED_FROM: list(dict.fromkeys(self.learned_from))}
 
     @property
     def num_updates(self) -> int:

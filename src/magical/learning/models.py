@@ -57,8 +57,8 @@ class Trunk(nn.Module):
             action_input: how actions are joined: "one-hot", "embedding", or "none": `forward`
                 takes no actions.
             num_features: replaces the last linear layer's size.
-            pixel_range: the range that images are mapped to: "unit", [0, 1], or "symmetric",
-                [-1, 1].
+            pixel_range: the range that images are mapped to, unless the architecture takes one
+                only: "unit", [0, 1], or "symmetric", [-1, 1].
 
         Raises:
             UnknownNameError: no such architecture.
@@ -74,7 +74,7 @@ class Trunk(nn.Module):
             self.convolutions = architecture.make_convolutions(input_shape[0], batch_norm)
             size = _flat_size(self.convolutions, input_shape)
         self.action_input = action_input
-        self._pixels = PIXEL_RANGES[pixel_range]
+        self._pixels = PIXEL_RANGES[getattr(architecture, "PIXEL_RANGE", pixel_range)]
         joined = JOINED[action_input]
         self.linear = _linear_layers([size, *hidden], joined)
         self.embedding = nn.Embedding(NUM_ACTIONS, EMBEDDING) if joined[1] else None
@@ -213,8 +213,8 @@ def init_normal(*layers: TaskLinear) -> None:
         nn.init.normal_(layer.linear.bias)
 
 
-def centre(network: ActorCritic, pixel_range: str = "unit") -> None:
-    """Initialise an actor-critic of images without batch norm so that it can tell frames apart.
+def centre(network: PolicyNetwork, pixel_range: str = "unit") -> None:
+    """Initialise a policy of images without batch norm so that it can tell frames apart.
 
     With PyTorch's initialisation the difference between two frames, which are nearly white,
     shrinks to a thousandth in the features. He initialisation keeps it, the first convolution's
@@ -228,9 +228,10 @@ def centre(network: ActorCritic, pixel_range: str = "unit") -> None:
     with torch.no_grad():
         first = layers[0]
         assert first.bias is not None
-        low, high = PIXEL_RANGES[pixel_range]
-        brightness = low + (high - low) * MEAN_BRIGHTNESS
-        first.bias.copy_(-brightness * first.weight.flatten(1).sum(dim=1))
+        if isinstance(first, nn.Conv2d):  # not a linear layer on a frozen encoder's features
+            low, high = PIXEL_RANGES[pixel_range]
+            brightness = low + (high - low) * MEAN_BRIGHTNESS
+            first.bias.copy_(-brightness * first.weight.flatten(1).sum(dim=1))
         network.policy.linear.weight.mul_(POLICY_GAIN)
 
 

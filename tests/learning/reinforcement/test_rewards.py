@@ -1,6 +1,5 @@
 """Reward normalisation, the replay buffer, and warnings of a collapse."""
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -82,13 +81,9 @@ def test_flat_images_are_small_in_a_checkpoint() -> None:
     assert replay.state_dict()["observations"].numel() < 8 * 96 * 96 * 12 / 50
 
 
-def rollout_of(actions: list[int]) -> Any:
-    return SimpleNamespace(actions=torch.tensor([actions]), scores=())
-
-
 def monitored(one_action: bool) -> Monitor:
     monitor = Monitor()
-    monitor.add_rollout(rollout_of([1, 1] if one_action else [0, 1]))
+    monitor.add_rollout(torch.tensor([[1, 1 if one_action else 0]]), ())
     return monitor
 
 
@@ -108,9 +103,9 @@ def test_a_symptom_that_lasts_is_warned_of(
         assert monitor.warning(metrics) == {}
     again.load_state_dict(monitor.state_dict())
     assert again.warning(metrics) == {"warning": f"{warning} for {COLLAPSE_UPDATES} updates"}
-    again.add_rollout(rollout_of([0, 1]))
+    again.add_rollout(torch.tensor([[0, 1]]), ())
     assert again.warning({"discriminator_accuracy": 0.8}) == {}
-    again.add_rollout(rollout_of([1, 1] if one_action else [0, 1]))
+    again.add_rollout(torch.tensor([[1, 1 if one_action else 0]]), ())
     assert again.warning(metrics) == {}  # the count restarts
 
 

@@ -259,7 +259,7 @@ class PPOTrainer:
         ppo, rng = self.config.ppo, stream(self.config.seed, Purpose.ACTIONS, update)
         with self.monitor.timed("sample"):
             rollout = collect_rollout(self.envs, self.forward, ppo.num_steps, ppo.bootstrap, rng)
-        self.monitor.add_rollout(rollout)
+        self.monitor.add_rollout(rollout.actions, rollout.scores)
         return rollout
 
     def improve_policy(self, update: int, rollout: Rollout, rewards: Tensor) -> Metrics:

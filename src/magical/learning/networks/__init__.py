@@ -7,14 +7,17 @@ Such a file defines
   [0, 1] or [-1, 1], to feature maps of any shape (B, ...).
 
 Other distributions offer a module or an object with these two by entry points of the group
-`magical.networks`, and any other is named by `module:NAME`. `magical.learning.models.Trunk` puts
-the two together and adds what all architectures share: the action input of discriminators, and
-linear layers alone for state vectors.
+`magical.networks`, and any other is named by `module:NAME`, an encoder of the library timm by
+`timm:MODEL`. What was trained elsewhere also has `PRETRAINED`, which is true, and what takes images
+in one range only has `PIXEL_RANGE`: see `magical.learning.encoders`.
+
+`magical.learning.models.Trunk` puts the parts together and adds what all architectures share: the
+action input of discriminators, and linear layers alone for state vectors.
 """
 
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-from magical.plugins import Registry
+from magical.plugins import Registry, is_plugin
 
 if TYPE_CHECKING:
     from torch import nn
@@ -24,16 +27,21 @@ if TYPE_CHECKING:
 class Architecture(Protocol):
     """What a file in this folder defines."""
 
-    HIDDEN: tuple[int, ...]
+    @property
+    def HIDDEN(self) -> tuple[int, ...]:
+        """The sizes of the linear layers."""
 
     def make_convolutions(self, channels: int, batch_norm: bool) -> "nn.Module":
         """A module from images (B, channels, H, W) to feature maps (B, ...)."""
 
 
+GROUP = "magical.networks"  # of entry points
+TIMM = "timm:"  # before the name of a model of PyTorch Image Models
+
 _NETWORKS: Registry[Architecture] = Registry(
     "network",
     Architecture,  # type: ignore[type-abstract]
-    "magical.networks",
+    GROUP,
     __name__,
 )
 
@@ -44,10 +52,20 @@ def network_names() -> tuple[str, ...]:
 
 
 def find_network(name: str) -> Architecture:
-    """An architecture by name, or by `module:NAME`.
+    """An architecture by name, by `module:NAME`, or by `timm:MODEL`.
 
     Raises:
         UnknownNameError: there is none of this name.
         PluginError: it is another distribution's and cannot be imported.
+        MissingDependencyError: timm is not installed.
     """
+    if name.startswith(TIMM):
+        from magical.learning.encoders import timm_encoder  # needs PyTorch
+
+        return timm_encoder(name.removeprefix(TIMM))
     return _NETWORKS.get(name)
+
+
+def is_pretrained(name: str) -> bool:
+    """Whether an architecture has weights from elsewhere; raises what `find_network` raises."""
+    return is_plugin(GROUP, name) and getattr(find_network(name), "PRETRAINED", False)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from magical.learning.reinforcement.rollouts import Rollout
+from magical.learning.reinforcement.rollouts import EpisodeScores
 from magical.learning.running.checkpoints import StateDict
 
 RECENT_EPISODES = 100  # over which the logged score is averaged
@@ -30,10 +30,10 @@ class Monitor:
         self._seconds: dict[str, float] = {}
         self._one_action = False
 
-    def add_rollout(self, rollout: Rollout) -> None:
-        """Add the scores of finished episodes, and check whether the actions differ."""
-        self._recent.extend(rollout.scores)
-        self._one_action = bool((rollout.actions == rollout.actions[0, 0]).all())
+    def add_rollout(self, actions: Tensor, scores: EpisodeScores) -> None:
+        """Add the scores of finished episodes, and check whether the actions (T, N) differ."""
+        self._recent.extend(scores)
+        self._one_action = bool((actions == actions[0, 0]).all())
 
     @contextmanager
     def timed(self, part: str) -> Iterator[None]:

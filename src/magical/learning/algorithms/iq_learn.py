@@ -1,0 +1,398 @@
+"""IQ-Learn: inverse soft Q-learning for imitation, with discrete actions.
+
+Garg, Chakraborty, Cundy, Song and Ermon, "IQ-Learn: inverse soft-Q learning for imitation", NeurIPS
+2021. There is neither a discriminator nor a reward: a soft Q function stands for both, as
+
+    V(s) = alpha log sum_a exp(Q(s, a) / alpha)          its soft value,
+    pi(a | s) = exp((Q(s, a) - V(s)) / alpha)            its policy, and
+    r(s, a) = Q(s, a) - gamma V(s')                      its reward,
+
+Q maximises, with the chi-square divergence,
+
+    E_demo[r] - E_both[V(s) - gamma V(s')] - E_both[r^2] / (4 beta)
+
+where `demo` are transitions of the demonstrations, and `both` in equal parts those and the policy's
+own, from a replay buffer. The second term stands for the value of initial states. The third is over
+the demonstrations alone in the paper's objective; over both, as in the published code's commands
+for MuJoCo, it bounds the reward (Al-Hafez et al., "LS-IQ: implicit reward regularization for
+inverse reinforcement learning", ICLR 2023). That code calls alpha `init_temp`, and beta `alpha`.
+
+One update:
+
+1. collect a rollout: T steps of N environments with actions sampled from pi;
+2. add it to the replay buffer;
+3. take some optimiser steps on batches of one half demonstrations, one half the policy's.
+
+Every episode here is truncated by its time limit, none terminates, in demonstrations as in
+rollouts. With `bootstrap`, as in the published code, V of the final observation is what follows, as
+if the episode went on; without it 0.
+"""
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from copy import deepcopy
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Self
+
+import torch
+from torch import Tensor
+
+from magical.errors import InvalidConfigError
+from magical.learning.algorithms import Algorithm
+from magical.learning.augmentation.augment import Randoms, to_unit
+from magical.learning.augmentation.names import parse_augmentations
+from magical.learning.config import (
+    IMAGE_OBSERVATIONS,
+    Config,
+    DemonstrationSettings,
+    NetworkSettings,
+)
+from magical.learning.data.expert_data import TaskTrajectories, load_demonstrations, split_evenly
+from magical.learning.models import PolicyNetwork, Trunk, centre, sample_actions
+from magical.learning.policy import NetworkPolicy
+from magical.learning.reinforcement.demo_evaluation import DemoEvaluation
+from magical.learning.reinforcement.monitoring import Metrics, Monitor
+from magical.learning.reinforcement.rollouts import EpisodeScores, RolloutEnvs
+from magical.learning.reinforcement.transitions import TransitionBuffer, Transitions
+from magical.learning.running.averages import Averages
+from magical.learning.running.checkpoints import (
+    StateDict,
+    load_optimizer,
+    optimizer_state,
+    restoring,
+)
+from magical.learning.running.devices import choose_device
+from magical.learning.running.graphs import GraphedStep, use_graphs
+from magical.learning.running.optimizers import make_adam, set_learning_rate
+from magical.learning.running.run import Run
+from magical.learning.running.streams import Purpose, seeded_init, stream
+from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, Settings, option
+from magical.runs.sources import INTERACTION
+
+LOSS_PARTS = ("loss", "demo_reward", "policy_reward", "value", "demo_log_prob", "entropy")
+
+
+@dataclass(frozen=True, kw_only=True)
+class IQSettings(Settings):
+    """How a soft Q function is learned; the defaults are the published code's, for Atari games."""
+
+    total_steps: int = option(1_000_000, "environment steps in all", POSITIVE)
+    num_envs: int = option(32, "N: parallel environments, split evenly between the tasks", POSITIVE)
+    num_steps: int = option(1, "T: steps of each environment per update", POSITIVE)
+    buffer_size: int = option(50_000, "frames in the replay buffer, about one a step", POSITIVE)
+    gradient_steps: int = option(32, "optimiser steps per update", POSITIVE)
+    batch_size: int = option(
+        128, "transitions per such step, half of them the demonstrations'", POSITIVE
+    )
+    learning_rate: float = option(1e-4, "Adam's initial learning rate", POSITIVE)
+    anneal: bool = option(False, "anneal the learning rate linearly to 0")
+    gamma: float = option(0.99, "discount factor", FRACTION)
+    temperature: float = option(1e-3, "alpha, of the soft value and of the policy", POSITIVE)
+    chi2_scale: float = option(0.5, "beta: rewards are between -4 beta and 4 beta", POSITIVE)
+    target_every: int = option(
+        0,
+        "optimiser steps after which V(s') is that of the present weights again; 0: always, and "
+        "gradients pass through it",
+        NOT_NEGATIVE,
+    )
+    bootstrap: bool = option(True, "bootstrap the value at the time limit instead of using 0")
+    augment: str = option(
+        "none",
+        "augmentation of images: all, none, no-trans-rot, or names joined by +",
+        metavar="NAMES",
+    )
+    workers: int | None = option(
+        None, "environment processes (default: one per core)", NOT_NEGATIVE
+    )
+    evaluate_every: int = option(200, "updates between evaluations; 0: never", NOT_NEGATIVE)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        parse_augmentations(self.augment)
+
+    @property
+    def steps_per_update(self) -> int:
+        """Environment steps per update."""
+        return self.num_envs * self.num_steps
+
+    @property
+    def num_updates(self) -> int:
+        """Updates in a whole run."""
+        return max(1, self.total_steps // self.steps_per_update)
+
+
+@dataclass(frozen=True, kw_only=True)
+class IQLearnConfig(Config):
+    """Settings of IQ-Learn; the defaults are the published code's for Atari games."""
+
+    observations: ClassVar[tuple[str, ...]] = IMAGE_OBSERVATIONS
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "paper": {},
+        "quick": {
+            "network": "narrow",
+            "precision": "auto",
+            "total_steps": 100_000,
+            "num_steps": 16,
+            "buffer_size": 20_000,
+            "gradient_steps": 16,
+            "batch_size": 64,
+            "learning_rate": 5e-4,
+            "anneal": True,
+            "gamma": 0.9,
+            "temperature": 0.1,
+            "target_every": 100,
+            "augment": "noise+translation+rotation",
+            "evaluate_every": 25,
+        },
+    }
+
+    algorithm: str = "iq-learn"
+    networks: NetworkSettings = field(default_factory=NetworkSettings)
+    demonstrations: DemonstrationSettings
+    iq: IQSettings = field(default_factory=IQSettings)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        iq, tasks = self.iq, len(self.tasks)
+        if iq.num_envs < tasks:
+            raise InvalidConfigError(
+                f"num_envs: expected at least one for each of {tasks} tasks, found {iq.num_envs}"
+            )
+        if iq.batch_size < 2 * tasks or iq.batch_size % 2:
+            raise InvalidConfigError(
+                f"batch_size: expected an even number, at least two for each task, found "
+                f"{iq.batch_size}"
+            )
+        # Two frames a step, where an episode ends; and a stack before them.
+        least = iq.num_envs * (self.observation_spec.frames + 2)
+        if iq.buffer_size < least:
+            raise InvalidConfigError(
+                f"buffer_size: expected at least {least} frames for {iq.num_envs} environments, "
+                f"found {iq.buffer_size}"
+            )
+
+    @property
+    def learned_from(self) -> tuple[str, ...]:
+        """See `Config`."""
+        return (*super().learned_from, INTERACTION)
+
+    @property
+    def num_updates(self) -> int:
+        """All updates."""
+        return self.iq.num_updates
+
+    @property
+    def environment_steps(self) -> int:
+        """Those of all updates."""
+        return self.iq.num_updates * self.iq.steps_per_update
+
+    @property
+    def training_samples(self) -> int:
+        """The transitions of all batches; a third more for the passes of next observations."""
+        return self.num_updates * self.iq.gradient_steps * self.iq.batch_size * 4 // 3
+
+
+def train(config: IQLearnConfig, run: Run) -> None:
+    """Imitate demonstrations."""
+    demonstrations = load_demonstrations(config, run)
+    with IQTrainer(config, run, demonstrations) as iq:
+        for update in range(run.step, config.num_updates):
+            iq.collect(update)
+            metrics = iq.improve(update)
+            if iq.finish_update(update, metrics):
+                break
+
+
+def soft_value(q: Tensor, temperature: float) -> Tensor:
+    """V = alpha log sum_a exp(Q(a) / alpha), (B,), of Q (B, 18)."""
+    return temperature * (q / temperature).logsumexp(dim=1)
+
+
+def iq_loss(
+    q: Tensor, next_values: Tensor, batch: Transitions, settings: IQSettings
+) -> tuple[Tensor, Tensor]:
+    """The negative objective, to be minimised, and what is logged (6,), as in `LOSS_PARTS`.
+
+    Args:
+        q: (2B, 18) of the observations; the first half is the demonstrations'.
+        next_values: (2B,), V of the next observations.
+        batch: the transitions.
+        settings: gamma, alpha, beta, and whether to bootstrap.
+    """
+    temperature, half = settings.temperature, len(q) // 2
+    following = next_values if settings.bootstrap else next_values * ~batch.ends
+    future = settings.gamma * following
+    values = soft_value(q, temperature)
+    chosen = q.gather(1, batch.actions[:, None]).squeeze(1)  # Q(s, a)
+    rewards = chosen - future
+    chi2 = rewards.square().mean() / (4.0 * settings.chi2_scale)
+    loss = -rewards[:half].mean() + (values - future).mean() + chi2
+    log_policy = (q / temperature).log_softmax(dim=1)
+    parts = {
+        "loss": loss,
+        "demo_reward": rewards[:half].mean(),
+        "policy_reward": rewards[half:].mean(),
+        "value": values.mean(),
+        "demo_log_prob": (chosen - values)[:half].mean() / temperature,
+        "entropy": -(log_policy.exp() * log_policy).sum(dim=1)[half:].mean(),
+    }
+    return loss, torch.stack([parts[name] for name in LOSS_PARTS]).detach()
+
+
+class QNetwork(PolicyNetwork):
+    """The soft Q function; called as a policy, it returns the logits Q / alpha."""
+
+    def __init__(self, trunk: Trunk, num_tasks: int, temperature: float) -> None:
+        super().__init__(trunk, num_tasks)
+        self.temperature = temperature
+
+    def q(self, observations: Tensor, tasks: Tensor) -> Tensor:
+        """Q (B, 18), float32."""
+        return super().forward(observations, tasks)
+
+    def forward(self, observations: Tensor, tasks: Tensor) -> Tensor:
+        """Logits (B, 18) of the policy."""
+        return self.q(observations, tasks) / self.temperature
+
+
+def make_policy(config: IQLearnConfig) -> QNetwork:
+    """The soft Q function, without batch norm, initialised from the seed near 0."""
+    networks = config.networks
+    with seeded_init(config.seed):
+        trunk = Trunk(networks.network, config.input_shape, pixel_range=networks.pixel_range)
+        network = QNetwork(trunk, len(config.tasks), config.iq.temperature)
+        centre(network, networks.pixel_range)
+        return network
+
+
+class IQTrainer:
+    """A soft Q function, its optimiser, its environments, and the transitions it learns from."""
+
+    def __init__(self, config: IQLearnConfig, run: Run, demonstrations: TaskTrajectories) -> None:
+        """Create a new trainer, or resume from the run's checkpoint."""
+        self.config, self.run = config, run
+        device = choose_device(config.device)
+        self.network = make_policy(config).to(device)
+        self.target = deepcopy(self.network).requires_grad_(False)
+        graphs = use_graphs(config.networks.graphs, device)
+        self.optimizer = make_adam(
+            self.network.parameters(), config.iq.learning_rate, recorded=graphs
+        )
+        self.compute = run.compute(device, config.precision, config.threads)
+        self.demonstrations = TransitionBuffer.of_demonstrations(
+            demonstrations, config.tasks, config.observation_spec, device
+        )
+        self.replay_buffer = self.demonstrations.emptied(config.iq.buffer_size)
+        self.monitor = Monitor()
+        self._randoms = Randoms(device)
+        self._graphed_step = GraphedStep(self._step, graphs, self._randoms.generators)
+        self._augmentations = config.networks.augmentations(config.iq.augment)
+        workers = config.iq.workers
+        with ExitStack() as stack:
+            self.envs = stack.enter_context(
+                RolloutEnvs(config, config.iq.num_envs, device, workers=workers)
+            )
+            policy = NetworkPolicy(self.network, config, self.compute)
+            self._demo_evaluation = stack.enter_context(DemoEvaluation(policy, None, workers))
+            self._start_or_resume()
+            self._stack = stack.pop_all()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._stack.close()
+
+    def collect(self, update: int) -> None:
+        """Step all environments T times with actions sampled from the policy, into the buffer."""
+        envs, num_steps = self.envs, self.config.iq.num_steps
+        rng = stream(self.config.seed, Purpose.ACTIONS, update)
+        uniforms = torch.from_numpy(rng.random((num_steps, len(envs.tasks)), "f4"))
+        taken, scores = [], EpisodeScores()
+        with self.monitor.timed("sample"), torch.no_grad():
+            for t in range(num_steps):
+                observations = to_unit(envs.observations().to(envs.device))
+                with self.compute.autocast():
+                    logits = self.network(observations, envs.tasks)
+                actions, _ = sample_actions(logits, uniforms[t].to(envs.device))
+                _, dones, final, ended = envs.step(actions)
+                self.replay_buffer.add(actions, dones, envs.observations(), final, envs.task_of)
+                taken.append(actions)
+                scores += ended
+        self.monitor.add_rollout(torch.stack(taken), scores)
+
+    def improve(self, update: int) -> Metrics:
+        """Take the optimiser's steps of an update; returns the means of what is logged."""
+        iq, averages = self.config.iq, Averages()
+        left = 1.0 - update / iq.num_updates if iq.anneal else 1.0
+        set_learning_rate(self.optimizer, iq.learning_rate * left)
+        rng = stream(self.config.seed, Purpose.MINIBATCHES, update)
+        with self.monitor.timed("policy"):
+            for step in range(iq.gradient_steps):
+                if iq.target_every and (update * iq.gradient_steps + step) % iq.target_every == 0:
+                    self.target.load_state_dict(self.network.state_dict())
+                counts = split_evenly(iq.batch_size // 2, len(self.config.tasks), rng)
+                demonstrated = self.demonstrations.sample(counts, rng)
+                batch = demonstrated.join(self.replay_buffer.sample(counts, rng))
+                self._randoms.start(rng)
+                (parts,) = self._graphed_step(*batch)
+                averages.add(1, **dict(zip(LOSS_PARTS, parts, strict=True)))
+        return {**averages.reset()}
+
+    def _step(self, *inputs: Tensor) -> tuple[Tensor]:
+        """Take one step of the optimiser on a batch; returns what is logged."""
+        batch, iq = Transitions(*inputs), self.config.iq
+        network = self.target if iq.target_every else self.network
+        observations = self._randoms.augment(batch.observations, self._augmentations)
+        following = self._randoms.augment(batch.next_observations, self._augmentations)
+        with self.compute.autocast():
+            q = self.network.q(observations, batch.tasks)
+            next_q = network.q(following, batch.tasks)
+        loss, parts = iq_loss(q, soft_value(next_q, iq.temperature), batch, iq)
+        self.optimizer.zero_grad()
+        torch.autograd.backward(loss)
+        self.optimizer.step()
+        return (parts,)
+
+    def finish_update(self, update: int, metrics: Metrics) -> bool:
+        """Evaluate, log and save checkpoints; true if the run stops."""
+        iq, done = self.config.iq, update + 1
+        metrics |= self.monitor.metrics()
+        every, last = iq.evaluate_every, done == iq.num_updates
+        if every and (done % every == 0 or last):
+            metrics["evaluation_score"] = self._demo_evaluation.score()
+        steps: Metrics = {"environment_steps": done * iq.steps_per_update}
+        return self.run.finish_step(
+            done,
+            lambda: {**self.monitor.warning(metrics), **steps, **metrics},
+            self.state_dict,
+            last=last,
+        )
+
+    def state_dict(self) -> StateDict:
+        """Everything that the next update depends on."""
+        return {
+            "policy": self.network.state_dict(),
+            "target": self.target.state_dict(),
+            "optimizer": optimizer_state(self.optimizer),
+            "envs": self.envs.state_dict(),
+            "replay_buffer": self.replay_buffer.state_dict(),
+            "monitor": self.monitor.state_dict(),
+        }
+
+    def _start_or_resume(self) -> None:
+        saved = self.run.saved
+        if not saved:
+            self.envs.reset()
+            self.replay_buffer.start(self.envs.observations())
+            return
+        with restoring(self.run.folder):
+            self.network.load_state_dict(saved["policy"])
+            self.target.load_state_dict(saved["target"])
+            load_optimizer(self.optimizer, saved["optimizer"])
+            self.envs.load_state_dict(saved["envs"])
+            self.replay_buffer.load_state_dict(saved["replay_buffer"])
+            self.monitor.load_state_dict(saved["monitor"])
+
+
+ALGORITHM = Algorithm(IQLearnConfig, train, make_policy)
