@@ -98,7 +98,7 @@ class Policies:
         """A run's policy, from its newest checkpoint; takes seconds for the first one.
 
         Raises:
-            PolicyError: it is the expert, which is no network.
+            PolicyError: it is the expert, which is no network, or predicts chunks of actions.
             RunFolderError, CheckpointError: the run is damaged, or has no checkpoint yet.
             MissingDependencyError: PyTorch is not installed.
         """
@@ -106,7 +106,10 @@ class Policies:
         if entry.folder is None:
             raise PolicyError(f"{entry.name}: has no action probabilities; choose a run")
         with self._lock:
-            return self._load(entry.folder, version_of(entry.folder / CHECKPOINT))
+            policy = self._load(entry.folder, version_of(entry.folder / CHECKPOINT))
+        if not hasattr(policy, "probabilities"):
+            raise PolicyError(f"{entry.name}: its algorithm gives no action probabilities")
+        return policy
 
 
 def find_runs(root: Path) -> list[Path]:

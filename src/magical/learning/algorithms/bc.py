@@ -37,8 +37,7 @@ from magical.learning.data.rendered_data import (
     AUTO,
     RENDERING,
     RESAMPLING,
-    RenderedExpertData,
-    choose_augment_by,
+    image_data,
 )
 from magical.learning.models import PolicyNetwork, Trunk, init_normal, new_statistics
 from magical.learning.running.averages import Averages
@@ -261,22 +260,18 @@ class BCTrainer:
         return module
 
     def expert_data(self, demonstrations: TaskTrajectories, remove_noops: bool) -> ExpertData:
-        """The samples of demonstrations, on the trainer's device.
-
-        How their images are augmented is recorded in `run.json`.
-
-        Raises:
-            DemonstrationsError: see `choose_augment_by` and `ExpertData`.
-        """
+        """The samples of demonstrations, on the trainer's device; raises what `image_data` does."""
         config, cloning = self.config, self.config.cloning
-        kind = ExpertData
         if not config.observes_vectors:
-            augment_by = choose_augment_by(
-                cloning.augment_by, demonstrations, cloning.transformations
+            return image_data(
+                demonstrations,
+                config,
+                self.run,
+                augment_by=cloning.augment_by,
+                transformations=cloning.transformations,
+                remove_noops=remove_noops,
             )
-            self.run.describe(augment_by=augment_by)
-            kind = RenderedExpertData if augment_by == RENDERING else ExpertData
-        return kind(
+        return ExpertData(
             demonstrations,
             config.tasks,
             config.observation_spec,
