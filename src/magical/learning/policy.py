@@ -1,6 +1,6 @@
 """Trained networks as policies."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -63,18 +63,21 @@ class TrainedPolicy:
 
         `others` are further inputs of the network.
         """
-        device = self._compute.device
-        inputs = to_inputs(observations, self._spec).to(device)
-        tasks = self._task_numbers(env_ids).to(device)
+        inputs = to_inputs(observations, self._spec).to(self._compute.device)
+        if not getattr(self.network, "takes_pixels", False):
+            inputs = to_unit(inputs)
+        return self.computed(self.network, inputs, self.task_numbers(env_ids), *others)
+
+    def computed(self, function: Callable[..., Tensor], *inputs: Tensor) -> Tensor:
+        """What a function of the network returns, computed as in training; float64 on the CPU."""
         with torch.inference_mode(), full_float32(), self._compute.autocast():
-            if not getattr(self.network, "takes_pixels", False):
-                inputs = to_unit(inputs)
-            outputs = self.network(inputs, tasks, *(each.to(device) for each in others))
+            outputs = function(*(each.to(self._compute.device) for each in inputs))
         found: Tensor = outputs.double().cpu()
         _require_finite(found)
         return found
 
-    def _task_numbers(self, env_ids: Sequence[str]) -> Tensor:
+    def task_numbers(self, env_ids: Sequence[str]) -> Tensor:
+        """The position (B,) of each environment's task; raises `PolicyError` for another task."""
         numbers = {}
         for env_id in dict.fromkeys(env_ids):
             task = parse_env_id(env_id).task

@@ -33,12 +33,7 @@ from magical.learning.config import (
 )
 from magical.learning.data.expert_data import ExpertData, TaskTrajectories, load_demonstrations
 from magical.learning.data.prefetch import prefetch
-from magical.learning.data.rendered_data import (
-    AUTO,
-    RENDERING,
-    RESAMPLING,
-    image_data,
-)
+from magical.learning.data.rendered_data import AUTO, RENDERING, RESAMPLING, image_data
 from magical.learning.models import PolicyNetwork, Trunk, init_normal, new_statistics
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import (

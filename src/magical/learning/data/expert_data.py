@@ -16,7 +16,7 @@ from torch import Tensor
 
 from magical.demos import Dataset, Trajectory
 from magical.demos.store.reader import TrajectorySource
-from magical.envs.action_spec import ActionSpaceName
+from magical.envs.action_spec import Actions, ActionSpaceName, spec_of
 from magical.errors import DemonstrationsError, TrajectoryError
 from magical.learning.augmentation.augment import augment
 from magical.learning.augmentation.names import Augmentations
@@ -148,7 +148,7 @@ class ExpertData:
         self._load_frames(trajectories)
         kept = [t.is_demonstrated.copy() for t in trajectories]
         if remove_noops:
-            kept = [some & (t.labels != NOOP) for some, t in zip(kept, trajectories, strict=True)]
+            kept = [some & ~_noops(t.labels) for some, t in zip(kept, trajectories, strict=True)]
         steps = [np.flatnonzero(of_one) for of_one in kept]
         lengths = np.array([len(s) for s in steps])
         ends = np.cumsum(lengths)
@@ -213,10 +213,16 @@ class ExpertData:
         which: Augmentations,
         rng: np.random.Generator,
         transformed: StackTransformations | None = None,
+        together: int = 1,
     ) -> Tensor:
-        """Frame stacks of samples, transformed and augmented: (B, C, H, W) float32 in [0, 1]."""
+        """Frame stacks of samples, transformed and augmented: (B, C, H, W) float32 in [0, 1].
+
+        So many consecutive ones are augmented with the same parameters.
+        """
         if transformed is None:
-            return augment(self.images(rows), which, rng)
+            images = self.images(rows)
+            joined = images.view(len(rows) // together, -1, *images.shape[2:])
+            return augment(joined, which, rng).reshape(images.shape)
         images = self.images(rows, transformed.newest_only)
         mirrored = self._index(transformed.mirrored)
         images[mirrored] = images[mirrored].flip(-1)
@@ -253,6 +259,12 @@ class ExpertData:
 
     def _index(self, rows: NDArray[Any]) -> Tensor:
         return torch.from_numpy(rows).to(self.actions.device, non_blocking=True)
+
+
+def _noops(actions: Actions) -> NDArray[np.bool_]:
+    """Which of the actions (T,), or (T, 3), are the no-op: (T,)."""
+    equal = actions == spec_of(actions).convert(np.array([NOOP]))
+    return equal.reshape(len(actions), -1).all(axis=1)
 
 
 def split_evenly(size: int, num_tasks: int, rng: np.random.Generator) -> list[int]:

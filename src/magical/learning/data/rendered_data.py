@@ -151,11 +151,12 @@ class RenderedExpertData(ExpertData):
         which: Augmentations,
         rng: np.random.Generator,
         transformed: StackTransformations | None = None,
+        together: int = 1,
     ) -> Tensor:
         """See `ExpertData`."""
         transformed = transformed or StackTransformations.none(len(rows))
         channels, height, width = self.spec.network_shape
-        parameters = sample_parameters(len(rows), which, rng)
+        parameters = sample_parameters(len(rows), which, rng, together)
         images = torch.empty((len(rows), height, width, channels))
         out = images.numpy()
         stacks = [stack.cpu().numpy()[rows] for stack in self._stacks]  # (B, K) each

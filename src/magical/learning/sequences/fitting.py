@@ -1,16 +1,15 @@
-"""Fitting a network to batches of demonstrations: what learners of sequences of actions share."""
+"""Fitting a network to batches of demonstrations by supervised learning."""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from typing import Any, ClassVar, TypeVar
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.optim import AdamW
 
-from magical.learning.augmentation.names import parse_augmentations
+from magical.learning.augmentation.names import Augmentations, parse_augmentations
 from magical.learning.config import Config, DemonstrationSettings, EncoderSettings
 from magical.learning.data.expert_data import ExpertData, load_demonstrations
 from magical.learning.data.prefetch import prefetch
@@ -24,6 +23,7 @@ from magical.learning.running.streams import Purpose, stream
 from magical.learning.settings import NOT_NEGATIVE, POSITIVE, Settings, option
 
 MAX_GRAD_NORM = 10.0
+QUICK = {"network": "narrow", "batches": 2400, "precision": "auto"}  # of the preset
 Batch = TypeVar("Batch")
 
 
@@ -48,15 +48,17 @@ class FittingSettings(Settings):
         super().__post_init__()
         parse_augmentations(self.augment)
 
+    @property
+    def augmentations(self) -> Augmentations:
+        """The augmentations of images."""
+        return parse_augmentations(self.augment)
+
 
 @dataclass(frozen=True, kw_only=True)
-class SupervisedConfig(Config):
-    """What the configurations of such learners are composed of."""
+class SequenceConfig(Config):
+    """What the configurations of learners of sequences are composed of."""
 
-    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
-        "paper": {},
-        "quick": {"network": "narrow", "batches": 2400, "precision": "auto"},
-    }
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {"paper": {}, "quick": QUICK}
 
     networks: EncoderSettings = field(default_factory=EncoderSettings)
     demonstrations: DemonstrationSettings
@@ -73,34 +75,20 @@ class SupervisedConfig(Config):
         return self.num_updates * self.fitting.batch_size
 
 
-class Chunks(NamedTuple):
-    """Samples of demonstrations with the actions from each of them on."""
+def load_data(config: SequenceConfig, run: Run) -> ExpertData:
+    """The run's demonstrations, without no-ops as in behavioural cloning.
 
-    images: Tensor  # (B, C, H, W) float32 in [0, 1]
-    actions: Tensor  # (B, K) int64, or (B, K, 3) float32 of continuous ones
-    exist: Tensor  # (B, K) bool: false beyond the demonstration's end
-    tasks: Tensor  # (B,) int64
+    Frames are augmented by rendering where all demonstrations have poses.
 
-
-def demonstrated(config: SupervisedConfig, run: Run) -> ExpertData:
-    """The run's demonstrations without no-ops, as in behavioural cloning."""
-    return image_data(
-        load_demonstrations(config, run), config, run, augment_by=AUTO, remove_noops=True
-    )
-
-
-def sample_chunks(config: SupervisedConfig, data: ExpertData, length: int, number: int) -> Chunks:
-    """Batch `number`, each sample with so many actions from it on."""
-    rng = stream(config.seed, Purpose.BATCHES, number)
-    rows = data.sample(config.fitting.batch_size, rng)
-    images = data.augmented(rows, parse_augmentations(config.fitting.augment), rng)
-    chosen, exist = data.neighbours(rows, np.arange(length))
-    actions, tasks = data.labels(chosen)
-    return Chunks(images, actions, torch.from_numpy(exist).to(data.device), tasks[:, 0])
+    Raises:
+        DemonstrationsError, RunFolderError: see `load_demonstrations` and `ExpertData`.
+    """
+    demonstrations = load_demonstrations(config, run)
+    return image_data(demonstrations, config, run, augment_by=AUTO, remove_noops=True)
 
 
 def fit(
-    config: SupervisedConfig,
+    config: SequenceConfig,
     run: Run,
     network: nn.Module,
     data: ExpertData,
@@ -113,12 +101,13 @@ def fit(
         config: of the run.
         run: where it is logged, and continued from.
         network: what is trained, and saved as the policy.
-        data: that batches are sampled from.
+        data: what batches are sampled from.
         sample: batch n, a function of the seed and n alone.
         losses: metrics of a batch, of which `loss` is minimised. Random numbers that it takes from
-            PyTorch's global generator follow from the seed and n.
+            PyTorch's global generator, dropout's too, follow from the seed and n.
     """
-    fitting, device = config.fitting, choose_device(config.device)
+    fitting = config.fitting
+    device = choose_device(config.device)
     network.to(device).train()
     optimizer = AdamW(
         network.parameters(), fitting.learning_rate, weight_decay=fitting.weight_decay, fused=True
