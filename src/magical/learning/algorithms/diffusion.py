@@ -102,7 +102,7 @@ class DiffusionNetwork(nn.Module):
 
 
 class Denoiser(nn.Module):
-    """The noise (B, K, 3) in noisy chunks (B, K, 3), given their levels (B,) and features (B, F)."""
+    """The noise (B, K, 3) in chunks (B, K, 3), given their levels (B,) and features (B, F)."""
 
     def __init__(self, num_features: int) -> None:
         super().__init__()

@@ -151,9 +151,7 @@ def sample_windows(config: TransformerBCConfig, data: ExpertData, number: int) -
     rng = stream(config.seed, Purpose.BATCHES, number)
     ends = data.sample(config.fitting.batch_size, rng)
     rows, exist = data.neighbours(ends, np.arange(1 - config.window, 1))
-    images = data.augmented(
-        rows.ravel(), config.fitting.augmentations, rng, together=config.window
-    )
+    images = data.augmented(rows.ravel(), config.fitting.augmentations, rng, together=config.window)
     actions, tasks = data.labels(rows)
     previous, has_previous = data.neighbours(rows.ravel(), np.array([-1]))
     before, _ = data.labels(previous[:, 0])
