@@ -8,7 +8,7 @@ z = 0. The chunks that predict a step are averaged (temporal ensembling).
 
 What differs: the convolutions are those of one of this package's networks, trained from scratch,
 instead of a pre-trained ResNet; the transformers are smaller (2 layers of the encoder and 1 of the
-others instead of 4 and 7, 128 features instead of 512); positions are learnt; neither network sees
+others instead of 4 and 7, 64 features instead of 512); positions are learnt; neither network sees
 the robot's state; the learning rate is annealed to 0. Discrete actions are predicted as logits, by
 cross-entropy; continuous ones by the L1 loss, as published.
 """
@@ -37,7 +37,7 @@ from magical.learning.sequences.chunks import (
 from magical.learning.sequences.fitting import QUICK, SequenceConfig, fit, load_data, masked_mean
 from magical.learning.settings import NOT_NEGATIVE, option
 
-WIDTH, FEEDFORWARD, HEADS, DROPOUT = 128, 256, 4, 0.1  # of all three transformers
+WIDTH, FEEDFORWARD, HEADS, DROPOUT = 64, 256, 4, 0.1  # of all three transformers
 LAYERS = {"encoder": 2, "decoder": 1, "style": 1}
 LATENT_SIZE = 32  # of z, as published
 INIT_STD = 0.02  # of learnt positions and queries

@@ -2,14 +2,16 @@
 
 Source: Chi et al., "Diffusion policy: visuomotor policy learning via action diffusion", RSS 2023;
 the sampler is DDIM's (Song et al., ICLR 2021), the schedule Nichol and Dhariwal's (ICML 2021). A
-network predicts the noise in a noisy chunk of demonstrated actions, given the frames; a policy
-starts from noise, removes it in a few steps, and executes the first half of the chunk.
+network predicts a chunk of demonstrated actions from a noisy one, given the frames; a policy starts
+from noise, removes it in a few steps, and executes the first half of the chunk.
 
-What differs: the encoder of images is one of this package's networks instead of a ResNet with a
-spatial softmax; the denoiser is smaller, and its residual blocks keep the chunk's length instead of
-halving and doubling it, as chunks are short; the policy is not an average of the weights, but the
-learning rate is annealed to 0; the robot's state is not given; actions beyond a demonstration's end
-do not count in the loss.
+What differs: the network predicts the actions instead of the noise in them (an option of the
+published code), which takes fewer batches to learn; the encoder of images is one of this package's
+networks instead of a ResNet with a spatial softmax; the denoiser is smaller, and its residual
+blocks keep the chunk's length instead of halving and doubling it, as chunks are short; the policy
+is not an average of the weights, but the learning rate is annealed to 0; the robot's state is not
+given. Beyond a demonstration's end its last action is repeated and learned, as published: the
+denoiser sees these steps, too.
 """
 
 import math
@@ -35,14 +37,14 @@ from magical.learning.sequences.chunks import (
     ChunkSettings,
     sample_chunks,
 )
-from magical.learning.sequences.fitting import SequenceConfig, fit, load_data, masked_mean
+from magical.learning.sequences.fitting import SequenceConfig, fit, load_data
 from magical.learning.settings import POSITIVE, option
 
 ACTION_SIZE = ACTION_SIZES["continuous"]
 NOISE_LEVELS = 100  # T, in training
 SCHEDULE_OFFSET = 0.008  # s of the cosine schedule
 MAX_BETA = 0.999
-CHANNELS, KERNEL_SIZE, BLOCKS, GROUPS = 96, 5, 4, 8  # of the denoiser
+CHANNELS, KERNEL_SIZE, BLOCKS, GROUPS = 64, 5, 4, 8  # of the denoiser
 EMBEDDING_SIZE = 64  # of a noise level
 
 
@@ -91,18 +93,17 @@ class DiffusionNetwork(nn.Module):
         features, noisy = self.features(images, tasks), noise
         levels = torch.linspace(NOISE_LEVELS - 1, 0, self.denoising_steps).round().long()
         for step, level in enumerate(levels):
-            predicted = self.denoiser(noisy, level.expand(len(noisy)), features).float()
-            alpha = self.alphas[level]
-            actions = ((noisy - (1 - alpha).sqrt() * predicted) / alpha.sqrt()).clamp(-1.0, 1.0)
+            predicted = self.denoiser(noisy, level.expand(len(noisy)), features)
+            actions = predicted.float().clamp(-1.0, 1.0)
             if step + 1 < len(levels):
-                predicted = (noisy - alpha.sqrt() * actions) / (1 - alpha).sqrt()
-                alpha = self.alphas[levels[step + 1]]
-                noisy = alpha.sqrt() * actions + (1 - alpha).sqrt() * predicted
+                alpha, following = self.alphas[level], self.alphas[levels[step + 1]]
+                noise = (noisy - alpha.sqrt() * actions) / (1.0 - alpha).sqrt()
+                noisy = following.sqrt() * actions + (1.0 - following).sqrt() * noise
         return actions
 
 
 class Denoiser(nn.Module):
-    """The noise (B, K, 3) in chunks (B, K, 3), given their levels (B,) and features (B, F)."""
+    """Chunks (B, K, 3) without noise, of noisy ones, their levels (B,) and features (B, F)."""
 
     def __init__(self, num_features: int) -> None:
         super().__init__()
@@ -119,8 +120,8 @@ class Denoiser(nn.Module):
         hidden = self.first(noisy.mT)
         for block in self.blocks:
             hidden = block(hidden, condition)
-        noise: Tensor = self.last(hidden).mT
-        return noise
+        chunks: Tensor = self.last(hidden).mT
+        return chunks
 
 
 class _Block(nn.Module):
@@ -164,7 +165,7 @@ def cosine_schedule(levels: int) -> Tensor:
 
 
 def diffusion_losses(network: DiffusionNetwork, batch: Chunks) -> dict[str, Tensor]:
-    """The loss to be minimised: the squared error of the predicted noise."""
+    """The loss to be minimised: the mean squared error of the denoised actions."""
     actions = batch.actions
     levels = torch.randint(NOISE_LEVELS, (len(actions),), device=actions.device)
     noise = torch.randn_like(actions)
@@ -172,7 +173,7 @@ def diffusion_losses(network: DiffusionNetwork, batch: Chunks) -> dict[str, Tens
     noisy = alphas.sqrt() * actions + (1.0 - alphas).sqrt() * noise
     features = network.features(batch.images, batch.tasks)
     predicted = network.denoiser(noisy, levels, features).float()
-    return {"loss": masked_mean((predicted - noise).square().mean(dim=2), batch.exist)}
+    return {"loss": functional.mse_loss(predicted, actions)}
 
 
 class DiffusionPolicy(ChunkPolicy):
