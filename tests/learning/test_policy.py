@@ -152,6 +152,7 @@ def run(demos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_run_is_loaded_with_its_observation_and_tasks(run: Path) -> None:
     policy = load_policy(run)
+    assert isinstance(policy, NetworkPolicy)
     assert is_run(run)
     assert (policy.observation, policy.tasks) == ("LoRes4E", TASKS)
     frames = np.random.default_rng(0).integers(0, 256, (2, 96, 96, 12), dtype=np.uint8)

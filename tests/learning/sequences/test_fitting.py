@@ -32,7 +32,7 @@ def test_random_numbers_follow_from_the_seed_and_are_no_others(
         train(config, tmp_path / f"{number}")
         assert torch.equal(torch.random.get_rng_state(), before)
         found.append(checkpoint(tmp_path / f"{number}"))
-    assert_same(*found)
+    assert_same(found[0], found[1])
 
 
 class Recorded:

@@ -8,7 +8,8 @@ z = 0. The chunks that predict a step are averaged (temporal ensembling).
 
 What differs: the convolutions are those of one of this package's networks, trained from scratch,
 instead of a pre-trained ResNet; the transformers are smaller (2 layers of the encoder and 1 of the
-others instead of 4 and 7, 64 features instead of 512); positions are learnt; neither network sees
+others instead of 4 and 7, 64 features instead of 512) and normalise before each layer instead of
+after it; positions are learnt; neither network sees
 the robot's state; the learning rate is annealed to 0. Discrete actions are predicted as logits, by
 cross-entropy; continuous ones by the L1 loss, as published.
 """
@@ -40,7 +41,6 @@ from magical.learning.settings import NOT_NEGATIVE, option
 WIDTH, FEEDFORWARD, HEADS, DROPOUT = 64, 256, 4, 0.1  # of all three transformers
 LAYERS = {"encoder": 2, "decoder": 1, "style": 1}
 LATENT_SIZE = 32  # of z, as published
-INIT_STD = 0.02  # of learnt positions and queries
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +49,7 @@ class ACTConfig(SequenceConfig):
 
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {},
-        "quick": {**QUICK, "batch_size": 16},
+        "quick": {**QUICK, "batch_size": 16, "learning_rate": 1e-3},
     }
 
     algorithm: str = "act"
@@ -85,9 +85,12 @@ class ACTNetwork(nn.Module):
         self.projection = nn.Linear(channels, WIDTH)
         self.positions = _learnt(count, WIDTH)
         self.task = nn.Embedding(len(config.tasks), WIDTH)
-        self.encoder = nn.TransformerEncoder(_layer(), LAYERS["encoder"])
+        self.encoder = _encoder(LAYERS["encoder"])
         self.queries = _learnt(length, WIDTH)
-        self.decoder = nn.TransformerDecoder(_layer(nn.TransformerDecoderLayer), LAYERS["decoder"])
+        layer = nn.TransformerDecoderLayer(
+            WIDTH, HEADS, FEEDFORWARD, DROPOUT, batch_first=True, norm_first=True
+        )
+        self.decoder = nn.TransformerDecoder(layer, LAYERS["decoder"], nn.LayerNorm(WIDTH))
         self.head = nn.Linear(WIDTH, action_size)
         self.style = StyleEncoder(action_size, length) if config.kl_weight else None
         self.from_style = nn.Linear(LATENT_SIZE, WIDTH) if config.kl_weight else None
@@ -115,7 +118,7 @@ class StyleEncoder(nn.Module):
         self.projection = nn.Linear(action_size, WIDTH)
         self.summary = _learnt(1, WIDTH)  # the token CLS, whose output is used
         self.positions = _learnt(length, WIDTH)
-        self.encoder = nn.TransformerEncoder(_layer(), LAYERS["style"])
+        self.encoder = _encoder(LAYERS["style"])
         self.moments = nn.Linear(WIDTH, 2 * LATENT_SIZE)
 
     def forward(self, batch: Chunks) -> tuple[Tensor, Tensor]:
@@ -176,12 +179,16 @@ def make_policy(config: ACTConfig) -> ACTNetwork:
         return ACTNetwork(config)
 
 
-def _layer(kind: type[nn.Module] = nn.TransformerEncoderLayer) -> nn.Module:
-    return kind(WIDTH, HEADS, FEEDFORWARD, DROPOUT, batch_first=True)
+def _encoder(layers: int) -> nn.TransformerEncoder:
+    layer = nn.TransformerEncoderLayer(
+        WIDTH, HEADS, FEEDFORWARD, DROPOUT, batch_first=True, norm_first=True
+    )
+    return nn.TransformerEncoder(layer, layers, nn.LayerNorm(WIDTH), enable_nested_tensor=False)
 
 
 def _learnt(count: int, size: int) -> nn.Parameter:
-    return nn.Parameter(torch.randn(count, size) * INIT_STD)
+    """Positions or queries, initialised as the published code's embeddings."""
+    return nn.Parameter(torch.randn(count, size))
 
 
 def _map_size(convolutions: nn.Module, input_shape: tuple[int, ...]) -> tuple[int, int]:

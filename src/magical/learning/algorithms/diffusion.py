@@ -94,7 +94,7 @@ class DiffusionNetwork(nn.Module):
         levels = torch.linspace(NOISE_LEVELS - 1, 0, self.denoising_steps).round().long()
         for step, level in enumerate(levels):
             predicted = self.denoiser(noisy, level.expand(len(noisy)), features)
-            actions = predicted.float().clamp(-1.0, 1.0)
+            actions: Tensor = predicted.float().clamp(-1.0, 1.0)
             if step + 1 < len(levels):
                 alpha, following = self.alphas[level], self.alphas[levels[step + 1]]
                 noise = (noisy - alpha.sqrt() * actions) / (1.0 - alpha).sqrt()

@@ -52,7 +52,7 @@ class TransformerBCConfig(SequenceConfig):
 
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {},
-        "quick": {**QUICK, "batch_size": 4},
+        "quick": {**QUICK, "batch_size": 4, "learning_rate": 1e-3},
     }
 
     algorithm: str = "transformer-bc"
@@ -88,8 +88,12 @@ class MemoryNetwork(nn.Module):
         self.projection = nn.Linear(self.trunk.num_features, WIDTH)
         self.before = nn.Embedding(NUM_ACTIONS, WIDTH) if config.past_actions else None
         self.positions = nn.Parameter(torch.randn(config.window, WIDTH) * INIT_STD)
-        layer = nn.TransformerEncoderLayer(WIDTH, HEADS, 4 * WIDTH, DROPOUT, batch_first=True)
-        self.transformer = nn.TransformerEncoder(layer, LAYERS, enable_nested_tensor=False)
+        layer = nn.TransformerEncoderLayer(
+            WIDTH, HEADS, 4 * WIDTH, DROPOUT, batch_first=True, norm_first=True
+        )
+        self.transformer = nn.TransformerEncoder(
+            layer, LAYERS, nn.LayerNorm(WIDTH), enable_nested_tensor=False
+        )
         self.policy = TaskLinear(WIDTH, NUM_ACTIONS, len(config.tasks))
 
     def forward(self, images: Tensor, tasks: Tensor) -> Tensor:
@@ -157,7 +161,7 @@ def sample_windows(config: TransformerBCConfig, data: ExpertData, number: int) -
     before, _ = data.labels(previous[:, 0])
     before[torch.from_numpy(~has_previous[:, 0]).to(before.device)] = NOOP
     return Windows(
-        images.unflatten(0, rows.shape),
+        images.view(*rows.shape, *images.shape[1:]),
         before.view(actions.shape),
         actions,
         torch.from_numpy(exist).to(data.device),

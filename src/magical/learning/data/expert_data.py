@@ -264,7 +264,8 @@ class ExpertData:
 def _noops(actions: Actions) -> NDArray[np.bool_]:
     """Which of the actions (T,), or (T, 3), are the no-op: (T,)."""
     equal = actions == spec_of(actions).convert(np.array([NOOP]))
-    return equal.reshape(len(actions), -1).all(axis=1)
+    noops: NDArray[np.bool_] = equal.reshape(len(actions), -1).all(axis=1)
+    return noops
 
 
 def split_evenly(size: int, num_tasks: int, rng: np.random.Generator) -> list[int]:
