@@ -137,7 +137,7 @@ class Logits(nn.Module):
 
 @pytest.mark.parametrize("greedy", [False, True])
 def test_probabilities_of_discrete_actions_are_averaged(greedy: bool) -> None:
-    """Averaging logits would give 1e-15 each after scaling: the same, but for three to one."""
+    """One chunk of four is for action 4; by the mean of logits it would never be chosen."""
     config = ACTConfig.preset("quick", tasks=TASKS, demos="", chunk=LENGTH, ensemble_decay=0.0)
     policy = ACTPolicy(Logits(), config, CPU, greedy)
     frames = np.zeros((4, 2000), np.uint8)
