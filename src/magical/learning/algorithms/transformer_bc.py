@@ -135,7 +135,7 @@ class MemoryPolicy(TrainedPolicy):
             self._exist = torch.zeros(shape, dtype=torch.bool)
             self._last = np.full(len(mask), NOOP)
         self._exist[torch.from_numpy(mask)] = False
-        self._last[mask] = NOOP
+        self._last = np.where(mask, NOOP, self._last)
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
         """See `TrainedPolicy`."""
