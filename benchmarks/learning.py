@@ -61,8 +61,9 @@ class PyTorchData(ExpertData):
         which: Augmentations,
         rng: np.random.Generator,
         transformed: StackTransformations | None = None,
+        together: int = 1,
     ) -> Tensor:
-        parameters = sample_parameters(len(rows), which, rng)
+        parameters = sample_parameters(len(rows), which, rng, together)
         generator = torch.Generator().manual_seed(int(rng.integers(2**63)))
         return augment_in_pytorch(self.images(rows), which, parameters, generator)
 

@@ -81,7 +81,8 @@ PLANS = (
     "object-bc",
     "object-bc-human",
 )
-OTHERS = ("object-bc-ablations", "bc-transformations")  # their rows are shown by other scripts
+# Their rows are on pages of their own.
+OTHERS = ("object-bc-ablations", "bc-transformations", "sequence-learners")
 SECTIONS = {  # the generated parts of each study's page
     "published_tables": (
         *("runs", "counts", "tasks", "far", "agreement", "claims", "orders", "cells", "rejected"),

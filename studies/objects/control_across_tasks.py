@@ -15,7 +15,7 @@ import torch
 
 from magical.evaluation import environments, evaluate
 from magical.learning.algorithms.object_bc import ObjectPolicy
-from magical.learning.policy import NetworkPolicy
+from magical.learning.policy import TrainedPolicy
 from magical.learning.running.loading import load_policy
 
 
@@ -49,14 +49,14 @@ def main() -> None:
         print(f"| {name} | {cells} | {mean} |", flush=True)
 
 
-def object_policy(policy: NetworkPolicy) -> ObjectPolicy:
+def object_policy(policy: TrainedPolicy) -> ObjectPolicy:
     """The network of a run of object-bc."""
     if not isinstance(policy.network, ObjectPolicy):
         raise SystemExit("expected a run of object-bc")
     return policy.network
 
 
-def score(policy: NetworkPolicy, tasks: Sequence[str], args: argparse.Namespace) -> list[float]:
+def score(policy: TrainedPolicy, tasks: Sequence[str], args: argparse.Namespace) -> list[float]:
     """The mean score on the Demo variant of each task."""
     scores = evaluate(
         policy,

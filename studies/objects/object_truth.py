@@ -30,7 +30,7 @@ from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.objects.parser import FAR, MAX_BLOCKS
 from magical.learning.objects.regions import MAX_REGIONS
 from magical.learning.objects.table import ObjectTable, parse_table, to_tensor
-from magical.learning.policy import NetworkPolicy, sample_actions
+from magical.learning.policy import TrainedPolicy, sample_actions
 from magical.learning.running.loading import load_policy
 from magical.observe.pixels import STACK
 from magical.render import Renderer
@@ -94,7 +94,7 @@ class PartlyTruePolicy:
 
     privileged = True
 
-    def __init__(self, policy: NetworkPolicy, truths: Iterable[str]) -> None:
+    def __init__(self, policy: TrainedPolicy, truths: Iterable[str]) -> None:
         self.truths = set(truths)
         self.tasks = policy.tasks
         network = policy.network

@@ -9,7 +9,7 @@ import torch
 from magical.envs import EnvId
 from magical.errors import PolicyError
 from magical.evaluation import Policy, environments, evaluate
-from magical.learning import EnsemblePolicy, load_policy, train
+from magical.learning import EnsemblePolicy, NetworkPolicy, load_policy, train
 from magical.learning.algorithms.bc import BCConfig
 from tests.learning.test_policy import IDS, fixed
 from tests.learning.tiny_runs import tiny
@@ -36,7 +36,12 @@ def test_runs_are_loaded_and_evaluated(demos: Path, tmp_path: Path) -> None:
     policy = EnsemblePolicy.load([tmp_path / "0", tmp_path / "1"])
     assert len(evaluate(policy, environments(["MoveToRegion"], ["Demo"]), rollouts=2)) == 2
     frames = np.zeros((1, 96, 96, 12), np.uint8)
-    single = [load_policy(tmp_path / seed).probabilities(frames, [str(env_id)]) for seed in "01"]
+    loaded = [load_policy(tmp_path / seed) for seed in "01"]
+    single = [
+        member.probabilities(frames, [str(env_id)])
+        for member in loaded
+        if isinstance(member, NetworkPolicy)
+    ]
     expected = (single[0] + single[1]) / 2
     np.testing.assert_allclose(policy.probabilities(frames, [str(env_id)]), expected)
 

@@ -93,7 +93,7 @@ def test_logits_that_are_not_finite_are_an_error(bad: float, greedy: bool) -> No
     policy = fixed(logits, greedy=greedy)
     frames = np.zeros((3, 96, 96, 12), np.uint8)
     assert len(policy.act(frames, [IDS[0]] * 3, np.random.default_rng(0))) == 3
-    with pytest.raises(DivergedError, match=r"expected finite logits, found -?(nan|inf);"):
+    with pytest.raises(DivergedError, match=r"expected finite outputs, found -?(nan|inf);"):
         policy.act(frames, [IDS[0], IDS[1], IDS[0]], np.random.default_rng(0))
 
 
@@ -152,6 +152,7 @@ def run(demos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_run_is_loaded_with_its_observation_and_tasks(run: Path) -> None:
     policy = load_policy(run)
+    assert isinstance(policy, NetworkPolicy)
     assert is_run(run)
     assert (policy.observation, policy.tasks) == ("LoRes4E", TASKS)
     frames = np.random.default_rng(0).integers(0, 256, (2, 96, 96, 12), dtype=np.uint8)

@@ -25,6 +25,7 @@ TINY: dict[str, Any] = {
     "batches": 4,
     "batch_size": 4,
     "log_every": 2,
+    "window": 3,
     "rounds": 2,
     "episodes": 1,
     # PPO, and what is built on it: three updates

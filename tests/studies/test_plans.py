@@ -77,6 +77,18 @@ def test_the_objects_is_evaluated_in_the_same_way(
         assert (str(run.source), run.config.to_dict()["num_demos"]) == (source, num_demos)
 
 
+def test_the_learners_of_sequences_are_trained_and_evaluated_as_bc(root: Path) -> None:
+    baseline = planned_runs(read_study_plan(root, "bc-human"))
+    runs = planned_runs(read_study_plan(root, "sequence-learners"))
+    assert len(runs) == 5 * len(baseline)
+    known = {(run.tasks, run.config.seed): run for run in baseline}
+    for run in runs:
+        of_bc = known[run.tasks, run.config.seed]
+        assert (run.source, run.evaluation, run.preset) == (of_bc.source, of_bc.evaluation, "quick")
+        assert (run.config.threads, run.config.to_dict()["num_demos"]) == (1, 10)
+    assert len({run.config.replace(seed=0, tasks="FindDupe") for run in runs}) == 5
+
+
 def test_the_baseline_learns_from_the_demonstrations_of_the_objects(root: Path) -> None:
     baseline, *_ = planned_runs(read_study_plan(root, "bc-perturbed-100"))
     objects, *_ = planned_runs(read_study_plan(root, "object-bc"))

@@ -3,8 +3,11 @@
 import json
 import subprocess
 import sys
+from collections.abc import Callable
+from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -74,26 +77,36 @@ def test_only_known_policies_act_and_only_in_their_tasks(tmp_path: Path) -> None
 
 
 @pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> Policies:
-    """A run of three batches, number 1."""
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Policies]:
+    """A run of three batches of an algorithm, number 1, which is called `mine`."""
     pytest.importorskip("torch")
-    from magical.learning import train
-    from magical.learning.algorithms.bc import BCConfig
+    from magical.learning import find_algorithm, train
 
     folder = tmp_path_factory.mktemp("trained")
     DatasetWriter(folder / "demos").append(demonstrate(ENV, 1))
-    config = BCConfig.preset(
-        "quick",
-        tasks=("MoveToRegion",),
-        demos=str(folder / "demos"),
-        num_demos=1,
-        batches=3,
-        network="small",
-        device="cpu",
-        threads=1,
-    )
-    train(config, folder / "runs" / "mine")
-    return Policies([folder / "runs"])
+
+    @cache
+    def policies(algorithm: str) -> Policies:
+        config = find_algorithm(algorithm).config.preset(
+            "quick",
+            tasks=("MoveToRegion",),
+            demos=str(folder / "demos"),
+            num_demos=1,
+            batches=3,
+            network="small",
+            device="cpu",
+            threads=1,
+        )
+        train(config, folder / algorithm / "mine")
+        return Policies([folder / algorithm])
+
+    return policies
+
+
+@pytest.fixture(scope="module")
+def trained(runs: Callable[[str], Policies]) -> Policies:
+    """Of behavioural cloning."""
+    return runs("bc")
 
 
 def test_a_watched_run_acts_as_in_its_rollout_with_the_same_probabilities(
@@ -113,6 +126,26 @@ def test_a_watched_run_acts_as_in_its_rollout_with_the_same_probabilities(
     assert alone.demonstrator == "mine"
 
 
+@pytest.mark.parametrize("algorithm", ["act", "transformer-bc"])
+def test_policies_with_memory_are_watched_side_by_side_without_probabilities(
+    algorithm: str, runs: Callable[[str], Policies]
+) -> None:
+    policies, seeds = runs(algorithm), (11, 12)
+    alone = [roll_out(policies, 1, ENV, seed) for seed in seeds]
+    pairs = [(Driver(policies, 1, ENV, seed), PlayedEpisode(ENV, seed)) for seed in seeds]
+    for actions in zip(*(each.actions.tolist() for each in alone), strict=True):
+        for action, (driver, episode) in zip(actions, pairs, strict=True):
+            assert driver.propose(*episode.seen) == Proposal(action)
+            episode.step(action, driver.actor, action)
+    with pytest.raises(PolicyError, match="found one that remembers the episode"):
+        episode_probabilities(policies.load(1), alone[0])
+
+
+def test_policies_of_continuous_actions_are_refused(runs: Callable[[str], Policies]) -> None:
+    with pytest.raises(PolicyError, match="mine: its actions are continuous"):
+        roll_out(runs("diffusion"), 1, ENV, 0)
+
+
 def test_a_state_that_is_asked_for_twice_gets_one_answer(trained: Policies) -> None:
     driver, episode = Driver(trained, 1, ENV, 11), PlayedEpisode(ENV, 11)
     first = driver.propose(*episode.seen)
@@ -121,13 +154,17 @@ def test_a_state_that_is_asked_for_twice_gets_one_answer(trained: Policies) -> N
 
 
 def test_a_new_checkpoint_is_loaded(trained: Policies) -> None:
-    before = trained.load(1)
-    assert trained.load(1) is before
+    def network() -> Any:
+        policy: Any = trained.load(1)
+        return policy.network
+
+    before = network()
+    assert network() is before
     folder = trained.find(1).folder
     assert folder is not None
     checkpoint = folder / "checkpoint.safetensors"
     checkpoint.touch()
-    assert trained.load(1) is not before
+    assert network() is not before
     checkpoint.write_bytes(b"")
     with pytest.raises(CheckpointError):
         trained.load(1)

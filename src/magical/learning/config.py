@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import MISSING, dataclass
 from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
 
+from magical.envs.action_spec import ActionSpaceName
 from magical.errors import InvalidConfigError, UnknownNameError
 from magical.learning.augmentation.names import Augmentations, parse_augmentations
 from magical.learning.networks import is_pretrained, network_names
@@ -66,13 +67,19 @@ REMOVED = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class NetworkSettings(Settings):
-    """What networks observe, and how they are built."""
+class EncoderSettings(Settings):
+    """What a network observes, and what turns it into features."""
 
     observation: str = option("LoRes4E", "observation")
     network: str = option(
         "paper", "network architecture", choices=network_names, others="magical.networks"
     )
+
+
+@dataclass(frozen=True, kw_only=True)
+class NetworkSettings(EncoderSettings):
+    """What the paper's networks observe, and how they are built."""
+
     conventions: str = option(
         APPENDIX,
         "of images, initialisation and batch norm, where the published code's differ "
@@ -151,7 +158,7 @@ class Config(Settings):
         object.__setattr__(self, "tasks", names)
         if not names or len(set(names)) < len(names):
             raise InvalidConfigError(f"tasks: expected each task once, found {names}")
-        networks = self.part(NetworkSettings)
+        networks = self.part(EncoderSettings)
         known = not networks or networks.observation in self.observations
         if networks and not known and not is_plugin(GROUP, networks.observation):
             raise UnknownNameError(
@@ -167,7 +174,7 @@ class Config(Settings):
     @property
     def learned_from(self) -> tuple[str, ...]:
         """What is learned from, in the words of `magical.runs.sources`."""
-        networks = self.part(NetworkSettings)
+        networks = self.part(EncoderSettings)
         demonstrations = (DEMONSTRATIONS,) if self.part(DemonstrationSettings) else ()
         pretrained = networks is not None and is_pretrained(networks.network)
         return (*demonstrations, *((EXTRA_DATA,) if pretrained else ()))
@@ -200,9 +207,14 @@ class Config(Settings):
     @property
     def observation(self) -> str:
         """The observation's name."""
-        networks = self.part(NetworkSettings)
+        networks = self.part(EncoderSettings)
         assert networks is not None
         return networks.observation
+
+    @property
+    def action_space(self) -> ActionSpaceName:
+        """The kind of actions that the policy takes, and that demonstrations are read as."""
+        return "discrete"
 
     @property
     def observation_spec(self) -> ObservationSpec:

@@ -39,7 +39,13 @@ class EnsemblePolicy:
     @classmethod
     def load(cls, runs: Sequence[Path | str], device: str = "auto") -> Self:
         """Load the policies of run folders; raises what `load_policy` raises."""
-        return cls([load_policy(run, device) for run in runs])
+        members = []
+        for run in runs:
+            policy = load_policy(run, device)
+            if not isinstance(policy, NetworkPolicy):
+                raise PolicyError(f"ensemble: {run} gives no probabilities of single actions")
+            members.append(policy)
+        return cls(members)
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
         """One action for each environment, (B,) int64; raises what `NetworkPolicy.act` raises."""

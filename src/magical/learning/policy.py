@@ -1,6 +1,6 @@
 """Trained networks as policies."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,8 +17,13 @@ from magical.learning.running.devices import Compute, full_float32
 from magical.observe import ObservationSpec
 
 
-class NetworkPolicy:
-    """Samples actions from a network's distribution, or takes the most probable ones."""
+class TrainedPolicy:
+    """What the policies of all trained networks have in common.
+
+    Attributes:
+        network, config, greedy: see `__init__`.
+        tasks, observation, action_space: those of its training.
+    """
 
     def __init__(
         self, network: nn.Module, config: Config, compute: Compute, greedy: bool = False
@@ -26,49 +31,53 @@ class NetworkPolicy:
         """Create a policy.
 
         Args:
-            network: maps observations (B, ...) and tasks (B,) to logits (B, 18). Pixels are scaled
-                to [0, 1] before, but for a network whose attribute `takes_pixels` is true.
-            config: of its training: the tasks and the observation.
+            network: takes observations (B, ...) and tasks (B,). Pixels are scaled to [0, 1]
+                before, but for a network whose attribute `takes_pixels` is true.
+            config: of its training: the tasks, the observation and the action space.
             compute: device and precision.
             greedy: take the most probable action instead of sampling.
         """
         self.network = network.eval()
+        self.config = config
         self.tasks = config.tasks
         self.observation = config.observation
+        self.action_space = config.action_space
         self.greedy = greedy
         self._spec = config.observation_spec
         self._compute = compute
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
-        """One action for each environment, (B,) int64.
+        """One action for each environment: (B,) int64, or (B, 3) float64 of continuous ones.
 
         Raises:
             PolicyError: observations of another shape, or a task that it was not trained on.
-            DivergedError: the network's logits are not finite.
+            DivergedError: the network's outputs are not finite.
         """
-        probabilities = self.probabilities(observations, env_ids)
-        if self.greedy:
-            most_probable: Actions = probabilities.argmax(axis=1)
-            return most_probable
-        return sample_actions(probabilities, rng)
+        raise NotImplementedError
 
     def reset(self, mask: Mask) -> None:
-        """Does nothing: the only memory is the observation's frame stack."""
+        """Episodes start where the mask (B,) is true."""
 
-    def probabilities(self, observations: Any, env_ids: Sequence[str]) -> NDArray[np.float64]:
-        """The distribution over actions, (B, 18) float64; raises what `act` raises."""
+    def outputs(self, observations: Any, env_ids: Sequence[str], *others: Tensor) -> Tensor:
+        """What the network returns, float64 on the CPU; raises what `act` raises.
+
+        `others` are further inputs of the network.
+        """
         inputs = to_inputs(observations, self._spec).to(self._compute.device)
-        tasks = self._task_numbers(env_ids).to(self._compute.device)
-        with torch.inference_mode(), full_float32(), self._compute.autocast():
-            if not getattr(self.network, "takes_pixels", False):
-                inputs = to_unit(inputs)
-            logits = self.network(inputs, tasks)  # (B, 18)
-        logits = logits.double().cpu()
-        _require_finite(logits)
-        probabilities: NDArray[np.float64] = logits.softmax(dim=1).numpy()
-        return probabilities
+        if not getattr(self.network, "takes_pixels", False):
+            inputs = to_unit(inputs)
+        return self.computed(self.network, inputs, self.task_numbers(env_ids), *others)
 
-    def _task_numbers(self, env_ids: Sequence[str]) -> Tensor:
+    def computed(self, function: Callable[..., Tensor], *inputs: Tensor) -> Tensor:
+        """What a function of the network returns, computed as in training; float64 on the CPU."""
+        with torch.inference_mode(), full_float32(), self._compute.autocast():
+            outputs = function(*(each.to(self._compute.device) for each in inputs))
+        found: Tensor = outputs.double().cpu()
+        _require_finite(found)
+        return found
+
+    def task_numbers(self, env_ids: Sequence[str]) -> Tensor:
+        """The position (B,) of each environment's task; raises `PolicyError` for another task."""
         numbers = {}
         for env_id in dict.fromkeys(env_ids):
             task = parse_env_id(env_id).task
@@ -81,20 +90,48 @@ class NetworkPolicy:
         return torch.tensor([numbers[env_id] for env_id in env_ids])
 
 
-def sample_actions(probabilities: NDArray[np.float64], rng: np.random.Generator) -> Actions:
+class NetworkPolicy(TrainedPolicy):
+    """Samples actions from a network's distribution, or takes the most probable ones.
+
+    The network returns logits (B, 18). The only memory is the observation's frame stack.
+    """
+
+    def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
+        """See `TrainedPolicy`."""
+        return choose_actions(self.probabilities(observations, env_ids), rng, self.greedy)
+
+    def probabilities(self, observations: Any, env_ids: Sequence[str]) -> NDArray[np.float64]:
+        """The distribution over actions, (B, 18) float64; raises what `act` raises."""
+        probabilities: NDArray[np.float64] = self.outputs(observations, env_ids).softmax(1).numpy()
+        return probabilities
+
+
+def choose_actions(
+    probabilities: NDArray[np.float64], rng: np.random.Generator, greedy: bool
+) -> NDArray[np.int64]:
+    """Actions (B,) of distributions (B, 18): sampled, or the most probable ones."""
+    if greedy:
+        most_probable: NDArray[np.int64] = probabilities.argmax(axis=1)
+        return most_probable
+    return sample_actions(probabilities, rng)
+
+
+def sample_actions(
+    probabilities: NDArray[np.float64], rng: np.random.Generator
+) -> NDArray[np.int64]:
     """One action (B,) int64 from each of the distributions (B, 18)."""
     cumulative = probabilities.cumsum(axis=1)
     uniforms = rng.random(len(probabilities)) * cumulative[:, -1]
-    actions: Actions = (uniforms[:, None] >= cumulative).sum(axis=1)
+    actions: NDArray[np.int64] = (uniforms[:, None] >= cumulative).sum(axis=1)
     return actions.clip(max=cumulative.shape[1] - 1)
 
 
-def _require_finite(logits: Tensor) -> None:
-    """Raise `DivergedError` unless all logits are finite."""
-    finite = torch.isfinite(logits)
+def _require_finite(outputs: Tensor) -> None:
+    """Raise `DivergedError` unless all outputs are finite."""
+    finite = torch.isfinite(outputs)
     if not finite.all():
         raise DivergedError(
-            f"policy: expected finite logits, found {logits[~finite][0].item()}; the "
+            f"policy: expected finite outputs, found {outputs[~finite][0].item()}; the "
             "weights are not finite, or too large for the precision"
         )
 

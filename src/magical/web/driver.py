@@ -117,6 +117,8 @@ def _network_chooser(policy: Any, env_id: EnvId, seed: int) -> Chooser:
         observations = _as_batch(observer.out)
         with _one_thread():
             action = int(policy.act(observations, [env_id], rng)[0])
+            if not hasattr(policy, "probabilities"):
+                return Proposal(action)
             (row,) = policy.probabilities(observations, [env_id]).round(3).tolist()
         return Proposal(action, tuple(row))
 
@@ -159,9 +161,15 @@ def episode_probabilities(policy: Any, episode: Trajectory) -> NDArray[np.float6
     """A run's distributions over actions before each step of an episode, (T, 18).
 
     Raises:
-        PolicyError: the policy did not learn the episode's task.
+        PolicyError: the policy did not learn the episode's task, or has no probabilities of single
+            actions.
         TrajectoryError, ObservationError: the episode does not have the policy's observations.
     """
+    if not hasattr(policy, "probabilities"):
+        raise PolicyError(
+            "policy: expected one whose actions depend on the observation alone, found one that "
+            "remembers the episode; watch it act instead"
+        )
     reader = ObservationReader(episode, policy.observation)
     parts = []
     for first in range(0, len(episode), BATCH):

@@ -4,11 +4,13 @@ import importlib
 import threading
 from collections.abc import Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from magical.envs.action_spec import DISCRETE
 from magical.envs.ids import EnvId
 from magical.errors import (
     MagicalError,
@@ -17,7 +19,7 @@ from magical.errors import (
     RunFolderError,
 )
 from magical.evaluation.loading import load_policy
-from magical.evaluation.policy import Policy
+from magical.evaluation.policy import Policy, action_spec_of
 from magical.experts import has_expert
 from magical.runs import is_run
 from magical.runs.folder import CHECKPOINT, CONFIG
@@ -97,8 +99,10 @@ class Policies:
     def load(self, number: int) -> Policy:
         """A run's policy, from its newest checkpoint; takes seconds for the first one.
 
+        It has a memory of its own.
+
         Raises:
-            PolicyError: it is the expert, which is no network.
+            PolicyError: it is the expert, which is no network, or its actions are continuous.
             RunFolderError, CheckpointError: the run is damaged, or has no checkpoint yet.
             MissingDependencyError: PyTorch is not installed.
         """
@@ -106,7 +110,10 @@ class Policies:
         if entry.folder is None:
             raise PolicyError(f"{entry.name}: has no action probabilities; choose a run")
         with self._lock:
-            return self._load(entry.folder, version_of(entry.folder / CHECKPOINT))
+            policy = copy(self._load(entry.folder, version_of(entry.folder / CHECKPOINT)))
+        if action_spec_of(policy) is not DISCRETE:
+            raise PolicyError(f"{entry.name}: its actions are continuous; choose one with discrete")
+        return policy
 
 
 def find_runs(root: Path) -> list[Path]:

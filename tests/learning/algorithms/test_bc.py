@@ -17,7 +17,7 @@ from magical.demos import Trajectory, observations
 from magical.errors import CheckpointError, DivergedError, InvalidConfigError, RunFolderError
 from magical.evaluation import evaluate
 from magical.experiments.entries import evaluation_details
-from magical.learning import load_policy, train
+from magical.learning import NetworkPolicy, load_policy, train
 from magical.learning.algorithms.bc import BCConfig, CloningSettings, bc_loss, make_policy
 from magical.learning.running import run
 from magical.physics import Simulation
@@ -60,6 +60,7 @@ def test_one_demonstration_is_overfitted(tmp_path: Path) -> None:
     demos = write_demos(tmp_path / "demos", [picture_demo("MoveToCorner", 0)])
     config = tiny(demos, num_demos=1, batches=80, batch_size=16, augment="none")
     trained = train(config, tmp_path / "run").policy()
+    assert isinstance(trained, NetworkPolicy)
     trajectory = picture_demo("MoveToCorner", 0)
     shown = observations(trajectory, "LoRes4E")
     likeliest = trained.probabilities(shown, [trajectory.env_id] * len(shown)).argmax(axis=1)

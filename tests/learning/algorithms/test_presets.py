@@ -35,6 +35,24 @@ CLONING: dict[str, Any] = {
 }
 CHANGES: dict[str, dict[str, Any]] = {
     "bc": CLONING,
+    "act": {
+        "num_demos": 3,
+        "observation": "LoRes4A",
+        "seed": 1,
+        "network": "small",
+        "precision": "bfloat16",
+        "batches": 5,
+        "batch_size": 5,
+        "learning_rate": 2e-3,
+        "weight_decay": 0.1,
+        "augment": "noise",
+        "tasks": ("MoveToCorner",),
+        "chunk": 4,
+        "action_space": "continuous",
+        "kl_weight": 1.0,
+    },
+    "diffusion": {"chunk": 8, "batch_size": 5, "precision": "bfloat16"},
+    "transformer-bc": {"window": 4, "past_actions": False, "precision": "bfloat16"},
     "dagger": {
         "rounds": 3,
         "batches": 1,

@@ -69,6 +69,17 @@ def test_which_steps_are_learned_and_with_which_labels(
     np.testing.assert_array_equal(data.images(np.arange(len(data))).numpy(), shown[steps])
 
 
+def test_neighbours_are_of_the_same_demonstration() -> None:
+    data = unequal_data()  # rows 0 to 2, and 3 to 32
+    found, exist = data.neighbours(np.array([1, 3, 31]), np.array([-2, 0, 1, 2]))
+    assert found.tolist() == [[0, 1, 2, 2], [3, 3, 4, 5], [29, 31, 32, 32]]
+    assert exist.tolist() == [
+        [False, True, True, False],
+        [False, True, True, True],
+        [True, True, True, False],
+    ]
+
+
 def test_nothing_but_noops_is_an_error() -> None:
     task, nothing = "MoveToCorner", picture_demo("MoveToCorner", 0, [0, 0, 0])
     with pytest.raises(DemonstrationsError, match="MoveToCorner: expected demonstrations with"):
@@ -149,5 +160,5 @@ def test_continuous_actions_are_learned_where_they_are_discrete_ones(
     assert learned.actions.tolist() == trajectories[0].actions.tolist()
     between = replace(points, actions=np.full((len(points), 3), 0.5))
     DatasetWriter(tmp_path / "between").append(between)
-    with pytest.raises(DemonstrationsError, match="learners learn discrete actions"):
+    with pytest.raises(DemonstrationsError, match="this learner takes discrete actions"):
         sample_demonstrations(str(tmp_path / "between"), [points.task.name], 1, 0, [points.variant])

@@ -73,6 +73,17 @@ def test_augmented_frames_are_moved_and_coloured_as_resampled_ones(pairs: Pairs)
         assert difference < 0.015
 
 
+def test_stacks_that_are_together_are_augmented_alike(pairs: Pairs) -> None:
+    which, rows = parse_augmentations("translation+rotation+colour"), np.full(6, 3)
+    for data in both(pairs, "LoRes4E"):
+        found = data.augmented(rows, which, np.random.default_rng(0), together=3)
+        assert found.shape == (6, *data.spec.network_shape)
+        equal = [[torch.equal(one, other) for other in found] for one in found]
+        assert equal == np.kron(np.eye(2), np.ones((3, 3))).astype(bool).tolist()
+        apart = data.augmented(rows, which, np.random.default_rng(0))
+        assert not torch.equal(apart[0], apart[1])
+
+
 def test_noise_is_added_last(pairs: Pairs) -> None:
     rendered = both(pairs, "LoRes4E")[1]
     rows = np.arange(20)

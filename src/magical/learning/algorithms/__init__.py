@@ -19,6 +19,7 @@ from magical.runs.folder import CONFIG, read_json
 if TYPE_CHECKING:
     from torch import nn
 
+    from magical.learning.policy import TrainedPolicy
     from magical.learning.running.run import Run
 
 
@@ -31,12 +32,14 @@ class Algorithm:
         train: called as `train(config, run)`; trains, logs, and saves checkpoints whose entry
             `policy` is the state dict of
         make_policy: a function from the configuration to a module that maps observations (B, ...)
-            and tasks (B,) to logits (B, 18).
+            and tasks (B,) to logits (B, 18), or to what `policy` takes.
+        policy: the kind of policy that acts by this module; `None` for `NetworkPolicy`.
     """
 
     config: type[Config]
     train: "Callable[[Any, Run], None]"
     make_policy: "Callable[[Any], nn.Module]"
+    policy: "type[TrainedPolicy] | None" = None
 
 
 _ALGORITHMS = Registry("algorithm", Algorithm, "magical.algorithms", __name__, "ALGORITHM")

@@ -33,13 +33,7 @@ from magical.learning.config import (
 )
 from magical.learning.data.expert_data import ExpertData, TaskTrajectories, load_demonstrations
 from magical.learning.data.prefetch import prefetch
-from magical.learning.data.rendered_data import (
-    AUTO,
-    RENDERING,
-    RESAMPLING,
-    RenderedExpertData,
-    choose_augment_by,
-)
+from magical.learning.data.rendered_data import AUTO, RENDERING, RESAMPLING, image_data
 from magical.learning.models import PolicyNetwork, Trunk, init_normal, new_statistics
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import (
@@ -261,22 +255,18 @@ class BCTrainer:
         return module
 
     def expert_data(self, demonstrations: TaskTrajectories, remove_noops: bool) -> ExpertData:
-        """The samples of demonstrations, on the trainer's device.
-
-        How their images are augmented is recorded in `run.json`.
-
-        Raises:
-            DemonstrationsError: see `choose_augment_by` and `ExpertData`.
-        """
+        """The samples of demonstrations, on the trainer's device; raises what `image_data` does."""
         config, cloning = self.config, self.config.cloning
-        kind = ExpertData
         if not config.observes_vectors:
-            augment_by = choose_augment_by(
-                cloning.augment_by, demonstrations, cloning.transformations
+            return image_data(
+                demonstrations,
+                config,
+                self.run,
+                augment_by=cloning.augment_by,
+                transformations=cloning.transformations,
+                remove_noops=remove_noops,
             )
-            self.run.describe(augment_by=augment_by)
-            kind = RenderedExpertData if augment_by == RENDERING else ExpertData
-        return kind(
+        return ExpertData(
             demonstrations,
             config.tasks,
             config.observation_spec,

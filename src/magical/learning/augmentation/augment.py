@@ -168,10 +168,11 @@ class Parameters(Generic[Values]):
 
 
 def sample_parameters(
-    count: int, which: Augmentations, rng: np.random.Generator
+    count: int, which: Augmentations, rng: np.random.Generator, together: int = 1
 ) -> Parameters[Floats]:
-    """The parameters of a batch."""
-    return Parameters.scaled(rng.uniform(-1.0, 1.0, (count, NUM_PARAMETERS)), which)
+    """The parameters of a batch; so many consecutive stacks have the same ones."""
+    unit = rng.uniform(-1.0, 1.0, (count // together, NUM_PARAMETERS))
+    return Parameters.scaled(unit.repeat(together, axis=0), which)
 
 
 def noise_seeds(count: int, rng: np.random.Generator) -> NDArray[np.uint64]:

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from magical.demos import Dataset, Trajectory
 from magical.demos.store.reader import TrajectorySource
+from magical.envs.action_spec import Actions, ActionSpaceName, spec_of
 from magical.errors import DemonstrationsError, TrajectoryError
 from magical.learning.augmentation.augment import augment
 from magical.learning.augmentation.names import Augmentations
@@ -50,13 +51,24 @@ def load_demonstrations(config: Config, run: "Run") -> TaskTrajectories:
     """
     settings = config.part(DemonstrationSettings)
     assert settings is not None
-    found = sample_demonstrations(settings.demos, config.tasks, settings.num_demos, config.seed)
+    found = sample_demonstrations(
+        settings.demos,
+        config.tasks,
+        settings.num_demos,
+        config.seed,
+        action_space=config.action_space,
+    )
     run.describe(demonstrations=list(found.record))
     return found.trajectories
 
 
 def sample_demonstrations(
-    path: str, tasks: Sequence[str], count: int, seed: int, variants: Sequence[str] = ("Demo",)
+    path: str,
+    tasks: Sequence[str],
+    count: int,
+    seed: int,
+    variants: Sequence[str] = ("Demo",),
+    action_space: ActionSpaceName = "discrete",
 ) -> Demonstrations:
     """Sample demonstrations of each task; the sample depends on the seed alone.
 
@@ -69,6 +81,7 @@ def sample_demonstrations(
         count: the number of demonstrations of each task.
         seed: the run's seed.
         variants: the variants that demonstrations are sampled from.
+        action_space: what their actions are converted to.
 
     Raises:
         DemonstrationsError: fewer than asked for, or continuous actions that are no discrete ones.
@@ -88,23 +101,23 @@ def sample_demonstrations(
             )
         of_task = Dataset(dataset.path, entries)
         some = of_task.sample(count, stream(seed, Purpose.DEMONSTRATIONS))
-        trajectories += [(task, _discrete(trajectory)) for trajectory in some]
+        trajectories += [(task, _converted(trajectory, action_space)) for trajectory in some]
         record += [{"task": task, "file": e.file, "sha256": e.sha256} for e in some.entries]
     return Demonstrations(tuple(trajectories), tuple(record))
 
 
-def _discrete(trajectory: Trajectory) -> Trajectory:
+def _converted(trajectory: Trajectory, action_space: ActionSpaceName) -> Trajectory:
     try:
-        return trajectory.with_action_space("discrete")
+        return trajectory.with_action_space(action_space)
     except TrajectoryError as error:
-        raise DemonstrationsError(f"learners learn discrete actions: {error}") from error
+        raise DemonstrationsError(f"this learner takes discrete actions: {error}") from error
 
 
 class ExpertData:
     """The state-action samples of demonstrations, S in all, on a device.
 
     Attributes:
-        actions: (S,) int64, the trajectories' labels.
+        actions: (S,) int64, the trajectories' labels; (S, 3) float32 of continuous ones.
         tasks: (S,) int64, positions in `task_names`.
     """
 
@@ -133,8 +146,13 @@ class ExpertData:
         names, trajectories = zip(*demonstrations, strict=True)
         self.spec, self.device = spec, device
         self._load_frames(trajectories)
-        kept = [t.is_demonstrated & ((t.labels != NOOP) | (not remove_noops)) for t in trajectories]
+        kept = [t.is_demonstrated.copy() for t in trajectories]
+        if remove_noops:
+            kept = [some & ~_noops(t.labels) for some, t in zip(kept, trajectories, strict=True)]
         steps = [np.flatnonzero(of_one) for of_one in kept]
+        lengths = np.array([len(s) for s in steps])
+        ends = np.cumsum(lengths)
+        self._bounds = np.repeat([ends - lengths, ends - 1], lengths, axis=1)  # (2, S)
         first = np.cumsum([0, *map(len, trajectories[:-1])])  # number of each one's first frame
         self._stacks = []  # of each component: (S, frames), indices of frames, oldest first
         for component in spec.components:
@@ -142,7 +160,9 @@ class ExpertData:
             stacks = np.concatenate([n + part for n, part in zip(first, parts, strict=True)])
             self._stacks.append(torch.from_numpy(stacks).to(device))
         actions = np.concatenate([t.labels for t in trajectories])[np.concatenate(kept)]
-        tasks = np.repeat([task_names.index(name) for name in names], [len(s) for s in steps])
+        if actions.dtype != np.int64:
+            actions = actions.astype(np.float32)
+        tasks = np.repeat([task_names.index(name) for name in names], lengths)
         self.actions, self.tasks = (torch.from_numpy(v).to(device) for v in (actions, tasks))
         self._rows = [np.flatnonzero(tasks == number) for number in range(len(task_names))]
         for name, rows in zip(task_names, self._rows, strict=True):
@@ -193,10 +213,16 @@ class ExpertData:
         which: Augmentations,
         rng: np.random.Generator,
         transformed: StackTransformations | None = None,
+        together: int = 1,
     ) -> Tensor:
-        """Frame stacks of samples, transformed and augmented: (B, C, H, W) float32 in [0, 1]."""
+        """Frame stacks of samples, transformed and augmented: (B, C, H, W) float32 in [0, 1].
+
+        So many consecutive ones are augmented with the same parameters.
+        """
         if transformed is None:
-            return augment(self.images(rows), which, rng)
+            images = self.images(rows)
+            joined = images.view(len(rows) // together, -1, *images.shape[2:])
+            return augment(joined, which, rng).reshape(images.shape)
         images = self.images(rows, transformed.newest_only)
         mirrored = self._index(transformed.mirrored)
         images[mirrored] = images[mirrored].flip(-1)
@@ -204,8 +230,18 @@ class ExpertData:
             images = permute_palette(images, transformed.palettes)
         return augment(images, which, rng)
 
+    def neighbours(self, rows: Rows, offsets: Rows) -> tuple[Rows, NDArray[np.bool_]]:
+        """Samples of the same trajectories, so many steps later: (B, K), and which there are.
+
+        In place of those beyond a trajectory's ends there is its first or last sample.
+        """
+        wanted = rows[:, None] + offsets
+        first, last = self._bounds[:, rows, None]
+        found = wanted.clip(first, last)
+        return found, found == wanted
+
     def labels(self, rows: Rows) -> tuple[Tensor, Tensor]:
-        """Actions and tasks of samples, each (B,) int64."""
+        """Actions (B,) int64, or (B, 3) float32 of continuous ones, and tasks (B,) int64."""
         index = self._index(rows)
         return self.actions[index], self.tasks[index]
 
@@ -223,6 +259,13 @@ class ExpertData:
 
     def _index(self, rows: NDArray[Any]) -> Tensor:
         return torch.from_numpy(rows).to(self.actions.device, non_blocking=True)
+
+
+def _noops(actions: Actions) -> NDArray[np.bool_]:
+    """Which of the actions (T,), or (T, 3), are the no-op: (T,)."""
+    equal = actions == spec_of(actions).convert(np.array([NOOP]))
+    noops: NDArray[np.bool_] = equal.reshape(len(actions), -1).all(axis=1)
+    return noops
 
 
 def split_evenly(size: int, num_tasks: int, rng: np.random.Generator) -> list[int]:

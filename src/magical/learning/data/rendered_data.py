@@ -7,7 +7,7 @@ scripted experts have them, and the published human ones as `magical demos impor
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
@@ -28,11 +28,16 @@ from magical.learning.augmentation.names import SETS, Augmentations
 from magical.learning.augmentation.noise import add_noise
 from magical.learning.augmentation.palette import PERMUTATIONS
 from magical.learning.augmentation.transformations import WALLS, StackTransformations
-from magical.learning.data.expert_data import ExpertData, Rows
+from magical.learning.config import Config
+from magical.learning.data.expert_data import ExpertData, Rows, TaskTrajectories
+from magical.learning.running.devices import choose_device
 from magical.observe import PixelSpec
 from magical.render.moved_camera import MovedCamera
 from magical.render.palette import permuted
 from magical.scene import Scene
+
+if TYPE_CHECKING:
+    from magical.learning.running.run import Run
 
 AUTO, RENDERING, RESAMPLING = "auto", "rendering", "resampling"  # how images are augmented
 
@@ -67,6 +72,32 @@ def choose_augment_by(
             f"poses, or leave out {WALLS}"
         )
     return augment_by
+
+
+def image_data(
+    demonstrations: TaskTrajectories,
+    config: Config,
+    run: "Run",
+    *,
+    augment_by: str,
+    transformations: Collection[str] = (),
+    remove_noops: bool,
+) -> ExpertData:
+    """The samples of demonstrations of images; how they are augmented is recorded in `run.json`.
+
+    Raises:
+        DemonstrationsError: see `choose_augment_by` and `ExpertData`.
+    """
+    augment_by = choose_augment_by(augment_by, demonstrations, transformations)
+    run.describe(augment_by=augment_by)
+    kind = RenderedExpertData if augment_by == RENDERING else ExpertData
+    return kind(
+        demonstrations,
+        config.tasks,
+        config.observation_spec,
+        device=choose_device(config.device),
+        remove_noops=remove_noops,
+    )
 
 
 class RenderedExpertData(ExpertData):
@@ -120,11 +151,12 @@ class RenderedExpertData(ExpertData):
         which: Augmentations,
         rng: np.random.Generator,
         transformed: StackTransformations | None = None,
+        together: int = 1,
     ) -> Tensor:
         """See `ExpertData`."""
         transformed = transformed or StackTransformations.none(len(rows))
         channels, height, width = self.spec.network_shape
-        parameters = sample_parameters(len(rows), which, rng)
+        parameters = sample_parameters(len(rows), which, rng, together)
         images = torch.empty((len(rows), height, width, channels))
         out = images.numpy()
         stacks = [stack.cpu().numpy()[rows] for stack in self._stacks]  # (B, K) each

@@ -4,13 +4,13 @@ from pathlib import Path
 
 from magical.errors import RunFolderError
 from magical.learning.algorithms import find_algorithm, read_config
-from magical.learning.policy import NetworkPolicy
+from magical.learning.policy import NetworkPolicy, TrainedPolicy
 from magical.learning.running.checkpoints import load_newest_checkpoint, restoring
 from magical.learning.running.devices import Compute, choose_device, read_compute
 from magical.runs.folder import CHECKPOINT, CONFIG, RECORD, is_run, read_json
 
 
-def load_policy(run: Path | str, device: str = "auto", greedy: bool = False) -> NetworkPolicy:
+def load_policy(run: Path | str, device: str = "auto", greedy: bool = False) -> TrainedPolicy:
     """Load the policy from the newest checkpoint of a run folder.
 
     Args:
@@ -26,11 +26,13 @@ def load_policy(run: Path | str, device: str = "auto", greedy: bool = False) -> 
     if not is_run(folder):
         raise RunFolderError(f"{folder}: expected a run folder with {CONFIG}, found none")
     config = read_config(folder)
-    network = find_algorithm(config.algorithm).make_policy(config)
+    algorithm = find_algorithm(config.algorithm)
+    network = algorithm.make_policy(config)
     chosen = choose_device(device)
     state = load_newest_checkpoint(folder)
     with restoring(folder / CHECKPOINT):
         network.load_state_dict(state["policy"])
     recorded = read_compute(read_json(folder / RECORD), folder)
     precision = recorded.precision if recorded and chosen == recorded.device else "float32"
-    return NetworkPolicy(network.to(chosen), config, Compute(chosen, precision), greedy)
+    kind = algorithm.policy or NetworkPolicy
+    return kind(network.to(chosen), config, Compute(chosen, precision), greedy)

@@ -23,6 +23,7 @@ class Purpose(IntEnum):
     MINIBATCHES = 5
     DISCRIMINATOR = 6
     PRETRAINING = 7
+    NOISE = 8
 
 
 def stream(seed: int, purpose: Purpose, number: int = 0) -> np.random.Generator:

@@ -10,7 +10,7 @@ from typing import Any
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import find_algorithm
 from magical.learning.config import Config
-from magical.learning.policy import NetworkPolicy
+from magical.learning.policy import TrainedPolicy
 from magical.learning.running.allocator import keep_freed_memory
 from magical.learning.running.checkpoints import restore_previous_checkpoint
 from magical.learning.running.devices import full_float32, gpu_memory_as_error, restored_threads
@@ -40,7 +40,7 @@ class TrainResult:
         """Whether the run is complete."""
         return self.step >= self.total
 
-    def policy(self) -> NetworkPolicy:
+    def policy(self) -> TrainedPolicy:
         """Load the trained policy from the folder."""
         return load_policy(self.folder)
 

@@ -1,0 +1,203 @@
+"""Action chunking with transformers (ACT): a transformer predicts several actions at once.
+
+Source: Zhao et al., "Learning fine-grained bimanual manipulation with low-cost hardware", RSS 2023.
+An encoder attends over the positions of a convolutional feature map, the task and a style variable
+z; a decoder turns one query for each step into a chunk of actions. In training, z is sampled by the
+encoder of a conditional variational autoencoder, which sees the demonstrated chunk; a policy has
+z = 0. The chunks that predict a step are averaged (temporal ensembling).
+
+What differs: the convolutions are those of one of this package's networks, trained from scratch,
+instead of a pre-trained ResNet; the transformers are smaller (2 layers of the encoder and 1 of the
+others instead of 4 and 7, 64 features instead of 512) and normalise before each layer instead of
+after it; positions are learnt; neither network sees
+the robot's state; the learning rate is annealed to 0. Discrete actions are predicted as logits, by
+cross-entropy; continuous ones by the L1 loss, as published.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, ClassVar, cast
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from magical.envs.action_spec import ACTION_SPECS, ActionSpaceName
+from magical.learning.algorithms import Algorithm
+from magical.learning.networks import find_network
+from magical.learning.running.run import Run
+from magical.learning.running.streams import seeded_init
+from magical.learning.sequences.chunks import (
+    ACTION_SIZES,
+    ChunkPolicy,
+    Chunks,
+    ChunkSettings,
+    sample_chunks,
+)
+from magical.learning.sequences.fitting import QUICK, SequenceConfig, fit, load_data, masked_mean
+from magical.learning.settings import NOT_NEGATIVE, option
+
+WIDTH, FEEDFORWARD, HEADS, DROPOUT = 64, 256, 4, 0.1  # of all three transformers
+LAYERS = {"encoder": 2, "decoder": 1, "style": 1}
+LATENT_SIZE = 32  # of z, as published
+
+
+@dataclass(frozen=True, kw_only=True)
+class ACTConfig(SequenceConfig):
+    """Settings of action chunking with transformers."""
+
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
+        "paper": {},
+        "quick": {**QUICK, "batch_size": 16, "learning_rate": 1e-3},
+    }
+
+    algorithm: str = "act"
+    chunks: ChunkSettings = field(default_factory=ChunkSettings)
+    actions: str = option(
+        "discrete", "what is predicted", choices=tuple(ACTION_SPECS), name="action_space"
+    )
+    ensemble_decay: float = option(
+        0.01,
+        "temporal ensembling: the n-th chunk that predicts a step has weight exp(-x n), the oldest "
+        "being number 0",
+        NOT_NEGATIVE,
+    )
+    kl_weight: float = option(
+        10.0, "weight of the KL divergence of z from N(0, 1); 0: no z", NOT_NEGATIVE
+    )
+
+    @property
+    def action_space(self) -> ActionSpaceName:
+        """See `Config`."""
+        return cast(ActionSpaceName, self.actions)
+
+
+class ACTNetwork(nn.Module):
+    """Images (B, C, H, W) in [0, 1] and tasks (B,) to chunks (B, K, D)."""
+
+    def __init__(self, config: ACTConfig) -> None:
+        super().__init__()
+        architecture = find_network(config.networks.network)
+        self.convolutions = architecture.make_convolutions(config.input_shape[0], batch_norm=True)
+        channels, count = _map_size(self.convolutions, config.input_shape)
+        action_size, length = ACTION_SIZES[config.action_space], config.chunks.chunk
+        self.projection = nn.Linear(channels, WIDTH)
+        self.positions = _learnt(count, WIDTH)
+        self.task = nn.Embedding(len(config.tasks), WIDTH)
+        self.encoder = _encoder(LAYERS["encoder"])
+        self.queries = _learnt(length, WIDTH)
+        layer = nn.TransformerDecoderLayer(
+            WIDTH, HEADS, FEEDFORWARD, DROPOUT, batch_first=True, norm_first=True
+        )
+        self.decoder = nn.TransformerDecoder(layer, LAYERS["decoder"], nn.LayerNorm(WIDTH))
+        self.head = nn.Linear(WIDTH, action_size)
+        self.style = StyleEncoder(action_size, length) if config.kl_weight else None
+        self.from_style = nn.Linear(LATENT_SIZE, WIDTH) if config.kl_weight else None
+        # Convolutions are fastest with this memory layout.
+        self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+    def forward(self, images: Tensor, tasks: Tensor, z: Tensor | None = None) -> Tensor:
+        """Chunks, with the style variable z (B, LATENT_SIZE), by default 0."""
+        features = self.convolutions(images).flatten(2).transpose(1, 2)  # (B, positions, channels)
+        tokens = [self.projection(features) + self.positions, self.task(tasks)[:, None]]
+        if self.from_style is not None:
+            z = images.new_zeros(len(images), LATENT_SIZE) if z is None else z
+            tokens.append(self.from_style(z)[:, None])
+        memory = self.encoder(torch.cat(tokens, dim=1))
+        chunks: Tensor = self.head(self.decoder(self.queries.expand(len(images), -1, -1), memory))
+        return chunks
+
+
+class StyleEncoder(nn.Module):
+    """Mean and log-variance (B, LATENT_SIZE) of z, from the demonstrated chunk."""
+
+    def __init__(self, action_size: int, length: int) -> None:
+        super().__init__()
+        self.action_size = action_size
+        self.projection = nn.Linear(action_size, WIDTH)
+        self.summary = _learnt(1, WIDTH)  # the token CLS, whose output is used
+        self.positions = _learnt(length, WIDTH)
+        self.encoder = _encoder(LAYERS["style"])
+        self.moments = nn.Linear(WIDTH, 2 * LATENT_SIZE)
+
+    def forward(self, batch: Chunks) -> tuple[Tensor, Tensor]:
+        """See above."""
+        actions = batch.actions
+        if not actions.is_floating_point():
+            actions = functional.one_hot(actions, self.action_size).float()
+        tokens = self.projection(actions) + self.positions
+        summary = self.summary.expand(len(tokens), -1, -1)
+        padding = functional.pad(~batch.exist, (1, 0))  # the summary exists
+        encoded = self.encoder(torch.cat([summary, tokens], dim=1), src_key_padding_mask=padding)
+        mean, log_variance = self.moments(encoded[:, 0]).float().chunk(2, dim=1)
+        return mean, log_variance
+
+
+def act_losses(network: ACTNetwork, kl_weight: float, batch: Chunks) -> dict[str, Tensor]:
+    """The loss to be minimised and its two parts: of the actions that exist, and of z."""
+    z, kl = None, torch.zeros(())
+    if network.style is not None:
+        mean, log_variance = network.style(batch)
+        z = mean + (0.5 * log_variance).exp() * torch.randn_like(mean)
+        kl = kl_divergence(mean, log_variance).mean()
+    predicted = network(batch.images, batch.tasks, z).float()  # (B, K, D)
+    if batch.actions.is_floating_point():
+        errors = (predicted - batch.actions).abs().mean(dim=2)
+    else:
+        errors = functional.cross_entropy(predicted.mT, batch.actions, reduction="none")
+    action_loss = masked_mean(errors, batch.exist)
+    return {"loss": action_loss + kl_weight * kl, "action_loss": action_loss, "kl": kl}
+
+
+def kl_divergence(mean: Tensor, log_variance: Tensor) -> Tensor:
+    """KL divergence (B,) of normal distributions (B, size) from N(0, 1)."""
+    return 0.5 * (mean.square() + log_variance.exp() - 1.0 - log_variance).sum(dim=1)
+
+
+class ACTPolicy(ChunkPolicy):
+    """Averages the predictions of all chunks, as temporal ensembling does."""
+
+    config: ACTConfig
+
+    @property
+    def ensemble_decay(self) -> float:
+        """See `ChunkPolicy`."""
+        return self.config.ensemble_decay
+
+
+def train(config: ACTConfig, run: Run) -> None:
+    """Learn from the demonstrations."""
+    network, data = make_policy(config), load_data(config, run)
+    sample = partial(sample_chunks, config, data, config.chunks.chunk)
+    fit(config, run, network, data, sample, partial(act_losses, network, config.kl_weight))
+
+
+def make_policy(config: ACTConfig) -> ACTNetwork:
+    """The network, initialised from the seed."""
+    with seeded_init(config.seed):
+        return ACTNetwork(config)
+
+
+def _encoder(layers: int) -> nn.TransformerEncoder:
+    layer = nn.TransformerEncoderLayer(
+        WIDTH, HEADS, FEEDFORWARD, DROPOUT, batch_first=True, norm_first=True
+    )
+    return nn.TransformerEncoder(layer, layers, nn.LayerNorm(WIDTH), enable_nested_tensor=False)
+
+
+def _learnt(count: int, size: int) -> nn.Parameter:
+    """Positions or queries, initialised as the published code's embeddings."""
+    return nn.Parameter(torch.randn(count, size))
+
+
+def _map_size(convolutions: nn.Module, input_shape: tuple[int, ...]) -> tuple[int, int]:
+    """Channels and positions of a feature map."""
+    convolutions.eval()  # leaves the statistics of batch norm alone
+    with torch.no_grad():
+        _, channels, height, width = convolutions(torch.zeros(1, *input_shape)).shape
+    convolutions.train()
+    return int(channels), int(height * width)
+
+
+ALGORITHM = Algorithm(ACTConfig, train, make_policy, ACTPolicy)

@@ -1,0 +1,1 @@
+"""What learners of sequences of actions share: how they are fitted, and chunks of actions."""

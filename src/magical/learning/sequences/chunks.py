@@ -1,0 +1,129 @@
+"""Chunks of actions: samples to learn them from, and policies whose network predicts them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from magical.errors import InvalidConfigError
+from magical.evaluation.policy import Actions, Mask
+from magical.learning.data.expert_data import ExpertData
+from magical.learning.policy import TrainedPolicy, choose_actions
+from magical.learning.running.streams import Purpose, stream
+from magical.learning.sequences.fitting import SequenceConfig
+from magical.learning.settings import POSITIVE, Settings, option
+from magical.scene.actions import NUM_ACTIONS, PARTS
+
+Floats = NDArray[np.float64]
+# Numbers that a network returns for an action: logits, or the action itself.
+ACTION_SIZES = {"discrete": NUM_ACTIONS, "continuous": len(PARTS)}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChunkSettings(Settings):
+    """The length of chunks, and how much of them is executed."""
+
+    chunk: int = option(16, "actions in a chunk", POSITIVE)
+    execute: int = option(1, "steps from one prediction of a chunk to the next", POSITIVE)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.execute > self.chunk:
+            raise InvalidConfigError(
+                f"execute: expected at most the {self.chunk} actions of a chunk, found "
+                f"{self.execute}"
+            )
+
+
+class Chunks(NamedTuple):
+    """Samples of demonstrations with the actions from each of them on."""
+
+    images: Tensor  # (B, C, H, W) float32 in [0, 1]
+    actions: Tensor  # (B, K) int64, or (B, K, 3) float32 of continuous ones
+    exist: Tensor  # (B, K) bool: false beyond the demonstration's end
+    tasks: Tensor  # (B,) int64
+
+
+def sample_chunks(config: SequenceConfig, data: ExpertData, length: int, number: int) -> Chunks:
+    """Batch `number`, of chunks of this length; a function of the seed and the number alone.
+
+    Where no-ops have been left out of the data, the actions are the next ones that are none. Beyond
+    a demonstration's end its last action is repeated.
+    """
+    rng = stream(config.seed, Purpose.BATCHES, number)
+    rows = data.sample(config.fitting.batch_size, rng)
+    images = data.augmented(rows, config.fitting.augmentations, rng)
+    chosen, exist = data.neighbours(rows, np.arange(length))
+    actions, tasks = data.labels(chosen)
+    return Chunks(images, actions, torch.from_numpy(exist).to(data.device), tasks[:, 0])
+
+
+class ChunkPolicy(TrainedPolicy):
+    """Predicts a chunk every `execute` steps, and combines those that predict the present step.
+
+    A new chunk replaces what is left of the one before. With an `ensemble_decay` m, all chunks that
+    predict a step are averaged, the n-th of them, the oldest being number 0, with weight exp(-m n).
+
+    The network maps observations (B, ...) and tasks (B,) to chunks (B, K, D): logits of the 18
+    actions, of which probabilities are averaged, or continuous actions. An environment's memory is
+    its own: what is executed there does not depend on when episodes start elsewhere in the batch.
+    """
+
+    _sums: Floats  # (B, K, D): of the next K steps, the weighted sums of what was predicted
+    _weights: Floats  # (B, K): the sums of the weights
+    _counts: NDArray[np.int64]  # (B, K): the number of predictions
+    _steps: NDArray[np.int64]  # (B,): since the episode's start
+
+    def reset(self, mask: Mask) -> None:
+        """Forget the chunks of the environments in which an episode starts."""
+        settings = self.config.part(ChunkSettings)
+        assert settings is not None
+        self._execute = settings.execute
+        if mask.all():
+            shape = len(mask), settings.chunk
+            self._sums = np.zeros((*shape, ACTION_SIZES[self.action_space]))
+            self._weights = np.zeros(shape)
+            self._counts = np.zeros(shape, np.int64)
+            self._steps = np.zeros(len(mask), np.int64)
+        for array in (self._sums, self._weights, self._counts, self._steps):
+            array[mask] = 0
+
+    def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
+        """See `TrainedPolicy`."""
+        due = self._steps % self._execute == 0
+        inputs = self.extra_inputs(len(env_ids), rng)
+        if due.any():
+            chunks = self.outputs(observations, env_ids, *inputs)
+            if self.action_space == "discrete":
+                chunks = chunks.softmax(dim=2)
+            self._add(chunks.numpy(), due)
+        action = self._sums[:, 0] / self._weights[:, :1]
+        for array in (self._sums, self._weights, self._counts):
+            array[:, :-1] = array[:, 1:]
+            array[:, -1] = 0
+        self._steps += 1
+        if self.action_space == "continuous":
+            return action.clip(-1.0, 1.0)
+        return choose_actions(action, rng, self.greedy)
+
+    @property
+    def ensemble_decay(self) -> float | None:
+        """See above; `None`: chunks are not averaged."""
+        return None
+
+    def extra_inputs(self, count: int, rng: np.random.Generator) -> Sequence[Tensor]:
+        """What the network takes besides observations and tasks; sampled in every step."""
+        return ()
+
+    def _add(self, chunks: Floats, due: Mask) -> None:
+        if self.ensemble_decay is None:
+            for array in (self._sums, self._weights, self._counts):
+                array[due] = 0
+        weights = np.exp(-(self.ensemble_decay or 0.0) * self._counts) * due[:, None]
+        self._sums += weights[:, :, None] * chunks
+        self._weights += weights
+        self._counts += due[:, None]

@@ -1,0 +1,151 @@
+"""Fitting a network to batches of demonstrations by supervised learning."""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, TypeVar
+
+import torch
+from torch import Tensor, nn
+from torch.optim import AdamW
+
+from magical.learning.augmentation.names import Augmentations, parse_augmentations
+from magical.learning.config import Config, DemonstrationSettings, EncoderSettings
+from magical.learning.data.expert_data import ExpertData, load_demonstrations
+from magical.learning.data.prefetch import prefetch
+from magical.learning.data.rendered_data import AUTO, image_data
+from magical.learning.running.averages import Averages
+from magical.learning.running.checkpoints import load_optimizer, optimizer_state, restoring
+from magical.learning.running.devices import choose_device
+from magical.learning.running.optimizers import set_learning_rate
+from magical.learning.running.run import Run
+from magical.learning.running.streams import Purpose, stream
+from magical.learning.settings import NOT_NEGATIVE, POSITIVE, Settings, option
+
+MAX_GRAD_NORM = 10.0
+QUICK = {"network": "narrow", "batches": 2400, "precision": "auto"}  # of the preset
+Batch = TypeVar("Batch")
+
+
+@dataclass(frozen=True, kw_only=True)
+class FittingSettings(Settings):
+    """How a network is fitted to demonstrations by AdamW."""
+
+    batches: int = option(20_000, "batches in all", POSITIVE)
+    batch_size: int = option(32, "samples per batch", POSITIVE)
+    learning_rate: float = option(
+        5e-4, "AdamW's initial learning rate; annealed linearly to 0", POSITIVE
+    )
+    weight_decay: float = option(1e-4, "AdamW's weight decay", NOT_NEGATIVE)
+    augment: str = option(
+        "noise+translation+rotation",
+        "augmentation: all, none, no-trans-rot, or names joined by +",
+        metavar="NAMES",
+    )
+    log_every: int = option(50, "batches between lines of metrics", POSITIVE)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        parse_augmentations(self.augment)
+
+    @property
+    def augmentations(self) -> Augmentations:
+        """The augmentations of images."""
+        return parse_augmentations(self.augment)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SequenceConfig(Config):
+    """What the configurations of learners of sequences are composed of."""
+
+    presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {"paper": {}, "quick": QUICK}
+
+    networks: EncoderSettings = field(default_factory=EncoderSettings)
+    demonstrations: DemonstrationSettings
+    fitting: FittingSettings = field(default_factory=FittingSettings)
+
+    @property
+    def num_updates(self) -> int:
+        """All batches."""
+        return self.fitting.batches
+
+    @property
+    def training_samples(self) -> int:
+        """The samples of all batches."""
+        return self.num_updates * self.fitting.batch_size
+
+
+def load_data(config: SequenceConfig, run: Run) -> ExpertData:
+    """The run's demonstrations, without no-ops as in behavioural cloning.
+
+    Frames are augmented by rendering where all demonstrations have poses.
+
+    Raises:
+        DemonstrationsError, RunFolderError: see `load_demonstrations` and `ExpertData`.
+    """
+    demonstrations = load_demonstrations(config, run)
+    return image_data(demonstrations, config, run, augment_by=AUTO, remove_noops=True)
+
+
+def fit(
+    config: SequenceConfig,
+    run: Run,
+    network: nn.Module,
+    data: ExpertData,
+    sample: Callable[[int], Batch],
+    losses: Callable[[Batch], Mapping[str, Tensor]],
+) -> None:
+    """Train from the run's step to the last batch, or until the run stops.
+
+    Args:
+        config: of the run.
+        run: where it is logged, and continued from.
+        network: what is trained, and saved as the policy.
+        data: what batches are sampled from.
+        sample: batch n, a function of the seed and n alone.
+        losses: metrics of a batch, of which `loss` is minimised. Random numbers that it takes from
+            PyTorch's global generator, dropout's too, follow from the seed and n.
+    """
+    fitting = config.fitting
+    device = choose_device(config.device)
+    network.to(device).train()
+    optimizer = AdamW(
+        network.parameters(), fitting.learning_rate, weight_decay=fitting.weight_decay, fused=True
+    )
+    compute = run.compute(device, config.precision, config.threads)
+    if run.saved:
+        with restoring(run.folder):
+            network.load_state_dict(run.saved["policy"])
+            load_optimizer(optimizer, run.saved["optimizer"])
+    averages, numbers = Averages(), range(run.step, fitting.batches)
+    with prefetch(sample, numbers, data.batches_on_host) as batches:
+        for number, batch in zip(numbers, batches, strict=False):
+            set_learning_rate(optimizer, fitting.learning_rate * (1.0 - number / fitting.batches))
+            with _seeded(config.seed, number), compute.autocast():
+                metrics = losses(batch)
+            optimizer.zero_grad()
+            torch.autograd.backward(metrics["loss"])
+            nn.utils.clip_grad_norm_(network.parameters(), MAX_GRAD_NORM)
+            optimizer.step()
+            averages.add(fitting.batch_size, **metrics)
+            if run.finish_step(
+                number + 1,
+                lambda: averages.reset(speed_of="loss"),
+                lambda: {"policy": network.state_dict(), "optimizer": optimizer_state(optimizer)},
+                log_every=fitting.log_every,
+                last=number + 1 == fitting.batches,
+            ):
+                return
+
+
+def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
+    """The mean of values (...,) where a mask (...,) is true."""
+    return (values * mask).sum() / mask.sum()
+
+
+@contextmanager
+def _seeded(seed: int, number: int) -> Iterator[None]:
+    """A context in which PyTorch's random numbers follow from the seed and the batch's number."""
+    with torch.random.fork_rng():
+        torch.manual_seed(int(stream(seed, Purpose.NOISE, number).integers(2**63)))
+        yield
