@@ -29,6 +29,8 @@ class Canvas(NamedTuple):
     where the ground is not reused, both are one array.
     """
 
+    size: int
+    samples: int
     ground: NDArray[np.int32]  # (P,)
     pixels: NDArray[np.int32]  # (P,)
     tiles: Ints  # (layers * P, samples * samples): the samples of mixed ground pixels, as lanes
@@ -39,8 +41,6 @@ class Canvas(NamedTuple):
     polygon: Floats  # (POLYGON_ROWS, MAX_SIDES + 1): see `polygons`
     spans: Ints  # (2, (size + 1) * samples): of a polygon's sample rows
     coverage: NDArray[np.int32]  # (samples * samples,): of a pixel, by a line
-    size: int
-    samples: int
 
 
 def working_memory(size: int, samples: int, layers: int) -> tuple[NDArray[Any], ...]:

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled import entry_point, inlined, merged, rint
+from magical.compiled import entry_point, inlined, integer, merged, rint
 from magical.render.canvas import Canvas, cover, finish_bodies, finish_ground, pack, paint
 from magical.render.display import FURTHEST
 from magical.render.lines import outline, round_up
@@ -17,7 +17,9 @@ from magical.scene.constants import RAW_FRAME_SIZE
 
 VIEW_WIDTH = 2.04  # units: both cameras show as much (docs/specification.md, section 6)
 ROBOT_HEIGHT = 0.15  # of the frame: where the egocentric camera has the robot, from below
-EGO, GROUND, ALLO = 0, 1, 2  # modes of the compiled `render`
+# Modes of the compiled `render`: everything, where `ground` is the same array as `pixels`; the
+# allocentric ground only; bodies over such a ground, its finished pixels in `kept`.
+EGO, GROUND, ALLO = 0, 1, 2
 BACKGROUND = lanes(OUTSIDE)
 
 Pixels = NDArray[np.int32]
@@ -120,6 +122,12 @@ def within_reach(bodies: Floats) -> bool:
     return good
 
 
+@inlined
+def _copy(source: Pixels, target: Pixels) -> None:
+    for pixel in range(len(target)):
+        target[pixel] = source[pixel]
+
+
 @cache
 def compiled_render(samples: int) -> Callable[..., int]:
     """The entry point for samples x samples samples a pixel (1, 2 or 4 across)."""
@@ -150,29 +158,24 @@ def compiled_render(samples: int) -> Callable[..., int]:
     ) -> int:
         """Render into `pixels`; returns the number of tiles, or -1 for poses out of range.
 
-        Mode EGO renders everything; `ground` is the same array as `pixels`. GROUND renders the
-        allocentric ground only. ALLO renders bodies over a ground that was rendered before, its
-        finished pixels in `kept`. `whole` is for `lines.outline`. The other arrays are those of
+        `mode` is one of those above, `whole` for `lines.outline`; the other arrays are those of
         `display.DisplayList` and `canvas.Canvas`.
         """
         if not within_reach(bodies):
             return -1
-        extent, count = size * samples, len(bodies)
-        counts[0] = 0
+        extent, count, counts[0] = size * samples, len(bodies), 0
         memory = tiles, owners, counts, body_pixels, touched, polygon, spans, coverage
-        canvas = Canvas(ground, pixels, *memory, size, samples)
+        canvas = Canvas(size, samples, ground, pixels, *memory)
         body_frames(bodies, mode == EGO, extent, frames)
         if mode != ALLO:
             workspace, ego = frames[count], mode == EGO
             render_ground(canvas, corners, colours, BACKGROUND, workspace, ego, whole)
         if mode != EGO:
-            source = ground if mode == GROUND else kept
-            for pixel in range(size * size):
-                pixels[pixel] = source[pixel]
+            _copy(ground if mode == GROUND else kept, pixels)
         if mode != GROUND:
             render_bodies(canvas, vertices, items, offsets, frames)
             finish_bodies(canvas)
         finish_ground(canvas)
-        return counts[0]
+        return integer(counts[0])
 
     return render

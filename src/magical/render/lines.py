@@ -113,7 +113,8 @@ def _coverages(
 @inlined
 def _pixel(x: float, samples: int, most: int) -> int:
     """The pixel that x lies in, within [0, most]."""
-    return minimum(integer(maximum(x, 0.0)) // samples, most)
+    pixel: int = minimum(integer(maximum(x, 0.0)) // samples, most)
+    return pixel
 
 
 @inlined

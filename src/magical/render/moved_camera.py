@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,10 +104,10 @@ class MovedCamera:
             packed[:, count:-1].reshape(len(bodies), -1, 2),
             np.ascontiguousarray(packed[:, -1]),
             self._ego,
-            *working_memory(self._size, self._samples, len(self._display.ground)),
             out,
             rows,
             channel,
+            *working_memory(self._size, self._samples, len(self._display.ground)),
         )
         if not good:
             raise RenderError(f"expected finite poses within {FURTHEST:g} units")
@@ -168,22 +169,16 @@ def compiled_render_moved(samples: int) -> Callable[..., bool]:
         ground_colours: Ints,
         backgrounds: Ints,
         ego: bool,
-        tiles: Ints,
-        owners: Pixels,
-        counts: Ints,
-        body_pixels: Ints,
-        touched: Ints,
-        polygon: Floats,
-        spans: Ints,
-        coverage: Pixels,
         out: Floats32,
         rows: Ints,
         channel: int,
+        *memory: NDArray[Any],
     ) -> bool:
         """Stacks (B, K, bodies, 3) into `out`; false for poses out of range.
 
         `moves` (B, 4): cos, sin, and shifts to the right and up. Each stack has its own
-        `item_colours` (B, n), `ground_colours` (B, 1 + R, 2) and `backgrounds` (B,).
+        `item_colours` (B, n), `ground_colours` (B, 1 + R, 2) and `backgrounds` (B,). The memory is
+        that of `canvas.working_memory`.
         """
         size, stacked, count = out.shape[1], bodies.shape[1], bodies.shape[2]
         extent, stack = size * samples, np.empty((stacked, size * size), np.int32)
@@ -193,9 +188,8 @@ def compiled_render_moved(samples: int) -> Callable[..., bool]:
             for k in range(stacked):
                 if not within_reach(bodies[b, k]):
                     return False
-                counts[0], pixels = 0, stack[k]
-                memory = tiles, owners, counts, body_pixels, touched, polygon, spans, coverage
-                canvas = Canvas(pixels, pixels, *memory, size, samples)
+                canvas = Canvas(size, samples, stack[k], stack[k], *memory)
+                canvas.counts[0] = 0
                 body_frames(bodies[b, k], ego, extent, frames)
                 _move(frames, moves[b], extent)
                 colours, outside, area = ground_colours[b], backgrounds[b], frames[count]
