@@ -79,7 +79,12 @@ def test_another_thread_runs_during_a_step() -> None:
     """Only where the interpreter's lock is released: its switch interval does not end here."""
     simulation, go, ran = Simulation(TASKS["ClusterShape"].demo), Event(), Event()
     simulation.step(0)  # compiles
-    thread = Thread(target=lambda: (go.wait(), ran.set()))
+
+    def wait() -> None:
+        go.wait()
+        ran.set()
+
+    thread = Thread(target=wait)
     thread.start()
     interval = sys.getswitchinterval()
     sys.setswitchinterval(1e4)
