@@ -111,9 +111,10 @@ class ACTNetwork(nn.Module):
             z = images.new_zeros(len(images), LATENT_SIZE) if z is None else z
             tokens.append(self.from_style(z)[:, None])
         memory = self.encoder(torch.cat(tokens, dim=1))
-        chunks: Tensor = self.head(self.decoder(self.queries.expand(len(images), -1, -1), memory))
+        decoded = self.head(self.decoder(self.queries.expand(len(images), -1, -1), memory))
         features = self.trunk.linear(feature_map.flatten(1))
-        return chunks + self.shortcut(features, tasks).view(chunks.shape)
+        chunks: Tensor = decoded + self.shortcut(features, tasks).view(decoded.shape)
+        return chunks
 
 
 class StyleEncoder(nn.Module):
