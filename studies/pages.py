@@ -22,6 +22,7 @@ from magical.report.leaderboard.checks import Rejected, by_reasons, check_entrie
 from magical.report.leaderboard.ranking import ALL_TASKS, Board, make_boards
 from magical.report.scores.tables import signed
 from magical.tasks.axes import SHORT_VARIANTS
+from studies.generated_tasks.baselines import held_out_tables
 from studies.plan_results import NOT_RUN, PlanResults
 from studies.published_tables.agreement import find_agreements
 from studies.published_tables.cells import (
@@ -82,12 +83,13 @@ PLANS = (
     "object-bc-human",
 )
 # Their rows are on pages of their own.
-OTHERS = ("object-bc-ablations", "bc-transformations", "sequence-learners")
+OTHERS = ("object-bc-ablations", "bc-transformations", "sequence-learners", "held-out")
 SECTIONS = {  # the generated parts of each study's page
     "published_tables": (
         *("runs", "counts", "tasks", "far", "agreement", "claims", "orders", "cells", "rejected"),
     ),
     "demonstrations": ("variations", "variants"),
+    "generated_tasks": ("held-out",),
     "objects": ("baseline", "gaps", "leaderboard", "others"),
 }
 PICTURE = Path("published_tables", "results.png")
@@ -162,6 +164,7 @@ class Page:
             "gaps": self.gap_table,
             "leaderboard": self.leaderboard,
             "others": self.other_tables,
+            "held-out": lambda: held_out_tables(self.root),
             "cells": self.cell_tables,
             "rejected": self.rejections,
         }

@@ -1,0 +1,90 @@
+"""The baselines' scores on held-out tasks, as the study's page has them."""
+
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from magical.envs import EnvId
+from magical.evaluation import read_entry
+from magical.evaluation.collection import read_collection
+from magical.evaluation.intervals import Floats
+from magical.evaluation.scores import RolloutScore
+from magical.evaluation.statistics import mean, run_means
+from magical.grouping import group_by
+from magical.tasks.axes import SHORT_VARIANTS, full_variant
+from studies.plan_results import PlanResults
+from studies.tables import mean_text
+from tools.readme_tables import table
+
+PLAN = "held-out"
+RANDOM = "random"
+ENDS = (SHORT_VARIANTS[0], SHORT_VARIANTS[-1])  # Demo and All
+
+Runs = Sequence[Sequence[RolloutScore]]
+
+
+def held_out_tables(root: Path) -> str:
+    """Tasks by methods, Demo and All; then methods by variants, means over tasks."""
+    study = root / "studies" / "generated_tasks"
+    plan = PlanResults.read(root, PLAN)
+    methods = read_methods(study / "results")
+    header = ("Task", "Expert", *(f"{name} ({_runs(runs)})" for name, runs in methods.items()))
+    experts = _expert_scores(study / "expert.csv")
+    rows = [
+        [task, _pair(experts[task]), *(_pair(_ends(runs, task)) for runs in methods.values())]
+        for task in plan.plan["tasks"]
+    ]
+    variants = [
+        [name, *(_over_tasks(runs, plan.plan["tasks"], v) for v in SHORT_VARIANTS)]
+        for name, runs in methods.items()
+    ]
+    return f"{table(header, rows)}\n\n{table(('Mean over tasks', *SHORT_VARIANTS), variants)}"
+
+
+def read_methods(results: Path) -> Mapping[str, Runs]:
+    """The rollouts of each run of each method."""
+    entries = [read_entry(results / RANDOM)] if (results / RANDOM).exists() else []
+    if (results / PLAN).exists():
+        found = read_collection(results / PLAN).values()
+        entries += [entry for entry in found if not isinstance(entry, Exception)]
+    groups = group_by(entries, lambda entry: entry.method)
+    return {name: [entry.scores for entry in group] for name, group in groups.items()}
+
+
+def _runs(runs: Runs) -> str:
+    return f"{len(runs)} {'run' if len(runs) == 1 else 'runs'}"
+
+
+def _expert_scores(path: Path) -> dict[str, tuple[float, ...]]:
+    """Demo's and All's mean by task."""
+    with path.open(newline="", encoding="utf-8") as file:
+        return {
+            f"Generated{int(row['number']):04}": tuple(float(row[name]) for name in ENDS)
+            for row in csv.DictReader(file)
+        }
+
+
+def _ends(runs: Runs, task: str) -> tuple[float, ...]:
+    means = [_means(runs, [task], variant) for variant in ENDS]
+    return tuple(
+        float("nan") if np.isnan(each).all() else float(np.nanmean(each)) for each in means
+    )
+
+
+def _means(runs: Runs, tasks: Sequence[str], variant: str) -> Floats:
+    """(runs, tasks), NaN where a run was not evaluated."""
+    return run_means(runs, [EnvId(task, full_variant(variant)) for task in tasks])
+
+
+def _pair(scores: tuple[float, ...]) -> str:
+    return " / ".join("–" if np.isnan(score) else f"{score:.2f}" for score in scores)
+
+
+def _over_tasks(runs: Runs, tasks: Sequence[str], variant: str) -> str:
+    """With an interval over runs."""
+    means = _means(runs, tasks, variant)
+    missing = np.isnan(means)
+    kept = means[~missing.all(axis=1)][:, ~missing.all(axis=0)]
+    return mean_text(mean(kept)) if kept.size else "–"
