@@ -1,0 +1,80 @@
+"""How likely demonstrations are under a goal, for a softly rational demonstrator.
+
+In each state the demonstrator stops, or moves one thing somewhere. Moves are preferred
+exponentially by how much they take off the work that the goal leaves, less what a move costs.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical.scene import Poses, Scene
+from magical.scene.constants import WORKSPACE_HALF
+from magical.scene.poses import FIRST_BLOCK, ROBOT
+from magical.tasks.programs import Goal, Together
+from magical.tasks.programs.goals import UNFINISHED
+
+RATIONALITY = 8.0  # nats for each unit of work
+MOVE_COST = 0.25  # units of work: less is not worth a move
+ALTERNATIVES = 32  # other moves that each state is compared with
+MARGIN = 0.12  # units from the walls to the places of other moves
+
+Work = NDArray[np.float64]  # (P, W, N + 1): of each block, last the robot, in W ways in P poses
+
+
+class Episode:
+    """A demonstration as states, from each of which a move led to the next.
+
+    Attributes:
+        scene: what it started from.
+        poses: of each state, and then after random moves from each state.
+    """
+
+    def __init__(self, scene: Scene, states: Sequence[Poses], rng: np.random.Generator) -> None:
+        """Create an episode whose demonstrator stopped in the last state."""
+        self.scene, self._count = scene, len(states)
+        others = [_random_move(state, rng) for state in states for _ in range(ALTERNATIVES)]
+        self.poses = [*states, *others]
+        self._known: dict[Goal, Work] = {}
+
+    def work(self, goal: Goal) -> Work:
+        """What each way to reach the goal leaves to be done in the episode's poses."""
+        if isinstance(goal, Together):
+            first, second = self.work(goal.first)[:, :, None], self.work(goal.second)[:, None]
+            return np.where(second > 0.0, second, first).reshape(len(first), -1, first.shape[-1])
+        if goal not in self._known:
+            ways = [work_of(goal, self.scene, poses) for poses in self.poses]
+            most = max(map(len, ways))
+            padded = [np.pad(w, ((0, most - len(w)), (0, 0)), mode="edge") for w in ways]
+            self._known[goal] = np.stack(padded)
+        return self._known[goal]
+
+    def log_likelihood(self, goal: Goal) -> float:
+        """Nats; a move's likelihood is a density relative to random moves."""
+        work = self.work(goal).sum(axis=2).min(axis=1)
+        if not np.isfinite(work).all():
+            return -np.inf
+        states, others = work[: self._count], work[self._count :].reshape(self._count, -1)
+        alternatives = RATIONALITY * (states[:, None] - others - MOVE_COST)
+        made = RATIONALITY * (states[:-1] - states[1:] - MOVE_COST)
+        return float(made.sum() - np.log1p(np.exp(alternatives).mean(axis=1)).sum())
+
+
+def _random_move(poses: Poses, rng: np.random.Generator) -> Poses:
+    """The poses after a block, or the robot, was moved to a random place."""
+    bodies = poses.bodies.copy()
+    moved = int(rng.integers(FIRST_BLOCK - 1, len(bodies)))
+    limit = WORKSPACE_HALF - MARGIN
+    bodies[ROBOT if moved < FIRST_BLOCK else moved, :2] = rng.uniform(-limit, limit, 2)
+    return Poses(bodies)
+
+
+def work_of(goal: Goal, scene: Scene, poses: Poses) -> NDArray[np.float64]:
+    """Units that each thing, last the robot, has to go, and what beginning costs: (W, N + 1)."""
+    ways = goal.ways(scene, poses)
+    work = np.zeros((len(ways), len(scene.blocks) + 1))
+    for row, remaining in zip(work, ways, strict=True):
+        for block, left in remaining.items():
+            row[-1 if block is None else block] = UNFINISHED + left
+    return work
