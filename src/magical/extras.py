@@ -1,7 +1,9 @@
 """The optional libraries, and the extras of the package that bring them."""
 
+import importlib
 import importlib.util
 import re
+from typing import Any
 
 from magical.errors import MissingDependencyError
 
@@ -45,6 +47,24 @@ def missing(module: str) -> MissingDependencyError:
         f"this needs {top}, which is not installed: pip install {_requirements(extra)} "
         f"(the extra {extra!r} of magical-benchmark)"
     )
+
+
+def library(name: str, user: str) -> Any:
+    """Import a library that is in no extra of this package.
+
+    Args:
+        name: of the module and of its distribution.
+        user: what needs it, for the message.
+
+    Raises:
+        MissingDependencyError: it is not installed.
+    """
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        raise MissingDependencyError(
+            f"{user}: this needs {error.name}, which is not installed: pip install {name}"
+        ) from error
 
 
 def _requirements(extra: str) -> str:

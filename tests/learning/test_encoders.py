@@ -13,7 +13,8 @@ from torch import Tensor, nn
 from magical.cli import main
 from magical.errors import CheckpointError, MissingDependencyError, PluginError, UnknownNameError
 from magical.learning import load_policy, train
-from magical.learning.algorithms import bc
+from magical.learning.algorithms import act, bc
+from magical.learning.algorithms.act import ACTConfig
 from magical.learning.algorithms.bc import BCConfig
 from magical.learning.algorithms.gail import GAILConfig
 from magical.learning.encoders import FrameFeatures, FrozenEncoder
@@ -123,6 +124,15 @@ def test_features_may_have_places() -> None:
     assert isinstance(linear, nn.Linear)
     assert linear.in_features == 2 * 2 * 24 * 24
     assert trunk(torch.rand(3, 6, 96, 96)).shape == (3, 256)
+
+
+def test_features_without_places_are_one_position_to_act() -> None:
+    network = f"{__name__}:ENCODER"
+    config = ACTConfig.preset("quick", tasks=("MoveToRegion",), demos="", network=network)
+    made = act.make_policy(config)
+    assert len(made.positions) == 1
+    images, tasks = torch.rand(2, config.input_shape[0], 96, 96), torch.zeros(2, dtype=torch.long)
+    assert made(images, tasks).shape == (2, 16, 18)
 
 
 ENCODER = FrozenEncoder(Encoder)

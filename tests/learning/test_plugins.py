@@ -88,5 +88,7 @@ def test_what_is_not_there_or_of_another_kind_is_named(module: str) -> None:
         find_algorithm(f"{module}:NETWORK")
     with pytest.raises(PluginError, match=r"no 'OTHER' in the module, which has: "):
         find_network(f"{module}:OTHER")
-    with pytest.raises(UnknownNameError, match=r"algorithm 'own' is unknown; expected one of: al,"):
+    with pytest.raises(
+        UnknownNameError, match=r"algorithm 'own' is unknown; expected one of: act, al,"
+    ):
         find_algorithm("own")

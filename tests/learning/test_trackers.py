@@ -144,7 +144,7 @@ def test_a_missing_library_is_named_with_its_command(
 ) -> None:
     monkeypatch.setitem(sys.modules, "wandb", None)
     with (
-        pytest.raises(MissingDependencyError, match=r"'wandb'.*pip install wandb"),
+        pytest.raises(MissingDependencyError, match=r"tracker wandb.*pip install wandb"),
         opened_trackers(["wandb"], folder, 0),
     ):
         pass

@@ -1,8 +1,10 @@
 """Compiled substeps and reading: the plain loop's motions, and that loop where pymunk differs."""
 
+import sys
 import warnings
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from threading import Event, Thread
 
 import numpy as np
 import pymunk
@@ -71,6 +73,31 @@ def test_threads_step_simulations_of_their_own() -> None:
         together = list(threads.map(run, seeds))
     for seed, states in zip(seeds, together, strict=True):
         assert np.array_equal(states, run(seed))
+
+
+def test_another_thread_runs_during_a_step() -> None:
+    """Only where the interpreter's lock is released: its switch interval does not end here."""
+    simulation, go, ran = Simulation(TASKS["ClusterShape"].demo), Event(), Event()
+    simulation.step(0)  # compiles
+
+    def wait() -> None:
+        go.wait()
+        ran.set()
+
+    thread = Thread(target=wait)
+    thread.start()
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e4)
+    try:
+        go.set()
+        steps = 0
+        while steps < 20_000 and not ran.is_set():
+            simulation.step(0)
+            steps += 1
+        assert ran.is_set()
+    finally:
+        sys.setswitchinterval(interval)
+        thread.join()
 
 
 @pytest.fixture

@@ -16,12 +16,9 @@ from numba.extending import intrinsic
 from magical.compiled.cache import CompileCache
 
 ADDRESS, FLOAT = numba.types.intp, numba.types.float64
-# Not called from Python or C, and divided by zero as numpy does: less to compile.
-_WITHIN: dict[str, Any] = {
-    "no_cpython_wrapper": True,
-    "no_cfunc_wrapper": True,
-    "error_model": "numpy",
-}
+# Not called from C, and divided by zero as numpy does: less to compile.
+_ALL: dict[str, Any] = {"no_cfunc_wrapper": True, "error_model": "numpy"}
+_WITHIN: dict[str, Any] = {"no_cpython_wrapper": True, **_ALL}  # nor from Python
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 
@@ -46,7 +43,7 @@ def fused(function: Kernel) -> Kernel:
 
 def entry_point(function: Kernel) -> Kernel:
     """Mark a function to be compiled at its first call and kept on disk."""
-    return _cached(function, numba.njit(error_model="numpy")(function))
+    return _cached(function, numba.njit(**_ALL)(function))
 
 
 def nogil_entry_point(function: Kernel) -> Kernel:
@@ -54,7 +51,7 @@ def nogil_entry_point(function: Kernel) -> Kernel:
 
     Arrays that they are given must not be used by another thread meanwhile.
     """
-    return _cached(function, numba.njit(nogil=True, error_model="numpy")(function))
+    return _cached(function, numba.njit(nogil=True, **_ALL)(function))
 
 
 def c_function(name: str, address: int, *arguments: Any) -> Any:
@@ -99,6 +96,45 @@ def _count_bits(_: Any, word: Any) -> Any:
 
 # How many bits of an integer are 1: one machine instruction, which numba has no name for.
 count_bits = cast(Callable[[int], int], intrinsic(_count_bits))
+
+
+def _chosen(comparison: str) -> Callable[[Any, Any], Any]:
+    def typed(_: Any, x: Any, y: Any) -> Any:
+        number = FLOAT if FLOAT in (x, y) else numba.types.int64
+
+        def generate(__: Any, builder: Any, ___: Any, arguments: Any) -> Any:
+            x, y = arguments
+            compare = builder.fcmp_ordered if number == FLOAT else builder.icmp_signed
+            return builder.select(compare(comparison, y, x), y, x)
+
+        return number(number, number), generate
+
+    return cast(Callable[[Any, Any], Any], intrinsic(typed))
+
+
+def _whole(name: str) -> Callable[[float], float]:
+    def typed(_: Any, __: Any) -> Any:
+        def generate(___: Any, builder: Any, ____: Any, arguments: Any) -> Any:
+            function = builder.module.declare_intrinsic(f"llvm.{name}", [DoubleType()])
+            return builder.call(function, arguments)
+
+        return FLOAT(FLOAT), generate
+
+    return cast(Callable[[float], float], intrinsic(typed))
+
+
+def _integer(_: Any, x: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return context.cast(builder, arguments[0], x, signature.return_type)
+
+    return numba.types.int64(x), generate
+
+
+# As `min`, `max`, `np.rint`, `np.ceil` and `int`, of 64-bit numbers. numba compiles a function for
+# each type that those are given, which takes longer than a small kernel.
+minimum, maximum = _chosen("<"), _chosen(">")
+rint, ceil = _whole("rint"), _whole("ceil")
+integer = cast(Callable[[Any], int], intrinsic(_integer))
 
 
 def _load_float(_: Any, address: Any, index: Any) -> Any:

@@ -14,7 +14,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from magical.errors import CheckpointError, MissingDependencyError, PluginError, UnknownNameError
+from magical.errors import CheckpointError, PluginError, UnknownNameError
+from magical.extras import library
 from magical.observe.pixels import CHANNELS
 from magical.scene.constants import FRAME_SIZE
 
@@ -125,13 +126,7 @@ def timm_encoder(name: str) -> FrozenEncoder:
         MissingDependencyError: timm is not installed.
         UnknownNameError: timm has no such model.
     """
-    try:
-        import timm
-    except ModuleNotFoundError as error:
-        raise MissingDependencyError(
-            f"network timm:{name}: this needs {error.name}, which is not installed: pip install "
-            "timm"
-        ) from error
+    timm = library("timm", f"network timm:{name}")
     try:
         config = timm.get_pretrained_cfg(name) if timm.is_model(name) else None
     except RuntimeError:  # a tag that the model does not have
@@ -144,12 +139,12 @@ def timm_encoder(name: str) -> FrozenEncoder:
             f"{', '.join(known) or 'timm.list_models(pretrained=True)'} are some"
         )
     size = config.input_size[-1] if config.fixed_input_size else None
-    return FrozenEncoder(partial(_load_timm, name), tuple(config.mean), tuple(config.std), size)
+    return FrozenEncoder(
+        partial(_load_timm, timm, name), tuple(config.mean), tuple(config.std), size
+    )
 
 
-def _load_timm(name: str) -> nn.Module:
-    import timm
-
+def _load_timm(timm: Any, name: str) -> nn.Module:
     try:
         model: nn.Module = timm.create_model(name, pretrained=True, num_classes=0)
     except (OSError, RuntimeError) as error:

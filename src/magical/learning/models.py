@@ -7,6 +7,7 @@ scores. Images are float (B, C, H, W) in [0, 1], which a trunk may map to [-1, 1
 float (B, size); `tasks` is int64 (B,), the position of each row's task in the configuration.
 """
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -36,6 +37,7 @@ class Trunk(nn.Module):
 
     Attributes:
         num_features: the size of the output.
+        map_shape: (C, H, W) of the convolutions' output, (size,) of state vectors.
     """
 
     def __init__(
@@ -69,14 +71,14 @@ class Trunk(nn.Module):
         if num_features is not None:
             hidden = (*hidden[:-1], num_features)
         self.convolutions = None
-        size = input_shape[0]
+        self.map_shape = input_shape
         if len(input_shape) == 3:
             self.convolutions = architecture.make_convolutions(input_shape[0], batch_norm)
-            size = _flat_size(self.convolutions, input_shape)
+            self.map_shape = _map_shape(self.convolutions, input_shape)
         self.action_input = action_input
         self._pixels = PIXEL_RANGES[getattr(architecture, "PIXEL_RANGE", pixel_range)]
         joined = JOINED[action_input]
-        self.linear = _linear_layers([size, *hidden], joined)
+        self.linear = _linear_layers([math.prod(self.map_shape), *hidden], joined)
         self.embedding = nn.Embedding(NUM_ACTIONS, EMBEDDING) if joined[1] else None
         self.num_features = hidden[-1]
         # Convolutions are fastest with this memory layout.
@@ -89,9 +91,7 @@ class Trunk(nn.Module):
 
         `in_range`: the observations are what `to_range` returned.
         """
-        flat = observations if in_range else self.to_range(observations)
-        if self.convolutions is not None:
-            flat = self.convolutions(flat).flatten(1)  # (B, C * H * W)
+        flat = self.feature_map(observations, in_range=in_range).flatten(1)  # (B, C * H * W)
         linear: nn.Module = self.linear
         if self.action_input == "embedding":
             flat, linear = self.linear[:-2](flat), self.linear[-2:]  # a last layer and its ReLU
@@ -106,6 +106,14 @@ class Trunk(nn.Module):
         features: Tensor = linear(flat)
         return features
 
+    def feature_map(self, observations: Tensor, *, in_range: bool = False) -> Tensor:
+        """The convolutions' output (B, C, H, W) for images; state vectors unchanged."""
+        ranged = observations if in_range else self.to_range(observations)
+        if self.convolutions is None:
+            return ranged
+        mapped: Tensor = self.convolutions(ranged)
+        return mapped
+
     def to_range(self, observations: Tensor) -> Tensor:
         """Images (B, C, H, W) in [0, 1] mapped to the range of this trunk; vectors unchanged."""
         low, high = self._pixels
@@ -114,12 +122,12 @@ class Trunk(nn.Module):
         return (observations * (high - low)).add_(low)
 
 
-def _flat_size(convolutions: nn.Module, input_shape: tuple[int, ...]) -> int:
+def _map_shape(convolutions: nn.Module, input_shape: tuple[int, ...]) -> tuple[int, ...]:
     convolutions.eval()  # leaves the statistics of batch norm alone
     with torch.no_grad():
-        size = convolutions(torch.zeros(1, *input_shape)).numel()
+        shape = convolutions(torch.zeros(1, *input_shape)).shape[1:]
     convolutions.train()
-    return int(size)
+    return tuple(shape)
 
 
 def _linear_layers(sizes: list[int], joined: tuple[int, int]) -> nn.Sequential:

@@ -7,13 +7,13 @@ the sum of the others' colours, so that every sample is written once. Colours ar
 lanes (see `palette.lanes`), three channels in one addition.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled import count_bits, inlined, merged
-from magical.render.polygons import Ints, mask, pad, pixel_spans
+from magical.compiled import count_bits, inlined, integer, maximum, merged, minimum
+from magical.render.polygons import MAX_SIDES, POLYGON_ROWS, Floats, Ints, mask, pad, pixel_spans
 
 UNCOVERED = 48  # the lowest bit of a body pixel's mask; below it are the three lanes
 EVERY_SAMPLE = 0xFFFF  # sixteen bits of mask
@@ -29,21 +29,35 @@ class Canvas(NamedTuple):
     where the ground is not reused, both are one array.
     """
 
+    size: int
+    samples: int
     ground: NDArray[np.int32]  # (P,)
+    pixels: NDArray[np.int32]  # (P,)
     tiles: Ints  # (layers * P, samples * samples): the samples of mixed ground pixels, as lanes
     owners: NDArray[np.int32]  # (layers * P,): the pixel that each tile belongs to
     counts: Ints  # (1,): number of tiles
     bodies: Ints  # (P,): mask of the uncovered samples, sum of the others' colours
     touched: Ints  # (2, size): in each row the first pixel that bodies touch, and the end
-    pixels: NDArray[np.int32]  # (P,)
-    size: int
-    samples: int
+    polygon: Floats  # (POLYGON_ROWS, MAX_SIDES + 1): see `polygons`
+    spans: Ints  # (2, (size + 1) * samples): of a polygon's sample rows
+    coverage: NDArray[np.int32]  # (samples * samples,): of a pixel, by a line
 
 
-def blank(samples: int) -> int:
-    """A body pixel without any covered sample."""
-    full = (1 << samples * samples) - 1
-    return full << UNCOVERED if samples < 4 else -1 << UNCOVERED  # 64 bits, signed
+def working_memory(size: int, samples: int, layers: int) -> tuple[NDArray[Any], ...]:
+    """The arrays of a `Canvas` from `tiles` to `coverage`: a call leaves nothing in them."""
+    count, per_pixel = size * size, samples * samples
+    # A body pixel without any covered sample; 64 bits, signed.
+    blank = ((1 << per_pixel) - 1) << UNCOVERED if samples < 4 else -1 << UNCOVERED
+    return (
+        np.empty((layers * count, per_pixel), np.int64),
+        np.empty(layers * count, np.int32),
+        np.empty(1, np.int64),
+        np.full(count, blank, np.int64),
+        np.repeat([[size], [0]], size, axis=1),
+        np.empty((POLYGON_ROWS, MAX_SIDES + 1)),
+        np.empty((2, (size + 1) * samples), np.int64),
+        np.empty(per_pixel, np.int32),
+    )
 
 
 @inlined
@@ -71,10 +85,10 @@ def mean(total: int, count: int) -> int:
 @inlined
 def open_tile(canvas: Canvas, pixel: int) -> int:
     """The index of the ground pixel's tile; a new one, filled with its colour, if it has none."""
-    entry = int(canvas.ground[pixel])
+    entry = integer(canvas.ground[pixel])
     if entry < 0:
         return ~entry
-    tile = int(canvas.counts[0])
+    tile = integer(canvas.counts[0])
     canvas.counts[0] = tile + 1
     canvas.owners[tile] = pixel
     canvas.ground[pixel] = ~tile
@@ -85,19 +99,19 @@ def open_tile(canvas: Canvas, pixel: int) -> int:
 
 
 @merged
-def paint(canvas: Canvas, spans: Ints, low: int, high: int, colour: int) -> None:
+def paint(canvas: Canvas, low: int, high: int, colour: int) -> None:
     """Fill a scan-converted polygon on the ground, over what is there."""
     samples, size = canvas.samples, canvas.size
     flat = pack(colour)
-    pad(spans, low, high, samples, size * samples)
+    pad(canvas.spans, low, high, samples, size * samples)
     for y in range(low // samples, (high + samples - 1) // samples):
         row = y * size
-        touched, covered, uncovered, end = pixel_spans(spans, y * samples, samples)
+        touched, covered, uncovered, end = pixel_spans(canvas.spans, y * samples, samples)
         for x in range(covered, uncovered):
             canvas.ground[row + x] = flat
         for first, last in ((touched, covered), (uncovered, end)):
             for x in range(first, last):
-                _paint_part(canvas, row + x, mask(spans, y * samples, samples, x), colour)
+                _paint_part(canvas, row + x, mask(canvas.spans, y * samples, samples, x), colour)
 
 
 @inlined
@@ -110,27 +124,27 @@ def _paint_part(canvas: Canvas, pixel: int, bits: int, colour: int) -> None:
 
 
 @merged
-def cover(canvas: Canvas, spans: Ints, low: int, high: int, colour: int) -> None:
+def cover(canvas: Canvas, low: int, high: int, colour: int) -> None:
     """Fill a scan-converted polygon of a body, behind the bodies that are there."""
     samples, size = canvas.samples, canvas.size
     full = EVERY_SAMPLE >> (16 - samples * samples)
-    pad(spans, low, high, samples, size * samples)
+    pad(canvas.spans, low, high, samples, size * samples)
     for y in range(low // samples, (high + samples - 1) // samples):
         row = y * size
-        touched, covered, uncovered, end = pixel_spans(spans, y * samples, samples)
-        canvas.touched[0, y] = min(canvas.touched[0, y], touched)
-        canvas.touched[1, y] = max(canvas.touched[1, y], end)
+        touched, covered, uncovered, end = pixel_spans(canvas.spans, y * samples, samples)
+        canvas.touched[0, y] = minimum(canvas.touched[0, y], touched)
+        canvas.touched[1, y] = maximum(canvas.touched[1, y], end)
         for x in range(covered, uncovered):
             _cover_part(canvas, row + x, full, colour)
         for first, last in ((touched, covered), (uncovered, end)):
             for x in range(first, last):
-                _cover_part(canvas, row + x, mask(spans, y * samples, samples, x), colour)
+                _cover_part(canvas, row + x, mask(canvas.spans, y * samples, samples, x), colour)
 
 
 @inlined
 def _cover_part(canvas: Canvas, pixel: int, bits: int, colour: int) -> None:
     """Without a branch, which the processor could not predict."""
-    entry = int(canvas.bodies[pixel])
+    entry = integer(canvas.bodies[pixel])
     new = bits & (entry >> UNCOVERED)
     canvas.bodies[pixel] = (entry ^ (new << UNCOVERED)) + count_bits(new) * colour
 
@@ -144,7 +158,7 @@ def finish_ground(canvas: Canvas) -> None:
         if canvas.pixels[pixel] == ~tile:
             total = 0
             for i in range(samples):
-                total += int(canvas.tiles[tile, i])
+                total += integer(canvas.tiles[tile, i])
             canvas.pixels[pixel] = pack(mean(total, samples))
 
 
@@ -156,7 +170,7 @@ def finish_bodies(canvas: Canvas) -> None:
     untouched = full << UNCOVERED
     for y in range(size):
         for pixel in range(y * size + canvas.touched[0, y], y * size + canvas.touched[1, y]):
-            entry = int(canvas.bodies[pixel])
+            entry = integer(canvas.bodies[pixel])
             if entry != untouched:
                 canvas.bodies[pixel] = untouched
                 total = entry & SUMS
@@ -170,11 +184,11 @@ def finish_bodies(canvas: Canvas) -> None:
 @inlined
 def _ground_sum(canvas: Canvas, pixel: int, bits: int) -> int:
     """The sum of the ground's colours over some samples of a pixel."""
-    entry = int(canvas.ground[pixel])
+    entry = integer(canvas.ground[pixel])
     if entry >= 0:
         return count_bits(bits) * unpack(entry)
     total = 0
     for i in range(canvas.samples * canvas.samples):
         if bits >> i & 1:
-            total += int(canvas.tiles[~entry, i])
+            total += integer(canvas.tiles[~entry, i])
     return total

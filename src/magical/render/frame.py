@@ -7,17 +7,19 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled import entry_point, inlined, merged
+from magical.compiled import entry_point, inlined, integer, merged, rint
 from magical.render.canvas import Canvas, cover, finish_bodies, finish_ground, pack, paint
 from magical.render.display import FURTHEST
 from magical.render.lines import outline, round_up
 from magical.render.palette import OUTSIDE, lanes
-from magical.render.polygons import MAX_SIDES, SUBSAMPLES, Floats, Ints, place, scan
+from magical.render.polygons import CORNER_X, CORNER_Y, SUBSAMPLES, Floats, Ints, X, Y, place, scan
 from magical.scene.constants import RAW_FRAME_SIZE
 
 VIEW_WIDTH = 2.04  # units: both cameras show as much (docs/specification.md, section 6)
 ROBOT_HEIGHT = 0.15  # of the frame: where the egocentric camera has the robot, from below
-EGO, GROUND, ALLO = 0, 1, 2  # modes of the compiled `render`
+# Modes of the compiled `render`: everything, where `ground` is the same array as `pixels`; the
+# allocentric ground only; bodies over such a ground, its finished pixels in `kept`.
+EGO, GROUND, ALLO = 0, 1, 2
 BACKGROUND = lanes(OUTSIDE)
 
 Pixels = NDArray[np.int32]
@@ -53,28 +55,26 @@ def render_ground(
     workspace: Floats,
     ego: bool,
     whole: bool,
-    edges: Floats,
-    spans: Ints,
 ) -> None:
     """Background, workspace and its edge, regions and their dashes."""
     extent = canvas.size * canvas.samples
     outside = pack(background)
     for pixel in range(canvas.size * canvas.size):
         canvas.ground[pixel] = outside
-    turned, placed, on_frame = np.empty((2, 4)), np.empty((2, 5)), np.empty((4, 2))
+    polygon, cos, sin = canvas.polygon, workspace[0], workspace[1]
     counter, sides = 0.0, corners.shape[1]
     if ego:
         counter = _counter_left_by_allocentric_frame(corners[len(corners) - 1], whole)
     for i in range(len(corners)):
         for k in range(sides):
-            x, y = corners[i, k, 0], corners[i, k, 1]
-            turned[0, sides - 1 - k], turned[1, sides - 1 - k] = x, y
-            on_frame[k, 0] = (workspace[0] * x - workspace[1] * y + workspace[2]) / SUBSAMPLES
-            on_frame[k, 1] = (workspace[1] * x + workspace[0] * y + workspace[3]) / SUBSAMPLES
-        place(turned, 0, sides, workspace, placed)
-        low, high = scan(placed, sides, extent, extent, edges, spans)
-        paint(canvas, spans, low, high, colours[i, 0])
-        advanced = outline(canvas, on_frame, colours[i, 1], i > 0, counter, whole)
+            x = cos * corners[i, k, 0] - sin * corners[i, k, 1] + workspace[2]
+            y = sin * corners[i, k, 0] + cos * corners[i, k, 1] + workspace[3]
+            polygon[CORNER_X, k], polygon[CORNER_Y, k] = x / SUBSAMPLES, y / SUBSAMPLES
+            polygon[X, sides - 1 - k], polygon[Y, sides - 1 - k] = rint(x), rint(y)
+        polygon[X, sides], polygon[Y, sides] = polygon[X, 0], polygon[Y, 0]
+        low, high = scan(polygon, sides, extent, extent, canvas.spans)
+        paint(canvas, low, high, colours[i, 0])
+        advanced = outline(canvas, colours[i, 1], i > 0, counter, whole)
         counter = advanced if i > 0 else counter
 
 
@@ -98,21 +98,18 @@ def render_bodies(
     items: Ints,
     offsets: Floats,
     frames: Floats,
-    edges: Floats,
-    spans: Ints,
 ) -> None:
     """Blocks and robot, front to back (see `display.DisplayList` for the arrays)."""
     extent = canvas.size * canvas.samples
-    placed, frame = np.empty((2, MAX_SIDES + 1)), np.empty(4)
     for i in range(len(items)):
         first, count, anchor, turn = items[i, 0], items[i, 1], items[i, 2], items[i, 3]
         x, y = offsets[i, 0], offsets[i, 1]
-        frame[0], frame[1] = frames[turn, 0], frames[turn, 1]
-        frame[2] = frames[anchor, 0] * x - frames[anchor, 1] * y + frames[anchor, 2]
-        frame[3] = frames[anchor, 1] * x + frames[anchor, 0] * y + frames[anchor, 3]
-        place(vertices, first, count, frame, placed)
-        low, high = scan(placed, count, extent, extent, edges, spans)
-        cover(canvas, spans, low, high, items[i, 4])
+        cos, sin = frames[turn, 0], frames[turn, 1]
+        x0 = frames[anchor, 0] * x - frames[anchor, 1] * y + frames[anchor, 2]
+        y0 = frames[anchor, 1] * x + frames[anchor, 0] * y + frames[anchor, 3]
+        place(vertices, first, count, cos, sin, x0, y0, canvas.polygon)
+        low, high = scan(canvas.polygon, count, extent, extent, canvas.spans)
+        cover(canvas, low, high, items[i, 4])
 
 
 @merged
@@ -123,6 +120,12 @@ def within_reach(bodies: Floats) -> bool:
         for k in range(3):
             good &= abs(bodies[i, k]) <= FURTHEST
     return good
+
+
+@inlined
+def _copy(source: Pixels, target: Pixels) -> None:
+    for pixel in range(len(target)):
+        target[pixel] = source[pixel]
 
 
 @cache
@@ -138,41 +141,41 @@ def compiled_render(samples: int) -> Callable[..., int]:
         corners: Floats,
         colours: Ints,
         ground: Pixels,
-        tiles: Ints,
-        owners: Pixels,
-        body_pixels: Ints,
-        touched: Ints,
         pixels: Pixels,
         kept: Pixels,
+        tiles: Ints,
+        owners: Pixels,
+        counts: Ints,
+        body_pixels: Ints,
+        touched: Ints,
+        polygon: Floats,
+        spans: Ints,
+        coverage: Pixels,
+        frames: Floats,
         size: int,
         mode: int,
         whole: bool,
     ) -> int:
         """Render into `pixels`; returns the number of tiles, or -1 for poses out of range.
 
-        Mode EGO renders everything; `ground` is the same array as `pixels`. GROUND renders the
-        allocentric ground only. ALLO renders bodies over a ground that was rendered before, its
-        finished pixels in `kept`. `whole` is for `lines.outline`. The other arrays are those of
+        `mode` is one of those above, `whole` for `lines.outline`; the other arrays are those of
         `display.DisplayList` and `canvas.Canvas`.
         """
         if not within_reach(bodies):
             return -1
-        extent, count, counts = size * samples, len(bodies), np.zeros(1, np.int64)
-        edges, spans = np.empty((3, MAX_SIDES + 1)), np.empty((2, extent + samples), np.int64)
-        frames = np.empty((count + 1, 4))
-        canvas = Canvas(ground, tiles, owners, counts, body_pixels, touched, pixels, size, samples)
+        extent, count, counts[0] = size * samples, len(bodies), 0
+        memory = tiles, owners, counts, body_pixels, touched, polygon, spans, coverage
+        canvas = Canvas(size, samples, ground, pixels, *memory)
         body_frames(bodies, mode == EGO, extent, frames)
         if mode != ALLO:
             workspace, ego = frames[count], mode == EGO
-            render_ground(canvas, corners, colours, BACKGROUND, workspace, ego, whole, edges, spans)
+            render_ground(canvas, corners, colours, BACKGROUND, workspace, ego, whole)
         if mode != EGO:
-            source = ground if mode == GROUND else kept
-            for pixel in range(size * size):
-                pixels[pixel] = source[pixel]
+            _copy(ground if mode == GROUND else kept, pixels)
         if mode != GROUND:
-            render_bodies(canvas, vertices, items, offsets, frames, edges, spans)
+            render_bodies(canvas, vertices, items, offsets, frames)
             finish_bodies(canvas)
         finish_ground(canvas)
-        return int(counts[0])
+        return integer(counts[0])
 
     return render

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled import inlined, merged
+from magical.compiled import inlined, integer, maximum, merged, minimum, rint
 from magical.render.canvas import Canvas, open_tile
-from magical.render.polygons import Floats
+from magical.render.polygons import CORNER_X, CORNER_Y
 from magical.scene.constants import RAW_FRAME_SIZE
 
 # Lengths are given in pixels of the published raw frame, RAW_FRAME_SIZE across.
@@ -39,37 +39,34 @@ class Strip(NamedTuple):
 
 
 @inlined
-def clip(line: Floats, extent: float) -> bool:
-    """Shorten a line (x0, y0, x1, y1) to its part within the frame; false if there is none."""
-    x, y = line[0], line[1]
-    dx, dy = line[2] - x, line[3] - y
+def clip(x: float, y: float, dx: float, dy: float, extent: float) -> tuple[float, float]:
+    """The fractions of a line from (x, y) between which it is in the frame; 1, 0 if nowhere."""
     start, end = 0.0, 1.0
     for d, low, high in ((dx, -x, extent - x), (dy, -y, extent - y)):
         if d != 0.0:
-            start = max(start, min(low / d, high / d))
-            end = min(end, max(low / d, high / d))
+            start = maximum(start, minimum(low / d, high / d))
+            end = minimum(end, maximum(low / d, high / d))
         elif low > 0.0 or high < 0.0:
-            return False
-    if start >= end:
-        return False
-    line[0], line[1] = x + start * dx, y + start * dy
-    line[2], line[3] = x + end * dx, y + end * dy
-    return True
+            return 1.0, 0.0
+    return start, end
 
 
 @merged
-def stroke(canvas: Canvas, line: Floats, width: float, colour: int) -> None:
+def stroke(
+    canvas: Canvas, ends: tuple[float, float, float, float], width: float, colour: int
+) -> None:
     """Blend one line (x0, y0, x1, y1) of a width in samples into the ground."""
-    dx, dy = line[2] - line[0], line[3] - line[1]
+    x0, y0, x1, y1 = ends
+    dx, dy = x1 - x0, y1 - y0
     length = math.sqrt(dx * dx + dy * dy)
     if length == 0.0:
         return
-    middle_x, middle_y = (line[0] + line[2]) / 2 - LINE_SHIFT, (line[1] + line[3]) / 2 - LINE_SHIFT
+    middle_x, middle_y = (x0 + x1) / 2 - LINE_SHIFT, (y0 + y1) / 2 - LINE_SHIFT
     side, end = width / 2 + 0.5, length / 2 + 0.5
-    strip = Strip(dx / length, dy / length, middle_x, middle_y, side, end, min(width, 1.0))
+    strip = Strip(dx / length, dy / length, middle_x, middle_y, side, end, minimum(width, 1.0))
     reach = abs(strip.along_x) * side + abs(strip.along_y) * end
     samples, size = canvas.samples, canvas.size
-    coverage = np.empty(samples * samples, np.int32)
+    coverage = canvas.coverage
     bottom = _pixel(middle_y - reach, samples, size)
     for row in range(bottom, _pixel(middle_y + reach, samples, size - 1) + 1):
         left, right = _columns(strip, row * samples, samples)
@@ -77,8 +74,8 @@ def stroke(canvas: Canvas, line: Floats, width: float, colour: int) -> None:
             if _coverages(strip, column * samples, row * samples, samples, coverage):
                 tile = open_tile(canvas, row * size + column)
                 for i in range(samples * samples):
-                    under = int(canvas.tiles[tile, i])
-                    canvas.tiles[tile, i] = blend(under, colour, int(coverage[i]))
+                    under = integer(canvas.tiles[tile, i])
+                    canvas.tiles[tile, i] = blend(under, colour, integer(coverage[i]))
 
 
 @inlined
@@ -92,7 +89,7 @@ def _columns(strip: Strip, bottom: float, samples: int) -> tuple[float, float]:
     low, high = bottom - strip.middle_y, bottom + samples - strip.middle_y
     if lean < 0.0:
         low, high = high, low
-    left, right = max(lean * low - width, -reach), min(lean * high + width, reach)
+    left, right = maximum(lean * low - width, -reach), minimum(lean * high + width, reach)
     return strip.middle_x + left, strip.middle_x + right
 
 
@@ -107,8 +104,8 @@ def _coverages(
         y = bottom + (i // samples + 0.5) - strip.middle_y
         across = strip.side - abs(strip.along_x * y - strip.along_y * x)
         within = strip.end - abs(strip.along_x * x + strip.along_y * y)
-        part = min(max(across, 0.0), strip.most) * min(max(within, 0.0), 1.0)
-        coverage[i] = np.int32(np.rint(part * 255.0))
+        part = minimum(maximum(across, 0.0), strip.most) * minimum(maximum(within, 0.0), 1.0)
+        coverage[i] = np.int32(rint(part * 255.0))
         found |= coverage[i]
     return found != 0
 
@@ -116,7 +113,8 @@ def _coverages(
 @inlined
 def _pixel(x: float, samples: int, most: int) -> int:
     """The pixel that x lies in, within [0, most]."""
-    return min(int(max(x, 0.0)) // samples, most)
+    pixel: int = minimum(integer(maximum(x, 0.0)) // samples, most)
+    return pixel
 
 
 @inlined
@@ -132,18 +130,8 @@ def _per_255(products: int) -> int:
     return (raised + (raised >> 8 & 0x00FF00FF00FF)) >> 8 & 0x00FF00FF00FF
 
 
-@inlined
-def _side(corners: Floats, i: int, extent: float, line: Floats) -> bool:
-    """The i-th side of a rectangle (4, 2), clipped to the frame; false if it is out of view."""
-    for k in range(2):
-        line[k], line[2 + k] = corners[i, k], corners[(i + 1) % 4, k]
-    return clip(line, extent)
-
-
 @merged
-def outline(
-    canvas: Canvas, corners: Floats, colour: int, dashed: bool, counter: float, whole: bool
-) -> float:
+def outline(canvas: Canvas, colour: int, dashed: bool, counter: float, whole: bool) -> float:
     """The workspace's edge, or a region's dashes; takes and returns the dash counter.
 
     Every side counts the pixels of the 384 frame from where it comes into view and advances the
@@ -154,23 +142,27 @@ def outline(
     extent = canvas.size * canvas.samples
     unit = extent / RAW_FRAME_SIZE
     width = (DASH_WIDTH if dashed else EDGE_WIDTH) * unit
-    line = np.empty(4)
+    corners = canvas.polygon
     for i in range(4):
-        if _side(corners, i, extent, line):
+        x, y = corners[CORNER_X, i], corners[CORNER_Y, i]
+        dx, dy = corners[CORNER_X, (i + 1) % 4] - x, corners[CORNER_Y, (i + 1) % 4] - y
+        first, last = clip(x, y, dx, dy, extent)
+        if first < last:
             counter = 0.0 if i == 0 else counter
-            base = int(counter + 1e-9)
-            x, y = line[0], line[1]
-            dx, dy = line[2] - x, line[3] - y
+            base = integer(counter + 1e-9)
+            x1, y1 = x + last * dx, y + last * dy
+            x0, y0 = x + first * dx, y + first * dy
+            dx, dy = x1 - x0, y1 - y0
             length = math.sqrt(dx * dx + dy * dy) / unit
             count, start = round_up(length) if dashed else 1, 0
             while start < count:
-                stop = min(start + DASH - (base + start) % DASH, count)
+                stop = minimum(start + DASH - (base + start) % DASH, count)
                 if not dashed or (base + start) // DASH % 2 == 0:
+                    ends = x0, y0, x1, y1
                     if dashed:
-                        a, b = start / length, min(stop / length, 1.0)
-                        line[0], line[1] = x + a * dx, y + a * dy
-                        line[2], line[3] = x + b * dx, y + b * dy
-                    stroke(canvas, line, width, colour)
+                        a, b = start / length, minimum(stop / length, 1.0)
+                        ends = x0 + a * dx, y0 + a * dy, x0 + b * dx, y0 + b * dy
+                    stroke(canvas, ends, width, colour)
                 start = stop
             counter += count if whole else length
     return counter

@@ -2,13 +2,14 @@
 
 from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from magical.compiled import inlined, nogil_entry_point
 from magical.errors import RenderError
-from magical.render.canvas import Canvas, blank, finish_bodies, finish_ground
+from magical.render.canvas import Canvas, finish_bodies, finish_ground, working_memory
 from magical.render.display import FURTHEST, display_list
 from magical.render.frame import (
     BACKGROUND,
@@ -19,7 +20,7 @@ from magical.render.frame import (
     within_reach,
 )
 from magical.render.output import CHANNELS
-from magical.render.polygons import MAX_SIDES, SUBSAMPLES, Floats, Ints
+from magical.render.polygons import SUBSAMPLES, Floats, Ints
 from magical.render.renderer import checked_samples
 from magical.scene.poses import FIRST_BLOCK
 from magical.scene.scene import Scene
@@ -106,6 +107,7 @@ class MovedCamera:
             out,
             rows,
             channel,
+            *working_memory(self._size, self._samples, len(self._display.ground)),
         )
         if not good:
             raise RenderError(f"expected finite poses within {FURTHEST:g} units")
@@ -151,21 +153,9 @@ def _store(frames: Pixels, out: Floats32, channel: int) -> None:
                 target[CHANNELS * k + 2] = (colour >> 16 & 0xFF) * scale
 
 
-@inlined
-def _memory(size: int, samples: int, layers: int) -> tuple[Ints, Pixels, Ints, Ints, Ints]:
-    """Tiles, owners, counts, body pixels and touched: the arrays of a `Canvas` of this call."""
-    count = size * size
-    tiles = np.empty((layers * count, samples * samples), np.int64)
-    owners = np.empty(layers * count, np.int32)
-    touched = np.empty((2, size), np.int64)
-    touched[0], touched[1] = size, 0
-    return tiles, owners, np.zeros(1, np.int64), np.empty(count, np.int64), touched
-
-
 @cache
 def compiled_render_moved(samples: int) -> Callable[..., bool]:
     """The entry point for samples x samples samples a pixel (1, 2 or 4 across)."""
-    empty = blank(samples)
 
     @nogil_entry_point
     def render_moved(
@@ -182,31 +172,29 @@ def compiled_render_moved(samples: int) -> Callable[..., bool]:
         out: Floats32,
         rows: Ints,
         channel: int,
+        *memory: NDArray[Any],
     ) -> bool:
         """Stacks (B, K, bodies, 3) into `out`; false for poses out of range.
 
         `moves` (B, 4): cos, sin, and shifts to the right and up. Each stack has its own
-        `item_colours` (B, n), `ground_colours` (B, 1 + R, 2) and `backgrounds` (B,).
+        `item_colours` (B, n), `ground_colours` (B, 1 + R, 2) and `backgrounds` (B,). The memory is
+        that of `canvas.working_memory`.
         """
         size, stacked, count = out.shape[1], bodies.shape[1], bodies.shape[2]
         extent, stack = size * samples, np.empty((stacked, size * size), np.int32)
-        tiles, owners, counts, body_pixels, touched = _memory(size, samples, len(corners))
-        body_pixels[:] = empty
-        edges, spans = np.empty((3, MAX_SIDES + 1)), np.empty((2, extent + samples), np.int64)
         frames, coloured = np.empty((count + 1, 4)), items.copy()
         for b in range(len(bodies)):
             coloured[:, 4] = item_colours[b]
             for k in range(stacked):
                 if not within_reach(bodies[b, k]):
                     return False
-                counts[0], pixels = 0, stack[k]
-                memory = pixels, tiles, owners, counts, body_pixels, touched, pixels
-                canvas = Canvas(*memory, size, samples)
+                canvas = Canvas(size, samples, stack[k], stack[k], *memory)
+                canvas.counts[0] = 0
                 body_frames(bodies[b, k], ego, extent, frames)
                 _move(frames, moves[b], extent)
                 colours, outside, area = ground_colours[b], backgrounds[b], frames[count]
-                render_ground(canvas, corners, colours, outside, area, ego, True, edges, spans)
-                render_bodies(canvas, vertices, coloured, offsets, frames, edges, spans)
+                render_ground(canvas, corners, colours, outside, area, ego, True)
+                render_bodies(canvas, vertices, coloured, offsets, frames)
                 finish_bodies(canvas)
                 finish_ground(canvas)
             _store(stack, out[rows[b]], channel)

@@ -9,36 +9,45 @@ those at the height of a vertex go with the edge above.
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled import inlined, merged
+from magical.compiled import ceil, inlined, integer, maximum, merged, minimum, rint
 
 SUBSAMPLES = 256.0  # vertices lie on a grid of this many lines a sample
 LEFT, RIGHT = 0, 1  # rows of `spans`
 MAX_SIDES = 100  # of any polygon
-ROW, BOUNDARY, SLOPE = 0, 1, 2  # rows of `edges`
+# Rows of `polygon`: its vertices, the first one repeated, and what `scan` computes of them; a
+# rectangle's corners, not rounded and in samples, for its outline.
+X, Y, ROW, BOUNDARY, SLOPE, CORNER_X, CORNER_Y = range(7)
+POLYGON_ROWS = 7
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
 @inlined
-def place(vertices: Floats, first: int, count: int, frame: Floats, placed: Floats) -> None:
-    """Transform a polygon's vertices to the grid: `placed` (2, more than count), first repeated.
+def place(
+    vertices: Floats,
+    first: int,
+    count: int,
+    cos: float,
+    sin: float,
+    x0: float,
+    y0: float,
+    polygon: Floats,
+) -> None:
+    """Transform vertices to the grid, into `polygon`.
 
-    `frame` holds cos and sin (times the scale) of the body's angle and its position, in grid lines.
+    The body's angle is given as cos and sin (times the scale), its position in grid lines.
     """
-    cos, sin, x0, y0 = frame[0], frame[1], frame[2], frame[3]
     for i in range(count):
         x, y = vertices[0, first + i], vertices[1, first + i]
-        placed[0, i] = np.rint(cos * x - sin * y + x0)
-        placed[1, i] = np.rint(sin * x + cos * y + y0)
-    placed[0, count] = placed[0, 0]
-    placed[1, count] = placed[1, 0]
+        polygon[X, i] = rint(cos * x - sin * y + x0)
+        polygon[Y, i] = rint(sin * x + cos * y + y0)
+    polygon[X, count] = polygon[X, 0]
+    polygon[Y, count] = polygon[Y, 0]
 
 
 @merged
-def scan(
-    placed: Floats, count: int, width: int, height: int, edges: Floats, spans: Ints
-) -> tuple[int, int]:
+def scan(polygon: Floats, count: int, width: int, height: int, spans: Ints) -> tuple[int, int]:
     """Each sample row's span [left, right) into `spans` (2, rows); returns the rows [low, high).
 
     A row's boundary is the first sample whose centre is at or right of the edge:
@@ -46,39 +55,40 @@ def scan(
     Half a unit of its numerator is taken off before rounding down and adding 1: the result is the
     same, and rounding errors of the floating-point arithmetic cannot change it.
     """
-    _prepare(placed, count, float(height), edges)
-    low = high = edges[ROW, 0]
+    _prepare(polygon, count, float(height))
+    low = high = polygon[ROW, 0]
     for i in range(count):
-        start, stop = edges[ROW, i], edges[ROW, i + 1]
-        low, high = min(low, stop), max(high, stop)
+        start, stop = polygon[ROW, i], polygon[ROW, i + 1]
+        low, high = minimum(low, stop), maximum(high, stop)
         if start != stop:
             side = RIGHT if start < stop else LEFT
-            row, boundary, slope = int(min(start, stop)), edges[BOUNDARY, i], edges[SLOPE, i]
-            for j in range(int(abs(stop - start))):
-                spans[side, row + j] = int(min(max(boundary + j * slope, 0.0), width))
-    return int(low), int(high)
+            row = integer(minimum(start, stop))
+            boundary, slope = polygon[BOUNDARY, i], polygon[SLOPE, i]
+            for j in range(integer(abs(stop - start))):
+                spans[side, row + j] = integer(minimum(maximum(boundary + j * slope, 0.0), width))
+    return integer(low), integer(high)
 
 
 @inlined
-def _prepare(placed: Floats, count: int, height: float, edges: Floats) -> None:
+def _prepare(polygon: Floats, count: int, height: float) -> None:
     """For each vertex the first row above it; for each edge its lowest row's boundary, its slope.
 
     Apart from `scan`'s loop and without branches, so that several edges are computed at once.
     """
     half = SUBSAMPLES / 2
     for i in range(count + 1):
-        edges[ROW, i] = min(max(np.ceil((placed[1, i] - half) / SUBSAMPLES), 0.0), height)
+        polygon[ROW, i] = minimum(maximum(ceil((polygon[Y, i] - half) / SUBSAMPLES), 0.0), height)
     for i in range(count):
-        rises = placed[1, i] < placed[1, i + 1]
-        x = placed[0, i] if rises else placed[0, i + 1]
-        y = placed[1, i] if rises else placed[1, i + 1]
-        dx = placed[0, i + 1] - placed[0, i] if rises else placed[0, i] - placed[0, i + 1]
-        dy = abs(placed[1, i + 1] - placed[1, i])
-        per_dy = 1.0 / max(dy, 1.0)
-        bottom = SUBSAMPLES * min(edges[ROW, i], edges[ROW, i + 1]) + half
-        edges[SLOPE, i] = dx * per_dy
+        rises = polygon[Y, i] < polygon[Y, i + 1]
+        x = polygon[X, i] if rises else polygon[X, i + 1]
+        y = polygon[Y, i] if rises else polygon[Y, i + 1]
+        dx = polygon[X, i + 1] - polygon[X, i] if rises else polygon[X, i] - polygon[X, i + 1]
+        dy = abs(polygon[Y, i + 1] - polygon[Y, i])
+        per_dy = 1.0 / maximum(dy, 1.0)
+        bottom = SUBSAMPLES * minimum(polygon[ROW, i], polygon[ROW, i + 1]) + half
+        polygon[SLOPE, i] = dx * per_dy
         across = (x - half) * dy + (bottom - y) * dx - 0.5
-        edges[BOUNDARY, i] = across * per_dy / SUBSAMPLES + 1.0
+        polygon[BOUNDARY, i] = across * per_dy / SUBSAMPLES + 1.0
 
 
 @inlined
@@ -101,8 +111,8 @@ def pixel_spans(spans: Ints, row: int, samples: int) -> tuple[int, int, int, int
     first_right = last_right = spans[RIGHT, row]
     for k in range(1, samples):
         left, right = spans[LEFT, row + k], spans[RIGHT, row + k]
-        first_left, last_left = min(first_left, left), max(last_left, left)
-        first_right, last_right = min(first_right, right), max(last_right, right)
+        first_left, last_left = minimum(first_left, left), maximum(last_left, left)
+        first_right, last_right = minimum(first_right, right), maximum(last_right, right)
     touched, end = first_left // samples, (last_right + samples - 1) // samples
     covered, uncovered = (last_left + samples - 1) // samples, first_right // samples
     if covered >= uncovered:
@@ -115,7 +125,7 @@ def mask(spans: Ints, row: int, samples: int, x: int) -> int:
     """Which samples of pixel x are covered: bit k * samples + i for column i of sample row k."""
     bits = 0
     for k in range(samples):
-        left = min(max(spans[LEFT, row + k] - x * samples, 0), samples)
-        right = min(max(spans[RIGHT, row + k] - x * samples, 0), samples)
+        left = minimum(maximum(spans[LEFT, row + k] - x * samples, 0), samples)
+        right = minimum(maximum(spans[RIGHT, row + k] - x * samples, 0), samples)
         bits |= (((1 << right) - 1) & -(1 << left)) << (k * samples)
     return bits

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from magical.errors import RenderError
 from magical.messages import quoted
-from magical.render.canvas import blank
+from magical.render.canvas import working_memory
 from magical.render.display import FURTHEST, display_list
 from magical.render.frame import ALLO, EGO, GROUND, compiled_render
 from magical.render.output import CHANNELS, compiled_store, push
@@ -18,6 +18,8 @@ from magical.scene.scene import Pose, Scene
 from magical.scene.vocabulary import View, parse_word
 
 Image = NDArray[np.uint8]
+
+_working_memory = lru_cache(maxsize=16)(working_memory)
 
 
 def default_samples(size: int) -> int:
@@ -143,15 +145,15 @@ class Renderer:
         and one call leaves nothing in shared memory that another needs.
         """
         pixels = self._pixels
+        frames = np.empty((len(self._bodies) + 1, 4))
         tiles, *shared = _working_memory(self.size, self.samples, layers)
-        shared += [pixels]
         if self.view == View.EGO:
-            return pixels, tiles, *shared, np.empty(0, np.int32)
+            return pixels, pixels, np.empty(0, np.int32), tiles, *shared, frames
         ground, tiles, bodies = np.empty_like(pixels), np.empty_like(tiles), self._bodies
         bodies[:] = 0.0
-        memory = ground, tiles, *shared, np.empty(0, np.int32)
+        memory = ground, pixels, np.empty(0, np.int32), tiles, *shared, frames
         count = self._compiled(bodies, *self._display, *memory, self.size, GROUND, whole_dashes)
-        return ground, tiles[:count].copy(), *shared, pixels.copy()
+        return ground, pixels, pixels.copy(), tiles[:count].copy(), *shared, frames
 
 
 def render_frame(
@@ -179,13 +181,3 @@ def warm_up(samples: int = max(SAMPLES)) -> None:
     """Compile the renderer, or load it from disk, so that the first frame is fast."""
     scene = Scene(Pose(0.0, 0.0, 0.0))
     render_frame(scene, Poses.at_rest(scene), View.EGO, 8, samples)
-
-
-@lru_cache(maxsize=16)
-def _working_memory(size: int, samples: int, layers: int) -> tuple[NDArray[Any], ...]:
-    count = size * size
-    tiles = np.empty((layers * count, samples * samples), np.int64)
-    owners = np.empty(layers * count, np.int32)
-    bodies = np.full(count, blank(samples), np.int64)
-    touched = np.repeat([[size], [0]], size, axis=1)
-    return tiles, owners, bodies, touched

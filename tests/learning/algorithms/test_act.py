@@ -59,8 +59,9 @@ def test_what_is_beyond_the_end_does_not_count(space: str) -> None:
 @pytest.mark.parametrize("space", SPACES)
 def test_chunks_are_overfitted_and_predicted_without_their_style(space: str) -> None:
     network, samples = make_policy(config(action_space=space)), batch(space)
-    network.positions = nn.Parameter(torch.zeros(4, act.WIDTH))
-    network.convolutions = nn.Sequential(nn.AvgPool2d(48), nn.Conv2d(12, 64, 1))  # fast
+    network.trunk.convolutions = nn.Sequential(nn.AdaptiveAvgPool2d(6), nn.Conv2d(12, 64, 1))
+    for parameter in network.shortcut.parameters():  # the transformers alone
+        nn.init.zeros_(parameter.requires_grad_(False))
     optimizer = torch.optim.AdamW(network.parameters(), 1e-3)
     for _ in range(200):
         found = act_losses(network, 10.0, samples)
@@ -76,6 +77,19 @@ def test_chunks_are_overfitted_and_predicted_without_their_style(space: str) -> 
     else:
         right = (predicted - samples.actions).abs().amax(dim=2) < 0.4
     assert right[samples.exist].float().mean() > 0.9
+
+
+@pytest.mark.parametrize("space", SPACES)
+def test_a_linear_layer_adds_to_the_chunk_what_behavioural_cloning_sees(space: str) -> None:
+    network, samples = make_policy(config(action_space=space)).eval(), batch(space)
+    with torch.no_grad():
+        decoded = network(samples.images, samples.tasks)
+        nn.init.zeros_(network.head.weight)
+        nn.init.zeros_(network.head.bias)
+        added = network(samples.images, samples.tasks)
+        expected = network.shortcut(network.trunk(samples.images), samples.tasks)
+    torch.testing.assert_close(added, expected.view(decoded.shape))
+    assert not torch.allclose(added, decoded)
 
 
 def test_the_style_variable_is_optional() -> None:

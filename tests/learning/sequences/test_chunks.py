@@ -83,9 +83,12 @@ def make(kind: type[ChunkPolicy], **settings: Any) -> ChunkPolicy:
     return kind(Counting(LENGTH), made, CPU)
 
 
+@pytest.mark.parametrize("kind", [ChunkPolicy, ACTPolicy])
 @pytest.mark.parametrize("execute", [1, 3, LENGTH])
-def test_a_new_chunk_replaces_the_rest_of_the_one_before(execute: int) -> None:
-    policy = make(ChunkPolicy, execute=execute)
+def test_a_new_chunk_replaces_the_rest_of_the_one_before(
+    execute: int, kind: type[ChunkPolicy]
+) -> None:
+    policy = make(kind, execute=execute)
     found = actions_of(policy, np.arange(12)[:, None])
     predicted_at = np.arange(12) // execute * execute
     np.testing.assert_allclose(found[:, 0, 0], predicted_at / 100, atol=1e-6)
@@ -97,7 +100,7 @@ def test_a_new_chunk_replaces_the_rest_of_the_one_before(execute: int) -> None:
 def test_temporal_ensembling_is_the_published_weighted_mean(execute: int) -> None:
     """Zhao et al., algorithm 2: w_i = exp(-m i), w_0 of the oldest prediction."""
     decay, frames = 0.3, np.random.default_rng(1).integers(100, size=(12, 2))
-    policy = make(ACTPolicy, ensemble_decay=decay, execute=execute)
+    policy = make(ACTPolicy, ensemble=True, ensemble_decay=decay, execute=execute)
     found = actions_of(policy, frames)
     for step in range(12):
         made = [t for t in range(0, step + 1, execute) if step - t < LENGTH]  # oldest first
@@ -106,15 +109,17 @@ def test_temporal_ensembling_is_the_published_weighted_mean(execute: int) -> Non
             means = weights @ (frames[made, row] / 100) / weights.sum()
             np.testing.assert_allclose(found[step, row, 0], means, atol=1e-6)
     assert found.max() == 1.0  # clipped
-    assert not np.array_equal(found[-1], actions_of(make(ACTPolicy), frames)[-1])
+    published = make(ACTPolicy, ensemble=True)
+    assert not np.array_equal(found[-1], actions_of(published, frames)[-1])
 
 
-@pytest.mark.parametrize("kind", [ChunkPolicy, ACTPolicy])
-def test_episodes_may_start_at_any_time(kind: type[ChunkPolicy]) -> None:
+@pytest.mark.parametrize("ensemble", [False, True])
+def test_episodes_may_start_at_any_time(ensemble: bool) -> None:
     frames = np.random.default_rng(2).integers(100, size=(12, 2))
-    together = actions_of(make(kind, execute=3), frames, starts=[(4, 1)])
-    first = actions_of(make(kind, execute=3), frames[:, :1])
-    second = actions_of(make(kind, execute=3), frames[4:, 1:])
+    settings = {"execute": 3, "ensemble": ensemble}
+    together = actions_of(make(ACTPolicy, **settings), frames, starts=[(4, 1)])
+    first = actions_of(make(ACTPolicy, **settings), frames[:, :1])
+    second = actions_of(make(ACTPolicy, **settings), frames[4:, 1:])
     np.testing.assert_array_equal(together[:, 0], first[:, 0])
     np.testing.assert_array_equal(together[4:, 1], second[:, 0])
 
@@ -138,7 +143,9 @@ class Logits(nn.Module):
 @pytest.mark.parametrize("greedy", [False, True])
 def test_probabilities_of_discrete_actions_are_averaged(greedy: bool) -> None:
     """One chunk of four is for action 4; by the mean of logits it would never be chosen."""
-    config = ACTConfig.preset("quick", tasks=TASKS, demos="", chunk=LENGTH, ensemble_decay=0.0)
+    config = ACTConfig.preset(
+        "quick", tasks=TASKS, demos="", chunk=LENGTH, ensemble=True, ensemble_decay=0.0
+    )
     policy = ACTPolicy(Logits(), config, CPU, greedy)
     frames = np.zeros((4, 2000), np.uint8)
     frames[1:] = 100

@@ -127,9 +127,10 @@ def test_methods_pre_trained_on_training_tasks_have_a_board_for_each_number() ->
 def test_methods_with_a_prior_made_for_the_benchmark_are_ranked_apart() -> None:
     details = {"learned_from": ["demonstrations", "benchmark prior"]}
     prior = [
-        run(name, 0.9, score, TASKS, details=details) for name, score in (("a", 0.8), ("b", 1))
+        run(name, 0.9, score, list(TASKS), details=details)
+        for name, score in (("a", 0.8), ("b", 1))
     ]
-    boards = {board.name: board for board in make_boards([*prior, run("c", 0.9, 0.1, TASKS)])}
+    boards = {board.name: board for board in make_boards([*prior, run("c", 0.9, 0.1, list(TASKS))])}
     for name in (ALL_TASKS, "MakeLine"):
         assert [(row.method, row.rank) for row in boards[name].standings] == [("c", 1)]
         apart = [(r.method, r.rank, r.learning_class) for r in boards[name + WITH_PRIOR].standings]

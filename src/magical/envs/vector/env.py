@@ -85,7 +85,8 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         timeout: seconds in which the workers must finish a step, a reset or a call of `get_state`
             or `set_state`; otherwise `WorkerTimeoutError` is raised and the environment is closed.
             By default there is no limit. Not available on Windows or without workers.
-        instruction, paraphrase: as for `MagicalEnv`.
+        instruction: as for `MagicalEnv`.
+        paraphrase: as for `MagicalEnv`.
         action_space: as for `MagicalEnv`.
 
     Raises:

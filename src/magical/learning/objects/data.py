@@ -124,5 +124,5 @@ def _parse(trajectory: Trajectory, component: Component) -> ParsedFrames:
     parts = []
     for start in range(0, len(steps), CHUNK):
         frames = component.read(source, steps[start : start + CHUNK])  # (B, 3, 96, 96)
-        parts.append(parse_frames(np.ascontiguousarray(frames.transpose(0, 2, 3, 1))))
+        parts.append(parse_frames(frames.transpose(0, 2, 3, 1)))
     return ParsedFrames(*map(np.concatenate, zip(*parts, strict=True)))

@@ -6,14 +6,12 @@ other by `module:NAME`.
 """
 
 import hashlib
-import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from magical.errors import MissingDependencyError
 from magical.plugins import Registry
 from magical.runs.folder import CONFIG, RECORD, read_json
 
@@ -90,17 +88,3 @@ def opened_trackers(names: Sequence[str], folder: Path, step: int) -> Iterator[L
                 one(step, numbers)
 
         yield log
-
-
-def library(name: str) -> Any:
-    """Import a tracker's library, which is in no extra of this package.
-
-    Raises:
-        MissingDependencyError: it is not installed.
-    """
-    try:
-        return importlib.import_module(name)
-    except ModuleNotFoundError as error:
-        raise MissingDependencyError(
-            f"tracker {name!r}: needs {error.name}, which is not installed: pip install {name}"
-        ) from error

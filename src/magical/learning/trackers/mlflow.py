@@ -4,14 +4,15 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from magical.learning.trackers import Log, TrackedRun, Tracker, library
+from magical.extras import library
+from magical.learning.trackers import Log, TrackedRun, Tracker
 
 _ID = "magical.run"  # the tag that finds a run that is resumed: MLflow chooses its own ids
 
 
 @contextmanager
 def _opened(run: TrackedRun) -> Iterator[Log]:
-    mlflow = library("mlflow")
+    mlflow = library("mlflow", "tracker mlflow")
     name = os.environ.get("MLFLOW_EXPERIMENT_NAME", "magical")
     experiment = mlflow.set_experiment(name).experiment_id
     client = mlflow.MlflowClient()

@@ -4,12 +4,13 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from magical.learning.trackers import Log, TrackedRun, Tracker, library
+from magical.extras import library
+from magical.learning.trackers import Log, TrackedRun, Tracker
 
 
 @contextmanager
 def _opened(run: TrackedRun) -> Iterator[Log]:
-    session = library("trackio").init(
+    session = library("trackio", "tracker trackio").init(
         project=os.environ.get("TRACKIO_PROJECT", "magical"),
         name=f"{run.name}-{run.id[:8]}",  # trackio finds the run to resume by its name
         config=dict(run.config),

@@ -4,12 +4,13 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from magical.learning.trackers import Log, TrackedRun, Tracker, library
+from magical.extras import library
+from magical.learning.trackers import Log, TrackedRun, Tracker
 
 
 @contextmanager
 def _opened(run: TrackedRun) -> Iterator[Log]:
-    with library("wandb").init(
+    with library("wandb", "tracker wandb").init(
         project=os.environ.get("WANDB_PROJECT", "magical"),
         id=run.id,
         name=run.name,
