@@ -4,6 +4,7 @@ In each state the demonstrator stops, or moves one thing somewhere. Moves are pr
 exponentially by how much they take off the work that the goal leaves, less what a move costs.
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,10 +13,12 @@ from numpy.typing import NDArray
 from magical.scene import Poses, Scene
 from magical.scene.constants import WORKSPACE_HALF
 from magical.scene.poses import FIRST_BLOCK, ROBOT
-from magical.tasks.programs import Goal, Together
+from magical.tasks.programs import Each, Every, Goal, OneOf, Place, Together
 from magical.tasks.programs.goals import UNFINISHED
+from magical.tasks.scoring import positions
 
 RATIONALITY = 8.0  # nats for each unit of work
+SLIPS = 0.2  # probability in each state of a random move, or of stopping, without a reason
 MOVE_COST = 0.25  # units of work: less is not worth a move
 ALTERNATIVES = 32  # other moves that each state is compared with
 MARGIN = 0.12  # units from the walls to the places of other moves
@@ -36,19 +39,36 @@ class Episode:
         self.scene, self._count = scene, len(states)
         others = [_random_move(state, rng) for state in states for _ in range(ALTERNATIVES)]
         self.poses = [*states, *others]
+        self._points = [positions(scene, poses) for poses in self.poses]
         self._known: dict[Goal, Work] = {}
+        self._units: dict[Place, NDArray[np.float64]] = {}
 
     def work(self, goal: Goal) -> Work:
         """What each way to reach the goal leaves to be done in the episode's poses."""
         if isinstance(goal, Together):
             first, second = self.work(goal.first)[:, :, None], self.work(goal.second)[:, None]
             return np.where(second > 0.0, second, first).reshape(len(first), -1, first.shape[-1])
+        if isinstance(goal, Each | Every | OneOf):
+            return self._placed(goal)
         if goal not in self._known:
             ways = [work_of(goal, self.scene, poses) for poses in self.poses]
             most = max(map(len, ways))
-            padded = [np.pad(w, ((0, most - len(w)), (0, 0)), mode="edge") for w in ways]
-            self._known[goal] = np.stack(padded)
+            self._known[goal] = np.stack([w[np.arange(most).clip(max=len(w) - 1)] for w in ways])
         return self._known[goal]
+
+    def _placed(self, goal: Each | Every | OneOf) -> Work:
+        """`work` of goals that have a place: most goals, so each place is measured only once."""
+        place, chosen = goal.place, sorted(goal.selection.blocks(self.scene))
+        if place not in self._units:
+            blocks = range(len(self.scene.blocks))
+            units = [[place.remaining(self.scene, b, at) for b in blocks] for at in self._points]
+            self._units[place] = np.array(units)  # (P, N)
+        left = self._units[place][:, chosen]
+        left = np.where(left > 0.0, UNFINISHED + left, 0.0)
+        ways = range(len(chosen)) if isinstance(goal, OneOf) else 0
+        work = np.zeros((len(left), len(chosen) if ways else 1, len(self.scene.blocks) + 1))
+        work[:, ways, chosen] = left
+        return work
 
     def log_likelihood(self, goal: Goal) -> float:
         """Nats; a move's likelihood is a density relative to random moves."""
@@ -56,9 +76,15 @@ class Episode:
         if not np.isfinite(work).all():
             return -np.inf
         states, others = work[: self._count], work[self._count :].reshape(self._count, -1)
-        alternatives = RATIONALITY * (states[:, None] - others - MOVE_COST)
-        made = RATIONALITY * (states[:-1] - states[1:] - MOVE_COST)
-        return float(made.sum() - np.log1p(np.exp(alternatives).mean(axis=1)).sum())
+        alternatives = np.exp(RATIONALITY * (states[:, None] - others - MOVE_COST)).mean(axis=1)
+        made = np.exp(RATIONALITY * (states[:-1] - states[1:] - MOVE_COST))
+        rational = np.append(made, 1.0) / (1.0 + alternatives)
+        return float(np.log((1.0 - SLIPS) * rational + SLIPS / 2).sum())
+
+    @property
+    def log_likelihood_of_slips(self) -> float:
+        """Nats, of a demonstrator without a goal: in each state a random move or none."""
+        return self._count * math.log(0.5)
 
 
 def _random_move(poses: Poses, rng: np.random.Generator) -> Poses:

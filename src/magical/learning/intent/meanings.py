@@ -5,6 +5,7 @@ one goal for the likelihood, with all selections that it may have been written w
 """
 
 import math
+import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from itertools import combinations, product
@@ -12,6 +13,7 @@ from typing import Any, TypeVar, cast
 
 from magical.scene import Scene
 from magical.tasks.programs import (
+    AllBlocks,
     AllBut,
     And,
     Attribute,
@@ -29,9 +31,10 @@ from magical.tasks.programs import (
     Place,
     RobotInside,
     Selection,
+    Together,
     Undisturbed,
 )
-from magical.tasks.programs.prior import Prior, simple_expressions
+from magical.tasks.programs.prior import Form, Prior, bits_of_words, form_of, simple_expressions
 from magical.tasks.programs.selections import Blocks
 
 Named = tuple[Blocks, ...]  # the blocks that a selection names in each scene
@@ -72,11 +75,18 @@ class Meaning:
 
     Attributes:
         goal: the most probable one.
-        weight: the probability of all of them.
+        form: theirs.
+        share: the probability of their selections and words, given the form.
     """
 
     goal: Goal
-    weight: float
+    form: Form
+    share: float
+
+    def __and__(self, other: "Meaning") -> "Meaning":
+        """Both goals together."""
+        form = tuple(sorted(self.form + other.form))
+        return Meaning(Together(self.goal, other.goal), form, self.share * other.share)
 
 
 class Language:
@@ -85,11 +95,12 @@ class Language:
     def __init__(self, scenes: Sequence[Scene], prior: Prior) -> None:
         """Find all selections that name a block in each scene."""
         self.scenes, self.prior = scenes, prior
+        self._named: dict[Selection, Named] = {}
         found: dict[Named, dict[Selection, float]] = {}
-        for selection, weight in self._selections():
-            named = self.named_by(selection)
+        for selection, bits, named in self._selections():
             if all(named):
-                found.setdefault(named, {})[selection] = weight
+                self._named[selection] = named
+                found.setdefault(named, {})[selection] = 2.0**-bits
         self.alternatives: Mapping[Named, Alternatives] = {
             named: Alternatives(named, tuple(each), tuple(each.values()))
             for named, each in found.items()
@@ -99,55 +110,54 @@ class Language:
         """The blocks that a selection names in each scene."""
         return tuple(selection.blocks(scene) for scene in self.scenes)
 
-    def _selections(self) -> Iterator[tuple[Selection, float]]:
-        prior = self.prior
-        single = [s for s in simple_expressions(Selection) if isinstance(s, Selection)]
-        bits = {s: prior.bits(s) for s in single}
-        link = {kind: prior.choice(kind) for kind in (AllBut, And, Or)}
-        for selection in single:
-            yield selection, 2.0 ** -bits[selection]
-            yield AllBut(selection), 2.0 ** -(link[AllBut] + bits[selection])
-        known = [s for s in single if all(self.named_by(s))]
-        for a, b in combinations(known, 2):
-            for kind in (And, Or):
-                yield kind(a, b), 2.0 ** -(link[kind] + bits[a] + bits[b])
-        for a, b in product(known, repeat=2):
-            if a != b:
-                yield And(a, AllBut(b)), 2.0 ** -(link[And] + link[AllBut] + bits[a] + bits[b])
+    def _selections(self) -> Iterator[tuple[Selection, float, Named]]:
+        """Selections of at most two parts, their bits, and what they name."""
+        everything = self.named_by(AllBlocks())
+        single = [
+            (s, self.prior.bits_of_part(s), self.named_by(s))
+            for s in simple_expressions(Selection)
+            if isinstance(s, Selection)
+        ]
+        but = self.prior.choice(AllBut)
+        negated = [(AllBut(s), but + bits, _without(everything, named)) for s, bits, named in single]
+        yield from (*single, *negated)
+        known = [each for each in single if all(each[2])]
+        for (a, bits_a, in_a), (b, bits_b, in_b) in combinations(known, 2):
+            both = bits_a + bits_b
+            yield And(a, b), self.prior.choice(And) + both, _and(in_a, in_b)
+            yield Or(a, b), self.prior.choice(Or) + both, tuple(map(operator.or_, in_a, in_b))
+        for (a, bits_a, in_a), (b, bits_b, in_b) in product(known, negated):
+            if a != b.selection:
+                yield And(a, b), self.prior.choice(And) + bits_a + bits_b, _and(in_a, in_b)
 
     def meanings(self) -> Iterator[Meaning]:
         """Every goal of one part."""
         chosen = [(a.heaviest, sum(a.weights)) for a in self.alternatives.values()]
         places: list[tuple[Place, float]] = [
-            (place, 2.0 ** -self.prior.bits(place))
+            (place, 2.0 ** -bits_of_words(place))
             for place in simple_expressions(Place)
             if isinstance(place, Place)
         ]
-        beside = 2.0 ** -self.prior.choice(Beside)
-        places += [(Beside(selection), beside * weight) for selection, weight in chosen]
+        places += [(Beside(selection), share) for selection, share in chosen]
         for kind in (Each, Every, OneOf):
-            choice = 2.0 ** -self.prior.choice(kind)
-            for (selection, weight), (place, place_weight) in product(chosen, places):
-                yield Meaning(kind(selection, place), choice * weight * place_weight)
+            for (selection, share), (place, of_place) in product(chosen, places):
+                form = ((kind.__name__, type(place).__name__),)
+                yield Meaning(kind(selection, place), form, share * of_place)
         for simple in (Exactly, Only, Undisturbed, Lined):
-            choice = 2.0 ** -self.prior.choice(simple)
-            yield from (Meaning(simple(selection), choice * weight) for selection, weight in chosen)
+            yield from (Meaning(simple(s), ((simple.__name__,),), share) for s, share in chosen)
         several = all(len(scene.blocks) > 1 for scene in self.scenes)
         for goal in (*(map(Clustered, Attribute) if several else ()), RobotInside()):
-            yield Meaning(goal, 2.0 ** -self.prior.bits(goal))
+            yield Meaning(goal, form_of(goal), 2.0 ** -bits_of_words(goal))
 
-    def literal(self, goal: Goal) -> list[Goal]:
-        """The goal in each scene, with the blocks that its selections name there."""
-        return [
-            replace_selections(goal, lambda s, k=k: Chosen(self.named_by(s)[k]))  # type: ignore[misc]
-            for k in range(len(self.scenes))
-        ]
+    def literal(self, goal: Goal, number: int) -> Goal:
+        """The goal in one of the scenes, with the blocks that its selections name there."""
+        return replace_selections(goal, lambda s: Chosen(self._named[s][number]))
 
     def wordings(self, goal: Goal, most: int) -> Iterator[tuple[Goal, float]]:
         """Goals of the same meaning and their shares, with the `most` probable of selections."""
         choices = []
         for selection in outer_selections(goal):
-            among = self.alternatives[self.named_by(selection)]
+            among = self.alternatives[self._named[selection]]
             pairs = zip(among.weights, among.selections, strict=True)
             order = sorted(pairs, key=lambda pair: -pair[0])[:most]
             choices.append([(chosen, weight / sum(among.weights)) for weight, chosen in order])
@@ -155,6 +165,14 @@ class Language:
             parts = iter([selection for selection, _ in chosen])
             rewritten = replace_selections(goal, lambda _, parts=parts: next(parts))
             yield rewritten, math.prod(share for _, share in chosen)
+
+
+def _and(a: Named, b: Named) -> Named:
+    return tuple(map(operator.and_, a, b))
+
+
+def _without(a: Named, b: Named) -> Named:
+    return tuple(map(operator.sub, a, b))
 
 
 def outer_selections(expression: Expression) -> Iterator[Selection]:

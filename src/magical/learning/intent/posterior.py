@@ -4,21 +4,27 @@ Goals of one part are all weighed, then the best of them together with each othe
 posterior probability. At first only one demonstration is looked at, then all for the best goals.
 """
 
+import functools
 import math
-from collections.abc import Callable, Iterable, Sequence
+import operator
+import os
+from collections.abc import Iterable, Sequence
 from itertools import combinations, product
 from typing import NamedTuple
 
 from magical.learning.intent.demonstrator import Episode
 from magical.learning.intent.meanings import Language, Meaning
-from magical.tasks.programs import Goal, Together
+from magical.tasks.programs import Goal
 from magical.tasks.programs.prior import Prior
 
-FIRST_PASS = 200  # meanings of the first demonstration that are held against all
+EVIDENCE = {'1': lambda n: 1.0, '2': lambda n: min(n,2.0), 'sqrt': math.sqrt, 'n': float}[os.environ.get('EV','sqrt')]
+FIRST_PASS = 400  # meanings of the first demonstration that are held against all
 BEAM = 24  # meanings that are combined with each other
+PARTS = 8  # meanings for each goal of a known form of several goals together
 WORDINGS = 6  # selections of the same blocks that are told apart
-LEAST_EVIDENCE = 1.0  # nats a demonstration: below, no program explains them
+NO_PROGRAM = 20.0  # bits: prior of there being no program
 LEAST_WEIGHT = 0.5  # of the most probable meaning: below, it is not known which
+LEAST_SHARE = 1e-3  # of the most probable meaning's weight: less is left out
 
 Scored = list[tuple[float, Meaning]]  # logarithm of the posterior probability, unnormalised
 
@@ -35,18 +41,18 @@ class Belief(NamedTuple):
 
     Attributes:
         explanations: the most probable first.
-        evidence: nats by which the best program explains a demonstration better than random moves.
+        unexplained: the probability that there is no program.
         largest: the probability of the most probable meaning, however it is written.
     """
 
     explanations: Sequence[Explanation]
-    evidence: float
+    unexplained: float
     largest: float
 
     @property
     def is_explained(self) -> bool:
         """Whether any program explains the demonstrations."""
-        return self.evidence >= LEAST_EVIDENCE
+        return self.unexplained < LEAST_WEIGHT
 
     @property
     def is_known(self) -> bool:
@@ -56,49 +62,61 @@ class Belief(NamedTuple):
 
 def infer(episodes: Sequence[Episode], prior: Prior) -> Belief:
     """The posterior of the programs that demonstrations have in common."""
-    language = Language([episode.scene for episode in episodes], prior)
-    total = len(episodes)
-
-    def likelihood(goal: Goal, count: int) -> float:
-        """The mean over the first demonstrations."""
-        pairs = zip(language.literal(goal), episodes[:count], strict=False)
-        return sum(episode.log_likelihood(each) for each, episode in pairs) / count
-
-    def score(meanings: Iterable[Meaning], count: int) -> Scored:
-        """The best first, as if all demonstrations were like the first `count`."""
-        found = [(math.log(m.weight) + total * likelihood(m.goal, count), m) for m in meanings]
-        return sorted(found, key=lambda pair: -pair[0])
-
-    found = _in_two_passes(score, language.meanings(), total)
-    link = 2.0 ** -prior.choice(Together)
-    single = [meaning for _, meaning in found[:BEAM]]
-    pairs = [_together(a, b, 2 * link) for a, b in combinations(single, 2)]
-    two = _in_two_passes(score, pairs, total)
-    three = [
-        _together(a, b, 2 * link) for (_, a), b in product(two[: BEAM // 4], single[: BEAM // 2])
-    ]
-    found = sorted(found + two + _in_two_passes(score, three, total), key=lambda pair: -pair[0])
-    weights = [math.exp(value - found[0][0]) for value, _ in found]
+    search = _Search(episodes, prior)
+    found = search.run()
+    nothing = -NO_PROGRAM * math.log(2.0) + search.evidence * sum(
+        episode.log_likelihood_of_slips for episode in episodes
+    ) / len(episodes)
+    highest = max(found[0][0], nothing)
+    weights = [math.exp(value - highest) for value, _ in found]
+    total = sum(weights) + math.exp(nothing - highest)
     explanations = [
-        Explanation(program, weight / sum(weights) * share)
+        Explanation(program, weight / total * share)
         for weight, (_, meaning) in zip(weights, found, strict=True)
-        if weight > weights[0] * 1e-3
-        for program, share in language.wordings(meaning.goal, WORDINGS)
+        if weight > weights[0] * LEAST_SHARE
+        for program, share in search.language.wordings(meaning.goal, WORDINGS)
     ]
     return Belief(
         sorted(explanations, key=lambda each: -each.weight),
-        max(value - math.log(meaning.weight) for value, meaning in found) / total,
-        weights[0] / sum(weights),
+        math.exp(nothing - highest) / total,
+        weights[0] / total,
     )
 
 
-def _together(a: Meaning, b: Meaning, weight: float) -> Meaning:
-    """Both, in either order."""
-    return Meaning(Together(a.goal, b.goal), weight * a.weight * b.weight)
+class _Search:
+    """For the most probable meanings."""
 
+    def __init__(self, episodes: Sequence[Episode], prior: Prior) -> None:
+        self.language = Language([episode.scene for episode in episodes], prior)
+        self.evidence = EVIDENCE(len(episodes))
+        self._episodes, self._prior = episodes, prior
 
-def _in_two_passes(
-    score: Callable[[Iterable[Meaning], int], Scored], meanings: Iterable[Meaning], total: int
-) -> Scored:
-    first = score(meanings, 1)[:FIRST_PASS]
-    return score((meaning for _, meaning in first), total) if total > 1 else first
+    def run(self) -> Scored:
+        """The best first: goals of one part, and those of them that hold together."""
+        first = self._score(self.language.meanings(), 1)
+        single = self._score_again(first)
+        several = [a & b for (_, a), (_, b) in combinations(single[:BEAM], 2)]
+        for form in self._prior.forms:
+            if len(form) > 1:
+                parts = [[m for _, m in first if m.form == (goal,)][:PARTS] for goal in form]
+                several += [functools.reduce(operator.and_, each) for each in product(*parts)]
+        return sorted(
+            single + self._score_again(self._score(several, 1)), key=lambda pair: -pair[0]
+        )
+
+    def _score_again(self, scored: Scored) -> Scored:
+        """The best of those that were held against the first demonstration, against all."""
+        return self._score((meaning for _, meaning in scored[:FIRST_PASS]), len(self._episodes))
+
+    def _score(self, meanings: Iterable[Meaning], count: int) -> Scored:
+        """The best first, as if all demonstrations were like the first `count`."""
+        found = [(self._prior_of(m) + self._likelihood(m.goal, count), m) for m in meanings]
+        return sorted(found, key=lambda pair: -pair[0])
+
+    def _prior_of(self, meaning: Meaning) -> float:
+        bits = self._prior.bits_of_form(meaning.form)
+        return math.log(meaning.share) - bits * math.log(2.0)
+
+    def _likelihood(self, goal: Goal, count: int) -> float:
+        literal = (self.language.literal(goal, number) for number in range(count))
+        return self.evidence * sum(map(Episode.log_likelihood, self._episodes, literal)) / count
