@@ -15,12 +15,14 @@ learning with logical program policies", AAAI 2020. There are no published setti
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from magical.errors import RunFolderError
 from magical.evaluation.policy import Actions, Mask
 from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.object_bc import (
@@ -32,7 +34,7 @@ from magical.learning.algorithms.object_bc import (
 )
 from magical.learning.data.expert_data import TaskTrajectories, load_demonstrations
 from magical.learning.intent.acting import Intention
-from magical.learning.intent.posterior import Belief, infer
+from magical.learning.intent.posterior import Belief, Explanation, infer
 from magical.learning.intent.scenes import parsed_episode, parsed_poses, parsed_scene
 from magical.learning.objects.data import ObjectData, parse_trajectory
 from magical.learning.objects.hindsight import track
@@ -40,6 +42,7 @@ from magical.learning.objects.parser import ParsedFrames, parse_frames
 from magical.learning.objects.table import ObjectTable, to_tensor
 from magical.learning.policy import TrainedPolicy, choose_actions, to_inputs
 from magical.learning.running.devices import choose_device
+from magical.learning.running.loading import load_policy
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import option
@@ -51,7 +54,6 @@ from magical.tasks.programs.prior import Prior
 from magical.tasks.programs.suite import TRAINING, task_name
 
 MAX_BYTES = 1 << 16  # of a task's programs as text
-LEAST_EVIDENCE = 2.0  # nats for each demonstration, below which no program explains them
 UNIFORM, SUITE = "uniform", "suite"
 
 
@@ -80,17 +82,17 @@ class ProgramNetwork(ObjectPolicy):
 
     def believe(self, task: int, belief: Belief) -> None:
         """Keep what is believed of a task."""
-        rows = [[repr(program), weight] for program, weight in zip(*belief[:2], strict=True)]
-        text = json.dumps({"programs": rows, "evidence": belief.evidence}).encode()
+        programs = [[repr(program), weight] for program, weight in belief.explanations]
+        text = json.dumps([programs, belief.unexplained, belief.largest]).encode()
         assert len(text) <= MAX_BYTES
         self.beliefs[task] = 0
         self.beliefs[task, : len(text)] = torch.frombuffer(bytearray(text), dtype=torch.uint8)
 
     def belief(self, task: int) -> Belief:
         """What is believed of a task."""
-        found = json.loads(bytes(self.beliefs[task].cpu().numpy()).rstrip(b"\0"))
-        programs, weights = zip(*found["programs"], strict=True)
-        return Belief([parse(program) for program in programs], weights, found["evidence"])
+        text = bytes(self.beliefs[task].cpu().numpy()).rstrip(b"\0")
+        programs, unexplained, largest = json.loads(text)
+        return Belief([Explanation(parse(p), weight) for p, weight in programs], unexplained, largest)
 
 
 class ProgramPolicy(TrainedPolicy):
@@ -137,10 +139,8 @@ class ProgramPolicy(TrainedPolicy):
         for row, intention in enumerate(self._intentions):
             now = ParsedFrames(*(column[row] for column in parsed))
             if intention is None:
-                belief = self._beliefs[tasks[row]]
                 scene = parsed_scene(parsed, row)
-                known = belief if belief.evidence > LEAST_EVIDENCE else Belief([], [], 0.0)
-                self._intentions[row] = Intention(known, scene)
+                self._intentions[row] = Intention(self._beliefs[tasks[row]], scene)
             else:
                 pair = (np.stack(both) for both in zip(self._before(row), now, strict=True))
                 now = ParsedFrames(*(column[1] for column in track(ParsedFrames(*pair))))
@@ -179,7 +179,22 @@ def believe(
             for name, trajectory in demonstrations
             if name == task
         ]
-        policy.believe(number, infer(episodes, prior, rng))
+        policy.believe(number, infer(episodes, prior))
+
+
+def beliefs_of(run: Path) -> dict[str, Belief]:
+    """What the policy of a run folder believes of each of its tasks.
+
+    Raises:
+        RunFolderError: not a run of this algorithm.
+        CheckpointError: no checkpoint yet, or a damaged one.
+    """
+    policy = load_policy(run, device="cpu")
+    if not isinstance(policy, ProgramPolicy):
+        raise RunFolderError(
+            f"{run}: expected a run of program-bc, found one of {policy.config.algorithm}"
+        )
+    return {task: policy.network.belief(k) for k, task in enumerate(policy.tasks)}
 
 
 def make_policy(config: ProgramBCConfig) -> ProgramNetwork:

@@ -1,7 +1,8 @@
 """What to move, and where to, by a belief about the goal.
 
-Each program of the belief is a goal in the present scene. A block is moved if enough of the belief
-wants it moved, to the place that leaves least work on average.
+Each program of the belief is a goal in the present scene. The next move is the one that takes most
+off the work that is expected under all of them, as the demonstrator's was; if none takes off more
+than a move costs, there is nothing left to do.
 """
 
 import math
@@ -9,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from magical.learning.intent.demonstrator import work_of
+from magical.learning.intent.demonstrator import MOVE_COST, Floats, States
 from magical.learning.intent.meanings import Chosen, replace_selections
 from magical.learning.intent.posterior import Belief
 from magical.learning.objects.hindsight import ROBOT_TARGET
@@ -19,20 +20,21 @@ from magical.scene.geometry import Point, to_workspace
 from magical.scene.poses import FIRST_BLOCK, ROBOT
 from magical.tasks.programs import Goal, Selection, problem
 
-SURE = 0.8  # probability that nothing is left to do, at which to stop
-WANTED = 0.5  # of the most wanted block's probability: what others need to be chosen for nearness
-NEARNESS = 0.2  # units of work for each unit from block to place: breaks ties
+GOALS = 12  # the most probable ones that are acted on
+LIKELY = 0.1  # probability that a thing must move: less is not considered
+SATISFIED = 0.5  # of that probability at the decision: less, and the next one is made
+NEARNESS = 0.2  # units of work for each unit from gripper to thing, and on to its place: breaks ties
 CLEARANCE = 0.24  # units between blocks' centres: nearer ones would touch
 CROWDED = 1.0  # units of work that such a place costs
-CELLS, BORDER = 16, 0.9  # of the grid of places; units
+CELLS, BORDER = 14, 0.9  # of the grid of places; units
 _AXIS = (np.arange(CELLS) + 0.5) * 2 * BORDER / CELLS - BORDER
-PLACES = [(x, y) for x in _AXIS.tolist() for y in _AXIS.tolist()]
+PLACES = np.stack(np.meshgrid(_AXIS, _AXIS, indexing="ij"), axis=-1).reshape(-1, 2)
 
 Decision = tuple[int, Point] | None  # a block or `ROBOT_TARGET`, and its place; None: stop
 
 
 class Intention:
-    """The belief in one episode, and what it is presently acting on."""
+    """The belief in one episode, and the move that is presently made."""
 
     def __init__(self, belief: Belief, scene: Scene) -> None:
         """Find the goals that the belief's programs are in the scene.
@@ -41,70 +43,76 @@ class Intention:
         """
         self.scene = scene
         goals: dict[Goal, float] = {}
-        for program, weight in zip(belief.programs, belief.weights, strict=True):
-            goal = replace_selections(program, self._chosen)
+        for program, weight in belief.explanations if belief.is_explained else ():
+            goal = replace_selections(program, lambda s: Chosen(s.blocks(scene)))
             goals[goal] = goals.get(goal, 0.0) + weight
-        possible = {goal: weight for goal, weight in goals.items() if not problem(goal, scene)}
-        total = sum(possible.values())
-        self.goals = [(goal, weight / total) for goal, weight in possible.items()]
+        possible = [each for each in goals.items() if not problem(each[0], scene)]
+        likely = sorted(possible, key=lambda each: -each[1])[:GOALS]
+        total = sum(weight for _, weight in likely)
+        self.goals = [(goal, weight / total) for goal, weight in likely]
         self._decision: Decision = None
-
-    def _chosen(self, selection: Selection) -> Chosen:
-        return Chosen(selection.blocks(self.scene))
+        self._wanted = 0.0
 
     @property
     def is_known(self) -> bool:
         """Whether any program fits the scene."""
         return bool(self.goals)
 
-    def wanted(self, poses: Poses) -> dict[int, float]:
+    def decide(self, poses: Poses) -> Decision:
+        """What to move now; the same as before until enough of the belief is content with it."""
+        wanted = self.probabilities(poses)
+        last = self._decision
+        if last is None or wanted.get(last[0], 0.0) < SATISFIED * self._wanted:
+            self._decision = self._choose([thing for thing, p in wanted.items() if p > LIKELY], poses)
+            self._wanted = wanted[self._decision[0]] if self._decision else 0.0
+        return self._decision
+
+    def probabilities(self, poses: Poses) -> dict[int, float]:
         """How probable it is that each block, or the robot, has still to move."""
+        states = States(self.scene, [poses])
         found: dict[int, float] = {}
         for goal, weight in self.goals:
-            for block in goal.remaining(self.scene, poses):
-                number = ROBOT_TARGET if block is None else block
+            for thing in np.flatnonzero(states.best_way(goal)[0]).tolist():
+                number = thing if thing < len(self.scene.blocks) else ROBOT_TARGET
                 found[number] = found.get(number, 0.0) + weight
         return found
 
-    def decide(self, poses: Poses) -> Decision:
-        """What to move now; the same block as before while it is wanted."""
-        done = sum(w for goal, w in self.goals if not goal.remaining(self.scene, poses))
-        wanted = self.wanted(poses)
-        if done > SURE or not wanted:
-            self._decision = None
-        elif self._decision is None or wanted.get(self._decision[0], 0.0) < WANTED / 2:
-            target = self._choose(wanted, poses)
-            self._decision = target, self._place(target, poses)
-        return self._decision
+    def _choose(self, things: Sequence[int], poses: Poses) -> Decision:
+        """The thing and the place with the highest gain, or neither if there is none."""
+        now = float(self._expected_work([poses])[0])
+        best, choice = MOVE_COST, None
+        for thing in things:
+            costs = self.costs(thing, poses)
+            place = int(np.argmin(_smooth(costs)))
+            if now - costs[place] > best:
+                best, choice = now - float(costs[place]), (thing, PLACES[place])
+        return (choice[0], (float(choice[1][0]), float(choice[1][1]))) if choice else None
 
-    def _choose(self, wanted: dict[int, float], poses: Poses) -> int:
-        """The nearest of the blocks that are wanted most."""
-        grip = to_workspace((0.0, GRIP), poses.robot)
-        among = [b for b, p in wanted.items() if p >= WANTED * max(wanted.values())]
-        return min(among, key=lambda b: 0.0 if b < 0 else math.dist(poses.blocks[b, :2], grip))
+    def costs(self, thing: int, poses: Poses) -> Floats:
+        """Expected work if the thing lay at each of the places, and what makes places worse."""
+        row = ROBOT if thing == ROBOT_TARGET else FIRST_BLOCK + thing
+        bodies = np.repeat(poses.bodies[None], len(PLACES), axis=0)
+        bodies[:, row, :2] = PLACES
+        start = poses.bodies[row, :2]
+        way = np.linalg.norm(PLACES - start, axis=1)
+        if row != ROBOT:
+            way += math.dist(to_workspace((0.0, GRIP), poses.robot), start)
+        costs = self._expected_work([Poses(each) for each in bodies]) + NEARNESS * way
+        if row != ROBOT:
+            others = np.delete(poses.blocks[:, :2], thing, axis=0)
+            gaps = np.linalg.norm(PLACES[:, None] - others, axis=2)
+            costs += CROWDED * (gaps < CLEARANCE).any(axis=1)
+        return costs
 
-    def _place(self, target: int, poses: Poses) -> Point:
-        """The centre of the best cell, judged with the cells around it."""
-        row = ROBOT if target == ROBOT_TARGET else FIRST_BLOCK + target
-        about = [(g, w) for g, w in self.goals if _moves(g, self.scene, poses, target)]
-        costs = np.array([self._cost(about, poses, row, place) for place in PLACES])
-        grid = np.pad(costs.reshape(CELLS, CELLS), 1, mode="edge")
-        size = CELLS
-        around = sum(grid[i : i + size, j : j + size] for i in range(3) for j in range(3)) / 9
-        return PLACES[int(np.argmin(around))]
-
-    def _cost(
-        self, goals: Sequence[tuple[Goal, float]], poses: Poses, row: int, place: Point
-    ) -> float:
-        bodies = poses.bodies.copy()
-        start = bodies[row, :2].copy()
-        bodies[row, :2] = place
-        moved = Poses(bodies)
-        others = np.delete(bodies[FIRST_BLOCK:, :2], row - FIRST_BLOCK, axis=0) if row else []
-        crowded = any(math.dist(place, other) < CLEARANCE for other in others)
-        work = sum(weight * work_of(goal, self.scene, moved).sum() for goal, weight in goals)
-        return float(work + CROWDED * crowded + NEARNESS * math.dist(start, place))
+    def _expected_work(self, poses: Sequence[Poses]) -> Floats:
+        states = States(self.scene, poses)
+        expected: Floats = sum(weight * states.work(goal) for goal, weight in self.goals)
+        return expected
 
 
-def _moves(goal: Goal, scene: Scene, poses: Poses, target: int) -> bool:
-    return (None if target == ROBOT_TARGET else target) in goal.remaining(scene, poses)
+def _smooth(costs: Floats) -> Floats:
+    """The mean over each cell and those around it: places are not reached exactly."""
+    grid = np.pad(costs.reshape(CELLS, CELLS), 1, mode="edge")
+    around = [grid[i : i + CELLS, j : j + CELLS] for i in range(3) for j in range(3)]
+    smooth: Floats = np.mean(around, axis=0).ravel()
+    return smooth

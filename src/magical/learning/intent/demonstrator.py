@@ -1,7 +1,8 @@
 """How likely demonstrations are under a goal, for a softly rational demonstrator.
 
 In each state the demonstrator stops, or moves one thing somewhere. Moves are preferred
-exponentially by how much they take off the work that the goal leaves, less what a move costs.
+exponentially by how much they take off the work that the goal leaves, less what a move costs. Now
+and then the demonstrator slips: moves anything anywhere, or stops.
 """
 
 import math
@@ -18,46 +19,53 @@ from magical.tasks.programs.goals import UNFINISHED
 from magical.tasks.scoring import positions
 
 RATIONALITY = 8.0  # nats for each unit of work
-SLIPS = 0.2  # probability in each state of a random move, or of stopping, without a reason
+SLIPS = 0.2  # probability of a slip in each state
 MOVE_COST = 0.25  # units of work: less is not worth a move
 ALTERNATIVES = 32  # other moves that each state is compared with
 MARGIN = 0.12  # units from the walls to the places of other moves
 
-Work = NDArray[np.float64]  # (P, W, N + 1): of each block, last the robot, in W ways in P poses
+Floats = NDArray[np.float64]
 
 
-class Episode:
-    """A demonstration as states, from each of which a move led to the next.
+class States:
+    """States of an episode, and the work that goals leave in them.
 
     Attributes:
-        scene: what it started from.
-        poses: of each state, and then after random moves from each state.
+        scene: what the episode started from.
+        poses: of P states.
     """
 
-    def __init__(self, scene: Scene, states: Sequence[Poses], rng: np.random.Generator) -> None:
-        """Create an episode whose demonstrator stopped in the last state."""
-        self.scene, self._count = scene, len(states)
-        others = [_random_move(state, rng) for state in states for _ in range(ALTERNATIVES)]
-        self.poses = [*states, *others]
-        self._points = [positions(scene, poses) for poses in self.poses]
-        self._known: dict[Goal, Work] = {}
-        self._units: dict[Place, NDArray[np.float64]] = {}
+    def __init__(self, scene: Scene, poses: Sequence[Poses]) -> None:
+        """Create the states."""
+        self.scene, self.poses = scene, poses
+        self._points = [positions(scene, each) for each in poses]
+        self._known: dict[Goal, Floats] = {}
+        self._units: dict[Place, Floats] = {}
 
-    def work(self, goal: Goal) -> Work:
-        """What each way to reach the goal leaves to be done in the episode's poses."""
+    def work(self, goal: Goal) -> Floats:
+        """Units of work that the best way to reach the goal leaves: (P,)."""
+        return self._ways(goal).sum(axis=2).min(axis=1)
+
+    def best_way(self, goal: Goal) -> Floats:
+        """What that way leaves to be done for each block, and last for the robot: (P, N + 1)."""
+        ways = self._ways(goal)
+        return ways[np.arange(len(ways)), ways.sum(axis=2).argmin(axis=1)]
+
+    def _ways(self, goal: Goal) -> Floats:
+        """The same of each of W ways: (P, W, N + 1), with what beginning costs for each thing."""
         if isinstance(goal, Together):
-            first, second = self.work(goal.first)[:, :, None], self.work(goal.second)[:, None]
+            first, second = self._ways(goal.first)[:, :, None], self._ways(goal.second)[:, None]
             return np.where(second > 0.0, second, first).reshape(len(first), -1, first.shape[-1])
         if isinstance(goal, Each | Every | OneOf):
             return self._placed(goal)
         if goal not in self._known:
-            ways = [work_of(goal, self.scene, poses) for poses in self.poses]
+            ways = [_as_array(goal, self.scene, poses) for poses in self.poses]
             most = max(map(len, ways))
             self._known[goal] = np.stack([w[np.arange(most).clip(max=len(w) - 1)] for w in ways])
         return self._known[goal]
 
-    def _placed(self, goal: Each | Every | OneOf) -> Work:
-        """`work` of goals that have a place: most goals, so each place is measured only once."""
+    def _placed(self, goal: Each | Every | OneOf) -> Floats:
+        """`_ways` of goals that have a place: most goals, so each place is measured only once."""
         place, chosen = goal.place, sorted(goal.selection.blocks(self.scene))
         if place not in self._units:
             blocks = range(len(self.scene.blocks))
@@ -70,9 +78,23 @@ class Episode:
         work[:, ways, chosen] = left
         return work
 
+
+class Episode:
+    """A demonstration as states, from each of which a move led to the next.
+
+    Attributes:
+        scene: what it started from.
+    """
+
+    def __init__(self, scene: Scene, states: Sequence[Poses], rng: np.random.Generator) -> None:
+        """Create an episode whose demonstrator stopped in the last state."""
+        self.scene, self._count = scene, len(states)
+        others = [_random_move(state, rng) for state in states for _ in range(ALTERNATIVES)]
+        self._states = States(scene, [*states, *others])
+
     def log_likelihood(self, goal: Goal) -> float:
         """Nats; a move's likelihood is a density relative to random moves."""
-        work = self.work(goal).sum(axis=2).min(axis=1)
+        work = self._states.work(goal)
         if not np.isfinite(work).all():
             return -np.inf
         states, others = work[: self._count], work[self._count :].reshape(self._count, -1)
@@ -96,8 +118,8 @@ def _random_move(poses: Poses, rng: np.random.Generator) -> Poses:
     return Poses(bodies)
 
 
-def work_of(goal: Goal, scene: Scene, poses: Poses) -> NDArray[np.float64]:
-    """Units that each thing, last the robot, has to go, and what beginning costs: (W, N + 1)."""
+def _as_array(goal: Goal, scene: Scene, poses: Poses) -> Floats:
+    """The ways to reach the goal, (W, N + 1)."""
     ways = goal.ways(scene, poses)
     work = np.zeros((len(ways), len(scene.blocks) + 1))
     for row, remaining in zip(work, ways, strict=True):

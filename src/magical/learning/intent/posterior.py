@@ -7,7 +7,6 @@ posterior probability. At first only one demonstration is looked at, then all fo
 import functools
 import math
 import operator
-import os
 from collections.abc import Iterable, Sequence
 from itertools import combinations, product
 from typing import NamedTuple
@@ -17,10 +16,10 @@ from magical.learning.intent.meanings import Language, Meaning
 from magical.tasks.programs import Goal
 from magical.tasks.programs.prior import Prior
 
-EVIDENCE = {'1': lambda n: 1.0, '2': lambda n: min(n,2.0), 'sqrt': math.sqrt, 'n': float}[os.environ.get('EV','sqrt')]
 FIRST_PASS = 400  # meanings of the first demonstration that are held against all
 BEAM = 24  # meanings that are combined with each other
 PARTS = 8  # meanings for each goal of a known form of several goals together
+MOST = 100  # explanations that are kept
 WORDINGS = 6  # selections of the same blocks that are told apart
 NO_PROGRAM = 20.0  # bits: prior of there being no program
 LEAST_WEIGHT = 0.5  # of the most probable meaning: below, it is not known which
@@ -59,6 +58,14 @@ class Belief(NamedTuple):
         """Whether it is known, too, what the programs mean in the demonstrated scenes."""
         return self.is_explained and self.largest >= LEAST_WEIGHT
 
+    @property
+    def verdict(self) -> str:
+        """The same in a sentence."""
+        if not self.is_explained:
+            return f"no program explains the demonstrations (probability {self.unexplained:.2f})"
+        known = "known" if self.is_known else "not known"
+        return f"{known}: the most probable meaning in Demo has probability {self.largest:.2f}"
+
 
 def infer(episodes: Sequence[Episode], prior: Prior) -> Belief:
     """The posterior of the programs that demonstrations have in common."""
@@ -77,7 +84,7 @@ def infer(episodes: Sequence[Episode], prior: Prior) -> Belief:
         for program, share in search.language.wordings(meaning.goal, WORDINGS)
     ]
     return Belief(
-        sorted(explanations, key=lambda each: -each.weight),
+        sorted(explanations, key=lambda each: -each.weight)[:MOST],
         math.exp(nothing - highest) / total,
         weights[0] / total,
     )
@@ -88,7 +95,7 @@ class _Search:
 
     def __init__(self, episodes: Sequence[Episode], prior: Prior) -> None:
         self.language = Language([episode.scene for episode in episodes], prior)
-        self.evidence = EVIDENCE(len(episodes))
+        self.evidence = math.sqrt(len(episodes))  # their demonstrator's habits are the same
         self._episodes, self._prior = episodes, prior
 
     def run(self) -> Scored:
