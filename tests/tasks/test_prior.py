@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from magical.tasks import TASKS
 from magical.tasks.programs import VOCABULARY, Place, Selection, parse
 from magical.tasks.programs.prior import Prior, simple_expressions
 
@@ -19,10 +20,27 @@ def test_every_choice_is_uniform_without_programs() -> None:
 
 
 def test_what_programs_have_often_is_more_probable() -> None:
-    prior = Prior.of([parse("Exactly(WithColour('red'))")] * 3)
     red, star = parse("Exactly(WithColour('red'))"), parse("Exactly(WithShape('star'))")
+    prior = Prior.of([red] * 3)
     assert prior.bits(red) < Prior().bits(red)
     assert prior.bits(star) - prior.bits(red) == pytest.approx(2.0)  # one of four, and none
+
+
+def test_the_form_of_programs_that_were_seen_is_more_probable() -> None:
+    out, stay = "Every(Mismatched(), OutOfRegions())", "Undisturbed(Matched())"
+    seen = parse(f"Together({out}, {stay})")
+    swapped, new = parse(f"Together({stay}, {out})"), parse(f"Together({out}, Only(Matched()))")
+    prior = Prior.of([seen] * 3)
+    assert prior.bits(seen) == pytest.approx(prior.bits(swapped))
+    assert Prior(prior.counts).bits(seen) - prior.bits(seen) > 5.0
+    assert prior.bits(new) > Prior(prior.counts).bits(new)  # what was seen leaves less for it
+
+
+def test_probabilities_of_forms_sum_to_one_at_most() -> None:
+    programs = [TASKS[name].program for name in TASKS]
+    prior = Prior.of([each for each in programs if each is not None])
+    forms = {*prior.forms, *((goal,) for form in prior.forms for goal in form)}
+    assert sum(2.0 ** -prior.bits_of_form(form) for form in forms) <= 1.0
 
 
 def test_simple_expressions_have_every_word() -> None:

@@ -20,7 +20,7 @@ HELP = "print which programs explain a run's demonstrations"
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
-    parser.add_argument("folder", type=Path, metavar="RUN", help="the folder of a run of program-bc")
+    parser.add_argument("folder", type=Path, metavar="RUN", help="a run folder of program-bc")
     add_count(parser, "--top", "programs to print of each task", default=5)
     parser.add_argument(
         "--picture",

@@ -92,7 +92,8 @@ class ProgramNetwork(ObjectPolicy):
         """What is believed of a task."""
         text = bytes(self.beliefs[task].cpu().numpy()).rstrip(b"\0")
         programs, unexplained, largest = json.loads(text)
-        return Belief([Explanation(parse(p), weight) for p, weight in programs], unexplained, largest)
+        explanations = [Explanation(parse(program), weight) for program, weight in programs]
+        return Belief(explanations, unexplained, largest)
 
 
 class ProgramPolicy(TrainedPolicy):

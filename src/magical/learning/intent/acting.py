@@ -18,12 +18,15 @@ from magical.learning.objects.table import GRIP
 from magical.scene import Poses, Scene
 from magical.scene.geometry import Point, to_workspace
 from magical.scene.poses import FIRST_BLOCK, ROBOT
-from magical.tasks.programs import Goal, Selection, problem
+from magical.tasks.programs import Goal, problem
 
 GOALS = 12  # the most probable ones that are acted on
 LIKELY = 0.1  # probability that a thing must move: less is not considered
 SATISFIED = 0.5  # of that probability at the decision: less, and the next one is made
-NEARNESS = 0.2  # units of work for each unit from gripper to thing, and on to its place: breaks ties
+AT_PLACE = 0.06  # units: nearer to its place, a move is finished
+NEARNESS = (
+    0.2  # units of work for each unit from gripper to thing, and on to its place: breaks ties
+)
 CLEARANCE = 0.24  # units between blocks' centres: nearer ones would touch
 CROWDED = 1.0  # units of work that such a place costs
 CELLS, BORDER = 14, 0.9  # of the grid of places; units
@@ -61,11 +64,19 @@ class Intention:
     def decide(self, poses: Poses) -> Decision:
         """What to move now; the same as before until enough of the belief is content with it."""
         wanted = self.probabilities(poses)
-        last = self._decision
-        if last is None or wanted.get(last[0], 0.0) < SATISFIED * self._wanted:
-            self._decision = self._choose([thing for thing, p in wanted.items() if p > LIKELY], poses)
+        if not self._is_under_way(poses, wanted):
+            likely = [thing for thing, probability in wanted.items() if probability > LIKELY]
+            self._decision = self._choose(likely, poses)
             self._wanted = wanted[self._decision[0]] if self._decision else 0.0
         return self._decision
+
+    def _is_under_way(self, poses: Poses, wanted: dict[int, float]) -> bool:
+        """Whether the move that was decided on is still to be finished."""
+        if self._decision is None:
+            return False
+        thing, place = self._decision
+        arrived = math.dist(poses.bodies[_row(thing), :2], place) < AT_PLACE
+        return not arrived and wanted.get(thing, 0.0) >= SATISFIED * self._wanted
 
     def probabilities(self, poses: Poses) -> dict[int, float]:
         """How probable it is that each block, or the robot, has still to move."""
@@ -78,36 +89,51 @@ class Intention:
         return found
 
     def _choose(self, things: Sequence[int], poses: Poses) -> Decision:
-        """The thing and the place with the highest gain, or neither if there is none."""
+        """The thing and the place with the highest gain, or neither if none is worth a move."""
         now = float(self._expected_work([poses])[0])
-        best, choice = MOVE_COST, None
+        best, choice = -math.inf, None
         for thing in things:
-            costs = self.costs(thing, poses)
-            place = int(np.argmin(_smooth(costs)))
-            if now - costs[place] > best:
-                best, choice = now - float(costs[place]), (thing, PLACES[place])
-        return (choice[0], (float(choice[1][0]), float(choice[1][1]))) if choice else None
+            work = self.work_at_places(thing, poses)
+            ways = NEARNESS * _ways(thing, poses)
+            place = int(np.argmin(work + _smooth(work) + ways))
+            gain = now - float(work[place])
+            if gain > MOVE_COST and gain - ways[place] > best:
+                best, choice = gain - ways[place], (thing, place)
+        if choice is None:
+            return None
+        x, y = PLACES[choice[1]].tolist()
+        return choice[0], (x, y)
 
-    def costs(self, thing: int, poses: Poses) -> Floats:
-        """Expected work if the thing lay at each of the places, and what makes places worse."""
-        row = ROBOT if thing == ROBOT_TARGET else FIRST_BLOCK + thing
+    def work_at_places(self, thing: int, poses: Poses) -> Floats:
+        """Expected work if the thing lay at each place; more if it touched a block there."""
+        row = _row(thing)
         bodies = np.repeat(poses.bodies[None], len(PLACES), axis=0)
         bodies[:, row, :2] = PLACES
-        start = poses.bodies[row, :2]
-        way = np.linalg.norm(PLACES - start, axis=1)
-        if row != ROBOT:
-            way += math.dist(to_workspace((0.0, GRIP), poses.robot), start)
-        costs = self._expected_work([Poses(each) for each in bodies]) + NEARNESS * way
+        work = self._expected_work([Poses(each) for each in bodies])
         if row != ROBOT:
             others = np.delete(poses.blocks[:, :2], thing, axis=0)
             gaps = np.linalg.norm(PLACES[:, None] - others, axis=2)
-            costs += CROWDED * (gaps < CLEARANCE).any(axis=1)
-        return costs
+            work += CROWDED * (gaps < CLEARANCE).any(axis=1)
+        return work
 
     def _expected_work(self, poses: Sequence[Poses]) -> Floats:
         states = States(self.scene, poses)
-        expected: Floats = sum(weight * states.work(goal) for goal, weight in self.goals)
+        weights = [weight for _, weight in self.goals]
+        expected: Floats = np.dot(weights, [states.work(goal) for goal, _ in self.goals])
         return expected
+
+
+def _row(thing: int) -> int:
+    return ROBOT if thing == ROBOT_TARGET else FIRST_BLOCK + thing
+
+
+def _ways(thing: int, poses: Poses) -> Floats:
+    """Units from the gripper to the thing, and from there to each of the places."""
+    start = poses.bodies[_row(thing), :2]
+    way: Floats = np.linalg.norm(PLACES - start, axis=1)
+    if thing != ROBOT_TARGET:
+        way += math.dist(to_workspace((0.0, GRIP), poses.robot), start)
+    return way
 
 
 def _smooth(costs: Floats) -> Floats:

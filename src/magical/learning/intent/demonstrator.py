@@ -44,12 +44,14 @@ class States:
 
     def work(self, goal: Goal) -> Floats:
         """Units of work that the best way to reach the goal leaves: (P,)."""
-        return self._ways(goal).sum(axis=2).min(axis=1)
+        work: Floats = self._ways(goal).sum(axis=2).min(axis=1)
+        return work
 
     def best_way(self, goal: Goal) -> Floats:
         """What that way leaves to be done for each block, and last for the robot: (P, N + 1)."""
         ways = self._ways(goal)
-        return ways[np.arange(len(ways)), ways.sum(axis=2).argmin(axis=1)]
+        best: Floats = ways[np.arange(len(ways)), ways.sum(axis=2).argmin(axis=1)]
+        return best
 
     def _ways(self, goal: Goal) -> Floats:
         """The same of each of W ways: (P, W, N + 1), with what beginning costs for each thing."""

@@ -119,7 +119,9 @@ class Language:
             if isinstance(s, Selection)
         ]
         but = self.prior.choice(AllBut)
-        negated = [(AllBut(s), but + bits, _without(everything, named)) for s, bits, named in single]
+        negated = [
+            (AllBut(s), but + bits, _without(everything, named)) for s, bits, named in single
+        ]
         yield from (*single, *negated)
         known = [each for each in single if all(each[2])]
         for (a, bits_a, in_a), (b, bits_b, in_b) in combinations(known, 2):
@@ -162,8 +164,12 @@ class Language:
             order = sorted(pairs, key=lambda pair: -pair[0])[:most]
             choices.append([(chosen, weight / sum(among.weights)) for weight, chosen in order])
         for chosen in product(*choices):
-            parts = iter([selection for selection, _ in chosen])
-            rewritten = replace_selections(goal, lambda _, parts=parts: next(parts))
+            selections = iter([selection for selection, _ in chosen])
+
+            def next_one(_: Selection, rest: Iterator[Selection] = selections) -> Selection:
+                return next(rest)
+
+            rewritten = replace_selections(goal, next_one)
             yield rewritten, math.prod(share for _, share in chosen)
 
 

@@ -62,7 +62,7 @@ def _draw(axis: Any, task: str, belief: Belief) -> None:
     decision = intention.decide(poses)
     if decision is not None:
         thing, place = decision
-        work = intention.costs(thing, poses).reshape(CELLS, CELLS).T
+        work = intention.work_at_places(thing, poses).reshape(CELLS, CELLS).T
         axis.imshow(work, extent=PLACES, origin="lower", cmap="gray", alpha=0.35)
         arrow = {"arrowstyle": "->", "linewidth": 2}
         axis.annotate("", xy=place, xytext=centres[thing], arrowprops=arrow)

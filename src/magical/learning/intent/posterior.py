@@ -2,6 +2,9 @@
 
 Goals of one part are all weighed, then the best of them together with each other: a beam search by
 posterior probability. At first only one demonstration is looked at, then all for the best goals.
+
+Demonstrations of one scene share their demonstrator's habits, such as the side from which a block
+is pushed, which a goal may fit by chance. So n demonstrations count as the square root of n.
 """
 
 import functools
@@ -10,6 +13,8 @@ import operator
 from collections.abc import Iterable, Sequence
 from itertools import combinations, product
 from typing import NamedTuple
+
+import numpy as np
 
 from magical.learning.intent.demonstrator import Episode
 from magical.learning.intent.meanings import Language, Meaning
@@ -21,7 +26,6 @@ BEAM = 24  # meanings that are combined with each other
 PARTS = 8  # meanings for each goal of a known form of several goals together
 MOST = 100  # explanations that are kept
 WORDINGS = 6  # selections of the same blocks that are told apart
-NO_PROGRAM = 20.0  # bits: prior of there being no program
 LEAST_WEIGHT = 0.5  # of the most probable meaning: below, it is not known which
 LEAST_SHARE = 1e-3  # of the most probable meaning's weight: less is left out
 
@@ -29,7 +33,7 @@ Scored = list[tuple[float, Meaning]]  # logarithm of the posterior probability, 
 
 
 class Explanation(NamedTuple):
-    """A program and its probability."""
+    """A program and its probability, if there is any program."""
 
     program: Goal
     weight: float
@@ -71,12 +75,8 @@ def infer(episodes: Sequence[Episode], prior: Prior) -> Belief:
     """The posterior of the programs that demonstrations have in common."""
     search = _Search(episodes, prior)
     found = search.run()
-    nothing = -NO_PROGRAM * math.log(2.0) + search.evidence * sum(
-        episode.log_likelihood_of_slips for episode in episodes
-    ) / len(episodes)
-    highest = max(found[0][0], nothing)
-    weights = [math.exp(value - highest) for value, _ in found]
-    total = sum(weights) + math.exp(nothing - highest)
+    weights = [math.exp(value - found[0][0]) for value, _ in found]
+    total = sum(weights)
     explanations = [
         Explanation(program, weight / total * share)
         for weight, (_, meaning) in zip(weights, found, strict=True)
@@ -85,7 +85,7 @@ def infer(episodes: Sequence[Episode], prior: Prior) -> Belief:
     ]
     return Belief(
         sorted(explanations, key=lambda each: -each.weight)[:MOST],
-        math.exp(nothing - highest) / total,
+        search.probability_of_none(found),
         weights[0] / total,
     )
 
@@ -95,7 +95,7 @@ class _Search:
 
     def __init__(self, episodes: Sequence[Episode], prior: Prior) -> None:
         self.language = Language([episode.scene for episode in episodes], prior)
-        self.evidence = math.sqrt(len(episodes))  # their demonstrator's habits are the same
+        self.evidence = math.sqrt(len(episodes))
         self._episodes, self._prior = episodes, prior
 
     def run(self) -> Scored:
@@ -110,6 +110,20 @@ class _Search:
         return sorted(
             single + self._score_again(self._score(several, 1)), key=lambda pair: -pair[0]
         )
+
+    def probability_of_none(self, found: Scored) -> float:
+        """That the demonstrator has no program, which is as probable as any before.
+
+        Unlike the programs it is weighed by all demonstrations in full, whose random moves would
+        have nothing in common.
+        """
+        slips = sum(episode.log_likelihood_of_slips for episode in self._episodes)
+        scale = len(self._episodes) / self.evidence
+        gains = []
+        for value, meaning in found:
+            prior = self._prior_of(meaning)
+            gains.append(prior + (value - prior) * scale - slips)
+        return float(1.0 / (1.0 + np.exp(np.logaddexp.reduce(gains))))
 
     def _score_again(self, scored: Scored) -> Scored:
         """The best of those that were held against the first demonstration, against all."""

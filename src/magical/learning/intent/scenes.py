@@ -16,8 +16,8 @@ from magical.scene.scene import Pose
 def parsed_scene(parsed: ParsedFrames, frame: int) -> Scene:
     """The scene of one frame; blocks are numbered as parsed, and their angles are not known."""
     blocks = [
-        Block(SHAPES[shape], COLOURS[colour], Pose(*place, 0.0))
-        for place, colour, shape in zip(
+        Block(SHAPES[shape], COLOURS[colour], Pose(x, y, 0.0))
+        for (x, y), colour, shape in zip(
             parsed.blocks[frame], parsed.colours[frame], parsed.shapes[frame], strict=True
         )
         if colour != ABSENT

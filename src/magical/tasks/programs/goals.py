@@ -253,7 +253,8 @@ class Clustered(Goal):
             kinds.setdefault(value_of(block, self.attribute), []).append(i)
         gathered: dict[int | None, float] = {}
         for alike in kinds.values():
-            gathered |= min((_units_to_gather(i, alike, points) for i in alike), key=_total)
+            ways = [_units_to_gather(centre, alike, points) for centre in alike]
+            gathered.update(min(ways, key=_total))
         units = np.sqrt(own) - np.sqrt(other / 3)
         return [gathered or {i: left for i, left in enumerate(units.tolist()) if left >= 0.0}]
 
@@ -311,7 +312,7 @@ class Together(Goal):
         return f"{first} {second}"
 
 
-def _units_to_gather(centre: int, blocks: list[int], points: list[Point]) -> dict[int, float]:
+def _units_to_gather(centre: int, blocks: list[int], points: list[Point]) -> Remaining:
     """Units that blocks have to go to be beside one of them, without those that are there."""
     units = {i: math.dist(points[i], points[centre]) - NEIGHBOUR_DISTANCE for i in blocks}
     return {i: left for i, left in units.items() if left > 0.0}
