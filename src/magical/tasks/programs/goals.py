@@ -253,7 +253,7 @@ class Clustered(Goal):
             kinds.setdefault(value_of(block, self.attribute), []).append(i)
         gathered: dict[int | None, float] = {}
         for alike in kinds.values():
-            ways = [_units_to_gather(centre, alike, points) for centre in alike]
+            ways: list[Remaining] = [_units_to_gather(centre, alike, points) for centre in alike]
             gathered.update(min(ways, key=_total))
         units = np.sqrt(own) - np.sqrt(other / 3)
         return [gathered or {i: left for i, left in enumerate(units.tolist()) if left >= 0.0}]
