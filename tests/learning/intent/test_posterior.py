@@ -93,7 +93,7 @@ def test_the_likelihood_is_that_of_a_softly_rational_demonstrator(
 ) -> None:
     start, end = Poses.at_rest(FIX), moved(FIX, 1, (0.0, 0.9))
     other = moved(FIX, 0, (0.3, 0.3))
-    monkeypatch.setattr(demonstrator, "_random_move", lambda poses, rng: other)
+    monkeypatch.setattr(demonstrator, "_random_moves", lambda poses, rng: [other] * 3)
     goal = parse(ALL_IN)
     found = Episode(FIX, [start, end], rng()).log_likelihood(goal)
     before, after, elsewhere = (plain_work(goal, FIX, each) for each in (start, end, other))

@@ -158,29 +158,30 @@ def train(config: ProgramBCConfig, run: Run) -> None:
     policy = make_policy(config)
     demonstrations = load_demonstrations(config, run)
     if not run.saved:
-        believe(policy, config, demonstrations)
+        for number, belief in enumerate(infer_beliefs(config, demonstrations).values()):
+            policy.believe(number, belief)
     trainer = ObjectBCTrainer(config, run, policy, device)
     component = config.observation_spec.components[0]
     trainer.fit(ObjectData(demonstrations, config.tasks, component, device))
 
 
-def believe(
-    policy: ProgramNetwork, config: ProgramBCConfig, demonstrations: TaskTrajectories
-) -> None:
-    """Infer each task's program."""
+def infer_beliefs(config: ProgramBCConfig, demonstrations: TaskTrajectories) -> dict[str, Belief]:
+    """What is believed of each task after its demonstrations."""
     rng = stream(config.seed, Purpose.PROGRAMS)
     component = config.observation_spec.components[0]
     prior = Prior()
     if config.prior == SUITE:
         programs = (get_task(task_name(number)).program for number in TRAINING)
         prior = Prior.of(program for program in programs if program is not None)
-    for number, task in enumerate(config.tasks):
+    beliefs = {}
+    for task in config.tasks:
         episodes = [
             parsed_episode(trajectory, track(parse_trajectory(trajectory, component)), rng)
             for name, trajectory in demonstrations
             if name == task
         ]
-        policy.believe(number, infer(episodes, prior))
+        beliefs[task] = infer(episodes, prior)
+    return beliefs
 
 
 def beliefs_of(run: Path) -> dict[str, Belief]:

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import qmc
 
 from magical.scene import Poses, Scene
 from magical.scene.constants import WORKSPACE_HALF
@@ -21,7 +22,7 @@ from magical.tasks.scoring import positions
 RATIONALITY = 8.0  # nats for each unit of work
 SLIPS = 0.2  # probability of a slip in each state
 MOVE_COST = 0.25  # units of work: less is not worth a move
-ALTERNATIVES = 32  # other moves that each state is compared with
+ALTERNATIVES = 96  # other moves that each state is compared with, spread evenly
 MARGIN = 0.12  # units from the walls to the places of other moves
 
 Floats = NDArray[np.float64]
@@ -91,7 +92,7 @@ class Episode:
     def __init__(self, scene: Scene, states: Sequence[Poses], rng: np.random.Generator) -> None:
         """Create an episode whose demonstrator stopped in the last state."""
         self.scene, self._count = scene, len(states)
-        others = [_random_move(state, rng) for state in states for _ in range(ALTERNATIVES)]
+        others = [move for state in states for move in _random_moves(state, rng)]
         self._states = States(scene, [*states, *others])
 
     def log_likelihood(self, goal: Goal) -> float:
@@ -111,13 +112,16 @@ class Episode:
         return self._count * math.log(0.5)
 
 
-def _random_move(poses: Poses, rng: np.random.Generator) -> Poses:
+def _random_moves(poses: Poses, rng: np.random.Generator) -> list[Poses]:
     """The poses after a block, or the robot, was moved to a random place."""
-    bodies = poses.bodies.copy()
-    moved = int(rng.integers(FIRST_BLOCK - 1, len(bodies)))
+    rows = [ROBOT, *range(FIRST_BLOCK, len(poses.bodies))]
     limit = WORKSPACE_HALF - MARGIN
-    bodies[ROBOT if moved < FIRST_BLOCK else moved, :2] = rng.uniform(-limit, limit, 2)
-    return Poses(bodies)
+    found = []
+    for which, x, y in qmc.Halton(3, rng=rng).random(ALTERNATIVES):
+        bodies = poses.bodies.copy()
+        bodies[rows[int(which * len(rows))], :2] = (2 * x - 1) * limit, (2 * y - 1) * limit
+        found.append(Poses(bodies))
+    return found
 
 
 def _as_array(goal: Goal, scene: Scene, poses: Poses) -> Floats:
