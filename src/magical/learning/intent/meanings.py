@@ -140,7 +140,8 @@ class Language:
             for place in simple_expressions(Place)
             if isinstance(place, Place)
         ]
-        places += [(Beside(selection), share) for selection, share in chosen]
+        of_one_part = [each for each in chosen if not isinstance(each[0], AllBut | And | Or)]
+        places += [(Beside(selection), share) for selection, share in of_one_part]
         for kind in (Each, Every, OneOf):
             for (selection, share), (place, of_place) in product(chosen, places):
                 form = ((kind.__name__, type(place).__name__),)

@@ -21,7 +21,7 @@ from magical.learning.intent.meanings import Language, Meaning
 from magical.tasks.programs import Goal
 from magical.tasks.programs.prior import Prior
 
-FIRST_PASS = 400  # meanings of the first demonstration that are held against all
+FIRST_PASS = 150  # meanings of the first demonstration that are held against all
 BEAM = 24  # meanings that are combined with each other
 PARTS = 8  # meanings for each goal of a known form of several goals together
 MOST = 100  # explanations that are kept
