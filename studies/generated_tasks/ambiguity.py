@@ -12,17 +12,14 @@ import argparse
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
-from enum import StrEnum
+from dataclasses import dataclass
 from itertools import combinations, product
-from typing import get_type_hints
 
 from magical.experts.rollout import rollout
 from magical.scene import Poses, Scene
 from magical.tasks import TASKS, get_task
 from magical.tasks.programs import (
     SUCCESS,
-    VOCABULARY,
     AllBut,
     And,
     Attribute,
@@ -43,10 +40,10 @@ from magical.tasks.programs import (
     Together,
     Undisturbed,
 )
+from magical.tasks.programs.prior import Prior, simple_expressions
 from magical.tasks.programs.suite import HELD_OUT, task_name
 
-KINDS = (Selection, Place, Goal)
-CHOICES = {kind: sum(issubclass(v, kind) for v in VOCABULARY.values()) for kind in KINDS}
+UNIFORM = Prior()
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +56,7 @@ class Mass:
 
     @staticmethod
     def of(bits: float) -> "Mass":
-        """One program, or a choice in one."""
+        """One expression, or a choice in one."""
         return Mass(1, 2.0**-bits, bits * 2.0**-bits)
 
     def __add__(self, other: "Mass") -> "Mass":
@@ -78,37 +75,18 @@ class Mass:
 
 def choice(kind: type[Expression]) -> Mass:
     """The choice of a selection, a place or a goal."""
-    (base,) = (base for base in KINDS if issubclass(kind, base))
-    return Mass.of(math.log2(CHOICES[base]))
+    return Mass.of(UNIFORM.choice(kind))
 
 
-def bits_of(program: Expression) -> float:
-    """The bits of a program."""
-    total = 0.0
-    for part in program.parts:
-        total += math.log2(CHOICES[next(kind for kind in KINDS if isinstance(part, kind))])
-        words = get_type_hints(type(part)).values()
-        total += sum(math.log2(len(w)) for w in words if _is_word(w))
-    return total
-
-
-def _is_word(kind: object) -> bool:
-    return isinstance(kind, type) and issubclass(kind, StrEnum)
-
-
-def simple(base: type[Expression]) -> Iterator[Expression]:
-    """All expressions of a kind whose fields are words."""
-    for kind in VOCABULARY.values():
-        hints = get_type_hints(kind)
-        words = [hints[field.name] for field in fields(kind)]  # type: ignore[arg-type]
-        if issubclass(kind, base) and all(map(_is_word, words)):
-            yield from (kind(*values) for values in product(*words))
+def part(expression: Expression) -> Mass:
+    """That choice and those of the expression's words."""
+    return Mass.of(UNIFORM.bits_of_part(expression))
 
 
 def selections(scene: Scene) -> Mapping[frozenset[int], tuple[Selection, Mass]]:
     """Selections of at most two parts by the blocks that they select, with one of each."""
-    single = [s for s in simple(Selection) if isinstance(s, Selection)]
-    masses = {s: Mass.of(bits_of(s)) for s in single}
+    single = [s for s in simple_expressions(Selection) if isinstance(s, Selection)]
+    masses = {s: part(s) for s in single}
     found: dict[frozenset[int], tuple[Selection, Mass]] = {}
 
     def add(selection: Selection, mass: Mass) -> None:
@@ -130,7 +108,7 @@ def selections(scene: Scene) -> Mapping[frozenset[int], tuple[Selection, Mass]]:
 def goals(scene: Scene) -> Iterator[tuple[Goal, Mass]]:
     """Goals of one part, one of each meaning, with all that mean the same in this scene."""
     chosen = selections(scene).values()
-    places = [(p, Mass.of(bits_of(p))) for p in simple(Place) if isinstance(p, Place)]
+    places = [(p, part(p)) for p in simple_expressions(Place) if isinstance(p, Place)]
     places += [(Beside(s), choice(Beside) * mass) for s, mass in chosen]
     for kind in (Each, Every, OneOf):
         for (selection, mass), (place, place_mass) in product(chosen, places):
@@ -139,7 +117,7 @@ def goals(scene: Scene) -> Iterator[tuple[Goal, Mass]]:
         yield from ((simple_kind(s), choice(simple_kind) * mass) for s, mass in chosen)
     if len(scene.blocks) > 1:
         for goal in (Clustered(attribute) for attribute in Attribute):
-            yield goal, Mass.of(bits_of(goal))
+            yield goal, part(goal)
     if scene.regions:
         yield RobotInside(), choice(RobotInside)
 
@@ -171,10 +149,11 @@ def row(name: str, demonstrations: int) -> str:
     solved = [Poses(episode.poses[-1]) for episode in episodes if episode.score >= 1.0]
     single, both = explanations(task.demo, solved)
     all_of_them = single + both
-    truth = 2.0 ** -bits_of(task.program) / all_of_them.weight if all_of_them.weight else 0.0
+    bits = UNIFORM.bits(task.program)
+    truth = 2.0**-bits / all_of_them.weight if all_of_them.weight else 0.0
     return (
         f"| {name} | {len(solved)} | {single.count:,} | {all_of_them.count:,} | "
-        f"{all_of_them.entropy:.1f} | {bits_of(task.program):.1f} | {truth:.1e} |"
+        f"{all_of_them.entropy:.1f} | {bits:.1f} | {truth:.1e} |"
     )
 
 

@@ -29,6 +29,7 @@ def test_every_algorithm_says_what_it_learns_from(algorithm: str) -> None:
         ("bc", {}, ("demonstrations",)),
         ("gail", {}, ("demonstrations", "interaction")),
         ("object-bc", {}, ("demonstrations", "object parser", "benchmark prior")),
+        ("program-bc", {}, ("demonstrations", "object parser", "benchmark prior")),
         ("ppo", {}, ("interaction", "score")),
         ("dagger", {}, ("demonstrations", "interaction", "expert labels")),
         (

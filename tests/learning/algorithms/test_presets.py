@@ -107,7 +107,9 @@ CHANGES: dict[str, dict[str, Any]] = {
         "reward_std": 0.5,
     },
 }
-ONE_TASK = ("al", "wgail-gp", "object-bc")  # the last for its demonstrations
+CHANGES["program-bc"] = {**CHANGES["object-bc"], "prior": "uniform"}
+OF_OBJECTS = ("object-bc", "program-bc")
+ONE_TASK = ("al", "wgail-gp", *OF_OBJECTS)  # the last for its demonstrations
 PRESETS = [
     (name, preset) for name in algorithm_names() for preset in find_algorithm(name).config.presets
 ]
@@ -120,7 +122,7 @@ def kind_of(algorithm: str) -> type[Config]:
 @pytest.fixture(scope="module")
 def data(demos: Path, expert_demos: Path) -> Any:
     """Demonstrations of an algorithm: pictures, or such as have objects."""
-    return lambda algorithm: str(expert_demos if algorithm == "object-bc" else demos)
+    return lambda algorithm: str(expert_demos if algorithm in OF_OBJECTS else demos)
 
 
 @pytest.fixture(autouse=True)
@@ -169,7 +171,7 @@ def plain(data: Any, tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 
 def smallest(algorithm: str, demos: str, **fields: Any) -> Config:
-    tasks = ("MoveToRegion", "FixColour") if algorithm == "object-bc" else TASKS[1:]
+    tasks = ("MoveToRegion", "FixColour") if algorithm in OF_OBJECTS else TASKS[1:]
     return tiny(kind_of(algorithm), **{"tasks": tasks, "demos": demos, **fields})
 
 

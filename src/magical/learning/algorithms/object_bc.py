@@ -12,7 +12,7 @@ settings.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import torch
@@ -136,7 +136,7 @@ class ObjectPolicy(nn.Module):
 
     def forward(self, observations: Tensor, tasks: Tensor) -> Tensor:
         """Logits (B, 18) of stacks (B, 12, 96, 96), uint8."""
-        newest, oldest = (_frames(observations, k) for k in (STACK - 1, 0))
+        newest, oldest = (stacked_frames(observations, k) for k in (STACK - 1, 0))
         table = ObjectTable(*(column.to(tasks.device) for column in parse_table(newest)))
         before = torch.from_numpy(parse_frames(oldest, robot_alone=True).robot).to(table.robot)
         plain = torch.autocast(tasks.device.type, enabled=False)  # positions need float32
@@ -161,7 +161,10 @@ class ObjectPolicy(nn.Module):
         return logits / torch.where(stuck, hot, cool)[:, None]
 
 
-def _frames(observations: Tensor, number: int) -> Pixels:
+AnyPolicy = TypeVar("AnyPolicy", bound=ObjectPolicy)
+
+
+def stacked_frames(observations: Tensor, number: int) -> Pixels:
     """Frames (B, 96, 96, 3) of the stacks (B, 12, 96, 96), by their number from the oldest."""
     frames = observations[:, number * CHANNELS : (number + 1) * CHANNELS].permute(0, 2, 3, 1)
     pixels: Pixels = frames.cpu().numpy()
@@ -178,16 +181,20 @@ def _stands(robot: Tensor, before: Tensor) -> Tensor:
 def make_policy(config: ObjectBCConfig) -> ObjectPolicy:
     """The policy, initialised from the seed."""
     with seeded_init(config.seed):
-        policy = ObjectPolicy(config)
-        blank = torch.zeros((1, *config.input_shape), dtype=torch.uint8)
-        policy(blank, torch.zeros(1, dtype=torch.int64))  # fixes the sizes of the lazy layers
-        return policy
+        return initialised(ObjectPolicy(config), config)
+
+
+def initialised(policy: AnyPolicy, config: ObjectBCConfig) -> AnyPolicy:
+    """The same policy, the sizes of whose lazy layers are fixed by a blank observation."""
+    blank = torch.zeros((1, *config.input_shape), dtype=torch.uint8)
+    policy(blank, torch.zeros(1, dtype=torch.int64))
+    return policy
 
 
 def train(config: ObjectBCConfig, run: Run) -> None:
     """Learn from the demonstrations."""
     device = choose_device(config.device)
-    trainer = ObjectBCTrainer(config, run, device)
+    trainer = ObjectBCTrainer(config, run, make_policy(config), device)
     demonstrations = load_demonstrations(config, run)
     component = config.observation_spec.components[0]
     trainer.fit(ObjectData(demonstrations, config.tasks, component, device))
@@ -196,10 +203,12 @@ def train(config: ObjectBCConfig, run: Run) -> None:
 class ObjectBCTrainer:
     """Goal model and controller, each with its optimiser."""
 
-    def __init__(self, config: ObjectBCConfig, run: Run, device: Device) -> None:
+    def __init__(
+        self, config: ObjectBCConfig, run: Run, policy: ObjectPolicy, device: Device
+    ) -> None:
         """Create a new trainer, or resume from the run's checkpoint."""
         self.config, self.run, self.device = config, run, device
-        self.policy = make_policy(config).to(device)
+        self.policy = policy.to(device)
         self.compute = run.compute(device, config.precision, config.threads)
         self.goal_optimizer = torch.optim.Adam(self.policy.goals.parameters(), GOAL_LEARNING_RATE)
         self.optimizer = torch.optim.AdamW(

@@ -96,7 +96,7 @@ def _samples(
     trajectory: Trajectory, task: int, component: Component
 ) -> tuple[ObjectTable, Tensor, Tensor, Tensor, Tensor, Tensor]:
     """One demonstration's scenes, targets, destinations, actions, task, and which are not idle."""
-    parsed = track(_parse(trajectory, component))
+    parsed = track(parse_trajectory(trajectory, component))
     intended = trajectory.is_demonstrated & (trajectory.labels == trajectory.actions)
     targets, destinations = find_goals(parsed.robot, parsed.blocks, intended)
     return (
@@ -118,7 +118,7 @@ def _moves(parsed: ParsedFrames) -> NDArray[np.bool_]:
     return moves
 
 
-def _parse(trajectory: Trajectory, component: Component) -> ParsedFrames:
+def parse_trajectory(trajectory: Trajectory, component: Component) -> ParsedFrames:
     """The objects of all time steps."""
     source, steps = TrajectorySource(trajectory), np.arange(len(trajectory) + 1)
     parts = []

@@ -63,14 +63,14 @@ def find_goals(robot: Floats, blocks: Floats, intended: NDArray[np.bool_]) -> tu
     targets = np.full(steps, ROBOT_TARGET, np.int64)
     destinations = np.repeat(robot[-1:, :2], steps, axis=0)
     first = 0
-    for block, _, last in _carries(robot, blocks, intended):
+    for block, _, last in find_carries(robot, blocks, intended):
         targets[first : last + 1] = block
         destinations[first : last + 1] = blocks[last + 1, block]
         first = last + 1
     return targets, destinations
 
 
-def _carries(
+def find_carries(
     robot: Floats, blocks: Floats, intended: NDArray[np.bool_]
 ) -> list[tuple[int, int, int]]:
     """Block, first and last step of each carry, in order."""

@@ -24,6 +24,7 @@ class Purpose(IntEnum):
     DISCRIMINATOR = 6
     PRETRAINING = 7
     NOISE = 8
+    PROGRAMS = 9
 
 
 def stream(seed: int, purpose: Purpose, number: int = 0) -> np.random.Generator:

@@ -245,8 +245,18 @@ class Clustered(Goal):
 
     def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
         own, other = self._distances(scene, poses)
+        if (own < other / 3).all():
+            return [{}]
+        points = positions(scene, poses)
+        kinds: dict[str, list[int]] = {}
+        for i, block in enumerate(scene.blocks):
+            kinds.setdefault(value_of(block, self.attribute), []).append(i)
+        gathered: dict[int | None, float] = {}
+        for alike in kinds.values():
+            ways: list[Remaining] = [_units_to_gather(centre, alike, points) for centre in alike]
+            gathered.update(min(ways, key=_total))
         units = np.sqrt(own) - np.sqrt(other / 3)
-        return [{i: left for i, left in enumerate(units.tolist()) if left >= 0.0}]
+        return [gathered or {i: left for i, left in enumerate(units.tolist()) if left >= 0.0}]
 
     def moved(self, scene: Scene) -> Blocks:
         return AllBlocks().blocks(scene)
@@ -302,6 +312,16 @@ class Together(Goal):
         return f"{first} {second}"
 
 
+def _units_to_gather(centre: int, blocks: list[int], points: list[Point]) -> Remaining:
+    """Units that blocks have to go to be beside one of them, without those that are there."""
+    units = {i: math.dist(points[i], points[centre]) - NEIGHBOUR_DISTANCE for i in blocks}
+    return {i: left for i, left in units.items() if left > 0.0}
+
+
+def _total(remaining: Remaining) -> float:
+    return sum(UNFINISHED + left for left in remaining.values())
+
+
 def _units_to_line(i: int, j: int, points: list[Point]) -> list[float]:
     """Units that each block has to go for a line through blocks i and j."""
     (x, y), length = points[i], math.dist(points[i], points[j]) or 1.0
@@ -348,7 +368,7 @@ def progress(goal: Goal, scene: Scene, poses: Poses) -> float:
     points = positions(scene, poses)
     between_fingers = to_workspace((0.0, ROBOT_RADIUS + BLOCK_SIZE), poses.robot)
     return -min(
-        sum(UNFINISHED + left for left in remaining.values())
+        _total(remaining)
         + _way_along(between_fingers, [points[i] for i in remaining if i is not None])
         for remaining in goal.ways(scene, poses)
     )

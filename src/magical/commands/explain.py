@@ -1,0 +1,55 @@
+"""Print which programs of the language of goals a trained policy believes in, and how firmly.
+
+RUN is the folder of a run of `program-bc`. A program is weighed by its prior probability and by how
+likely its goal makes the moves that were demonstrated. Where Demo leaves open what was meant, many
+programs share the weight; where no program explains the demonstrations, this is said.
+"""
+
+import argparse
+from pathlib import Path
+
+from magical.commands._common import (
+    add_count,
+    add_json,
+    print_json,
+    print_table,
+)
+
+HELP = "print which programs explain a run's demonstrations"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Describe the command's arguments."""
+    parser.add_argument("folder", type=Path, metavar="RUN", help="a run folder of program-bc")
+    add_count(parser, "--top", "programs to print of each task", default=5)
+    parser.add_argument(
+        "--picture",
+        type=Path,
+        metavar="FILE",
+        help="also draw what the policy would move first in each task's Demo scene, and where to",
+    )
+    add_json(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print, task by task."""
+    from magical.learning.algorithms.program_bc import beliefs_of
+    from magical.learning.intent.picture import draw_beliefs
+
+    beliefs = beliefs_of(args.folder)
+    found = {}
+    for task, belief in beliefs.items():
+        top = belief.explanations[: args.top]
+        print_table(("probability", task), [(f"{e.weight:.3f}", repr(e.program)) for e in top])
+        print(f"{belief.verdict}\n")
+        found[task] = {
+            "programs": [[repr(e.program), e.weight] for e in top],
+            "unexplained": belief.unexplained,
+            "largest": belief.largest,
+            "explained": belief.is_explained,
+            "known": belief.is_known,
+        }
+    if args.picture:
+        draw_beliefs(beliefs, args.picture)
+    print_json(args, found)
+    return 0

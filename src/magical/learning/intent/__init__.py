@@ -1,0 +1,1 @@
+"""What demonstrations were for: a posterior over programs of the language of goals."""

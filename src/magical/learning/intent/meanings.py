@@ -1,0 +1,210 @@
+"""Programs by what they mean in the scenes of demonstrations.
+
+Programs whose selections name the same blocks cannot be told apart there, so they are one meaning:
+one goal for the likelihood, with all selections that it may have been written with.
+"""
+
+import math
+import operator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from itertools import combinations, product
+from typing import Any, TypeVar, cast
+
+from magical.scene import Scene
+from magical.tasks.programs import (
+    AllBlocks,
+    AllBut,
+    And,
+    Attribute,
+    Beside,
+    Clustered,
+    Each,
+    Every,
+    Exactly,
+    Expression,
+    Goal,
+    Lined,
+    OneOf,
+    Only,
+    Or,
+    Place,
+    RobotInside,
+    Selection,
+    Together,
+    Undisturbed,
+)
+from magical.tasks.programs.prior import Form, Prior, bits_of_words, form_of, simple_expressions
+from magical.tasks.programs.selections import Blocks
+
+Named = tuple[Blocks, ...]  # the blocks that a selection names in each scene
+AnyExpression = TypeVar("AnyExpression", bound=Expression)
+
+
+@dataclass(frozen=True, repr=False)
+class Chosen(Selection):
+    """Blocks by their numbers, in place of an expression that names them."""
+
+    named: Blocks
+
+    def __post_init__(self) -> None:
+        """Nothing: the field is no word of the language."""
+
+    def blocks(self, scene: Scene) -> Blocks:
+        """See `Selection`."""
+        return self.named
+
+
+@dataclass(frozen=True)
+class Alternatives:
+    """The selections that name the same blocks in all scenes, with their weights."""
+
+    named: Named
+    selections: Sequence[Selection]
+    weights: Sequence[float]
+
+    @property
+    def heaviest(self) -> Selection:
+        """The most probable one."""
+        return max(zip(self.weights, self.selections, strict=True), key=lambda pair: pair[0])[1]
+
+
+@dataclass(frozen=True)
+class Meaning:
+    """Goals that are the same in all scenes.
+
+    Attributes:
+        goal: the most probable one.
+        form: theirs.
+        share: the probability of their selections and words, given the form.
+    """
+
+    goal: Goal
+    form: Form
+    share: float
+
+    def __and__(self, other: "Meaning") -> "Meaning":
+        """Both goals together."""
+        form = tuple(sorted(self.form + other.form))
+        return Meaning(Together(self.goal, other.goal), form, self.share * other.share)
+
+
+class Language:
+    """The selections of at most two parts and the goals of one part, in some scenes."""
+
+    def __init__(self, scenes: Sequence[Scene], prior: Prior) -> None:
+        """Find all selections that name a block in each scene."""
+        self.scenes, self.prior = scenes, prior
+        self._named: dict[Selection, Named] = {}
+        found: dict[Named, dict[Selection, float]] = {}
+        for selection, bits, named in self._selections():
+            if all(named):
+                self._named[selection] = named
+                found.setdefault(named, {})[selection] = 2.0**-bits
+        self.alternatives: Mapping[Named, Alternatives] = {
+            named: Alternatives(named, tuple(each), tuple(each.values()))
+            for named, each in found.items()
+        }
+
+    def named_by(self, selection: Selection) -> Named:
+        """The blocks that a selection names in each scene."""
+        return tuple(selection.blocks(scene) for scene in self.scenes)
+
+    def _selections(self) -> Iterator[tuple[Selection, float, Named]]:
+        """Selections of at most two parts, their bits, and what they name."""
+        everything = self.named_by(AllBlocks())
+        single = [
+            (s, self.prior.bits_of_part(s), self.named_by(s))
+            for s in simple_expressions(Selection)
+            if isinstance(s, Selection)
+        ]
+        but = self.prior.choice(AllBut)
+        negated = [
+            (AllBut(s), but + bits, _without(everything, named)) for s, bits, named in single
+        ]
+        yield from (*single, *negated)
+        known = [each for each in single if all(each[2])]
+        for (a, bits_a, in_a), (b, bits_b, in_b) in combinations(known, 2):
+            both = bits_a + bits_b
+            yield And(a, b), self.prior.choice(And) + both, _and(in_a, in_b)
+            yield Or(a, b), self.prior.choice(Or) + both, tuple(map(operator.or_, in_a, in_b))
+        for (a, bits_a, in_a), (b, bits_b, in_b) in product(known, negated):
+            if a != b.selection:
+                yield And(a, b), self.prior.choice(And) + bits_a + bits_b, _and(in_a, in_b)
+
+    def meanings(self) -> Iterator[Meaning]:
+        """Every goal of one part."""
+        chosen = [(a.heaviest, sum(a.weights)) for a in self.alternatives.values()]
+        places: list[tuple[Place, float]] = [
+            (place, 2.0 ** -bits_of_words(place))
+            for place in simple_expressions(Place)
+            if isinstance(place, Place)
+        ]
+        of_one_part = [each for each in chosen if not isinstance(each[0], AllBut | And | Or)]
+        places += [(Beside(selection), share) for selection, share in of_one_part]
+        for kind in (Each, Every, OneOf):
+            for (selection, share), (place, of_place) in product(chosen, places):
+                form = ((kind.__name__, type(place).__name__),)
+                yield Meaning(kind(selection, place), form, share * of_place)
+        for simple in (Exactly, Only, Undisturbed, Lined):
+            yield from (Meaning(simple(s), ((simple.__name__,),), share) for s, share in chosen)
+        several = all(len(scene.blocks) > 1 for scene in self.scenes)
+        for goal in (*(map(Clustered, Attribute) if several else ()), RobotInside()):
+            yield Meaning(goal, form_of(goal), 2.0 ** -bits_of_words(goal))
+
+    def literal(self, goal: Goal, number: int) -> Goal:
+        """The goal in one of the scenes, with the blocks that its selections name there."""
+        return replace_selections(goal, lambda s: Chosen(self._named[s][number]))
+
+    def wordings(self, goal: Goal, most: int) -> Iterator[tuple[Goal, float]]:
+        """Goals of the same meaning and their shares, with the `most` probable of selections."""
+        choices = []
+        for selection in outer_selections(goal):
+            among = self.alternatives[self._named[selection]]
+            pairs = zip(among.weights, among.selections, strict=True)
+            order = sorted(pairs, key=lambda pair: -pair[0])[:most]
+            choices.append([(chosen, weight / sum(among.weights)) for weight, chosen in order])
+        for chosen in product(*choices):
+            selections = iter([selection for selection, _ in chosen])
+
+            def next_one(_: Selection, rest: Iterator[Selection] = selections) -> Selection:
+                return next(rest)
+
+            rewritten = replace_selections(goal, next_one)
+            yield rewritten, math.prod(share for _, share in chosen)
+
+
+def _and(a: Named, b: Named) -> Named:
+    return tuple(map(operator.and_, a, b))
+
+
+def _without(a: Named, b: Named) -> Named:
+    return tuple(map(operator.sub, a, b))
+
+
+def outer_selections(expression: Expression) -> Iterator[Selection]:
+    """The selections in an expression that are in no other, in order."""
+    if isinstance(expression, Selection):
+        yield expression
+        return
+    for part in _fields(expression):
+        if isinstance(part, Expression):
+            yield from outer_selections(part)
+
+
+def replace_selections(
+    expression: AnyExpression, replace: Callable[[Selection], Selection]
+) -> AnyExpression:
+    """The expression with each selection in it replaced."""
+    if isinstance(expression, Selection):
+        return cast(AnyExpression, replace(expression))
+    return type(expression)(
+        *(
+            replace_selections(part, replace) if isinstance(part, Expression) else part
+            for part in _fields(expression)
+        )
+    )
+
+
+def _fields(expression: Expression) -> list[Any]:
+    return [getattr(expression, each.name) for each in fields(expression)]  # type: ignore[arg-type]

@@ -1,0 +1,78 @@
+"""A picture of what is believed of tasks: what would be moved first in Demo, and where to."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from magical.extras import require
+from magical.files.atomic import write_atomically
+from magical.learning.intent.acting import BORDER, CELLS, Intention
+from magical.learning.intent.posterior import Belief
+from magical.learning.objects.components import VIEW_HALF
+from magical.learning.objects.hindsight import ROBOT_TARGET
+from magical.render import render_frame
+from magical.scene import Poses
+from magical.tasks import get_task
+
+COLUMNS = 4
+SIZE, HEADING = 3.0, 0.5  # inches of a scene and of what stands above it
+PIXELS = 384
+EXTENT = (-VIEW_HALF, VIEW_HALF, -VIEW_HALF, VIEW_HALF)  # units: left, right, bottom, top
+PLACES = (-BORDER, BORDER, -BORDER, BORDER)  # units: the same of the places
+
+
+def draw_beliefs(beliefs: Mapping[str, Belief], path: Path) -> None:
+    """Draw each task's Demo scene and what is believed of it.
+
+    The number on a block is the probability that it must be moved, that on the robot that the
+    robot must. An arrow shows the first move; where it is darker, less work would be left.
+
+    Raises:
+        MissingDependencyError: the extra `report` is not installed.
+    """
+    require("report")
+    from matplotlib.figure import Figure
+
+    columns = min(COLUMNS, len(beliefs))
+    rows = -(-len(beliefs) // columns)
+    figure = Figure(figsize=(SIZE * columns, (SIZE + HEADING) * rows), layout="constrained")
+    axes = list(figure.subplots(rows, columns, squeeze=False).flat)
+    for axis in axes:
+        axis.set_axis_off()
+    for axis, (task, belief) in zip(axes, beliefs.items(), strict=False):
+        _draw(axis, task, belief)
+    with write_atomically(path) as file:
+        figure.savefig(file, format=path.suffix[1:] or "png")
+
+
+def _draw(axis: Any, task: str, belief: Belief) -> None:
+    """Fill a panel."""
+    scene = get_task(task).demo
+    poses = Poses.at_rest(scene)
+    intention = Intention(belief, scene)
+    axis.imshow(render_frame(scene, poses, "allo", PIXELS), extent=EXTENT)
+    axis.set_title(f"{task}\n{_heading(belief)}", fontsize=8)
+    if not intention.is_known:
+        return
+    centres = {block: tuple(xy) for block, xy in enumerate(poses.blocks[:, :2].tolist())}
+    centres[ROBOT_TARGET] = poses.robot[:2]
+    for thing, probability in intention.probabilities(poses).items():
+        label = {"ha": "center", "va": "center", "fontsize": 8, "fontweight": "bold"}
+        axis.text(*centres[thing], f"{probability:.2f}", **label)
+    decision = intention.decide(poses)
+    if decision is not None:
+        thing, place = decision
+        work = intention.work_at_places(thing, poses).reshape(CELLS, CELLS).T
+        axis.imshow(work, extent=PLACES, origin="lower", cmap="gray", alpha=0.35)
+        arrow = {"arrowstyle": "->", "linewidth": 2}
+        axis.annotate("", xy=place, xytext=centres[thing], arrowprops=arrow)
+    axis.set_xlim(EXTENT[:2])
+    axis.set_ylim(EXTENT[2:])
+
+
+def _heading(belief: Belief) -> str:
+    """The most probable program, in lines that fit."""
+    if not belief.is_explained:
+        return "no program"
+    program = repr(belief.explanations[0].program)
+    return "\n".join(program[k : k + 48] for k in range(0, min(len(program), 144), 48))

@@ -1,0 +1,61 @@
+"""Scenes, poses and episodes from parsed frames."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from magical.demos.store.trajectory import Trajectory
+from magical.learning.intent.demonstrator import Episode
+from magical.learning.objects.hindsight import find_carries
+from magical.learning.objects.parser import ABSENT, ParsedFrames
+from magical.scene import COLOURS, SHAPES, Block, Poses, Region, Scene
+from magical.scene.poses import FIRST_BLOCK, ROBOT
+from magical.scene.scene import Pose
+
+
+def parsed_scene(parsed: ParsedFrames, frame: int) -> Scene:
+    """The scene of one frame; blocks are numbered as parsed, and their angles are not known."""
+    blocks = [
+        Block(SHAPES[shape], COLOURS[colour], Pose(x, y, 0.0))
+        for (x, y), colour, shape in zip(
+            parsed.blocks[frame], parsed.colours[frame], parsed.shapes[frame], strict=True
+        )
+        if colour != ABSENT
+    ]
+    regions = [
+        Region.from_centre(COLOURS[colour], x, y, 2 * half_height, 2 * half_width)
+        for (x, y, half_width, half_height), colour in zip(
+            parsed.regions[frame], parsed.region_colours[frame], strict=True
+        )
+        if colour != ABSENT
+    ]
+    return Scene(Pose(*parsed.robot[frame]), tuple(blocks), tuple(regions))
+
+
+def parsed_poses(parsed: ParsedFrames, frame: int, scene: Scene) -> Poses:
+    """The poses in a frame of an episode that started from the scene, tracked since then."""
+    bodies = Poses.at_rest(scene).bodies
+    bodies[ROBOT] = parsed.robot[frame]
+    bodies[FIRST_BLOCK:, :2] = parsed.blocks[frame, : len(scene.blocks)]
+    return Poses(bodies)
+
+
+def parsed_episode(
+    trajectory: Trajectory, parsed: ParsedFrames, rng: np.random.Generator
+) -> Episode:
+    """A demonstration by its carries; without any, by where the robot went.
+
+    Args:
+        trajectory: of T steps.
+        parsed: its T + 1 frames, tracked.
+        rng: samples the moves that were not made.
+    """
+    scene = parsed_scene(parsed, 0)
+    intended = trajectory.is_demonstrated & (trajectory.labels == trajectory.actions)
+    ends: Sequence[int] = [
+        last + 1 for _, _, last in find_carries(parsed.robot, parsed.blocks, intended)
+    ]
+    if ends:  # where a carry leaves the robot was no goal
+        parsed = parsed._replace(robot=np.repeat(parsed.robot[:1], len(parsed.robot), axis=0))
+    times = [0, *(ends or [len(trajectory)])]
+    return Episode(scene, [parsed_poses(parsed, t, scene) for t in times], rng)

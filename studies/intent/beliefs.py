@@ -1,0 +1,59 @@
+"""What is believed of the paper's tasks after ten demonstrations: a table, and a picture.
+
+python -m studies.intent.beliefs --demos FOLDER [--prior {suite,uniform}] [--picture FILE]
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from magical.demos import Dataset
+from magical.learning.algorithms.program_bc import ProgramBCConfig, infer_beliefs
+from magical.learning.intent.picture import draw_beliefs
+from magical.learning.intent.posterior import Belief
+from magical.tasks import TASKS, get_task
+from tools.readme_tables import table
+
+DEMONSTRATIONS = 10
+
+
+def row(task: str, belief: Belief) -> list[str]:
+    """A task's line: what it is, how probable that is, and what is more probable."""
+    truth = repr(get_task(task).program)
+    weights = {repr(program): weight for program, weight in belief.explanations}
+    first = repr(belief.explanations[0].program)
+    return [
+        task,
+        f"`{truth}`",
+        f"{weights.get(truth, 0.0):.2f}",
+        "the same" if first == truth else f"`{first}`",
+        f"{belief.explanations[0].weight:.2f}",
+        f"{belief.largest:.2f}",
+        f"{belief.unexplained:.2f}",
+    ]
+
+
+def main() -> None:
+    """Infer, print and draw."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--demos", required=True)
+    parser.add_argument("--prior", default="suite", choices=("suite", "uniform"))
+    parser.add_argument("--picture", type=Path)
+    args = parser.parse_args()
+    dataset, rng = Dataset.open(args.demos), np.random.default_rng(0)
+    demonstrations = [
+        (task, trajectory)
+        for task in TASKS
+        for trajectory in dataset.filter(task=task).sample(DEMONSTRATIONS, rng)
+    ]
+    config = ProgramBCConfig.preset("quick", tasks=tuple(TASKS), demos=args.demos, prior=args.prior)
+    beliefs = infer_beliefs(config, demonstrations)
+    header = ("Task", "Its program", "p", "The most probable one", "p", "Its meaning", "None")
+    print(table(header, (row(task, belief) for task, belief in beliefs.items())))
+    if args.picture:
+        draw_beliefs(beliefs, args.picture)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,107 @@
+"""Cloning by programs from beginning to end, in the smallest runs."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from magical.cli import main
+from magical.demos import ObservationReader
+from magical.demos.generate import demonstrate
+from magical.evaluation import evaluate
+from magical.learning import load_policy, train
+from magical.learning.algorithms.program_bc import ProgramBCConfig, ProgramPolicy, beliefs_of
+from magical.learning.intent.posterior import Belief, Explanation
+from magical.scene import NOOP
+from magical.tasks.programs import parse
+from tests.learning import tiny_runs
+
+TASKS = ("MoveToRegion", "FixColour")
+OUT = "Every(Mismatched(), OutOfRegions())"
+
+
+@pytest.fixture(scope="module")
+def run(expert_demos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("program-bc") / "run"
+    fields: dict[str, Any] = {"demos": str(expert_demos), "batches": 2, "batch_size": 8}
+    config = tiny_runs.tiny(ProgramBCConfig, "paper", tasks=TASKS, **fields)
+    assert train(config, folder).finished
+    return folder
+
+
+def test_programs_of_each_task_are_inferred(run: Path) -> None:
+    beliefs = beliefs_of(run)
+    assert list(beliefs) == list(TASKS)
+    assert repr(beliefs["MoveToRegion"].explanations[0].program) == "RobotInside()"
+    assert beliefs["FixColour"].is_explained
+
+
+def test_the_policy_acts_in_test_variants(run: Path) -> None:
+    names = [f"magical/{task}-TestAll-v0" for task in TASKS]
+    assert len(evaluate(load_policy(run), names, rollouts=2, workers=0)) == 4
+
+
+def test_what_is_done_stops_the_robot(run: Path) -> None:
+    policy = load_policy(run)
+    assert isinstance(policy, ProgramPolicy)
+    policy.network.believe(1, Belief([Explanation(parse(OUT), 1.0)], 0.0, 1.0))
+    trajectory = demonstrate("magical/FixColour-Demo-v0", seed=3)
+    policy.reset(np.ones(1, np.bool_))
+    rng = np.random.default_rng(0)
+    actions = [
+        int(policy.act(stack[None], ["magical/FixColour-Demo-v0"], rng)[0])
+        for stack in ObservationReader(trajectory, "LoRes4A").read(np.arange(len(trajectory) + 1))
+    ]
+    assert NOOP != actions[0]
+    assert actions[-1] == NOOP
+
+
+def test_relations_decide_where_no_program_explains_demonstrations(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    policy = load_policy(run)
+    assert isinstance(policy, ProgramPolicy)
+    policy.network.believe(1, Belief([Explanation(parse(OUT), 1.0)], 0.9, 1.0))
+    seen = []
+
+    def control(*inputs: Any) -> torch.Tensor:
+        seen.append(inputs)
+        return torch.zeros(1, 18)
+
+    monkeypatch.setattr(policy.network, "control", control)
+    trajectory = demonstrate("magical/FixColour-Demo-v0", seed=3)
+    stacks = ObservationReader(trajectory, "LoRes4A").read(np.arange(1))
+    policy.reset(np.ones(1, np.bool_))
+    policy.act(stacks, ["magical/FixColour-Demo-v0"], np.random.default_rng(0))
+    ((table, _, targets, destinations),) = seen
+    expected = policy.network.goals.decide(table, torch.ones(1, dtype=torch.int64))
+    assert targets == expected[0]
+    torch.testing.assert_close(destinations, expected[1])
+
+
+def test_the_command_prints_and_draws_beliefs(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    picture = tmp_path / "beliefs.png"
+    assert main(["explain", str(run), "--top", "2", "--picture", str(picture), "--json"]) == 0
+    *lines, last = capsys.readouterr().out.splitlines()
+    found = json.loads(last)
+    assert list(found) == list(TASKS)
+    assert found["MoveToRegion"]["programs"][0][0] == "RobotInside()"
+    assert found["MoveToRegion"]["known"] == beliefs_of(run)["MoveToRegion"].is_known
+    assert len(found["FixColour"]["programs"]) == 2
+    assert any("RobotInside()" in line for line in lines)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_runs_of_other_algorithms_are_refused(
+    tmp_path: Path, demos: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from magical.learning.algorithms.bc import BCConfig
+
+    train(tiny_runs.tiny(BCConfig, demos=str(demos)), tmp_path / "run")
+    assert main(["explain", str(tmp_path / "run")]) == 1
+    assert "expected a run of program-bc, found one of bc" in capsys.readouterr().err

@@ -1,0 +1,176 @@
+"""Which programs explain demonstrations."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from magical.demos import Trajectory
+from magical.demos.generate import demonstrate
+from magical.learning.intent import demonstrator
+from magical.learning.intent.demonstrator import MOVE_COST, RATIONALITY, SLIPS, Episode, States
+from magical.learning.intent.meanings import Language
+from magical.learning.intent.posterior import infer
+from magical.learning.intent.scenes import parsed_episode
+from magical.learning.objects.data import parse_trajectory
+from magical.learning.objects.hindsight import track
+from magical.observe import make_spec
+from magical.scene import Poses, Scene
+from magical.scene.poses import FIRST_BLOCK
+from magical.tasks import TASKS
+from magical.tasks.programs import Goal, parse
+from magical.tasks.programs.goals import UNFINISHED
+from magical.tasks.programs.prior import Prior
+
+FIX = TASKS["FixColour"].demo
+MISMATCHED = "Every(Mismatched(), OutOfRegions())"
+ALL_IN = "Each(AllBlocks(), InRegion())"
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+def moved(scene: Scene, block: int, place: tuple[float, float]) -> Poses:
+    bodies = Poses.at_rest(scene).bodies
+    bodies[FIRST_BLOCK + block, :2] = place
+    return Poses(bodies)
+
+
+def episode_of(trajectory: Trajectory) -> Episode:
+    component = make_spec("LoRes4A", TASKS["FixColour"]).components[0]
+    return parsed_episode(trajectory, track(parse_trajectory(trajectory, component)), rng())
+
+
+@pytest.fixture(scope="module")
+def fixed() -> list[Episode]:
+    names = ("magical/FixColour-Demo-v0",) * 2
+    return [episode_of(demonstrate(name, seed=seed)) for seed, name in enumerate(names)]
+
+
+def plain_work(goal: Goal, scene: Scene, poses: Poses) -> float:
+    return min(sum(UNFINISHED + u for u in way.values()) for way in goal.ways(scene, poses))
+
+
+def random_poses(scene: Scene) -> list[Poses]:
+    generator = rng()
+    found = []
+    for _ in range(40):
+        bodies = Poses.at_rest(scene).bodies
+        for row in (0, *range(FIRST_BLOCK, len(bodies))):
+            if generator.random() < 0.5:
+                bodies[row, :2] = generator.uniform(-0.85, 0.85, 2)
+        found.append(Poses(bodies))
+    return found
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        MISMATCHED,
+        ALL_IN,
+        "Each(AllBlocks(), InOwnColour())",
+        "OneOf(AllBlocks(), InCorner('top left'))",
+        "OneOf(OddOneOut('colour'), Beside(AllBlocks()))",
+        "Lined(AllBlocks())",
+        "Clustered('shape')",
+        "RobotInside()",
+        f"Together({MISMATCHED}, Undisturbed(Matched()))",
+        f"Together(OneOf(AllBlocks(), InRegion()), {MISMATCHED})",
+    ],
+)
+def test_work_is_that_of_the_goals_best_way(text: str) -> None:
+    poses, goal = random_poses(FIX), parse(text)
+    states = States(FIX, poses)
+    expected = [plain_work(goal, FIX, each) for each in poses]
+    np.testing.assert_allclose(states.work(goal), expected, atol=1e-12)
+    np.testing.assert_allclose(states.best_way(goal).sum(axis=1), expected, atol=1e-12)
+
+
+def test_the_likelihood_is_that_of_a_softly_rational_demonstrator(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    start, end = Poses.at_rest(FIX), moved(FIX, 1, (0.0, 0.9))
+    other = moved(FIX, 0, (0.3, 0.3))
+    monkeypatch.setattr(demonstrator, "_random_moves", lambda poses, rng: [other] * 3)
+    goal = parse(ALL_IN)
+    found = Episode(FIX, [start, end], rng()).log_likelihood(goal)
+    before, after, elsewhere = (plain_work(goal, FIX, each) for each in (start, end, other))
+
+    def preference(here: float, there: float) -> float:
+        return math.exp(RATIONALITY * (here - there - MOVE_COST))
+
+    move = preference(before, after) / (1.0 + preference(before, elsewhere))
+    stop = 1.0 / (1.0 + preference(after, elsewhere))
+    expected = [(1.0 - SLIPS) * each + SLIPS / 2 for each in (move, stop)]
+    assert found == pytest.approx(math.log(expected[0]) + math.log(expected[1]))
+
+
+def test_moves_that_a_goal_asks_for_are_more_likely_under_it(fixed: list[Episode]) -> None:
+    goal, other = parse(MISMATCHED), parse("Each(AllBlocks(), InCorner('top left'))")
+    slips = fixed[0].log_likelihood_of_slips
+    assert fixed[0].log_likelihood(goal) > slips > fixed[0].log_likelihood(other)
+
+
+def test_meanings_are_told_apart_by_what_selections_name_in_all_scenes() -> None:
+    colour = FIX.blocks[0].colour
+    same_colour = replace(FIX, blocks=tuple(replace(b, colour=colour) for b in FIX.blocks))
+    one, both = (Language(scenes, Prior()) for scenes in ([FIX], [FIX, same_colour]))
+    selection = parse(MISMATCHED).selection  # type: ignore[attr-defined]
+    alone = one.alternatives[one.named_by(selection)].selections
+    assert selection in alone
+    assert len(both.alternatives[both.named_by(selection)].selections) < len(alone)
+
+
+def test_selections_name_what_they_are_grouped_by() -> None:
+    language = Language([FIX, TASKS["MatchRegions"].demo], Prior())
+    for named, alternatives in language.alternatives.items():
+        assert {language.named_by(each) for each in alternatives.selections} == {named}
+
+
+def test_wordings_mean_the_same_and_share_the_weight() -> None:
+    language = Language([FIX], Prior())
+    goal = parse(MISMATCHED)
+    found = list(language.wordings(goal, 1000))
+    assert sum(share for _, share in found) == pytest.approx(1.0)
+    assert goal in [program for program, _ in found]
+    assert {program.moved(FIX) for program, _ in found} == {goal.moved(FIX)}
+
+
+def test_the_programs_that_explain_demonstrations_move_what_was_moved(
+    fixed: list[Episode],
+) -> None:
+    belief = infer(fixed, Prior())
+    assert belief.is_explained
+    assert 0.5 < sum(each.weight for each in belief.explanations) <= 1.0 + 1e-9
+    matched, mismatched = (parse(f"Exactly({s}())") for s in ("Matched", "Mismatched"))
+    for program, _ in belief.explanations[:10]:
+        (way,) = program.ways(FIX, Poses.at_rest(FIX))
+        assert set(way) <= set(mismatched.moved(FIX)), program
+        assert not set(way) & set(matched.moved(FIX))
+
+
+def test_the_form_of_a_program_that_was_seen_is_found(fixed: list[Episode]) -> None:
+    program = parse(f"Together({MISMATCHED}, Undisturbed(Matched()))")
+    belief = infer(fixed, Prior.of([program] * 8))
+    assert repr(belief.explanations[0].program) == repr(program)
+    assert "known: " in belief.verdict
+
+
+def test_random_motion_is_not_explained() -> None:
+    generator = np.random.default_rng(3)
+    scene = TASKS["MoveToRegion"].demo
+    scene = replace(scene, blocks=TASKS["MatchRegions"].demo.blocks[:2])
+    episodes = []
+    for _ in range(10):
+        states = [Poses.at_rest(scene)]
+        for _ in range(3):
+            bodies = states[-1].bodies.copy()
+            block = int(generator.integers(FIRST_BLOCK, len(bodies)))
+            bodies[block, :2] = generator.uniform(-0.85, 0.85, 2)
+            states.append(Poses(bodies))
+        episodes.append(Episode(scene, states, generator))
+    belief = infer(episodes, Prior())
+    assert not belief.is_explained
+    assert "no program explains" in belief.verdict
