@@ -15,7 +15,7 @@ POSITIVE: Check = (lambda number: number > 0, "a number above 0")
 NOT_NEGATIVE: Check = (lambda number: number >= 0, "at least 0")
 FRACTION: Check = (lambda number: 0 <= number <= 1, "a number from 0 to 1")
 Part = TypeVar("Part", bound="Settings")
-type_hints = cache(get_type_hints)  # which evaluates every annotation anew
+_type_hints = cache(get_type_hints)  # which evaluates every annotation anew
 
 
 def option(
@@ -83,6 +83,11 @@ def all_fields(kind: type[Settings]) -> Iterator[tuple[str, "dataclasses.Field[A
         elif field.name != "algorithm":
             for _, inner, hint in all_fields(hints[field.name]):
                 yield field.name, inner, hint
+
+
+def type_hints(kind: Any) -> dict[str, Any]:
+    """The types of a class's fields, by their names."""
+    return _type_hints(kind)
 
 
 def option_types(kind: type[Settings]) -> dict[str, Any]:
