@@ -12,6 +12,8 @@ EXTRAS := dev,docs,learning,report,video,window,minari,lerobot,hub,sb3,tensorboa
 # The first interpreter that runs; `make PYTHON=/path/to/python` overrules it.
 PYTHON ?= $(firstword $(foreach name,python3.11 python3.12 python3.13 python3,\
 	$(shell $(name) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $(name))))
+# Without bytecode every process that a test starts would compile the package again.
+unexport PYTHONDONTWRITEBYTECODE
 # In the files' order: those with the fewest tests, which would come last, take longest.
 PYTEST_FLAGS ?= -q -rs -n auto --dist loadfile --no-loadscope-reorder
 

@@ -118,8 +118,10 @@ class Collected:
         """Give runs whose settings were recorded in an earlier form the names of the plan's."""
         earlier = {name: self.record(name) for name in self.runs.keys() - planned.keys()}
         for run in planned.values():
+            if run.folder in self.runs:
+                continue
             name = next((name for name in earlier if is_same_run(run, earlier[name])), None)
-            if name and run.folder not in self.runs:
+            if name:
                 self.runs[run.folder] = self.runs.pop(name)
                 for key in [key for key in self.entries if Path(key).parts[1] == name]:
                     renamed = Path(RUNS, run.folder, *Path(key).parts[2:]).as_posix()

@@ -1,5 +1,6 @@
 """Fixtures for every room's tests."""
 
+import os
 import signal
 import threading
 from collections.abc import Generator
@@ -7,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+# Tests run side by side, and so do the programs that they start: PyTorch's threads, which wait for
+# each other, would only stand in the way.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = ROOT.parent / "shared"
 # Tests of the studies and of the pages about them, which the source distribution has not.

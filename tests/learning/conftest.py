@@ -19,14 +19,6 @@ STEPS = 12
 TASKS = ("MoveToCorner", "MoveToRegion")
 
 
-@pytest.fixture(scope="session", autouse=True)
-def one_core_a_process() -> None:
-    """Tests run side by side; threads that wait for each other would only stand in the way."""
-    import torch
-
-    torch.set_num_threads(1)
-
-
 def picture_demo(task: str, seed: int, actions: Any = None) -> Trajectory:
     """Random pictures; the brightness of a corner tells the action."""
     rng = np.random.default_rng((seed, sum(task.encode())))

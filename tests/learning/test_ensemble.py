@@ -21,10 +21,10 @@ def test_actions_follow_the_mean_of_the_distributions() -> None:
     logits[1, :, 17] = 0.0
     policy = EnsemblePolicy([fixed(logits[0]), fixed(logits[1])])
     assert isinstance(policy, Policy)
-    frames = np.zeros((2000, 96, 96, 12), np.uint8)
-    probabilities = policy.probabilities(frames, [IDS[0]] * 2000)
+    frames = np.zeros((1000, 96, 96, 12), np.uint8)
+    probabilities = policy.probabilities(frames, [IDS[0]] * 1000)
     np.testing.assert_allclose(probabilities[0, [2, 17]], 0.5)
-    actions = policy.act(frames, [IDS[0]] * 2000, np.random.default_rng(0))
+    actions = policy.act(frames, [IDS[0]] * 1000, np.random.default_rng(0))
     assert set(actions) == {2, 17}
     assert abs((actions == 2).mean() - 0.5) < 0.04
 

@@ -16,13 +16,15 @@ from magical.evaluation import Entry, RolloutScore, environments
 from magical.evaluation.collection import write_collection
 from studies import pages
 from studies.collect import Collected
+from studies.published_tables.picture import write_picture
 
 pytest.importorskip("matplotlib", reason="the report extra is not installed")
 
 
 @pytest.fixture
-def repository(tmp_path: Path, root: Path) -> Path:
-    """A repository with the studies, and no results."""
+def repository(tmp_path: Path, root: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A repository with the studies, and no results; the picture, which takes long, is left out."""
+    monkeypatch.setattr(pages, "write_picture", lambda *_: None)
     without = shutil.ignore_patterns("results", "__pycache__")
     shutil.copytree(root / "studies", tmp_path / "studies", ignore=without)
     return tmp_path
@@ -214,7 +216,10 @@ def test_the_leaderboards_evaluations_are_ranked_and_shown_nowhere_else(reposito
     assert text.replace(section(text, "leaderboard"), section(before, "leaderboard")) == before
 
 
-def test_the_check_finds_a_page_or_a_picture_that_is_out_of_date(repository: Path) -> None:
+def test_the_check_finds_a_page_or_a_picture_that_is_out_of_date(
+    repository: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pages, "write_picture", write_picture)
     page = repository / "studies" / "published_tables" / "README.md"
     page.write_text(
         page.read_text().replace("## Why cells differ\n", "## Why cells differ\n\nX.\n")

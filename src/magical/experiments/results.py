@@ -189,14 +189,14 @@ def _adopt_earlier(path: Path, runs: Sequence[PlannedRun]) -> None:
 
 def is_same_run(run: PlannedRun, record: Mapping[str, Any]) -> bool:
     """Whether a final record is of a run with these settings, whatever names they had then."""
-    settings, now = record.get("settings"), run.settings()
+    settings = record.get("settings")
     if record.get("method") != run.method or not isinstance(settings, dict):
         return False
     try:
         config = type(run.config).from_dict(settings.get("config", {})).to_dict()
     except (MagicalError, TypeError):
         return False
-    then = {**settings, "config": config}
+    then, now = {**settings, "config": config}, run.settings()
     for part in (then["config"], now["config"]):
         part.pop(GRAPHS, None)
     return json.dumps(then, sort_keys=True) == json.dumps(now, sort_keys=True)

@@ -9,7 +9,7 @@ import dataclasses
 import types
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass
-from typing import Any, ClassVar, Self, get_args, get_origin, get_type_hints
+from typing import Any, ClassVar, Self, get_args, get_origin
 
 from magical.envs.action_spec import ActionSpaceName
 from magical.errors import InvalidConfigError, UnknownNameError
@@ -25,6 +25,7 @@ from magical.learning.settings import (
     default_of,
     name_of,
     option,
+    type_hints,
 )
 from magical.messages import quoted
 from magical.observe import PRESETS, ObservationSpec, make_spec
@@ -247,7 +248,7 @@ class Config(Settings):
                 f"preset {name!r} is unknown; {cls.algorithm} has: {', '.join(cls.presets)}"
             )
         fields, parts = by_part(cls, {**cls.presets[name], **settings})
-        hints = get_type_hints(cls)
+        hints = type_hints(cls)
         for field in dataclasses.fields(cls):
             if field.name in parts:
                 record, given = default_of(field), parts[field.name]

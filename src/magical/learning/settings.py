@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, dataclass
+from functools import cache
 from typing import Any, TypeVar, get_type_hints
 
 from magical.errors import InvalidConfigError, UnknownNameError
@@ -14,6 +15,7 @@ POSITIVE: Check = (lambda number: number > 0, "a number above 0")
 NOT_NEGATIVE: Check = (lambda number: number >= 0, "at least 0")
 FRACTION: Check = (lambda number: 0 <= number <= 1, "a number from 0 to 1")
 Part = TypeVar("Part", bound="Settings")
+_type_hints = cache(get_type_hints)  # which evaluates every annotation anew
 
 
 def option(
@@ -74,13 +76,18 @@ def _check_value(field: "dataclasses.Field[Any]", value: Any) -> None:
 
 def all_fields(kind: type[Settings]) -> Iterator[tuple[str, "dataclasses.Field[Any]", Any]]:
     """Every option's field: the name of its record, empty for the class's own; itself; its type."""
-    hints = get_type_hints(kind)
+    hints = type_hints(kind)
     for field in dataclasses.fields(kind):
         if field.metadata:
             yield "", field, hints[field.name]
         elif field.name != "algorithm":
             for _, inner, hint in all_fields(hints[field.name]):
                 yield field.name, inner, hint
+
+
+def type_hints(kind: Any) -> dict[str, Any]:
+    """The types of a class's fields, by their names."""
+    return _type_hints(kind)
 
 
 def option_types(kind: type[Settings]) -> dict[str, Any]:

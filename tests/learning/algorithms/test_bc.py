@@ -71,7 +71,7 @@ def test_one_demonstration_is_overfitted(tmp_path: Path) -> None:
 def test_it_learns_what_can_be_learned_through_all_augmentations(
     demos: Path, tmp_path: Path
 ) -> None:
-    config = tiny(demos, num_demos=4, batches=90, batch_size=16, augment="all", log_every=30)
+    config = tiny(demos, num_demos=4, batches=90, batch_size=8, augment="all", log_every=30)
     train(config, tmp_path / "run")
     losses = [line["loss"] for line in read_metrics(tmp_path / "run")]
     assert losses[-1] < 0.5 * losses[0]

@@ -8,7 +8,7 @@ import pytest
 
 from magical.evaluation import evaluate
 from magical.learning import Config, algorithm_names, find_algorithm, train
-from magical.learning.algorithms import object_bc
+from magical.learning.algorithms import al, object_bc
 from magical.learning.config import options
 from tests.learning.conftest import TASKS
 from tests.learning.tiny_runs import assert_same, checkpoint, same_weights, tiny
@@ -109,7 +109,17 @@ CHANGES: dict[str, dict[str, Any]] = {
 }
 CHANGES["program-bc"] = {**CHANGES["object-bc"], "prior": "uniform"}
 OF_OBJECTS = ("object-bc", "program-bc")
-ONE_TASK = ("al", "wgail-gp", *OF_OBJECTS)  # the last for its demonstrations
+# Those of objects for their demonstrations, the last for its episodes.
+ONE_TASK = ("al", "wgail-gp", *OF_OBJECTS, "dagger")
+# Of the presets' runs, whose networks are large.
+SHORTER = {
+    "batches": 2,
+    "num_envs": 2,
+    "minibatch_size": 2,
+    "total_steps": 8,
+    "pretraining_batch_size": 2,
+    "feature_samples": 4,
+}
 PRESETS = [
     (name, preset) for name in algorithm_names() for preset in find_algorithm(name).config.presets
 ]
@@ -126,7 +136,8 @@ def data(demos: Path, expert_demos: Path) -> Any:
 
 
 @pytest.fixture(autouse=True)
-def small_updates_of_the_goal_model(monkeypatch: pytest.MonkeyPatch) -> None:
+def few_batches_that_no_setting_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(al, "STATISTICS_BATCHES", 2)
     monkeypatch.setattr(object_bc, "GOAL_EVERY", 2)
     monkeypatch.setattr(object_bc, "GOAL_BATCH_SIZE", 4)
 
@@ -139,12 +150,8 @@ def test_every_preset_trains_resumes_bit_equal_and_is_evaluated(
     demos = {} if algorithm == "ppo" else {"demos": data(algorithm)}
     one = algorithm in ONE_TASK or preset == "states"  # whose length depends on the task
     tasks = TASKS[1:] if one else TASKS
-    shorter = {"batches": 2, "total_steps": 12}  # the networks are large
-    lengths = {
-        option.name: shorter[option.name]
-        for option in options(kind_of(algorithm))
-        if option.name in shorter
-    }
+    own = {option.name for option in options(kind_of(algorithm))}
+    lengths = {name: value for name, value in SHORTER.items() if name in own}
     config = tiny(kind_of(algorithm), preset, **demos, **lengths, tasks=tasks)
     assert train(config, tmp_path / "whole").finished
     assert train(config, tmp_path / "parts", stop_after=1).step == 1

@@ -49,12 +49,14 @@ def test_labels_name_colours() -> None:
     assert np.mean(labels == MIXED) < 0.1  # smoothed lines alone
 
 
-def distance_inside(outline: NDArray[np.float64], x: float, y: float) -> float:
-    """How far inside a convex polygon a point lies: the plain reference."""
-    inside = math.inf
+def distances_inside(
+    outline: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """How far inside a convex polygon points lie: the plain reference."""
+    inside = np.full(x.shape, math.inf)
     for (x0, y0), (x1, y1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
         length = math.hypot(x1 - x0, y1 - y0)
-        inside = min(inside, ((x1 - x0) * (y - y0) - (y1 - y0) * (x - x0)) / length)
+        inside = np.minimum(inside, ((x1 - x0) * (y - y0) - (y1 - y0) * (x - x0)) / length)
     return inside
 
 
@@ -66,16 +68,13 @@ def test_margins_against_a_plain_reference() -> None:
     cos, sin = math.cos(pose.angle), math.sin(pose.angle)
     turn = np.array([[cos, sin], [-sin, cos]])
     outline = (np.array(block_outline(block.shape)) @ turn + pose[:2] + 1.02) * PIXELS
-    expected = [
-        abs(inside)
-        for y in range(SIZE)
-        for x in range(SIZE)
-        if abs(inside := distance_inside(outline, x + 0.5, y + 0.5)) <= band
-    ]
+    y, x = np.indices((SIZE, SIZE)) + 0.5
+    distances = np.abs(distances_inside(outline, x, y))
+    expected = distances[distances <= band]
     found = np.abs(edges.margin[edges.anchor == FIRST_BLOCK])
     # Each distance from the outline is among the margins; the others are from the fill.
     assert len(found) > len(expected)
-    nearest = np.abs(found - np.array(expected)[:, None]).min(axis=1)
+    nearest = np.abs(found - expected[:, None]).min(axis=1)
     assert np.mean(nearest < 1e-5) > 0.99  # a few lie beyond corners, further than the band
 
 
