@@ -42,11 +42,11 @@ def main() -> None:
     parser.add_argument("--picture", type=Path)
     args = parser.parse_args()
     dataset, rng = Dataset.open(args.demos), np.random.default_rng(0)
-    demonstrations = [
+    demonstrations = tuple(
         (task, trajectory)
         for task in TASKS
         for trajectory in dataset.filter(task=task).sample(DEMONSTRATIONS, rng)
-    ]
+    )
     config = ProgramBCConfig.preset("quick", tasks=tuple(TASKS), demos=args.demos, prior=args.prior)
     beliefs = infer_beliefs(config, demonstrations)
     header = ("Task", "Its program", "p", "The most probable one", "p", "Its meaning", "None")

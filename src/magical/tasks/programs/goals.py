@@ -254,7 +254,8 @@ class Clustered(Goal):
         gathered: dict[int | None, float] = {}
         for alike in kinds.values():
             ways: list[Remaining] = [_units_to_gather(centre, alike, points) for centre in alike]
-            gathered.update(min(ways, key=_total))
+            nearest: Remaining = min(ways, key=_total)
+            gathered.update(nearest)
         units = np.sqrt(own) - np.sqrt(other / 3)
         return [gathered or {i: left for i, left in enumerate(units.tolist()) if left >= 0.0}]
 
