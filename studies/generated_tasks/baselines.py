@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from magical.envs import EnvId
-from magical.evaluation import read_entry
 from magical.evaluation.collection import read_collection
 from magical.evaluation.intervals import Floats
 from magical.evaluation.scores import RolloutScore
@@ -45,10 +44,13 @@ def held_out_tables(root: Path) -> str:
 
 def read_methods(results: Path) -> Mapping[str, Runs]:
     """The rollouts of each run of each method."""
-    entries = [read_entry(results / RANDOM)] if (results / RANDOM).exists() else []
-    if (results / PLAN).exists():
-        found = read_collection(results / PLAN).values()
-        entries += [entry for entry in found if not isinstance(entry, Exception)]
+    found = [
+        entry
+        for name in (RANDOM, PLAN)
+        if (results / name).exists()
+        for entry in read_collection(results / name).values()
+    ]
+    entries = [entry for entry in found if not isinstance(entry, Exception)]
     groups = group_by(entries, lambda entry: entry.method)
     return {name: [entry.scores for entry in group] for name, group in groups.items()}
 
