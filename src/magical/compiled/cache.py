@@ -30,7 +30,7 @@ from magical.files import read_regular, write_atomically
 
 DIGEST_BYTES = hashlib.sha256().digest_size
 MAX_BYTES = 1 << 26  # of a file: many times what a function takes
-MAX_FILES = 64  # in the folder: those of older sources and other machines are removed
+MAX_FILES = 256  # in the folder; a Python and a checkout need about 36, the oldest are removed
 SHARED = ("compiled", "render", "scene")  # rooms whose code and constants kernels elsewhere use
 
 

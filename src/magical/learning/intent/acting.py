@@ -1,8 +1,8 @@
 """What to move, and where to, by a belief about the goal.
 
-Each program of the belief is a goal in the present scene. The next move is the one that takes most
-off the work that is expected under all of them, as the demonstrator's was; if none takes off more
-than a move costs, there is nothing left to do.
+Each program of the belief is a goal in the present scene. What is moved next is the nearest of the
+things that must move most probably, to the place where the least work is expected under all goals.
+If no move takes off more work than it costs, there is nothing left to do.
 """
 
 import math
@@ -20,9 +20,9 @@ from magical.scene.geometry import Point, to_workspace
 from magical.scene.poses import FIRST_BLOCK, ROBOT
 from magical.tasks.programs import Goal, problem
 
-GOALS = 12  # the most probable ones that are acted on
+GOALS = 8  # the most probable ones that are acted on
 LIKELY = 0.1  # probability that a thing must move: less is not considered
-SATISFIED = 0.5  # of that probability at the decision: less, and the next one is made
+SATISFIED = 0.5  # of the highest probability, or of that at the decision: less is not pressing
 AT_PLACE = 0.06  # units: nearer to its place, a move is finished
 NEARNESS = (
     0.2  # units of work for each unit from gripper to thing, and on to its place: breaks ties
@@ -54,7 +54,8 @@ class Intention:
         total = sum(weight for _, weight in likely)
         self.goals = [(goal, weight / total) for goal, weight in likely]
         self._decision: Decision = None
-        self._wanted = 0.0
+        self._wanted: dict[int, float] | None = None  # when that was decided
+        self._was_there = False
 
     @property
     def is_known(self) -> bool:
@@ -64,19 +65,25 @@ class Intention:
     def decide(self, poses: Poses) -> Decision:
         """What to move now; the same as before until enough of the belief is content with it."""
         wanted = self.probabilities(poses)
-        if not self._is_under_way(poses, wanted):
-            likely = [thing for thing, probability in wanted.items() if probability > LIKELY]
-            self._decision = self._choose(likely, poses)
-            self._wanted = wanted[self._decision[0]] if self._decision else 0.0
+        if self._is_finished(poses, wanted):
+            self._decision = self._choose(wanted, poses)
+            self._wanted, self._was_there = wanted, self._is_there(poses)
         return self._decision
 
-    def _is_under_way(self, poses: Poses, wanted: dict[int, float]) -> bool:
-        """Whether the move that was decided on is still to be finished."""
+    def _is_finished(self, poses: Poses, wanted: dict[int, float]) -> bool:
+        """Whether it is time to decide: at first, and when something changed."""
+        if self._wanted is None or self._decision is None:
+            return wanted != self._wanted
+        thing = self._decision[0]
+        is_content = wanted.get(thing, 0.0) < SATISFIED * self._wanted[thing]
+        return is_content or (self._is_there(poses) and not self._was_there)
+
+    def _is_there(self, poses: Poses) -> bool:
+        """Whether what is moved lies at its place, or nothing is moved."""
         if self._decision is None:
-            return False
+            return True
         thing, place = self._decision
-        arrived = math.dist(poses.bodies[_row(thing), :2], place) < AT_PLACE
-        return not arrived and wanted.get(thing, 0.0) >= SATISFIED * self._wanted
+        return math.dist(poses.bodies[_row(thing), :2], place) < AT_PLACE
 
     def probabilities(self, poses: Poses) -> dict[int, float]:
         """How probable it is that each block, or the robot, has still to move."""
@@ -88,21 +95,24 @@ class Intention:
                 found[number] = found.get(number, 0.0) + weight
         return found
 
-    def _choose(self, things: Sequence[int], poses: Poses) -> Decision:
-        """The thing and the place with the highest gain, or neither if none is worth a move."""
+    def _choose(self, wanted: dict[int, float], poses: Poses) -> Decision:
+        """The nearest of what must move most probably, then of the rest, if it is worth a move."""
         now = float(self._expected_work([poses])[0])
-        best, choice = -math.inf, None
-        for thing in things:
+        grip = to_workspace((0.0, GRIP), poses.robot)
+        sure = SATISFIED * max(wanted.values(), default=0.0)
+        order = sorted(
+            (wanted[thing] < sure, math.dist(poses.bodies[_row(thing), :2], grip), thing)
+            for thing in wanted
+            if wanted[thing] > LIKELY
+        )
+        for *_, thing in order:
             work = self.work_at_places(thing, poses)
-            ways = NEARNESS * _ways(thing, poses)
-            place = int(np.argmin(work + _smooth(work) + ways))
-            gain = now - float(work[place])
-            if gain > MOVE_COST and gain - ways[place] > best:
-                best, choice = gain - ways[place], (thing, place)
-        if choice is None:
-            return None
-        x, y = PLACES[choice[1]].tolist()
-        return choice[0], (x, y)
+            way = np.linalg.norm(PLACES - poses.bodies[_row(thing), :2], axis=1)
+            best = int(np.argmin(work + _smooth(work) + NEARNESS * way))
+            if now - work[best] > MOVE_COST:
+                x, y = PLACES[best].tolist()
+                return thing, (x, y)
+        return None
 
     def work_at_places(self, thing: int, poses: Poses) -> Floats:
         """Expected work if the thing lay at each place; more if it touched a block there."""
@@ -125,15 +135,6 @@ class Intention:
 
 def _row(thing: int) -> int:
     return ROBOT if thing == ROBOT_TARGET else FIRST_BLOCK + thing
-
-
-def _ways(thing: int, poses: Poses) -> Floats:
-    """Units from the gripper to the thing, and from there to each of the places."""
-    start = poses.bodies[_row(thing), :2]
-    way: Floats = np.linalg.norm(PLACES - start, axis=1)
-    if thing != ROBOT_TARGET:
-        way += math.dist(to_workspace((0.0, GRIP), poses.robot), start)
-    return way
 
 
 def _smooth(costs: Floats) -> Floats:
