@@ -1,5 +1,6 @@
 """A picture of what is believed of tasks: what would be moved first in Demo, and where to."""
 
+import textwrap
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -74,5 +75,4 @@ def _heading(belief: Belief) -> str:
     """The most probable program, in lines that fit."""
     if not belief.is_explained:
         return "no program"
-    program = repr(belief.explanations[0].program)
-    return "\n".join(program[k : k + 48] for k in range(0, min(len(program), 144), 48))
+    return textwrap.fill(repr(belief.explanations[0].program), 48)
