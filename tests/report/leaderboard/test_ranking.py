@@ -154,3 +154,22 @@ def test_demonstrations_and_looks_are_as_the_entries_say() -> None:
     stated = [row.statements for row in make_boards(results)[1].standings]
     assert stated == [("10 (human)", 7), ("", None), ("", 0)]
     assert [each.mark for each in stated] == ["†", "", ""]
+
+
+def test_a_method_stands_on_each_board_by_its_runs_there() -> None:
+    held_out = [task_name(number) for number in HELD_OUT]
+    results = [
+        run("a", 0.9, 0.8, list(TASKS), details=demos(100)),
+        run("a", 0.5, 0.1, held_out, details=demos(10)),
+    ]
+    boards = {board.name: board.standings for board in make_boards(results)}
+    (paper,), (generated,) = boards[ALL_TASKS], boards[HELD_OUT_TASKS]
+    assert paper.demo.value == pytest.approx(0.9)
+    assert paper.test_all.value == pytest.approx(0.8)
+    assert generated.test_all.value == pytest.approx(0.1)
+    assert paper.statements.demonstrations == "100 of each task"
+
+
+def demos(number: int) -> dict[str, Any]:
+    said = f"{number} of each task"
+    return {"learned_from": ["demonstrations"], "num_demos": number, "demonstrations": said}

@@ -71,20 +71,23 @@ def make_boards(results: Sequence[Result]) -> list[Board]:
     Those that were pre-trained on training tasks have a board for each number of demonstrations.
     Then one for each task that any has, but for generated tasks. All but the first have standings.
     """
-    groups = group_by(results, attrgetter("entry.method"))
-    methods = {name: _method(runs) for name, runs in groups.items()}
 
     def boards(name: str, tasks: Collection[str], track: str | None = None) -> list[Board]:
-        chosen = [m for m in methods.values() if track in (None, held_out_board(groups[m.name]))]
-        parts = [_on_tasks(method, tasks) for method in chosen]
-        standings = [_standing(m, groups[m.name]) for m in parts if m is not None]
+        runs = [result for result in results if not set(tasks).isdisjoint(result.tasks)]
+        groups = group_by(runs, attrgetter("entry.method"))
+        parts = [
+            (_on_tasks(_method(group), tasks), group)
+            for group in groups.values()
+            if track in (None, held_out_board(group))
+        ]
+        standings = [_standing(method, group) for method, group in parts if method is not None]
         prior = [row for row in standings if BENCHMARK_PRIOR in row.used]
         others = [row for row in standings if row not in prior]
         return [Board(name, _ranked(others)), Board(name + WITH_PRIOR, _ranked(prior))]
 
     held_out = [task_name(number) for number in HELD_OUT]
     tracks = [HELD_OUT_TASKS, *map(pretrained_board, FINE_TUNED)]
-    first, *rest = boards(ALL_TASKS, TASKS)
+    first, *rest = boards(ALL_TASKS, list(TASKS))
     for name in tracks:
         rest += boards(name, held_out, track=name)
     for task in TASKS:
