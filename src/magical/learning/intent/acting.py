@@ -23,9 +23,7 @@ from magical.tasks.programs import Goal, problem
 GOALS = 8  # the most probable ones that are acted on
 PRESSING = 0.5  # of the highest probability: what must move less probably comes later
 CHANGE = 0.05  # units of expected work: less is no reason to decide anew
-NEARNESS = (
-    0.2  # units of work for each unit from gripper to thing, and on to its place: breaks ties
-)
+NEARNESS = 0.2  # units of work for each unit from a thing to its place: breaks ties
 CLEARANCE = 0.24  # units between blocks' centres: nearer ones would touch
 CROWDED = 1.0  # units of work that such a place costs
 CELLS, BORDER = 14, 0.9  # of the grid of places; units
@@ -107,7 +105,7 @@ class Intention:
 
     def work_at_places(self, thing: int, poses: Poses) -> Floats:
         """Expected work if the thing lay at each place; more if it touched a block there."""
-        work = self._expected_work([_moved(poses, thing, place) for place in PLACES.tolist()])
+        work = self._expected_work([_moved(poses, thing, (x, y)) for x, y in PLACES.tolist()])
         if thing != ROBOT_TARGET:
             others = np.delete(poses.blocks[:, :2], thing, axis=0)
             gaps = np.linalg.norm(PLACES[:, None] - others, axis=2)
