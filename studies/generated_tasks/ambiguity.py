@@ -39,11 +39,10 @@ from magical.tasks.programs import (
     Selection,
     Together,
     Undisturbed,
+    prior,
 )
-from magical.tasks.programs.prior import Prior, simple_expressions
+from magical.tasks.programs.prior import simple_expressions
 from magical.tasks.programs.suite import HELD_OUT, task_name
-
-UNIFORM = Prior()
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,14 +72,14 @@ class Mass:
         return self.bits / self.weight + math.log2(self.weight) if self.weight else 0.0
 
 
+def part(expression: Expression) -> Mass:
+    """The choice of an expression and of its words."""
+    return Mass.of(prior.bits_of_part(expression))
+
+
 def choice(kind: type[Expression]) -> Mass:
     """The choice of a selection, a place or a goal."""
-    return Mass.of(UNIFORM.choice(kind))
-
-
-def part(expression: Expression) -> Mass:
-    """That choice and those of the expression's words."""
-    return Mass.of(UNIFORM.bits_of_part(expression))
+    return Mass.of(prior.choice(kind))
 
 
 def selections(scene: Scene) -> Mapping[frozenset[int], tuple[Selection, Mass]]:
@@ -149,7 +148,7 @@ def row(name: str, demonstrations: int) -> str:
     solved = [Poses(episode.poses[-1]) for episode in episodes if episode.score >= 1.0]
     single, both = explanations(task.demo, solved)
     all_of_them = single + both
-    bits = UNIFORM.bits(task.program)
+    bits = prior.bits(task.program)
     truth = 2.0**-bits / all_of_them.weight if all_of_them.weight else 0.0
     return (
         f"| {name} | {len(solved)} | {single.count:,} | {all_of_them.count:,} | "

@@ -1,6 +1,6 @@
 """What is believed of the paper's tasks after ten demonstrations: a table, and a picture.
 
-python -m studies.intent.beliefs --demos FOLDER [--prior {suite,uniform}] [--picture FILE]
+python -m studies.intent.beliefs --demos FOLDER [--picture FILE]
 """
 
 import argparse
@@ -38,7 +38,6 @@ def main() -> None:
     """Infer, print and draw."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--demos", required=True)
-    parser.add_argument("--prior", default="suite", choices=("suite", "uniform"))
     parser.add_argument("--picture", type=Path)
     args = parser.parse_args()
     dataset, rng = Dataset.open(args.demos), np.random.default_rng(0)
@@ -47,7 +46,7 @@ def main() -> None:
         for task in TASKS
         for trajectory in dataset.filter(task=task).sample(DEMONSTRATIONS, rng)
     )
-    config = ProgramBCConfig.preset("quick", tasks=tuple(TASKS), demos=args.demos, prior=args.prior)
+    config = ProgramBCConfig.preset("quick", tasks=tuple(TASKS), demos=args.demos)
     beliefs = infer_beliefs(config, demonstrations)
     header = ("Task", "Its program", "p", "The most probable one", "p", "Its meaning", "None")
     print(table(header, (row(task, belief) for task, belief in beliefs.items())))

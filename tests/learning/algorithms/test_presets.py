@@ -107,7 +107,7 @@ CHANGES: dict[str, dict[str, Any]] = {
         "reward_std": 0.5,
     },
 }
-CHANGES["program-bc"] = {**CHANGES["object-bc"], "prior": "uniform"}
+CHANGES["program-bc"] = CHANGES["object-bc"]
 OF_OBJECTS = ("object-bc", "program-bc")
 # Those of objects for their demonstrations, the last for its episodes.
 ONE_TASK = ("al", "wgail-gp", *OF_OBJECTS, "dagger")

@@ -59,6 +59,17 @@ def test_a_decision_is_kept_while_the_thing_has_to_move() -> None:
     assert intention.decide(Poses(bodies)) == first
 
 
+def test_all_things_are_tried_where_what_is_on_the_shortest_way_is_not_worth_a_move() -> None:
+    scene, goal = TASKS["MakeLine"].demo, "Lined(AllBlocks())"
+    bodies = Poses.at_rest(scene).bodies
+    bodies[FIRST_BLOCK:, :2] = (-0.18, 0.38), (0.39, -0.6), (0.3, -0.35), (0.8, -0.83)
+    intention = Intention(belief((goal, 1.0)), scene)
+    shortest_way = intention.probabilities(Poses(bodies))
+    decision = intention.decide(Poses(bodies))
+    assert decision is not None
+    assert decision[0] not in shortest_way
+
+
 def test_probabilities_are_those_of_the_programs_that_move_a_block() -> None:
     all_in = "Each(AllBlocks(), InRegion())"
     intention = Intention(belief((IN_REGION, 0.6), (all_in, 0.2)), MATCH)

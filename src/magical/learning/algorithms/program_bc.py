@@ -46,16 +46,11 @@ from magical.learning.running.devices import choose_device, one_thread
 from magical.learning.running.loading import load_policy
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
-from magical.learning.settings import option
 from magical.observe.pixels import STACK
 from magical.scene import NOOP
-from magical.tasks import get_task
 from magical.tasks.programs import parse
-from magical.tasks.programs.prior import Prior
-from magical.tasks.programs.suite import TRAINING, task_name
 
 MAX_BYTES = 1 << 16  # of a task's programs as text
-UNIFORM, SUITE = "uniform", "suite"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,12 +60,6 @@ class ProgramBCConfig(ObjectBCConfig):
     seconds_each: ClassVar[tuple[float, float] | None] = 1.2e-4, 5e-3  # measured
 
     algorithm: str = "program-bc"
-    prior: str = option(
-        SUITE,
-        "probability of an expression before demonstrations: uniform, or by how often it occurs in "
-        "the programs of the training tasks",
-        choices=(SUITE, UNIFORM),
-    )
 
 
 class ProgramNetwork(ObjectPolicy):
@@ -188,10 +177,6 @@ def infer_beliefs(config: ProgramBCConfig, demonstrations: TaskTrajectories) -> 
     """What is believed of each task after its demonstrations."""
     rng = stream(config.seed, Purpose.PROGRAMS)
     component = config.observation_spec.components[0]
-    prior = Prior()
-    if config.prior == SUITE:
-        programs = (get_task(task_name(number)).program for number in TRAINING)
-        prior = Prior.of(program for program in programs if program is not None)
     beliefs = {}
     for task in config.tasks:
         episodes = [
@@ -199,7 +184,7 @@ def infer_beliefs(config: ProgramBCConfig, demonstrations: TaskTrajectories) -> 
             for name, trajectory in demonstrations
             if name == task
         ]
-        beliefs[task] = infer(episodes, prior)
+        beliefs[task] = infer(episodes)
     return beliefs
 
 

@@ -1,8 +1,8 @@
 """What to move, and where to, by a belief about the goal.
 
 Each program of the belief is a goal in the present scene. What is moved next is the nearest of the
-things that must move most probably, to the place where the least work is expected under all goals.
-If no move takes off more work than it costs, there is nothing left to do.
+things that must move most probably, to the place where the least work is expected under all goals;
+if that takes off less than a move costs, another thing. If none does, nothing is left to do.
 """
 
 import math
@@ -21,12 +21,9 @@ from magical.scene.poses import FIRST_BLOCK, ROBOT
 from magical.tasks.programs import Goal, problem
 
 GOALS = 8  # the most probable ones that are acted on
-LIKELY = 0.1  # probability that a thing must move: less is not considered
-SATISFIED = 0.5  # of the highest probability, or of that at the decision: less is not pressing
-AT_PLACE = 0.06  # units: nearer to its place, a move is finished
-NEARNESS = (
-    0.2  # units of work for each unit from gripper to thing, and on to its place: breaks ties
-)
+PRESSING = 0.5  # of the highest probability: what must move less probably comes later
+CHANGE = 0.05  # units of expected work: less is no reason to decide anew
+NEARNESS = 0.2  # units of work for each unit from a thing to its place: breaks ties
 CLEARANCE = 0.24  # units between blocks' centres: nearer ones would touch
 CROWDED = 1.0  # units of work that such a place costs
 CELLS, BORDER = 14, 0.9  # of the grid of places; units
@@ -54,8 +51,7 @@ class Intention:
         total = sum(weight for _, weight in likely)
         self.goals = [(goal, weight / total) for goal, weight in likely]
         self._decision: Decision = None
-        self._wanted: dict[int, float] | None = None  # when that was decided
-        self._was_there = False
+        self._work = math.inf  # expected when that was decided
 
     @property
     def is_known(self) -> bool:
@@ -63,27 +59,14 @@ class Intention:
         return bool(self.goals)
 
     def decide(self, poses: Poses) -> Decision:
-        """What to move now; the same as before until enough of the belief is content with it."""
-        wanted = self.probabilities(poses)
-        if self._is_finished(poses, wanted):
-            self._decision = self._choose(wanted, poses)
-            self._wanted, self._was_there = wanted, self._is_there(poses)
+        """What to move now; the same as before while it is worth moving."""
+        after = poses if self._decision is None else _moved(poses, *self._decision)
+        now, then = self._expected_work([poses, after]).tolist()
+        kept = abs(now - self._work) < CHANGE if self._decision is None else now - then > MOVE_COST
+        if not kept:
+            self._decision = self._choose(poses)
+            self._work = now
         return self._decision
-
-    def _is_finished(self, poses: Poses, wanted: dict[int, float]) -> bool:
-        """Whether it is time to decide: at first, and when something changed."""
-        if self._wanted is None or self._decision is None:
-            return wanted != self._wanted
-        thing = self._decision[0]
-        is_content = wanted.get(thing, 0.0) < SATISFIED * self._wanted[thing]
-        return is_content or (self._is_there(poses) and not self._was_there)
-
-    def _is_there(self, poses: Poses) -> bool:
-        """Whether what is moved lies at its place, or nothing is moved."""
-        if self._decision is None:
-            return True
-        thing, place = self._decision
-        return math.dist(poses.bodies[_row(thing), :2], place) < AT_PLACE
 
     def probabilities(self, poses: Poses) -> dict[int, float]:
         """How probable it is that each block, or the robot, has still to move."""
@@ -95,15 +78,21 @@ class Intention:
                 found[number] = found.get(number, 0.0) + weight
         return found
 
-    def _choose(self, wanted: dict[int, float], poses: Poses) -> Decision:
+    def _choose(self, poses: Poses) -> Decision:
         """The nearest of what must move most probably, then of the rest, if it is worth a move."""
         now = float(self._expected_work([poses])[0])
+        if now <= MOVE_COST:
+            return None
+        wanted = self.probabilities(poses)
+        pressing = PRESSING * max(wanted.values(), default=0.0)
         grip = to_workspace((0.0, GRIP), poses.robot)
-        sure = SATISFIED * max(wanted.values(), default=0.0)
         order = sorted(
-            (wanted[thing] < sure, math.dist(poses.bodies[_row(thing), :2], grip), thing)
-            for thing in wanted
-            if wanted[thing] > LIKELY
+            (
+                wanted.get(thing, 0.0) < pressing,
+                math.dist(poses.bodies[_row(thing), :2], grip),
+                thing,
+            )
+            for thing in (ROBOT_TARGET, *range(len(self.scene.blocks)))
         )
         for *_, thing in order:
             work = self.work_at_places(thing, poses)
@@ -116,11 +105,8 @@ class Intention:
 
     def work_at_places(self, thing: int, poses: Poses) -> Floats:
         """Expected work if the thing lay at each place; more if it touched a block there."""
-        row = _row(thing)
-        bodies = np.repeat(poses.bodies[None], len(PLACES), axis=0)
-        bodies[:, row, :2] = PLACES
-        work = self._expected_work([Poses(each) for each in bodies])
-        if row != ROBOT:
+        work = self._expected_work([_moved(poses, thing, (x, y)) for x, y in PLACES.tolist()])
+        if thing != ROBOT_TARGET:
             others = np.delete(poses.blocks[:, :2], thing, axis=0)
             gaps = np.linalg.norm(PLACES[:, None] - others, axis=2)
             work += CROWDED * (gaps < CLEARANCE).any(axis=1)
@@ -135,6 +121,13 @@ class Intention:
 
 def _row(thing: int) -> int:
     return ROBOT if thing == ROBOT_TARGET else FIRST_BLOCK + thing
+
+
+def _moved(poses: Poses, thing: int, place: Point) -> Poses:
+    """The poses after a thing was moved to a place."""
+    bodies = poses.bodies.copy()
+    bodies[_row(thing), :2] = place
+    return Poses(bodies)
 
 
 def _smooth(costs: Floats) -> Floats:

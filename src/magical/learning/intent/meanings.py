@@ -34,7 +34,7 @@ from magical.tasks.programs import (
     Together,
     Undisturbed,
 )
-from magical.tasks.programs.prior import Form, Prior, bits_of_words, form_of, simple_expressions
+from magical.tasks.programs.prior import bits_of_part, choice, simple_expressions
 from magical.tasks.programs.selections import Blocks
 
 Named = tuple[Blocks, ...]  # the blocks that a selection names in each scene
@@ -75,32 +75,30 @@ class Meaning:
 
     Attributes:
         goal: the most probable one.
-        form: theirs.
-        share: the probability of their selections and words, given the form.
+        weight: the probability of all of them.
     """
 
     goal: Goal
-    form: Form
-    share: float
+    weight: float
 
     def __and__(self, other: "Meaning") -> "Meaning":
-        """Both goals together."""
-        form = tuple(sorted(self.form + other.form))
-        return Meaning(Together(self.goal, other.goal), form, self.share * other.share)
+        """Both goals together, in either order."""
+        weight = 2 * _probability(choice(Together)) * self.weight * other.weight
+        return Meaning(Together(self.goal, other.goal), weight)
 
 
 class Language:
     """The selections of at most two parts and the goals of one part, in some scenes."""
 
-    def __init__(self, scenes: Sequence[Scene], prior: Prior) -> None:
+    def __init__(self, scenes: Sequence[Scene]) -> None:
         """Find all selections that name a block in each scene."""
-        self.scenes, self.prior = scenes, prior
+        self.scenes = scenes
         self._named: dict[Selection, Named] = {}
         found: dict[Named, dict[Selection, float]] = {}
         for selection, bits, named in self._selections():
             if all(named):
                 self._named[selection] = named
-                found.setdefault(named, {})[selection] = 2.0**-bits
+                found.setdefault(named, {})[selection] = _probability(bits)
         self.alternatives: Mapping[Named, Alternatives] = {
             named: Alternatives(named, tuple(each), tuple(each.values()))
             for named, each in found.items()
@@ -114,11 +112,11 @@ class Language:
         """Selections of at most two parts, their bits, and what they name."""
         everything = self.named_by(AllBlocks())
         single = [
-            (s, self.prior.bits_of_part(s), self.named_by(s))
+            (s, bits_of_part(s), self.named_by(s))
             for s in simple_expressions(Selection)
             if isinstance(s, Selection)
         ]
-        but = self.prior.choice(AllBut)
+        but = choice(AllBut)
         negated = [
             (AllBut(s), but + bits, _without(everything, named)) for s, bits, named in single
         ]
@@ -126,31 +124,33 @@ class Language:
         known = [each for each in single if all(each[2])]
         for (a, bits_a, in_a), (b, bits_b, in_b) in combinations(known, 2):
             both = bits_a + bits_b
-            yield And(a, b), self.prior.choice(And) + both, _and(in_a, in_b)
-            yield Or(a, b), self.prior.choice(Or) + both, tuple(map(operator.or_, in_a, in_b))
+            yield And(a, b), choice(And) + both, _and(in_a, in_b)
+            yield Or(a, b), choice(Or) + both, tuple(map(operator.or_, in_a, in_b))
         for (a, bits_a, in_a), (b, bits_b, in_b) in product(known, negated):
             if a != b.selection:
-                yield And(a, b), self.prior.choice(And) + bits_a + bits_b, _and(in_a, in_b)
+                yield And(a, b), choice(And) + bits_a + bits_b, _and(in_a, in_b)
 
     def meanings(self) -> Iterator[Meaning]:
         """Every goal of one part."""
         chosen = [(a.heaviest, sum(a.weights)) for a in self.alternatives.values()]
-        places: list[tuple[Place, float]] = [
-            (place, 2.0 ** -bits_of_words(place))
+        places = [
+            (place, _probability(bits_of_part(place)))
             for place in simple_expressions(Place)
             if isinstance(place, Place)
         ]
+        beside = _probability(choice(Beside))
         of_one_part = [each for each in chosen if not isinstance(each[0], AllBut | And | Or)]
-        places += [(Beside(selection), share) for selection, share in of_one_part]
+        places += [(Beside(selection), beside * weight) for selection, weight in of_one_part]
         for kind in (Each, Every, OneOf):
-            for (selection, share), (place, of_place) in product(chosen, places):
-                form = ((kind.__name__, type(place).__name__),)
-                yield Meaning(kind(selection, place), form, share * of_place)
+            of_kind = _probability(choice(kind))
+            for (selection, weight), (place, of_place) in product(chosen, places):
+                yield Meaning(kind(selection, place), of_kind * weight * of_place)
         for simple in (Exactly, Only, Undisturbed, Lined):
-            yield from (Meaning(simple(s), ((simple.__name__,),), share) for s, share in chosen)
+            of_kind = _probability(choice(simple))
+            yield from (Meaning(simple(each), of_kind * weight) for each, weight in chosen)
         several = all(len(scene.blocks) > 1 for scene in self.scenes)
         for goal in (*(map(Clustered, Attribute) if several else ()), RobotInside()):
-            yield Meaning(goal, form_of(goal), 2.0 ** -bits_of_words(goal))
+            yield Meaning(goal, _probability(bits_of_part(goal)))
 
     def literal(self, goal: Goal, number: int) -> Goal:
         """The goal in one of the scenes, with the blocks that its selections name there."""
@@ -172,6 +172,10 @@ class Language:
 
             rewritten = replace_selections(goal, next_one)
             yield rewritten, math.prod(share for _, share in chosen)
+
+
+def _probability(bits: float) -> float:
+    return float(2.0**-bits)
 
 
 def _and(a: Named, b: Named) -> Named:

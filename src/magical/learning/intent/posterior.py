@@ -7,11 +7,9 @@ Demonstrations of one scene share their demonstrator's habits, such as the side 
 is pushed, which a goal may fit by chance. So n demonstrations count as the square root of n.
 """
 
-import functools
 import math
-import operator
 from collections.abc import Iterable, Sequence
-from itertools import combinations, product
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -19,11 +17,9 @@ import numpy as np
 from magical.learning.intent.demonstrator import Episode
 from magical.learning.intent.meanings import Language, Meaning
 from magical.tasks.programs import Goal
-from magical.tasks.programs.prior import Prior
 
 FIRST_PASS = 150  # meanings of the first demonstration that are held against all
 BEAM = 24  # meanings that are combined with each other
-PARTS = 8  # meanings for each goal of a known form of several goals together
 MOST = 100  # explanations that are kept
 WORDINGS = 6  # selections of the same blocks that are told apart
 LEAST_WEIGHT = 0.5  # of the most probable meaning: below, it is not known which
@@ -71,9 +67,9 @@ class Belief(NamedTuple):
         return f"{known}: the most probable meaning in Demo has probability {self.largest:.2f}"
 
 
-def infer(episodes: Sequence[Episode], prior: Prior) -> Belief:
+def infer(episodes: Sequence[Episode]) -> Belief:
     """The posterior of the programs that demonstrations have in common."""
-    search = _Search(episodes, prior)
+    search = _Search(episodes)
     found = search.run()
     weights = [math.exp(value - found[0][0]) for value, _ in found]
     total = sum(weights)
@@ -93,23 +89,16 @@ def infer(episodes: Sequence[Episode], prior: Prior) -> Belief:
 class _Search:
     """For the most probable meanings."""
 
-    def __init__(self, episodes: Sequence[Episode], prior: Prior) -> None:
-        self.language = Language([episode.scene for episode in episodes], prior)
+    def __init__(self, episodes: Sequence[Episode]) -> None:
+        self.language = Language([episode.scene for episode in episodes])
         self.evidence = math.sqrt(len(episodes))
-        self._episodes, self._prior = episodes, prior
+        self._episodes = episodes
 
     def run(self) -> Scored:
-        """The best first: goals of one part, and those of them that hold together."""
-        first = self._score(self.language.meanings(), 1)
-        single = self._score_again(first)
-        several = [a & b for (_, a), (_, b) in combinations(single[:BEAM], 2)]
-        for form in self._prior.forms:
-            if len(form) > 1:
-                parts = [[m for _, m in first if m.form == (goal,)][:PARTS] for goal in form]
-                several += [functools.reduce(operator.and_, each) for each in product(*parts)]
-        return sorted(
-            single + self._score_again(self._score(several, 1)), key=lambda pair: -pair[0]
-        )
+        """The best first: goals of one part, and pairs of them."""
+        single = self._in_two_passes(self.language.meanings())
+        pairs = [a & b for (_, a), (_, b) in combinations(single[:BEAM], 2)]
+        return sorted(single + self._in_two_passes(pairs), key=lambda pair: -pair[0])
 
     def probability_of_none(self, found: Scored) -> float:
         """That the demonstrator has no program, which is as probable as any before.
@@ -121,22 +110,19 @@ class _Search:
         scale = len(self._episodes) / self.evidence
         gains = []
         for value, meaning in found:
-            prior = self._prior_of(meaning)
+            prior = math.log(meaning.weight)
             gains.append(prior + (value - prior) * scale - slips)
         return float(1.0 / (1.0 + np.exp(np.logaddexp.reduce(gains))))
 
-    def _score_again(self, scored: Scored) -> Scored:
-        """The best of those that were held against the first demonstration, against all."""
-        return self._score((meaning for _, meaning in scored[:FIRST_PASS]), len(self._episodes))
+    def _in_two_passes(self, meanings: Iterable[Meaning]) -> Scored:
+        """Those that the first demonstration leaves most probable, held against all."""
+        best = self._score(meanings, 1)[:FIRST_PASS]
+        return self._score((meaning for _, meaning in best), len(self._episodes))
 
     def _score(self, meanings: Iterable[Meaning], count: int) -> Scored:
         """The best first, as if all demonstrations were like the first `count`."""
-        found = [(self._prior_of(m) + self._likelihood(m.goal, count), m) for m in meanings]
+        found = [(math.log(m.weight) + self._likelihood(m.goal, count), m) for m in meanings]
         return sorted(found, key=lambda pair: -pair[0])
-
-    def _prior_of(self, meaning: Meaning) -> float:
-        bits = self._prior.bits_of_form(meaning.form)
-        return math.log(meaning.share) - bits * math.log(2.0)
 
     def _likelihood(self, goal: Goal, count: int) -> float:
         literal = (self.language.literal(goal, number) for number in range(count))
