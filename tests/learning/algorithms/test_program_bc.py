@@ -11,6 +11,7 @@ import torch
 from magical.cli import main
 from magical.demos import ObservationReader
 from magical.demos.generate import demonstrate
+from magical.errors import CheckpointError
 from magical.evaluation import evaluate
 from magical.learning import load_policy, train
 from magical.learning.algorithms.program_bc import ProgramBCConfig, ProgramPolicy, beliefs_of
@@ -80,6 +81,15 @@ def test_relations_decide_where_no_program_explains_demonstrations(
     expected = policy.network.goals.decide(table, torch.ones(1, dtype=torch.int64))
     assert targets == expected[0]
     torch.testing.assert_close(destinations, expected[1])
+
+
+def test_a_damaged_belief_is_refused(run: Path) -> None:
+    policy = load_policy(run)
+    assert isinstance(policy, ProgramPolicy)
+    network = policy.network
+    network.beliefs[0, 0] = ord("?")
+    with pytest.raises(CheckpointError, match="expected programs with their probabilities"):
+        network.belief(0)
 
 
 def test_the_command_prints_and_draws_beliefs(

@@ -61,7 +61,7 @@ def test_threads_are_pytorchs_own_number_unless_given() -> None:
 def run_train(demos: Path, out: Path) -> None:
     """The command, with its defaults for precision and threads."""
     command = ["train", "bc", "--task", "MoveToCorner", "--demos", str(demos), "--num-demos", "2"]
-    command += ["--batches", "2", "--batch-size", "4", "--network", "small", "--device", "cpu"]
+    command += ["--batches", "4", "--batch-size", "8", "--network", "small", "--device", "cpu"]
     assert cli.main([*command, "--out", str(out)]) == 0
 
 

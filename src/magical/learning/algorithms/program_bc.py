@@ -23,7 +23,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from magical.errors import RunFolderError
+from magical.errors import CheckpointError, RunFolderError
 from magical.evaluation.policy import Actions, Mask
 from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.object_bc import (
@@ -46,6 +46,7 @@ from magical.learning.running.devices import choose_device, one_thread
 from magical.learning.running.loading import load_policy
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
+from magical.messages import quoted
 from magical.observe.pixels import STACK
 from magical.scene import NOOP
 from magical.tasks.programs import parse
@@ -83,8 +84,13 @@ class ProgramNetwork(ObjectPolicy):
     def belief(self, task: int) -> Belief:
         """What is believed of a task."""
         text = bytes(self.beliefs[task].cpu().numpy()).rstrip(b"\0")
-        programs, unexplained, largest = json.loads(text)
-        explanations = [Explanation(parse(program), weight) for program, weight in programs]
+        try:
+            programs, unexplained, largest = json.loads(text)
+            explanations = [Explanation(parse(program), float(w)) for program, w in programs]
+        except (ValueError, TypeError) as error:
+            raise CheckpointError(
+                f"policy: expected programs with their probabilities, found {quoted(text)}"
+            ) from error
         return Belief(explanations, unexplained, largest)
 
 

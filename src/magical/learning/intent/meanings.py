@@ -7,7 +7,7 @@ one goal for the likelihood, with all selections that it may have been written w
 import math
 import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import combinations, product
 from typing import Any, TypeVar, cast
 
@@ -34,6 +34,7 @@ from magical.tasks.programs import (
     Together,
     Undisturbed,
 )
+from magical.tasks.programs.expressions import field_types
 from magical.tasks.programs.prior import bits_of_part, choice, simple_expressions
 from magical.tasks.programs.selections import Blocks
 
@@ -59,7 +60,6 @@ class Chosen(Selection):
 class Alternatives:
     """The selections that name the same blocks in all scenes, with their weights."""
 
-    named: Named
     selections: Sequence[Selection]
     weights: Sequence[float]
 
@@ -100,8 +100,7 @@ class Language:
                 self._named[selection] = named
                 found.setdefault(named, {})[selection] = _probability(bits)
         self.alternatives: Mapping[Named, Alternatives] = {
-            named: Alternatives(named, tuple(each), tuple(each.values()))
-            for named, each in found.items()
+            named: Alternatives(tuple(each), tuple(each.values())) for named, each in found.items()
         }
 
     def named_by(self, selection: Selection) -> Named:
@@ -211,4 +210,4 @@ def replace_selections(
 
 
 def _fields(expression: Expression) -> list[Any]:
-    return [getattr(expression, each.name) for each in fields(expression)]  # type: ignore[arg-type]
+    return [getattr(expression, name) for name in field_types(type(expression))]

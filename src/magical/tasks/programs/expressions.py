@@ -44,8 +44,7 @@ class Expression:
 
     @property
     def _fields(self) -> Mapping[str, type]:
-        kind: Any = type(self)  # mypy: no class with a hash of its own counts as hashable
-        return _types(kind)
+        return field_types(type(self))
 
     def _word(self, name: str, kind: type[StrEnum], value: Any) -> StrEnum:
         try:
@@ -78,8 +77,12 @@ class Expression:
         return sum(issubclass(kind, StrEnum) for kind in self._fields.values())
 
 
-@cache
-def _types(kind: Any) -> Mapping[str, type]:
+def field_types(kind: Any) -> Mapping[str, Any]:
     """The fields of a class of expressions, with their types."""
+    return _types(kind)
+
+
+@cache
+def _types(kind: Any) -> Mapping[str, Any]:
     hints = typing.get_type_hints(kind)
     return {field.name: hints[field.name] for field in fields(kind)}

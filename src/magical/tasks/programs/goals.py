@@ -5,13 +5,14 @@ instruction. Goals are combined by `Together`, whose score is the product.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, pairwise, product
 
 import numpy as np
 
+from magical.grouping import group_by
 from magical.scene import Poses, Scene
 from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
 from magical.scene.geometry import Point, to_workspace
@@ -248,9 +249,8 @@ class Clustered(Goal):
         if (own < other / 3).all():
             return [{}]
         points = positions(scene, poses)
-        kinds: dict[str, list[int]] = {}
-        for i, block in enumerate(scene.blocks):
-            kinds.setdefault(value_of(block, self.attribute), []).append(i)
+        blocks = range(len(scene.blocks))
+        kinds = group_by(blocks, lambda i: value_of(scene.blocks[i], self.attribute))
         gathered: dict[int | None, float] = {}
         for alike in kinds.values():
             ways: list[Remaining] = [_units_to_gather(centre, alike, points) for centre in alike]
@@ -313,7 +313,7 @@ class Together(Goal):
         return f"{first} {second}"
 
 
-def _units_to_gather(centre: int, blocks: list[int], points: list[Point]) -> Remaining:
+def _units_to_gather(centre: int, blocks: Sequence[int], points: list[Point]) -> Remaining:
     """Units that blocks have to go to be beside one of them, without those that are there."""
     units = {i: math.dist(points[i], points[centre]) - NEIGHBOUR_DISTANCE for i in blocks}
     return {i: left for i, left in units.items() if left > 0.0}

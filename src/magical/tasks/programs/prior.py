@@ -6,12 +6,10 @@ Every choice is uniform, so that the probability of a program is 2 to the minus 
 
 import math
 from collections.abc import Iterator
-from dataclasses import fields
 from enum import StrEnum
 from itertools import product
-from typing import Any, get_type_hints
 
-from magical.tasks.programs.expressions import Expression
+from magical.tasks.programs.expressions import Expression, field_types
 from magical.tasks.programs.goals import Goal
 from magical.tasks.programs.parsing import VOCABULARY
 from magical.tasks.programs.places import Place
@@ -27,7 +25,7 @@ def bits(program: Expression) -> float:
 
 def bits_of_part(part: Expression) -> float:
     """Bits of an expression with its words, without those within it."""
-    words = (math.log2(len(each)) for each in _fields(type(part)) if _is_word(each))
+    words = (math.log2(len(each)) for each in field_types(type(part)).values() if _is_word(each))
     return choice(type(part)) + sum(words)
 
 
@@ -40,14 +38,9 @@ def choice(kind: type[Expression]) -> float:
 def simple_expressions(base: type[Expression]) -> Iterator[Expression]:
     """All expressions of a kind whose fields are words."""
     for kind in VOCABULARY.values():
-        words = _fields(kind)
+        words = field_types(kind).values()
         if issubclass(kind, base) and all(map(_is_word, words)):
             yield from (kind(*values) for values in product(*words))
-
-
-def _fields(kind: Any) -> list[Any]:
-    hints = get_type_hints(kind)
-    return [hints[each.name] for each in fields(kind)]
 
 
 def _is_word(kind: object) -> bool:
