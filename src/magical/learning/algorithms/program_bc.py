@@ -3,9 +3,9 @@
 1. Frames are parsed and demonstrations cut into carries, as in `object-bc`.
 2. Programs of the language of goals are enumerated by their prior probability, and weighted by the
    likelihood of the carries under a softly rational demonstrator (`magical.learning.intent`).
-3. In an episode the posterior decides what is moved next, and where to; the controller of
-   `object-bc` moves it. Where no program explains the demonstrations, or none that does fits the
-   scene, the goal model of `object-bc` decides.
+3. In an episode the posterior decides what is moved next, and where to; a planner moves it, with
+   the motion that the demonstrations show (`magical.learning.planning`). Where no program explains
+   the demonstrations, or none that does fits the scene, `object-bc` decides and acts.
 
 Sources: Lázaro-Gredilla et al., "Beyond imitation: zero-shot task transfer on robots by learning
 concepts as cognitive programs", Science Robotics 2019; Silver et al., "Few-shot Bayesian imitation
@@ -20,9 +20,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from magical.demos.store.trajectory import Trajectory
 from magical.errors import CheckpointError, RunFolderError
 from magical.evaluation.policy import Actions, Mask
 from magical.learning.algorithms import Algorithm
@@ -38,20 +38,23 @@ from magical.learning.intent.acting import Intention
 from magical.learning.intent.posterior import Belief, Explanation, infer
 from magical.learning.intent.scenes import parsed_episode, parsed_poses, parsed_scene
 from magical.learning.objects.data import ObjectData, parse_trajectory
-from magical.learning.objects.hindsight import ROBOT_TARGET, track
+from magical.learning.objects.hindsight import track
 from magical.learning.objects.parser import ParsedFrames, parse_frames
-from magical.learning.objects.table import ObjectTable, to_tensor
+from magical.learning.planning.motion import Motion, fit_motion
+from magical.learning.planning.planner import Planner, Situation
 from magical.learning.policy import TrainedPolicy, choose_actions, to_inputs
-from magical.learning.running.devices import choose_device, one_thread
+from magical.learning.running.devices import choose_device
 from magical.learning.running.loading import load_policy
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.messages import quoted
 from magical.observe.pixels import STACK
 from magical.scene import NOOP
+from magical.scene.poses import ROBOT
 from magical.tasks.programs import parse
 
 MAX_BYTES = 1 << 16  # of a task's programs as text
+MOTION_SHAPES = {"drive": (2, 4), "turn": (2, 2), "grasp": (3,)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,11 +70,26 @@ class ProgramNetwork(ObjectPolicy):
     """An object-centred policy with a belief about each task's program."""
 
     beliefs: Tensor  # (tasks, MAX_BYTES) uint8: JSON, filled up with zeros
+    drive: Tensor  # (2, 4), turn (2, 2), grasp (3,) float64: see `Motion`
+    turn: Tensor
+    grasp: Tensor
 
     def __init__(self, config: ProgramBCConfig) -> None:
         super().__init__(config)
         empty = torch.zeros(len(config.tasks), MAX_BYTES, dtype=torch.uint8)
         self.register_buffer("beliefs", empty)
+        for name, shape in MOTION_SHAPES.items():
+            self.register_buffer(name, torch.zeros(shape, dtype=torch.float64))
+
+    @property
+    def motion(self) -> Motion:
+        """The robot's motion."""
+        return Motion(*(getattr(self, name).cpu().numpy() for name in MOTION_SHAPES))
+
+    def move_as(self, motion: Motion) -> None:
+        """Keep the robot's motion."""
+        for name, values in zip(MOTION_SHAPES, motion, strict=True):
+            getattr(self, name).copy_(torch.from_numpy(values))
 
     def believe(self, task: int, belief: Belief) -> None:
         """Keep what is believed of a task."""
@@ -98,72 +116,71 @@ class ProgramPolicy(TrainedPolicy):
     """Acts by the beliefs; remembers where each episode's blocks started, and which is which."""
 
     network: ProgramNetwork
-    _intentions: list[Intention | None]
-    _blocks: ParsedFrames  # of the last step
+    _episodes: list["_Episode | None"]
 
     def reset(self, mask: Mask) -> None:
         """Forget the episodes that end where the mask (B,) is true."""
         if mask.all():
             self._beliefs = [self.network.belief(task) for task in range(len(self.tasks))]
-            self._intentions = [None] * len(mask)
+            self._episodes = [None] * len(mask)
         for row in np.flatnonzero(mask).tolist():
-            self._intentions[row] = None
+            self._episodes[row] = None
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
         """See `TrainedPolicy`."""
         stacks = to_inputs(observations, self._spec)
         tasks = self.task_numbers(env_ids)
-        self._see(parse_frames(stacked_frames(stacks, STACK - 1)), tasks.tolist())
-        before = to_tensor(parse_frames(stacked_frames(stacks, 0), robot_alone=True).robot)
-        with one_thread():
-            table = ObjectTable(*map(to_tensor, self._blocks))
-            targets, destinations, stops = self._decide(table, tasks)
-            logits = self.computed(self._control, before, targets, destinations, *table)
-        actions = choose_actions(logits.softmax(dim=1).numpy(), rng, self.greedy)
-        return np.where(stops, NOOP, actions)
-
-    def _decide(
-        self, table: ObjectTable, tasks: Tensor
-    ) -> tuple[Tensor, Tensor, NDArray[np.bool_]]:
-        """Targets (B,), destinations (B, 2), and which robots have nothing left to do (B,)."""
-        targets = torch.full((table.size,), ROBOT_TARGET)
-        destinations = table.robot[:, :2].clone()
-        stops = np.zeros(table.size, np.bool_)
+        parsed = parse_frames(stacked_frames(stacks, STACK - 1))
+        uniforms = rng.random(len(tasks))
+        actions = np.full(len(tasks), NOOP)
         unknown = []
-        for row, intention in enumerate(self._intentions):
-            if intention is None or not intention.is_known:
-                unknown.append(row)
-                continue
-            decision = intention.decide(parsed_poses(self._blocks, row, intention.scene))
-            stops[row] = decision is None
-            if decision is not None:
-                targets[row] = decision[0]
-                destinations[row] = destinations.new_tensor(decision[1])
-        if unknown:
-            rows = torch.tensor(unknown)
-            found = self.network.goals.decide(table.select(rows), tasks[rows])
-            targets[rows], destinations[rows] = found
-        return targets, destinations, stops
-
-    def _control(self, before: Tensor, targets: Tensor, places: Tensor, *table: Tensor) -> Tensor:
-        return self.network.control(ObjectTable(*table), before, targets, places)
-
-    def _see(self, parsed: ParsedFrames, tasks: Sequence[int]) -> None:
-        """Track blocks from the last step on, and begin with new episodes."""
-        rows = []
-        for row, intention in enumerate(self._intentions):
-            now = ParsedFrames(*(column[row] for column in parsed))
-            if intention is None:
-                scene = parsed_scene(parsed, row)
-                self._intentions[row] = Intention(self._beliefs[tasks[row]], scene)
+        for row, task in enumerate(tasks.tolist()):
+            now = _rows(parsed, slice(row, row + 1))
+            episode = self._episodes[row]
+            if episode is None:
+                intention = Intention(self._beliefs[task], parsed_scene(parsed, row))
+                episode = _Episode(intention, Planner(self.network.motion), now)
+                self._episodes[row] = episode
             else:
-                pair = (np.stack(both) for both in zip(self._before(row), now, strict=True))
-                now = ParsedFrames(*(column[1] for column in track(ParsedFrames(*pair))))
-            rows.append(now)
-        self._blocks = ParsedFrames(*map(np.stack, zip(*rows, strict=True)))
+                episode.see(now)
+            if episode.intention.is_known:
+                actions[row] = episode.act(None if self.greedy else uniforms[row])
+            else:
+                unknown.append(row)
+        if unknown:
+            rows = np.array(unknown)
+            logits = self.outputs(observations[rows], [env_ids[row] for row in unknown])
+            actions[rows] = choose_actions(logits.softmax(dim=1).numpy(), rng, self.greedy)
+        return actions
 
-    def _before(self, row: int) -> ParsedFrames:
-        return ParsedFrames(*(column[row] for column in self._blocks))
+
+class _Episode:
+    """An episode that is acted in."""
+
+    def __init__(self, intention: Intention, planner: Planner, now: ParsedFrames) -> None:
+        self.intention, self._planner = intention, planner
+        self._now, self._before = now, now
+
+    def see(self, parsed: ParsedFrames) -> None:
+        """The next frame, with blocks numbered as in the first."""
+        frames = [self._now, parsed]
+        pair = track(ParsedFrames(*map(np.concatenate, zip(*frames, strict=True))))
+        self._before, self._now = self._now, _rows(pair, slice(1, 2))
+
+    def act(self, uniform: float | None) -> int:
+        """See `Planner`; without anything left to do, none."""
+        poses = parsed_poses(self._now, 0, self.intention.scene)
+        decision = self.intention.decide(poses)
+        if decision is None:
+            return NOOP
+        target, place = decision
+        pose, blocks = poses.bodies[ROBOT], poses.blocks[:, :2]
+        seen = Situation(pose, self._before.robot[0], blocks, target, np.array(place))
+        return self._planner.act(seen, uniform)
+
+
+def _rows(parsed: ParsedFrames, rows: Any) -> ParsedFrames:
+    return ParsedFrames(*(column[rows] for column in parsed))
 
 
 def train(config: ProgramBCConfig, run: Run) -> None:
@@ -172,7 +189,9 @@ def train(config: ProgramBCConfig, run: Run) -> None:
     policy = make_policy(config)
     demonstrations = load_demonstrations(config, run)
     if not run.saved:
-        for number, belief in enumerate(infer_beliefs(config, demonstrations).values()):
+        tracked = _track(config, demonstrations)
+        policy.move_as(fit_motion([(parsed, t.actions) for _, t, parsed in tracked]))
+        for number, belief in enumerate(_infer(config, tracked).values()):
             policy.believe(number, belief)
     trainer = ObjectBCTrainer(config, run, policy, device)
     component = config.observation_spec.components[0]
@@ -181,17 +200,25 @@ def train(config: ProgramBCConfig, run: Run) -> None:
 
 def infer_beliefs(config: ProgramBCConfig, demonstrations: TaskTrajectories) -> dict[str, Belief]:
     """What is believed of each task after its demonstrations."""
-    rng = stream(config.seed, Purpose.PROGRAMS)
+    return _infer(config, _track(config, demonstrations))
+
+
+def _track(
+    config: ProgramBCConfig, demonstrations: TaskTrajectories
+) -> list[tuple[str, Trajectory, ParsedFrames]]:
+    """Each demonstration with its task and its tracked frames."""
     component = config.observation_spec.components[0]
-    beliefs = {}
-    for task in config.tasks:
-        episodes = [
-            parsed_episode(trajectory, track(parse_trajectory(trajectory, component)), rng)
-            for name, trajectory in demonstrations
-            if name == task
-        ]
-        beliefs[task] = infer(episodes)
-    return beliefs
+    return [(task, t, track(parse_trajectory(t, component))) for task, t in demonstrations]
+
+
+def _infer(
+    config: ProgramBCConfig, tracked: Sequence[tuple[str, Trajectory, ParsedFrames]]
+) -> dict[str, Belief]:
+    rng = stream(config.seed, Purpose.PROGRAMS)
+    return {
+        task: infer([parsed_episode(t, parsed, rng) for name, t, parsed in tracked if name == task])
+        for task in config.tasks
+    }
 
 
 def beliefs_of(run: Path) -> dict[str, Belief]:

@@ -1,0 +1,1 @@
+"""Control by planning with a motion that was learned from demonstrations."""

@@ -1,0 +1,128 @@
+"""How the robot moves, learned from demonstrations: free, and with a block between its fingers.
+
+In a control step the robot keeps a share of its speed and gains what the action gives it; so does
+its turning. Both are fitted to parsed frames by least squares, turning with left and right
+interchangeable, so that ten demonstrations are enough. Nothing about contacts is learned.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical.learning.objects.hindsight import find_carries
+from magical.learning.objects.parser import ParsedFrames
+from magical.learning.objects.table import GRIP
+from magical.scene.actions import to_continuous
+
+FEW = 30  # steps: from fewer, nothing is learned about carrying, or about moving freely
+MOST = 0.9  # share of the demonstrated grasps within the limits
+SLOWEST = 1e-3  # units or rad in a step: the top speed of a motion that was never demonstrated
+
+Floats = NDArray[np.float64]
+Demonstration = tuple[ParsedFrames, NDArray[Any]]  # T + 1 tracked frames, T actions
+
+
+class Motion(NamedTuple):
+    """What actions do to speeds in a control step; row 0 free, row 1 with a block."""
+
+    drive: Floats  # (2, 4) share of the speed that is kept; units gained backwards, at rest, ahead
+    turn: Floats  # (2, 2) share of the turning that is kept; rad gained to the left
+    grasp: Floats  # (3,) where blocks lie as fingers close: units aside; nearest, farthest ahead
+
+    @property
+    def speeds(self) -> Floats:
+        """Top speeds (2, 3): units a step backwards and ahead, rad a step."""
+        gained = np.column_stack([-self.drive[:, 1], self.drive[:, 3], self.turn[:, 1]])
+        kept = np.column_stack([self.drive[:, 0], self.drive[:, 0], self.turn[:, 0]])
+        top: Floats = (gained / (1.0 - kept)).clip(min=SLOWEST)
+        return top
+
+
+class _Steps(NamedTuple):
+    """S steps of demonstrations, from the second on."""
+
+    before: Floats  # (S, 2) units ahead, rad to the left in the step before
+    after: Floats  # (S, 2) in this step
+    commands: Floats  # (S, 3) drive, turn and grip of this step's action
+    carried: NDArray[np.bool_]  # (S,) whether a block was carried
+
+
+def fit_motion(demonstrations: Sequence[Demonstration]) -> Motion:
+    """The motion that demonstrations show; without carries, as if blocks weighed nothing."""
+    parts = [_steps(*each) for each in demonstrations]
+    steps = _Steps(*map(np.concatenate, zip(*parts, strict=True)))
+    models = []
+    for rows in (~steps.carried, steps.carried):
+        enough = rows if rows.sum() >= FEW else np.ones_like(rows)
+        models.append(_fit(steps.before[enough], steps.after[enough], steps.commands[enough]))
+    drive, turn = map(np.stack, zip(*models, strict=True))
+    grasps = np.concatenate([_grasps(*each) for each in demonstrations])
+    grasps = grasps if len(grasps) else np.array([[0.0, GRIP]])
+    nearest, farthest = np.quantile(grasps[:, 1], (1.0 - MOST, MOST))
+    aside = np.quantile(np.abs(grasps[:, 0]), MOST)
+    return Motion(drive, turn, np.array([aside, nearest, farthest]))
+
+
+def _fit(before: Floats, after: Floats, commands: Floats) -> tuple[Floats, Floats]:
+    """Coefficients of drive (4,) and turn (2,)."""
+    (speed, spin), (drive, turn) = before.T, commands[:, :2].T
+    inputs = np.column_stack([speed, drive < 0, drive == 0, drive > 0])
+    return (
+        np.linalg.lstsq(inputs, after[:, 0], rcond=None)[0],
+        np.linalg.lstsq(np.column_stack([spin, turn]), after[:, 1], rcond=None)[0],
+    )
+
+
+def _steps(parsed: ParsedFrames, actions: NDArray[Any]) -> _Steps:
+    moved = robot_steps(parsed.robot[:-1], parsed.robot[1:])
+    carried = np.zeros(len(actions), np.bool_)
+    for _, first, last in _carries(parsed, actions):
+        carried[first : last + 1] = True
+    return _Steps(moved[:-1], moved[1:], to_continuous(actions)[1:], carried[1:])
+
+
+def _grasps(parsed: ParsedFrames, actions: NDArray[Any]) -> Floats:
+    """Where carried blocks lay, to the right and ahead (G, 2), as fingers began to close."""
+    closed = to_continuous(actions)[:, 2] > 0
+    found = []
+    for block, first, last in _carries(parsed, actions):
+        if closed[first : last + 1].any():
+            step = first + int(closed[first : last + 1].argmax())
+            while step and closed[step - 1]:
+                step -= 1
+            found.append(to_robot(parsed.robot[step], parsed.blocks[step, block]))
+    return np.reshape(found, (-1, 2))
+
+
+def _carries(parsed: ParsedFrames, actions: NDArray[Any]) -> list[tuple[int, int, int]]:
+    return find_carries(parsed.robot, parsed.blocks, np.ones(len(actions), np.bool_))
+
+
+def robot_steps(before: Floats, after: Floats) -> Floats:
+    """Units ahead and rad to the left (..., 2) between poses (..., 3)."""
+    ahead = to_robot(before, after[..., :2])[..., 1]
+    return np.stack([ahead, wrap(after[..., 2] - before[..., 2])], axis=-1)
+
+
+def to_robot(poses: Floats, points: Floats) -> Floats:
+    """Points (..., 2) as seen from poses (..., 3): to the right, ahead."""
+    x, y = np.moveaxis(points - poses[..., :2], -1, 0)
+    cos, sin = np.cos(poses[..., 2]), np.sin(poses[..., 2])
+    return np.stack([x * cos + y * sin, y * cos - x * sin], axis=-1)
+
+
+def from_robot(poses: Floats, points: Floats) -> Floats:
+    """The inverse of `to_robot`."""
+    right, ahead = np.moveaxis(points, -1, 0)
+    cos, sin = np.cos(poses[..., 2]), np.sin(poses[..., 2])
+    offset = np.stack([right * cos - ahead * sin, right * sin + ahead * cos], axis=-1)
+    found: Floats = poses[..., :2] + offset
+    return found
+
+
+def wrap(angles: Floats) -> Floats:
+    """The same angles in [-pi, pi)."""
+    wrapped: Floats = (angles + np.pi) % (2 * np.pi) - np.pi
+    return wrapped

@@ -1,0 +1,170 @@
+"""Control by planning: to a block, around others, and with it to its place.
+
+A plan is two actions, each repeated for a few control steps. All plans are rolled out under the
+motion that demonstrations taught, and cost the steps that they take, those that remain after them,
+and more where the robot or its block would run into something. The first action of a plan is
+sampled: the cheaper, the more probable; of a robot that is stuck, more randomly.
+"""
+
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from magical.learning.objects.hindsight import ROBOT_TARGET
+from magical.learning.planning.motion import Floats, Motion, from_robot, robot_steps, to_robot
+from magical.learning.planning.remaining import (
+    APART,
+    BLOCK_LIMIT,
+    HIT,
+    LIMIT,
+    obstruction,
+    steps_to_grasp,
+    steps_to_place,
+)
+from magical.scene.actions import Action, Gripper, Longitudinal, Turn, to_continuous
+
+FIRST, SECOND = (1, 2, 3, 5), (1, 2, 4, 7)  # control steps of a plan's actions
+HORIZON = 13  # control steps that are rolled out: in the last one, what glides comes to rest
+CHECKED = 6  # plans with each first action that are checked for obstacles; for time
+STRIDE = 2  # control steps between their poses that are checked
+CLOSING = 2  # control steps of closing before a block is carried
+TOLERANCE = 0.03  # units by which a block may lie outside the demonstrated grasps; twice if held
+STANDING = 2.0  # control steps added to standing still, which could last
+SPREAD, STUCK_SPREAD = 0.1, 6.0  # control steps: differences in cost that hardly matter
+STILL, STILL_ANGLE = 0.01, 0.05  # units, rad in a step: a robot that moves less stands still
+STUCK = 3  # control steps of standing still
+
+MOVES = tuple(Action(drive, turn) for turn, drive in product(Turn, Longitudinal))
+
+
+class Situation(NamedTuple):
+    """What the robot sees, and what it is to do."""
+
+    pose: Floats  # (3,)
+    before: Floats  # (3,) a step ago
+    blocks: Floats  # (N, 2)
+    target: int  # a block's number, or ROBOT_TARGET
+    place: Floats  # (2,) where the target is to go
+
+    @property
+    def others(self) -> Floats:
+        """The blocks but for the target."""
+        return self.blocks[[row for row in range(len(self.blocks)) if row != self.target]]
+
+
+class _Plans(NamedTuple):
+    """All M plans."""
+
+    first: NDArray[np.intp]  # (M,) the first action's place in MOVES
+    steps: NDArray[np.intp]  # (M,) control steps
+    commands: Floats  # (HORIZON, M, 2) drive and turn; 0 after the plan's end
+
+
+def _all_plans() -> _Plans:
+    moves = range(len(MOVES))
+    alone = [(first, steps, first, 0) for first, steps in product(moves, FIRST)]
+    both = [each for each in product(moves, FIRST, moves, SECOND) if each[0] != each[2]]
+    first, steps, second, more = np.array(alone + both).T
+    time = np.arange(HORIZON)[:, None]
+    points = to_continuous([move.id for move in MOVES])[:, :2]
+    then = np.where((time < steps + more)[..., None], points[second], 0.0)
+    commands = np.where((time < steps)[..., None], points[first], then)
+    return _Plans(first, steps + more, commands)
+
+
+PLANS = _all_plans()
+
+
+class Planner:
+    """Chooses the actions of one episode."""
+
+    def __init__(self, motion: Motion) -> None:
+        """Create the planner of an episode that begins."""
+        self.motion = motion
+        self._still_steps = 0  # for which the robot has been standing still
+        self._held_steps = 0  # for which the target has been between the fingers
+
+    def act(self, seen: Situation, uniform: float | None) -> int:
+        """The number of the next action: by a random number in [0, 1), or the most probable."""
+        speeds = robot_steps(seen.before, seen.pose)
+        still = bool((np.abs(speeds) < (STILL, STILL_ANGLE)).all())
+        self._still_steps = self._still_steps + 1 if still else 0
+        held = self._holds(seen)
+        self._held_steps = self._held_steps + 1 if held else 0
+        grip = Gripper.CLOSED if held else Gripper.OPEN
+        if held and self._held_steps <= CLOSING:
+            return Action(gripper=grip).id
+        costs = self._costs(seen, speeds, held)
+        if uniform is None:
+            return MOVES[int(costs.argmin())]._replace(gripper=grip).id
+        spread = STUCK_SPREAD if self._still_steps >= STUCK else SPREAD
+        cumulative = np.exp((costs.min() - costs) / spread).cumsum()
+        chosen = int((uniform * cumulative[-1] >= cumulative).sum())
+        return MOVES[chosen]._replace(gripper=grip).id
+
+    def _holds(self, seen: Situation) -> bool:
+        """Whether the target is where demonstrators close their fingers."""
+        if seen.target == ROBOT_TARGET:
+            return False
+        right, ahead = to_robot(seen.pose, seen.blocks[seen.target])
+        aside, _, farthest = self.motion.grasp
+        more = 2 * TOLERANCE if self._held_steps else TOLERANCE
+        return bool(abs(right) < aside + more and 0.0 < ahead < farthest + more)
+
+    def _costs(self, seen: Situation, speeds: Floats, held: bool) -> Floats:
+        """Control steps (9,) by the best plan that begins with each of MOVES."""
+        poses = self._roll_out(seen.pose, speeds, int(held))
+        costs = PLANS.steps + self._remaining(seen, poses[-1], held)
+        order = np.argsort(costs, kind="stable")
+        best = np.concatenate(
+            [order[PLANS.first[order] == move][:CHECKED] for move in range(len(MOVES))]
+        )
+        costs = costs[best] + _collisions(seen, poses[1::STRIDE, best], held)
+        cheapest: Floats = costs.reshape(len(MOVES), CHECKED).min(axis=1)
+        cheapest[MOVES.index(Action())] += STANDING
+        return cheapest
+
+    def _roll_out(self, pose: Floats, speeds: Floats, held: int) -> Floats:
+        """The poses (HORIZON, M, 3) of all plans; the robot stops where it would leave."""
+        kept, *gains = self.motion.drive[held]
+        turning_kept, turning_gained = self.motion.turn[held]
+        gained = np.array(gains)[PLANS.commands[..., 0].astype(np.intp) + 1]
+        poses = np.empty((HORIZON, len(PLANS.first), 3))
+        limit = max(LIMIT, np.abs(pose[:2]).max())
+        speed, spin, now = speeds[0], speeds[1], np.broadcast_to(pose, poses.shape[1:])
+        for step in range(HORIZON):
+            speed = kept * speed + gained[step]
+            spin = turning_kept * spin + turning_gained * PLANS.commands[step, :, 1]
+            angle = now[:, 2] + spin / 2
+            moved = now[:, :2] + np.stack([-np.sin(angle) * speed, np.cos(angle) * speed], axis=1)
+            inside = np.abs(moved).max(axis=1) <= limit
+            poses[step, :, :2] = np.where(inside[:, None], moved, now[:, :2])
+            poses[step, :, 2] = now[:, 2] + spin
+            now = poses[step]
+        return poses
+
+    def _remaining(self, seen: Situation, ends: Floats, held: bool) -> Floats:
+        """Control steps (M,) that remain after the plans' ends (M, 3)."""
+        if seen.target != ROBOT_TARGET and not held:
+            return steps_to_grasp(seen.blocks[seen.target], ends, seen.others, self.motion)
+        reach = float(to_robot(seen.pose, seen.blocks[seen.target])[1]) if held else 0.0
+        speeds = self.motion.speeds[int(held)]
+        return steps_to_place(seen.place, ends, seen.others, speeds, reach)
+
+
+def _collisions(seen: Situation, paths: Floats, held: bool) -> Floats:
+    """Control steps (M,) that walls and blocks on paths (K, M, 3) cost the robot and its block."""
+    cost: Floats = obstruction(paths, seen.others).sum(axis=0)
+    if seen.target == ROBOT_TARGET:
+        return cost
+    block = seen.blocks[seen.target]
+    if not held:
+        cost += obstruction(paths, block[None], body=0.0).sum(axis=0)
+        return cost
+    carried = from_robot(paths, to_robot(seen.pose, block))
+    gaps = np.linalg.norm(carried[..., None, :] - seen.others, axis=-1)
+    overlap = (APART - gaps).clip(min=0.0), (np.abs(carried) - BLOCK_LIMIT).clip(min=0.0)
+    cost += HIT * sum(each.sum(axis=(0, 2)) for each in overlap)
+    return cost

@@ -1,0 +1,129 @@
+"""How many control steps remain from a pose: to a place, with a block to its place, to a grasp.
+
+Motions are taken to be turns on the spot and straight drives at top speed, forwards or backwards.
+`speeds` (3,) are those of `Motion`: units a step backwards and ahead, rad a step.
+"""
+
+import numpy as np
+
+from magical.learning.planning.motion import Floats, Motion, to_robot, wrap
+from magical.learning.planning.routes import Routes
+from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS, WORKSPACE_HALF
+
+LIMIT = WORKSPACE_HALF - ROBOT_RADIUS  # units: largest coordinate of the robot's centre
+BLOCK_LIMIT = 0.88  # units: the same of a carried block
+TOUCH = ROBOT_RADIUS + BLOCK_SIZE  # units between the centres of robot and block
+APART = 2 * BLOCK_SIZE  # units between the centres of blocks
+ROOM, BLOCK_ROOM, TARGET_ROOM = 0.02, 0.1, 0.1  # units more on routes past blocks, with a block,
+# and past the block that is to be grasped, which must not be moved before
+DIRECTIONS = 16  # from which a block can be grasped
+RUN_UP = 0.14  # units driven straight ahead before a grasp
+FIT = 0.7  # share of the demonstrated distance aside that grasps aim at
+HIT = 60.0  # control steps for each unit of overlap
+FINGERS = np.array([[-0.2, 0.26], [0.2, 0.26], [-0.22, 0.12], [0.22, 0.12]])  # (right, ahead)
+FINGER_ROOM = 0.13  # units from there to a block's centre
+DETOUR = 1.1, 0.05  # a route is straight that is at most so many times, and units, longer
+CLOSE = 0.05  # units: nearer to its place the robot need not face it
+ARRIVAL = 0.1  # units from the run-up's start: nearer, the robot turns into its direction
+
+_ANGLES = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
+_AHEAD = np.stack([-np.sin(_ANGLES), np.cos(_ANGLES)], axis=1)  # (DIRECTIONS, 2)
+
+
+def obstruction(poses: Floats, blocks: Floats, body: float = TOUCH) -> Floats:
+    """Control steps (...) that blocks (N, 2) and walls cost the robot at poses (..., 3)."""
+    local = to_robot(poses[..., None, :], blocks)  # (..., N, 2)
+    overlap = body - np.linalg.norm(local, axis=-1)
+    fingers = FINGER_ROOM - np.linalg.norm(local[..., None, :] - FINGERS, axis=-1)
+    overlap = np.maximum(overlap, fingers.max(axis=-1)).clip(min=0.0)
+    walls = (np.abs(poses[..., :2]) - LIMIT).clip(min=0.0)
+    cost: Floats = HIT * (overlap.sum(axis=-1) + walls.sum(axis=-1))
+    return cost
+
+
+def steps_to_place(
+    place: Floats, ends: Floats, others: Floats, speeds: Floats, reach: float = 0.0
+) -> Floats:
+    """From poses (M, 3) until the robot, or a block `reach` ahead of it, is at a place (2,).
+
+    Args:
+        place: (2,).
+        ends: (M, 3).
+        others: (N, 2), blocks in the way.
+        speeds: see above.
+        reach: units; 0 for the robot itself.
+    """
+    limit, room = (BLOCK_LIMIT, APART + BLOCK_ROOM) if reach else (LIMIT, TOUCH + ROOM)
+    routes = Routes(place[None], np.zeros(1), others, np.full(len(others), room), limit)
+    moved = ends[:, :2] + reach * np.stack([-np.sin(ends[:, 2]), np.cos(ends[:, 2])], axis=1)
+    length, direction = routes.at(moved)
+    offset = place - ends[:, :2]
+    distance = np.linalg.norm(offset, axis=1)
+    straight = length < DETOUR[0] * np.linalg.norm(place - moved, axis=1) + DETOUR[1]
+    exactly = offset / np.maximum(distance, 1e-6)[:, None]
+    direction = np.where(straight[:, None], exactly, direction)
+    turn = np.abs(wrap(_angle(direction) - ends[:, 2]))
+    if not reach:
+        turn *= np.minimum(1.0, distance / CLOSE)
+    gap = np.where(straight, distance - reach, length)
+    ahead = np.where(gap > 0, gap / speeds[1], -gap / speeds[0]) + turn / speeds[2]
+    gap = np.where(straight, distance + reach, length)
+    back = gap / speeds[0] + (np.pi - turn) / speeds[2]
+    outside = [  # where the robot would have to stand in the end
+        HIT * (np.abs(place + side * reach * direction) - LIMIT).clip(min=0.0).sum(axis=1)
+        for side in (-1, 1)
+    ]
+    steps: Floats = np.minimum(ahead + outside[0], back + outside[1])
+    return steps
+
+
+def steps_to_grasp(block: Floats, ends: Floats, others: Floats, motion: Motion) -> Floats:
+    """From poses (M, 3) until a block (2,) lies between the fingers.
+
+    Near the block the robot turns and drives straight on; from farther away it drives to the start
+    of a run-up first, where neither walls nor others (N, 2) are in the way of the grasp.
+    """
+    aside, reach, _ = motion.grasp
+    speeds = motion.speeds[0]
+    stances = block - reach * _AHEAD
+    crowd = obstruction(np.column_stack([stances, _ANGLES]), others)  # (DIRECTIONS,)
+    offset = block - ends[:, :2]
+    distance = np.linalg.norm(offset, axis=1)
+    facing = _angle(offset)
+    turn = (np.abs(wrap(facing - ends[:, 2])) - FIT * aside / distance).clip(min=0.0)
+    gap = (distance - reach).clip(min=0.0)
+    nearest = np.rint(facing / _ANGLES[1]).astype(np.intp) % DIRECTIONS
+    straight = turn / speeds[2] + gap / speeds[1] + crowd[nearest]
+    around = _steps_to_run_up(block, ends, others, crowd, motion) + RUN_UP / speeds[1]
+    near = np.minimum(straight, around)
+    steps: Floats = np.where(distance > reach + 2 * RUN_UP, around, near)
+    return steps
+
+
+def _steps_to_run_up(
+    block: Floats, ends: Floats, others: Floats, crowd: Floats, motion: Motion
+) -> Floats:
+    """From poses (M, 3) to the start of the best run-up, facing the block there."""
+    back, forward, spin = motion.speeds[0]
+    starts = block - (motion.grasp[1] + RUN_UP) * _AHEAD
+    crowd = crowd + HIT * (np.abs(starts) - LIMIT).clip(min=0.0).sum(axis=1)
+    starts = starts.clip(-LIMIT, LIMIT)
+    room = np.append(np.full(len(others), TOUCH + ROOM), TOUCH + TARGET_ROOM)
+    routes = Routes(starts, crowd * forward, np.vstack([others, block]), room, LIMIT)
+    length, direction = routes.at(ends[:, :2])
+    goals = routes.goals(ends[:, :2])
+    far = np.minimum(1.0, np.linalg.norm(starts[goals] - ends[:, :2], axis=1) / ARRIVAL)
+    there = (1.0 - far) * np.abs(wrap(_ANGLES[goals] - ends[:, 2]))
+    way = _angle(direction)
+    turns = [
+        there + far * (np.abs(wrap(a - ends[:, 2])) + np.abs(wrap(_ANGLES[goals] - a)))
+        for a in (way, way + np.pi)
+    ]
+    steps: Floats = np.minimum(length / forward + turns[0] / spin, length / back + turns[1] / spin)
+    return steps
+
+
+def _angle(directions: Floats) -> Floats:
+    """The angles (...) of a robot that faces in directions (..., 2)."""
+    angles: Floats = np.arctan2(-directions[..., 0], directions[..., 1])
+    return angles

@@ -1,0 +1,105 @@
+"""Shortest routes to goals around blocks that must not be moved, from everywhere at once."""
+
+from itertools import product
+from math import gcd
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
+
+from magical.scene.constants import WORKSPACE_HALF
+
+SIDE = 29  # grid points across the workspace
+OBSTRUCTED = 15.0  # units more for each unit of a route through an obstacle's centre
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.intp]
+
+_TICKS = np.linspace(-WORKSPACE_HALF, WORKSPACE_HALF, SIDE)
+_SPACING = float(_TICKS[1] - _TICKS[0])
+_GRID = np.stack(np.meshgrid(_TICKS, _TICKS, indexing="ij"), axis=-1)  # (SIDE, SIDE, 2)
+_CELLS = SIDE * SIDE
+
+
+def _edges() -> tuple[Ints, Ints, Floats]:
+    """Pairs of grid points up to a knight's move apart, and their distances."""
+    numbers = np.arange(_CELLS).reshape(SIDE, SIDE)
+    starts, ends, lengths = [], [], []
+    for i, j in product(range(-2, 3), repeat=2):
+        if gcd(i, j) == 1:
+            here = numbers[max(0, -i) : SIDE - max(0, i), max(0, -j) : SIDE - max(0, j)]
+            starts.append(here.ravel())
+            ends.append(here.ravel() + i * SIDE + j)
+            lengths.append(np.full(here.size, _SPACING * np.hypot(i, j)))
+    return np.concatenate(starts), np.concatenate(ends), np.concatenate(lengths)
+
+
+_STARTS, _ENDS, _LENGTHS = _edges()
+
+
+class Routes:
+    """The shortest routes to some goals, whichever is nearest.
+
+    A route through an obstacle is not forbidden but long, so there is one from everywhere.
+    """
+
+    def __init__(
+        self, goals: Floats, costs: Floats, obstacles: Floats, clearance: Floats, limit: float
+    ) -> None:
+        """Search from the goals.
+
+        Args:
+            goals: (G, 2).
+            costs: (G,) units, of being at each goal.
+            obstacles: (N, 2).
+            clearance: (N,) units to keep from each.
+            limit: the largest coordinate of a route, in units.
+        """
+        depth = 1.0 - np.linalg.norm(_GRID[:, :, None] - obstacles, axis=-1) / clearance
+        outside = (np.abs(_GRID).max(axis=-1) - limit) / _SPACING
+        hindrance = depth.clip(min=0.0).sum(axis=-1) + outside.clip(min=0.0)
+        weight = 1.0 + OBSTRUCTED * hindrance.ravel()
+        cells = _nearest(goals)
+        lengths = np.append(_LENGTHS * (weight[_STARTS] + weight[_ENDS]) / 2, costs + _SPACING)
+        ends = np.append(_STARTS, np.full(len(goals), _CELLS)), np.append(_ENDS, cells)
+        graph = csr_array((lengths, ends), shape=(_CELLS + 1, _CELLS + 1))
+        found, before = dijkstra(graph, indices=_CELLS, return_predecessors=True)
+        self._lengths = found[:_CELLS].reshape(SIDE, SIDE) - _SPACING
+        self._slopes = np.stack(np.gradient(self._lengths, _SPACING), axis=-1)
+        self._goals = _origins(before[:_CELLS], cells)
+
+    def goals(self, points: Floats) -> Ints:
+        """The number of the goal that the route from each point (..., 2) leads to."""
+        return self._goals[_nearest(points)]
+
+    def at(self, points: Floats) -> tuple[Floats, Floats]:
+        """Lengths (...) of the routes from points (..., 2), and their directions (..., 2)."""
+        where = ((points + WORKSPACE_HALF) / _SPACING).clip(0, SIDE - 1.001)
+        low = where.astype(np.intp)
+        part = where - low
+        length, slope = np.zeros(points.shape[:-1]), np.zeros(points.shape)
+        for i, j in product((0, 1), repeat=2):
+            share = np.abs(1 - i - part[..., 0]) * np.abs(1 - j - part[..., 1])
+            cell = low[..., 0] + i, low[..., 1] + j
+            length += share * self._lengths[cell]
+            slope += share[..., None] * self._slopes[cell]
+        size = np.linalg.norm(slope, axis=-1, keepdims=True)
+        return length, -slope / np.maximum(size, 1e-9)
+
+
+def _nearest(points: Floats) -> Ints:
+    """The numbers of the grid points nearest to points (..., 2)."""
+    at = np.rint((points + WORKSPACE_HALF) / _SPACING).astype(np.intp).clip(0, SIDE - 1)
+    numbers: Ints = at[..., 0] * SIDE + at[..., 1]
+    return numbers
+
+
+def _origins(before: Ints, cells: Ints) -> Ints:
+    """The goals from which the search reached each grid point, by what it reached just before."""
+    origin = np.where(before == _CELLS, np.arange(_CELLS), before)
+    while (origin != origin[origin]).any():
+        origin = origin[origin]
+    numbers = np.zeros(_CELLS, np.intp)
+    numbers[cells] = np.arange(len(cells))
+    return numbers[origin]

@@ -1,0 +1,76 @@
+"""The robot's motion as demonstrations show it."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from magical.demos.generate import demonstrate
+from magical.learning.objects.data import parse_trajectory
+from magical.learning.objects.hindsight import track
+from magical.learning.planning.motion import (
+    Demonstration,
+    Motion,
+    fit_motion,
+    from_robot,
+    robot_steps,
+    to_robot,
+)
+from magical.observe import make_spec
+from magical.scene.actions import to_continuous
+from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
+from magical.tasks import get_task
+
+
+def demonstrations(task: str, seeds: Sequence[int]) -> list[Demonstration]:
+    component = make_spec("LoRes4A", get_task(task)).components[0]
+    trajectories = [demonstrate(f"magical/{task}-Demo-v0", seed=seed) for seed in seeds]
+    return [(track(parse_trajectory(t, component)), t.actions) for t in trajectories]
+
+
+@pytest.fixture(scope="module")
+def corner() -> list[Demonstration]:
+    return demonstrations("MoveToCorner", (0, 1))
+
+
+def test_free_motion_of_another_demonstration_is_predicted(corner: list[Demonstration]) -> None:
+    motion = fit_motion(corner)
+    ((parsed, actions),) = demonstrations("MoveToRegion", (2,))
+    steps = robot_steps(parsed.robot[:-1], parsed.robot[1:])
+    commands = to_continuous(actions)[1:]
+    kept, *gains = motion.drive[0]
+    drive = kept * steps[:-1, 0] + np.array(gains)[commands[:, 0].astype(int) + 1]
+    turn = motion.turn[0] @ [steps[:-1, 1], commands[:, 1]]
+    errors = np.abs(steps[1:] - np.stack([drive, turn], axis=1))
+    assert (np.median(errors, axis=0) < (0.005, 0.03)).all()
+
+
+def test_a_block_slows_the_robot_down(corner: list[Demonstration]) -> None:
+    free, held = fit_motion(corner).speeds
+    assert (held[1:] < free[1:]).all()
+
+
+def test_blocks_are_grasped_where_they_touch_the_robot(corner: list[Demonstration]) -> None:
+    aside, nearest, farthest = fit_motion(corner).grasp
+    assert aside < BLOCK_SIZE
+    assert ROBOT_RADIUS < nearest <= farthest < ROBOT_RADIUS + 2 * BLOCK_SIZE
+
+
+def test_without_carries_blocks_weigh_nothing() -> None:
+    motion = fit_motion(demonstrations("MoveToRegion", (0, 1)))
+    np.testing.assert_array_equal(motion.drive[0], motion.drive[1])
+    np.testing.assert_array_equal(motion.turn[0], motion.turn[1])
+
+
+def test_what_was_never_demonstrated_takes_forever() -> None:
+    motion = Motion(np.zeros((2, 4)), np.zeros((2, 2)), np.zeros(3))
+    assert (motion.speeds > 0.0).all()
+    assert (motion.speeds < 0.01).all()
+
+
+def test_points_are_seen_from_the_robot_and_back() -> None:
+    rng = np.random.default_rng(0)
+    poses, points = rng.normal(size=(5, 3)), rng.normal(size=(5, 2))
+    np.testing.assert_allclose(from_robot(poses, to_robot(poses, points)), points)
+    facing_left = np.array([0.0, 0.0, np.pi / 2])
+    np.testing.assert_allclose(to_robot(facing_left, np.array([-1.0, 0.0])), (0, 1), atol=1e-12)
