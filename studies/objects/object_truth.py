@@ -101,7 +101,7 @@ class PartlyTruePolicy:
         if not isinstance(network, ObjectPolicy):
             raise SystemExit("expected a run of object-bc")
         self._network = network
-        self._episodes: list[_Episode | None] = []
+        self._episodes: list[ExpertEpisode | None] = []
 
     def reset(self, mask: Mask) -> None:
         """Forget the episodes that begin again."""
@@ -118,7 +118,7 @@ class PartlyTruePolicy:
         seeds = rng.integers(2**31, size=len(env_ids))
         for row, (state, env_id) in enumerate(zip(observations, env_ids, strict=True)):
             if self._episodes[row] is None:
-                self._episodes[row] = _Episode(env_id.task, state, int(seeds[row]))
+                self._episodes[row] = ExpertEpisode(env_id.task, state, int(seeds[row]))
         episodes = [episode for episode in self._episodes if episode is not None]
         tasks = torch.tensor([self.tasks.index(env_id.task) for env_id in env_ids])
         if "perception" in self.truths:
@@ -148,7 +148,7 @@ class PartlyTruePolicy:
         return actions
 
 
-class _Episode:
+class ExpertEpisode:
     """The expert of an episode, beside the policy, and what renders its scene."""
 
     def __init__(self, task: str, state: State, seed: int) -> None:
@@ -240,7 +240,7 @@ def _true_table(states: Sequence[State]) -> ObjectTable:
 
 
 def _expert_goals(
-    table: ObjectTable, states: Sequence[State], episodes: Sequence[_Episode]
+    table: ObjectTable, states: Sequence[State], episodes: Sequence[ExpertEpisode]
 ) -> tuple[Tensor, Tensor]:
     """The experts' moves as targets (B,) and destinations (B, 2)."""
     targets = torch.full((len(states),), ROBOT_TARGET)

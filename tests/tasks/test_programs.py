@@ -224,3 +224,13 @@ def test_text_that_is_no_program_is_refused(text: str, message: str) -> None:
 def test_what_no_episode_can_have_as_goal_is_refused(text: str, message: str) -> None:
     with pytest.raises(InvalidProgramError, match=message):
         validate(parse(text), SCENE)
+
+
+def test_a_cluster_that_another_colours_block_lies_in_is_not_done() -> None:
+    red, blue, green = Colour.RED, Colour.BLUE, Colour.GREEN
+    apart = [(green, 0.9, 0.9), (green, -0.9, 0.9)]
+    places = [(blue, 0.0, 0.4), (blue, 0.0, 0.1), (red, 0.1, 0.25), *apart]
+    blocks = tuple(Block(Shape.SQUARE, colour, Pose(x, y, 0.0)) for colour, x, y in places)
+    scene = Scene(Pose(-0.5, -0.5, 0.0), blocks, ())
+    (way,) = parse("Clustered('colour')").ways(scene, Poses.at_rest(scene))
+    assert {0, 1} <= set(way)

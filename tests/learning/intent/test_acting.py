@@ -6,7 +6,7 @@ import pytest
 from magical.learning.intent.acting import Intention
 from magical.learning.intent.posterior import Belief, Explanation
 from magical.learning.objects.hindsight import ROBOT_TARGET
-from magical.scene import Poses, Scene
+from magical.scene import Block, Colour, Pose, Poses, Region, Scene, Shape
 from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import TASKS
 from magical.tasks.programs import parse
@@ -87,3 +87,17 @@ def test_programs_that_are_no_task_in_the_scene_are_left_out() -> None:
     assert intention.probabilities(Poses.at_rest(FIX)) == {mismatched: pytest.approx(1.0)}
     assert not Intention(belief((solved, 1.0)), FIX).is_known
     assert not Intention(belief((OUT, 1.0), unexplained=0.9), FIX).is_known
+
+
+def test_blocks_go_where_no_others_are_in_the_way() -> None:
+    circle = Block(Shape.CIRCLE, Colour.RED, Pose(-0.8, 0.0, 0.0))
+    wall = [Block(Shape.SQUARE, Colour.BLUE, Pose(-0.5, y, 0.0)) for y in np.linspace(-0.9, 0.9, 9)]
+    here = Region.from_centre(Colour.GREEN, -0.75, 0.8, 0.3, 0.4)
+    there = Region.from_centre(Colour.GREEN, -0.1, 0.0, 0.4, 0.4)  # nearer, but behind the wall
+    scene = Scene(Pose(-0.7, -0.7, 0.0), (circle, *wall), (here, there))
+    intention = Intention(belief(("Each(WithShape('circle'), InRegion())", 1.0)), scene)
+    decision = intention.decide(Poses.at_rest(scene))
+    assert decision is not None
+    target, place = decision
+    assert target == 0
+    assert here.contains(*place)

@@ -15,6 +15,8 @@ from magical.learning.intent.meanings import Chosen, replace_selections
 from magical.learning.intent.posterior import Belief
 from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.objects.table import GRIP
+from magical.learning.planning.remaining import APART, BLOCK_ROOM, TOUCH
+from magical.learning.planning.routes import Routes
 from magical.scene import Poses, Scene
 from magical.scene.geometry import Point, to_workspace
 from magical.scene.poses import FIRST_BLOCK, ROBOT
@@ -23,7 +25,7 @@ from magical.tasks.programs import Goal, problem
 GOALS = 8  # the most probable ones that are acted on
 PRESSING = 0.5  # of the highest probability: what must move less probably comes later
 CHANGE = 0.05  # units of expected work: less is no reason to decide anew
-NEARNESS = 0.2  # units of work for each unit from a thing to its place: breaks ties
+NEARNESS = 0.2  # units of work for each unit of a thing's way to its place, around others
 CLEARANCE = 0.24  # units between blocks' centres: nearer ones would touch
 CROWDED = 1.0  # units of work that such a place costs
 CELLS, BORDER = 14, 0.9  # of the grid of places; units
@@ -96,7 +98,7 @@ class Intention:
         )
         for *_, thing in order:
             work = self.work_at_places(thing, poses)
-            way = np.linalg.norm(PLACES - poses.bodies[_row(thing), :2], axis=1)
+            way = _ways_to_places(thing, poses)
             best = int(np.argmin(work + _smooth(work) + NEARNESS * way))
             if now - work[best] > MOVE_COST:
                 x, y = PLACES[best].tolist()
@@ -128,6 +130,14 @@ def _moved(poses: Poses, thing: int, place: Point) -> Poses:
     bodies = poses.bodies.copy()
     bodies[_row(thing), :2] = place
     return Poses(bodies)
+
+
+def _ways_to_places(thing: int, poses: Poses) -> Floats:
+    """Units that the thing has to go to each place, around the other blocks."""
+    others = poses.blocks[[row for row in range(len(poses.blocks)) if row != thing], :2]
+    rooms = np.full(len(others), TOUCH if thing == ROBOT_TARGET else APART + BLOCK_ROOM)
+    start = poses.bodies[_row(thing), :2]
+    return Routes(start[None], np.zeros(1), others, rooms, BORDER).at(PLACES)[0]
 
 
 def _smooth(costs: Floats) -> Floats:

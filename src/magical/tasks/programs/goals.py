@@ -256,8 +256,10 @@ class Clustered(Goal):
             ways: list[Remaining] = [_units_to_gather(centre, alike, points) for centre in alike]
             nearest: Remaining = min(ways, key=_total)
             gathered.update(nearest)
-        units = np.sqrt(own) - np.sqrt(other / 3)
-        return [gathered or {i: left for i, left in enumerate(units.tolist()) if left >= 0.0}]
+        too_far = np.sqrt(own) - np.sqrt(other / 3)
+        for block in np.flatnonzero(too_far >= 0.0).tolist():
+            gathered[block] = gathered.get(block, 0.0) + float(too_far[block])
+        return [gathered]
 
     def moved(self, scene: Scene) -> Blocks:
         return AllBlocks().blocks(scene)
