@@ -40,7 +40,7 @@ from magical.learning.running.checkpoints import (
     restoring,
 )
 from magical.learning.running.devices import Compute
-from magical.learning.running.optimizers import make_adam, set_learning_rate
+from magical.learning.running.optimizers import set_learning_rate
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import POSITIVE, option
@@ -169,7 +169,7 @@ def pretrain(
     Returns:
         Whether the pretraining is complete; if not, the run stops.
     """
-    optimizer = make_adam(autoencoder.parameters(), config.pretraining_learning_rate)
+    optimizer = Adam(autoencoder.parameters(), config.pretraining_learning_rate, fused=True)
     if run.saved:
         with restoring(run.folder):
             autoencoder.load_state_dict(run.saved["autoencoder"])

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
-from torch.optim import SGD, Optimizer
+from torch.optim import SGD, Adam, Optimizer
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from magical.errors import InvalidConfigError
@@ -43,8 +43,7 @@ from magical.learning.running.checkpoints import (
     restoring,
 )
 from magical.learning.running.devices import choose_device
-from magical.learning.running.graphs import GraphedStep, use_graphs
-from magical.learning.running.optimizers import make_adam, set_learning_rate
+from magical.learning.running.optimizers import set_learning_rate
 from magical.learning.running.pretrained import load_pretrained
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
@@ -241,9 +240,7 @@ class BCTrainer:
         if self.config.init_from:
             load_pretrained(network.trunk, self.config, self.config.init_from, self.run)
         self.network = network.to(self.device)
-        graphs = use_graphs(self.config.networks.graphs, self.device)
-        self.optimizer = make_optimizer(self.config.cloning, self.network, graphs)
-        self._graphed_step = GraphedStep(self._step, graphs)
+        self.optimizer = make_optimizer(self.config.cloning, self.network)
         decay = self.config.cloning.average_decay
         average = get_ema_multi_avg_fn(decay)  # type: ignore[no-untyped-call]
         self._average = AveragedModel(self.network, multi_avg_fn=average) if decay else None
@@ -335,18 +332,14 @@ class BCTrainer:
     def step(self, batch: Batch, learning_rate: float) -> tuple[Tensor, Tensor]:
         """Take one step of the optimiser; returns the loss and the logits (B, 18)."""
         set_learning_rate(self.optimizer, learning_rate)
-        loss, logits = self._graphed_step(*batch)
-        if self._average:
-            self._average.update_parameters(self.network)
-        return loss, logits
-
-    def _step(self, images: Tensor, actions: Tensor, tasks: Tensor) -> tuple[Tensor, Tensor]:
         with self.compute.autocast():
-            logits = self.network(images, tasks)
-        loss = bc_loss(logits, actions)
+            logits = self.network(batch.images, batch.tasks)
+        loss = bc_loss(logits, batch.actions)
         self.optimizer.zero_grad()
         torch.autograd.backward(loss)
         self.optimizer.step()
+        if self._average:
+            self._average.update_parameters(self.network)
         return loss.detach(), logits.detach()
 
     def _state_dict(self, data: ExpertData, done: int, extra: Mapping[str, Any]) -> StateDict:
@@ -376,15 +369,12 @@ def make_policy(config: BCConfig) -> PolicyNetwork:
         return network
 
 
-def make_optimizer(
-    settings: CloningSettings, network: nn.Module, recorded: bool = False
-) -> Optimizer:
-    """The configured optimiser; where its steps are `recorded`, a CUDA graph reads its rate."""
+def make_optimizer(settings: CloningSettings, network: nn.Module) -> Optimizer:
+    """The configured optimiser."""
     parameters, rate, momentum = network.parameters(), settings.learning_rate, settings.momentum
     if settings.optimizer == "adam":
-        return make_adam(parameters, rate, (momentum, ADAM_BETA_2), recorded)
-    where: Any = torch.tensor(rate, device="cuda") if recorded else rate
-    return SGD(parameters, where, momentum, fused=True)
+        return Adam(parameters, rate, (momentum, ADAM_BETA_2), fused=True)
+    return SGD(parameters, rate, momentum, fused=True)
 
 
 ALGORITHM = Algorithm(BCConfig, train, make_policy)

@@ -21,6 +21,7 @@ import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
+from torch.optim import Adam
 
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
@@ -47,8 +48,6 @@ from magical.learning.running.checkpoints import (
     restoring,
 )
 from magical.learning.running.devices import Compute
-from magical.learning.running.graphs import GraphedStep, use_graphs
-from magical.learning.running.optimizers import make_adam
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import POSITIVE, Settings, option
@@ -205,10 +204,8 @@ class DiscriminatorTrainer:
     ) -> None:
         self.config = config
         self.network = make_discriminator(config).to(compute.device)
-        graphs = use_graphs(config.networks.graphs, compute.device)
-        self.optimizer = make_adam(
-            self.network.parameters(), config.discriminator.learning_rate, recorded=graphs
-        )
+        rate = config.discriminator.learning_rate
+        self.optimizer = Adam(self.network.parameters(), rate, fused=True)
         self._expert = expert
         self._replay_buffer = replay_buffer
         self._normaliser = RewardNormaliser(
@@ -222,8 +219,6 @@ class DiscriminatorTrainer:
         self._loss = loss
         self._reward = reward
         self._randoms = Randoms(compute.device)
-        self._logged: tuple[str, ...] = ()  # names of what a step returns
-        self._graphed_step = GraphedStep(self._step, graphs, self._randoms.generators)
 
     def rewards(self, rollout: Rollout) -> tuple[Tensor, Metrics]:
         """Normalised rewards (T, N) of a rollout, and mean and spread of the raw ones.
@@ -255,23 +250,18 @@ class DiscriminatorTrainer:
         for _ in range(self.config.discriminator.steps):
             batch = self.sample_batch(rng)
             self._randoms.start(rng)
-            (logged,) = self._graphed_step(*batch)
-            averages.add(1, **dict(zip(self._logged, logged, strict=True)))
+            averages.add(1, **self._step(batch))
         return {**averages.reset()}
 
-    def _step(self, *inputs: Tensor) -> tuple[Tensor]:
-        """Take one step of the optimiser on a batch; returns what is logged, by `_logged`."""
-        images, actions, tasks = inputs
-        images = self._randoms.augment(images, self._augmentations)
+    def _step(self, batch: DiscriminatorBatch) -> dict[str, Tensor]:
+        """Take one step of the optimiser on a batch; returns what is logged."""
+        images = self._randoms.augment(batch.images, self._augmentations)
         with self._compute.autocast():
-            batch = DiscriminatorBatch(images, actions, tasks)
-            loss, logged = self._loss(self.network, batch, self._randoms)
+            loss, logged = self._loss(self.network, batch._replace(images=images), self._randoms)
         self.optimizer.zero_grad()
         torch.autograd.backward(loss)
         self.optimizer.step()
-        logged = {"discriminator_loss": loss, **logged}
-        self._logged = tuple(logged)
-        return (torch.stack([value.detach() for value in logged.values()]),)
+        return {"discriminator_loss": loss, **logged}
 
     def sample_batch(self, rng: np.random.Generator) -> DiscriminatorBatch:
         """A batch as it is stored; both halves are split between the tasks in the same way."""

@@ -36,6 +36,7 @@ from typing import Any, ClassVar, Self
 
 import torch
 from torch import Tensor
+from torch.optim import Adam
 
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
@@ -62,14 +63,11 @@ from magical.learning.running.checkpoints import (
     restoring,
 )
 from magical.learning.running.devices import choose_device
-from magical.learning.running.graphs import GraphedStep, use_graphs
-from magical.learning.running.optimizers import make_adam, set_learning_rate
+from magical.learning.running.optimizers import set_learning_rate
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, Settings, option
 from magical.runs.sources import INTERACTION
-
-LOSS_PARTS = ("loss", "demo_reward", "policy_reward", "value", "demo_log_prob", "entropy")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,8 +208,8 @@ def soft_value(q: Tensor, temperature: float) -> Tensor:
 
 def iq_loss(
     q: Tensor, next_values: Tensor, batch: Transitions, settings: IQSettings
-) -> tuple[Tensor, Tensor]:
-    """The negative objective, to be minimised, and what is logged (6,), as in `LOSS_PARTS`.
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """The negative objective, to be minimised, and what is logged.
 
     Args:
         q: (2B, 18) of the observations; the first half is the demonstrations'.
@@ -228,7 +226,7 @@ def iq_loss(
     chi2 = rewards.square().mean() / (4.0 * settings.chi2_scale)
     loss = -rewards[:half].mean() + (values - future).mean() + chi2
     log_policy = (q / temperature).log_softmax(dim=1)
-    parts = {
+    return loss, {
         "loss": loss,
         "demo_reward": rewards[:half].mean(),
         "policy_reward": rewards[half:].mean(),
@@ -236,7 +234,6 @@ def iq_loss(
         "demo_log_prob": (chosen - values)[:half].mean() / temperature,
         "entropy": -(log_policy.exp() * log_policy).sum(dim=1)[half:].mean(),
     }
-    return loss, torch.stack([parts[name] for name in LOSS_PARTS]).detach()
 
 
 class QNetwork(PolicyNetwork):
@@ -274,10 +271,7 @@ class IQTrainer:
         device = choose_device(config.device)
         self.network = make_policy(config).to(device)
         self.target = deepcopy(self.network).requires_grad_(False)
-        graphs = use_graphs(config.networks.graphs, device)
-        self.optimizer = make_adam(
-            self.network.parameters(), config.iq.learning_rate, recorded=graphs
-        )
+        self.optimizer = Adam(self.network.parameters(), config.iq.learning_rate, fused=True)
         self.compute = run.compute(device, config.precision, config.threads)
         self.demonstrations = TransitionBuffer.of_demonstrations(
             demonstrations, config.tasks, config.observation_spec, device
@@ -285,7 +279,6 @@ class IQTrainer:
         self.replay_buffer = self.demonstrations.emptied(config.iq.buffer_size)
         self.monitor = Monitor()
         self._randoms = Randoms(device)
-        self._graphed_step = GraphedStep(self._step, graphs, self._randoms.generators)
         self._augmentations = config.networks.augmentations(config.iq.augment)
         workers = config.iq.workers
         with ExitStack() as stack:
@@ -335,13 +328,12 @@ class IQTrainer:
                 demonstrated = self.demonstrations.sample(counts, rng)
                 batch = demonstrated.join(self.replay_buffer.sample(counts, rng))
                 self._randoms.start(rng)
-                (parts,) = self._graphed_step(*batch)
-                averages.add(1, **dict(zip(LOSS_PARTS, parts, strict=True)))
+                averages.add(1, **self._step(batch))
         return {**averages.reset()}
 
-    def _step(self, *inputs: Tensor) -> tuple[Tensor]:
+    def _step(self, batch: Transitions) -> dict[str, Tensor]:
         """Take one step of the optimiser on a batch; returns what is logged."""
-        batch, iq = Transitions(*inputs), self.config.iq
+        iq = self.config.iq
         network = self.target if iq.target_every else self.network
         observations = self._randoms.augment(batch.observations, self._augmentations)
         following = self._randoms.augment(batch.next_observations, self._augmentations)
@@ -352,7 +344,7 @@ class IQTrainer:
         self.optimizer.zero_grad()
         torch.autograd.backward(loss)
         self.optimizer.step()
-        return (parts,)
+        return parts
 
     def finish_update(self, update: int, metrics: Metrics) -> bool:
         """Evaluate, log and save checkpoints; true if the run stops."""

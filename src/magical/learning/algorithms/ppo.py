@@ -17,6 +17,7 @@ from typing import Any, ClassVar, Self, cast
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.optim import Adam
 
 from magical.envs.env import Reward
 from magical.errors import InvalidConfigError
@@ -42,8 +43,7 @@ from magical.learning.running.checkpoints import (
     restoring,
 )
 from magical.learning.running.devices import choose_device, one_thread
-from magical.learning.running.graphs import GraphedStep, use_graphs
-from magical.learning.running.optimizers import make_adam, set_learning_rate
+from magical.learning.running.optimizers import set_learning_rate
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, Settings, option
@@ -52,7 +52,6 @@ from magical.runs.sources import INTERACTION, SCORE
 from magical.tasks import Horizon, have_two_horizons, require_two_horizons
 
 VF_COEF = 0.5
-LOSS_PARTS = ("policy_loss", "value_loss", "entropy", "clip_fraction")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,15 +212,11 @@ class PPOTrainer:
         self.config, self.run, self.previous_steps = config, run, previous_steps
         self.device = choose_device(config.device)
         self.network = make_policy(config).to(self.device)
-        graphs = use_graphs(config.networks.graphs, self.device)
-        self.optimizer = make_adam(
-            self.network.parameters(), config.ppo.learning_rate, recorded=graphs
-        )
+        self.optimizer = Adam(self.network.parameters(), config.ppo.learning_rate, fused=True)
         vectors = len(config.input_shape) == 1
         # Positions need more digits than pixels.
         precision = "float32" if vectors and config.precision == "auto" else config.precision
         self.compute = run.compute(self.device, precision, config.threads)
-        self._graphed_step = GraphedStep(self._step, graphs)
         self.monitor = Monitor()
         how: Any = {"horizon": config.ppo.env_horizon, "workers": config.ppo.workers}
         with ExitStack() as stack:
@@ -281,8 +276,7 @@ class PPOTrainer:
             for _ in range(ppo.epochs):
                 order = torch.from_numpy(shuffle_evenly(tasks, rng)).to(self.device)
                 for rows in torch.split(order, ppo.minibatch_size):
-                    (parts,) = self._graphed_step(*samples, rows, clip_range)
-                    averages.add(len(rows), **dict(zip(LOSS_PARTS, parts, strict=True)))
+                    averages.add(len(rows), **self._step(samples.select(rows), clip_range))
         return {
             "reward": rewards.mean().item(),
             "reward_std": rewards.std(correction=0).item(),
@@ -290,17 +284,15 @@ class PPOTrainer:
             "explained_variance": explained_variance(rollout.values.flatten(), samples.returns),
         }
 
-    def _step(self, *inputs: Tensor) -> tuple[Tensor]:
-        """Take one step of the optimiser on rows (B,) of all samples; returns the loss's parts."""
-        *samples, rows, clip_range = inputs
-        minibatch = Samples(*samples).select(rows)
+    def _step(self, minibatch: Samples, clip_range: Tensor) -> dict[str, Tensor]:
+        """Take one step of the optimiser; returns the loss's parts."""
         logits, values = self.forward(minibatch.observations, minibatch.tasks, in_range=True)
         loss, parts = ppo_loss(logits, values, minibatch, clip_range, self.config.ppo.ent_coef)
         self.optimizer.zero_grad()
         torch.autograd.backward(loss)
         nn.utils.clip_grad_norm_(self.network.parameters(), self.config.ppo.max_grad_norm)
         self.optimizer.step()
-        return (parts,)
+        return parts
 
     def finish_update(
         self, update: int, metrics: Metrics, extra_state: Callable[[], StateDict] = dict
@@ -342,8 +334,8 @@ class PPOTrainer:
 
 def ppo_loss(
     logits: Tensor, values: Tensor, minibatch: Samples, clip_range: Tensor, ent_coef: float
-) -> tuple[Tensor, Tensor]:
-    """The loss to be minimised, and its parts (4,) as in `LOSS_PARTS`.
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """The loss to be minimised, and its parts.
 
     With ratio = pi(a | s) / pi_old(a | s),
 
@@ -368,7 +360,12 @@ def ppo_loss(
     entropy = -(log_policy.exp() * log_policy).sum(dim=1).mean()
     loss = policy_loss + value_loss - ent_coef * entropy
     clip_fraction = ((ratio - 1.0).abs() > clip_range).float().mean()
-    return loss, torch.stack([policy_loss, value_loss, entropy, clip_fraction]).detach()
+    return loss, {
+        "policy_loss": policy_loss,
+        "value_loss": value_loss,
+        "entropy": entropy,
+        "clip_fraction": clip_fraction,
+    }
 
 
 ALGORITHM = Algorithm(PPOConfig, train, make_policy)
