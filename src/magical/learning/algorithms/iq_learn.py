@@ -43,8 +43,6 @@ from magical.learning.algorithms import Algorithm
 from magical.learning.augmentation.augment import Randoms, to_unit
 from magical.learning.augmentation.names import parse_augmentations
 from magical.learning.config import (
-    IMAGE_OBSERVATIONS,
-    Config,
     DemonstrationSettings,
     NetworkSettings,
 )
@@ -52,6 +50,7 @@ from magical.learning.data.expert_data import TaskTrajectories, load_demonstrati
 from magical.learning.models import PolicyNetwork, Trunk, centre, sample_actions
 from magical.learning.policy import NetworkPolicy
 from magical.learning.reinforcement.demo_evaluation import DemoEvaluation
+from magical.learning.reinforcement.interaction import InteractionConfig, InteractionSettings
 from magical.learning.reinforcement.monitoring import Metrics, Monitor
 from magical.learning.reinforcement.rollouts import EpisodeScores, RolloutEnvs
 from magical.learning.reinforcement.transitions import TransitionBuffer, Transitions
@@ -66,16 +65,13 @@ from magical.learning.running.devices import choose_device
 from magical.learning.running.optimizers import set_learning_rate
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
-from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, Settings, option
-from magical.runs.sources import INTERACTION
+from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
 
 
 @dataclass(frozen=True, kw_only=True)
-class IQSettings(Settings):
+class IQSettings(InteractionSettings):
     """How a soft Q function is learned; the defaults are the published code's, for Atari games."""
 
-    total_steps: int = option(1_000_000, "environment steps in all", POSITIVE)
-    num_envs: int = option(32, "N: parallel environments, split evenly between the tasks", POSITIVE)
     num_steps: int = option(1, "T: steps of each environment per update", POSITIVE)
     buffer_size: int = option(50_000, "frames in the replay buffer, about one a step", POSITIVE)
     gradient_steps: int = option(32, "optimiser steps per update", POSITIVE)
@@ -99,31 +95,16 @@ class IQSettings(Settings):
         "augmentation of images: all, none, no-trans-rot, or names joined by +",
         metavar="NAMES",
     )
-    workers: int | None = option(
-        None, "environment processes (default: one per core)", NOT_NEGATIVE
-    )
-    evaluate_every: int = option(200, "updates between evaluations; 0: never", NOT_NEGATIVE)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         parse_augmentations(self.augment)
 
-    @property
-    def steps_per_update(self) -> int:
-        """Environment steps per update."""
-        return self.num_envs * self.num_steps
-
-    @property
-    def num_updates(self) -> int:
-        """Updates in a whole run."""
-        return max(1, self.total_steps // self.steps_per_update)
-
 
 @dataclass(frozen=True, kw_only=True)
-class IQLearnConfig(Config):
+class IQLearnConfig(InteractionConfig):
     """Settings of IQ-Learn; the defaults are the published code's for Atari games."""
 
-    observations: ClassVar[tuple[str, ...]] = IMAGE_OBSERVATIONS
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {},
         "quick": {
@@ -152,10 +133,6 @@ class IQLearnConfig(Config):
     def __post_init__(self) -> None:
         super().__post_init__()
         iq, tasks = self.iq, len(self.tasks)
-        if iq.num_envs < tasks:
-            raise InvalidConfigError(
-                f"num_envs: expected at least one for each of {tasks} tasks, found {iq.num_envs}"
-            )
         if iq.batch_size < 2 * tasks or iq.batch_size % 2:
             raise InvalidConfigError(
                 f"batch_size: expected an even number, at least two for each task, found "
@@ -168,21 +145,6 @@ class IQLearnConfig(Config):
                 f"buffer_size: expected at least {least} frames for {iq.num_envs} environments, "
                 f"found {iq.buffer_size}"
             )
-
-    @property
-    def learned_from(self) -> tuple[str, ...]:
-        """See `Config`."""
-        return (*super().learned_from, INTERACTION)
-
-    @property
-    def num_updates(self) -> int:
-        """All updates."""
-        return self.iq.num_updates
-
-    @property
-    def environment_steps(self) -> int:
-        """Those of all updates."""
-        return self.iq.num_updates * self.iq.steps_per_update
 
     @property
     def training_samples(self) -> int:

@@ -20,13 +20,13 @@ from torch import Tensor, nn
 from torch.optim import Adam
 
 from magical.envs.env import Reward
-from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
-from magical.learning.config import IMAGE_OBSERVATIONS, PUBLISHED, Config, NetworkSettings
+from magical.learning.config import IMAGE_OBSERVATIONS, PUBLISHED, NetworkSettings
 from magical.learning.models import ActorCritic, Trunk, centre, init_normal
 from magical.learning.policy import NetworkPolicy
 from magical.learning.reinforcement.advantages import Samples, make_samples
 from magical.learning.reinforcement.demo_evaluation import DemoEvaluation
+from magical.learning.reinforcement.interaction import InteractionConfig, InteractionSettings
 from magical.learning.reinforcement.monitoring import Metrics, Monitor, explained_variance
 from magical.learning.reinforcement.presets import QUICK, STATES
 from magical.learning.reinforcement.rollouts import (
@@ -46,24 +46,21 @@ from magical.learning.running.devices import choose_device, one_thread
 from magical.learning.running.optimizers import set_learning_rate
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
-from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, Settings, option
+from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
 from magical.observe import NAMED
-from magical.runs.sources import INTERACTION, SCORE
+from magical.runs.sources import SCORE
 from magical.tasks import Horizon, have_two_horizons, require_two_horizons
 
 VF_COEF = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class PPOSettings(Settings):
+class PPOSettings(InteractionSettings):
     """How a policy is improved by PPO; the defaults are Table 4's."""
 
     init: str = option(
         "torch", "initialisation of a policy of images", choices=("torch", "centred")
     )
-    total_steps: int = option(1_000_000, "environment steps in all", POSITIVE)
-    num_envs: int = option(32, "N: parallel environments, split evenly between the tasks", POSITIVE)
-    num_steps: int = option(8, "T: steps of each environment per update", POSITIVE)
     horizon: str = option(
         "appendix",
         "of training episodes and evaluations; published: 240 steps for the Cluster tasks",
@@ -82,29 +79,15 @@ class PPOSettings(Settings):
     max_grad_norm: float = option(1.0, "gradients are clipped to this L2 norm", POSITIVE)
     normalise_advantages: bool = option(False, "to mean 0 and standard deviation 1 per update")
     bootstrap: bool = option(False, "bootstrap the value at the time limit instead of using 0")
-    workers: int | None = option(
-        None, "environment processes (default: one per core)", NOT_NEGATIVE
-    )
-    evaluate_every: int = option(200, "updates between evaluations; 0: never", NOT_NEGATIVE)
 
     @property
     def env_horizon(self) -> Horizon:
         """The horizon as environments take it."""
         return "published" if self.horizon == PUBLISHED else None
 
-    @property
-    def steps_per_update(self) -> int:
-        """Environment steps per update of the policy."""
-        return self.num_envs * self.num_steps
-
-    @property
-    def num_updates(self) -> int:
-        """Updates of the policy in a whole run."""
-        return max(1, self.total_steps // self.steps_per_update)
-
 
 @dataclass(frozen=True, kw_only=True)
-class ReinforcementConfig(Config):
+class ReinforcementConfig(InteractionConfig):
     """What the configurations of PPO and of all algorithms with PPO as a part are composed of."""
 
     networks: NetworkSettings = field(default_factory=NetworkSettings)
@@ -112,11 +95,6 @@ class ReinforcementConfig(Config):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.ppo.num_envs < len(self.tasks):
-            raise InvalidConfigError(
-                f"num_envs: expected at least one for each of {len(self.tasks)} tasks, "
-                f"found {self.ppo.num_envs}"
-            )
         if self.ppo.horizon == PUBLISHED:
             require_two_horizons(self.tasks)
 
@@ -128,21 +106,6 @@ class ReinforcementConfig(Config):
         if cls.presets.get(name, {}).get("horizon") == PUBLISHED and one_horizon:
             settings = {"horizon": "appendix", **settings}
         return super().preset(name, **settings)
-
-    @property
-    def learned_from(self) -> tuple[str, ...]:
-        """See `Config`."""
-        return (*super().learned_from, INTERACTION)
-
-    @property
-    def num_updates(self) -> int:
-        """All updates of the policy."""
-        return self.ppo.num_updates
-
-    @property
-    def environment_steps(self) -> int:
-        """Those of all updates."""
-        return self.ppo.num_updates * self.ppo.steps_per_update
 
     @property
     def training_samples(self) -> int:
