@@ -61,6 +61,7 @@ REMOVED = {
     *("action_input", "reward_floor", "replay_batches", "decorrelate", "evaluation_rollouts"),
     *("penalty_batch_norm", "decoder_batch_norm", "augment_features", "feature_batch_norm"),
     *("pretraining_anneal", "relative_image_error", "linear_features", "statistics_batches"),
+    "restart",  # of dagger
     # of object-bc
     *("network", "observation", "augment", "weight_decay", "hidden", "goal_every"),
     *("goal_batch_size", "goal_learning_rate", "goal_smoothness", "destination_noise"),

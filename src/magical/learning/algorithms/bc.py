@@ -174,7 +174,7 @@ class BCConfig(Config):
 
     def learning_rate_at(self, batch: int) -> float:
         """The learning rate of a batch: constant, or annealed linearly to 0."""
-        left = 1.0 - batch / self.cloning.batches if self.cloning.anneal else 1.0
+        left = 1.0 - batch / self.num_updates if self.cloning.anneal else 1.0
         return self.cloning.learning_rate * left
 
 
@@ -224,7 +224,14 @@ class BCTrainer:
         """Create a new trainer, or resume from the run's checkpoint."""
         self.config, self.run = config, run
         self.device = choose_device(config.device)
-        self.reset()
+        network = make_policy(config)
+        if config.init_from:
+            load_pretrained(network.trunk, config, config.init_from, run)
+        self.network = network.to(self.device)
+        self.optimizer = make_optimizer(config.cloning, self.network)
+        decay = config.cloning.average_decay
+        average = get_ema_multi_avg_fn(decay)  # type: ignore[no-untyped-call]
+        self._average = AveragedModel(self.network, multi_avg_fn=average) if decay else None
         self.compute = run.compute(self.device, config.precision, config.threads)
         if run.saved:
             with restoring(run.folder):
@@ -233,17 +240,6 @@ class BCTrainer:
                     self.network.load_state_dict(run.saved["network"])
                     self._average.n_averaged.fill_(run.step)
                 load_optimizer(self.optimizer, run.saved["optimizer"])
-
-    def reset(self) -> None:
-        """Initialise network and optimiser."""
-        network = make_policy(self.config)
-        if self.config.init_from:
-            load_pretrained(network.trunk, self.config, self.config.init_from, self.run)
-        self.network = network.to(self.device)
-        self.optimizer = make_optimizer(self.config.cloning, self.network)
-        decay = self.config.cloning.average_decay
-        average = get_ema_multi_avg_fn(decay)  # type: ignore[no-untyped-call]
-        self._average = AveragedModel(self.network, multi_avg_fn=average) if decay else None
 
     @property
     def policy(self) -> nn.Module:
