@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Literal
 
 from magical.demos.human.published import MAX_PATH, file_sum, naming_errors, read_demonstration
-from magical.demos.human.safe_pickle import MAX_UNPACKED
 from magical.demos.store.codec import encode
 from magical.demos.store.dataset import Dataset
 from magical.demos.store.manifest import ManifestEntry
@@ -54,7 +53,6 @@ def import_published(
     *,
     keep: Contents = "poses",
     workers: int | None = None,
-    max_bytes: int = MAX_UNPACKED,
     skip_duplicates: bool = False,
     sums: Mapping[Path, str] | None = None,
     progress: Callable[[int], None] = lambda _: None,
@@ -68,7 +66,6 @@ def import_published(
         out: the dataset, created if there is none.
         keep: what to keep of each demonstration.
         workers: number of processes; default: the usable cores.
-        max_bytes: the most that one file may unpack to.
         skip_duplicates: leave out files with the actions and frames of an earlier one.
         sums: the SHA-256 sum of every file; a file with another one is not imported.
         progress: called with the number of files that were finished since it was last called.
@@ -83,7 +80,7 @@ def import_published(
     first = {entry.fingerprint: entry.source or entry.file for entry in entries}
     progress(len(report.already))
     workers = min(workers or available_cores(), len(wanted))
-    convert = partial(_convert, keep=keep, max_bytes=max_bytes, sums=sums)
+    convert = partial(_convert, keep=keep, sums=sums)
     with closing(outcomes_in_processes(convert, wanted, workers)) as results:
         for file, result in zip(wanted, results, strict=True):
             progress(1)
@@ -112,10 +109,10 @@ def _is_copy(
 
 
 def _convert(
-    file: Path, keep: Contents, max_bytes: int, sums: Mapping[Path, str] | None
+    file: Path, keep: Contents, sums: Mapping[Path, str] | None
 ) -> tuple[ManifestEntry, bytes, str | None]:
     """One file as an encoded trajectory, and why that has no poses where they were wanted."""
-    demonstration = read_demonstration(file, max_bytes)
+    demonstration = read_demonstration(file)
     found = demonstration.source["source_sha256"]
     if sums is not None and found != sums[file]:
         raise DatasetError(f"expected SHA-256 {sums[file][:12]}..., found {found[:12]}...")
