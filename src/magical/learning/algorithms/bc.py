@@ -14,7 +14,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
-from magical.learning.augmentation.names import Augmentations, parse_augmentations
+from magical.learning.augmentation.names import Augmentations, augment_option
 from magical.learning.augmentation.transformations import (
     NONE,
     PALETTE,
@@ -65,9 +65,7 @@ class CloningSettings(Settings):
     learning_rate: float = option(1e-3, "initial learning rate", POSITIVE)
     momentum: float = option(0.1, "momentum; Adam's beta 1")
     anneal: bool = option(False, "anneal the learning rate linearly to 0")
-    augment: str = option(
-        "all", "augmentation: all, none, no-trans-rot, or names joined by +", metavar="NAMES"
-    )
+    augment: str = augment_option("all")
     augment_by: str = option(
         RESAMPLING,
         "augmented images are resampled, or rendered anew from the poses; auto: rendered where "
@@ -93,7 +91,6 @@ class CloningSettings(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        parse_augmentations(self.augment)
         if self.augment_by == RESAMPLING and WALLS in self.transformations:
             raise InvalidConfigError(
                 f"transform: {WALLS} needs rendered frames, so augment_by {RENDERING} or {AUTO} is "

@@ -31,7 +31,7 @@ from magical.learning.algorithms.ppo import (
     make_policy,
 )
 from magical.learning.augmentation.augment import Randoms, to_unit
-from magical.learning.augmentation.names import parse_augmentations
+from magical.learning.augmentation.names import augment_option
 from magical.learning.config import DemonstrationSettings
 from magical.learning.data.expert_data import ExpertData, load_demonstrations, split_evenly
 from magical.learning.models import Discriminator, Trunk, init_normal
@@ -68,16 +68,8 @@ class DiscriminatorSettings(Settings):
     learning_rate: float = option(
         2.5e-5, "Adam's, for the discriminator", POSITIVE, name="discriminator_learning_rate"
     )
-    augment: str = option(
-        "all",
-        "of the discriminator's images: all, none, no-trans-rot, or names joined by +",
-        metavar="NAMES",
-    )
+    augment: str = augment_option("all", "the discriminator's images")
     reward_std: float = option(0.1, "standard deviation of the normalised rewards", POSITIVE)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        parse_augmentations(self.augment)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -41,7 +41,7 @@ from torch.optim import Adam
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
 from magical.learning.augmentation.augment import Randoms, to_unit
-from magical.learning.augmentation.names import parse_augmentations
+from magical.learning.augmentation.names import augment_option
 from magical.learning.config import (
     DemonstrationSettings,
     NetworkSettings,
@@ -90,15 +90,7 @@ class IQSettings(InteractionSettings):
         NOT_NEGATIVE,
     )
     bootstrap: bool = option(True, "bootstrap the value at the time limit instead of using 0")
-    augment: str = option(
-        "none",
-        "augmentation of images: all, none, no-trans-rot, or names joined by +",
-        metavar="NAMES",
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        parse_augmentations(self.augment)
+    augment: str = augment_option("none")
 
 
 @dataclass(frozen=True, kw_only=True)
