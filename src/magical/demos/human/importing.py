@@ -1,6 +1,6 @@
 """Importing the published human demonstrations into a dataset."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
@@ -54,7 +54,6 @@ def import_published(
     keep: Contents = "poses",
     workers: int | None = None,
     skip_duplicates: bool = False,
-    sums: Mapping[Path, str] | None = None,
     progress: Callable[[int], None] = lambda _: None,
 ) -> ImportReport:
     """Append published files to a dataset, in their order; a bad file does not stop the others.
@@ -67,7 +66,6 @@ def import_published(
         keep: what to keep of each demonstration.
         workers: number of processes; default: the usable cores.
         skip_duplicates: leave out files with the actions and frames of an earlier one.
-        sums: the SHA-256 sum of every file; a file with another one is not imported.
         progress: called with the number of files that were finished since it was last called.
 
     Raises:
@@ -80,7 +78,7 @@ def import_published(
     first = {entry.fingerprint: entry.source or entry.file for entry in entries}
     progress(len(report.already))
     workers = min(workers or available_cores(), len(wanted))
-    convert = partial(_convert, keep=keep, sums=sums)
+    convert = partial(_convert, keep=keep)
     with closing(outcomes_in_processes(convert, wanted, workers)) as results:
         for file, result in zip(wanted, results, strict=True):
             progress(1)
@@ -108,14 +106,9 @@ def _is_copy(
     return False
 
 
-def _convert(
-    file: Path, keep: Contents, sums: Mapping[Path, str] | None
-) -> tuple[ManifestEntry, bytes, str | None]:
+def _convert(file: Path, keep: Contents) -> tuple[ManifestEntry, bytes, str | None]:
     """One file as an encoded trajectory, and why that has no poses where they were wanted."""
     demonstration = read_demonstration(file)
-    found = demonstration.source["source_sha256"]
-    if sums is not None and found != sums[file]:
-        raise DatasetError(f"expected SHA-256 {sums[file][:12]}..., found {found[:12]}...")
     with naming_errors(file):
         if keep == "frames":
             trajectory = demonstration.trajectory()

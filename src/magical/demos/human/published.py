@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from magical.demos.human.safe_pickle import Array, PublishedRecord, load
 from magical.demos.store.trajectory import Trajectory, checked_actions, checked_score, stored_env_id
+from magical.envs.action_spec import Actions
 from magical.envs.ids import EnvId
 from magical.errors import MagicalError, TrajectoryError, UnsafeFileError
 from magical.files import open_regular, sha256_sum
@@ -39,7 +40,7 @@ class PublishedDemonstration:
     """
 
     env_id: EnvId
-    actions: NDArray[np.int64]
+    actions: Actions
     score: float
     source: Mapping[str, str]
     packed: Mapping[View, list[NDArray[np.uint8]]]  # T + 1 frames a view
