@@ -64,7 +64,7 @@ def test_conversion_keeps_everything_else(make_trajectory: MakeTrajectory) -> No
         ("actions", np.full((12, 3), 1.5), "actions: .* found drive 1.5 in row 0"),
         ("actions", np.zeros((12, 2)), "actions: .* of shape"),
         ("actions", np.zeros((0, 3)), "actions"),
-        ("expert_actions", np.zeros((12, 3)), "expert_actions: expected integers"),
+        ("expert_actions", np.zeros((12, 3)), "expert_actions: expected 12 integers"),
     ],
 )
 def test_other_actions_are_refused(

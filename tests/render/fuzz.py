@@ -68,8 +68,7 @@ def plain(scene: Scene, bodies: Bodies, rng: np.random.Generator) -> None:
     view = View.EGO if rng.integers(2) else View.ALLO
     renderer = Renderer(scene, view, size, int(rng.choice(SAMPLES)), bool(rng.integers(2)))
     renderer.render(bodies, np.zeros((size, size, 3), np.uint8))
-    stack = np.zeros((size, size, channels), np.uint8)
-    renderer.render_stacked(bodies, stack, np.zeros_like(stack))
+    renderer.render_stacked(bodies, np.zeros((size, size, channels), np.uint8))
 
 
 def moved(scene: Scene, bodies: Bodies, rng: np.random.Generator) -> None:

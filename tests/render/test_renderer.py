@@ -146,10 +146,10 @@ def test_arrays_of_other_shapes_and_types(case: Case) -> None:
         with pytest.raises(RenderError, match="expected"):
             renderer.render(poses.bodies, bad)
     stack = np.empty((96, 96, 6), np.uint8)
-    bad_stacks: tuple[Any, ...] = (out, np.empty((96, 96, 9), np.uint8), stack[:90], stack * 1.0)
-    for target in bad_stacks:
+    bad_stacks: tuple[Any, ...] = (stack[:90], stack * 1.0)
+    for bad in bad_stacks:
         with pytest.raises(RenderError, match="expected"):
-            renderer.render_stacked(poses.bodies, stack, target)
+            renderer.render_stacked(poses.bodies, bad)
     for channels in (0, 2, 4):
         with pytest.raises(RenderError, match="of whole frames"):
             renderer.render_stacked(poses.bodies, np.empty((96, 96, channels), np.uint8))

@@ -73,23 +73,7 @@ class _Discrete(ActionSpec):
         return number
 
     def checked_batch(self, actions: Any, count: int) -> Actions:
-        array: NDArray[Any]
-        try:
-            array = np.asarray(actions)
-        except ValueError:  # ragged
-            array = np.empty(0)
-        good = (
-            array.shape == (count,)
-            and array.dtype.kind in "iu"
-            and array.min() >= 0
-            and array.max() < NUM_ACTIONS
-        )
-        if not good:
-            raise InvalidActionError(
-                f"actions: expected {count} integers from 0 to {NUM_ACTIONS - 1}, "
-                f"found {quoted(actions)}"
-            )
-        return array
+        return checked_numbers("actions", actions, count)
 
     def convert(self, actions: Actions) -> Actions:
         if actions.ndim == 1:
@@ -130,16 +114,29 @@ class _Continuous(ActionSpec):
         return to_continuous(actions) if actions.ndim == 1 else actions
 
 
+def checked_numbers(name: str, numbers: Any, count: int) -> NDArray[np.int64]:
+    """Discrete actions as an array (count,).
+
+    Raises `InvalidActionError` that begins with `name` and names the first number that is wrong.
+    """
+    array = _as_array(numbers)
+    expected = f"{count} integers from 0 to {NUM_ACTIONS - 1}"
+    if array.shape != (count,) or array.dtype.kind not in "iu":
+        hint = "; sample or take the argmax, then convert" if array.dtype.kind == "f" else ""
+        raise InvalidActionError(f"{name}: expected {expected}, found {quoted(numbers)}{hint}")
+    good = (array >= 0) & (array < NUM_ACTIONS)
+    if not good.all():
+        row = int(good.argmin())
+        raise InvalidActionError(f"{name}: expected {expected}, found {array[row]} in row {row}")
+    return array.astype(np.int64, copy=False)
+
+
 def checked_points(name: str, points: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
     """Continuous actions as an array of this shape.
 
     Raises `InvalidActionError` that begins with `name` and names the first number that is wrong.
     """
-    array: NDArray[Any]
-    try:
-        array = np.asarray(points)
-    except (TypeError, ValueError, RuntimeError):  # ragged, or a tensor that is no plain array
-        array = np.empty(0)
+    array = _as_array(points)
     if array.shape != shape or array.dtype.kind not in "fiu":
         raise InvalidActionError(
             f"{name}: expected {_Continuous.expected}, of shape {shape}, found {quoted(points)}"
@@ -154,6 +151,13 @@ def checked_points(name: str, points: Any, shape: tuple[int, ...]) -> NDArray[np
             f"{floats[*row, part]:g}{where}; clip them, or correct what computes them"
         )
     return floats
+
+
+def _as_array(actions: Any) -> NDArray[Any]:
+    try:
+        return np.asarray(actions)
+    except (TypeError, ValueError, RuntimeError):  # ragged, or a tensor that is no plain array
+        return np.empty(0, np.bool_)  # which no action is
 
 
 DISCRETE: ActionSpec = _Discrete()

@@ -1,4 +1,4 @@
-"""The protocol of policies, the check of the actions they return, and simple policies."""
+"""The protocol of policies, and simple policies."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.envs import EnvId
-from magical.envs.action_spec import CONTINUOUS, DISCRETE, ActionSpec, action_spec
 from magical.envs.action_spec import Actions as Actions
+from magical.envs.action_spec import ActionSpec, action_spec
 from magical.envs.vector import MagicalVectorEnv
-from magical.errors import InvalidActionError, PolicyError
 from magical.observe import STATE, Observation, make_spec
 from magical.scene import NOOP, NUM_ACTIONS
 from magical.tasks import Task
@@ -107,40 +106,6 @@ def given_to(policy: Policy, envs: MagicalVectorEnv, observations: Any) -> Any:
     if is_privileged(policy):
         return envs.states()
     return None if getattr(policy, "observation", None) == NO_OBSERVATION else observations
-
-
-def checked_actions(actions: Any, count: int, spec: ActionSpec = DISCRETE) -> Actions:
-    """What a policy returned as an array of actions: integers (count,), or floats (count, 3).
-
-    Raises:
-        PolicyError: wrong shape, wrong type, or numbers that are no actions.
-    """
-    if spec is CONTINUOUS:
-        try:
-            return spec.checked_batch(actions, count)
-        except InvalidActionError as error:
-            raise PolicyError(f"policy: act(): {error}") from error
-    try:
-        array = np.asarray(actions)
-    except (TypeError, ValueError, RuntimeError) as error:
-        raise PolicyError(f"{_EXPECTED.format(count)}, found {actions!r}: {error}") from error
-    if array.shape != (count,):
-        raise PolicyError(f"{_EXPECTED.format(count)}, found shape {array.shape}")
-    if array.dtype.kind not in "iu":
-        hint = "; sample or take the argmax, then convert" if array.dtype.kind == "f" else ""
-        raise PolicyError(f"{_EXPECTED.format(count)}, found type {array.dtype}{hint}")
-    wrong = np.flatnonzero((array < 0) | (array >= NUM_ACTIONS))
-    if wrong.size:
-        raise PolicyError(
-            f"{_EXPECTED.format(count)}, found {array[wrong[0]]} in row {wrong[0]} "
-            f"({wrong.size} of {count} rows are out of range)"
-        )
-    return array.astype(np.int64, copy=False)
-
-
-_EXPECTED = (
-    f"policy: expected act() to return integers from 0 to {NUM_ACTIONS - 1} of shape ({{}},)"
-)
 
 
 class RandomPolicy:

@@ -12,12 +12,12 @@ from magical.envs import EnvId
 from magical.envs.seeds import evaluation_seed
 from magical.envs.vector import MagicalVectorEnv
 from magical.envs.vector.workers import defining_modules
+from magical.errors import InvalidActionError, PolicyError
 from magical.evaluation.loading import PolicySource, load_policy
 from magical.evaluation.policy import (
     Mask,
     Policy,
     action_spec_of,
-    checked_actions,
     given_to,
     observation_for,
 )
@@ -231,8 +231,11 @@ def play(
     ended = False
     while not ended:
         given = given_to(policy, envs, observations)
-        actions = checked_actions(policy.act(given, env_ids, rng), len(seeds), envs.action_spec)
-        observations, _, _, truncated, infos = envs.step(actions, active)
+        actions = policy.act(given, env_ids, rng)
+        try:
+            observations, _, _, truncated, infos = envs.step(actions, active)
+        except InvalidActionError as error:
+            raise PolicyError(f"policy: act(): {error}") from error
         ended = bool(truncated.any())
         yield observations, infos
 

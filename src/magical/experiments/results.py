@@ -25,7 +25,6 @@ from magical.runs.plan import PLAN, RESULT, RUNS, ListedRun, listed_runs
 from magical.untrusted import read_json
 
 FORMAT = 1
-GRAPHS = "graphs"  # a setting of earlier records that no score depends on
 EXPERIMENT, PROGRESS, DEMOS = "experiment.json", "progress.json", "demos"
 DONE, FAILED, WAITING = "done", "failed", "waiting"  # states; the first two are in `result.json`
 
@@ -197,8 +196,6 @@ def is_same_run(run: PlannedRun, record: Mapping[str, Any]) -> bool:
     except (MagicalError, TypeError):
         return False
     then, now = {**settings, "config": config}, run.settings()
-    for part in (then["config"], now["config"]):
-        part.pop(GRAPHS, None)
     return json.dumps(then, sort_keys=True) == json.dumps(now, sort_keys=True)
 
 

@@ -57,12 +57,13 @@ RENAMED = {
 }
 # Options of older versions that are constants now, or follow from `conventions` and `autoencoder`.
 REMOVED = {
-    *("compile", "pixel_range", "last_layer_init", "borders", "linear_light", "action_input"),
-    *("reward_floor", "replay_batches", "decorrelate", "evaluation_rollouts"),
+    *("compile", "graphs", "pixel_range", "last_layer_init", "borders", "linear_light"),
+    *("action_input", "reward_floor", "replay_batches", "decorrelate", "evaluation_rollouts"),
     *("penalty_batch_norm", "decoder_batch_norm", "augment_features", "feature_batch_norm"),
     *("pretraining_anneal", "relative_image_error", "linear_features", "statistics_batches"),
+    "restart",  # of dagger
     # of object-bc
-    *("network", "observation", "graphs", "augment", "weight_decay", "hidden", "goal_every"),
+    *("network", "observation", "augment", "weight_decay", "hidden", "goal_every"),
     *("goal_batch_size", "goal_learning_rate", "goal_smoothness", "destination_noise"),
 }
 
@@ -86,11 +87,6 @@ class NetworkSettings(EncoderSettings):
         "of images, initialisation and batch norm, where the published code's differ "
         "(docs/presets.md)",
         choices=CONVENTIONS,
-    )
-    graphs: str = option(
-        "off",
-        "record training steps as CUDA graphs; auto: on a GPU (not tried on one yet)",
-        choices=("auto", "on", "off"),
     )
 
     @property

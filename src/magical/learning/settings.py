@@ -25,6 +25,7 @@ def option(
     *,
     choices: tuple[str, ...] | Callable[[], tuple[str, ...]] = (),
     others: str = "",
+    parse: Callable[[str], object] | None = None,
     metavar: str | None = None,
     name: str | None = None,
 ) -> Any:
@@ -36,6 +37,7 @@ def option(
         check: what a number must be.
         choices: the allowed values, if there are only a few, or a function that finds them.
         others: the group of entry points that other values are allowed from, or `module:NAME`.
+        parse: raises where a text is none of the allowed values.
         metavar: what stands for the value in the command line's help.
         name: of the option; the field's, unless it would be ambiguous outside its record.
     """
@@ -44,6 +46,7 @@ def option(
         "check": check,
         "choices": choices if callable(choices) else lambda: choices,
         "others": others,
+        "parse": parse,
         "metavar": metavar,
         "name": name,
     }
@@ -68,6 +71,8 @@ def _check_value(field: "dataclasses.Field[Any]", value: Any) -> None:
         raise UnknownNameError(
             f"{name} {quoted(value)} is unknown; expected one of: {', '.join(choices)}"
         )
+    if field.metadata["parse"]:
+        field.metadata["parse"](value)
     if field.metadata["check"] and value is not None:
         is_right, expected = field.metadata["check"]
         if not is_right(value):

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-Arrays = NDArray[Any] | dict[str, NDArray[Any]]
 ArrayFields = Mapping[str, tuple[tuple[int, ...], DTypeLike]]  # name: shape and type
 
 SINGLE = ""  # the name of the array of an observation that is not a dict

@@ -38,17 +38,15 @@ def compiled_push() -> Callable[..., None]:
     """The entry point that shifts a stack of four frames and adds the newest, in one pass."""
 
     @entry_point
-    def push_four(
-        pixels: NDArray[np.int32], source: NDArray[np.uint32], target: NDArray[np.uint32]
-    ) -> None:
-        """Stacks as little-endian words, three a pixel: (height, 3 * width). May be one array."""
-        height, width = target.shape[0], target.shape[1] // 3
+    def push_four(pixels: NDArray[np.int32], stack: NDArray[np.uint32]) -> None:
+        """The stack as little-endian words, three a pixel: (height, 3 * width)."""
+        height, width = stack.shape[0], stack.shape[1] // 3
         old = np.empty(3 * width, np.uint32)
         for y in range(height):
             first = (height - 1 - y) * width
-            newest, given, new = pixels[first : first + width], source[y], target[y]
+            newest, new = pixels[first : first + width], stack[y]
             for i in range(3 * width):
-                old[i] = given[i]
+                old[i] = new[i]
             for x in range(width):
                 a, b, c = old[3 * x], old[3 * x + 1], old[3 * x + 2]
                 new[3 * x] = a >> 24 | b << 8
@@ -58,14 +56,14 @@ def compiled_push() -> Callable[..., None]:
     return push_four
 
 
-def push(pixels: NDArray[np.int32], source: Stack, target: Stack) -> None:
-    """The stack `source` without its oldest frame, then `pixels`, into `target` (or itself)."""
-    words = _words(source), _words(target)
-    if words[0] is not None and words[1] is not None:
-        compiled_push()(pixels, *words)
+def push(pixels: NDArray[np.int32], stack: Stack) -> None:
+    """Drop a stack's oldest frame, and add `pixels` as its newest."""
+    words = _words(stack)
+    if words is not None:
+        compiled_push()(pixels, words)
     else:
-        shift_stack(source, target)
-        compiled_store()(pixels, target[:, :, -CHANNELS:])
+        shift_stack(stack)
+        compiled_store()(pixels, stack[:, :, -CHANNELS:])
 
 
 def _words(stack: Stack) -> NDArray[np.uint32] | None:
@@ -76,22 +74,21 @@ def _words(stack: Stack) -> NDArray[np.uint32] | None:
     return words if words.flags.aligned else None
 
 
-def shift_stack(source: Stack, target: Stack | None = None) -> None:
+def shift_stack(stack: Stack) -> None:
     """Shift the frames of a stack (height, width, C) by one towards the oldest.
 
-    Channels [3:] move to [:-3] of `target`, by default of the stack itself; its last 3 keep what
-    they held, to be overwritten by the newest frame. For contiguous memory (C-contiguous, or the
-    transposed view of a C-contiguous (C, height, width) array) this is one memory move.
+    Channels [3:] move to [:-3]; the last 3 keep what they held, to be overwritten by the newest
+    frame. For contiguous memory (C-contiguous, or the transposed view of a C-contiguous
+    (C, height, width) array) this is one memory move.
     """
-    target = source if target is None else target
-    if source.shape[2] == CHANNELS:
+    if stack.shape[2] == CHANNELS:
         return
-    if source.flags.c_contiguous and target.flags.c_contiguous:
-        target.reshape(-1)[:-CHANNELS] = source.reshape(-1)[CHANNELS:]
+    planes = stack.transpose(2, 0, 1)
+    if stack.flags.c_contiguous:
+        flat, size = stack.reshape(-1), CHANNELS
+    elif planes.flags.c_contiguous:
+        flat, size = planes.reshape(-1), CHANNELS * planes.shape[1] * planes.shape[2]
+    else:
+        stack[:, :, :-CHANNELS] = stack[:, :, CHANNELS:]
         return
-    planes, target_planes = source.transpose(2, 0, 1), target.transpose(2, 0, 1)
-    if planes.flags.c_contiguous and target_planes.flags.c_contiguous:
-        size = CHANNELS * planes.shape[1] * planes.shape[2]
-        target_planes.reshape(-1)[:-size] = planes.reshape(-1)[size:]
-        return
-    target[:, :, :-CHANNELS] = source[:, :, CHANNELS:]
+    flat[:-size] = flat[size:]

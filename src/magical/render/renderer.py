@@ -91,29 +91,22 @@ class Renderer:
         self._render_pixels(bodies)
         self._store(self._pixels, out)
 
-    def render_stacked(
-        self, bodies: NDArray[np.float64], stack: Image, out: Image | None = None
-    ) -> None:
+    def render_stacked(self, bodies: NDArray[np.float64], stack: Image) -> None:
         """Shift a stack by one frame and render the newest one in its last three channels.
 
         Args:
             bodies: as for `render`.
             stack: (size, size, 3 * frames) uint8, oldest first, any layout.
-            out: where the result goes; by default `stack` itself. Must not overlap it partly.
 
         Raises:
             RenderError: shapes or types do not match, or a pose is not finite.
         """
-        out = stack if out is None else out
-        self._check(out, stack.shape[-1])
-        whole_frames = stack.shape[-1] % CHANNELS == 0 < stack.shape[-1]
-        if stack.shape != out.shape or stack.dtype != out.dtype or not whole_frames:
-            raise RenderError(
-                f"expected a stack {out.shape} of uint8 to shift, of whole frames, "
-                f"found {stack.shape} of {stack.dtype}"
-            )
+        channels = stack.shape[-1]
+        self._check(stack, channels)
+        if channels % CHANNELS or not channels:
+            raise RenderError(f"expected a stack of whole frames, found {channels} channels")
         self._render_pixels(bodies)
-        push(self._pixels, stack, out)
+        push(self._pixels, stack)
 
     def _check(self, out: Image, channels: int) -> None:
         shape = (self.size, self.size, channels)

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from contextlib import suppress
 from enum import IntEnum
+from time import monotonic
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
@@ -29,7 +30,6 @@ FIRST_TIME = 30.0  # s within which the page must have sent its first message
 MAX_UNSEEN = 4  # frames that the page has not confirmed, beyond which none is sent
 
 Save = Callable[[Session, Trajectory], asyncio.Task[None]]
-Clock = Callable[[], float]
 
 
 class Close(IntEnum):
@@ -51,28 +51,24 @@ class Connection:
         socket: accepted.
         player: whose session is played.
         save: starts to store a session's episode; the task ends when the session was told.
-        clock: the time in seconds.
         threads: that policies are asked in.
     """
 
-    def __init__(
-        self, socket: WebSocket, player: Player, save: Save, clock: Clock, threads: Executor
-    ) -> None:
+    def __init__(self, socket: WebSocket, player: Player, save: Save, threads: Executor) -> None:
         self._socket = socket
         self._player = player
         self._session = player.session
         self._save = save
-        self._clock = clock
         self._threads = threads
         self._unseen: deque[int] = deque()  # frames that were sent and not confirmed
-        self._messages = RateLimit(MESSAGE_RATE, MESSAGE_BURST, clock())
-        self._commands = RateLimit(COMMAND_RATE, COMMAND_BURST, clock())
+        self._messages = RateLimit(MESSAGE_RATE, MESSAGE_BURST, monotonic())
+        self._commands = RateLimit(COMMAND_RATE, COMMAND_BURST, monotonic())
         self._wake = asyncio.Event()  # there may be something to send
         self._step = asyncio.Event()  # there may be something to ask the policy
 
     async def run(self) -> Close | None:
         """Play until the connection ends; returns why it should be closed, if it is still open."""
-        number = self._player.connect(self._clock())
+        number = self._player.connect(monotonic())
         tasks = [
             asyncio.create_task(work)
             for work in (self._receive(), self._send(), self._run_clock(number), self._ask())
@@ -80,7 +76,7 @@ class Connection:
         try:
             done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            self._player.disconnect(number, self._clock())
+            self._player.disconnect(number, monotonic())
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
@@ -91,7 +87,7 @@ class Connection:
             async with asyncio.timeout(FIRST_TIME) as first:
                 while (event := await self._socket.receive())["type"] != "websocket.disconnect":
                     first.reschedule(None)
-                    if self._messages.allows(self._clock()):
+                    if self._messages.allows(monotonic()):
                         self._handle(event.get("text"))
                     await asyncio.sleep(0)  # many messages at once must not stop other players
         except TimeoutError:
@@ -106,15 +102,15 @@ class Connection:
         if isinstance(message, Keys):
             while self._unseen and self._unseen[0] <= message.seen:
                 self._unseen.popleft()
-        elif not self._commands.allows(self._clock()):
+        elif not self._commands.allows(monotonic()):
             return
         try:
-            self._session.handle(message, self._clock())
+            self._session.handle(message, monotonic())
         except MagicalError as error:
             self._session.note_problem(str(error))
         if trajectory := self._session.take_pending():
             self._save(self._session, trajectory).add_done_callback(lambda _: self._changed())
-        self._session.advance(self._clock())
+        self._session.advance(monotonic())
         self._changed()
 
     def _changed(self) -> None:
@@ -151,8 +147,8 @@ class Connection:
 
     async def _run_clock(self, number: int) -> Close:
         while True:
-            await asyncio.sleep(max(0.0, self._session.step_at - self._clock()))
-            now = self._clock()
+            await asyncio.sleep(max(0.0, self._session.step_at - monotonic()))
+            now = monotonic()
             if not self._player.owned_by(number):
                 return Close.REPLACED
             if self._session.idle(now):

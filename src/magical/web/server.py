@@ -3,13 +3,13 @@
 import asyncio
 import json
 import socket as sockets
-import time
 from collections.abc import AsyncIterator, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from time import monotonic
 
 import numpy as np
 import uvicorn
@@ -26,7 +26,7 @@ from magical.envs.ids import EnvId
 from magical.errors import MagicalError, ServerError
 from magical.render import warm_up
 from magical.web import frames
-from magical.web.connection import Clock, Close, Connection
+from magical.web.connection import Close, Connection
 from magical.web.library.routes import Library
 from magical.web.messages import MAX_BYTES
 from magical.web.players import Players
@@ -71,21 +71,19 @@ class PlayServer:
     Args:
         settings: what is offered.
         guard: decides which requests are answered.
-        clock: the time in seconds.
 
     Raises:
         DatasetError: the folder to record in cannot be written, or another one holds no dataset.
         RunFolderError: a folder of runs does not exist.
     """
 
-    def __init__(self, settings: PlaySettings, guard: Guard, clock: Clock = time.monotonic) -> None:
+    def __init__(self, settings: PlaySettings, guard: Guard) -> None:
         recorded = [settings.record] if settings.record else []
         folders = {path.resolve(): path for path in [*settings.datasets, *recorded]}
         policies, rng = Policies(settings.runs), np.random.default_rng()  # of scenes' seeds
         self._writer = DatasetWriter(settings.record) if settings.record else None
         self._saving: set[asyncio.Task[None]] = set()
-        self._clock = clock
-        self._library = Library(list(folders.values()), policies, clock)
+        self._library = Library(list(folders.values()), policies)
         self._threads = ThreadPoolExecutor(DRIVING_THREADS, "driver")
         new_session = partial(Session, settings.env_id, rng, policies, settings.record is not None)
         self.players = Players(new_session, settings.max_players)
@@ -114,7 +112,7 @@ class PlayServer:
         await socket.accept()
         try:
             key = socket.query_params.get("session")
-            player = self.players.find_or_add(key, self._clock())
+            player = self.players.find_or_add(key, monotonic())
         except MagicalError as error:
             await socket.send_text(json.dumps({"type": "refused", "reason": str(error)}))
             await socket.close(Close.FULL)
@@ -122,7 +120,7 @@ class PlayServer:
         if key and key != player.key:
             player.session.note_problem("Your former session was not resumed in time and is gone.")
         await socket.send_text(json.dumps({"type": "hello", "session": player.key}))
-        reason = await Connection(socket, player, self._save, self._clock, self._threads).run()
+        reason = await Connection(socket, player, self._save, self._threads).run()
         if reason is Close.IDLE:
             self.players.remove(player)
         if reason is not None:
@@ -148,7 +146,7 @@ class PlayServer:
     async def _drop_expired(self) -> None:
         while True:
             await asyncio.sleep(SWEEP_TIME)
-            self.players.drop_expired(self._clock())
+            self.players.drop_expired(monotonic())
 
 
 def _page_file(name: str, media_type: str) -> Callable[[Request], Response]:

@@ -18,7 +18,6 @@ import pytest
 from magical.cli import main
 from magical.demos import Dataset
 from magical.demos.human.download import _Redirects, fetch_all
-from magical.demos.human.importing import import_published
 from magical.demos.human.published import published_sums
 from magical.errors import DownloadError
 
@@ -189,13 +188,6 @@ def test_foreign_file_under_a_published_name_is_not_imported(
     monkeypatch.setattr("magical.demos.human.published.published_sums", lambda: sums)
     status, result = run(*command, "--keep", tmp_path / "kept", "--workers", 1)
     assert (status, len(result["imported"])) == (0, 1)
-
-
-def test_file_replaced_after_it_was_fetched_is_not_imported(tmp_path: Path, published: Any) -> None:
-    file = published().write(tmp_path / "demo.pkl.gz")
-    report = import_published([file], tmp_path / "d", sums={file: "0" * 64}, workers=1)
-    assert report.imported == []
-    assert "demo.pkl.gz: expected SHA-256 000000000000..." in report.failed[0][1]
 
 
 @pytest.mark.parametrize("length", ["-5", "abc", "9" * 30, "1e3", "7, 8", "\x1b[2J", "999999999"])

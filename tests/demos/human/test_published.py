@@ -60,10 +60,13 @@ def test_arrays_of_another_shape_or_type_are_refused(
         read_demonstration(made.write(tmp_path / "bad.pkl.gz"))
 
 
-def test_more_than_the_largest_size_is_refused(tmp_path: Path, published: Any) -> None:
+def test_more_than_the_largest_size_is_refused(
+    tmp_path: Path, published: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("magical.demos.human.safe_pickle.MAX_UNPACKED", 1_000_000)
     file = published().write(tmp_path / "demo.pkl.gz")
     with pytest.raises(UnsafeFileError, match="unpacks to more than 1000000 bytes"):
-        read_demonstration(file, 1_000_000)
+        read_demonstration(file)
 
 
 def test_damaged_gzip_file_is_refused_or_read_as_it_was(tmp_path: Path, published: Any) -> None:

@@ -1,5 +1,6 @@
 """Vector environments: options, and invalid arguments."""
 
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -71,23 +72,24 @@ def test_workers_make_state_vectors_of_any_size() -> None:
 
 
 @pytest.mark.parametrize(
-    "actions",
+    ("actions", "found"),
     [
-        [0, 0],
-        [[0, 0, 0]],
-        [0, 0, NUM_ACTIONS],
-        [0, -1, 0],
-        [0.0, 0.0, 0.0],
-        [True, False, True],
-        [[0], [0, 1], 0],
-        "abc",
-        None,
+        ([0, 0], "[0, 0]"),
+        (np.zeros((1, 3), int), "<array of shape (1, 3), i64>"),
+        ([0, 0, NUM_ACTIONS], "18 in row 2"),
+        ([0, -1, 20], "-1 in row 1"),
+        ([0.0, 0.5, 0.0], "[0.0, 0.5, 0.0]; sample or take the argmax"),
+        ([True, False, True], "[True, False, True]"),
+        ([[0], [0, 1], 0], "[<list of 1>, <list of 2>, 0]"),
+        ("abc", "'abc'"),
+        (None, "None"),
     ],
 )
-def test_wrong_actions_are_refused_and_nothing_happens(actions: Any) -> None:
+def test_wrong_actions_are_refused_and_nothing_happens(actions: Any, found: str) -> None:
     envs = vector()
     envs.reset(seed=0)
-    with pytest.raises(InvalidActionError, match="expected 3 integers from 0 to 17"):
+    message = re.escape(f"actions: expected 3 integers from 0 to 17, found {found}")
+    with pytest.raises(InvalidActionError, match=message):
         envs.step(actions)
     assert [state.step for state in envs.states()] == [0, 0, 0]
     envs.step([0, 0, 0])

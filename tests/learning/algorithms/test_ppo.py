@@ -49,10 +49,11 @@ def test_loss_by_hand() -> None:
     loss, parts = ppo_loss(logits, values, gains, clip_range=torch.tensor(0.1), ent_coef=0.01)
     policy = -(1.1 * 2.0 + 0.4 * 5.0) / 2  # the minimum: clipped above, not below
     assert loss.item() == pytest.approx(policy + 0.5 * 2.5 - 0.01 * entropy, abs=1e-6)
-    assert parts.tolist() == pytest.approx([policy, 1.25, entropy, 1.0], abs=1e-6)
+    expected = [policy, 1.25, entropy, 1.0]
+    assert [part.item() for part in parts.values()] == pytest.approx(expected, abs=1e-6)
     losses = minibatch([0, 1], [half, half], [-2.0, -5.0])
     _, parts = ppo_loss(logits, values, losses, clip_range=torch.tensor(0.1), ent_coef=0.0)
-    assert parts[0].item() == pytest.approx((1.6 * 2.0 + 0.9 * 5.0) / 2, abs=1e-6)
+    assert parts["policy_loss"].item() == pytest.approx((1.6 * 2.0 + 0.9 * 5.0) / 2, abs=1e-6)
 
 
 def scripted(value: float = 0.0, action: int = 1) -> Any:

@@ -59,7 +59,6 @@ CHANGES: dict[str, dict[str, Any]] = {
         "episodes": 2,
         "variants": ("Layout",),
         "beta_decay": 1.0,
-        "restart": True,
         "keep_noops": True,
     },
     "object-bc": {

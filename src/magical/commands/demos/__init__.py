@@ -37,8 +37,6 @@ def _import(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "source", type=Path, metavar="SRC", help="a folder with *.pkl.gz files, or one such file"
     )
-    meaning = "the most that one file may unpack to"
-    add_count(parser, "--max-unpacked", meaning, default=512, metavar="MB")
     _importing(parser)
 
 
@@ -118,9 +116,6 @@ def _video(parser: argparse.ArgumentParser) -> None:
     add_out(parser, "FILE.mp4 or FILE.webp", "FILE", required=True)
     meaning = "which demonstrations, from 0 (default: one of each environment)"
     add_count(parser, "--index", meaning, least=0, metavar="I", nargs="+")
-    parser.add_argument(
-        "--rate", type=float, default=8.0, metavar="HZ", help="steps per second (default: 8)"
-    )
 
 
 def _export(parser: argparse.ArgumentParser) -> None:

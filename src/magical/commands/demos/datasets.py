@@ -159,7 +159,7 @@ def run_video(args: argparse.Namespace) -> int:
     chosen = args.index or sorted(first.values())
     if not chosen or max(chosen) >= len(dataset):
         raise DatasetError(f"{args.dataset}: expected demonstration {chosen}, found {len(dataset)}")
-    frames = write_video((dataset[i] for i in chosen), args.out, args.rate)
+    frames = write_video((dataset[i] for i in chosen), args.out)
     print(f"wrote {args.out}: {len(chosen)} demonstrations, {frames} frames")
     return 0
 

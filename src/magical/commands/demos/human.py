@@ -3,7 +3,7 @@
 import argparse
 import fnmatch
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,7 +22,7 @@ def run_import(args: argparse.Namespace) -> int:
     """`magical demos import`."""
     from magical.demos.human.importing import find_published
 
-    return _import(find_published(args.source), args, args.max_unpacked << 20)
+    return _import(find_published(args.source), args)
 
 
 def run_download(args: argparse.Namespace) -> int:
@@ -30,7 +30,6 @@ def run_download(args: argparse.Namespace) -> int:
     from magical.demos import Dataset, DatasetWriter
     from magical.demos.human.download import BASE_URL, fetch_all
     from magical.demos.human.published import published_sums
-    from magical.demos.human.safe_pickle import MAX_UNPACKED
     from magical.progress import progress_bar
 
     wanted = {f: s for f, s in published_sums().items() if fnmatch.fnmatch(f, args.files)}
@@ -46,21 +45,13 @@ def run_download(args: argparse.Namespace) -> int:
         fetched = fetch_all(missing, folder, args.base_url or BASE_URL, advance)
     for error in fetched.errors:
         log(f"error: {error}")
-    # The sums once more: the files could have been replaced after they were fetched.
-    sums = {path: missing[name] for name, path in fetched.files.items()}
-    status = _import(list(sums), args, MAX_UNPACKED, sums=sums, not_fetched=fetched.errors)
+    status = _import(list(fetched.files.values()), args, not_fetched=fetched.errors)
     if not (args.keep or fetched.errors or status):
         shutil.rmtree(folder, ignore_errors=True)
     return 1 if fetched.errors else status
 
 
-def _import(
-    files: list[Path],
-    args: argparse.Namespace,
-    max_bytes: int,
-    sums: Mapping[Path, str] | None = None,
-    not_fetched: Sequence[str] = (),
-) -> int:
+def _import(files: list[Path], args: argparse.Namespace, not_fetched: Sequence[str] = ()) -> int:
     from magical.demos.human.importing import import_published
     from magical.progress import progress_bar
 
@@ -70,9 +61,7 @@ def _import(
             args.out,
             keep="frames" if args.frames_only else "both" if args.keep_frames else "poses",
             workers=args.workers,
-            max_bytes=max_bytes,
             skip_duplicates=args.skip_duplicates,
-            sums=sums,
             progress=advance,
         )
     _print_report(report, args)

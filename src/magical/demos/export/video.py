@@ -27,7 +27,7 @@ _BACKGROUND, _TEXT = (255, 255, 255), (60, 60, 70)
 Image = NDArray[np.uint8]
 
 
-def write_video(trajectories: Iterable[Trajectory], path: Path, rate: float = CONTROL_RATE) -> int:
+def write_video(trajectories: Iterable[Trajectory], path: Path) -> int:
     """Write one video of all trajectories, one after another; returns its number of frames.
 
     The suffix chooses the format: `.mp4` (H.264, needs the `video` extra) or `.webp` (animated).
@@ -41,7 +41,7 @@ def write_video(trajectories: Iterable[Trajectory], path: Path, rate: float = CO
     if path.suffix not in SUFFIXES:
         raise UnknownNameError(f"{path}: expected the suffix {' or '.join(SUFFIXES)}")
     frames = (frame for trajectory in trajectories for frame in video_frames(trajectory))
-    return (_write_mp4 if path.suffix == ".mp4" else _write_webp)(frames, path, rate)
+    return (_write_mp4 if path.suffix == ".mp4" else _write_webp)(frames, path)
 
 
 def video_frames(trajectory: Trajectory) -> Iterator[Image]:
@@ -123,17 +123,17 @@ class Mp4Writer:
         self._container.close()
 
 
-def _write_mp4(frames: Iterable[Image], path: Path, rate: float) -> int:
+def _write_mp4(frames: Iterable[Image], path: Path) -> int:
     with (
         write_atomically(path) as file,
-        Mp4Writer(file, rate, "yuv420p", {"qp": "10"}) as video,
+        Mp4Writer(file, CONTROL_RATE, "yuv420p", {"qp": "10"}) as video,
     ):
         for frame in frames:
             video.write(frame)
     return video.count
 
 
-def _write_webp(frames: Iterable[Image], path: Path, rate: float) -> int:
+def _write_webp(frames: Iterable[Image], path: Path) -> int:
     import PIL.Image
 
     images = [PIL.Image.fromarray(frame) for frame in islice(frames, MAX_WEBP_FRAMES + 1)]
@@ -142,7 +142,7 @@ def _write_webp(frames: Iterable[Image], path: Path, rate: float) -> int:
             f"{path}: expected at most {MAX_WEBP_FRAMES} frames for .webp, which are all kept in "
             "memory; select fewer demonstrations, or write .mp4"
         )
-    options = {"duration": round(1000 / rate), "loop": 0, "quality": 80, "method": 2}
+    options = {"duration": round(1000 / CONTROL_RATE), "loop": 0, "quality": 80, "method": 2}
     with write_atomically(path) as file:
         images[0].save(file, "WEBP", save_all=True, append_images=images[1:], **options)
     return len(images)

@@ -1,6 +1,6 @@
 """Importing the published human demonstrations into a dataset."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Literal
 
 from magical.demos.human.published import MAX_PATH, file_sum, naming_errors, read_demonstration
-from magical.demos.human.safe_pickle import MAX_UNPACKED
 from magical.demos.store.codec import encode
 from magical.demos.store.dataset import Dataset
 from magical.demos.store.manifest import ManifestEntry
@@ -54,9 +53,7 @@ def import_published(
     *,
     keep: Contents = "poses",
     workers: int | None = None,
-    max_bytes: int = MAX_UNPACKED,
     skip_duplicates: bool = False,
-    sums: Mapping[Path, str] | None = None,
     progress: Callable[[int], None] = lambda _: None,
 ) -> ImportReport:
     """Append published files to a dataset, in their order; a bad file does not stop the others.
@@ -68,9 +65,7 @@ def import_published(
         out: the dataset, created if there is none.
         keep: what to keep of each demonstration.
         workers: number of processes; default: the usable cores.
-        max_bytes: the most that one file may unpack to.
         skip_duplicates: leave out files with the actions and frames of an earlier one.
-        sums: the SHA-256 sum of every file; a file with another one is not imported.
         progress: called with the number of files that were finished since it was last called.
 
     Raises:
@@ -83,7 +78,7 @@ def import_published(
     first = {entry.fingerprint: entry.source or entry.file for entry in entries}
     progress(len(report.already))
     workers = min(workers or available_cores(), len(wanted))
-    convert = partial(_convert, keep=keep, max_bytes=max_bytes, sums=sums)
+    convert = partial(_convert, keep=keep)
     with closing(outcomes_in_processes(convert, wanted, workers)) as results:
         for file, result in zip(wanted, results, strict=True):
             progress(1)
@@ -111,14 +106,9 @@ def _is_copy(
     return False
 
 
-def _convert(
-    file: Path, keep: Contents, max_bytes: int, sums: Mapping[Path, str] | None
-) -> tuple[ManifestEntry, bytes, str | None]:
+def _convert(file: Path, keep: Contents) -> tuple[ManifestEntry, bytes, str | None]:
     """One file as an encoded trajectory, and why that has no poses where they were wanted."""
-    demonstration = read_demonstration(file, max_bytes)
-    found = demonstration.source["source_sha256"]
-    if sums is not None and found != sums[file]:
-        raise DatasetError(f"expected SHA-256 {sums[file][:12]}..., found {found[:12]}...")
+    demonstration = read_demonstration(file)
     with naming_errors(file):
         if keep == "frames":
             trajectory = demonstration.trajectory()

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.demos.human.safe_pickle import MAX_UNPACKED, Array, PublishedRecord, load
+from magical.demos.human.safe_pickle import Array, PublishedRecord, load
 from magical.demos.store.trajectory import Trajectory, checked_actions, checked_score, stored_env_id
+from magical.envs.action_spec import Actions
 from magical.envs.ids import EnvId
 from magical.errors import MagicalError, TrajectoryError, UnsafeFileError
 from magical.files import open_regular, sha256_sum
@@ -39,7 +40,7 @@ class PublishedDemonstration:
     """
 
     env_id: EnvId
-    actions: NDArray[np.int64]
+    actions: Actions
     score: float
     source: Mapping[str, str]
     packed: Mapping[View, list[NDArray[np.uint8]]]  # T + 1 frames a view
@@ -68,16 +69,12 @@ class PublishedDemonstration:
         )
 
 
-def read_demonstration(path: Path, max_bytes: int = MAX_UNPACKED) -> PublishedDemonstration:
+def read_demonstration(path: Path) -> PublishedDemonstration:
     """Read one published file. It takes little memory, however large the file is.
 
-    Args:
-        path: the file.
-        max_bytes: the most that it may unpack to.
-
     Raises:
-        UnsafeFileError: it is not a regular file, is damaged, unpacks to more than `max_bytes`, or
-            holds anything but a demonstration's plain data.
+        UnsafeFileError: it is not a regular file, is damaged, unpacks to more than `MAX_UNPACKED`
+            bytes, or holds anything but a demonstration's plain data.
         TrajectoryError: its arrays do not fit together.
     """
     with naming_errors(path):
@@ -85,7 +82,7 @@ def read_demonstration(path: Path, max_bytes: int = MAX_UNPACKED) -> PublishedDe
             source = sha256_sum(file)
             file.seek(0)
             with gzip.open(file) as unpacked:
-                data = load(unpacked, pack, max_bytes)
+                data = load(unpacked, pack)
         return _demonstration(data, {"source": path.name, "source_sha256": source})
 
 

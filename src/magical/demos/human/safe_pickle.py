@@ -70,9 +70,8 @@ class Array:
 class _Reader:
     """The file that pickletools reads from, with bounds on its size and that of one item."""
 
-    def __init__(self, file: IO[bytes] | GzipFile, max_bytes: int) -> None:
+    def __init__(self, file: IO[bytes] | GzipFile) -> None:
         self._file = file
-        self._max_bytes = max_bytes
         self._position = 0  # counted here: a `GzipFile` takes long to say it
 
     def read(self, size: int) -> bytes:
@@ -88,23 +87,22 @@ class _Reader:
 
     def _bounded(self, data: bytes) -> bytes:
         self._position += len(data)
-        if self._position > self._max_bytes:
+        if self._position > MAX_UNPACKED:
             raise ValueError(
-                f"unpacks to more than {self._max_bytes} bytes, more than any published "
-                "demonstration"
+                f"unpacks to more than {MAX_UNPACKED} bytes, more than any published demonstration"
             )
         return data
 
 
-def load(file: IO[bytes] | GzipFile, reduce: Reduce, max_bytes: int = MAX_UNPACKED) -> Any:
+def load(file: IO[bytes] | GzipFile, reduce: Reduce) -> Any:
     """The data of a pickle: plain data, `Array`, `PublishedRecord`.
 
     `reduce` is applied to every array as it is read, so that large ones need not be kept.
 
     Raises:
-        UnsafeFileError: anything else is in it, it is larger than `max_bytes` or damaged.
+        UnsafeFileError: anything else is in it, it is larger than `MAX_UNPACKED` or damaged.
     """
-    machine, reader = _Machine(reduce), _Reader(file, max_bytes)
+    machine, reader = _Machine(reduce), _Reader(file)
     doing = "damaged"
     try:
         for count, (opcode, argument, _) in enumerate(

@@ -16,13 +16,14 @@ from magical.envs.action_spec import (
     Actions,
     ActionSpaceName,
     action_spec,
+    checked_numbers,
     checked_points,
     spec_of,
 )
 from magical.envs.ids import EnvId, parse_env_id
 from magical.errors import InvalidActionError, TrajectoryError
 from magical.messages import quoted
-from magical.scene import NUM_ACTIONS, Dynamics, Poses, Scene, View
+from magical.scene import Dynamics, Poses, Scene, View
 from magical.scene.constants import FRAME_SIZE, MAX_COORDINATE, MAX_NUDGE
 from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import Task
@@ -88,13 +89,13 @@ class Trajectory:
         self.task.validate(self.scene, MAX_NUDGE)
         if not np.abs(Poses.at_rest(self.scene).bodies).max() <= MAX_COORDINATE:
             raise TrajectoryError(f"scene: expected angles of at most {MAX_COORDINATE:g} rad")
-        put("actions", _checked_like("actions", self.actions, np.ndim(self.actions)))
+        put("actions", checked_actions("actions", self.actions, np.ndim(self.actions)))
         published = checked_score("published_code_score", self.published_code_score)
         put("published_code_score", published)
         count, ndim = len(self.actions), self.actions.ndim
         optional: dict[str, Callable[[Any], Any]] = {
-            "expert_actions": partial(_checked_like, "expert_actions", ndim=ndim, count=count),
-            "policy_actions": partial(_checked_like, "policy_actions", ndim=ndim, count=count),
+            "expert_actions": partial(checked_actions, "expert_actions", ndim=ndim, count=count),
+            "policy_actions": partial(checked_actions, "policy_actions", ndim=ndim, count=count),
             "actors": self._checked_actors,
             "poses": self._checked_poses,
             "frames": self._checked_frames,
@@ -260,33 +261,17 @@ def checked_score(name: str, value: Any) -> float:
     return float(value)
 
 
-def checked_actions(name: str, actions: ArrayLike, count: int | None = None) -> NDArray[np.int64]:
-    """Discrete actions (T,), read-only; raises `TrajectoryError` otherwise, or if not `count`."""
-    array = np.asarray(actions)
-    if array.ndim != 1 or not len(array) or array.dtype.kind not in "iu":
-        raise TrajectoryError(
-            f"{name}: expected integers of shape (T,), T at least 1, "
-            f"found {array.dtype} {array.shape}"
-        )
-    if array.min() < 0 or array.max() >= NUM_ACTIONS:
-        raise TrajectoryError(
-            f"{name}: expected numbers from 0 to {NUM_ACTIONS - 1}, "
-            f"found {array.min()} to {array.max()}"
-        )
-    if count not in (None, len(array)):
-        raise TrajectoryError(
-            f"{name}: expected one for each of {count} actions, found {len(array)}"
-        )
-    return _frozen(array.astype(np.int64))
-
-
-def _checked_like(name: str, actions: ArrayLike, ndim: int, count: int | None = None) -> Actions:
+def checked_actions(
+    name: str, actions: ArrayLike, ndim: int = 1, count: int | None = None
+) -> Actions:
     """Actions (T,), or with two dimensions (T, 3), read-only; raises `TrajectoryError`."""
-    if ndim != 2:
-        return checked_actions(name, actions, count)
     rows = len(np.atleast_1d(actions)) if count is None else count
+    if not rows:
+        raise TrajectoryError(f"{name}: expected at least one, found none")
     try:
-        return _frozen(checked_points(name, actions, (rows, *CONTINUOUS.shape)))
+        if ndim == 2:
+            return _frozen(checked_points(name, actions, (rows, *CONTINUOUS.shape)))
+        return _frozen(checked_numbers(name, actions, rows))
     except InvalidActionError as error:
         raise TrajectoryError(str(error)) from error
 

@@ -31,7 +31,7 @@ from magical.envs.vector.checks import (
 )
 from magical.envs.vector.infos import Bools, Infos, instruction_infos, score_infos
 from magical.envs.vector.sub_envs import SubEnvs, VectorSpec, common_observation
-from magical.envs.vector.workers import RemoteSubEnvs, defining_modules
+from magical.envs.vector.workers import RemoteSubEnvs
 from magical.errors import (
     AlreadyPendingCallError,
     ClosedEnvironmentError,
@@ -80,8 +80,6 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             buffers' own arrays, which the next step or reset overwrites. With workers, images are
             in memory that a forked child shares: copy what you pass on to one.
         render_mode: "rgb_array" or None.
-        plugins: modules that workers import to register tasks from outside the package; modules
-            that hold such a task are found without this.
         timeout: seconds in which the workers must finish a step, a reset or a call of `get_state`
             or `set_state`; otherwise `WorkerTimeoutError` is raised and the environment is closed.
             By default there is no limit. Not available on Windows or without workers.
@@ -105,7 +103,6 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         copy: bool = True,
         render_mode: str | None = None,
-        plugins: Sequence[str] = (),
         timeout: float | None = None,
         instruction: Instruction = "attributes",
         paraphrase: int = 0,
@@ -140,17 +137,14 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self._sub_envs: SubEnvs | RemoteSubEnvs
         self.workers = min(available_cores() if workers is None else workers, self.num_envs)
         check_timeout(timeout, self.workers)
-        self._make_sub_envs(spec, plugins, timeout)
+        self._make_sub_envs(spec, timeout)
 
-    def _make_sub_envs(
-        self, spec: VectorSpec, plugins: Sequence[str], timeout: float | None
-    ) -> None:
+    def _make_sub_envs(self, spec: VectorSpec, timeout: float | None) -> None:
         layout = spec.layout()
         if self.workers:
-            plugins = [*plugins, *defining_modules([] if plugins else spec.tasks())]
             memory = SharedMemory(layout.size)
             self._buffers = VectorBuffers(layout, memory.memory)
-            self._sub_envs = RemoteSubEnvs(spec, self.workers, memory, plugins, timeout)
+            self._sub_envs = RemoteSubEnvs(spec, self.workers, memory, timeout)
         else:
             self._buffers = VectorBuffers(layout)
             self._sub_envs = SubEnvs(spec, range(self.num_envs), self._buffers)

@@ -47,7 +47,6 @@ class RemoteSubEnvs:
         spec: what the vector environment consists of.
         workers: the number of processes, at most one for each sub-environment.
         memory: what the buffers lie in.
-        plugins: modules that workers import to register tasks.
         timeout: seconds that a call may take, but not the start; None for no limit.
     """
 
@@ -56,16 +55,16 @@ class RemoteSubEnvs:
         spec: VectorSpec,
         workers: int,
         memory: SharedMemory,
-        plugins: Sequence[str],
-        timeout: float | None = None,
+        timeout: float | None,
     ) -> None:
         self._timeout: float | None = None
         self._workers: list[_Worker] = []
         self.close = weakref.finalize(self, _end, self._workers, os.getpid())
         try:
+            modules = defining_modules(spec.tasks())
             for rows in split(len(spec.env_ids), workers):
                 self._workers.append(_Worker(len(self._workers), rows, spec, memory))
-            setup = plugins, spec, memory.handle
+            setup = modules, spec, memory.handle
             self._exchange(
                 {worker: pickle.dumps(("start", (*setup, worker.rows))) for worker in self._workers}
             )
@@ -190,8 +189,8 @@ def _defining_module(task: Task) -> str:
             return name
     raise InvalidTaskError(
         f"task {task.name}: workers import tasks by themselves, and no importable module holds "
-        "this one (the main script is never imported); move it to a module and give that "
-        "module's name in plugins=[...], or use workers=0 (for experts, workers=1)"
+        "this one (the main script is never imported); give it a name in a module, or use "
+        "workers=0 (for experts, workers=1)"
     )
 
 
@@ -237,9 +236,9 @@ def main(requests: IO[bytes], replies: IO[bytes]) -> None:
     serve(answer, requests, replies, after=collect_garbage)
 
 
-def _start(plugins: Sequence[str], spec: VectorSpec, handle: int | str, rows: range) -> SubEnvs:
-    for plugin in plugins:
-        load_tasks(plugin)
+def _start(modules: Sequence[str], spec: VectorSpec, handle: int | str, rows: range) -> SubEnvs:
+    for module in modules:
+        load_tasks(module)
     layout = spec.layout()
     memory = open_memory(handle, layout.size)
     if isinstance(handle, int):

@@ -25,7 +25,7 @@ from magical.learning.algorithms.ppo import (
     make_policy,
 )
 from magical.learning.augmentation.augment import augment, to_unit
-from magical.learning.augmentation.names import SETS, Augmentations, parse_augmentations
+from magical.learning.augmentation.names import SETS, Augmentations, augment_option
 from magical.learning.autoencoder import SIZE, Autoencoder, autoencoder_loss, save_reconstructions
 from magical.learning.config import APPENDIX, DemonstrationSettings
 from magical.learning.data.expert_data import ExpertData, Rows, load_demonstrations
@@ -40,7 +40,7 @@ from magical.learning.running.checkpoints import (
     restoring,
 )
 from magical.learning.running.devices import Compute
-from magical.learning.running.optimizers import make_adam, set_learning_rate
+from magical.learning.running.optimizers import set_learning_rate
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import POSITIVE, option
@@ -87,11 +87,7 @@ class ALConfig(ReinforcementConfig):
     pretraining_batches: int = option(8192, "batches that the autoencoder is trained on", POSITIVE)
     pretraining_batch_size: int = option(24, "expert samples per such batch", POSITIVE)
     pretraining_learning_rate: float = option(3e-4, "Adam's, for the autoencoder", POSITIVE)
-    augment: str = option(
-        "none",
-        "of the autoencoder's images: all, none, no-trans-rot, or names joined by +",
-        metavar="NAMES",
-    )
+    augment: str = augment_option("none", "the autoencoder's images")
     autoencoder: str = option(
         APPENDIX,
         "refined: its learning rate is annealed linearly to 0, it decodes the difference from the "
@@ -112,7 +108,6 @@ class ALConfig(ReinforcementConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        parse_augmentations(self.augment)
         self.require_one_task()
         if self.input_shape[1:] != (SIZE, SIZE):
             raise InvalidConfigError(
@@ -169,7 +164,7 @@ def pretrain(
     Returns:
         Whether the pretraining is complete; if not, the run stops.
     """
-    optimizer = make_adam(autoencoder.parameters(), config.pretraining_learning_rate)
+    optimizer = Adam(autoencoder.parameters(), config.pretraining_learning_rate, fused=True)
     if run.saved:
         with restoring(run.folder):
             autoencoder.load_state_dict(run.saved["autoencoder"])

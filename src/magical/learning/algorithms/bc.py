@@ -9,12 +9,12 @@ from typing import Any, ClassVar, NamedTuple
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
-from torch.optim import SGD, Optimizer
+from torch.optim import SGD, Adam, Optimizer
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
-from magical.learning.augmentation.names import Augmentations, parse_augmentations
+from magical.learning.augmentation.names import Augmentations, augment_option
 from magical.learning.augmentation.transformations import (
     NONE,
     PALETTE,
@@ -43,8 +43,7 @@ from magical.learning.running.checkpoints import (
     restoring,
 )
 from magical.learning.running.devices import choose_device
-from magical.learning.running.graphs import GraphedStep, use_graphs
-from magical.learning.running.optimizers import make_adam, set_learning_rate
+from magical.learning.running.optimizers import set_learning_rate
 from magical.learning.running.pretrained import load_pretrained
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
@@ -66,9 +65,7 @@ class CloningSettings(Settings):
     learning_rate: float = option(1e-3, "initial learning rate", POSITIVE)
     momentum: float = option(0.1, "momentum; Adam's beta 1")
     anneal: bool = option(False, "anneal the learning rate linearly to 0")
-    augment: str = option(
-        "all", "augmentation: all, none, no-trans-rot, or names joined by +", metavar="NAMES"
-    )
+    augment: str = augment_option("all")
     augment_by: str = option(
         RESAMPLING,
         "augmented images are resampled, or rendered anew from the poses; auto: rendered where "
@@ -94,7 +91,6 @@ class CloningSettings(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        parse_augmentations(self.augment)
         if self.augment_by == RESAMPLING and WALLS in self.transformations:
             raise InvalidConfigError(
                 f"transform: {WALLS} needs rendered frames, so augment_by {RENDERING} or {AUTO} is "
@@ -175,7 +171,7 @@ class BCConfig(Config):
 
     def learning_rate_at(self, batch: int) -> float:
         """The learning rate of a batch: constant, or annealed linearly to 0."""
-        left = 1.0 - batch / self.cloning.batches if self.cloning.anneal else 1.0
+        left = 1.0 - batch / self.num_updates if self.cloning.anneal else 1.0
         return self.cloning.learning_rate * left
 
 
@@ -225,7 +221,14 @@ class BCTrainer:
         """Create a new trainer, or resume from the run's checkpoint."""
         self.config, self.run = config, run
         self.device = choose_device(config.device)
-        self.reset()
+        network = make_policy(config)
+        if config.init_from:
+            load_pretrained(network.trunk, config, config.init_from, run)
+        self.network = network.to(self.device)
+        self.optimizer = make_optimizer(config.cloning, self.network)
+        decay = config.cloning.average_decay
+        average = get_ema_multi_avg_fn(decay)  # type: ignore[no-untyped-call]
+        self._average = AveragedModel(self.network, multi_avg_fn=average) if decay else None
         self.compute = run.compute(self.device, config.precision, config.threads)
         if run.saved:
             with restoring(run.folder):
@@ -234,19 +237,6 @@ class BCTrainer:
                     self.network.load_state_dict(run.saved["network"])
                     self._average.n_averaged.fill_(run.step)
                 load_optimizer(self.optimizer, run.saved["optimizer"])
-
-    def reset(self) -> None:
-        """Initialise network and optimiser."""
-        network = make_policy(self.config)
-        if self.config.init_from:
-            load_pretrained(network.trunk, self.config, self.config.init_from, self.run)
-        self.network = network.to(self.device)
-        graphs = use_graphs(self.config.networks.graphs, self.device)
-        self.optimizer = make_optimizer(self.config.cloning, self.network, graphs)
-        self._graphed_step = GraphedStep(self._step, graphs)
-        decay = self.config.cloning.average_decay
-        average = get_ema_multi_avg_fn(decay)  # type: ignore[no-untyped-call]
-        self._average = AveragedModel(self.network, multi_avg_fn=average) if decay else None
 
     @property
     def policy(self) -> nn.Module:
@@ -335,18 +325,14 @@ class BCTrainer:
     def step(self, batch: Batch, learning_rate: float) -> tuple[Tensor, Tensor]:
         """Take one step of the optimiser; returns the loss and the logits (B, 18)."""
         set_learning_rate(self.optimizer, learning_rate)
-        loss, logits = self._graphed_step(*batch)
-        if self._average:
-            self._average.update_parameters(self.network)
-        return loss, logits
-
-    def _step(self, images: Tensor, actions: Tensor, tasks: Tensor) -> tuple[Tensor, Tensor]:
         with self.compute.autocast():
-            logits = self.network(images, tasks)
-        loss = bc_loss(logits, actions)
+            logits = self.network(batch.images, batch.tasks)
+        loss = bc_loss(logits, batch.actions)
         self.optimizer.zero_grad()
         torch.autograd.backward(loss)
         self.optimizer.step()
+        if self._average:
+            self._average.update_parameters(self.network)
         return loss.detach(), logits.detach()
 
     def _state_dict(self, data: ExpertData, done: int, extra: Mapping[str, Any]) -> StateDict:
@@ -376,15 +362,12 @@ def make_policy(config: BCConfig) -> PolicyNetwork:
         return network
 
 
-def make_optimizer(
-    settings: CloningSettings, network: nn.Module, recorded: bool = False
-) -> Optimizer:
-    """The configured optimiser; where its steps are `recorded`, a CUDA graph reads its rate."""
+def make_optimizer(settings: CloningSettings, network: nn.Module) -> Optimizer:
+    """The configured optimiser."""
     parameters, rate, momentum = network.parameters(), settings.learning_rate, settings.momentum
     if settings.optimizer == "adam":
-        return make_adam(parameters, rate, (momentum, ADAM_BETA_2), recorded)
-    where: Any = torch.tensor(rate, device="cuda") if recorded else rate
-    return SGD(parameters, where, momentum, fused=True)
+        return Adam(parameters, rate, (momentum, ADAM_BETA_2), fused=True)
+    return SGD(parameters, rate, momentum, fused=True)
 
 
 ALGORITHM = Algorithm(BCConfig, train, make_policy)

@@ -67,7 +67,6 @@ class DAggerConfig(BCConfig):
     beta_decay: float = option(
         0.5, "round i takes the expert's actions with probability decay^i", FRACTION
     )
-    restart: bool = option(False, "train from the initialisation in each round")
     keep_noops: bool = option(False, "train on no-op labels too")
     workers: int | None = option(
         None, "environment processes (default: one per core)", NOT_NEGATIVE
@@ -110,17 +109,6 @@ class DAggerConfig(BCConfig):
         """The probability of the expert's actions in a round; 1 for the demonstrations."""
         return float(self.beta_decay**number)
 
-    def learning_rate_at(self, batch: int) -> float:
-        """The learning rate of a batch: constant, or annealed over all rounds.
-
-        With `restart` it is annealed in each round.
-        """
-        cloning = self.cloning
-        if not cloning.anneal:
-            return cloning.learning_rate
-        span = cloning.batches if self.restart else self.num_updates
-        return cloning.learning_rate * (1.0 - batch % span / span)
-
 
 def train(config: DAggerConfig, run: Run) -> None:
     """Alternate between collecting labelled episodes and behavioural cloning."""
@@ -145,8 +133,6 @@ def train(config: DAggerConfig, run: Run) -> None:
                 beta = config.beta(number)
                 labelled = collect_labelled(envs, policy, beta, rng, round=number)
                 aggregated.add_round(labelled)
-            if config.restart and run.step == number * config.cloning.batches:
-                trainer.reset()
             if train_round(config, number, trainer, demonstrations, aggregated):
                 break
 

@@ -21,6 +21,7 @@ import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
+from torch.optim import Adam
 
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
@@ -30,7 +31,7 @@ from magical.learning.algorithms.ppo import (
     make_policy,
 )
 from magical.learning.augmentation.augment import Randoms, to_unit
-from magical.learning.augmentation.names import parse_augmentations
+from magical.learning.augmentation.names import augment_option
 from magical.learning.config import DemonstrationSettings
 from magical.learning.data.expert_data import ExpertData, load_demonstrations, split_evenly
 from magical.learning.models import Discriminator, Trunk, init_normal
@@ -47,8 +48,6 @@ from magical.learning.running.checkpoints import (
     restoring,
 )
 from magical.learning.running.devices import Compute
-from magical.learning.running.graphs import GraphedStep, use_graphs
-from magical.learning.running.optimizers import make_adam
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import POSITIVE, Settings, option
@@ -69,16 +68,8 @@ class DiscriminatorSettings(Settings):
     learning_rate: float = option(
         2.5e-5, "Adam's, for the discriminator", POSITIVE, name="discriminator_learning_rate"
     )
-    augment: str = option(
-        "all",
-        "of the discriminator's images: all, none, no-trans-rot, or names joined by +",
-        metavar="NAMES",
-    )
+    augment: str = augment_option("all", "the discriminator's images")
     reward_std: float = option(0.1, "standard deviation of the normalised rewards", POSITIVE)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        parse_augmentations(self.augment)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,10 +196,8 @@ class DiscriminatorTrainer:
     ) -> None:
         self.config = config
         self.network = make_discriminator(config).to(compute.device)
-        graphs = use_graphs(config.networks.graphs, compute.device)
-        self.optimizer = make_adam(
-            self.network.parameters(), config.discriminator.learning_rate, recorded=graphs
-        )
+        rate = config.discriminator.learning_rate
+        self.optimizer = Adam(self.network.parameters(), rate, fused=True)
         self._expert = expert
         self._replay_buffer = replay_buffer
         self._normaliser = RewardNormaliser(
@@ -222,8 +211,6 @@ class DiscriminatorTrainer:
         self._loss = loss
         self._reward = reward
         self._randoms = Randoms(compute.device)
-        self._logged: tuple[str, ...] = ()  # names of what a step returns
-        self._graphed_step = GraphedStep(self._step, graphs, self._randoms.generators)
 
     def rewards(self, rollout: Rollout) -> tuple[Tensor, Metrics]:
         """Normalised rewards (T, N) of a rollout, and mean and spread of the raw ones.
@@ -255,23 +242,18 @@ class DiscriminatorTrainer:
         for _ in range(self.config.discriminator.steps):
             batch = self.sample_batch(rng)
             self._randoms.start(rng)
-            (logged,) = self._graphed_step(*batch)
-            averages.add(1, **dict(zip(self._logged, logged, strict=True)))
+            averages.add(1, **self._step(batch))
         return {**averages.reset()}
 
-    def _step(self, *inputs: Tensor) -> tuple[Tensor]:
-        """Take one step of the optimiser on a batch; returns what is logged, by `_logged`."""
-        images, actions, tasks = inputs
-        images = self._randoms.augment(images, self._augmentations)
+    def _step(self, batch: DiscriminatorBatch) -> dict[str, Tensor]:
+        """Take one step of the optimiser on a batch; returns what is logged."""
+        images = self._randoms.augment(batch.images, self._augmentations)
         with self._compute.autocast():
-            batch = DiscriminatorBatch(images, actions, tasks)
-            loss, logged = self._loss(self.network, batch, self._randoms)
+            loss, logged = self._loss(self.network, batch._replace(images=images), self._randoms)
         self.optimizer.zero_grad()
         torch.autograd.backward(loss)
         self.optimizer.step()
-        logged = {"discriminator_loss": loss, **logged}
-        self._logged = tuple(logged)
-        return (torch.stack([value.detach() for value in logged.values()]),)
+        return {"discriminator_loss": loss, **logged}
 
     def sample_batch(self, rng: np.random.Generator) -> DiscriminatorBatch:
         """A batch as it is stored; both halves are split between the tasks in the same way."""

@@ -36,14 +36,13 @@ from typing import Any, ClassVar, Self
 
 import torch
 from torch import Tensor
+from torch.optim import Adam
 
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
 from magical.learning.augmentation.augment import Randoms, to_unit
-from magical.learning.augmentation.names import parse_augmentations
+from magical.learning.augmentation.names import augment_option
 from magical.learning.config import (
-    IMAGE_OBSERVATIONS,
-    Config,
     DemonstrationSettings,
     NetworkSettings,
 )
@@ -51,6 +50,7 @@ from magical.learning.data.expert_data import TaskTrajectories, load_demonstrati
 from magical.learning.models import PolicyNetwork, Trunk, centre, sample_actions
 from magical.learning.policy import NetworkPolicy
 from magical.learning.reinforcement.demo_evaluation import DemoEvaluation
+from magical.learning.reinforcement.interaction import InteractionConfig, InteractionSettings
 from magical.learning.reinforcement.monitoring import Metrics, Monitor
 from magical.learning.reinforcement.rollouts import EpisodeScores, RolloutEnvs
 from magical.learning.reinforcement.transitions import TransitionBuffer, Transitions
@@ -62,22 +62,16 @@ from magical.learning.running.checkpoints import (
     restoring,
 )
 from magical.learning.running.devices import choose_device
-from magical.learning.running.graphs import GraphedStep, use_graphs
-from magical.learning.running.optimizers import make_adam, set_learning_rate
+from magical.learning.running.optimizers import set_learning_rate
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
-from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, Settings, option
-from magical.runs.sources import INTERACTION
-
-LOSS_PARTS = ("loss", "demo_reward", "policy_reward", "value", "demo_log_prob", "entropy")
+from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
 
 
 @dataclass(frozen=True, kw_only=True)
-class IQSettings(Settings):
+class IQSettings(InteractionSettings):
     """How a soft Q function is learned; the defaults are the published code's, for Atari games."""
 
-    total_steps: int = option(1_000_000, "environment steps in all", POSITIVE)
-    num_envs: int = option(32, "N: parallel environments, split evenly between the tasks", POSITIVE)
     num_steps: int = option(1, "T: steps of each environment per update", POSITIVE)
     buffer_size: int = option(50_000, "frames in the replay buffer, about one a step", POSITIVE)
     gradient_steps: int = option(32, "optimiser steps per update", POSITIVE)
@@ -96,36 +90,13 @@ class IQSettings(Settings):
         NOT_NEGATIVE,
     )
     bootstrap: bool = option(True, "bootstrap the value at the time limit instead of using 0")
-    augment: str = option(
-        "none",
-        "augmentation of images: all, none, no-trans-rot, or names joined by +",
-        metavar="NAMES",
-    )
-    workers: int | None = option(
-        None, "environment processes (default: one per core)", NOT_NEGATIVE
-    )
-    evaluate_every: int = option(200, "updates between evaluations; 0: never", NOT_NEGATIVE)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        parse_augmentations(self.augment)
-
-    @property
-    def steps_per_update(self) -> int:
-        """Environment steps per update."""
-        return self.num_envs * self.num_steps
-
-    @property
-    def num_updates(self) -> int:
-        """Updates in a whole run."""
-        return max(1, self.total_steps // self.steps_per_update)
+    augment: str = augment_option("none")
 
 
 @dataclass(frozen=True, kw_only=True)
-class IQLearnConfig(Config):
+class IQLearnConfig(InteractionConfig):
     """Settings of IQ-Learn; the defaults are the published code's for Atari games."""
 
-    observations: ClassVar[tuple[str, ...]] = IMAGE_OBSERVATIONS
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {},
         "quick": {
@@ -154,10 +125,6 @@ class IQLearnConfig(Config):
     def __post_init__(self) -> None:
         super().__post_init__()
         iq, tasks = self.iq, len(self.tasks)
-        if iq.num_envs < tasks:
-            raise InvalidConfigError(
-                f"num_envs: expected at least one for each of {tasks} tasks, found {iq.num_envs}"
-            )
         if iq.batch_size < 2 * tasks or iq.batch_size % 2:
             raise InvalidConfigError(
                 f"batch_size: expected an even number, at least two for each task, found "
@@ -170,21 +137,6 @@ class IQLearnConfig(Config):
                 f"buffer_size: expected at least {least} frames for {iq.num_envs} environments, "
                 f"found {iq.buffer_size}"
             )
-
-    @property
-    def learned_from(self) -> tuple[str, ...]:
-        """See `Config`."""
-        return (*super().learned_from, INTERACTION)
-
-    @property
-    def num_updates(self) -> int:
-        """All updates."""
-        return self.iq.num_updates
-
-    @property
-    def environment_steps(self) -> int:
-        """Those of all updates."""
-        return self.iq.num_updates * self.iq.steps_per_update
 
     @property
     def training_samples(self) -> int:
@@ -210,8 +162,8 @@ def soft_value(q: Tensor, temperature: float) -> Tensor:
 
 def iq_loss(
     q: Tensor, next_values: Tensor, batch: Transitions, settings: IQSettings
-) -> tuple[Tensor, Tensor]:
-    """The negative objective, to be minimised, and what is logged (6,), as in `LOSS_PARTS`.
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """The negative objective, to be minimised, and what is logged.
 
     Args:
         q: (2B, 18) of the observations; the first half is the demonstrations'.
@@ -228,7 +180,7 @@ def iq_loss(
     chi2 = rewards.square().mean() / (4.0 * settings.chi2_scale)
     loss = -rewards[:half].mean() + (values - future).mean() + chi2
     log_policy = (q / temperature).log_softmax(dim=1)
-    parts = {
+    return loss, {
         "loss": loss,
         "demo_reward": rewards[:half].mean(),
         "policy_reward": rewards[half:].mean(),
@@ -236,7 +188,6 @@ def iq_loss(
         "demo_log_prob": (chosen - values)[:half].mean() / temperature,
         "entropy": -(log_policy.exp() * log_policy).sum(dim=1)[half:].mean(),
     }
-    return loss, torch.stack([parts[name] for name in LOSS_PARTS]).detach()
 
 
 class QNetwork(PolicyNetwork):
@@ -274,10 +225,7 @@ class IQTrainer:
         device = choose_device(config.device)
         self.network = make_policy(config).to(device)
         self.target = deepcopy(self.network).requires_grad_(False)
-        graphs = use_graphs(config.networks.graphs, device)
-        self.optimizer = make_adam(
-            self.network.parameters(), config.iq.learning_rate, recorded=graphs
-        )
+        self.optimizer = Adam(self.network.parameters(), config.iq.learning_rate, fused=True)
         self.compute = run.compute(device, config.precision, config.threads)
         self.demonstrations = TransitionBuffer.of_demonstrations(
             demonstrations, config.tasks, config.observation_spec, device
@@ -285,7 +233,6 @@ class IQTrainer:
         self.replay_buffer = self.demonstrations.emptied(config.iq.buffer_size)
         self.monitor = Monitor()
         self._randoms = Randoms(device)
-        self._graphed_step = GraphedStep(self._step, graphs, self._randoms.generators)
         self._augmentations = config.networks.augmentations(config.iq.augment)
         workers = config.iq.workers
         with ExitStack() as stack:
@@ -335,13 +282,12 @@ class IQTrainer:
                 demonstrated = self.demonstrations.sample(counts, rng)
                 batch = demonstrated.join(self.replay_buffer.sample(counts, rng))
                 self._randoms.start(rng)
-                (parts,) = self._graphed_step(*batch)
-                averages.add(1, **dict(zip(LOSS_PARTS, parts, strict=True)))
+                averages.add(1, **self._step(batch))
         return {**averages.reset()}
 
-    def _step(self, *inputs: Tensor) -> tuple[Tensor]:
+    def _step(self, batch: Transitions) -> dict[str, Tensor]:
         """Take one step of the optimiser on a batch; returns what is logged."""
-        batch, iq = Transitions(*inputs), self.config.iq
+        iq = self.config.iq
         network = self.target if iq.target_every else self.network
         observations = self._randoms.augment(batch.observations, self._augmentations)
         following = self._randoms.augment(batch.next_observations, self._augmentations)
@@ -352,7 +298,7 @@ class IQTrainer:
         self.optimizer.zero_grad()
         torch.autograd.backward(loss)
         self.optimizer.step()
-        return (parts,)
+        return parts
 
     def finish_update(self, update: int, metrics: Metrics) -> bool:
         """Evaluate, log and save checkpoints; true if the run stops."""

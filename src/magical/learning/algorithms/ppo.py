@@ -17,15 +17,16 @@ from typing import Any, ClassVar, Self, cast
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.optim import Adam
 
 from magical.envs.env import Reward
-from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
-from magical.learning.config import IMAGE_OBSERVATIONS, PUBLISHED, Config, NetworkSettings
+from magical.learning.config import IMAGE_OBSERVATIONS, PUBLISHED, NetworkSettings
 from magical.learning.models import ActorCritic, Trunk, centre, init_normal
 from magical.learning.policy import NetworkPolicy
 from magical.learning.reinforcement.advantages import Samples, make_samples
 from magical.learning.reinforcement.demo_evaluation import DemoEvaluation
+from magical.learning.reinforcement.interaction import InteractionConfig, InteractionSettings
 from magical.learning.reinforcement.monitoring import Metrics, Monitor, explained_variance
 from magical.learning.reinforcement.presets import QUICK, STATES
 from magical.learning.reinforcement.rollouts import (
@@ -42,29 +43,24 @@ from magical.learning.running.checkpoints import (
     restoring,
 )
 from magical.learning.running.devices import choose_device, one_thread
-from magical.learning.running.graphs import GraphedStep, use_graphs
-from magical.learning.running.optimizers import make_adam, set_learning_rate
+from magical.learning.running.optimizers import set_learning_rate
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
-from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, Settings, option
+from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
 from magical.observe import NAMED
-from magical.runs.sources import INTERACTION, SCORE
+from magical.runs.sources import SCORE
 from magical.tasks import Horizon, have_two_horizons, require_two_horizons
 
 VF_COEF = 0.5
-LOSS_PARTS = ("policy_loss", "value_loss", "entropy", "clip_fraction")
 
 
 @dataclass(frozen=True, kw_only=True)
-class PPOSettings(Settings):
+class PPOSettings(InteractionSettings):
     """How a policy is improved by PPO; the defaults are Table 4's."""
 
     init: str = option(
         "torch", "initialisation of a policy of images", choices=("torch", "centred")
     )
-    total_steps: int = option(1_000_000, "environment steps in all", POSITIVE)
-    num_envs: int = option(32, "N: parallel environments, split evenly between the tasks", POSITIVE)
-    num_steps: int = option(8, "T: steps of each environment per update", POSITIVE)
     horizon: str = option(
         "appendix",
         "of training episodes and evaluations; published: 240 steps for the Cluster tasks",
@@ -83,29 +79,15 @@ class PPOSettings(Settings):
     max_grad_norm: float = option(1.0, "gradients are clipped to this L2 norm", POSITIVE)
     normalise_advantages: bool = option(False, "to mean 0 and standard deviation 1 per update")
     bootstrap: bool = option(False, "bootstrap the value at the time limit instead of using 0")
-    workers: int | None = option(
-        None, "environment processes (default: one per core)", NOT_NEGATIVE
-    )
-    evaluate_every: int = option(200, "updates between evaluations; 0: never", NOT_NEGATIVE)
 
     @property
     def env_horizon(self) -> Horizon:
         """The horizon as environments take it."""
         return "published" if self.horizon == PUBLISHED else None
 
-    @property
-    def steps_per_update(self) -> int:
-        """Environment steps per update of the policy."""
-        return self.num_envs * self.num_steps
-
-    @property
-    def num_updates(self) -> int:
-        """Updates of the policy in a whole run."""
-        return max(1, self.total_steps // self.steps_per_update)
-
 
 @dataclass(frozen=True, kw_only=True)
-class ReinforcementConfig(Config):
+class ReinforcementConfig(InteractionConfig):
     """What the configurations of PPO and of all algorithms with PPO as a part are composed of."""
 
     networks: NetworkSettings = field(default_factory=NetworkSettings)
@@ -113,11 +95,6 @@ class ReinforcementConfig(Config):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.ppo.num_envs < len(self.tasks):
-            raise InvalidConfigError(
-                f"num_envs: expected at least one for each of {len(self.tasks)} tasks, "
-                f"found {self.ppo.num_envs}"
-            )
         if self.ppo.horizon == PUBLISHED:
             require_two_horizons(self.tasks)
 
@@ -129,21 +106,6 @@ class ReinforcementConfig(Config):
         if cls.presets.get(name, {}).get("horizon") == PUBLISHED and one_horizon:
             settings = {"horizon": "appendix", **settings}
         return super().preset(name, **settings)
-
-    @property
-    def learned_from(self) -> tuple[str, ...]:
-        """See `Config`."""
-        return (*super().learned_from, INTERACTION)
-
-    @property
-    def num_updates(self) -> int:
-        """All updates of the policy."""
-        return self.ppo.num_updates
-
-    @property
-    def environment_steps(self) -> int:
-        """Those of all updates."""
-        return self.ppo.num_updates * self.ppo.steps_per_update
 
     @property
     def training_samples(self) -> int:
@@ -213,15 +175,11 @@ class PPOTrainer:
         self.config, self.run, self.previous_steps = config, run, previous_steps
         self.device = choose_device(config.device)
         self.network = make_policy(config).to(self.device)
-        graphs = use_graphs(config.networks.graphs, self.device)
-        self.optimizer = make_adam(
-            self.network.parameters(), config.ppo.learning_rate, recorded=graphs
-        )
+        self.optimizer = Adam(self.network.parameters(), config.ppo.learning_rate, fused=True)
         vectors = len(config.input_shape) == 1
         # Positions need more digits than pixels.
         precision = "float32" if vectors and config.precision == "auto" else config.precision
         self.compute = run.compute(self.device, precision, config.threads)
-        self._graphed_step = GraphedStep(self._step, graphs)
         self.monitor = Monitor()
         how: Any = {"horizon": config.ppo.env_horizon, "workers": config.ppo.workers}
         with ExitStack() as stack:
@@ -281,8 +239,7 @@ class PPOTrainer:
             for _ in range(ppo.epochs):
                 order = torch.from_numpy(shuffle_evenly(tasks, rng)).to(self.device)
                 for rows in torch.split(order, ppo.minibatch_size):
-                    (parts,) = self._graphed_step(*samples, rows, clip_range)
-                    averages.add(len(rows), **dict(zip(LOSS_PARTS, parts, strict=True)))
+                    averages.add(len(rows), **self._step(samples.select(rows), clip_range))
         return {
             "reward": rewards.mean().item(),
             "reward_std": rewards.std(correction=0).item(),
@@ -290,17 +247,15 @@ class PPOTrainer:
             "explained_variance": explained_variance(rollout.values.flatten(), samples.returns),
         }
 
-    def _step(self, *inputs: Tensor) -> tuple[Tensor]:
-        """Take one step of the optimiser on rows (B,) of all samples; returns the loss's parts."""
-        *samples, rows, clip_range = inputs
-        minibatch = Samples(*samples).select(rows)
+    def _step(self, minibatch: Samples, clip_range: Tensor) -> dict[str, Tensor]:
+        """Take one step of the optimiser; returns the loss's parts."""
         logits, values = self.forward(minibatch.observations, minibatch.tasks, in_range=True)
         loss, parts = ppo_loss(logits, values, minibatch, clip_range, self.config.ppo.ent_coef)
         self.optimizer.zero_grad()
         torch.autograd.backward(loss)
         nn.utils.clip_grad_norm_(self.network.parameters(), self.config.ppo.max_grad_norm)
         self.optimizer.step()
-        return (parts,)
+        return parts
 
     def finish_update(
         self, update: int, metrics: Metrics, extra_state: Callable[[], StateDict] = dict
@@ -342,8 +297,8 @@ class PPOTrainer:
 
 def ppo_loss(
     logits: Tensor, values: Tensor, minibatch: Samples, clip_range: Tensor, ent_coef: float
-) -> tuple[Tensor, Tensor]:
-    """The loss to be minimised, and its parts (4,) as in `LOSS_PARTS`.
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """The loss to be minimised, and its parts.
 
     With ratio = pi(a | s) / pi_old(a | s),
 
@@ -368,7 +323,12 @@ def ppo_loss(
     entropy = -(log_policy.exp() * log_policy).sum(dim=1).mean()
     loss = policy_loss + value_loss - ent_coef * entropy
     clip_fraction = ((ratio - 1.0).abs() > clip_range).float().mean()
-    return loss, torch.stack([policy_loss, value_loss, entropy, clip_fraction]).detach()
+    return loss, {
+        "policy_loss": policy_loss,
+        "value_loss": value_loss,
+        "entropy": entropy,
+        "clip_fraction": clip_fraction,
+    }
 
 
 ALGORITHM = Algorithm(PPOConfig, train, make_policy)

@@ -192,11 +192,6 @@ class Randoms:
         self._generator = None if device == "cpu" else torch.Generator(device)
         self.start(rng or np.random.default_rng(0))
 
-    @property
-    def generators(self) -> list[torch.Generator]:
-        """The device's generators that are used, for `GraphedStep`."""
-        return [self._generator] if self._generator else []
-
     def start(self, rng: np.random.Generator) -> None:
         """Continue with the numbers of another generator."""
         self._rng = rng

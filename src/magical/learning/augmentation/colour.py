@@ -57,7 +57,7 @@ def colour_jitter(
 
 @cache
 def _constants(device: torch.device, dtype: torch.dtype) -> tuple[Tensor, ...]:
-    """Those of `lab` on a device, once: a CUDA graph must not read the host's memory."""
+    """Those of `lab` on a device, copied there once."""
     arrays = lab.TO_TRISTIMULUS, lab.FROM_TRISTIMULUS, lab.LIGHTNESS, lab.COSINE, lab.SINE
     return tuple(torch.from_numpy(a).to(device, dtype) for a in (*arrays, lab.OFFSET))
 

@@ -1,8 +1,10 @@
 """Which augmentations are applied to images, and how: names, the paper's ablations (no PyTorch)."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 from magical.errors import UnknownNameError
+from magical.learning.settings import option
 
 
 @dataclass(frozen=True, slots=True)
@@ -13,13 +15,12 @@ class Augmentations:
     translation: bool = True
     rotation: bool = True
     colour: bool = True
-    borders: str = "mirror"  # one of `BORDERS`: what is beyond a translated or rotated image
+    borders: str = "mirror"  # beyond a translated or rotated one; "repeat": its outermost pixels
     linear_light: bool = True  # decode sRGB before the conversion to CIE Lab
     scale: float = 1.0  # of the ranges that translations and rotations are sampled from
 
 
 NAMES = ("noise", "translation", "rotation", "colour")
-BORDERS = ("mirror", "repeat")  # the image's mirror image, or its outermost pixels
 SETS = {
     "all": Augmentations(),
     "no-trans-rot": Augmentations(translation=False, rotation=False),
@@ -50,3 +51,9 @@ def parse_augmentations(
     return Augmentations(
         **{name: name in chosen for name in NAMES}, borders=borders, linear_light=linear_light
     )
+
+
+def augment_option(default: str, images: str = "images") -> Any:
+    """A configuration field with the names of the augmentations of some images."""
+    text = f"augmentations of {images}: all, none, no-trans-rot, or names joined by +"
+    return option(default, text, parse=parse_augmentations, metavar="NAMES")

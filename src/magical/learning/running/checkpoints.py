@@ -32,7 +32,6 @@ StateDict = dict[str, Any]  # dicts with string keys, lists, tensors, and what J
 _TENSOR = "__tensor__"
 _HEADER = "state"  # the key in the header
 MAX_BYTES = 1 << 34  # of a file
-DEVICE_OPTIONS = ("fused", "capturable")  # of optimisers
 
 # A file begins with the header's length and its JSON; the digest is the first entry in that.
 _LENGTH = 8  # bytes of the length, little-endian
@@ -195,19 +194,15 @@ def _put_tensors(node: Any, tensors: Mapping[str, Tensor]) -> Any:
 
 
 def optimizer_state(optimizer: Optimizer) -> StateDict:
-    """`optimizer.state_dict()` with string keys, and learning rates as numbers."""
+    """`optimizer.state_dict()` with string keys."""
     saved = optimizer.state_dict()
-    return {
-        "state": {str(index): values for index, values in saved["state"].items()},
-        "param_groups": [{**group, "lr": float(group["lr"])} for group in saved["param_groups"]],
-    }
+    return {**saved, "state": {str(index): values for index, values in saved["state"].items()}}
 
 
 def load_optimizer(optimizer: Optimizer, state: Mapping[str, Any]) -> None:
     """Load what `optimizer_state` returned.
 
-    Moments get the memory layout of their parameters, so that arithmetic stays bit-equal. Learning
-    rates stay where they are; what depends on the device is not taken from another one.
+    Moments get the memory layout of their parameters, so that arithmetic stays bit-equal.
     """
     parameters = [p for group in optimizer.param_groups for p in group["params"]]
     moments = {}
@@ -219,11 +214,4 @@ def load_optimizer(optimizer: Optimizer, state: Mapping[str, Any]) -> None:
             else value
             for name, value in values.items()
         }
-    rates = [group["lr"] for group in optimizer.param_groups]
-    groups = []
-    for own, saved in zip(optimizer.param_groups, state["param_groups"], strict=True):
-        groups.append({**saved, **{name: own[name] for name in DEVICE_OPTIONS if name in own}})
-    optimizer.load_state_dict({"state": moments, "param_groups": groups})
-    for group, rate in zip(optimizer.param_groups, rates, strict=True):
-        if isinstance(rate, Tensor):
-            group["lr"] = rate.fill_(group["lr"])
+    optimizer.load_state_dict({"state": moments, "param_groups": state["param_groups"]})

@@ -184,5 +184,5 @@ def gpu_memory_as_error() -> Iterator[None]:
     except torch.OutOfMemoryError as error:
         raise DeviceError(
             "device cuda: the GPU has not enough memory for the run; give it smaller batches "
-            "(--batch-size, --minibatch-size, --num-envs), or use --graphs off or --device cpu"
+            "(--batch-size, --minibatch-size, --num-envs), or use --device cpu"
         ) from error

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.optim import AdamW
 
-from magical.learning.augmentation.names import Augmentations, parse_augmentations
+from magical.learning.augmentation.names import Augmentations, augment_option, parse_augmentations
 from magical.learning.config import Config, DemonstrationSettings, EncoderSettings
 from magical.learning.data.expert_data import ExpertData, load_demonstrations
 from magical.learning.data.prefetch import prefetch
@@ -37,16 +37,8 @@ class FittingSettings(Settings):
         5e-4, "AdamW's initial learning rate; annealed linearly to 0", POSITIVE
     )
     weight_decay: float = option(1e-4, "AdamW's weight decay", NOT_NEGATIVE)
-    augment: str = option(
-        "noise+translation+rotation",
-        "augmentation: all, none, no-trans-rot, or names joined by +",
-        metavar="NAMES",
-    )
+    augment: str = augment_option("noise+translation+rotation")
     log_every: int = option(50, "batches between lines of metrics", POSITIVE)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        parse_augmentations(self.augment)
 
     @property
     def augmentations(self) -> Augmentations:

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from pathlib import Path
+from time import monotonic
 from typing import Any, TypeVar
 
 import numpy as np
@@ -84,23 +85,19 @@ class Library:
     Args:
         datasets: the datasets' folders; their keys are `d0`, `d1`, ...
         policies: that can be rolled out.
-        clock: the time in seconds.
 
     Raises:
         DatasetError: a folder holds no dataset, or a damaged one.
     """
 
-    def __init__(
-        self, datasets: Sequence[Path], policies: Policies, clock: Callable[[], float]
-    ) -> None:
+    def __init__(self, datasets: Sequence[Path], policies: Policies) -> None:
         sources = map(DatasetSource, unique_names(datasets), datasets)
         self._rollouts = RolloutSource()
         self._sources: dict[str, LibrarySource] = {f"d{i}": one for i, one in enumerate(sources)}
         self._sources[ROLLOUTS] = self._rollouts
         self._policies = policies
-        self._clock = clock
         self._rng = np.random.default_rng()  # of the seeds of scenes
-        self._limit = RateLimit(REQUEST_RATE, REQUEST_BURST, clock())
+        self._limit = RateLimit(REQUEST_RATE, REQUEST_BURST, monotonic())
         self._reader = Worker("reader", MAX_WAITING)  # reads files, renders frames
         self._runner = Worker("runner", MAX_WAITING_ROLLOUTS)  # runs policies
         self._viewed = lru_cache(OPEN_EPISODES)(
@@ -136,7 +133,7 @@ class Library:
         """A route that limits the rate of requests, and says what is wrong with one."""
 
         async def respond(request: Request) -> Response:
-            if not self._limit.allows(self._clock()):
+            if not self._limit.allows(monotonic()):
                 return _problem(429, "too many requests; try again in a moment")
             try:
                 return await worker.run(answer, await _parsed(kind, request))

@@ -1,0 +1,66 @@
+"""What the configurations of all learners that act in environments have in common."""
+
+from dataclasses import dataclass
+
+from magical.errors import InvalidConfigError
+from magical.learning.config import Config
+from magical.learning.settings import NOT_NEGATIVE, POSITIVE, Settings, option
+from magical.runs.sources import INTERACTION
+
+
+@dataclass(frozen=True, kw_only=True)
+class InteractionSettings(Settings):
+    """How many environments are acted in, and for how long."""
+
+    total_steps: int = option(1_000_000, "environment steps in all", POSITIVE)
+    num_envs: int = option(32, "N: parallel environments, split evenly between the tasks", POSITIVE)
+    num_steps: int = option(8, "T: steps of each environment per update", POSITIVE)
+    workers: int | None = option(
+        None, "environment processes (default: one per core)", NOT_NEGATIVE
+    )
+    evaluate_every: int = option(200, "updates between evaluations; 0: never", NOT_NEGATIVE)
+
+    @property
+    def steps_per_update(self) -> int:
+        """Environment steps per update of the policy."""
+        return self.num_envs * self.num_steps
+
+    @property
+    def num_updates(self) -> int:
+        """Updates of the policy in a whole run."""
+        return max(1, self.total_steps // self.steps_per_update)
+
+
+@dataclass(frozen=True, kw_only=True)
+class InteractionConfig(Config):
+    """A configuration with `InteractionSettings` among its records."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.interaction.num_envs < len(self.tasks):
+            raise InvalidConfigError(
+                f"num_envs: expected at least one for each of {len(self.tasks)} tasks, "
+                f"found {self.interaction.num_envs}"
+            )
+
+    @property
+    def interaction(self) -> InteractionSettings:
+        """The record."""
+        found = self.part(InteractionSettings)
+        assert found is not None
+        return found
+
+    @property
+    def learned_from(self) -> tuple[str, ...]:
+        """See `Config`."""
+        return (*super().learned_from, INTERACTION)
+
+    @property
+    def num_updates(self) -> int:
+        """All updates of the policy."""
+        return self.interaction.num_updates
+
+    @property
+    def environment_steps(self) -> int:
+        """Those of all updates."""
+        return self.interaction.num_updates * self.interaction.steps_per_update
