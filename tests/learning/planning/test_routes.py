@@ -51,3 +51,11 @@ def test_routes_stay_within_the_limit() -> None:
     wide = Routes(goal, np.zeros(1), wall, np.full(8, 0.25), 1.0).at(start)[0]
     narrow = Routes(goal, np.zeros(1), wall, np.full(8, 0.25), 0.5).at(start)[0]
     assert narrow > wide + 0.5
+
+
+def test_of_goals_at_the_same_point_the_cheaper_counts() -> None:
+    goals = np.array([[0.5, 0.0], [0.501, 0.0]])
+    for costs, cheaper in (([2.0, 0.0], 1), ([0.0, 2.0], 0)):
+        found = Routes(goals, np.array(costs), NOTHING, np.zeros(0), 1.0)
+        assert found.goals(np.array([0.2, 0.0])) == cheaper
+        assert found.at(np.array([0.2, 0.0]))[0] == pytest.approx(0.3, abs=0.05)

@@ -133,16 +133,15 @@ class Planner:
         gained = np.array(gains)[PLANS.commands[..., 0].astype(np.intp) + 1]
         poses = np.empty((HORIZON, len(PLANS.first), 3))
         limit = max(LIMIT, np.abs(pose[:2]).max())
-        speed, spin, now = speeds[0], speeds[1], np.broadcast_to(pose, poses.shape[1:])
+        (speed, spin), (x, y, angle) = speeds, pose
         for step in range(HORIZON):
             speed = kept * speed + gained[step]
             spin = turning_kept * spin + turning_gained * PLANS.commands[step, :, 1]
-            angle = now[:, 2] + spin / 2
-            moved = now[:, :2] + np.stack([-np.sin(angle) * speed, np.cos(angle) * speed], axis=1)
-            inside = np.abs(moved).max(axis=1) <= limit
-            poses[step, :, :2] = np.where(inside[:, None], moved, now[:, :2])
-            poses[step, :, 2] = now[:, 2] + spin
-            now = poses[step]
+            new_x = x - np.sin(angle + spin / 2) * speed
+            new_y = y + np.cos(angle + spin / 2) * speed
+            inside = (np.abs(new_x) <= limit) & (np.abs(new_y) <= limit)
+            x, y, angle = np.where(inside, new_x, x), np.where(inside, new_y, y), angle + spin
+            poses[step] = np.stack([x, y, angle], axis=1)
         return poses
 
     def _remaining(self, seen: Situation, ends: Floats, held: bool) -> Floats:

@@ -23,19 +23,17 @@ _CELLS = SIDE * SIDE
 
 
 def _edges() -> tuple[Ints, Ints, Floats]:
-    """Pairs of grid points up to a knight's move apart, and their distances."""
-    numbers = np.arange(_CELLS).reshape(SIDE, SIDE)
-    starts, ends, lengths = [], [], []
-    for i, j in product(range(-2, 3), repeat=2):
-        if gcd(i, j) == 1:
-            here = numbers[max(0, -i) : SIDE - max(0, i), max(0, -j) : SIDE - max(0, j)]
-            starts.append(here.ravel())
-            ends.append(here.ravel() + i * SIDE + j)
-            lengths.append(np.full(here.size, _SPACING * np.hypot(i, j)))
-    return np.concatenate(starts), np.concatenate(ends), np.concatenate(lengths)
+    """Pairs of grid points up to a knight's move apart, sorted, and their distances."""
+    moves = [(i, j) for i, j in product(range(-2, 3), repeat=2) if gcd(i, j) == 1]
+    here = np.stack(np.divmod(np.arange(_CELLS), SIDE), axis=1)[:, None]
+    there = here + np.array(moves)  # (_CELLS, 16, 2)
+    start, move = np.nonzero(((there >= 0) & (there < SIDE)).all(axis=2))
+    end = there[start, move] @ (SIDE, 1)
+    return start, end, _SPACING * np.hypot(*np.array(moves).T)[move]
 
 
 _STARTS, _ENDS, _LENGTHS = _edges()
+_ROWS = np.searchsorted(_STARTS, np.arange(_CELLS + 1))  # where the edges of each point begin
 
 
 class Routes:
@@ -62,12 +60,12 @@ class Routes:
         weight = 1.0 + OBSTRUCTED * hindrance.ravel()
         cells = _nearest(goals)
         lengths = np.append(_LENGTHS * (weight[_STARTS] + weight[_ENDS]) / 2, costs + _SPACING)
-        ends = np.append(_STARTS, np.full(len(goals), _CELLS)), np.append(_ENDS, cells)
-        graph = csr_array((lengths, ends), shape=(_CELLS + 1, _CELLS + 1))
+        ends = np.append(_ENDS, cells)
+        graph = csr_array((lengths, ends, np.append(_ROWS, len(ends))), (_CELLS + 1, _CELLS + 1))
         found, before = dijkstra(graph, indices=_CELLS, return_predecessors=True)
         self._lengths = found[:_CELLS].reshape(SIDE, SIDE) - _SPACING
         self._slopes = np.stack(np.gradient(self._lengths, _SPACING), axis=-1)
-        self._goals = _origins(before[:_CELLS], cells)
+        self._goals = _origins(before[:_CELLS], cells, costs)
 
     def goals(self, points: Floats) -> Ints:
         """The number of the goal that the route from each point (..., 2) leads to."""
@@ -95,11 +93,12 @@ def _nearest(points: Floats) -> Ints:
     return numbers
 
 
-def _origins(before: Ints, cells: Ints) -> Ints:
+def _origins(before: Ints, cells: Ints, costs: Floats) -> Ints:
     """The goals from which the search reached each grid point, by what it reached just before."""
     origin = np.where(before == _CELLS, np.arange(_CELLS), before)
     while (origin != origin[origin]).any():
         origin = origin[origin]
     numbers = np.zeros(_CELLS, np.intp)
-    numbers[cells] = np.arange(len(cells))
+    order = np.argsort(-costs)  # of goals at the same point, the cheapest counts
+    numbers[cells[order]] = order
     return numbers[origin]
