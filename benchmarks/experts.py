@@ -1,7 +1,7 @@
 """Figures about the scripted experts: python benchmarks/experts.py [SECTION]...
 
 Sections: speed, lengths, takeover, skill, diversity, states (default: all). Needs no files; scores
-of all environments come from `magical evaluate expert`.
+of all environments come from `magical expert evaluate`.
 """
 
 import sys

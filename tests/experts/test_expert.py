@@ -69,13 +69,6 @@ def test_takes_over_after_a_random_policy(task: str) -> None:
     assert np.mean(scores) >= 0.7, scores
 
 
-def test_scores_depend_on_the_seed_alone() -> None:
-    ids = ["magical/MoveToRegion-TestLayout-v0", "magical/FixColour-TestLayout-v0"]
-    policy = ExpertPolicy(skill=0.3)
-    one, two = (evaluate(policy, ids, rollouts=3, seed=5, workers=workers) for workers in (1, 2))
-    assert one == two
-
-
 def test_starts_without_memory_at_any_time() -> None:
     spec = get_task("MoveToCorner")
     scene, dynamics = spec.sample("Demo", np.random.default_rng(0))

@@ -1,0 +1,71 @@
+"""Score the scripted experts.
+
+`magical expert evaluate` is `magical evaluate expert` with the experts' own options, and for all
+tasks by default.
+"""
+
+import argparse
+from typing import Any
+
+from magical.commands._common import (
+    add_json,
+    add_rollouts,
+    add_seed,
+    add_workers,
+    print_json,
+    print_table,
+)
+
+HELP = "score the scripted experts"
+TAKEOVER = 1 / 3  # share of each episode in which a random policy acts first
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Describe the command's arguments."""
+    subs = parser.add_subparsers(metavar="COMMAND", required=True)
+    evaluate = subs.add_parser("evaluate", help="mean scores over many episodes")
+    evaluate.add_argument("--env", nargs="+", metavar="ID", help="environments (default: all)")
+    add_rollouts(evaluate)
+    add_seed(evaluate, "which set of evaluation's seeds")
+    evaluate.add_argument(
+        "--skill", type=float, default=1.0, metavar="X", help="0 to 1 (default: 1)"
+    )
+    evaluate.add_argument(
+        "--takeover",
+        action="store_true",
+        help="a random policy acts in the first third of each episode",
+    )
+    add_workers(evaluate)
+    add_json(evaluate)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Evaluate, print."""
+    from statistics import fmean, pstdev
+
+    from magical.envs import all_env_ids
+    from magical.evaluation import evaluate
+    from magical.evaluation.expert import ExpertPolicy
+    from magical.evaluation.statistics import by_environment
+    from magical.progress import progress_bar
+
+    policy = ExpertPolicy(args.skill, TAKEOVER if args.takeover else 0.0)
+    env_ids = args.env or all_env_ids()
+    with progress_bar("rollouts", len(env_ids) * args.rollouts) as advance:
+        rows = evaluate(
+            policy,
+            env_ids,
+            rollouts=args.rollouts,
+            seed=args.seed,
+            workers=args.workers,
+            progress=advance,
+        )
+    results: dict[str, Any] = {
+        env_id: {"mean": fmean(scores), "std": pstdev(scores), "scores": scores}
+        for env_id, scores in by_environment(rows).items()
+    }
+    table = [(env_id, f"{r['mean']:.3f}", f"{r['std']:.3f}") for env_id, r in results.items()]
+    print_table(("environment", "mean", "std"), table)
+    print(f"\nmean over {len(results)}: {fmean(r['mean'] for r in results.values()):.3f}")
+    print_json(args, results)
+    return 0
