@@ -10,12 +10,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from magical.experts.geometry import CONTACT_DISTANCE
 from magical.learning.intent.demonstrator import MOVE_COST, Floats, States
 from magical.learning.intent.meanings import Chosen, replace_selections
 from magical.learning.intent.posterior import Belief
 from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.objects.table import GRIP
-from magical.learning.planning.remaining import APART, BLOCK_ROOM, TOUCH
+from magical.learning.planning.remaining import APART, BLOCK_ROOM
 from magical.learning.planning.routes import Routes
 from magical.scene import Poses, Scene
 from magical.scene.geometry import Point, to_workspace
@@ -135,7 +136,7 @@ def _moved(poses: Poses, thing: int, place: Point) -> Poses:
 def _ways_to_places(thing: int, poses: Poses) -> Floats:
     """Units that the thing has to go to each place, around the other blocks."""
     others = poses.blocks[[row for row in range(len(poses.blocks)) if row != thing], :2]
-    rooms = np.full(len(others), TOUCH if thing == ROBOT_TARGET else APART + BLOCK_ROOM)
+    rooms = np.full(len(others), CONTACT_DISTANCE if thing == ROBOT_TARGET else APART + BLOCK_ROOM)
     start = poses.bodies[_row(thing), :2]
     return Routes(start[None], np.zeros(1), others, rooms, BORDER).at(PLACES)[0]
 

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from magical.experts.geometry import wrap_angle
 from magical.learning.objects.hindsight import find_carries
 from magical.learning.objects.parser import ParsedFrames
 from magical.learning.objects.table import GRIP
@@ -103,7 +104,7 @@ def _carries(parsed: ParsedFrames, actions: NDArray[Any]) -> list[tuple[int, int
 def robot_steps(before: Floats, after: Floats) -> Floats:
     """Units ahead and rad to the left (..., 2) between poses (..., 3)."""
     ahead = to_robot(before, after[..., :2])[..., 1]
-    return np.stack([ahead, wrap(after[..., 2] - before[..., 2])], axis=-1)
+    return np.stack([ahead, wrap_angle(after[..., 2] - before[..., 2])], axis=-1)
 
 
 def to_robot(poses: Floats, points: Floats) -> Floats:
@@ -120,9 +121,3 @@ def from_robot(poses: Floats, points: Floats) -> Floats:
     offset = np.stack([right * cos - ahead * sin, right * sin + ahead * cos], axis=-1)
     found: Floats = poses[..., :2] + offset
     return found
-
-
-def wrap(angles: Floats) -> Floats:
-    """The same angles in [-pi, pi)."""
-    wrapped: Floats = (angles + np.pi) % (2 * np.pi) - np.pi
-    return wrapped

@@ -12,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from magical.experts.geometry import ROBOT_LIMIT
 from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.planning.motion import Floats, Motion, from_robot, robot_steps, to_robot
 from magical.learning.planning.remaining import (
     APART,
     BLOCK_LIMIT,
     HIT,
-    LIMIT,
     obstruction,
     steps_to_grasp,
     steps_to_place,
@@ -132,7 +132,7 @@ class Planner:
         turning_kept, turning_gained = self.motion.turn[held]
         gained = np.array(gains)[PLANS.commands[..., 0].astype(np.intp) + 1]
         poses = np.empty((HORIZON, len(PLANS.first), 3))
-        limit = max(LIMIT, np.abs(pose[:2]).max())
+        limit = max(ROBOT_LIMIT, np.abs(pose[:2]).max())
         (speed, spin), (x, y, angle) = speeds, pose
         for step in range(HORIZON):
             speed = kept * speed + gained[step]

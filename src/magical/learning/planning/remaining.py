@@ -6,13 +6,12 @@ Motions are taken to be turns on the spot and straight drives at top speed, forw
 
 import numpy as np
 
-from magical.learning.planning.motion import Floats, Motion, to_robot, wrap
+from magical.experts.geometry import CONTACT_DISTANCE, ROBOT_LIMIT, wrap_angle
+from magical.learning.planning.motion import Floats, Motion, to_robot
 from magical.learning.planning.routes import Routes
-from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS, WORKSPACE_HALF
+from magical.scene.constants import BLOCK_SIZE
 
-LIMIT = WORKSPACE_HALF - ROBOT_RADIUS  # units: largest coordinate of the robot's centre
-BLOCK_LIMIT = 0.88  # units: the same of a carried block
-TOUCH = ROBOT_RADIUS + BLOCK_SIZE  # units between the centres of robot and block
+BLOCK_LIMIT = 0.88  # units: largest coordinate of a carried block's centre
 APART = 2 * BLOCK_SIZE  # units between the centres of blocks
 ROOM, BLOCK_ROOM, TARGET_ROOM = 0.02, 0.1, 0.1  # units more on routes past blocks, with a block,
 # and past the block that is to be grasped, which must not be moved before
@@ -30,13 +29,13 @@ _ANGLES = np.arange(DIRECTIONS) * 2 * np.pi / DIRECTIONS
 _AHEAD = np.stack([-np.sin(_ANGLES), np.cos(_ANGLES)], axis=1)  # (DIRECTIONS, 2)
 
 
-def obstruction(poses: Floats, blocks: Floats, body: float = TOUCH) -> Floats:
+def obstruction(poses: Floats, blocks: Floats, body: float = CONTACT_DISTANCE) -> Floats:
     """Control steps (...) that blocks (N, 2) and walls cost the robot at poses (..., 3)."""
     local = to_robot(poses[..., None, :], blocks)  # (..., N, 2)
     overlap = body - np.linalg.norm(local, axis=-1)
     fingers = FINGER_ROOM - np.linalg.norm(local[..., None, :] - FINGERS, axis=-1)
     overlap = np.maximum(overlap, fingers.max(axis=-1)).clip(min=0.0)
-    walls = (np.abs(poses[..., :2]) - LIMIT).clip(min=0.0)
+    walls = (np.abs(poses[..., :2]) - ROBOT_LIMIT).clip(min=0.0)
     cost: Floats = HIT * (overlap.sum(axis=-1) + walls.sum(axis=-1))
     return cost
 
@@ -53,7 +52,9 @@ def steps_to_place(
         speeds: see above.
         reach: units; 0 for the robot itself.
     """
-    limit, room = (BLOCK_LIMIT, APART + BLOCK_ROOM) if reach else (LIMIT, TOUCH + ROOM)
+    limit, room = (
+        (BLOCK_LIMIT, APART + BLOCK_ROOM) if reach else (ROBOT_LIMIT, CONTACT_DISTANCE + ROOM)
+    )
     routes = Routes(place[None], np.zeros(1), others, np.full(len(others), room), limit)
     moved = ends[:, :2] + reach * np.stack([-np.sin(ends[:, 2]), np.cos(ends[:, 2])], axis=1)
     length, direction = routes.at(moved)
@@ -62,7 +63,7 @@ def steps_to_place(
     straight = length < DETOUR[0] * np.linalg.norm(place - moved, axis=1) + DETOUR[1]
     exactly = offset / np.maximum(distance, 1e-6)[:, None]
     direction = np.where(straight[:, None], exactly, direction)
-    turn = np.abs(wrap(_angle(direction) - ends[:, 2]))
+    turn = np.abs(wrap_angle(_angle(direction) - ends[:, 2]))
     if not reach:
         turn *= np.minimum(1.0, distance / CLOSE)
     gap = np.where(straight, distance - reach, length)
@@ -70,7 +71,7 @@ def steps_to_place(
     gap = np.where(straight, distance + reach, length)
     back = gap / speeds[0] + (np.pi - turn) / speeds[2]
     outside = [  # where the robot would have to stand in the end
-        HIT * (np.abs(place + side * reach * direction) - LIMIT).clip(min=0.0).sum(axis=1)
+        HIT * (np.abs(place + side * reach * direction) - ROBOT_LIMIT).clip(min=0.0).sum(axis=1)
         for side in (-1, 1)
     ]
     steps: Floats = np.minimum(ahead + outside[0], back + outside[1])
@@ -90,7 +91,7 @@ def steps_to_grasp(block: Floats, ends: Floats, others: Floats, motion: Motion) 
     offset = block - ends[:, :2]
     distance = np.linalg.norm(offset, axis=1)
     facing = _angle(offset)
-    turn = (np.abs(wrap(facing - ends[:, 2])) - FIT * aside / distance).clip(min=0.0)
+    turn = (np.abs(wrap_angle(facing - ends[:, 2])) - FIT * aside / distance).clip(min=0.0)
     gap = (distance - reach).clip(min=0.0)
     nearest = np.rint(facing / _ANGLES[1]).astype(np.intp) % DIRECTIONS
     straight = turn / speeds[2] + gap / speeds[1] + crowd[nearest]
@@ -106,17 +107,17 @@ def _steps_to_run_up(
     """From poses (M, 3) to the start of the best run-up, facing the block there."""
     back, forward, spin = motion.speeds[0]
     starts = block - (motion.grasp[1] + RUN_UP) * _AHEAD
-    crowd = crowd + HIT * (np.abs(starts) - LIMIT).clip(min=0.0).sum(axis=1)
-    starts = starts.clip(-LIMIT, LIMIT)
-    room = np.append(np.full(len(others), TOUCH + ROOM), TOUCH + TARGET_ROOM)
-    routes = Routes(starts, crowd * forward, np.vstack([others, block]), room, LIMIT)
+    crowd = crowd + HIT * (np.abs(starts) - ROBOT_LIMIT).clip(min=0.0).sum(axis=1)
+    starts = starts.clip(-ROBOT_LIMIT, ROBOT_LIMIT)
+    room = np.append(np.full(len(others), CONTACT_DISTANCE + ROOM), CONTACT_DISTANCE + TARGET_ROOM)
+    routes = Routes(starts, crowd * forward, np.vstack([others, block]), room, ROBOT_LIMIT)
     length, direction = routes.at(ends[:, :2])
     goals = routes.goals(ends[:, :2])
     far = np.minimum(1.0, np.linalg.norm(starts[goals] - ends[:, :2], axis=1) / ARRIVAL)
-    there = (1.0 - far) * np.abs(wrap(_ANGLES[goals] - ends[:, 2]))
+    there = (1.0 - far) * np.abs(wrap_angle(_ANGLES[goals] - ends[:, 2]))
     way = _angle(direction)
     turns = [
-        there + far * (np.abs(wrap(a - ends[:, 2])) + np.abs(wrap(_ANGLES[goals] - a)))
+        there + far * (np.abs(wrap_angle(a - ends[:, 2])) + np.abs(wrap_angle(_ANGLES[goals] - a)))
         for a in (way, way + np.pi)
     ]
     steps: Floats = np.minimum(length / forward + turns[0] / spin, length / back + turns[1] / spin)
