@@ -17,7 +17,7 @@ from magical.learning.intent.posterior import Belief
 from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.objects.table import GRIP
 from magical.learning.planning.remaining import APART, BLOCK_ROOM
-from magical.learning.planning.routes import Routes
+from magical.learning.planning.routes import MOVED, Routes
 from magical.scene import Poses, Scene
 from magical.scene.geometry import Point, to_workspace
 from magical.scene.poses import FIRST_BLOCK, ROBOT
@@ -55,6 +55,7 @@ class Intention:
         self.goals = [(goal, weight / total) for goal, weight in likely]
         self._decision: Decision = None
         self._work = math.inf  # expected when that was decided
+        self._blocks = np.full((len(scene.blocks), 2), math.inf)  # where they lay then
 
     @property
     def is_known(self) -> bool:
@@ -63,6 +64,11 @@ class Intention:
 
     def decide(self, poses: Poses) -> Decision:
         """What to move now; the same as before while it is worth moving."""
+        blocks = poses.blocks[:, :2]
+        robot_moves = self._decision is not None and self._decision[0] == ROBOT_TARGET
+        if len(blocks) and not robot_moves and (np.abs(blocks - self._blocks) < MOVED).all():
+            return self._decision
+        self._blocks = blocks.copy()
         after = poses if self._decision is None else _moved(poses, *self._decision)
         now, then = self._expected_work([poses, after]).tolist()
         kept = abs(now - self._work) < CHANGE if self._decision is None else now - then > MOVE_COST

@@ -6,12 +6,14 @@ and more where the robot or its block would run into something. The first action
 sampled: the cheaper, the more probable; of a robot that is stuck, more randomly.
 """
 
+import math
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from magical.compiled import nogil_entry_point
 from magical.experts.geometry import ROBOT_LIMIT
 from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.planning.motion import Floats, Motion, from_robot, robot_steps, to_robot
@@ -23,6 +25,7 @@ from magical.learning.planning.remaining import (
     steps_to_grasp,
     steps_to_place,
 )
+from magical.learning.planning.routes import Search
 from magical.scene.actions import Action, Gripper, Longitudinal, Turn, to_continuous
 
 FIRST, SECOND = (1, 2, 3, 5), (1, 2, 4, 7)  # control steps of a plan's actions
@@ -59,7 +62,7 @@ class _Plans(NamedTuple):
 
     first: NDArray[np.intp]  # (M,) the first action's place in MOVES
     steps: NDArray[np.intp]  # (M,) control steps
-    commands: Floats  # (HORIZON, M, 2) drive and turn; 0 after the plan's end
+    commands: NDArray[np.int64]  # (HORIZON, M, 2) drive and turn; 0 after the plan's end
 
 
 def _all_plans() -> _Plans:
@@ -68,8 +71,8 @@ def _all_plans() -> _Plans:
     both = [each for each in product(moves, FIRST, moves, SECOND) if each[0] != each[2]]
     first, steps, second, more = np.array(alone + both).T
     time = np.arange(HORIZON)[:, None]
-    points = to_continuous([move.id for move in MOVES])[:, :2]
-    then = np.where((time < steps + more)[..., None], points[second], 0.0)
+    points = to_continuous([move.id for move in MOVES])[:, :2].astype(np.int64)
+    then = np.where((time < steps + more)[..., None], points[second], 0)
     commands = np.where((time < steps)[..., None], points[first], then)
     return _Plans(first, steps + more, commands)
 
@@ -83,6 +86,7 @@ class Planner:
     def __init__(self, motion: Motion) -> None:
         """Create the planner of an episode that begins."""
         self.motion = motion
+        self._search = Search()
         self._still_steps = 0  # for which the robot has been standing still
         self._held_steps = 0  # for which the target has been between the fingers
 
@@ -128,29 +132,46 @@ class Planner:
 
     def _roll_out(self, pose: Floats, speeds: Floats, held: int) -> Floats:
         """The poses (HORIZON, M, 3) of all plans; the robot stops where it would leave."""
-        kept, *gains = self.motion.drive[held]
-        turning_kept, turning_gained = self.motion.turn[held]
-        gained = np.array(gains)[PLANS.commands[..., 0].astype(np.intp) + 1]
         poses = np.empty((HORIZON, len(PLANS.first), 3))
-        limit = max(ROBOT_LIMIT, np.abs(pose[:2]).max())
-        (speed, spin), (x, y, angle) = speeds, pose
-        for step in range(HORIZON):
-            speed = kept * speed + gained[step]
-            spin = turning_kept * spin + turning_gained * PLANS.commands[step, :, 1]
-            new_x = x - np.sin(angle + spin / 2) * speed
-            new_y = y + np.cos(angle + spin / 2) * speed
-            inside = (np.abs(new_x) <= limit) & (np.abs(new_y) <= limit)
-            x, y, angle = np.where(inside, new_x, x), np.where(inside, new_y, y), angle + spin
-            poses[step] = np.stack([x, y, angle], axis=1)
+        limit = max(ROBOT_LIMIT, float(np.abs(pose[:2]).max()))
+        motion = self.motion.drive[held], self.motion.turn[held]
+        compiled_roll_out(PLANS.commands, pose, speeds, *motion, limit, poses)
         return poses
 
     def _remaining(self, seen: Situation, ends: Floats, held: bool) -> Floats:
         """Control steps (M,) that remain after the plans' ends (M, 3)."""
         if seen.target != ROBOT_TARGET and not held:
-            return steps_to_grasp(seen.blocks[seen.target], ends, seen.others, self.motion)
+            return steps_to_grasp(
+                seen.blocks[seen.target], ends, seen.others, self.motion, self._search
+            )
         reach = float(to_robot(seen.pose, seen.blocks[seen.target])[1]) if held else 0.0
         speeds = self.motion.speeds[int(held)]
-        return steps_to_place(seen.place, ends, seen.others, speeds, reach)
+        return steps_to_place(seen.place, ends, seen.others, speeds, self._search, reach)
+
+
+@nogil_entry_point
+def compiled_roll_out(
+    commands: NDArray[np.int64],
+    pose: Floats,
+    speeds: Floats,
+    drive: Floats,
+    turn: Floats,
+    limit: float,
+    poses: Floats,
+) -> None:
+    """Fill in the poses (HORIZON, M, 3) of plans' commands from a pose and its speeds."""
+    for plan in range(commands.shape[1]):
+        speed, spin = speeds[0], speeds[1]
+        x, y, angle = pose[0], pose[1], pose[2]
+        for step in range(commands.shape[0]):
+            speed = drive[0] * speed + drive[commands[step, plan, 0] + 2]
+            spin = turn[0] * spin + turn[1] * commands[step, plan, 1]
+            new_x = x - math.sin(angle + spin / 2) * speed
+            new_y = y + math.cos(angle + spin / 2) * speed
+            if abs(new_x) <= limit and abs(new_y) <= limit:
+                x, y = new_x, new_y
+            angle += spin
+            poses[step, plan, 0], poses[step, plan, 1], poses[step, plan, 2] = x, y, angle
 
 
 def _collisions(seen: Situation, paths: Floats, held: bool) -> Floats:

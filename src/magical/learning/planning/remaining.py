@@ -4,11 +4,14 @@ Motions are taken to be turns on the spot and straight drives at top speed, forw
 `speeds` (3,) are those of `Motion`: units a step backwards and ahead, rad a step.
 """
 
+import math
+
 import numpy as np
 
+from magical.compiled import nogil_entry_point
 from magical.experts.geometry import CONTACT_DISTANCE, ROBOT_LIMIT, wrap_angle
-from magical.learning.planning.motion import Floats, Motion, to_robot
-from magical.learning.planning.routes import Routes
+from magical.learning.planning.motion import Floats, Motion
+from magical.learning.planning.routes import Search
 from magical.scene.constants import BLOCK_SIZE
 
 BLOCK_LIMIT = 0.88  # units: largest coordinate of a carried block's centre
@@ -31,17 +34,36 @@ _AHEAD = np.stack([-np.sin(_ANGLES), np.cos(_ANGLES)], axis=1)  # (DIRECTIONS, 2
 
 def obstruction(poses: Floats, blocks: Floats, body: float = CONTACT_DISTANCE) -> Floats:
     """Control steps (...) that blocks (N, 2) and walls cost the robot at poses (..., 3)."""
-    local = to_robot(poses[..., None, :], blocks)  # (..., N, 2)
-    overlap = body - np.linalg.norm(local, axis=-1)
-    fingers = FINGER_ROOM - np.linalg.norm(local[..., None, :] - FINGERS, axis=-1)
-    overlap = np.maximum(overlap, fingers.max(axis=-1)).clip(min=0.0)
-    walls = (np.abs(poses[..., :2]) - ROBOT_LIMIT).clip(min=0.0)
-    cost: Floats = HIT * (overlap.sum(axis=-1) + walls.sum(axis=-1))
-    return cost
+    costs = np.empty(poses.shape[:-1])
+    compiled_obstruction(poses.reshape(-1, 3), blocks, body, costs.reshape(-1))
+    return costs
+
+
+@nogil_entry_point
+def compiled_obstruction(poses: Floats, blocks: Floats, body: float, costs: Floats) -> None:
+    """Fill in the costs (P,) at poses (P, 3)."""
+    for at in range(len(poses)):
+        x, y = poses[at, 0], poses[at, 1]
+        sin, cos = math.sin(poses[at, 2]), math.cos(poses[at, 2])
+        overlap = max(abs(x) - ROBOT_LIMIT, 0.0) + max(abs(y) - ROBOT_LIMIT, 0.0)
+        for block in range(len(blocks)):
+            dx, dy = blocks[block, 0] - x, blocks[block, 1] - y
+            deepest = max(body - math.hypot(dx, dy), 0.0)
+            right, ahead = dx * cos + dy * sin, dy * cos - dx * sin
+            for finger in range(len(FINGERS)):
+                away = math.hypot(right - FINGERS[finger, 0], ahead - FINGERS[finger, 1])
+                deepest = max(deepest, FINGER_ROOM - away)
+            overlap += deepest
+        costs[at] = HIT * overlap
 
 
 def steps_to_place(
-    place: Floats, ends: Floats, others: Floats, speeds: Floats, reach: float = 0.0
+    place: Floats,
+    ends: Floats,
+    others: Floats,
+    speeds: Floats,
+    search: Search,
+    reach: float = 0.0,
 ) -> Floats:
     """From poses (M, 3) until the robot, or a block `reach` ahead of it, is at a place (2,).
 
@@ -50,12 +72,13 @@ def steps_to_place(
         ends: (M, 3).
         others: (N, 2), blocks in the way.
         speeds: see above.
+        search: for routes to the place.
         reach: units; 0 for the robot itself.
     """
     limit, room = (
         (BLOCK_LIMIT, APART + BLOCK_ROOM) if reach else (ROBOT_LIMIT, CONTACT_DISTANCE + ROOM)
     )
-    routes = Routes(place[None], np.zeros(1), others, np.full(len(others), room), limit)
+    routes = search(place[None], np.zeros(1), others, np.full(len(others), room), limit)
     moved = ends[:, :2] + reach * np.stack([-np.sin(ends[:, 2]), np.cos(ends[:, 2])], axis=1)
     length, direction = routes.at(moved)
     offset = place - ends[:, :2]
@@ -78,7 +101,9 @@ def steps_to_place(
     return steps
 
 
-def steps_to_grasp(block: Floats, ends: Floats, others: Floats, motion: Motion) -> Floats:
+def steps_to_grasp(
+    block: Floats, ends: Floats, others: Floats, motion: Motion, search: Search
+) -> Floats:
     """From poses (M, 3) until a block (2,) lies between the fingers.
 
     Near the block the robot turns and drives straight on; from farther away it drives to the start
@@ -95,14 +120,14 @@ def steps_to_grasp(block: Floats, ends: Floats, others: Floats, motion: Motion) 
     gap = (distance - reach).clip(min=0.0)
     nearest = np.rint(facing / _ANGLES[1]).astype(np.intp) % DIRECTIONS
     straight = turn / speeds[2] + gap / speeds[1] + crowd[nearest]
-    around = _steps_to_run_up(block, ends, others, crowd, motion) + RUN_UP / speeds[1]
+    around = _steps_to_run_up(block, ends, others, crowd, motion, search) + RUN_UP / speeds[1]
     near = np.minimum(straight, around)
     steps: Floats = np.where(distance > reach + 2 * RUN_UP, around, near)
     return steps
 
 
 def _steps_to_run_up(
-    block: Floats, ends: Floats, others: Floats, crowd: Floats, motion: Motion
+    block: Floats, ends: Floats, others: Floats, crowd: Floats, motion: Motion, search: Search
 ) -> Floats:
     """From poses (M, 3) to the start of the best run-up, facing the block there."""
     back, forward, spin = motion.speeds[0]
@@ -110,7 +135,7 @@ def _steps_to_run_up(
     crowd = crowd + HIT * (np.abs(starts) - ROBOT_LIMIT).clip(min=0.0).sum(axis=1)
     starts = starts.clip(-ROBOT_LIMIT, ROBOT_LIMIT)
     room = np.append(np.full(len(others), CONTACT_DISTANCE + ROOM), CONTACT_DISTANCE + TARGET_ROOM)
-    routes = Routes(starts, crowd * forward, np.vstack([others, block]), room, ROBOT_LIMIT)
+    routes = search(starts, crowd * forward, np.vstack([others, block]), room, ROBOT_LIMIT)
     length, direction = routes.at(ends[:, :2])
     goals = routes.goals(ends[:, :2])
     far = np.minimum(1.0, np.linalg.norm(starts[goals] - ends[:, :2], axis=1) / ARRIVAL)

@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import dijkstra
 from magical.scene.constants import WORKSPACE_HALF
 
 SIDE = 29  # grid points across the workspace
+MOVED = 0.005  # units: routes are the same until something moves so far
 OBSTRUCTED = 15.0  # units more for each unit of a route through an obstacle's centre
 
 Floats = NDArray[np.float64]
@@ -84,6 +85,25 @@ class Routes:
             slope += share[..., None] * self._slopes[cell]
         size = np.linalg.norm(slope, axis=-1, keepdims=True)
         return length, -slope / np.maximum(size, 1e-9)
+
+
+class Search:
+    """Finds routes, anew only if something has moved since the last time."""
+
+    def __init__(self) -> None:
+        """Create a search that has not found any."""
+        self._arguments = np.empty(0)
+
+    def __call__(
+        self, goals: Floats, costs: Floats, obstacles: Floats, clearance: Floats, limit: float
+    ) -> Routes:
+        """The routes; see there."""
+        arguments = np.concatenate([goals.ravel(), costs, obstacles.ravel(), clearance, [limit]])
+        known = self._arguments
+        if len(arguments) != len(known) or np.abs(arguments - known).max() > MOVED:
+            self._arguments = arguments
+            self._routes = Routes(goals, costs, obstacles, clearance, limit)
+        return self._routes
 
 
 def _nearest(points: Floats) -> Ints:
