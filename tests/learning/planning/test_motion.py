@@ -8,16 +8,17 @@ import pytest
 from magical.demos.generate import demonstrate
 from magical.learning.objects.data import parse_trajectory
 from magical.learning.objects.hindsight import track
+from magical.learning.objects.parser import ParsedFrames
 from magical.learning.planning.motion import (
+    PRIOR,
     Demonstration,
-    Motion,
     fit_motion,
     from_robot,
     robot_steps,
     to_robot,
 )
 from magical.observe import make_spec
-from magical.scene.actions import to_continuous
+from magical.scene.actions import Action, Longitudinal, to_continuous
 from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
 from magical.tasks import get_task
 
@@ -38,8 +39,8 @@ def test_free_motion_of_another_demonstration_is_predicted(corner: list[Demonstr
     ((parsed, actions),) = demonstrations("MoveToRegion", (2,))
     steps = robot_steps(parsed.robot[:-1], parsed.robot[1:])
     commands = to_continuous(actions)[1:]
-    kept, *gains = motion.drive[0]
-    drive = kept * steps[:-1, 0] + np.array(gains)[commands[:, 0].astype(int) + 1]
+    kept, back, ahead = motion.drive[0]
+    drive = kept * steps[:-1, 0] + np.array([back, 0.0, ahead])[commands[:, 0].astype(int) + 1]
     turn = motion.turn[0] @ [steps[:-1, 1], commands[:, 1]]
     errors = np.abs(steps[1:] - np.stack([drive, turn], axis=1))
     assert (np.median(errors, axis=0) < (0.005, 0.03)).all()
@@ -56,16 +57,19 @@ def test_blocks_are_grasped_where_they_touch_the_robot(corner: list[Demonstratio
     assert ROBOT_RADIUS < nearest <= farthest < ROBOT_RADIUS + 2 * BLOCK_SIZE
 
 
-def test_without_carries_blocks_weigh_nothing() -> None:
+def test_what_was_never_demonstrated_is_as_in_other_tasks() -> None:
     motion = fit_motion(demonstrations("MoveToRegion", (0, 1)))
-    np.testing.assert_array_equal(motion.drive[0], motion.drive[1])
-    np.testing.assert_array_equal(motion.turn[0], motion.turn[1])
+    for shown, prior in ((motion.drive, PRIOR.drive), (motion.turn, PRIOR.turn)):
+        np.testing.assert_allclose(shown[1], prior[1])  # without blocks
+        assert (shown[0] != prior[0]).all()
 
 
-def test_what_was_never_demonstrated_takes_forever() -> None:
-    motion = Motion(np.zeros((2, 4)), np.zeros((2, 2)), np.zeros(3))
-    assert (motion.speeds > 0.0).all()
-    assert (motion.speeds < 0.01).all()
+def test_steps_against_a_wall_teach_nothing(corner: list[Demonstration]) -> None:
+    (parsed, actions), *_ = corner
+    still = [np.concatenate([each, np.repeat(each[-1:], 60, axis=0)]) for each in parsed]
+    ahead = np.append(actions, np.full(60, Action(Longitudinal.FORWARD).id))
+    motion = fit_motion([(ParsedFrames(*still), ahead), corner[1]])
+    np.testing.assert_allclose(motion.speeds, fit_motion(corner).speeds, rtol=0.1)
 
 
 def test_points_are_seen_from_the_robot_and_back() -> None:

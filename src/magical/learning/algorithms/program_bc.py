@@ -54,7 +54,7 @@ from magical.scene.poses import ROBOT
 from magical.tasks.programs import parse
 
 MAX_BYTES = 1 << 16  # of a task's programs as text
-MOTION_SHAPES = {"drive": (2, 4), "turn": (2, 2), "grasp": (3,)}
+MOTION_SHAPES = {"drive": (2, 3), "turn": (2, 2), "grasp": (3,)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +70,7 @@ class ProgramNetwork(ObjectPolicy):
     """An object-centred policy with a belief about each task's program."""
 
     beliefs: Tensor  # (tasks, MAX_BYTES) uint8: JSON, filled up with zeros
-    drive: Tensor  # (2, 4), turn (2, 2), grasp (3,) float64: see `Motion`
+    drive: Tensor  # (2, 3), turn (2, 2), grasp (3,) float64: see `Motion`
     turn: Tensor
     grasp: Tensor
 

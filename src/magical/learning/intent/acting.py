@@ -24,7 +24,7 @@ from magical.scene.poses import FIRST_BLOCK, ROBOT
 from magical.tasks.programs import Goal, problem
 
 GOALS = 8  # the most probable ones that are acted on
-PRESSING = 0.5  # of the highest probability: what must move less probably comes later
+PRESSING = 0.8  # of the highest probability: what must move less probably comes later
 CHANGE = 0.05  # units of expected work: less is no reason to decide anew
 NEARNESS = 0.2  # units of work for each unit of a thing's way to its place, around others
 CLEARANCE = 0.24  # units between blocks' centres: nearer ones would touch

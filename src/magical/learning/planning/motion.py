@@ -5,11 +5,13 @@ its turning. Both are fitted to parsed frames by least squares, turning with lef
 interchangeable, so that ten demonstrations are enough. Nothing about contacts is learned.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from magical.experts.geometry import wrap_angle
 from magical.learning.objects.hindsight import find_carries
@@ -17,9 +19,10 @@ from magical.learning.objects.parser import ParsedFrames
 from magical.learning.objects.table import GRIP
 from magical.scene.actions import to_continuous
 
-FEW = 30  # steps: from fewer, nothing is learned about carrying, or about moving freely
 MOST = 0.9  # share of the demonstrated grasps within the limits
-SLOWEST = 1e-3  # units or rad in a step: the top speed of a motion that was never demonstrated
+SPEEDS, SPINS = np.array([-0.1, 0.0, 0.1]), np.array([-0.3, 0.0, 0.3])  # units, rad in a step
+RESIDUAL = 0.05  # of the largest: what is farther off is taken for a contact
+HELD_UP = 0.01  # units in a step: a robot that stays slower though it drives is held up
 
 Floats = NDArray[np.float64]
 Demonstration = tuple[ParsedFrames, NDArray[Any]]  # T + 1 tracked frames, T actions
@@ -28,17 +31,24 @@ Demonstration = tuple[ParsedFrames, NDArray[Any]]  # T + 1 tracked frames, T act
 class Motion(NamedTuple):
     """What actions do to speeds in a control step; row 0 free, row 1 with a block."""
 
-    drive: Floats  # (2, 4) share of the speed that is kept; units gained backwards, at rest, ahead
+    drive: Floats  # (2, 3) share of the speed that is kept; units gained backwards, ahead
     turn: Floats  # (2, 2) share of the turning that is kept; rad gained to the left
     grasp: Floats  # (3,) where blocks lie as fingers close: units aside; nearest, farthest ahead
 
     @property
     def speeds(self) -> Floats:
         """Top speeds (2, 3): units a step backwards and ahead, rad a step."""
-        gained = np.column_stack([-self.drive[:, 1], self.drive[:, 3], self.turn[:, 1]])
+        gained = np.column_stack([-self.drive[:, 1], self.drive[:, 2], self.turn[:, 1]])
         kept = np.column_stack([self.drive[:, 0], self.drive[:, 0], self.turn[:, 0]])
-        top: Floats = (gained / (1.0 - kept)).clip(min=SLOWEST)
+        top: Floats = gained / (1.0 - kept)
         return top
+
+
+PRIOR = Motion(
+    np.array([[0.60, -0.037, 0.041], [0.72, -0.021, 0.022]]),
+    np.array([[0.34, 0.21], [0.42, 0.155]]),
+    np.zeros(3),
+)  # of ten scripted demonstrations of each of twelve training tasks of the generated suite
 
 
 class _Steps(NamedTuple):
@@ -51,13 +61,10 @@ class _Steps(NamedTuple):
 
 
 def fit_motion(demonstrations: Sequence[Demonstration]) -> Motion:
-    """The motion that demonstrations show; without carries, as if blocks weighed nothing."""
+    """The motion that demonstrations show, and as far as they do not, `PRIOR`."""
     parts = [_steps(*each) for each in demonstrations]
     steps = _Steps(*map(np.concatenate, zip(*parts, strict=True)))
-    models = []
-    for rows in (~steps.carried, steps.carried):
-        enough = rows if rows.sum() >= FEW else np.ones_like(rows)
-        models.append(_fit(steps.before[enough], steps.after[enough], steps.commands[enough]))
+    models = [_fit(steps, row) for row in (0, 1)]
     drive, turn = map(np.stack, zip(*models, strict=True))
     grasps = np.concatenate([_grasps(*each) for each in demonstrations])
     grasps = grasps if len(grasps) else np.array([[0.0, GRIP]])
@@ -66,14 +73,43 @@ def fit_motion(demonstrations: Sequence[Demonstration]) -> Motion:
     return Motion(drive, turn, np.array([aside, nearest, farthest]))
 
 
-def _fit(before: Floats, after: Floats, commands: Floats) -> tuple[Floats, Floats]:
-    """Coefficients of drive (4,) and turn (2,)."""
-    (speed, spin), (drive, turn) = before.T, commands[:, :2].T
-    inputs = np.column_stack([speed, drive < 0, drive == 0, drive > 0])
+def _fit(steps: "_Steps", row: int) -> tuple[Floats, Floats]:
+    """Coefficients of drive (3,) and turn (2,), free or with a block."""
+    rows = steps.carried == bool(row)
+    (speed, spin), (drive, turn) = steps.before[rows].T, steps.commands[rows, :2].T
+    ahead, to_left = steps.after[rows].T
+    moved = (drive == 0) | (np.maximum(np.abs(speed), np.abs(ahead)) > HELD_UP)
+    inputs = _drive_inputs(speed[moved], drive[moved])
     return (
-        np.linalg.lstsq(inputs, after[:, 0], rcond=None)[0],
-        np.linalg.lstsq(np.column_stack([spin, turn]), after[:, 1], rcond=None)[0],
+        _robust(inputs, ahead[moved], PRIOR.drive[row], SPEEDS, _drive_inputs),
+        _robust(_turn_inputs(spin, turn), to_left, PRIOR.turn[row], SPINS, _turn_inputs),
     )
+
+
+def _drive_inputs(speed: Floats, drive: Floats) -> Floats:
+    return np.column_stack([speed, drive < 0, drive > 0])
+
+
+def _turn_inputs(spin: Floats, turn: Floats) -> Floats:
+    return np.column_stack([spin, turn])
+
+
+def _robust(
+    inputs: Floats,
+    outputs: Floats,
+    prior: Floats,
+    speeds: Floats,
+    make: Callable[[Floats, Floats], Floats],
+) -> Floats:
+    """Coefficients; the prior counts as one step from each of the speeds with each command."""
+    assumed = make(*np.array(list(product(speeds, (-1.0, 0.0, 1.0)))).T)
+    inputs = np.vstack([inputs, assumed])
+    outputs = np.append(outputs, assumed @ prior)
+    found = least_squares(
+        lambda c: inputs @ c - outputs, prior, loss="cauchy", f_scale=RESIDUAL * speeds.max()
+    )
+    coefficients: Floats = found.x
+    return coefficients
 
 
 def _steps(parsed: ParsedFrames, actions: NDArray[Any]) -> _Steps:

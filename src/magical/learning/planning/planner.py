@@ -164,7 +164,9 @@ def compiled_roll_out(
         speed, spin = speeds[0], speeds[1]
         x, y, angle = pose[0], pose[1], pose[2]
         for step in range(commands.shape[0]):
-            speed = drive[0] * speed + drive[commands[step, plan, 0] + 2]
+            speed *= drive[0]
+            if commands[step, plan, 0]:
+                speed += drive[1 + (commands[step, plan, 0] > 0)]
             spin = turn[0] * spin + turn[1] * commands[step, plan, 1]
             new_x = x - math.sin(angle + spin / 2) * speed
             new_y = y + math.cos(angle + spin / 2) * speed

@@ -217,8 +217,9 @@ class Lined(_OfBlocks):
 
     def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
         points, chosen = self._points(scene, poses), sorted(self.selection.blocks(scene))
-        pairs = combinations(range(len(points)), 2)
-        lines = [_units_to_line(i, j, points) for i, j in pairs] or [[math.inf]]
+        if len(points) < 2:
+            return [{ROBOT: math.inf}]
+        lines = [_units_to_line(i, j, points) for i, j in combinations(range(len(points)), 2)]
         return [
             {block: left for block, left in zip(chosen, units, strict=True) if left > 0.0}
             for units in lines
