@@ -88,26 +88,25 @@ class Intention:
         return found
 
     def _choose(self, poses: Poses) -> Decision:
-        """The nearest of what must move most probably, then of the rest, if it is worth a move."""
+        """The best move of what must move most probably, else of the rest, if it is worth one."""
         now = float(self._expected_work([poses])[0])
         if now <= MOVE_COST:
             return None
         wanted = self.probabilities(poses)
         pressing = PRESSING * max(wanted.values(), default=0.0)
         grip = to_workspace((0.0, GRIP), poses.robot)
-        order = sorted(
-            (
-                wanted.get(thing, 0.0) < pressing,
-                math.dist(poses.bodies[_row(thing), :2], grip),
-                thing,
-            )
-            for thing in (ROBOT_TARGET, *range(len(self.scene.blocks)))
-        )
-        for *_, thing in order:
-            work = self.work_at_places(thing, poses)
-            way = _ways_to_places(thing, poses)
-            best = int(np.argmin(work + _smooth(work) + NEARNESS * way))
-            if now - work[best] > MOVE_COST:
+        for group in (True, False):
+            moves = []
+            for thing in (ROBOT_TARGET, *range(len(self.scene.blocks))):
+                if (wanted.get(thing, 0.0) >= pressing) is group:
+                    work = self.work_at_places(thing, poses)
+                    cost = work + _smooth(work) + NEARNESS * _ways_to_places(thing, poses)
+                    best = int(np.argmin(cost))
+                    if now - work[best] > MOVE_COST:
+                        away = math.dist(poses.bodies[_row(thing), :2], grip)
+                        moves.append((float(cost[best]) + NEARNESS * away, thing, best))
+            if moves:
+                _, thing, best = min(moves)
                 x, y = PLACES[best].tolist()
                 return thing, (x, y)
         return None

@@ -38,6 +38,7 @@ STANDING = 2.0  # control steps added to standing still, which could last
 SPREAD, STUCK_SPREAD = 0.1, 6.0  # control steps: differences in cost that hardly matter
 STILL, STILL_ANGLE = 0.01, 0.05  # units, rad in a step: a robot that moves less stands still
 STUCK = 3  # control steps of standing still
+NEAR, LINGERING = 0.08, 15  # units, control steps: a robot that stays so near for so long is stuck
 
 MOVES = tuple(Action(drive, turn) for turn, drive in product(Turn, Longitudinal))
 
@@ -88,6 +89,7 @@ class Planner:
         self.motion = motion
         self._search = Search()
         self._still_steps = 0  # for which the robot has been standing still
+        self._here, self._near_steps = np.full(2, np.inf), 0  # a point it has been near for long
         self._held_steps = 0  # for which the target has been between the fingers
 
     def act(self, seen: Situation, uniform: float | None) -> int:
@@ -95,6 +97,10 @@ class Planner:
         speeds = robot_steps(seen.before, seen.pose)
         still = bool((np.abs(speeds) < (STILL, STILL_ANGLE)).all())
         self._still_steps = self._still_steps + 1 if still else 0
+        if np.linalg.norm(seen.pose[:2] - self._here) > NEAR:
+            self._here, self._near_steps = seen.pose[:2], 0
+        self._near_steps += 1
+        stuck = self._still_steps >= STUCK or self._near_steps >= LINGERING
         held = self._holds(seen)
         self._held_steps = self._held_steps + 1 if held else 0
         grip = Gripper.CLOSED if held else Gripper.OPEN
@@ -103,7 +109,7 @@ class Planner:
         costs = self._costs(seen, speeds, held)
         if uniform is None:
             return MOVES[int(costs.argmin())]._replace(gripper=grip).id
-        spread = STUCK_SPREAD if self._still_steps >= STUCK else SPREAD
+        spread = STUCK_SPREAD if stuck else SPREAD
         cumulative = np.exp((costs.min() - costs) / spread).cumsum()
         chosen = int((uniform * cumulative[-1] >= cumulative).sum())
         return MOVES[chosen]._replace(gripper=grip).id
