@@ -51,6 +51,18 @@ def test_the_nearest_of_the_blocks_is_moved_first() -> None:
     assert first == min(distances, key=lambda i: distances[i])
 
 
+def test_what_saves_most_work_is_moved_before_what_is_nearer() -> None:
+    scene = TASKS["MakeLine"].demo
+    bodies = Poses.at_rest(scene).bodies
+    bodies[FIRST_BLOCK:, :2] = (-0.18, 0.38), (0.36, -0.6), (-0.29, -0.75), (0.8, -0.83)
+    bodies[0, :2] = 0.6, -0.5
+    intention = Intention(belief(("Lined(AllBlocks())", 1.0)), scene)
+    assert {0, 3} == set(intention.probabilities(Poses(bodies)))
+    decision = intention.decide(Poses(bodies))
+    assert decision is not None
+    assert decision[0] == 0  # which ends it: those that are left are in line
+
+
 def test_a_decision_is_kept_while_the_thing_has_to_move() -> None:
     intention = Intention(belief((IN_REGION, 1.0)), MATCH)
     first = intention.decide(Poses.at_rest(MATCH))

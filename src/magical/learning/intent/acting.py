@@ -1,7 +1,7 @@
 """What to move, and where to, by a belief about the goal.
 
-Each program of the belief is a goal in the present scene. What is moved next is the nearest of the
-things that must move most probably, to the place where the least work is expected under all goals;
+Each program of the belief is a goal in the present scene. Of the things that must move most probably
+one is moved next, to the place where the least work is then expected under all goals, ways included;
 if that takes off less than a move costs, another thing. If none does, nothing is left to do.
 """
 
@@ -26,7 +26,7 @@ from magical.tasks.programs import Goal, problem
 GOALS = 8  # the most probable ones that are acted on
 PRESSING = 0.8  # of the highest probability: what must move less probably comes later
 CHANGE = 0.05  # units of expected work: less is no reason to decide anew
-NEARNESS = 0.2  # units of work for each unit of a thing's way to its place, around others
+NEARNESS = 0.2  # units of work for each unit of the way to a thing, and of its way to its place
 CLEARANCE = 0.24  # units between blocks' centres: nearer ones would touch
 CROWDED = 1.0  # units of work that such a place costs
 CELLS, BORDER = 14, 0.9  # of the grid of places; units
