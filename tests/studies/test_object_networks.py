@@ -29,7 +29,7 @@ def test_every_object_is_an_element(seen: tuple[Tensor, gym.Env]) -> None:
     images, env = seen
     elements, present = Objects()(images)
     assert elements.shape[2] == FEATURES
-    state = env.unwrapped.state()
+    state = env.get_wrapper_attr("state")()
     scene, blocks = state.scene, state.poses.blocks[:, :2]
     last, shown = elements[-1], present[-1]
     assert int(shown.sum()) == 1 + len(scene.blocks) + len(scene.regions)
@@ -59,6 +59,6 @@ def test_features_do_not_depend_on_the_order(
     network = architecture.make_convolutions(images.shape[1], False)
     with torch.no_grad():
         features = network(images)
-        network.objects = Shuffled(network.objects)
+        network.register_module("objects", Shuffled(network.get_submodule("objects")))
         torch.testing.assert_close(network(images), features, rtol=1e-4, atol=1e-5)
     assert features.std(dim=0).max() > 0.0

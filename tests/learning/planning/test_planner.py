@@ -96,3 +96,13 @@ def test_a_robot_that_is_stuck_acts_more_randomly(motion: Motion) -> None:
     actions = [planner.act(seen, 0.5) for _ in range(5)]
     assert actions[0] == Planner(motion).act(seen, None)
     assert actions[-1] != actions[0]
+
+
+def test_a_robot_that_lingers_acts_more_randomly(motion: Motion) -> None:
+    turning = [situation((0.0, -0.6, angle), (0.0, 0.5)) for angle in np.linspace(0, 3, 30)]
+    planner, differs = Planner(motion), []
+    for step, seen in enumerate(turning):
+        best = Planner(motion).act(seen._replace(before=turning[max(step - 1, 0)].pose), None)
+        action = planner.act(seen._replace(before=turning[max(step - 1, 0)].pose), 0.5)
+        differs.append(action != best)
+    assert sum(differs[:14]) < sum(differs[15:])
