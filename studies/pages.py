@@ -22,7 +22,7 @@ from magical.report.leaderboard.checks import Rejected, by_reasons, check_entrie
 from magical.report.leaderboard.ranking import ALL_TASKS, Board, make_boards
 from magical.report.scores.tables import signed
 from magical.tasks.axes import SHORT_VARIANTS
-from studies.generated_tasks.baselines import held_out_tables
+from studies.generated_tasks.baselines import held_out_tables, task_table
 from studies.plan_results import NOT_RUN, PlanResults
 from studies.published_tables.agreement import find_agreements
 from studies.published_tables.cells import (
@@ -83,13 +83,17 @@ PLANS = (
     "object-bc-human",
 )
 # Their rows are on pages of their own.
-OTHERS = ("object-bc-ablations", "bc-transformations", "sequence-learners", "held-out")
+OTHERS = (
+    *("object-bc-ablations", "bc-transformations", "sequence-learners", "held-out"),
+    *("program-bc-human", "object-networks-human", "program-bc-held-out"),
+)
 SECTIONS = {  # the generated parts of each study's page
     "published_tables": (
         *("runs", "counts", "tasks", "far", "agreement", "claims", "orders", "cells", "rejected"),
     ),
     "demonstrations": ("variations", "variants"),
     "generated_tasks": ("held-out",),
+    "intent": ("program-bc-human",),
     "objects": ("baseline", "gaps", "leaderboard", "others"),
 }
 PICTURE = Path("published_tables", "results.png")
@@ -165,6 +169,7 @@ class Page:
             "leaderboard": self.leaderboard,
             "others": self.other_tables,
             "held-out": lambda: held_out_tables(self.root),
+            "program-bc-human": lambda: task_table(self.root, "program-bc-human"),
             "cells": self.cell_tables,
             "rejected": self.rejections,
         }

@@ -1,7 +1,7 @@
 """The baselines' scores on held-out tasks, as the study's page has them."""
 
 import csv
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +28,7 @@ def held_out_tables(root: Path) -> str:
     """Tasks by methods, Demo and All; then methods by variants, means over tasks."""
     study = root / "studies" / "generated_tasks"
     plan = PlanResults.read(root, PLAN)
-    methods = read_methods(study / "results")
+    methods = read_methods([*(study / "results" / name for name in (RANDOM, PLAN)), *others(root)])
     header = ("Task", "Expert", *(f"{name} ({_runs(runs)})" for name, runs in methods.items()))
     experts = _expert_scores(study / "expert.csv")
     rows = [
@@ -42,14 +42,28 @@ def held_out_tables(root: Path) -> str:
     return f"{table(header, rows)}\n\n{table(('Mean over tasks', *SHORT_VARIANTS), variants)}"
 
 
-def read_methods(results: Path) -> Mapping[str, Runs]:
+def others(root: Path) -> Iterable[Path]:
+    """What other studies collected on held-out tasks."""
+    return sorted(root.glob(f"studies/*/results/*-{PLAN}"))
+
+
+def task_table(root: Path, name: str) -> str:
+    """A method's mean scores by task and variant, from what was collected of a plan."""
+    plan = PlanResults.read(root, name)
+    folders = root.glob(f"studies/*/results/{name}")
+    parts = []
+    for method, runs in read_methods(folders).items():
+        cells = [[_over_tasks(runs, [t], v) for v in SHORT_VARIANTS] for t in plan.plan["tasks"]]
+        rows = [[task, *row] for task, row in zip(plan.plan["tasks"], cells, strict=True)]
+        over_all = [_over_tasks(runs, plan.plan["tasks"], v) for v in SHORT_VARIANTS]
+        header = (f"{method} ({_runs(runs)})", *SHORT_VARIANTS)
+        parts.append(table(header, [*rows, ["mean", *over_all]]))
+    return "\n\n".join(parts)
+
+
+def read_methods(folders: Iterable[Path]) -> Mapping[str, Runs]:
     """The rollouts of each run of each method."""
-    found = [
-        entry
-        for name in (RANDOM, PLAN)
-        if (results / name).exists()
-        for entry in read_collection(results / name).values()
-    ]
+    found = [entry for path in folders if path.exists() for entry in read_collection(path).values()]
     entries = [entry for entry in found if not isinstance(entry, Exception)]
     groups = group_by(entries, lambda entry: entry.method)
     return {name: [entry.scores for entry in group] for name, group in groups.items()}
