@@ -1,9 +1,9 @@
 """A picture of where a policy fails: the worst rollouts of each task, as strips of frames.
 
-python studies/objects/failure_strips.py RUN --out failures.png [--entry DIR] [--rollouts 3]
+python studies/objects/failure_strips.py RUN... --out failures.png [--rollouts 3]
 
-RUN is a run folder with weights. The rollouts with the lowest scores, of equals the first, are
-taken from the entry (default: the one in RUN) and run again with its seeds, horizon and nudge.
+RUN is a run folder with weights and an entry. The rollouts with the lowest scores, of equals the
+first, are run again with its seeds, horizon and nudge.
 """
 
 import argparse
@@ -26,16 +26,22 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("run", help="a run folder")
-    parser.add_argument("--entry", type=Path, help="a folder with an entry (default: the run's)")
+    parser.add_argument("runs", nargs="+", help="run folders")
     parser.add_argument("--out", type=Path, required=True, metavar="PNG")
     parser.add_argument("--variant", default="All")
     parser.add_argument("--rollouts", type=int, default=3, help="of each task")
     parser.add_argument("--frames", type=int, default=10, help="of each rollout")
     parser.add_argument("--size", type=int, default=96, help="pixels across a frame")
     args = parser.parse_args()
-    entry = read_entry(args.entry or Path(args.run))
-    policy = load_policy(args.run)
+    clips = [each for run in args.runs for each in failures(run, args)]
+    if not clips:
+        raise SystemExit(f"expected rollouts of {args.variant} with a score below 1, found none")
+    picture(clips, args.frames).save(args.out, optimize=True)
+
+
+def failures(run: str, args: argparse.Namespace) -> list[tuple[RolloutScore, Clip]]:
+    """The worst rollouts of each task of a run."""
+    entry, policy = read_entry(Path(run)), load_policy(run)
     clips: list[tuple[RolloutScore, Clip]] = []
     for task in dict.fromkeys(row.env_id.task for row in entry.scores):
         worst = worst_rollouts(entry, task, full_variant(args.variant), args.rollouts)
@@ -50,11 +56,7 @@ def main() -> None:
         for row, clip in zip(worst, recorded, strict=True):
             clips.append((row, clip))
             print(f"{row.env_id} rollout {row.rollout}: {row.score:.2f}, again {clip.score:.2f}")
-    if not clips:
-        raise SystemExit(
-            f"{args.run}: expected rollouts of {args.variant} with a score below 1, found none"
-        )
-    picture(clips, args.frames).save(args.out, optimize=True)
+    return clips
 
 
 def worst_rollouts(entry: Entry, task: str, variant: str, count: int) -> list[RolloutScore]:
