@@ -1,8 +1,9 @@
 """What to move, and where to, by a belief about the goal.
 
-Each program of the belief is a goal in the present scene. Of the things that must move most probably
-one is moved next, to the place where the least work is then expected under all goals, ways included;
-if that takes off less than a move costs, another thing. If none does, nothing is left to do.
+Each program of the belief is a goal in the present scene. Of the things that must move most
+probably one is moved next, to the place where the least work is then expected under all goals,
+ways included; if that takes off less than a move costs, another thing. If none does, nothing is
+left to do.
 """
 
 import math
