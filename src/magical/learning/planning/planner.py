@@ -6,16 +6,15 @@ and more where the robot or its block would run into something. The first action
 sampled: the cheaper, the more probable; of a robot that is stuck, more randomly.
 """
 
-import math
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled import nogil_entry_point
 from magical.experts.geometry import ROBOT_LIMIT
 from magical.learning.objects.hindsight import ROBOT_TARGET
+from magical.learning.planning.kernels import compiled_roll_out
 from magical.learning.planning.motion import Floats, Motion, from_robot, robot_steps, to_robot
 from magical.learning.planning.remaining import (
     APART,
@@ -153,33 +152,6 @@ class Planner:
         reach = float(to_robot(seen.pose, seen.blocks[seen.target])[1]) if held else 0.0
         speeds = self.motion.speeds[int(held)]
         return steps_to_place(seen.place, ends, seen.others, speeds, self._search, reach)
-
-
-@nogil_entry_point
-def compiled_roll_out(
-    commands: NDArray[np.int64],
-    pose: Floats,
-    speeds: Floats,
-    drive: Floats,
-    turn: Floats,
-    limit: float,
-    poses: Floats,
-) -> None:
-    """Fill in the poses (HORIZON, M, 3) of plans' commands from a pose and its speeds."""
-    for plan in range(commands.shape[1]):
-        speed, spin = speeds[0], speeds[1]
-        x, y, angle = pose[0], pose[1], pose[2]
-        for step in range(commands.shape[0]):
-            speed *= drive[0]
-            if commands[step, plan, 0]:
-                speed += drive[1 + (commands[step, plan, 0] > 0)]
-            spin = turn[0] * spin + turn[1] * commands[step, plan, 1]
-            new_x = x - math.sin(angle + spin / 2) * speed
-            new_y = y + math.cos(angle + spin / 2) * speed
-            if abs(new_x) <= limit and abs(new_y) <= limit:
-                x, y = new_x, new_y
-            angle += spin
-            poses[step, plan, 0], poses[step, plan, 1], poses[step, plan, 2] = x, y, angle
 
 
 def _collisions(seen: Situation, paths: Floats, held: bool) -> Floats:

@@ -4,12 +4,10 @@ Motions are taken to be turns on the spot and straight drives at top speed, forw
 `speeds` (3,) are those of `Motion`: units a step backwards and ahead, rad a step.
 """
 
-import math
-
 import numpy as np
 
-from magical.compiled import nogil_entry_point
 from magical.experts.geometry import CONTACT_DISTANCE, ROBOT_LIMIT, wrap_angle
+from magical.learning.planning.kernels import compiled_overlaps
 from magical.learning.planning.motion import Floats, Motion
 from magical.learning.planning.routes import Search
 from magical.scene.constants import BLOCK_SIZE
@@ -22,8 +20,6 @@ DIRECTIONS = 16  # from which a block can be grasped
 RUN_UP = 0.14  # units driven straight ahead before a grasp
 FIT = 0.7  # share of the demonstrated distance aside that grasps aim at
 HIT = 60.0  # control steps for each unit of overlap
-FINGERS = np.array([[-0.2, 0.26], [0.2, 0.26], [-0.22, 0.12], [0.22, 0.12]])  # (right, ahead)
-FINGER_ROOM = 0.13  # units from there to a block's centre
 DETOUR = 1.1, 0.05  # a route is straight that is at most so many times, and units, longer
 CLOSE = 0.05  # units: nearer to its place the robot need not face it
 ARRIVAL = 0.1  # units from the run-up's start: nearer, the robot turns into its direction
@@ -35,26 +31,8 @@ _AHEAD = np.stack([-np.sin(_ANGLES), np.cos(_ANGLES)], axis=1)  # (DIRECTIONS, 2
 def obstruction(poses: Floats, blocks: Floats, body: float = CONTACT_DISTANCE) -> Floats:
     """Control steps (...) that blocks (N, 2) and walls cost the robot at poses (..., 3)."""
     costs = np.empty(poses.shape[:-1])
-    compiled_obstruction(poses.reshape(-1, 3), blocks, body, costs.reshape(-1))
-    return costs
-
-
-@nogil_entry_point
-def compiled_obstruction(poses: Floats, blocks: Floats, body: float, costs: Floats) -> None:
-    """Fill in the costs (P,) at poses (P, 3)."""
-    for at in range(len(poses)):
-        x, y = poses[at, 0], poses[at, 1]
-        sin, cos = math.sin(poses[at, 2]), math.cos(poses[at, 2])
-        overlap = max(abs(x) - ROBOT_LIMIT, 0.0) + max(abs(y) - ROBOT_LIMIT, 0.0)
-        for block in range(len(blocks)):
-            dx, dy = blocks[block, 0] - x, blocks[block, 1] - y
-            deepest = max(body - math.hypot(dx, dy), 0.0)
-            right, ahead = dx * cos + dy * sin, dy * cos - dx * sin
-            for finger in range(len(FINGERS)):
-                away = math.hypot(right - FINGERS[finger, 0], ahead - FINGERS[finger, 1])
-                deepest = max(deepest, FINGER_ROOM - away)
-            overlap += deepest
-        costs[at] = HIT * overlap
+    compiled_overlaps(poses.reshape(-1, 3), blocks, body, ROBOT_LIMIT, costs.reshape(-1))
+    return HIT * costs
 
 
 def steps_to_place(
