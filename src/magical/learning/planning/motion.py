@@ -1,8 +1,9 @@
 """How the robot moves, learned from demonstrations: free, and with a block between its fingers.
 
 In a control step the robot keeps a share of its speed and gains what the action gives it; so does
-its turning. Both are fitted to parsed frames by least squares, turning with left and right
-interchangeable, so that ten demonstrations are enough. Nothing about contacts is learned.
+its turning. Both are fitted to parsed frames, turning with left and right interchangeable, from
+what is known of other tasks (`PRIOR`), so that ten demonstrations are enough. Nothing about
+contacts is learned: the fit is robust, so that they do not spoil it.
 """
 
 from collections.abc import Callable, Sequence
