@@ -74,7 +74,7 @@ def fit_motion(demonstrations: Sequence[Demonstration]) -> Motion:
     return Motion(drive, turn, np.array([aside, nearest, farthest]))
 
 
-def _fit(steps: "_Steps", row: int) -> tuple[Floats, Floats]:
+def _fit(steps: _Steps, row: int) -> tuple[Floats, Floats]:
     """Coefficients of drive (3,) and turn (2,), free or with a block."""
     rows = steps.carried == bool(row)
     (speed, spin), (drive, turn) = steps.before[rows].T, steps.commands[rows, :2].T
