@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from magical.learning.objects.parser import parse_frames
-from magical.learning.objects.table import ObjectTable, parse_table
+from magical.learning.objects.table import ObjectTable, to_table
 from magical.observe.pixels import CHANNELS
 from magical.scene import Colour, Shape
 
@@ -32,7 +32,7 @@ class Objects(nn.Module):
     def forward(self, images: Tensor) -> tuple[Tensor, Tensor]:
         """The robot comes first, then blocks, then regions."""
         pixels = (images * 255).round().to(torch.uint8).permute(0, 2, 3, 1).cpu().numpy()
-        newest = parse_table(pixels[..., -CHANNELS:])
+        newest = to_table(parse_frames(pixels[..., -CHANNELS:]))
         table = ObjectTable(*(each.to(images.device) for each in newest))
         before = torch.from_numpy(parse_frames(pixels[..., :CHANNELS], robot_alone=True).robot)
         robot, count = table.robot, table.size

@@ -21,7 +21,8 @@ from magical.learning.intent.acting import Intention
 from magical.learning.intent.posterior import Belief, Explanation
 from magical.learning.intent.scenes import parsed_poses, parsed_scene
 from magical.learning.objects.hindsight import ROBOT_TARGET, track
-from magical.learning.objects.parser import ParsedFrames, parse_frames
+from magical.learning.objects.parser import ParsedFrames
+from magical.learning.objects.perception import Perception
 from magical.learning.planning.planner import Planner, Situation
 from magical.learning.running.loading import load_policy
 from magical.scene import NOOP, Poses, State
@@ -68,7 +69,7 @@ class OraclePolicy:
 
     def __init__(self, policy: ProgramPolicy, truths: Sequence[str]) -> None:
         self.tasks = policy.tasks
-        self._truths, self._motion = truths, policy.network.motion
+        self._truths, self._network = truths, policy.network
         self._beliefs = {task: policy.network.belief(k) for k, task in enumerate(self.tasks)}
         if "program" in truths:
             programs = {task: get_task(task).program for task in self.tasks}
@@ -95,8 +96,9 @@ class OraclePolicy:
         for row, (state, env_id) in enumerate(zip(observations, env_ids, strict=True)):
             episode = self._episodes[row]
             if episode is None:
-                belief, planner = self._beliefs[env_id.task], Planner(self._motion)
-                episode = _Episode(env_id.task, state, belief, planner, self._truths)
+                belief, planner = self._beliefs[env_id.task], Planner(self._network.motion)
+                parts = belief, planner, self._network.perception
+                episode = _Episode(env_id.task, state, *parts, self._truths)
                 self._episodes[row] = episode
             actions.append(episode.act(state, uniforms[row]))
         return np.array(actions)
@@ -106,9 +108,15 @@ class _Episode:
     """The belief in an episode, and who acts by it."""
 
     def __init__(
-        self, task: str, state: State, belief: Belief, planner: Planner, truths: Sequence[str]
+        self,
+        task: str,
+        state: State,
+        belief: Belief,
+        planner: Planner,
+        perception: Perception,
+        truths: Sequence[str],
     ) -> None:
-        self._truths, self._planner = truths, planner
+        self._truths, self._planner, self._perception = truths, planner, perception
         self._expert = ExpertEpisode(task, state, seed=0)
         self._parsed = self._parse(state)
         scene = state.scene if "perception" in truths else parsed_scene(self._parsed, 0)
@@ -142,7 +150,7 @@ class _Episode:
     def _parse(self, state: State) -> ParsedFrames:
         frame = np.empty((1, FRAME_SIZE, FRAME_SIZE, 3), np.uint8)
         self._expert.renderer.render(state.poses.bodies, frame[0])
-        return parse_frames(frame)
+        return self._perception(frame)
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from magical.demos.generate import demonstrate
 from magical.demos.store.reader import TrajectorySource
 from magical.envs.ids import all_env_ids
 from magical.learning.objects import parser as p
+from magical.learning.objects.perception import Perception
 from magical.render import Renderer
 from magical.scene import Poses, Scene, View
 from magical.scene.constants import FINGER_OPEN
@@ -45,7 +46,7 @@ def main() -> None:
         measure(args.episodes)
 
 
-def measure(episodes: int) -> None:
+def measure(episodes: int, perception: Perception = p.parse_frames) -> None:
     """Print a row of figures for each variant."""
     print(
         "variant frames  ms  block mm  p95  robot mm  angle p95  finger  missed false shape regions"
@@ -53,13 +54,13 @@ def measure(episodes: int) -> None:
     by_variant = defaultdict(list)
     for env_id in all_env_ids():
         for k in range(episodes):
-            by_variant[env_id.variant].append(compare(env_id, SEED + k))
+            by_variant[env_id.variant].append(compare(env_id, SEED + k, perception))
     for variant, parts in by_variant.items():
         columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
         show(variant, columns)
 
 
-def compare(env_id: str, seed: int) -> dict[str, NDArray[np.float64]]:
+def compare(env_id: str, seed: int, perception: Perception) -> dict[str, NDArray[np.float64]]:
     """Errors of an expert's episode."""
     trajectory = demonstrate(env_id, seed=seed)
     source = TrajectorySource(trajectory)
@@ -69,7 +70,7 @@ def compare(env_id: str, seed: int) -> dict[str, NDArray[np.float64]]:
     for frame, step in zip(frames, times.tolist(), strict=True):
         view.render(step, frame)
     start = time.process_time()
-    parsed = p.parse_frames(frames)
+    parsed = perception(frames)
     spent = (time.process_time() - start) / len(times) * 1e3
     assert trajectory.poses is not None
     poses = trajectory.poses[times]

@@ -27,9 +27,9 @@ from magical.experts.planning import Move, MovePlan, Planner, Strategy
 from magical.experts.state_view import StateView
 from magical.learning.algorithms.object_bc import ObjectPolicy
 from magical.learning.objects.hindsight import ROBOT_TARGET
-from magical.learning.objects.parser import FAR, MAX_BLOCKS
+from magical.learning.objects.parser import FAR, MAX_BLOCKS, parse_frames
 from magical.learning.objects.regions import MAX_REGIONS
-from magical.learning.objects.table import ObjectTable, parse_table, to_tensor
+from magical.learning.objects.table import ObjectTable, to_table, to_tensor
 from magical.learning.policy import TrainedPolicy, sample_actions
 from magical.learning.running.loading import load_policy
 from magical.observe.pixels import STACK
@@ -127,7 +127,7 @@ class PartlyTruePolicy:
             frames = np.empty((len(episodes), FRAME_SIZE, FRAME_SIZE, 3), np.uint8)
             for frame, episode, state in zip(frames, episodes, observations, strict=True):
                 episode.renderer.render(state.poses.bodies, frame)
-            table = parse_table(frames)
+            table = to_table(parse_frames(frames))
         for episode, pose in zip(episodes, table.robot.double().numpy(), strict=True):
             episode.note_pose(pose)
         targets, destinations = self._network.goals.decide(table, tasks)

@@ -16,7 +16,8 @@ from magical.learning.algorithms import object_bc
 from magical.learning.algorithms.object_bc import ObjectBCConfig, make_policy
 from magical.learning.objects.control import control_inputs
 from magical.learning.objects.hindsight import ROBOT_TARGET
-from magical.learning.objects.table import ObjectTable, parse_table
+from magical.learning.objects.parser import parse_frames
+from magical.learning.objects.table import ObjectTable, to_table
 from magical.runs import read_metrics
 from tests.learning import tiny_runs
 from tests.learning.tiny_runs import assert_same, checkpoint
@@ -136,7 +137,7 @@ def _stacks() -> np.ndarray:
 
 
 def _table() -> ObjectTable:
-    return parse_table(np.ascontiguousarray(_stacks().transpose(0, 2, 3, 1)[..., 9:]))
+    return to_table(parse_frames(np.ascontiguousarray(_stacks().transpose(0, 2, 3, 1)[..., 9:])))
 
 
 def test_mirrored_inputs_are_those_of_the_mirrored_scene() -> None:

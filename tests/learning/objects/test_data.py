@@ -10,6 +10,7 @@ from magical.demos.generate import demonstrate
 from magical.envs import EnvId
 from magical.errors import DemonstrationsError
 from magical.learning.objects.data import ObjectData
+from magical.learning.objects.parser import parse_frames
 from magical.observe import PRESETS
 
 TASK = "MoveToRegion"
@@ -21,10 +22,10 @@ def test_steps_of_a_watched_policy_are_not_sampled() -> None:
     actors = np.full(len(trajectory), Actor.POLICY)
     actors[:12] = Actor.HUMAN
     taken_over = replace(trajectory, actors=actors)
-    data = ObjectData(((TASK, taken_over),), [TASK], COMPONENT)
+    data = ObjectData(((TASK, taken_over),), [TASK], COMPONENT, parse_frames)
     rng = np.random.default_rng(0)
     assert set(data.sample_each(500, rng).tolist()) == set(range(12))
     assert data.sample_eventful(500, rng).max() < 12
     watched = replace(trajectory, actors=np.full(len(trajectory), Actor.POLICY))
     with pytest.raises(DemonstrationsError, match=f"{TASK}: expected steps that were demonstr"):
-        ObjectData(((TASK, watched),), [TASK], COMPONENT)
+        ObjectData(((TASK, watched),), [TASK], COMPONENT, parse_frames)

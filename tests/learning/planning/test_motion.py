@@ -8,7 +8,7 @@ import pytest
 from magical.demos.generate import demonstrate
 from magical.learning.objects.data import parse_trajectory
 from magical.learning.objects.hindsight import track
-from magical.learning.objects.parser import ParsedFrames
+from magical.learning.objects.parser import ParsedFrames, parse_frames
 from magical.learning.planning.motion import (
     PRIOR,
     Demonstration,
@@ -26,7 +26,7 @@ from magical.tasks import get_task
 def demonstrations(task: str, seeds: Sequence[int]) -> list[Demonstration]:
     component = make_spec("LoRes4A", get_task(task)).components[0]
     trajectories = [demonstrate(f"magical/{task}-Demo-v0", seed=seed) for seed in seeds]
-    return [(track(parse_trajectory(t, component)), t.actions) for t in trajectories]
+    return [(track(parse_trajectory(t, component, parse_frames)), t.actions) for t in trajectories]
 
 
 @pytest.fixture(scope="module")

@@ -74,7 +74,7 @@ def read_config(folder: Path) -> Config:
     """
     path = folder / CONFIG
     data = read_json(path)
-    names = {key: data.get(key) for key in ("algorithm", "network", "observation")}
+    names = {key: data.get(key) for key in ("algorithm", "network", "observation", "perception")}
     for key, name in names.items():
         if key == "algorithm" and not isinstance(name, str):
             raise RunFolderError(f"{path}: expected the name of an algorithm, found none")

@@ -1,6 +1,6 @@
 """Object-centred behavioural cloning: parse objects, choose a goal, act towards it.
 
-1. Frames are parsed into objects (`magical.learning.objects.parser`).
+1. Frames are parsed into objects (`magical.learning.objects.parser`, or a perception of others).
 2. In hindsight every recorded state gets the goal that was reached from it: which block was moved
    next, and where to.
 3. A goal model learns the likelihood of those goals from relations between objects, and a
@@ -27,8 +27,8 @@ from magical.learning.objects.control import Controller, control_inputs
 from magical.learning.objects.data import ObjectData
 from magical.learning.objects.goals import BORDER, CANDIDATES, REFITTED, GoalModel, goal_losses
 from magical.learning.objects.hindsight import ROBOT_TARGET
-from magical.learning.objects.parser import parse_frames
-from magical.learning.objects.table import ObjectTable, parse_table
+from magical.learning.objects.perception import PARSER, PERCEPTIONS, get_perception
+from magical.learning.objects.table import ObjectTable, to_table
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import (
     StateDict,
@@ -68,6 +68,9 @@ class ObjectBCConfig(Config):
 
     algorithm: str = "object-bc"
     demonstrations: DemonstrationSettings
+    perception: str = option(
+        PARSER, "what finds the objects of frames", choices=(PARSER,), others=PERCEPTIONS
+    )
     batches: int = option(6000, "batches in all", POSITIVE)
     batch_size: int = option(256, "samples per batch of the controller", POSITIVE)
     learning_rate: float = option(2e-3, "of the controller; annealed linearly to 0", POSITIVE)
@@ -129,6 +132,7 @@ class ObjectPolicy(nn.Module):
 
     def __init__(self, config: ObjectBCConfig) -> None:
         super().__init__()
+        self.perception = get_perception(config.perception)
         self.goals = GoalModel(len(config.tasks))
         self.controller = Controller(HIDDEN)
         self.ranges = config.block_range, config.wall_range
@@ -137,8 +141,9 @@ class ObjectPolicy(nn.Module):
     def forward(self, observations: Tensor, tasks: Tensor) -> Tensor:
         """Logits (B, 18) of stacks (B, 12, 96, 96), uint8."""
         newest, oldest = (stacked_frames(observations, k) for k in (STACK - 1, 0))
-        table = ObjectTable(*(column.to(tasks.device) for column in parse_table(newest)))
-        before = torch.from_numpy(parse_frames(oldest, robot_alone=True).robot).to(table.robot)
+        parsed = to_table(self.perception(newest))
+        table = ObjectTable(*(column.to(tasks.device) for column in parsed))
+        before = torch.from_numpy(self.perception(oldest, robot_alone=True).robot).to(table.robot)
         plain = torch.autocast(tasks.device.type, enabled=False)  # positions need float32
         with one_thread():
             with plain:
@@ -194,10 +199,11 @@ def initialised(policy: AnyPolicy, config: ObjectBCConfig) -> AnyPolicy:
 def train(config: ObjectBCConfig, run: Run) -> None:
     """Learn from the demonstrations."""
     device = choose_device(config.device)
-    trainer = ObjectBCTrainer(config, run, make_policy(config), device)
+    policy = make_policy(config)
+    trainer = ObjectBCTrainer(config, run, policy, device)
     demonstrations = load_demonstrations(config, run)
     component = config.observation_spec.components[0]
-    trainer.fit(ObjectData(demonstrations, config.tasks, component, device))
+    trainer.fit(ObjectData(demonstrations, config.tasks, component, policy.perception, device))
 
 
 class ObjectBCTrainer:

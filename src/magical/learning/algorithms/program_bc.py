@@ -39,7 +39,8 @@ from magical.learning.intent.posterior import Belief, Explanation, infer
 from magical.learning.intent.scenes import parsed_episode, parsed_poses, parsed_scene
 from magical.learning.objects.data import ObjectData, parse_trajectory
 from magical.learning.objects.hindsight import track
-from magical.learning.objects.parser import ParsedFrames, parse_frames
+from magical.learning.objects.parser import ParsedFrames
+from magical.learning.objects.perception import get_perception
 from magical.learning.planning.motion import Motion, fit_motion
 from magical.learning.planning.planner import Planner, Situation
 from magical.learning.policy import TrainedPolicy, choose_actions, to_inputs
@@ -130,7 +131,7 @@ class ProgramPolicy(TrainedPolicy):
         """See `TrainedPolicy`."""
         stacks = to_inputs(observations, self._spec)
         tasks = self.task_numbers(env_ids)
-        parsed = parse_frames(stacked_frames(stacks, STACK - 1))
+        parsed = self.network.perception(stacked_frames(stacks, STACK - 1))
         uniforms = rng.random(len(tasks))
         actions = np.full(len(tasks), NOOP)
         unknown = []
@@ -195,7 +196,7 @@ def train(config: ProgramBCConfig, run: Run) -> None:
             policy.believe(number, belief)
     trainer = ObjectBCTrainer(config, run, policy, device)
     component = config.observation_spec.components[0]
-    trainer.fit(ObjectData(demonstrations, config.tasks, component, device))
+    trainer.fit(ObjectData(demonstrations, config.tasks, component, policy.perception, device))
 
 
 def infer_beliefs(config: ProgramBCConfig, demonstrations: TaskTrajectories) -> dict[str, Belief]:
@@ -207,8 +208,10 @@ def _track(
     config: ProgramBCConfig, demonstrations: TaskTrajectories
 ) -> list[tuple[str, Trajectory, ParsedFrames]]:
     """Each demonstration with its task and its tracked frames."""
-    component = config.observation_spec.components[0]
-    return [(task, t, track(parse_trajectory(t, component))) for task, t in demonstrations]
+    component, perception = config.observation_spec.components[0], get_perception(config.perception)
+    return [
+        (task, t, track(parse_trajectory(t, component, perception))) for task, t in demonstrations
+    ]
 
 
 def _infer(

@@ -13,7 +13,8 @@ from magical.errors import DemonstrationsError
 from magical.learning.data.expert_data import TaskTrajectories
 from magical.learning.objects.goals import relate_blocks
 from magical.learning.objects.hindsight import ROBOT_TARGET, find_goals, track
-from magical.learning.objects.parser import ParsedFrames, parse_frames
+from magical.learning.objects.parser import ParsedFrames
+from magical.learning.objects.perception import Perception
 from magical.learning.objects.table import ObjectTable, to_tensor
 from magical.observe import Component
 
@@ -40,9 +41,10 @@ class ObjectData:
         demonstrations: TaskTrajectories,
         task_names: Sequence[str],
         component: Component,
+        perception: Perception,
         device: str = "cpu",
     ) -> None:
-        """Parse all frames, read through the allocentric component of the observation.
+        """Find the objects of all frames, read through an allocentric component.
 
         Steps in which a watched policy acted by itself are never sampled.
 
@@ -50,7 +52,7 @@ class ObjectData:
             DemonstrationsError: no samples are left of a task.
         """
         parts = [
-            _samples(trajectory, task_names.index(task), component)
+            _samples(trajectory, task_names.index(task), component, perception)
             for task, trajectory in demonstrations
         ]
         tables, targets, destinations, actions, tasks, eventful = zip(*parts, strict=True)
@@ -93,10 +95,10 @@ class ObjectData:
 
 
 def _samples(
-    trajectory: Trajectory, task: int, component: Component
+    trajectory: Trajectory, task: int, component: Component, perception: Perception
 ) -> tuple[ObjectTable, Tensor, Tensor, Tensor, Tensor, Tensor]:
     """One demonstration's scenes, targets, destinations, actions, task, and which are not idle."""
-    parsed = track(parse_trajectory(trajectory, component))
+    parsed = track(parse_trajectory(trajectory, component, perception))
     intended = trajectory.is_demonstrated & (trajectory.labels == trajectory.actions)
     targets, destinations = find_goals(parsed.robot, parsed.blocks, intended)
     return (
@@ -118,11 +120,13 @@ def _moves(parsed: ParsedFrames) -> NDArray[np.bool_]:
     return moves
 
 
-def parse_trajectory(trajectory: Trajectory, component: Component) -> ParsedFrames:
+def parse_trajectory(
+    trajectory: Trajectory, component: Component, perception: Perception
+) -> ParsedFrames:
     """The objects of all time steps."""
     source, steps = TrajectorySource(trajectory), np.arange(len(trajectory) + 1)
     parts = []
     for start in range(0, len(steps), CHUNK):
         frames = component.read(source, steps[start : start + CHUNK])  # (B, 3, 96, 96)
-        parts.append(parse_frames(frames.transpose(0, 2, 3, 1)))
+        parts.append(perception(frames.transpose(0, 2, 3, 1)))
     return ParsedFrames(*map(np.concatenate, zip(*parts, strict=True)))

@@ -7,8 +7,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from magical.learning.objects.components import Pixels
-from magical.learning.objects.parser import ABSENT, FAR, parse_frames
+from magical.learning.objects.parser import ABSENT, FAR, ParsedFrames
 
 GRIP = 0.28  # units ahead of the robot's centre: where a gripped block's centre lies
 
@@ -63,9 +62,9 @@ class ObjectTable(NamedTuple):
         return self.robot[:, :2] + GRIP * torch.stack([-angle.sin(), angle.cos()], dim=1)
 
 
-def parse_table(frames: Pixels) -> ObjectTable:
-    """The objects of B allocentric frames (B, 96, 96, 3)."""
-    return ObjectTable(*map(to_tensor, parse_frames(frames)))
+def to_table(parsed: ParsedFrames) -> ObjectTable:
+    """The objects of B frames as tensors."""
+    return ObjectTable(*map(to_tensor, parsed))
 
 
 def to_tensor(array: NDArray[Any]) -> Tensor:

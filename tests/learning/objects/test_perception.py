@@ -1,0 +1,51 @@
+"""What finds the objects in place of the parser."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from magical.errors import PluginError, UnknownNameError
+from magical.learning import load_policy, train
+from magical.learning.algorithms.object_bc import ObjectBCConfig
+from magical.learning.algorithms.program_bc import ProgramBCConfig
+from magical.learning.objects.components import Pixels
+from magical.learning.objects.parser import ParsedFrames, parse_frames
+from magical.learning.objects.perception import get_perception
+from tests.learning.tiny_runs import tiny
+
+NAME = f"{__name__}:count"
+seen: list[int] = []
+
+
+def count(frames: Pixels, robot_alone: bool = False) -> ParsedFrames:
+    """Parses, and counts frames."""
+    seen.append(len(frames))
+    return parse_frames(frames, robot_alone)
+
+
+def config(kind: type[ObjectBCConfig], demos: Path, perception: str) -> ObjectBCConfig:
+    fields = {"tasks": ("FixColour",), "demos": str(demos), "batches": 2, "batch_size": 8}
+    return tiny(kind, "paper", **fields, perception=perception)
+
+
+@pytest.mark.parametrize("kind", [ObjectBCConfig, ProgramBCConfig])
+def test_training_and_acting_take_it(
+    kind: type[ObjectBCConfig], expert_demos: Path, tmp_path: Path
+) -> None:
+    seen.clear()
+    assert train(config(kind, expert_demos, NAME), tmp_path / "run").finished
+    assert sum(seen) > 20  # the demonstrations' frames
+    policy = load_policy(tmp_path / "run", device="cpu")
+    policy.reset(np.ones(1, bool))
+    seen.clear()
+    stack = np.full((1, 96, 96, 12), 255, np.uint8)
+    policy.act(stack, ["magical/FixColour-Demo-v0"], np.random.default_rng(0))
+    assert seen
+
+
+def test_other_names_are_refused(expert_demos: Path) -> None:
+    with pytest.raises(UnknownNameError, match="perception 'eyes' is unknown; expected one of"):
+        config(ObjectBCConfig, expert_demos, "eyes")
+    with pytest.raises(PluginError, match="expected a function of frames, found list"):
+        get_perception(f"{__name__}:seen")
