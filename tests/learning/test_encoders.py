@@ -203,6 +203,9 @@ def test_another_encoder_is_refused(
     monkeypatch.setattr(timm, "create_model", lambda *args, **kwargs: Encoder(seed=1))
     with pytest.raises(CheckpointError, match=r"another encoder: expected weights with the SHA"):
         load_policy(tmp_path)
+    monkeypatch.delitem(sys.modules, "timm")
+    with pytest.raises(MissingDependencyError, match="network timm:tiny.tag: .* pip install timm"):
+        load_policy(tmp_path)
 
 
 def test_other_learners_take_it_too(timm: FakeTimm, demos: Path, tmp_path: Path) -> None:

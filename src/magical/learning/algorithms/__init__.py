@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from magical.errors import RunFolderError
 from magical.extras import require
 from magical.learning.config import Config
+from magical.learning.networks import TIMM
 from magical.plugins import Registry, require_known_module
 from magical.runs.folder import CONFIG, read_json
 
@@ -78,6 +79,6 @@ def read_config(folder: Path) -> Config:
     for key, name in names.items():
         if key == "algorithm" and not isinstance(name, str):
             raise RunFolderError(f"{path}: expected the name of an algorithm, found none")
-        if isinstance(name, str):
+        if isinstance(name, str) and not name.startswith(TIMM):
             require_known_module(name, str(path))
     return find_algorithm(str(names["algorithm"])).config.from_dict(data, str(path))
