@@ -25,7 +25,6 @@ from magical.web.driver import episode_probabilities, roll_out
 from magical.web.library.sources import (
     ROLLOUTS,
     DatasetSource,
-    LibrarySource,
     RolloutSource,
     summary,
     unique_names,
@@ -93,8 +92,7 @@ class Library:
     def __init__(self, datasets: Sequence[Path], policies: Policies) -> None:
         sources = map(DatasetSource, unique_names(datasets), datasets)
         self._rollouts = RolloutSource()
-        self._sources: dict[str, LibrarySource] = {f"d{i}": one for i, one in enumerate(sources)}
-        self._sources[ROLLOUTS] = self._rollouts
+        self._sources = {f"d{i}": one for i, one in enumerate(sources)} | {ROLLOUTS: self._rollouts}
         self._policies = policies
         self._rng = np.random.default_rng()  # of the seeds of scenes
         self._limit = RateLimit(REQUEST_RATE, REQUEST_BURST, monotonic())
@@ -142,7 +140,7 @@ class Library:
 
         return Route(path, respond, methods=[method])
 
-    def _find(self, key: str) -> LibrarySource:
+    def _find(self, key: str) -> DatasetSource | RolloutSource:
         if key not in self._sources:
             raise NotFoundError(f"source: expected one of {', '.join(self._sources)}")
         return self._sources[key]

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from itertools import count
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from magical.demos.store import manifest
 from magical.demos.store.dataset import Dataset
@@ -14,18 +14,6 @@ from magical.errors import NotFoundError
 
 ROLLOUTS = "rollouts"  # the key of a server's `RolloutSource`
 MAX_ROLLOUTS = 50  # that are kept; the oldest are dropped first
-
-
-class LibrarySource(Protocol):
-    """Episodes that the page can list and open, by numbers that they keep."""
-
-    name: str
-
-    def episodes(self) -> Mapping[int, Trajectory | ManifestEntry]:
-        """All episodes, or their entries in a manifest, oldest first; raises `DatasetError`."""
-
-    def read(self, number: int) -> Trajectory:
-        """The episode of a number; raises `NotFoundError` or `DatasetError`."""
 
 
 class DatasetSource:
@@ -42,11 +30,11 @@ class DatasetSource:
         self._open()
 
     def episodes(self) -> Mapping[int, ManifestEntry]:
-        """See `LibrarySource`."""
+        """The manifest's entries by the numbers that episodes keep, oldest first."""
         return {entry.index: entry for entry in self._open().entries}
 
     def read(self, number: int) -> Trajectory:
-        """See `LibrarySource`."""
+        """The episode of a number; raises `NotFoundError` or `DatasetError`."""
         dataset = self._open()
         for entry in dataset.entries:
             if entry.index == number:
@@ -74,11 +62,11 @@ class RolloutSource:
         return number
 
     def episodes(self) -> Mapping[int, Trajectory]:
-        """See `LibrarySource`."""
+        """All episodes by their numbers, oldest first."""
         return self._episodes
 
     def read(self, number: int) -> Trajectory:
-        """See `LibrarySource`."""
+        """The episode of a number; raises `NotFoundError`."""
         if episode := self._episodes.get(number):
             return episode
         raise NotFoundError(f"rollout {number} is not kept any more; roll out again")
