@@ -1,5 +1,10 @@
-"""What executing a plan would do: its runs, their estimated cost, and what is already done."""
+"""What executing a plan would do: its runs, their estimated cost, and what is already done.
 
+Estimates are for this machine, and right within a factor of two or so.
+"""
+
+import math
+import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -7,12 +12,27 @@ from pathlib import Path
 from typing import Any
 
 from magical.experiments.display import duration
-from magical.experiments.estimates import SOURCE, estimate
 from magical.experiments.plan import PlannedRun
 from magical.experiments.results import DONE, FAILED, planned_states
+from magical.learning import Config
+from magical.learning.config import DemonstrationSettings, NetworkSettings
 from magical.runs.plan import in_words
 
 HEADER = ("method", "tasks", "seed", "time", "state")
+Way = tuple[str, str, str, int]  # network, device, precision, threads: what speed depends on
+ROUNDS = 2  # timed batches of a network
+FORWARD = 1 / 3  # time of a forward pass, of that of a forward and backward pass
+
+# Rendering and augmenting a sample of behavioural cloning takes 25 to 50 ms of a core for 32 of
+# them; 7,500 steps a second of an environment with its pixels (docs/benchmarks.md).
+SECONDS_PER_PREPARED_SAMPLE = 1.2e-3
+SECONDS_PER_STEP = 1 / 7_500
+
+SOURCE = (
+    "estimated from the training speed of the networks, measured just now on this machine, for a "
+    "core that a run has to itself; for a learner without such a network, from what it took "
+    "elsewhere"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +47,7 @@ class Forecast:
 
     out: Path
     runs: Sequence[tuple[PlannedRun, float, str]]
-    kept: Sequence[str] = (DONE, FAILED)
+    kept: Sequence[str]
 
     def rows(self) -> list[tuple[str, ...]]:
         """A row of `HEADER` for each run."""
@@ -70,3 +90,55 @@ def forecast(runs: Sequence[PlannedRun], out: Path, *, retry_failed: bool = Fals
     states = planned_states(out, runs)
     kept = (DONE,) if retry_failed else (DONE, FAILED)
     return Forecast(out, list(zip(runs, estimate(runs), states, strict=True)), kept)
+
+
+def estimate(runs: Sequence[PlannedRun]) -> list[float]:
+    """The seconds that each run takes in a process of its own, with its number of threads.
+
+    Takes some seconds to measure the networks' training speed.
+    """
+    ways = {_way(run.config) for run in runs if not run.config.seconds_each}
+    speeds = _measure(ways)
+    return [_estimate(run, speeds.get(_way(run.config), math.nan)) for run in runs]
+
+
+def _estimate(run: PlannedRun, speed: float) -> float:
+    """An estimate from the samples a second of forward and backward passes here."""
+    config = run.config
+    horizon, env_ids = run.evaluation.horizon, run.evaluation.env_ids
+    evaluated = run.evaluation.rollouts * sum(i.task_spec.resolve_horizon(horizon) for i in env_ids)
+    samples, steps = config.training_samples, config.environment_steps + evaluated
+    if config.seconds_each:
+        per_sample, per_action = config.seconds_each
+        return samples * per_sample + steps * (per_action + SECONDS_PER_STEP)
+    cloning = config.part(DemonstrationSettings) and not config.environment_steps
+    prepared = samples if cloning else 0
+    learning = (samples + FORWARD * steps) / speed + prepared * SECONDS_PER_PREPARED_SAMPLE
+    return learning + steps * SECONDS_PER_STEP
+
+
+def _way(config: Config) -> Way:
+    from magical.learning.running.devices import choose_compute, choose_device
+
+    device = choose_device(config.device)
+    compute = choose_compute(device, config.precision, config.threads)
+    threads = compute.threads if device == "cpu" else 0
+    networks = config.part(NetworkSettings)
+    network = networks.network if networks else "paper"
+    return network, device, compute.precision, threads
+
+
+def _measure(ways: set[Way]) -> dict[Way, float]:
+    """Samples a second of forward and backward passes."""
+    from magical.learning.running.speed import training_speeds
+
+    found: dict[Way, float] = {}
+    for network, device, threads in {(network, device, n) for network, device, _, n in ways}:
+        # Of one thread, the processor time is measured: what else runs here does not matter.
+        clock = time.process_time if threads == 1 else time.perf_counter
+        speeds = training_speeds(
+            network, device=device, rounds=ROUNDS, threads=(threads,), clock=clock
+        )
+        for compute, speed in speeds.items():
+            found[network, device, compute.precision, threads] = speed
+    return found

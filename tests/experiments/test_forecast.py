@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from magical.experiments.estimates import estimate
+from magical.experiments.forecast import estimate
 from magical.experiments.plan import Method, Plan, planned_runs
 from magical.learning.running.devices import Compute
 
