@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 
 from magical.commands._common import add_count, add_json, add_out, add_seed, add_workers, number
-from magical.commands.demos import datasets, hub, human
+from magical.commands.demos import datasets, human
 
 HELP = "demonstrations: import, generate, replay, export, push"
 DATASET = "dataset to append to, or to create"
@@ -142,7 +142,7 @@ def _export(parser: argparse.ArgumentParser) -> None:
 
 
 def _push(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(run_demos=hub.run_push)
+    parser.set_defaults(run_demos=datasets.run_push)
     _dataset(parser)
     _repository(parser)
     parser.add_argument(
@@ -157,7 +157,7 @@ def _push(parser: argparse.ArgumentParser) -> None:
 
 
 def _pull(parser: argparse.ArgumentParser) -> None:
-    parser.set_defaults(run_demos=hub.run_pull)
+    parser.set_defaults(run_demos=datasets.run_pull)
     _repository(parser)
     add_out(parser, "a new folder", "DIR", required=True)
     parser.add_argument("--revision", metavar="REV", help="a branch, tag or commit")
