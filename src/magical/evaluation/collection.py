@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from magical.envs import EnvId
 from magical.errors import ScoresError
 from magical.evaluation.entry import Entry, make_entry
 from magical.evaluation.scores import HEADER, RolloutScore, parse_row, read_lines
@@ -71,14 +70,13 @@ def _entry(
 def _read_scores(path: Path) -> dict[str, list[RolloutScore]]:
     """The rows by entry."""
     scores: dict[str, list[RolloutScore]] = {}
-    env_ids: dict[str, EnvId] = {}
     try:
         with (
             open_regular(path, follow_links=True) as file,
             gzip.GzipFile(fileobj=file, mode="rb") as rows,
         ):
             for number, line in enumerate(read_lines(rows, ("entry", *HEADER), path), 2):
-                row = parse_row(line[1:], env_ids, path, number)
+                row = parse_row(line[1:], path, number)
                 scores.setdefault(line[0], []).append(row)
     except (OSError, EOFError, zlib.error) as error:
         raise ScoresError(f"{path}: expected compressed scores: {error}") from error

@@ -3,7 +3,7 @@
 import csv
 import io
 from collections.abc import Iterable, Iterator, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from gzip import GzipFile
 from itertools import groupby, islice
 from operator import attrgetter
@@ -45,11 +45,10 @@ def write_scores(scores: Iterable[RolloutScore], path: Path | str) -> None:
 
 def read_scores(path: Path | str) -> list[RolloutScore]:
     """Read what `write_scores` wrote; raises `ScoresError` naming the line that is wrong."""
-    env_ids: dict[str, EnvId] = {}
     try:
         with open_regular(Path(path), follow_links=True) as file:
             lines = read_lines(file, HEADER, path)
-            return [parse_row(line, env_ids, path, number) for number, line in enumerate(lines, 2)]
+            return [parse_row(line, path, number) for number, line in enumerate(lines, 2)]
     except OSError as error:
         raise ScoresError(f"{path}: expected a readable file, found {error.strerror}") from error
 
@@ -77,16 +76,11 @@ def read_lines(
             raise ScoresError(f"{path}: line {lines.line_num} is damaged: {error}") from error
 
 
-def parse_row(
-    line: Sequence[str], env_ids: dict[str, EnvId], path: Path | str, number: int
-) -> RolloutScore:
-    """A row of `scores.csv`; raises `ScoresError` naming the line's number.
-
-    `env_ids` has the ids by their text: an id is parsed once, not in every row.
-    """
+def parse_row(line: Sequence[str], path: Path | str, number: int) -> RolloutScore:
+    """A row of `scores.csv`; raises `ScoresError` naming the line's number."""
     try:
         text, rollout, seed, score, published = line
-        env_id = env_ids.get(text) or env_ids.setdefault(text, _parse_env_id(text))
+        env_id = _parse_env_id(text)
         row = RolloutScore(env_id, int(rollout), int(seed), float(score), float(published))
     except ValueError as error:
         raise ScoresError(
@@ -99,6 +93,7 @@ def parse_row(
     return row
 
 
+@lru_cache(1000)  # parsed once, not in every row
 def _parse_env_id(text: str) -> EnvId:
     env_id = parse_env_id(text)
     if env_id.preset is not None:
