@@ -61,21 +61,19 @@ class Registry(Generic[T]):
         """
         if name in (files := _files(self.package)):
             module = importlib.import_module(f"{self.package}.{files[name]}")
-            return self.checked(name, getattr(module, self.attribute) if self.attribute else module)
-        if is_plugin(self.group, name):
-            return self.checked(name, load_plugin(self.group, name))
-        raise UnknownNameError(
-            f"{self.noun} {name!r} is unknown; expected one of: {', '.join(self.names())}; or "
-            "module:NAME"
-        )
-
-    def checked(self, name: str, thing: Any) -> T:
-        """The thing; raises `PluginError` if it is of another type."""
-        if isinstance(thing, self.kind):
-            return thing
-        raise PluginError(
-            f"{self.noun} {name!r}: expected {self.kind.__name__}, found {type(thing).__name__}"
-        )
+            thing = getattr(module, self.attribute) if self.attribute else module
+        elif is_plugin(self.group, name):
+            thing = load_plugin(self.group, name)
+        else:
+            raise UnknownNameError(
+                f"{self.noun} {name!r} is unknown; expected one of: {', '.join(self.names())}; or "
+                "module:NAME"
+            )
+        if not isinstance(thing, self.kind):
+            raise PluginError(
+                f"{self.noun} {name!r}: expected {self.kind.__name__}, found {type(thing).__name__}"
+            )
+        return thing
 
 
 @cache
