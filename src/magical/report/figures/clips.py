@@ -17,7 +17,6 @@ from magical.envs.vector import MagicalVectorEnv
 from magical.evaluation.policy import Policy, action_spec_of, is_privileged, observation_for
 from magical.evaluation.protocol import Evaluation
 from magical.evaluation.rollouts import play
-from magical.observe import ObservationSpec
 from magical.observe.arrays import select
 from magical.observe.presets import make_spec
 from magical.render import Renderer
@@ -107,7 +106,8 @@ def record_rollouts(
             if step == 0:
                 renderers = [Renderer(state.scene, View.ALLO, size) for state in states]
             if step == (last - 1) // 2 and not is_privileged(policy):
-                shown = _pictures(make_spec(observation, env_ids[0].task_spec), observations)
+                spec = make_spec(observation, env_ids[0].task_spec)
+                shown = [spec.picture(select(observations, row)) for row in range(len(env_ids))]
             if step % every == 0 or step == last:
                 frames.append(_frames(renderers, states))
             scores: Any = infos.get("eval_score")  # at the end
@@ -124,21 +124,13 @@ def _frames(renderers: Sequence[Renderer], states: Sequence[State]) -> NDArray[n
     return frames
 
 
-def _pictures(spec: ObservationSpec, observations: Any) -> list[NDArray[np.uint8] | None]:
-    """What the policy is shown in each environment; nothing for what is no image."""
-    count = len(
-        next(iter(observations.values())) if isinstance(observations, dict) else observations
-    )
-    return [spec.picture(select(observations, row)) for row in range(count)]
-
-
 def data_uri(data: bytes, kind: str) -> str:
     """File contents as a data URI, for instance of kind `image/webp`."""
     return f"data:{kind};base64,{base64.b64encode(data).decode()}"
 
 
-def png(pixels: NDArray[np.uint8]) -> bytes:
-    """An (H, W, 3) image as a PNG file's contents."""
+def encoded(pixels: NDArray[np.uint8], kind: str, **options: Any) -> bytes:
+    """An (H, W, 3) image as a file's contents, such as of kind `PNG`; `options` are Pillow's."""
     file = io.BytesIO()
-    Image.fromarray(pixels).save(file, "PNG", optimize=True)
+    Image.fromarray(pixels).save(file, kind, **options)
     return file.getvalue()

@@ -133,18 +133,14 @@ def save_learning_curves(run: Path) -> Path | None:
 
 
 def _figure(rows: MetricRows, names: Sequence[str]) -> Any:
-    # Figure alone: no window system, no global state.
-    from matplotlib.figure import Figure
-
     lines = math.ceil(len(names) / COLUMNS)
-    figure = Figure(figsize=(3.6 * COLUMNS, 2.4 * lines), layout="constrained")
+    figure = new_figure(2.4 * lines, width=3.6 * COLUMNS)
     panels = figure.subplots(lines, COLUMNS, squeeze=False).flatten()
     for axes, name in zip(panels, names, strict=False):
         points = [(row["step"], row[name]) for row in rows if row.get(name) is not None]
         axes.plot(*zip(*points, strict=True), linewidth=1.0)
         axes.set_title(name.replace("_", " "), fontsize=10)
-        axes.grid(alpha=0.3)
-        axes.spines[["top", "right"]].set_visible(False)
+        tidy(axes)
     for axes in panels[len(names) :]:
         axes.set_axis_off()
     return figure

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from magical.errors import MagicalError
 from magical.evaluation import Entry, Policy, RolloutScore, by_variant
-from magical.report.figures.clips import Clip, data_uri, png, record_rollouts
+from magical.report.figures.clips import Clip, data_uri, encoded, record_rollouts
 from magical.report.found.search import Result
 from magical.tasks import get_task
 from magical.tasks.axes import short_variant
@@ -130,6 +130,5 @@ def _what_was_shown(picture: NDArray[np.uint8] | None, entry: Entry) -> tuple[st
     """An image of one observation as a data URI, and a caption."""
     if picture is None:
         return "", f"The policy was shown {entry.observation or 'no image'}, which is no image."
-    return data_uri(png(picture), "image/png"), (
-        f"What the policy was shown half-way through the first of them ({entry.observation})"
-    )
+    caption = f"What the policy was shown half-way through the first of them ({entry.observation})"
+    return data_uri(encoded(picture, "PNG", optimize=True), "image/png"), caption

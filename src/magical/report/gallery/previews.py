@@ -1,14 +1,10 @@
 """The scene of every environment and a rollout of its scripted expert, as image files."""
 
-import io
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
-import numpy as np
 from gymnasium.utils.seeding import np_random
-from numpy.typing import NDArray
-from PIL import Image
 
 from magical.demos.generate import demonstrate
 from magical.demos.store.reader import Frames
@@ -17,7 +13,7 @@ from magical.envs.vector.workers import defining_modules
 from magical.experts import has_expert, modules_of
 from magical.processes import available_cores, map_in_processes
 from magical.render import render_frame
-from magical.report.figures.clips import Clip
+from magical.report.figures.clips import Clip, encoded
 from magical.report.gallery.descriptions import describe_scene
 from magical.scene import Poses, View
 from magical.scene.constants import CONTROL_RATE
@@ -27,6 +23,7 @@ SIZE = 288  # pixels across
 SPEED = 2  # of animations, as a multiple of the benchmark's control rate
 EVERY = 2  # control steps between frames
 EFFORT = 50  # of lossless compression, 0 to 100
+_webp = partial(encoded, kind="WEBP", lossless=True, quality=EFFORT)
 STILLS, ROLLOUTS = IMAGE_FOLDERS = "scenes", "rollouts"  # folders of the site
 
 
@@ -99,10 +96,3 @@ def _make(modules: Sequence[str], seed: int, env_id: EnvId) -> EnvPreview:
 def _modules(task: Task) -> list[str]:
     """The modules from which a new process learns of the task and of its expert."""
     return modules_of(task.name) if has_expert(task.name) else defining_modules([task])
-
-
-def _webp(frame: NDArray[np.uint8]) -> bytes:
-    """An (H, W, 3) image as a lossless WebP file's contents."""
-    file = io.BytesIO()
-    Image.fromarray(frame).save(file, "WEBP", lossless=True, quality=EFFORT)
-    return file.getvalue()
