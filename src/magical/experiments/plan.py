@@ -6,7 +6,6 @@ the fields of `Plan` and `Method` as keys.
 
 import hashlib
 import json
-import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -24,7 +23,7 @@ from magical.learning import Config, find_algorithm
 from magical.learning.config import DemonstrationSettings, options
 from magical.learning.settings import option_types
 from magical.messages import quoted
-from magical.runs.plan import in_words
+from magical.runs.plan import file_name, in_words
 from magical.tasks import TASKS, load_task, parse_horizon
 from magical.tasks.axes import full_variant
 from magical.untrusted import convert
@@ -32,7 +31,6 @@ from magical.untrusted import convert
 EXPERT = "expert"  # as `demos`: the scripted experts' demonstrations, generated for the plan
 DATASET = "dataset"  # in records: demonstrations of a folder, whose path says nothing
 DIGITS = 10  # of a run's identity, hexadecimal
-MAX_SLUG = 40  # characters of a method's name in a folder's name
 MAX_RUNS = 100_000
 OF_THE_PLAN = ("tasks", "seed", "demos")  # settings that a method cannot change
 
@@ -236,9 +234,9 @@ class PlannedRun:
     @property
     def folder(self) -> str:
         """The name of the run's folder: readable, and different for different settings."""
-        method = re.sub(r"[^a-z0-9]+", "-", self.method.lower()).strip("-")[:MAX_SLUG]
         tasks = self.tasks[0] if len(self.tasks) == 1 else "multi-task"
-        return f"{method}-{tasks}-seed{self.seed}-{self.identity}".lstrip("-")
+        name = f"{file_name(self.method)}-{tasks}-seed{self.seed}-{self.identity}"
+        return name.lstrip("-")
 
     def __str__(self) -> str:
         """For messages, for instance `BC (ST), MoveToCorner, seed 0`."""

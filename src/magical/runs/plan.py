@@ -1,5 +1,6 @@
 """The runs of a plan as its results folder lists them (docs/experiments.md)."""
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ PLAN = "plan.json"  # in a results folder: the planned runs
 RUNS = "runs"  # in a results folder: the folder of their folders
 RESULT = "result.json"  # in a run's folder: its final record
 MAX_BYTES = 1 << 26  # of `plan.json`
+MAX_NAME = 40  # characters of a method's name in a file's name
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +38,11 @@ class ListedRun:
 def in_words(tasks: tuple[str, ...]) -> str:
     """The name of the task, or the number of tasks."""
     return tasks[0] if len(tasks) == 1 else f"{len(tasks)} tasks"
+
+
+def file_name(method: str) -> str:
+    """A method's name in letters and digits, for names of files and folders."""
+    return re.sub(r"[^a-z0-9]+", "-", method.lower()).strip("-")[:MAX_NAME]
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,5 @@
 """The leaderboard's pages: an index, and a report of each method with its entries."""
 
-import re
 import shutil
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -17,13 +16,13 @@ from magical.report.leaderboard.ranking import STATE, Board, make_boards
 from magical.report.pages.evaluated import write_page
 from magical.report.pages.page import render_template, write_text
 from magical.report.scores.differences import matching_methods
+from magical.runs.plan import file_name
 from magical.runs.sources import CLASSES, SOURCES
 
 INDEX = "index.html"
 METHODS, ENTRIES = "methods", "entries"  # folders of the site
 NUMBER = "[0-9][0-9][0-9]"  # before a method's name in a file's name
 MARK = b"<h1>MAGICAL leaderboard</h1>"  # in the index page
-MAX_NAME = 40  # characters of a method's name in a file's name
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +50,7 @@ class Leaderboard:
         pages: dict[str, str] = {}
         copies: set[str] = set()
         for number, (method, results) in enumerate(groups.items(), 1):
-            name = f"{number:03d}-{_file_name(method)}"
+            name = f"{number:03d}-{file_name(method)}"
             pages[method] = f"{METHODS}/{name}.html"
             copies |= _write_method(site, method, results, name)
         write_text(index, self._html(pages))
@@ -119,8 +118,3 @@ def _remove_others(site: Path, pages: set[str], copies: set[str]) -> None:
     for folder in (site / ENTRIES).glob(f"{NUMBER}-*"):
         if folder.name not in copies:
             shutil.rmtree(folder)
-
-
-def _file_name(method: str) -> str:
-    """A method's name in letters and digits."""
-    return re.sub(r"[^a-z0-9]+", "-", method.lower()).strip("-")[:MAX_NAME]
