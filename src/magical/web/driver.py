@@ -18,6 +18,7 @@ from magical.evaluation.policy import observation_for
 from magical.evaluation.seeds import RolloutRng
 from magical.experts import EpisodeExpert, expert_for
 from magical.observe import make_spec
+from magical.observe.arrays import map_arrays
 from magical.scene import State
 from magical.web.episode import RECORDER, PlayedEpisode
 from magical.web.policies import Policies
@@ -114,7 +115,7 @@ def _network_chooser(policy: Any, env_id: EnvId, seed: int) -> Chooser:
             observer.start(state.scene, bodies)
         else:
             observer.update(bodies)
-        observations = _as_batch(observer.out)
+        observations = map_arrays(lambda array: array[None], observer.out)
         with _one_thread():
             action = int(policy.act(observations, [env_id], rng)[0])
             if not hasattr(policy, "probabilities"):
@@ -123,13 +124,6 @@ def _network_chooser(policy: Any, env_id: EnvId, seed: int) -> Chooser:
         return Proposal(action, tuple(row))
 
     return choose
-
-
-def _as_batch(observation: object) -> object:
-    """One observation, an array or a dict of arrays, as a batch of one."""
-    if isinstance(observation, dict):
-        return {name: np.asarray(part)[None] for name, part in observation.items()}
-    return np.asarray(observation)[None]
 
 
 def _one_thread() -> AbstractContextManager[None]:
