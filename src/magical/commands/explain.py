@@ -8,12 +8,7 @@ programs share the weight; where no program explains the demonstrations, this is
 import argparse
 from pathlib import Path
 
-from magical.commands._common import (
-    add_count,
-    add_json,
-    print_json,
-    print_table,
-)
+from magical.commands._common import add_count, add_json, print_json, print_table
 
 HELP = "print which programs explain a run's demonstrations"
 

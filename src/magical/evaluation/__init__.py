@@ -12,13 +12,7 @@ from magical.evaluation.published import (
     published_tasks,
 )
 from magical.evaluation.rollouts import evaluate
-from magical.evaluation.scores import (
-    RolloutScore,
-    by_variant,
-    read_scores,
-    summarise,
-    write_scores,
-)
+from magical.evaluation.scores import RolloutScore, by_variant, read_scores, summarise, write_scores
 
 __all__ = [
     "BUILT_IN",

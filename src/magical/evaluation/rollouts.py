@@ -14,13 +14,7 @@ from magical.envs.vector import MagicalVectorEnv
 from magical.envs.vector.workers import defining_modules
 from magical.errors import InvalidActionError, PolicyError
 from magical.evaluation.loading import PolicySource, load_policy
-from magical.evaluation.policy import (
-    Mask,
-    Policy,
-    action_spec_of,
-    given_to,
-    observation_for,
-)
+from magical.evaluation.policy import Mask, Policy, action_spec_of, given_to, observation_for
 from magical.evaluation.protocol import ROLLOUTS, SEED, Evaluation, environments
 from magical.evaluation.scores import RolloutScore
 from magical.evaluation.seeds import RolloutRng

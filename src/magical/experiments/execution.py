@@ -17,13 +17,7 @@ from magical.experiments.demonstrations import prepare_demonstrations, require_s
 from magical.experiments.display import Display
 from magical.experiments.one_run import evaluate_reference, finish, record_failure
 from magical.experiments.plan import PlannedRun
-from magical.experiments.results import (
-    DONE,
-    FAILED,
-    Outcome,
-    Results,
-    opened,
-)
+from magical.experiments.results import DONE, FAILED, Outcome, Results, opened
 from magical.files import is_out_of_space
 from magical.learning.running.interrupts import Interrupts
 from magical.processes import ProcessPool, available_cores
