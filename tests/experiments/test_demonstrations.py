@@ -77,9 +77,9 @@ def test_a_signal_ends_the_generation_of_demonstrations(
 
 
 def test_the_series_of_demonstrations_goes_on_after_many_that_were_dropped() -> None:
-    assert _next_attempt(Path("demos"), [episode_seed(0, 40)], 0, 3) == 41
+    assert _next_attempt(Path("demos"), [episode_seed(0, 40)], 3) == 41
     with pytest.raises(DatasetError, match="expected demonstrations generated with seed 0"):
-        _next_attempt(Path("demos"), [episode_seed(1, 0)], 0, 3)
+        _next_attempt(Path("demos"), [episode_seed(1, 0)], 3)
 
 
 def test_perturbed_experts(planned: Planned, inline: Started, out: Path) -> None:

@@ -30,7 +30,6 @@ def generate_missing(
     tasks: Iterable[str],
     count: int,
     *,
-    seed: int = 0,
     perturb: float = 0.0,
     min_score: float = 0.0,
     workers: int | None = None,
@@ -47,14 +46,13 @@ def generate_missing(
     existing = _kept(folder)
     for task in tasks:
         seeds = [entry.seed for entry in existing if entry.task == task]
-        first = _next_attempt(folder, seeds, seed, count) if seeds else 0
+        first = _next_attempt(folder, seeds, count) if seeds else 0
         if len(seeds) < count:
             (demo,) = environments([task], ["Demo"])
             generate(
                 demo,
                 count - len(seeds),
                 folder,
-                seed=seed,
                 first=first,
                 perturb=perturb,
                 min_score=min_score,
@@ -63,18 +61,18 @@ def generate_missing(
             )
 
 
-def _next_attempt(folder: Path, seeds: Sequence[int | None], seed: int, count: int) -> int:
+def _next_attempt(folder: Path, seeds: Sequence[int | None], count: int) -> int:
     """The number of the attempt after the last of those that gave some of `count` demonstrations.
 
     Raises `DatasetError` where the last one's scene is none of the series.
     """
     # Every call may drop MAX_DROPPED for each demonstration that it has to generate.
     for number in range((MAX_DROPPED + 1) * count * len(seeds) + 1):
-        if episode_seed(seed, number) == seeds[-1]:
+        if episode_seed(0, number) == seeds[-1]:
             return number + 1
     raise DatasetError(
-        f"{folder}: expected demonstrations generated with seed {seed}, found one of scene "
-        f"{seeds[-1]}; remove the folder or choose another"
+        f"{folder}: expected demonstrations generated with seed 0, found one of scene {seeds[-1]}; "
+        "remove the folder or choose another"
     )
 
 
