@@ -1,6 +1,6 @@
 """Learned perception: a small network that finds the objects of frames, trained on random scenes.
 
-python -m studies.intent.perception train [--batches 3000]
+python -m studies.intent.perception train [--batches 7000]
 python -m studies.intent.perception measure
 
 `FIND_OBJECTS` takes the place of the parser in `object-bc` and `program-bc`:
@@ -46,7 +46,7 @@ BLOCK = 3 + len(COLOURS) + len(SHAPES)
 REGION = 3 + 2 + len(COLOURS)  # half the width and the height
 KINDS = [ROBOT, BLOCK, REGION]
 NEAR = 1.2  # squared cells: the cells around a centre that know where it is
-LIKELY = 0.4  # a centre that is found, where no neighbouring cell is likelier
+LIKELY = 0.2  # a centre that is found, where no neighbouring cell is likelier
 
 Floats = NDArray[np.float64]
 
@@ -79,7 +79,8 @@ class Detector(nn.Module):
         features: Tensor = self.stem(frames)
         for residual in self.residuals:
             features = features + residual(features)
-        channels: Tensor = self.head(features)
+        with torch.autocast(frames.device.type, enabled=False):  # places need float32
+            channels: Tensor = self.head(features.float())
         return channels
 
 
@@ -248,7 +249,8 @@ def losses(channels: Tensor, batch: Batch) -> dict[str, Tensor]:
     place = functional.l1_loss
     return {
         "centres": 0.1 * centres / len(channels),
-        "robot": place(robot[:, :2], of_robot[:, :2]) + 3 * place(robot[:, 2:], of_robot[:, 2:]),
+        "robot": place(robot[:, :2], of_robot[:, :2]) + 3 * place(robot[:, 2:4], of_robot[:, 2:4]),
+        "fingers": 3 * place(robot[:, 4:], of_robot[:, 4:]),
         "blocks": place(block[:, :2], of_block[:, :2]),
         "regions": place(region[:, :2], of_region[:, :2])
         + 10 * place(region[:, 2:4], of_region[:, 2:4]),
@@ -269,7 +271,9 @@ def train(batches: int, batch_size: int = 64, learning_rate: float = 3e-3) -> No
     for number in range(batches):
         batch = Batch([random_sample(rng) for _ in range(batch_size)])
         images = to_images(batch.frames).contiguous(memory_format=LAST)
-        parts = losses(detector(images), batch)
+        with torch.autocast("cpu", torch.bfloat16):
+            channels = detector(images)
+        parts = losses(channels.float(), batch)
         optimizer.zero_grad()
         torch.autograd.backward(sum(parts.values(), torch.zeros(())))
         optimizer.step()
@@ -288,7 +292,7 @@ def main() -> None:
     )
     commands = parser.add_subparsers(dest="command", required=True)
     training = commands.add_parser("train")
-    training.add_argument("--batches", type=int, default=3000)
+    training.add_argument("--batches", type=int, default=7000)
     measuring = commands.add_parser("measure")
     measuring.add_argument("--episodes", type=int, default=1, help="of each environment")
     args = parser.parse_args()
