@@ -1,7 +1,6 @@
 """Environment ids: `magical/<Task>-<Variant>[-<Preset>]-v0`."""
 
 import re
-from collections.abc import Iterator
 from typing import Self
 
 from magical.errors import UnknownNameError
@@ -90,14 +89,11 @@ def parse_env_id(env_id: str) -> EnvId:
     return parsed
 
 
-def task_env_ids(task: Task) -> Iterator[EnvId]:
-    """Every id of one task: its variants, each without and with every preset."""
-    for variant in task.variants:
-        for preset in (None, *PRESETS):
-            yield EnvId(task.name, variant, preset)
-
-
 def all_env_ids(presets: bool = False) -> list[EnvId]:
     """The ids of all tasks and variants; with `presets`, those with presets as well."""
-    ids = (env_id for task in TASKS.values() for env_id in task_env_ids(task))
-    return [env_id for env_id in ids if presets or env_id.preset is None]
+    return [
+        EnvId(task.name, variant, preset)
+        for task in TASKS.values()
+        for variant in task.variants
+        for preset in ((None, *PRESETS) if presets else (None,))
+    ]
