@@ -1,7 +1,7 @@
 """The observations of a stored trajectory, bit for bit as the environment returned them."""
 
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,9 +16,6 @@ from magical.observe.pixels import copy_pixels
 from magical.physics import Simulation
 from magical.scene import Scene, View
 from magical.scene.constants import FRAME_SIZE, RAW_FRAME_SIZE
-
-if TYPE_CHECKING:
-    from magical.render import Renderer
 
 Pixels = NDArray[np.uint8]
 
@@ -38,13 +35,13 @@ class Frames:
         samples: int | None = None,
     ) -> None:
         self.size = size
-        self._poses = trajectory.poses
-        self._recorded: Pixels | None = None
-        self._renderer: Renderer | None = None
+        self._rows: NDArray[Any]  # poses or recorded frames, one for each time step
+        self._write: Callable[[NDArray[Any], Pixels], None]  # the frame of a row
         if trajectory.poses is not None:
             from magical import render  # imports numba: only when something is rendered
 
-            self._renderer = render.Renderer(trajectory.scene, View(view), size, samples)
+            renderer = render.Renderer(trajectory.scene, View(view), size, samples)
+            self._rows, self._write = trajectory.poses, renderer.render
         else:
             recorded = trajectory.frames or {}
             averaged = RAW_FRAME_SIZE // FRAME_SIZE
@@ -54,16 +51,11 @@ class Frames:
                     f"{FRAME_SIZE} pixels of the views {', '.join(recorded)}, not {view} frames "
                     f"of {size} x {size} with {samples or 'any'} samples; use a preset of that size"
                 )
-            self._recorded = recorded[view]
+            self._rows, self._write = recorded[view], copy_pixels
 
     def render(self, time: int, out: Pixels) -> None:
         """Write the frame at time step `time`, 0 to T, into `out` (size, size, 3)."""
-        if self._renderer is None:
-            assert self._recorded is not None
-            copy_pixels(self._recorded[time], out)
-        else:
-            assert self._poses is not None
-            self._renderer.render(self._poses[time], out)
+        self._write(self._rows[time], out)
 
     def take(self, times: ArrayLike) -> Pixels:
         """The frames at several time steps: (len(times), size, size, 3) uint8."""
@@ -163,9 +155,7 @@ class ObservationReader:
 
 
 def observations(
-    trajectory: Trajectory,
-    observation: Observation = "LoRes4E",
-    times: ArrayLike | None = None,
+    trajectory: Trajectory, observation: Observation = "LoRes4E", times: ArrayLike | None = None
 ) -> Any:
     """The observations that the environment returned: (T + 1, *shape), or a dict of such.
 
@@ -185,7 +175,7 @@ def observations(
 
 
 def read_all(
-    trajectories: Iterable[Trajectory], total: int, observation: Observation = "LoRes4E"
+    trajectories: Iterable[Trajectory], total: int, observation: Observation
 ) -> dict[str, Any]:
     """Every step of the trajectories, `total` in all, as plain arrays: see `Dataset.arrays`."""
     batch: Any = None
