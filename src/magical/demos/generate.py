@@ -7,9 +7,9 @@ from functools import partial
 from itertools import count
 from pathlib import Path
 
+from magical.demos.record import provenance
 from magical.demos.store.codec import encode
 from magical.demos.store.manifest import ManifestEntry
-from magical.demos.store.provenance import provenance
 from magical.demos.store.trajectory import Trajectory
 from magical.demos.store.writer import DatasetWriter
 from magical.envs.action_spec import ActionSpaceName, action_spec

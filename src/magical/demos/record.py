@@ -1,6 +1,9 @@
 """Recording the episodes of an environment, whatever chooses the actions."""
 
+import platform
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +11,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.demos.store.provenance import provenance
+from magical import __version__
 from magical.demos.store.trajectory import Trajectory
 from magical.demos.store.writer import DatasetWriter
 from magical.envs.env import MagicalEnv
@@ -130,3 +133,16 @@ def recorded_trajectory(
         demonstrator=demonstrator,
         metadata={**provenance(), **metadata},
     )
+
+
+def provenance() -> dict[str, Any]:
+    """Date, versions and platform of a recording made now, as plain data."""
+    return {
+        "recorded": datetime.now(UTC).isoformat(timespec="seconds"),
+        "versions": {
+            "magical": __version__,
+            "python": platform.python_version(),
+            **{library: version(library) for library in ("numpy", "pymunk", "gymnasium")},
+        },
+        "platform": platform.platform(terse=True),
+    }

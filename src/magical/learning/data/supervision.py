@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.demos import Trajectory
-from magical.demos.store.provenance import provenance
+from magical.demos.record import provenance
 from magical.envs.seeds import sample_training_seeds
 from magical.envs.vector import MagicalVectorEnv
 from magical.evaluation.policy import Policy
