@@ -128,8 +128,7 @@ def average(frame: NDArray[np.uint8]) -> NDArray[np.uint8]:
     rows = frame.reshape(FRAME_SIZE, BINNING, -1).sum(axis=1, dtype=np.uint16)
     parts = rows.reshape(FRAME_SIZE, FRAME_SIZE, BINNING, 3)
     total = parts[:, :, 0] + parts[:, :, 1] + parts[:, :, 2] + parts[:, :, 3]
-    odd = (total >> 4) & 1
-    mean: NDArray[np.uint8] = ((total + 7 + odd) >> 4).astype(np.uint8)
+    mean: NDArray[np.uint8] = np.rint(total / BINNING**2).astype(np.uint8)
     return mean
 
 

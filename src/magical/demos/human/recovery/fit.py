@@ -42,16 +42,9 @@ class Stage(NamedTuple):
         return 6.0 * self.softness + 0.2
 
 
-NEAR_STAGES = (
-    Stage(0.8, 3, bounded=True),
-    Stage(0.3, 2),
-    Stage(0.1, 2),
-    Stage(0.03, 4),
-)
-FAR_STAGES = (
-    Stage(2.5, 8, bounded=True),
-    *NEAR_STAGES,
-)  # for first guesses that are up to 15 pixels off
+NEAR_STAGES = (Stage(0.8, 3, bounded=True), Stage(0.3, 2), Stage(0.1, 2), Stage(0.03, 4))
+# For first guesses that are up to 15 pixels off.
+FAR_STAGES = (Stage(2.5, 8, bounded=True), *NEAR_STAGES)
 
 
 class Fit(NamedTuple):
@@ -88,53 +81,41 @@ class PoseFitter:
         Args:
             guess: the poses to start from, and those of the other bodies.
             labels: of the recorded frames.
-            free: rows, in order.
+            free: rows.
             stages: as far as the guess may be off.
         """
-        unknowns = list(self._unknowns(free))
-        wanted = np.zeros(len(guess), np.bool_)
-        wanted[list(free)] = True
-        bodies, curvature = guess.copy(), np.eye(len(unknowns))
+        unknown, wanted = np.zeros(guess.shape, np.bool_), np.zeros(len(guess), np.bool_)
+        unknown[list(free)] = wanted[list(free)] = True
+        unknown[EYES, :2] = unknown[self.discs, 2] = False
+        is_position = np.nonzero(unknown)[1] < 2
+        bodies, curvature = guess.copy(), np.eye(len(is_position))
         for stage in stages:
             for _ in range(stage.iterations):
                 edges = {
                     view: finder.find(bodies, labels[view], stage.band, wanted)
                     for view, finder in self._finders.items()
                 }
-                slope, curvature = _likelihood(edges, unknowns, stage, len(bodies))
+                slope, curvature = _likelihood(edges, unknown, stage)
                 step = np.clip(np.linalg.solve(curvature, slope), -MAX_STEP, MAX_STEP)
-                _move(bodies, unknowns, step)
-                if _largest_shift(unknowns, step) < CONVERGED * stage.softness * PIXEL:
+                _move(bodies, unknown, step)
+                shift = np.abs(step[is_position]).max(initial=0.0)
+                if shift < CONVERGED * stage.softness * PIXEL:
                     break
         deviations = np.zeros_like(bodies)
-        _move(deviations, unknowns, np.sqrt(np.diag(np.linalg.inv(curvature))))
+        _move(deviations, unknown, np.sqrt(np.diag(np.linalg.inv(curvature))))
         return Fit(bodies, deviations)
 
-    def _unknowns(self, free: Sequence[int]) -> Iterator[tuple[int, int]]:
-        """The row and the axis of every number to be fitted."""
-        for row in free:
-            if not EYES.start <= row < EYES.stop:
-                yield from ((row, 0), (row, 1))
-            if row not in self.discs:
-                yield row, 2
 
-
-def _move(bodies: Bodies, unknowns: Sequence[tuple[int, int]], step: Array) -> None:
-    for (row, axis), change in zip(unknowns, step.tolist(), strict=True):
-        bodies[row, axis] += change
+def _move(bodies: Bodies, unknown: NDArray[np.bool_], step: Array) -> None:
+    bodies[unknown] += step
     bodies[EYES, :2] = bodies[ROBOT, :2]
 
 
-def _largest_shift(unknowns: Sequence[tuple[int, int]], step: Array) -> float:
-    shifts = (abs(c) for (_, axis), c in zip(unknowns, step.tolist(), strict=True) if axis < 2)
-    return max(shifts, default=0.0)
-
-
 def _likelihood(
-    edges: Mapping[View, Edges], unknowns: Sequence[tuple[int, int]], stage: Stage, bodies: int
+    edges: Mapping[View, Edges], unknown: NDArray[np.bool_], stage: Stage
 ) -> tuple[Array, Array]:
     """The slope of the logarithm of the likelihood, and its negated curvature or a bound of it."""
-    slope, curvature = np.zeros(3 * bodies), np.zeros((3 * bodies, 3 * bodies))
+    slope, curvature = np.zeros(unknown.size), np.zeros((unknown.size, unknown.size))
     for view, found in edges.items():
         scaled = np.clip(found.margin / stage.softness, -40.0, 40.0)
         wrong = 1.0 / (1.0 + np.exp(scaled))
@@ -144,7 +125,7 @@ def _likelihood(
             slope[columns] += wrong[rows] @ jacobian / stage.softness
             block = jacobian.T @ (weights[rows, None] * jacobian)
             curvature[np.ix_(columns, columns)] += block
-    chosen = [3 * row + axis for row, axis in unknowns]
+    chosen = np.flatnonzero(unknown)
     ridge = RIDGE * np.eye(len(chosen))
     return slope[chosen], curvature[np.ix_(chosen, chosen)] + ridge
 
