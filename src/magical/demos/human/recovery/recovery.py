@@ -1,6 +1,6 @@
-"""The poses of one published recording, and how well they are known."""
+"""The poses of a published recording, from frame to frame, and how well they are known."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,17 +8,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.demos.human.published import PublishedDemonstration
-from magical.demos.human.recovery.track import TOLERANCE, Tracker
+from magical.demos.human.recovery.fit import FAR_STAGES, Bodies, Fit, PoseFitter
+from magical.demos.motion import PoseFollower
 from magical.demos.store.trajectory import RECOVERY, Trajectory
+from magical.render import Renderer
+from magical.render.frame import VIEW_WIDTH
+from magical.scene import Poses, Scene, View
+from magical.scene.constants import BLOCK_SIZE, RAW_FRAME_SIZE, STAR_OUTER_RADIUS
 from magical.scene.poses import EYES, FINGERS, FIRST_BLOCK, ROBOT
 
 LIMIT = 0.005  # share of wrong pixels in one frame, above which poses are not accepted
+TOLERANCE = 8  # grey levels: pixels that differ by more in any channel are wrong
+RETRY = 1e-3  # share of wrong pixels above which other first guesses are tried
+NEARBY = 0.03  # units around a block within which wrong pixels may be due to it
+SIGNIFICANT = 3.0  # standard deviations: a block that seems to have moved by less has not
+UNSEEN = 0.1  # units or radians: standard deviation of a pose that the pixels do not determine
+GRID = 2.0**-17  # units or radians: poses are rounded to it, far below their uncertainty
+AWAY = 100.0  # units: where bodies are out of view
 _GROUPS = {
     "robot": slice(ROBOT, ROBOT + 1),
     "fingers": FINGERS,
     "eyes": EYES,
     "blocks": slice(FIRST_BLOCK, None),
 }
+_SHAPE = (RAW_FRAME_SIZE, RAW_FRAME_SIZE, 3)
+_REACH = max(BLOCK_SIZE, STAR_OUTER_RADIUS) + NEARBY  # units
+
+ViewFrames = Mapping[View, NDArray[np.uint8]]  # (384, 384, 3) in both views
+Mask = NDArray[np.bool_]  # (384, 384)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,11 +97,8 @@ def recovered_trajectory(
 ) -> Trajectory:
     """The trajectory of the recovered poses, or of the averaged frames if that was not possible.
 
-    The metadata says how well the poses are known, or why they are missing.
-
-    Args:
-        demonstration: the published file.
-        keep_frames: keep the frames beside the poses.
+    The metadata says how well the poses are known, or why they are missing. With `keep_frames` the
+    averaged frames are beside the poses.
     """
     recovery = recover(demonstration)
     metadata: Mapping[str, Any] = {RECOVERY: recovery.metadata()}
@@ -108,3 +122,129 @@ def _problem(wrong: NDArray[np.float64]) -> str | None:
     if len(wrong) == 1:
         return f"the recording does not start in the Demo scene: {found}"
     return f"no poses explain the frames of time step {len(wrong) - 1}: {found}"
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """What was recovered from the frames of one time step."""
+
+    bodies: Bodies  # in the rows of `Poses`
+    deviations: Bodies  # standard deviations; 0 for what kept its pose
+    wrong: float  # share of pixels in both views that differ by more than `TOLERANCE`
+    covered: bool  # whether the robot and a block overlap in the allocentric view
+    unseen: int  # bodies that kept their poses because the pixels do not determine them
+
+
+class Tracker:
+    """Recovers the poses of one episode, which starts in `scene`, at rest.
+
+    Bodies are simulated from one time step to the next for a first guess; what is recovered depends
+    on the frames alone, up to the precision that they allow. A body that no pixel says anything
+    new about keeps its pose.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._fitter = PoseFitter(scene)
+        # The human demonstrations were recorded with another graphics driver.
+        self._renderers = {
+            view: Renderer(scene, view, RAW_FRAME_SIZE, 1, whole_dashes=False) for view in View
+        }
+        self._rendered = np.empty(_SHAPE, np.uint8)
+        self._follower = PoseFollower(scene)
+        self._bodies = Poses.at_rest(scene).bodies
+        self._frames: ViewFrames = {}
+        self._ground = self._allocentric(_without(self._bodies, range(len(self._bodies))))
+
+    def start(self, frames: ViewFrames) -> Moment:
+        """The first time step: the scene's own poses."""
+        self._frames = frames
+        return self._moment(frames, Fit(self._bodies, np.zeros_like(self._bodies)), 0)
+
+    def follow(self, action: int, frames: ViewFrames) -> Moment:
+        """The next time step, which an action led to."""
+        predicted = self._follower.predict(action)
+        discs = self._fitter.discs
+        predicted[discs, 2] = self._bodies[discs, 2]
+        if all(np.array_equal(frames[view], self._frames[view]) for view in View):
+            fit, unseen = Fit(self._bodies, np.zeros_like(self._bodies)), 0
+        else:
+            fit = self._fit(predicted, frames)
+            unseen = self._keep(fit)
+        self._follower.correct(fit.bodies)
+        self._frames, self._bodies = frames, fit.bodies
+        return self._moment(frames, fit, unseen)
+
+    def _fit(self, predicted: Bodies, frames: ViewFrames) -> Fit:
+        """The best fit from some first guesses, the simulated one first."""
+        labels = self._fitter.label(frames)
+        guess = np.concatenate([predicted[:FIRST_BLOCK], self._bodies[FIRST_BLOCK:]])
+        moved = list(self._blocks_near(self._wrong(View.ALLO, guess, frames)))
+        guess[moved] = predicted[moved]
+        best = self._fitter.fit(guess, labels, [*range(FIRST_BLOCK), *moved])
+        share = self._share(best.bodies, frames)
+        for other in (guess, self._bodies):
+            if share > RETRY:
+                fit = self._fitter.fit(other, labels, range(len(guess)), FAR_STAGES)
+                new = self._share(fit.bodies, frames)
+                best, share = (fit, new) if new < share else (best, share)
+        return best
+
+    def _keep(self, fit: Fit) -> int:
+        """Give bodies their last poses where the frames do not tell; the number of unseen ones."""
+        before, bodies, deviations = self._bodies, fit.bodies, fit.deviations
+        bodies[:] = np.where(deviations > 0.0, np.round(bodies / GRID) * GRID, bodies)
+        unseen = (deviations > UNSEEN).any(axis=1)
+        moved = np.abs(bodies - before) > SIGNIFICANT * deviations
+        still = ~moved.any(axis=1) & (np.arange(len(bodies)) >= FIRST_BLOCK)
+        bodies[unseen | still] = before[unseen | still]
+        deviations[unseen | still] = 0.0
+        bodies[EYES, :2] = bodies[ROBOT, :2]
+        return int(unseen.sum())
+
+    def _blocks_near(self, wrong: Mask) -> Iterator[int]:
+        """The rows of the blocks near any wrong pixel of the allocentric view."""
+        rows, columns = np.nonzero(wrong)
+        x = (columns + 0.5) * VIEW_WIDTH / RAW_FRAME_SIZE - VIEW_WIDTH / 2
+        y = VIEW_WIDTH / 2 - (rows + 0.5) * VIEW_WIDTH / RAW_FRAME_SIZE
+        for row in range(FIRST_BLOCK, len(self._bodies)):
+            block_x, block_y, _ = self._bodies[row]
+            if (np.hypot(x - block_x, y - block_y) < _REACH).any():
+                yield row
+
+    def _moment(self, frames: ViewFrames, fit: Fit, unseen: int) -> Moment:
+        share = self._share(fit.bodies, frames)
+        return Moment(
+            fit.bodies.copy(), fit.deviations, share, self._is_covered(fit.bodies), unseen
+        )
+
+    def _share(self, bodies: Bodies, frames: ViewFrames) -> float:
+        return float(np.mean([self._wrong(view, bodies, frames).mean() for view in View]))
+
+    def _wrong(self, view: View, bodies: Bodies, frames: ViewFrames) -> Mask:
+        self._renderers[view].render(bodies, self._rendered)
+        difference = np.maximum(self._rendered, frames[view]) - np.minimum(
+            self._rendered, frames[view]
+        )
+        return _any_channel(difference > TOLERANCE)
+
+    def _allocentric(self, bodies: Bodies) -> NDArray[np.uint8]:
+        self._renderers[View.ALLO].render(bodies, self._rendered)
+        return self._rendered.copy()
+
+    def _is_covered(self, bodies: Bodies) -> bool:
+        robot = self._allocentric(_without(bodies, range(FIRST_BLOCK, len(bodies))))
+        blocks = self._allocentric(_without(bodies, range(FIRST_BLOCK)))
+        overlap = (robot != self._ground) & (blocks != self._ground)
+        return bool(overlap.any())
+
+
+def _without(bodies: Bodies, rows: Sequence[int]) -> Bodies:
+    """The poses with some bodies out of view."""
+    shown = bodies.copy()
+    shown[list(rows), :2] = AWAY
+    return shown
+
+
+def _any_channel(mask: NDArray[np.bool_]) -> Mask:
+    """`mask.any(axis=2)`, which takes ten times as long."""
+    return mask[:, :, 0] | mask[:, :, 1] | mask[:, :, 2]
