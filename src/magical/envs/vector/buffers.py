@@ -7,8 +7,10 @@ import os
 import sys
 import tempfile
 import weakref
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from itertools import accumulate
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -20,6 +22,7 @@ from magical.processes.children import above_standard
 
 _ALIGNMENT = 64  # bytes: a cache line
 ArrayShape = tuple[int, ...]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,8 +40,9 @@ class BufferLayout:
     keep_final: bool
     copies: int
 
-    def fields(self) -> dict[str, tuple[ArrayShape, DTypeLike]]:
-        """Shape and type of each array by name; an observation's arrays are `name/part`."""
+    @property
+    def fields(self) -> dict[str, tuple[ArrayShape, DTypeLike, int]]:
+        """Shape, type and offset in bytes of each array; an observation's are `name/part`."""
         n = self.num_envs
         fields: dict[str, tuple[ArrayShape, DTypeLike]] = {
             "actions": ((n, *self.action_spec.shape), self.action_spec.dtype),
@@ -56,20 +60,17 @@ class BufferLayout:
         for name in names + [f"copy{i}" for i in range(self.copies)]:
             for part, (shape, dtype) in self.spec.fields.items():
                 fields[f"{name}/{part}"] = ((n, *shape), dtype)
-        return fields
-
-    def offsets(self) -> dict[str, tuple[ArrayShape, DTypeLike, int]]:
-        """Shape, type and offset in bytes of each array by name."""
-        offsets, offset = {}, 0
-        for name, (shape, dtype) in self.fields().items():
-            offsets[name] = (shape, dtype, offset)
-            offset += _bytes(shape, dtype)
-        return offsets
+        offsets = accumulate((_bytes(*field) for field in fields.values()), initial=0)
+        return {
+            name: (*field, offset)
+            for (name, field), offset in zip(fields.items(), offsets, strict=False)
+        }
 
     @property
     def size(self) -> int:
         """Bytes of all arrays together."""
-        return sum(_bytes(*field) for field in self.fields().values())
+        *_, (shape, dtype, offset) = self.fields.values()
+        return offset + _bytes(shape, dtype)
 
 
 class VectorBuffers:
@@ -95,13 +96,15 @@ class VectorBuffers:
         self.memory = np.zeros(layout.size, np.uint8) if memory is None else memory
         arrays = {
             name: np.ndarray(shape, dtype, self.memory, offset)
-            for name, (shape, dtype, offset) in layout.offsets().items()
+            for name, (shape, dtype, offset) in layout.fields.items()
         }
-        self.observations = _take(arrays, "observations")
-        self.final_observations = _take(arrays, "final_observations") if layout.keep_final else None
-        self.copies = [_take(arrays, f"copy{i}") for i in range(layout.copies)]
+        final = _parts(arrays, "final_observations")
+        self.observations = gather(_parts(arrays, "observations"))
+        self.final_observations = gather(final) if layout.keep_final else None
+        self.copies = [gather(_parts(arrays, f"copy{i}")) for i in range(layout.copies)]
         for name, array in arrays.items():
-            setattr(self, name, array)
+            if "/" not in name:
+                setattr(self, name, array)
 
 
 class Copies:
@@ -117,11 +120,8 @@ class Copies:
         self._memory = ctypes.c_char * buffers.layout.size
         self._raw: Any = buffers.memory
         self._holders: list[weakref.ref[Any] | None] = [None] * buffers.layout.copies
-        self._parts: list[dict[str, Any]] = [{} for _ in self._holders]
-        for name, field in buffers.layout.offsets().items():
-            if name.startswith("copy") and "/" in name:
-                index, part = name.removeprefix("copy").split("/")
-                self._parts[int(index)][part] = field
+        fields = buffers.layout.fields
+        self._fields = [_parts(fields, f"copy{i}") for i in range(len(self._holders))]
 
     def choose(self) -> int:
         """The index of an array that the caller does not hold, or -1."""
@@ -140,7 +140,7 @@ class Copies:
         return gather(
             {
                 part: np.ndarray(shape, dtype, holder, offset)
-                for part, (shape, dtype, offset) in self._parts[index].items()
+                for part, (shape, dtype, offset) in self._fields[index].items()
             }
         )
 
@@ -195,9 +195,6 @@ def _bytes(shape: ArrayShape, dtype: DTypeLike) -> int:
     return -(-size // _ALIGNMENT) * _ALIGNMENT
 
 
-def _take(arrays: dict[str, NDArray[Any]], name: str) -> Any:
-    """Remove an observation's arrays from `arrays` and return the observation."""
-    parts = {
-        key.split("/")[1]: arrays.pop(key) for key in list(arrays) if key.startswith(f"{name}/")
-    }
-    return gather(parts)
+def _parts(fields: Mapping[str, T], name: str) -> dict[str, T]:
+    """What belongs to the arrays of one observation, by the names of its parts."""
+    return {key.split("/")[1]: fields[key] for key in fields if key.startswith(f"{name}/")}
