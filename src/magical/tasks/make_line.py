@@ -58,11 +58,8 @@ def score(scene: Scene, poses: Poses) -> float:
 
 def published_score(scene: Scene, poses: Poses) -> float:
     """As `score`, but two blocks of three in line give 0 (docs/specification.md, section 9)."""
-    blocks = positions(scene, poses)
-    longest = longest_line(blocks)
-    if longest < min(PUBLISHED_SHORTEST, len(blocks)):
-        return 0.0
-    return {0: 1.0, 1: 0.5}.get(len(blocks) - longest, 0.0)
+    shortest = min(PUBLISHED_SHORTEST, len(scene.blocks))
+    return score(scene, poses) if longest_line(positions(scene, poses)) >= shortest else 0.0
 
 
 def validate(scene: Scene) -> str:
