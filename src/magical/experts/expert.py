@@ -64,7 +64,7 @@ class Expert:
             return NOOP, memory
         action, memory = self._decide(StateView.from_state(state), memory)
         if self.noise is not None:
-            action = self.noise.perturb_action(action)
+            action = self.noise.actions.execute(action)
         return action, memory
 
     def _decide(self, view: StateView, memory: Memory) -> tuple[int, Memory]:

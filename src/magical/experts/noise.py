@@ -68,10 +68,6 @@ def perturbation(share: float, rng: np.random.Generator) -> RandomActions:
 class ActionNoise:
     """Perturbs what an expert of less than full skill does.
 
-    Args:
-        skill: from 0 to 1.
-        rng: what the mistakes are sampled from.
-
     Raises:
         InvalidConfigError: the skill is not between 0 and 1.
     """
@@ -79,11 +75,7 @@ class ActionNoise:
     def __init__(self, skill: float, rng: np.random.Generator) -> None:
         check_share("skill", skill)
         self._level, self._rng = 1.0 - skill, rng
-        self._actions = RandomActions(self._level * RANDOM_ACTION_CHANCE, RANDOM_ACTION_STEPS, rng)
-
-    def perturb_action(self, action: int) -> int:
-        """The action taken instead of the intended one, most often the same."""
-        return self._actions.execute(action)
+        self.actions = RandomActions(self._level * RANDOM_ACTION_CHANCE, RANDOM_ACTION_STEPS, rng)
 
     def sample_detour(self) -> int:
         """Control steps of driving elsewhere before the next move, most often 0."""
