@@ -60,6 +60,7 @@ _NPY_HEADER = re.compile(
 )
 _MAX_NPY_HEADER = 256  # bytes; NumPy writes 118
 _END_RECORD = struct.Struct("<4s4H2LH")  # the end of a ZIP archive's directory
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _ZIP64_LOCATOR = 20  # bytes, before the end record where there is one
 
 # What zipfile, zlib, json and the constructors raise for files that are no trajectories.
@@ -94,9 +95,7 @@ def encode(trajectory: Trajectory) -> bytes:
             f"metadata: expected at most {MAX_HEADER} bytes of JSON with the scene, "
             f"found {len(text)}"
         )
-    arrays: dict[str, NDArray[Any]] = {
-        "header": np.frombuffer(text, np.uint8),
-    }
+    arrays: dict[str, NDArray[Any]] = {"header": np.frombuffer(text, np.uint8)}
     for name in ("actions", *_BY_STEP):
         if (array := getattr(trajectory, name)) is not None:
             arrays[name] = array if array.dtype.kind == "f" else array.astype(np.uint8)
@@ -181,10 +180,7 @@ def _check_members(infos: list[zipfile.ZipInfo]) -> dict[str, zipfile.ZipInfo]:
     ):
         raise DatasetError(f"expected at most {MAX_UNPACKED} bytes unpacked, found {size}")
     for name, info in members.items():
-        if info.flag_bits & 1 or info.compress_type not in (
-            zipfile.ZIP_STORED,
-            zipfile.ZIP_DEFLATED,
-        ):
+        if info.flag_bits & 1 or info.compress_type not in _METHODS:
             raise DatasetError(f"{name}: expected deflated data, found another compression")
     return members
 
@@ -202,19 +198,16 @@ def _read_array(file: IO[bytes], name: str, size: int, rows: int | None) -> NDAr
     dtype, shape = header[1].decode(), tuple(map(int, header[2].split(b", ")))
     if name in ("actions", "expert_actions", "policy_actions") and dtype == _CONTINUOUS[0]:
         expected = _Member(*_CONTINUOUS, expected.more_rows)
-    bounded = rows is not None or shape[0] <= MAX_STEPS
+    wanted = (rows, *expected.trailing)
     fits = (
-        bounded
-        and len(shape) == 1 + len(expected.trailing)
-        and all(
-            wanted in (None, found)
-            for wanted, found in zip((rows, *expected.trailing), shape, strict=True)
-        )
+        len(shape) == len(wanted)
+        and (rows is not None or shape[0] <= MAX_STEPS)
+        and all(size in (None, found) for size, found in zip(wanted, shape, strict=True))
     )
     nbytes = math.prod(shape) * np.dtype(expected.dtype).itemsize
     if dtype != expected.dtype or not fits or nbytes + len(start) + length != size:
         raise DatasetError(
-            f"{name}: expected {expected.dtype} of shape {(rows, *expected.trailing)}, "
+            f"{name}: expected {expected.dtype} of shape {wanted}, "
             f"found {dtype} {shape} in {size} bytes"
         )
     data = file.read(nbytes)
