@@ -14,11 +14,7 @@ from magical.envs.ids import EnvId
 from magical.envs.keys import KEYS_TO_ACTION
 from magical.envs.saved_state import parse_state
 from magical.envs.window import Window
-from magical.errors import (
-    NotPicklableError,
-    ResetNeededError,
-    UnknownNameError,
-)
+from magical.errors import NotPicklableError, ResetNeededError, UnknownNameError
 from magical.messages import quoted
 from magical.observe import Observation, make_spec
 from magical.observe.arrays import copy_arrays

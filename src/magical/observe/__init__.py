@@ -2,13 +2,7 @@
 
 from magical.observe.pixels import PixelSpec
 from magical.observe.presets import NAMED, PRESETS, RAW, Observation, make_spec, parse_spec
-from magical.observe.spec import (
-    Component,
-    EpisodeSource,
-    FrameSource,
-    ObservationSpec,
-    Observer,
-)
+from magical.observe.spec import Component, EpisodeSource, FrameSource, ObservationSpec, Observer
 from magical.observe.state_vector import STATE, StateSpec
 
 __all__ = [

@@ -107,11 +107,7 @@ class _Writer:
     """An export: its open files, one table and one video for each camera, and its metadata."""
 
     def __init__(
-        self,
-        root: Path,
-        dataset: Dataset,
-        action_space: ActionSpaceName | None = None,
-        attributes: bool = True,
+        self, root: Path, dataset: Dataset, action_space: ActionSpaceName | None, attributes: bool
     ) -> None:
         self.root, self._attributes = root, attributes
         self.total = 0

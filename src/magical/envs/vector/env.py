@@ -13,22 +13,11 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from magical.envs.action_spec import ActionSpaceName, action_spec
-from magical.envs.env import (
-    Instruction,
-    MagicalEnv,
-    Reward,
-    names_attributes,
-    not_picklable,
-)
+from magical.envs.env import Instruction, MagicalEnv, Reward, names_attributes, not_picklable
 from magical.envs.ids import EnvId, parse_env_id
 from magical.envs.saved_state import parse_state
 from magical.envs.vector.buffers import Copies, SharedMemory, VectorBuffers
-from magical.envs.vector.checks import (
-    check_timeout,
-    checked_mask,
-    checked_seeds,
-    require_episodes,
-)
+from magical.envs.vector.checks import check_timeout, checked_mask, checked_seeds, require_episodes
 from magical.envs.vector.infos import Bools, Infos, instruction_infos, score_infos
 from magical.envs.vector.sub_envs import SubEnvs, VectorSpec, common_observation
 from magical.envs.vector.workers import RemoteSubEnvs
@@ -69,8 +58,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             raises `WorkerDiedError` and the environment is closed. With workers, only the process
             that made the environment may use it, and with any number only one thread at a time.
         observation: see `observe.make_spec`; takes precedence over the ids' preset.
-        horizon: as for `MagicalEnv`.
-        reward: as for `MagicalEnv`.
+        horizon, reward, instruction, paraphrase, action_space: as for `MagicalEnv`.
         autoreset_mode: what happens after an episode's last step. NEXT_STEP: the next step
             ignores the action and starts another episode. SAME_STEP: that step already returns the
             next episode's first observation; the last observation and scores are in
@@ -83,9 +71,6 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         timeout: seconds in which the workers must finish a step, a reset or a call of `get_state`
             or `set_state`; otherwise `WorkerTimeoutError` is raised and the environment is closed.
             By default there is no limit. Not available on Windows or without workers.
-        instruction: as for `MagicalEnv`.
-        paraphrase: as for `MagicalEnv`.
-        action_space: as for `MagicalEnv`.
 
     Raises:
         UnknownNameError: an unknown id, observation, reward, render mode or action space.

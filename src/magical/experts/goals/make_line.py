@@ -83,9 +83,7 @@ def _moves(blocks: Sequence[Point], places: Places) -> Iterator[Move]:
 
 
 def is_line(
-    blocks: Sequence[Point],
-    limits: LineLimits = MOVING,
-    moved: Sequence[bool] | None = None,
+    blocks: Sequence[Point], limits: LineLimits = MOVING, moved: Sequence[bool] | None = None
 ) -> bool:
     """Whether all blocks are in line, even if those that are `moved` there miss it a little."""
     moved = moved or [False] * len(blocks)
