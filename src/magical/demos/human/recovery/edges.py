@@ -87,11 +87,7 @@ class EdgeFinder:
         return labels
 
     def find(
-        self,
-        bodies: NDArray[np.float64],
-        labels: Labels,
-        band: float,
-        wanted: NDArray[np.bool_],
+        self, bodies: NDArray[np.float64], labels: Labels, band: float, wanted: NDArray[np.bool_]
     ) -> Edges:
         """All statements about edges within `band` pixels of pixel centres.
 
@@ -192,17 +188,11 @@ def _compiled_label() -> Callable[..., None]:
 
 def _layers(shown: DisplayList) -> tuple[NDArray[np.int32], Layers]:
     """The colours of everything in a scene, packed, in order; and its layers."""
-    items, count = np.empty((len(shown.items), 6), np.int64), len(shown.items)
-    regions, around = (
-        shown.colours[:0:-1].ravel(),
-        [lanes(WHITE), lanes(OUTSIDE)],
-    )  # uppermost first
-    colours = np.concatenate([shown.items[:, 4], regions, around])
+    count, regions = len(shown.items), shown.colours[:0:-1].ravel()  # uppermost first
+    colours = np.concatenate([shown.items[:, 4], regions, [lanes(WHITE), lanes(OUTSIDE)]])
     packed = colours & 0xFF | colours >> 8 & 0xFF00 | colours >> 16 & 0xFF0000
     palette, numbers = np.unique(packed, return_inverse=True)
-    items[:, :4] = shown.items[:, :4]
-    items[:, 4] = numbers[:count]
-    items[:, 5] = _parts(shown)
+    items = np.column_stack([shown.items[:, :4], numbers[:count], _parts(shown)])
     shades = [*numbers[count:-2].reshape(-1, 2), *((number, -1) for number in numbers[-2:])]
     corners = np.concatenate([shown.ground[:0:-1], shown.ground[:1]])
     low, high = corners.min(axis=1), corners.max(axis=1)
