@@ -148,10 +148,8 @@ class MagicalEnv(gym.Env[Any, Any]):
         words = self.task.instruction(
             self._episode.simulation.scene, paraphrase=self._paraphrase, attributes=self._named
         )
-        return copy_arrays(self._episode.observer.out), {
-            **score_info(Scores()),
-            "instruction": words,
-        }
+        info = score_info(Scores()) | {"instruction": words}
+        return copy_arrays(self._episode.observer.out), info
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Act for one control step of 1/8 s.

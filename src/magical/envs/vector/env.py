@@ -19,7 +19,7 @@ from magical.envs.saved_state import parse_state
 from magical.envs.vector.buffers import Copies, SharedMemory, VectorBuffers
 from magical.envs.vector.checks import check_timeout, checked_mask, checked_seeds, require_episodes
 from magical.envs.vector.infos import Bools, Infos, instruction_infos, score_infos
-from magical.envs.vector.sub_envs import SubEnvs, VectorSpec, common_observation
+from magical.envs.vector.sub_envs import Started, SubEnvs, VectorSpec, common_observation
 from magical.envs.vector.workers import RemoteSubEnvs
 from magical.errors import (
     AlreadyPendingCallError,
@@ -206,7 +206,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             rewards = self._buffers.rewards.copy()
             return self._observations(copy), rewards, terminations, truncations, infos
 
-    def _instructions(self, started: Sequence[tuple[int, Scene]]) -> Infos:
+    def _instructions(self, started: Started) -> Infos:
         return instruction_infos(started, self.env_ids, self._paraphrase, self._named)
 
     def states(self) -> list[State]:
@@ -263,14 +263,11 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         with self._call("set_state"):
             row = range(self.num_envs)[index]
             task = self.env_ids[row].task_spec
-            self._start(
-                self._exchange(
-                    lambda: self._sub_envs.set_state(
-                        row, parse_state(state, task, self.action_spec)
-                    ),
-                    [row],
-                )
-            )
+
+            def restore() -> Started:
+                return self._sub_envs.set_state(row, parse_state(state, task, self.action_spec))
+
+            self._start(self._exchange(restore, [row]))
             return copy_arrays(select(self._buffers.observations, index))
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
@@ -311,7 +308,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         finally:
             self._lock.release()
 
-    def _start(self, started: Sequence[tuple[int, Any]]) -> None:
+    def _start(self, started: Started) -> None:
         for row, scene in started:
             self._scenes[row] = scene
             # Only a state that was set can be at its episode's end.
