@@ -8,8 +8,7 @@ from itertools import count
 from pathlib import Path
 
 from magical.demos.record import provenance
-from magical.demos.store.codec import encode
-from magical.demos.store.manifest import ManifestEntry
+from magical.demos.store.manifest import ManifestEntry, encoded
 from magical.demos.store.trajectory import Trajectory
 from magical.demos.store.writer import DatasetWriter
 from magical.envs.action_spec import ActionSpaceName, action_spec
@@ -130,6 +129,4 @@ def _attempt(
     for module in modules:
         load_tasks(module)
     trajectory = demonstrate(env_id, episode_seed(seed, attempt), skill, perturb=perturb)
-    trajectory = trajectory.with_action_space(action_space)
-    raw = encode(trajectory)
-    return ManifestEntry.of(trajectory, raw), raw
+    return encoded(trajectory.with_action_space(action_space))

@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Literal
 
 from magical.demos.human.published import MAX_PATH, file_sum, naming_errors, read_demonstration
-from magical.demos.store.codec import encode
 from magical.demos.store.dataset import Dataset
-from magical.demos.store.manifest import ManifestEntry
+from magical.demos.store.manifest import ManifestEntry, encoded
 from magical.demos.store.trajectory import RECOVERY
 from magical.demos.store.writer import DatasetWriter
 from magical.errors import DatasetError, MagicalError, WorkerError
@@ -117,9 +116,7 @@ def _convert(file: Path, keep: Contents) -> tuple[ManifestEntry, bytes, str | No
             from magical.demos.human.recovery.recovery import recovered_trajectory
 
             trajectory = recovered_trajectory(demonstration, keep_frames=keep == "both")
-    raw = encode(trajectory)
-    problem = trajectory.metadata.get(RECOVERY, {}).get("problem")
-    return ManifestEntry.of(trajectory, raw), raw, problem
+    return *encoded(trajectory), trajectory.metadata.get(RECOVERY, {}).get("problem")
 
 
 def _reason(file: Path, error: Exception) -> str:

@@ -17,7 +17,7 @@ from typing import IO, Annotated, Any, NamedTuple
 
 from msgspec import Meta
 
-from magical.demos.store.codec import MAX_FILE, MAX_STEPS, fingerprint
+from magical.demos.store.codec import MAX_FILE, MAX_STEPS, encode, fingerprint
 from magical.demos.store.trajectory import MAX_NAME, Trajectory
 from magical.envs.ids import EnvId, split_env_id
 from magical.errors import DatasetError, MagicalError
@@ -113,6 +113,12 @@ class ManifestEntry:
     def variant(self) -> str:
         """The variant's name."""
         return self.env_id.variant
+
+
+def encoded(trajectory: Trajectory) -> tuple[ManifestEntry, bytes]:
+    """A trajectory's entry, and its file's bytes; raises `TrajectoryError` as `encode` does."""
+    raw = encode(trajectory)
+    return ManifestEntry.of(trajectory, raw), raw
 
 
 def _file(index: int, env_id: EnvId) -> str:

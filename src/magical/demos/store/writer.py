@@ -4,7 +4,6 @@ import os
 from pathlib import Path
 
 from magical.demos.store import manifest
-from magical.demos.store.codec import encode
 from magical.demos.store.dataset import stored_files
 from magical.demos.store.manifest import ManifestEntry
 from magical.demos.store.trajectory import Trajectory
@@ -35,8 +34,7 @@ class DatasetWriter:
             DatasetError: the disk is full, or the manifest is damaged; names the file.
             TrajectoryError: its metadata is too large for the format.
         """
-        raw = encode(trajectory)
-        return self.append_encoded(ManifestEntry.of(trajectory, raw), raw)
+        return self.append_encoded(*manifest.encoded(trajectory))
 
     def append_encoded(self, entry: ManifestEntry, raw: bytes) -> ManifestEntry:
         """`append` for an already encoded trajectory, such as one from another process."""
