@@ -35,8 +35,11 @@ class ActionSpec(ABC):
         """One action as plain Python numbers; raises `InvalidActionError`."""
 
     @abstractmethod
-    def checked_batch(self, actions: Any, count: int) -> Actions:
-        """Actions of `count` environments as an array; raises `InvalidActionError`."""
+    def checked_batch(self, actions: Any, count: int, name: str = "actions") -> Actions:
+        """`count` actions as an array.
+
+        Raises `InvalidActionError` that begins with `name` and names the first that is wrong.
+        """
 
     @abstractmethod
     def convert(self, actions: Actions) -> Actions:
@@ -66,8 +69,19 @@ class _Discrete(ActionSpec):
             raise InvalidActionError(f"action: expected an {self.expected}, found {quoted(action)}")
         return number
 
-    def checked_batch(self, actions: Any, count: int) -> Actions:
-        return checked_numbers("actions", actions, count)
+    def checked_batch(self, actions: Any, count: int, name: str = "actions") -> NDArray[np.int64]:
+        array = _as_array(actions)
+        expected = f"{count} integers from 0 to {NUM_ACTIONS - 1}"
+        if array.shape != (count,) or array.dtype.kind not in "iu":
+            hint = "; sample or take the argmax, then convert" if array.dtype.kind == "f" else ""
+            raise InvalidActionError(f"{name}: expected {expected}, found {quoted(actions)}{hint}")
+        good = (array >= 0) & (array < NUM_ACTIONS)
+        if not good.all():
+            row = int(good.argmin())
+            raise InvalidActionError(
+                f"{name}: expected {expected}, found {array[row]} in row {row}"
+            )
+        return array.astype(np.int64, copy=False)
 
     def convert(self, actions: Actions) -> Actions:
         if actions.ndim == 1:
@@ -98,53 +112,33 @@ class _Continuous(ActionSpec):
             drive, turn, grip = action.tolist()  # exact, and faster than NumPy's comparisons
             if -1.0 <= drive <= 1.0 and -1.0 <= turn <= 1.0 and -1.0 <= grip <= 1.0:
                 return float(drive), float(turn), float(grip)
-        drive, turn, grip = checked_points("action", action, self.shape).tolist()
+        drive, turn, grip = self._checked_points("action", action, self.shape).tolist()
         return drive, turn, grip
 
-    def checked_batch(self, actions: Any, count: int) -> Actions:
-        return checked_points("actions", actions, (count, *self.shape))
+    def checked_batch(self, actions: Any, count: int, name: str = "actions") -> Actions:
+        return self._checked_points(name, actions, (count, *self.shape))
+
+    def _checked_points(
+        self, name: str, points: Any, shape: tuple[int, ...]
+    ) -> NDArray[np.float64]:
+        array = _as_array(points)
+        if array.shape != shape or array.dtype.kind not in "fiu":
+            raise InvalidActionError(
+                f"{name}: expected {self.expected}, of shape {shape}, found {quoted(points)}"
+            )
+        floats: NDArray[np.float64] = array.astype(np.float64)
+        good = np.abs(floats) <= 1.0  # NaN is not
+        if not good.all():
+            *row, part = np.argwhere(~good)[0].tolist()
+            where = f" in row {row[0]}" if row else ""
+            raise InvalidActionError(
+                f"{name}: expected {self.expected}, found {PARTS[part]} "
+                f"{floats[*row, part]:g}{where}; clip them, or correct what computes them"
+            )
+        return floats
 
     def convert(self, actions: Actions) -> Actions:
         return to_continuous(actions) if actions.ndim == 1 else actions
-
-
-def checked_numbers(name: str, numbers: Any, count: int) -> NDArray[np.int64]:
-    """Discrete actions as an array (count,).
-
-    Raises `InvalidActionError` that begins with `name` and names the first number that is wrong.
-    """
-    array = _as_array(numbers)
-    expected = f"{count} integers from 0 to {NUM_ACTIONS - 1}"
-    if array.shape != (count,) or array.dtype.kind not in "iu":
-        hint = "; sample or take the argmax, then convert" if array.dtype.kind == "f" else ""
-        raise InvalidActionError(f"{name}: expected {expected}, found {quoted(numbers)}{hint}")
-    good = (array >= 0) & (array < NUM_ACTIONS)
-    if not good.all():
-        row = int(good.argmin())
-        raise InvalidActionError(f"{name}: expected {expected}, found {array[row]} in row {row}")
-    return array.astype(np.int64, copy=False)
-
-
-def checked_points(name: str, points: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Continuous actions as an array of this shape.
-
-    Raises `InvalidActionError` that begins with `name` and names the first number that is wrong.
-    """
-    array = _as_array(points)
-    if array.shape != shape or array.dtype.kind not in "fiu":
-        raise InvalidActionError(
-            f"{name}: expected {_Continuous.expected}, of shape {shape}, found {quoted(points)}"
-        )
-    floats: NDArray[np.float64] = array.astype(np.float64)
-    good = np.abs(floats) <= 1.0  # NaN is not
-    if not good.all():
-        *row, part = np.argwhere(~good)[0].tolist()
-        where = f" in row {row[0]}" if row else ""
-        raise InvalidActionError(
-            f"{name}: expected {_Continuous.expected}, found {PARTS[part]} "
-            f"{floats[*row, part]:g}{where}; clip them, or correct what computes them"
-        )
-    return floats
 
 
 def _as_array(actions: Any) -> NDArray[Any]:

@@ -13,11 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from magical.envs.action_spec import (
     CONTINUOUS,
+    DISCRETE,
     Actions,
     ActionSpaceName,
     action_spec,
-    checked_numbers,
-    checked_points,
     spec_of,
 )
 from magical.envs.ids import EnvId, parse_env_id
@@ -269,9 +268,7 @@ def checked_actions(
     if not rows:
         raise TrajectoryError(f"{name}: expected at least one, found none")
     try:
-        if ndim == 2:
-            return _frozen(checked_points(name, actions, (rows, *CONTINUOUS.shape)))
-        return _frozen(checked_numbers(name, actions, rows))
+        return _frozen((CONTINUOUS if ndim == 2 else DISCRETE).checked_batch(actions, rows, name))
     except InvalidActionError as error:
         raise TrajectoryError(str(error)) from error
 
