@@ -277,9 +277,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         from magical.render import render_views  # imports numba: only when something is rendered
 
         states = self.states()
-        return tuple(
-            render_views(state.scene, state.poses, size=RAW_FRAME_SIZE) for state in states
-        )
+        return tuple(render_views(s.scene, s.poses, size=RAW_FRAME_SIZE) for s in states)
 
     def __reduce__(self) -> NoReturn:
         raise not_picklable("MagicalVectorEnv", "MagicalVectorEnv(env_ids, ...)")
