@@ -126,11 +126,7 @@ class StateSpec:
         for vector, step in zip(vectors, bodies, strict=True):
             observer.update(step)
             vector[:] = observer.out
-        chosen = vectors[np.asarray(times, np.intp)]
-        if out is None:
-            return chosen
-        out[...] = chosen
-        return out
+        return np.take(vectors, np.asarray(times, np.intp), axis=0, out=out)
 
     def to_dict(self) -> str:
         """See `ObservationSpec`: the size follows from the task."""
