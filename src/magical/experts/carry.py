@@ -237,8 +237,7 @@ def _accelerate(velocity: Floats, aim: Floats) -> Floats:
 def _capped_share(vector: Floats, limit: float) -> Floats:
     """The factors (N, 1) that cap the length of vectors (N, 2)."""
     length = np.hypot(vector[:, :1], vector[:, 1:])
-    share: Floats = np.minimum(1.0, limit / np.maximum(length, 1e-9))
-    return share
+    return np.minimum(1.0, limit / np.maximum(length, 1e-9))
 
 
 def _ahead(angle: Floats) -> Floats:

@@ -66,14 +66,12 @@ def segment_distance(start: Point, end: Point, point: Point) -> float:
 
 def lengths(vectors: Floats) -> Floats:
     """Lengths (...) of vectors (..., 2)."""
-    norms: Floats = np.sqrt(vectors[..., 0] ** 2 + vectors[..., 1] ** 2)
-    return norms
+    return np.sqrt(vectors[..., 0] ** 2 + vectors[..., 1] ** 2)
 
 
 def excess(points: Floats, limit: float) -> Floats:
     """By how much the magnitude of each coordinate exceeds a limit, or 0."""
-    beyond: Floats = np.maximum(0.0, np.abs(points) - limit)
-    return beyond
+    return np.maximum(0.0, np.abs(points) - limit)
 
 
 def project_on_segments(starts: Floats, ends: Floats, points: Floats) -> tuple[Floats, Floats]:

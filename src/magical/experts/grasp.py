@@ -179,12 +179,11 @@ def _approach_steps(
     distance += DETOUR * narrow / DRIVING_CLEARANCE
     heading = np.arctan2(view.x - gates[:, 0], gates[:, 1] - view.y)
     turn = np.abs(wrap_angle(heading - view.angle)) + np.abs(wrap_angle(sides - heading))
-    steps: Floats = np.where(
+    return np.where(
         np.abs(wrap_angle(straight - sides)) < CONE,
         _direct_approach_steps(view, block, straight),
         distance / DRIVE_STEP + turn / TURN_STEP,
     )
-    return steps
 
 
 def _direct_approach_steps(view: StateView, block: Point, straight: float) -> float:
@@ -201,11 +200,10 @@ def _carry_steps(stands: Floats, block: Point, sides: Floats, goal: Point) -> Fl
     to_goal = np.arctan2(stands[:, 0] - goal[0], goal[1] - stands[:, 1])
     push_turn = np.abs(wrap_angle(to_goal - sides)) / TURN_STEP
     pull_turn = np.abs(wrap_angle(bearing(goal, block) - sides)) / TURN_STEP
-    steps: Floats = np.minimum(
+    return np.minimum(
         distance / DRIVE_STEP + CARRYING_TURN * push_turn,
         distance / BACK_STEP + CARRYING_TURN * pull_turn + PULL_STEPS,
     )
-    return steps
 
 
 def _gate_distances(centres: Floats, ahead: Floats) -> Floats:

@@ -210,8 +210,7 @@ def _concatenated(columns: Sequence[Actions]) -> Actions:
     """Actions of several trajectories, all continuous if some are."""
     if len({column.ndim for column in columns}) > 1:
         columns = [CONTINUOUS.convert(column) for column in columns]
-    actions: Actions = np.concatenate(columns) if columns else np.empty(0, np.int64)
-    return actions
+    return np.concatenate(columns) if columns else np.empty(0, np.int64)
 
 
 def estimated_states(trajectory: Trajectory) -> NDArray[np.float64]:
