@@ -71,7 +71,12 @@ def moves_out(view: StateView, strategy: Strategy, blocks: Iterable[int]) -> lis
     """Moves that take those of `blocks` that are in any region out of all."""
     areas = [inset(region, -OUTSIDE) for region in view.scene.regions]
     inside = [i for i in blocks if any(area.contains(*view.blocks[i]) for area in areas)]
-    return [Move(_place_outside(view, strategy, i), TOLERANCE, i) for i in inside]
+    shunned = [inset(region, -AIM) for region in view.scene.regions]
+
+    def is_allowed(place: Point) -> bool:
+        return not any(area.contains(*place) for area in shunned)
+
+    return [Move(place_on_grid(view, strategy, i, is_allowed), TOLERANCE, i) for i in inside]
 
 
 def inset(region: Region, margin: float) -> Region:
@@ -103,14 +108,6 @@ def _place_inside(view: StateView, strategy: Strategy, region: Region, block: in
     cost = place_costs(places, start, others)
     cost += INSIDE_PREFERENCE * lengths(places - preferred)
     return _cheapest(places, cost)
-
-
-def _place_outside(view: StateView, strategy: Strategy, block: int) -> Point:
-    """A place outside all regions that is near, preferred, and clear of other blocks."""
-    areas = [inset(region, -AIM) for region in view.scene.regions]
-    return place_on_grid(
-        view, strategy, block, lambda place: not any(area.contains(*place) for area in areas)
-    )
 
 
 def place_on_grid(
