@@ -160,9 +160,6 @@ class _Machine:
     def _put(self, index: int) -> None:
         self._memo[index] = self._stack[-1]
 
-    def _mark(self, _: Any) -> None:
-        self._marks.append(len(self._stack))
-
     def _pop_mark(self) -> list[Any]:
         start = self._marks.pop()
         items = self._stack[start:]
@@ -278,7 +275,7 @@ _ACTIONS: dict[str, Callable[[_Machine, Any], None]] = {
     **dict.fromkeys(("BINGET", "LONG_BINGET"), _Machine._get),
     **dict.fromkeys(("BINPUT", "LONG_BINPUT"), _Machine._put),
     "MEMOIZE": lambda machine, _: machine._put(len(machine._memo)),
-    "MARK": _Machine._mark,
+    "MARK": lambda machine, _: machine._marks.append(len(machine._stack)),
     "TUPLE": lambda machine, _: machine._stack.append(tuple(machine._pop_mark())),
     "TUPLE1": lambda machine, _: machine._stack.append(machine._pop_last(1)),
     "TUPLE2": lambda machine, _: machine._stack.append(machine._pop_last(2)),
