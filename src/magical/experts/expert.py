@@ -50,10 +50,14 @@ class Expert:
     noise: ActionNoise | None = None
 
     def act(self, state: State, memory: Memory | None = None) -> tuple[int, Memory]:
-        """Decide on the next action; returns its id, and the memory for the next call.
+        """Decide on the next action.
 
-        The state may be any that the task can be in. `memory` is what the last call returned; None
-        at the start or on taking over.
+        Args:
+            state: the present state, any that the task can be in.
+            memory: what the last call returned; None at the start or on taking over.
+
+        Returns:
+            The action's id, and the memory for the next call.
         """
         memory = memory or Memory()
         if self.task.validate_fn(state.scene):
