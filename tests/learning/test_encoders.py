@@ -204,7 +204,7 @@ def test_another_encoder_is_refused(
     with pytest.raises(CheckpointError, match=r"another encoder: expected weights with the SHA"):
         load_policy(tmp_path)
     monkeypatch.delitem(sys.modules, "timm")
-    with pytest.raises(MissingDependencyError, match="network timm:tiny.tag: .* pip install timm"):
+    with pytest.raises(MissingDependencyError, match=r"network timm:tiny.tag: .* pip install timm"):
         load_policy(tmp_path)
 
 
