@@ -72,7 +72,7 @@ def test_rollouts_against_the_environment(bootstrap: bool, monkeypatch: pytest.M
     horizon = 40
     config = tiny(PPOConfig, observation="state")
     monkeypatch.setattr("magical.learning.reinforcement.rollouts.NUM_ACTIONS", 1)
-    with RolloutEnvs(config, 3, "cpu", reward="dense", workers=0) as envs:
+    with RolloutEnvs(config, "cpu", "dense") as envs:
         monkeypatch.setattr(envs, "_horizons", np.ones(3, np.int64))  # all start at once
         envs.reset()
         rollout = collect_rollout(envs, scripted(value=0.25), horizon + 2, bootstrap, rng())
@@ -95,8 +95,8 @@ def test_rollouts_against_the_environment(bootstrap: bool, monkeypatch: pytest.M
 
 
 def test_environments_start_at_different_times() -> None:
-    config = tiny(PPOConfig, observation="state")
-    with RolloutEnvs(config, 8, "cpu", workers=0) as envs:
+    config = tiny(PPOConfig, observation="state", num_envs=8)
+    with RolloutEnvs(config, "cpu") as envs:
         envs.reset()
         steps = [len(envs.envs.get_state(row)["actions"]) for row in range(8)]
     assert max(steps) < 40
@@ -203,7 +203,7 @@ def test_unknown_words() -> None:
 
 
 def test_the_centred_init_tells_frames_apart() -> None:
-    with RolloutEnvs(tiny(PPOConfig), 8, "cpu", workers=0) as envs:
+    with RolloutEnvs(tiny(PPOConfig, num_envs=8), "cpu") as envs:
         envs.reset()
         frames = collect_rollout(envs, scripted(), 2, False, rng()).observations[0]
     spreads = {}

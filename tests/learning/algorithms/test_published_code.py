@@ -49,8 +49,7 @@ def test_the_preset_s_horizon_is_for_tasks_that_have_two(tasks: Any, horizon: st
 def test_training_episodes_have_the_configured_horizon() -> None:
     tasks = ("MoveToRegion", "ClusterColour")
     config = tiny(PPOConfig, tasks=tasks, reward="score", horizon="published")
-    how: Any = {"horizon": config.ppo.env_horizon, "workers": 0}
-    with RolloutEnvs(config, 3, "cpu", **how) as envs:
+    with RolloutEnvs(config, "cpu") as envs:
         envs.reset()
         assert [state.horizon for state in envs.envs.states()] == [40, 40, 240]
 
@@ -64,9 +63,7 @@ def test_the_monitoring_evaluation_has_the_configured_horizon(
         asked.append(evaluation.horizon)
         return RepeatedEvaluation(policy, replace(evaluation, horizon=1, rollouts=1), workers)
 
-    monkeypatch.setattr(
-        "magical.learning.reinforcement.demo_evaluation.RepeatedEvaluation", recorded
-    )
+    monkeypatch.setattr("magical.learning.reinforcement.trainer.RepeatedEvaluation", recorded)
     for horizon in ("appendix", "published"):
         config = tiny(
             PPOConfig, tasks=("ClusterColour",), reward="score", horizon=horizon, evaluate_every=3

@@ -32,7 +32,7 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from copy import deepcopy
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
@@ -48,11 +48,10 @@ from magical.learning.config import (
 )
 from magical.learning.data.expert_data import TaskTrajectories, load_demonstrations, split_evenly
 from magical.learning.models import PolicyNetwork, Trunk, centre, sample_actions
-from magical.learning.policy import NetworkPolicy
-from magical.learning.reinforcement.demo_evaluation import DemoEvaluation
 from magical.learning.reinforcement.interaction import InteractionConfig, InteractionSettings
 from magical.learning.reinforcement.monitoring import Metrics, Monitor
 from magical.learning.reinforcement.rollouts import EpisodeScores, RolloutEnvs
+from magical.learning.reinforcement.trainer import InteractionTrainer
 from magical.learning.reinforcement.transitions import TransitionBuffer, Transitions
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import (
@@ -216,8 +215,11 @@ def make_policy(config: IQLearnConfig) -> QNetwork:
         return network
 
 
-class IQTrainer:
+class IQTrainer(InteractionTrainer):
     """A soft Q function, its optimiser, its environments, and the transitions it learns from."""
+
+    config: IQLearnConfig
+    network: QNetwork
 
     def __init__(self, config: IQLearnConfig, run: Run, demonstrations: TaskTrajectories) -> None:
         """Create a new trainer, or resume from the run's checkpoint."""
@@ -234,21 +236,10 @@ class IQTrainer:
         self.monitor = Monitor()
         self._randoms = Randoms(device)
         self._augmentations = config.networks.augmentations(config.iq.augment)
-        workers = config.iq.workers
         with ExitStack() as stack:
-            self.envs = stack.enter_context(
-                RolloutEnvs(config, config.iq.num_envs, device, workers=workers)
-            )
-            policy = NetworkPolicy(self.network, config, self.compute)
-            self._demo_evaluation = stack.enter_context(DemoEvaluation(policy, None, workers))
+            self.envs = stack.enter_context(RolloutEnvs(config, device))
             self._start_or_resume()
             self._stack = stack.pop_all()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._stack.close()
 
     def collect(self, update: int) -> None:
         """Step all environments T times with actions sampled from the policy, into the buffer."""
@@ -300,23 +291,8 @@ class IQTrainer:
         self.optimizer.step()
         return parts
 
-    def finish_update(self, update: int, metrics: Metrics) -> bool:
-        """Evaluate, log and save checkpoints; true if the run stops."""
-        iq, done = self.config.iq, update + 1
-        metrics |= self.monitor.metrics()
-        every, last = iq.evaluate_every, done == iq.num_updates
-        if every and (done % every == 0 or last):
-            metrics["evaluation_score"] = self._demo_evaluation.score()
-        steps: Metrics = {"environment_steps": done * iq.steps_per_update}
-        return self.run.finish_step(
-            done,
-            lambda: {**self.monitor.warning(metrics), **steps, **metrics},
-            self.state_dict,
-            last=last,
-        )
-
     def state_dict(self) -> StateDict:
-        """Everything that the next update depends on."""
+        """See `InteractionTrainer`."""
         return {
             "policy": self.network.state_dict(),
             "target": self.target.state_dict(),

@@ -9,7 +9,7 @@ One update:
 `train` uses the environment's reward; other algorithms pass learned ones to `improve_policy`.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self, cast
@@ -23,9 +23,7 @@ from magical.envs.env import Reward
 from magical.learning.algorithms import Algorithm
 from magical.learning.config import IMAGE_OBSERVATIONS, PUBLISHED, NetworkSettings
 from magical.learning.models import ActorCritic, Trunk, centre, init_normal
-from magical.learning.policy import NetworkPolicy
 from magical.learning.reinforcement.advantages import Samples, make_samples
-from magical.learning.reinforcement.demo_evaluation import DemoEvaluation
 from magical.learning.reinforcement.interaction import InteractionConfig, InteractionSettings
 from magical.learning.reinforcement.monitoring import Metrics, Monitor, explained_variance
 from magical.learning.reinforcement.presets import QUICK, STATES
@@ -35,6 +33,7 @@ from magical.learning.reinforcement.rollouts import (
     collect_rollout,
     shuffle_evenly,
 )
+from magical.learning.reinforcement.trainer import InteractionTrainer
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import (
     StateDict,
@@ -82,7 +81,7 @@ class PPOSettings(InteractionSettings):
 
     @property
     def env_horizon(self) -> Horizon:
-        """The horizon as environments take it."""
+        """See `InteractionSettings`."""
         return "published" if self.horizon == PUBLISHED else None
 
 
@@ -157,21 +156,20 @@ def make_policy(config: ReinforcementConfig) -> ActorCritic:
         return network
 
 
-class PPOTrainer:
+class PPOTrainer(InteractionTrainer):
     """An actor-critic, its optimiser and its environments."""
+
+    config: ReinforcementConfig
+    network: ActorCritic
 
     def __init__(
         self,
         config: ReinforcementConfig,
         run: Run,
         reward: Reward = "none",
-        *,
         previous_steps: int = 0,
     ) -> None:
-        """Create a new trainer, or resume from the run's checkpoint.
-
-        `previous_steps` is what the run takes before the first update, such as pretraining.
-        """
+        """Create a new trainer, or resume from the run's checkpoint."""
         self.config, self.run, self.previous_steps = config, run, previous_steps
         self.device = choose_device(config.device)
         self.network = make_policy(config).to(self.device)
@@ -181,24 +179,12 @@ class PPOTrainer:
         precision = "float32" if vectors and config.precision == "auto" else config.precision
         self.compute = run.compute(self.device, precision, config.threads)
         self.monitor = Monitor()
-        how: Any = {"horizon": config.ppo.env_horizon, "workers": config.ppo.workers}
         with ExitStack() as stack:
             if vectors:
                 stack.enter_context(one_thread())
-            self.envs = stack.enter_context(
-                RolloutEnvs(config, config.ppo.num_envs, self.device, reward=reward, **how)
-            )
-            policy = NetworkPolicy(self.network, config, self.compute)
-            self.network.train()
-            self._demo_evaluation = stack.enter_context(DemoEvaluation(policy, **how))
+            self.envs = stack.enter_context(RolloutEnvs(config, self.device, reward))
             self._start_or_resume()
             self._stack = stack.pop_all()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self._stack.close()
 
     def remaining_updates(self) -> Iterator[int]:
         """The numbers of the updates that are not done yet."""
@@ -257,25 +243,8 @@ class PPOTrainer:
         self.optimizer.step()
         return parts
 
-    def finish_update(
-        self, update: int, metrics: Metrics, extra_state: Callable[[], StateDict] = dict
-    ) -> bool:
-        """Evaluate, log and save checkpoints (with the extra state); true if the run stops."""
-        ppo, done = self.config.ppo, update + 1
-        metrics |= self.monitor.metrics()
-        every, last = ppo.evaluate_every, done == ppo.num_updates
-        if every and (done % every == 0 or last):
-            metrics["evaluation_score"] = self._demo_evaluation.score()
-        steps: Metrics = {"environment_steps": done * ppo.steps_per_update}
-        return self.run.finish_step(
-            self.previous_steps + done,
-            lambda: {**self.monitor.warning(metrics), **steps, **metrics},
-            lambda: {**self.state_dict(), **extra_state()},
-            last=last,
-        )
-
     def state_dict(self) -> StateDict:
-        """Everything that the next update depends on."""
+        """See `InteractionTrainer`."""
         ppo = {
             "optimizer": optimizer_state(self.optimizer),
             "envs": self.envs.state_dict(),

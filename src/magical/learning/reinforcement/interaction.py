@@ -6,6 +6,7 @@ from magical.errors import InvalidConfigError
 from magical.learning.config import Config
 from magical.learning.settings import NOT_NEGATIVE, POSITIVE, Settings, option
 from magical.runs.sources import INTERACTION
+from magical.tasks import Horizon
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,6 +30,11 @@ class InteractionSettings(Settings):
     def num_updates(self) -> int:
         """Updates of the policy in a whole run."""
         return max(1, self.total_steps // self.steps_per_update)
+
+    @property
+    def env_horizon(self) -> Horizon:
+        """The horizon as environments take it."""
+        return None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,13 +14,13 @@ from magical.envs.env import Reward
 from magical.envs.seeds import sample_training_seeds
 from magical.envs.vector import MagicalVectorEnv
 from magical.learning.augmentation.augment import to_unit
-from magical.learning.config import Config
 from magical.learning.models import sample_actions
+from magical.learning.reinforcement.interaction import InteractionConfig
 from magical.learning.running.checkpoints import StateDict
 from magical.learning.running.streams import Purpose, stream
 from magical.observe import ObservationSpec
 from magical.scene import NUM_ACTIONS
-from magical.tasks import Horizon, get_task
+from magical.tasks import get_task
 
 Forward = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]  # -> logits (B, 18), values (B,)
 EpisodeScores = tuple[tuple[int, float], ...]  # task and score of each episode that ended
@@ -52,25 +52,17 @@ class RolloutEnvs:
         device: where networks compute.
     """
 
-    def __init__(
-        self,
-        config: Config,
-        num_envs: int,
-        device: str,
-        *,
-        horizon: Horizon = None,
-        workers: int | None = None,
-        reward: Reward = "none",
-    ) -> None:
+    def __init__(self, config: InteractionConfig, device: str, reward: Reward = "none") -> None:
         """Create N environments of the configuration's tasks, observation and seed."""
-        self.task_of = np.sort(np.arange(num_envs) % len(config.tasks))  # (N,)
+        settings = config.interaction
+        self.task_of = np.sort(np.arange(settings.num_envs) % len(config.tasks))  # (N,)
         self.tasks = torch.from_numpy(self.task_of).to(device)
         names = [config.tasks[number] for number in self.task_of]
         self.envs = MagicalVectorEnv(
             [EnvId(name, "Demo") for name in names],
-            workers=workers,
+            workers=settings.workers,
             observation=config.observation,
-            horizon=horizon,
+            horizon=settings.env_horizon,
             reward=reward,
             autoreset_mode="SameStep",
             copy=False,
@@ -78,7 +70,8 @@ class RolloutEnvs:
         self._seed = config.seed
         self._spec: ObservationSpec = config.observation_spec
         self.device = device
-        self._horizons = np.array([get_task(name).resolve_horizon(horizon) for name in names])
+        horizons = [get_task(name).resolve_horizon(settings.env_horizon) for name in names]
+        self._horizons = np.array(horizons)
 
     def __enter__(self) -> Self:
         return self
