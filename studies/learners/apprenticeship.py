@@ -23,10 +23,9 @@ from torch.nn import functional
 from magical.envs.vector import MagicalVectorEnv
 from magical.learning.algorithms import read_config
 from magical.learning.algorithms.al import WEIGHTS, ALConfig, make_autoencoder
-from magical.learning.algorithms.ppo import ppo_loss
+from magical.learning.algorithms.ppo import make_samples, ppo_loss
 from magical.learning.augmentation.augment import to_unit
 from magical.learning.data.expert_data import ExpertData, sample_demonstrations
-from magical.learning.reinforcement.advantages import make_samples
 from magical.learning.reinforcement.replay_buffer import ROLLOUTS
 from magical.learning.reinforcement.reward_normalisation import RewardNormaliser, reward_floor
 from magical.learning.reinforcement.rollouts import Rollout

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from magical.learning.reinforcement.advantages import compute_gae
+from magical.learning.algorithms.ppo import compute_gae
 from magical.learning.reinforcement.monitoring import explained_variance
 from magical.learning.reinforcement.rollouts import Rollout, shuffle_evenly
 

@@ -13,9 +13,8 @@ from magical.errors import InvalidConfigError, UnknownNameError
 from magical.evaluation import evaluate
 from magical.learning import load_policy, train
 from magical.learning.algorithms import ppo
-from magical.learning.algorithms.ppo import PPOConfig, make_policy, ppo_loss
+from magical.learning.algorithms.ppo import PPOConfig, Samples, make_policy, ppo_loss
 from magical.learning.augmentation.augment import to_unit
-from magical.learning.reinforcement.advantages import Samples
 from magical.learning.reinforcement.rollouts import RolloutEnvs, collect_rollout
 from magical.runs import read_metrics
 from tests.learning.tiny_runs import checkpoint, tiny

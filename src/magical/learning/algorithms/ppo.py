@@ -12,7 +12,7 @@ One update:
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Self, cast
+from typing import Any, ClassVar, NamedTuple, Self, cast
 
 import numpy as np
 import torch
@@ -21,9 +21,9 @@ from torch.optim import Adam
 
 from magical.envs.env import Reward
 from magical.learning.algorithms import Algorithm
+from magical.learning.augmentation.augment import to_unit
 from magical.learning.config import IMAGE_OBSERVATIONS, PUBLISHED, NetworkSettings
 from magical.learning.models import ActorCritic, Trunk, centre, init_normal
-from magical.learning.reinforcement.advantages import Samples, make_samples
 from magical.learning.reinforcement.interaction import InteractionConfig, InteractionSettings
 from magical.learning.reinforcement.monitoring import Metrics, Monitor, explained_variance
 from magical.learning.reinforcement.presets import QUICK, STATES
@@ -51,6 +51,7 @@ from magical.runs.sources import SCORE
 from magical.tasks import Horizon, have_two_horizons, require_two_horizons
 
 VF_COEF = 0.5
+ADVANTAGE_EPSILON = 1e-8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,7 +234,7 @@ class PPOTrainer(InteractionTrainer):
             "explained_variance": explained_variance(rollout.values.flatten(), samples.returns),
         }
 
-    def _step(self, minibatch: Samples, clip_range: Tensor) -> dict[str, Tensor]:
+    def _step(self, minibatch: "Samples", clip_range: Tensor) -> dict[str, Tensor]:
         """Take one step of the optimiser; returns the loss's parts."""
         logits, values = self.forward(minibatch.observations, minibatch.tasks, in_range=True)
         loss, parts = ppo_loss(logits, values, minibatch, clip_range, self.config.ppo.ent_coef)
@@ -262,6 +263,56 @@ class PPOTrainer(InteractionTrainer):
             load_optimizer(self.optimizer, saved["ppo"]["optimizer"])
             self.envs.load_state_dict(saved["ppo"]["envs"])
             self.monitor.load_state_dict(saved["ppo"]["monitor"])
+
+
+class Samples(NamedTuple):
+    """The samples of a rollout, B = T * N, or a minibatch of them."""
+
+    observations: Tensor  # (B, ...) network inputs
+    actions: Tensor  # (B,) int64
+    log_probs: Tensor  # (B,), of the actions under the policy that collected them
+    advantages: Tensor  # (B,)
+    returns: Tensor  # (B,), the value targets
+    tasks: Tensor  # (B,) int64
+
+    def select(self, rows: Tensor) -> "Samples":
+        """A minibatch."""
+        return Samples(*(part[rows] for part in self))
+
+
+def make_samples(
+    rollout: Rollout, rewards: Tensor, gamma: float, gae_lambda: float, normalise: bool
+) -> Samples:
+    """Flatten a rollout, time-major, with the advantages and value targets of rewards (T, N)."""
+    advantages = compute_gae(rollout, rewards, gamma, gae_lambda)
+    returns = advantages + rollout.values
+    if normalise:
+        advantages = (advantages - advantages.mean()) / (advantages.std() + ADVANTAGE_EPSILON)
+    return Samples(
+        to_unit(rollout.observations.flatten(0, 1)),
+        rollout.actions.flatten(),
+        rollout.log_probs.flatten(),
+        advantages.flatten(),
+        returns.flatten(),
+        rollout.tasks.repeat(len(rewards)),
+    )
+
+
+def compute_gae(rollout: Rollout, rewards: Tensor, gamma: float, gae_lambda: float) -> Tensor:
+    """Generalised advantage estimates (T, N) for rewards (T, N).
+
+    A_t = delta_t + gamma * lambda * (1 - done_t) * A_{t+1}, where
+    delta_t = r_t + gamma * V(s_{t+1}) - V(s_t). At the end of an episode V(s_{t+1}) is 0 or the
+    value of the final observation: `Rollout.next_values` already contains the choice.
+    """
+    deltas = rewards + gamma * rollout.next_values - rollout.values
+    weights = gamma * gae_lambda * ~rollout.dones
+    advantages = torch.empty_like(deltas)
+    following = torch.zeros_like(deltas[0])
+    for t in reversed(range(len(deltas))):
+        following = deltas[t] + weights[t] * following
+        advantages[t] = following
+    return advantages
 
 
 def ppo_loss(
