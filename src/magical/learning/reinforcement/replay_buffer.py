@@ -17,18 +17,19 @@ ROLLOUTS = 4  # that the learners with learned rewards keep
 class ReplayBuffer:
     """Observations (uint8) and actions of the newest rollouts, on their device."""
 
+    _observations: Tensor  # (capacity, T, N, ...), from the first rollout on
+    _actions: Tensor  # (capacity, T, N)
+
     def __init__(self, capacity: int, task_of: NDArray[np.int64]) -> None:
         """Create an empty buffer for `capacity` rollouts of environments of tasks (N,)."""
         self._capacity = capacity
         self._envs_of = [np.flatnonzero(task_of == number) for number in range(task_of.max() + 1)]
         self._task_of = task_of
         self._count = 0  # rollouts added in all
-        self._observations: Tensor | None = None  # (capacity, T, N, ...)
-        self._actions: Tensor | None = None  # (capacity, T, N)
 
     def add(self, observations: Tensor, actions: Tensor) -> None:
         """Add observations (T, N, ...) and actions (T, N), replacing the oldest rollout."""
-        if self._observations is None or self._actions is None:
+        if not self._count:
             self._observations = observations.new_zeros((self._capacity, *observations.shape))
             self._actions = actions.new_zeros((self._capacity, *actions.shape))
         self._observations[self._count % self._capacity] = observations
@@ -43,8 +44,6 @@ class ReplayBuffer:
         Returns, with B the sum of the counts:
             Observations (B, ...), actions (B,) int64, tasks (B,) int64.
         """
-        assert self._observations is not None
-        assert self._actions is not None
         pairs = zip(self._envs_of, counts, strict=True)
         env = np.concatenate([rng.choice(envs, count) for envs, count in pairs])
         size = len(env)
@@ -56,20 +55,28 @@ class ReplayBuffer:
         return self._observations[index], self._actions[index], tasks
 
     def state_dict(self) -> StateDict:
-        """The contents; the images, which are mostly of uniform colour, are compressed."""
-        assert self._observations is not None
-        packed = zlib.compress(self._observations.cpu().numpy().tobytes(), 1)
+        """The contents."""
         return {
             "count": self._count,
             "shape": list(self._observations.shape),
-            "observations": torch.frombuffer(bytearray(packed), dtype=torch.uint8),
+            "observations": pack(self._observations),
             "actions": self._actions,
         }
 
     def load_state_dict(self, state: Mapping[str, Any], device: str) -> None:
         """Restore what `state_dict` returned."""
         self._count = state["count"]
-        plain = bytearray(zlib.decompress(state["observations"].numpy().tobytes()))
-        images = torch.frombuffer(plain, dtype=torch.uint8).view(state["shape"])
-        self._observations = images.to(device)
+        self._observations = unpack(state["observations"], torch.uint8, state["shape"]).to(device)
         self._actions = state["actions"].to(device)
+
+
+def pack(frames: Tensor) -> Tensor:
+    """Frames, which are mostly of uniform colour, compressed."""
+    packed = zlib.compress(frames.cpu().numpy().tobytes(), 1)
+    return torch.frombuffer(bytearray(packed), dtype=torch.uint8)
+
+
+def unpack(packed: Tensor, dtype: torch.dtype, shape: Sequence[int]) -> Tensor:
+    """The inverse of `pack`, on the CPU."""
+    plain = bytearray(zlib.decompress(packed.numpy().tobytes()))
+    return torch.frombuffer(plain, dtype=dtype).view(*shape)

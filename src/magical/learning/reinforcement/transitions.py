@@ -6,7 +6,6 @@ frames, numbered in the order in which they came, and a transition is a window o
 without its newest it is the observation before the action, without its oldest the one after it.
 """
 
-import zlib
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -17,6 +16,7 @@ from torch import Tensor
 
 from magical.demos import Trajectory
 from magical.demos.store.reader import TrajectorySource
+from magical.learning.reinforcement.replay_buffer import pack, unpack
 from magical.learning.running.checkpoints import StateDict
 from magical.observe import ObservationSpec
 from magical.observe.arrays import stack_indices
@@ -182,12 +182,12 @@ class TransitionBuffer:
         return parts[0] if len(parts) == 1 else torch.cat(parts, dim=1)
 
     def state_dict(self) -> StateDict:
-        """The contents; frames, which are mostly of uniform colour, are compressed."""
+        """The contents."""
         filled = min(self._stored, self._capacity)
         return {
             "stored": self._stored,
             "added": self._added,
-            "frames": [_pack(frames[:filled]) for frames in self._frames],
+            "frames": [pack(frames[:filled]) for frames in self._frames],
             "windows": torch.from_numpy(self._windows[: self._added]),
             "labels": torch.from_numpy(self._labels[: self._added]),
             "current": torch.from_numpy(self._current),
@@ -198,18 +198,8 @@ class TransitionBuffer:
         self._stored, self._added = int(state["stored"]), int(state["added"])
         for frames, packed in zip(self._frames, state["frames"], strict=True):
             filled = frames[: min(self._stored, self._capacity)]
-            filled.copy_(_unpack(packed, filled))
+            filled.copy_(unpack(packed, filled.dtype, filled.shape))
         self._windows[: self._added] = state["windows"].numpy()
         self._labels[: self._added] = state["labels"].numpy()
         self._current = state["current"].numpy()
         self._rows = []
-
-
-def _pack(frames: Tensor) -> Tensor:
-    packed = zlib.compress(frames.cpu().numpy().tobytes(), 1)
-    return torch.frombuffer(bytearray(packed), dtype=torch.uint8)
-
-
-def _unpack(packed: Tensor, like: Tensor) -> Tensor:
-    plain = bytearray(zlib.decompress(packed.numpy().tobytes()))
-    return torch.frombuffer(plain, dtype=like.dtype).view(like.shape)
