@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from magical.learning.algorithms.bc import BCConfig
 from magical.learning.augmentation.augment import NOISE_STD
 from magical.learning.augmentation.names import SETS, parse_augmentations
 from magical.learning.data.expert_data import ExpertData
-from magical.learning.data.rendered_data import RenderedExpertData, choose_augment_by
+from magical.learning.data.rendered_data import RenderedExpertData, choose_image_data
 from magical.observe import PRESETS
 from magical.runs.folder import RECORD, read_json
 from tests.learning.conftest import picture_demo
@@ -95,16 +96,20 @@ def test_noise_is_added_last(pairs: Pairs) -> None:
 
 
 def test_auto_renders_where_all_poses_are_known(pairs: Pairs) -> None:
-    recorded = [("MoveToCorner", picture_demo("MoveToCorner", 0))]
-    assert choose_augment_by("auto", pairs) == "rendering"
-    assert choose_augment_by("rendering", pairs) == "rendering"
-    assert choose_augment_by("resampling", pairs) == "resampling"
-    assert choose_augment_by("auto", [*pairs, *recorded]) == "resampling"
+    run = Mock()
+
+    def chosen(augment_by: str, *more: tuple[str, Trajectory]) -> tuple[type[ExpertData], str]:
+        kind = choose_image_data((*pairs, *more), run, augment_by)
+        return kind, run.describe.call_args.kwargs["augment_by"]
+
+    recorded = "MoveToCorner", picture_demo("MoveToCorner", 0)
+    assert chosen("auto") == chosen("rendering") == (RenderedExpertData, "rendering")
+    assert chosen("resampling") == chosen("auto", recorded) == (ExpertData, "resampling")
     expected = (
         r"1 demonstrations have recorded frames only.*MoveToCorner-Demo.*magical demos import"
     )
     with pytest.raises(DemonstrationsError, match=f"{expected}.*augment_by: resampling"):
-        choose_augment_by("rendering", [*pairs, *recorded])
+        chosen("rendering", recorded)
 
 
 def test_auto_trains_on_rendered_frames_and_resampling_on_others(

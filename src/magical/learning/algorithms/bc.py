@@ -33,7 +33,7 @@ from magical.learning.config import (
 )
 from magical.learning.data.expert_data import ExpertData, TaskTrajectories, load_demonstrations
 from magical.learning.data.prefetch import prefetch
-from magical.learning.data.rendered_data import AUTO, RENDERING, RESAMPLING, image_data
+from magical.learning.data.rendered_data import AUTO, RENDERING, RESAMPLING, choose_image_data
 from magical.learning.models import PolicyNetwork, Trunk, init_normal, new_statistics
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import (
@@ -245,18 +245,12 @@ class BCTrainer:
         return module
 
     def expert_data(self, demonstrations: TaskTrajectories, remove_noops: bool) -> ExpertData:
-        """The samples of demonstrations, on the trainer's device; raises what `image_data` does."""
-        config, cloning = self.config, self.config.cloning
+        """The samples of demonstrations, on the trainer's device; raises as `choose_image_data`."""
+        config, cloning, kind = self.config, self.config.cloning, ExpertData
         if not config.observes_vectors:
-            return image_data(
-                demonstrations,
-                config,
-                self.run,
-                augment_by=cloning.augment_by,
-                transformations=cloning.transformations,
-                remove_noops=remove_noops,
-            )
-        return ExpertData(
+            names = cloning.transformations
+            kind = choose_image_data(demonstrations, self.run, cloning.augment_by, names)
+        return kind(
             demonstrations,
             config.tasks,
             config.observation_spec,

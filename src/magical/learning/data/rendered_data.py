@@ -5,7 +5,7 @@ as much as a plain one, and pixels are never resampled. It needs the poses: demo
 scripted experts have them, and the published human ones as `magical demos import` reads them.
 """
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -16,6 +16,7 @@ from torch import Tensor
 
 from magical.demos import Trajectory
 from magical.errors import DemonstrationsError
+from magical.grouping import group_by
 from magical.learning.augmentation.augment import (
     NOISE_STD,
     Floats,
@@ -28,9 +29,7 @@ from magical.learning.augmentation.names import SETS, Augmentations
 from magical.learning.augmentation.noise import add_noise
 from magical.learning.augmentation.palette import PERMUTATIONS
 from magical.learning.augmentation.transformations import WALLS, StackTransformations
-from magical.learning.config import Config
 from magical.learning.data.expert_data import ExpertData, Rows, TaskTrajectories
-from magical.learning.running.devices import choose_device
 from magical.observe import PixelSpec
 from magical.render.moved_camera import MovedCamera
 from magical.render.palette import permuted
@@ -42,15 +41,13 @@ if TYPE_CHECKING:
 AUTO, RENDERING, RESAMPLING = "auto", "rendering", "resampling"  # how images are augmented
 
 
-def choose_augment_by(
+def choose_image_data(
+    demonstrations: TaskTrajectories,
+    run: "Run",
     augment_by: str,
-    demonstrations: Iterable[tuple[str, Trajectory]],
     transformations: Collection[str] = (),
-) -> str:
-    """How images are augmented, where the configuration says `auto`: by rendering if possible.
-
-    Returns:
-        `rendering` or `resampling`.
+) -> type[ExpertData]:
+    """What makes samples of images, recorded in `run.json`: with `auto`, rendering if possible.
 
     Raises:
         DemonstrationsError: rendering, or a transformation that needs it, was asked for and poses
@@ -71,33 +68,8 @@ def choose_augment_by(
             "only. Import the published files with `magical demos import`, which recovers their "
             f"poses, or leave out {WALLS}"
         )
-    return augment_by
-
-
-def image_data(
-    demonstrations: TaskTrajectories,
-    config: Config,
-    run: "Run",
-    *,
-    augment_by: str,
-    transformations: Collection[str] = (),
-    remove_noops: bool,
-) -> ExpertData:
-    """The samples of demonstrations of images; how they are augmented is recorded in `run.json`.
-
-    Raises:
-        DemonstrationsError: see `choose_augment_by` and `ExpertData`.
-    """
-    augment_by = choose_augment_by(augment_by, demonstrations, transformations)
     run.describe(augment_by=augment_by)
-    kind = RenderedExpertData if augment_by == RENDERING else ExpertData
-    return kind(
-        demonstrations,
-        config.tasks,
-        config.observation_spec,
-        device=choose_device(config.device),
-        remove_noops=remove_noops,
-    )
+    return RenderedExpertData if augment_by == RENDERING else ExpertData
 
 
 class RenderedExpertData(ExpertData):
@@ -106,25 +78,16 @@ class RenderedExpertData(ExpertData):
     def _load_frames(self, trajectories: Sequence[Trajectory]) -> None:
         """Store the poses before actions, by scene: scenes differ in bodies or regions."""
         assert isinstance(self.spec, PixelSpec)
-        by_scene: dict[object, list[tuple[int, Trajectory]]] = {}
-        first = 0
-        for trajectory in trajectories:
-            by_scene.setdefault(_what_is_rendered(trajectory.scene), []).append((first, trajectory))
-            first += len(trajectory)
-        self._scene_of = np.empty(first, np.intp)  # by frame
-        self._row_of = np.empty(first, np.intp)
+        ends = np.cumsum(list(map(len, trajectories)))
+        with_frames = zip(trajectories, np.split(np.arange(ends[-1]), ends[:-1]), strict=True)
+        by_scene = group_by(with_frames, lambda pair: _what_is_rendered(pair[0].scene))
+        self._scene_of, self._row_of = np.empty((2, ends[-1]), np.intp)  # by frame
         self._scenes: list[_SceneData] = []
         for number, members in enumerate(by_scene.values()):
-            poses: list[NDArray[np.float64]] = []
-            row = 0
-            for start, trajectory in members:
-                frames = slice(start, start + len(trajectory))
-                self._scene_of[frames] = number
-                self._row_of[frames] = np.arange(row, row + len(trajectory))
-                row += len(trajectory)
-                assert trajectory.poses is not None
-                poses.append(trajectory.poses[:-1])
-            scene, parts = members[0][1].scene, self.spec.components
+            frames = np.concatenate([own for _, own in members])
+            self._scene_of[frames], self._row_of[frames] = number, np.arange(len(frames))
+            poses = [np.asarray(trajectory.poses)[:-1] for trajectory, _ in members]
+            scene, parts = members[0][0].scene, self.spec.components
             cameras = [MovedCamera(scene, part.view, part.size, part.samples) for part in parts]
             palettes = [
                 np.stack([permuted(camera.palette, colours) for colours in PERMUTATIONS])

@@ -13,7 +13,7 @@ from magical.learning.augmentation.names import Augmentations, augment_option, p
 from magical.learning.config import Config, DemonstrationSettings, EncoderSettings
 from magical.learning.data.expert_data import ExpertData, load_demonstrations
 from magical.learning.data.prefetch import prefetch
-from magical.learning.data.rendered_data import AUTO, image_data
+from magical.learning.data.rendered_data import AUTO, choose_image_data
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import load_optimizer, optimizer_state, restoring
 from magical.learning.running.devices import choose_device
@@ -76,7 +76,14 @@ def load_data(config: SequenceConfig, run: Run) -> ExpertData:
         DemonstrationsError, RunFolderError: see `load_demonstrations` and `ExpertData`.
     """
     demonstrations = load_demonstrations(config, run)
-    return image_data(demonstrations, config, run, augment_by=AUTO, remove_noops=True)
+    kind = choose_image_data(demonstrations, run, AUTO)
+    return kind(
+        demonstrations,
+        config.tasks,
+        config.observation_spec,
+        device=choose_device(config.device),
+        remove_noops=True,
+    )
 
 
 def fit(
