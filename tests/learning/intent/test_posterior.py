@@ -120,15 +120,15 @@ def test_meanings_are_told_apart_by_what_selections_name_in_all_scenes() -> None
     same_colour = replace(FIX, blocks=tuple(replace(b, colour=colour) for b in FIX.blocks))
     one, both = (Language(scenes) for scenes in ([FIX], [FIX, same_colour]))
     selection = parse(MISMATCHED).selection  # type: ignore[attr-defined]
-    alone = one.alternatives[one.named_by(selection)].selections
+    alone = one.alternatives[one.named_by(selection)]
     assert selection in alone
-    assert len(both.alternatives[both.named_by(selection)].selections) < len(alone)
+    assert len(both.alternatives[both.named_by(selection)]) < len(alone)
 
 
 def test_selections_name_what_they_are_grouped_by() -> None:
     language = Language([FIX, TASKS["MatchRegions"].demo])
     for named, alternatives in language.alternatives.items():
-        assert {language.named_by(each) for each in alternatives.selections} == {named}
+        assert {language.named_by(each) for each in alternatives} == {named}
 
 
 def test_wordings_mean_the_same_and_share_the_weight() -> None:

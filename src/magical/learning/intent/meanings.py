@@ -6,7 +6,7 @@ one goal for the likelihood, with all selections that it may have been written w
 
 import math
 import operator
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
 from typing import Any, TypeVar, cast
@@ -57,19 +57,6 @@ class Chosen(Selection):
 
 
 @dataclass(frozen=True)
-class Alternatives:
-    """The selections that name the same blocks in all scenes, with their weights."""
-
-    selections: Sequence[Selection]
-    weights: Sequence[float]
-
-    @property
-    def heaviest(self) -> Selection:
-        """The most probable one."""
-        return max(zip(self.weights, self.selections, strict=True), key=lambda pair: pair[0])[1]
-
-
-@dataclass(frozen=True)
 class Meaning:
     """Goals that are the same in all scenes.
 
@@ -88,20 +75,21 @@ class Meaning:
 
 
 class Language:
-    """The selections of at most two parts and the goals of one part, in some scenes."""
+    """The selections of at most two parts and the goals of one part, in some scenes.
+
+    Attributes:
+        alternatives: the selections that name the same blocks in all scenes, with their weights.
+    """
 
     def __init__(self, scenes: Sequence[Scene]) -> None:
         """Find all selections that name a block in each scene."""
         self.scenes = scenes
         self._named: dict[Selection, Named] = {}
-        found: dict[Named, dict[Selection, float]] = {}
+        self.alternatives: dict[Named, dict[Selection, float]] = {}
         for selection, bits, named in self._selections():
             if all(named):
                 self._named[selection] = named
-                found.setdefault(named, {})[selection] = _probability(bits)
-        self.alternatives: Mapping[Named, Alternatives] = {
-            named: Alternatives(tuple(each), tuple(each.values())) for named, each in found.items()
-        }
+                self.alternatives.setdefault(named, {})[selection] = _probability(bits)
 
     def named_by(self, selection: Selection) -> Named:
         """The blocks that a selection names in each scene."""
@@ -131,7 +119,8 @@ class Language:
 
     def meanings(self) -> Iterator[Meaning]:
         """Every goal of one part."""
-        chosen = [(a.heaviest, sum(a.weights)) for a in self.alternatives.values()]
+        alternatives = self.alternatives.values()
+        chosen = [(max(each, key=each.__getitem__), sum(each.values())) for each in alternatives]
         places = [
             (place, _probability(bits_of_part(place)))
             for place in simple_expressions(Place)
@@ -160,17 +149,16 @@ class Language:
         choices = []
         for selection in outer_selections(goal):
             among = self.alternatives[self._named[selection]]
-            pairs = zip(among.weights, among.selections, strict=True)
-            order = sorted(pairs, key=lambda pair: -pair[0])[:most]
-            choices.append([(chosen, weight / sum(among.weights)) for weight, chosen in order])
+            total = sum(among.values())
+            order = sorted(among.items(), key=lambda pair: -pair[1])[:most]
+            choices.append([(chosen, weight / total) for chosen, weight in order])
         for chosen in product(*choices):
             selections = iter([selection for selection, _ in chosen])
 
             def next_one(_: Selection, rest: Iterator[Selection] = selections) -> Selection:
                 return next(rest)
 
-            rewritten = replace_selections(goal, next_one)
-            yield rewritten, math.prod(share for _, share in chosen)
+            yield replace_selections(goal, next_one), math.prod(share for _, share in chosen)
 
 
 def _probability(bits: float) -> float:
