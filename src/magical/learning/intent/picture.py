@@ -52,7 +52,8 @@ def _draw(axis: Any, task: str, belief: Belief) -> None:
     poses = Poses.at_rest(scene)
     intention = Intention(belief, scene)
     axis.imshow(render_frame(scene, poses, "allo", PIXELS), extent=EXTENT)
-    axis.set_title(f"{task}\n{_heading(belief)}", fontsize=8)
+    program = repr(belief.explanations[0].program) if belief.is_explained else "no program"
+    axis.set_title(f"{task}\n{textwrap.fill(program, 48)}", fontsize=8)
     if not intention.is_known:
         return
     centres = {block: tuple(xy) for block, xy in enumerate(poses.blocks[:, :2].tolist())}
@@ -69,10 +70,3 @@ def _draw(axis: Any, task: str, belief: Belief) -> None:
         axis.annotate("", xy=place, xytext=centres[thing], arrowprops=arrow)
     axis.set_xlim(EXTENT[:2])
     axis.set_ylim(EXTENT[2:])
-
-
-def _heading(belief: Belief) -> str:
-    """The most probable program, in lines that fit."""
-    if not belief.is_explained:
-        return "no program"
-    return textwrap.fill(repr(belief.explanations[0].program), 48)
