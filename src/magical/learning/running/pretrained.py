@@ -3,10 +3,11 @@
 from pathlib import Path
 
 from magical.errors import InvalidConfigError
-from magical.learning.algorithms import find_algorithm, read_config
+from magical.learning.algorithms import read_config
 from magical.learning.config import Config
 from magical.learning.models import Trunk
-from magical.learning.running.checkpoints import load_newest_checkpoint, restoring
+from magical.learning.running.checkpoints import restoring
+from magical.learning.running.loading import load_policy
 from magical.learning.running.run import Run
 from magical.runs.folder import CHECKPOINT
 from magical.runs.sources import PRETRAINED_ON
@@ -30,9 +31,7 @@ def load_pretrained(trunk: Trunk, config: Config, init_from: str, run: Run) -> N
             f"init_from: expected a run with the observation {config.observation}, found "
             f"{before.observation} in {folder}"
         )
-    state = load_newest_checkpoint(folder)
+    network = load_policy(folder, "cpu").network
     with restoring(folder / CHECKPOINT):
-        network = find_algorithm(before.algorithm).make_policy(before)
-        network.load_state_dict(state["policy"])
         trunk.load_state_dict(network.get_submodule("trunk").state_dict())
     run.describe(**{PRETRAINED_ON: list(before.tasks)})
