@@ -73,7 +73,12 @@ class TrainedPolicy:
         with torch.inference_mode(), full_float32(), self._compute.autocast():
             outputs = function(*(each.to(self._compute.device) for each in inputs))
         found: Tensor = outputs.double().cpu()
-        _require_finite(found)
+        finite = torch.isfinite(found)
+        if not finite.all():
+            raise DivergedError(
+                f"policy: expected finite outputs, found {found[~finite][0].item()}; the weights "
+                "are not finite, or too large for the precision"
+            )
         return found
 
     def task_numbers(self, env_ids: Sequence[str]) -> Tensor:
@@ -124,16 +129,6 @@ def sample_actions(
     uniforms = rng.random(len(probabilities)) * cumulative[:, -1]
     actions: NDArray[np.int64] = (uniforms[:, None] >= cumulative).sum(axis=1)
     return actions.clip(max=cumulative.shape[1] - 1)
-
-
-def _require_finite(outputs: Tensor) -> None:
-    """Raise `DivergedError` unless all outputs are finite."""
-    finite = torch.isfinite(outputs)
-    if not finite.all():
-        raise DivergedError(
-            f"policy: expected finite outputs, found {outputs[~finite][0].item()}; the "
-            "weights are not finite, or too large for the precision"
-        )
 
 
 def to_inputs(observations: Any, spec: ObservationSpec) -> Tensor:

@@ -133,16 +133,12 @@ class Run:
         stops = self._interrupts.seen or step >= self._last
         if stops or last or step % log_every == 0:
             found = metrics()
-            self._log(step, found)
+            self._metrics.write(step, found)
+            self._on_metrics(step, self._total, found)
             self._require_finite(step, found)
         if stops or last or self._checkpoint_is_due(step):
             self._checkpoint(step, state())
         return stops
-
-    def _log(self, step: int, metrics: Metrics) -> None:
-        """Log metrics to `metrics.jsonl` and to the callback."""
-        self._metrics.write(step, metrics)
-        self._on_metrics(step, self._total, metrics)
 
     def _checkpoint_is_due(self, step: int) -> bool:
         if self._checkpoint_every:
