@@ -19,11 +19,7 @@ from torch.optim import Adam
 
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
-from magical.learning.algorithms.ppo import (
-    PPOTrainer,
-    ReinforcementConfig,
-    make_policy,
-)
+from magical.learning.algorithms.ppo import PPOTrainer, ReinforcementConfig, make_policy
 from magical.learning.augmentation.augment import augment, to_unit
 from magical.learning.augmentation.names import SETS, Augmentations, augment_option
 from magical.learning.autoencoder import SIZE, Autoencoder, autoencoder_loss, save_reconstructions

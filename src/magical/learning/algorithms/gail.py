@@ -25,11 +25,7 @@ from torch.optim import Adam
 
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
-from magical.learning.algorithms.ppo import (
-    PPOTrainer,
-    ReinforcementConfig,
-    make_policy,
-)
+from magical.learning.algorithms.ppo import PPOTrainer, ReinforcementConfig, make_policy
 from magical.learning.augmentation.augment import Randoms, to_unit
 from magical.learning.augmentation.names import augment_option
 from magical.learning.config import DemonstrationSettings
@@ -93,6 +89,11 @@ class AdversarialConfig(ReinforcementConfig):
         """Those of all batches of the discriminator."""
         return self.num_updates * self.discriminator.steps * self.discriminator.batch_size
 
+    @property
+    def training_samples(self) -> int:
+        """Those of the policy and of the discriminator."""
+        return super().training_samples + self.discriminator_samples
+
 
 @dataclass(frozen=True, kw_only=True)
 class GAILConfig(AdversarialConfig):
@@ -109,11 +110,6 @@ class GAILConfig(AdversarialConfig):
     }
 
     algorithm: str = "gail"
-
-    @property
-    def training_samples(self) -> int:
-        """Those of the policy and of the discriminator."""
-        return super().training_samples + self.discriminator_samples
 
 
 def train(config: GAILConfig, run: Run) -> None:

@@ -42,10 +42,7 @@ from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
 from magical.learning.augmentation.augment import Randoms, to_unit
 from magical.learning.augmentation.names import augment_option
-from magical.learning.config import (
-    DemonstrationSettings,
-    NetworkSettings,
-)
+from magical.learning.config import DemonstrationSettings, NetworkSettings
 from magical.learning.data.expert_data import TaskTrajectories, load_demonstrations, split_evenly
 from magical.learning.models import PolicyNetwork, Trunk, centre, sample_actions
 from magical.learning.reinforcement.interaction import InteractionConfig, InteractionSettings

@@ -54,7 +54,7 @@ class WGAILGPConfig(AdversarialConfig):
     @property
     def training_samples(self) -> int:
         """Those of GAIL, and for the penalty half a batch with two backward passes."""
-        return super().training_samples + 2 * self.discriminator_samples
+        return super().training_samples + self.discriminator_samples
 
 
 def train(config: WGAILGPConfig, run: Run) -> None:
