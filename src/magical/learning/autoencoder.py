@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from magical.files import write_atomically
+from magical.learning.config import NetworkSettings
 from magical.learning.models import Trunk
 from magical.scene import NUM_ACTIONS
 
@@ -32,34 +33,27 @@ class Autoencoder(nn.Module):
 
     def __init__(
         self,
-        network: str,
+        settings: NetworkSettings,
         image_shape: tuple[int, ...],
         *,
-        action_input: str = "one-hot",
-        pixel_range: str = "unit",
-        decoder_batch_norm: bool = False,
         linear_features: bool = False,
     ) -> None:
         """Build an autoencoder, with PyTorch's initialisation.
 
         Args:
-            network: the encoder's architecture.
+            settings: the encoder's. In the published code, each ReLU of the decoder's convolutions
+                is followed by batch norm; its pixels are in [0, 1] whatever the encoder's are.
             image_shape: (C, 96, 96).
-            action_input: how the encoder takes actions: "one-hot" or "embedding", see `Trunk`.
-            pixel_range: the range of the encoder's pixels: "unit" or "symmetric", see `Trunk`. The
-                decoder's are in [0, 1] whatever it is.
-            decoder_batch_norm: follow each ReLU of the decoder's convolutions by batch norm.
             linear_features: leave out the ReLU after the encoder's last layer.
         """
         super().__init__()
-        assert image_shape[1:] == (SIZE, SIZE)
         self.encoder = Trunk(
-            network,
+            settings.network,
             image_shape,
             batch_norm=True,
-            action_input=action_input,
+            action_input=settings.action_input,
             num_features=FEATURES,
-            pixel_range=pixel_range,
+            pixel_range=settings.pixel_range,
         )
         if linear_features:
             self.encoder.linear[-1] = nn.Identity()
@@ -68,7 +62,7 @@ class Autoencoder(nn.Module):
         )
         self.action = nn.Linear(HIDDEN, NUM_ACTIONS)
         self.start = nn.Linear(HIDDEN, int(np.prod(START)))
-        self.image = _image_decoder(image_shape[0], decoder_batch_norm)
+        self.image = _image_decoder(image_shape[0], settings.published)
         self.mean_image: Tensor
         self.register_buffer("mean_image", torch.zeros(image_shape))
         # Convolutions are fastest with this memory layout.

@@ -26,7 +26,7 @@ from magical.learning.algorithms.al import (
     unaugmented,
 )
 from magical.learning.autoencoder import Autoencoder, autoencoder_loss
-from magical.learning.config import CONVENTIONS
+from magical.learning.config import CONVENTIONS, NetworkSettings
 from magical.learning.data.expert_data import ExpertData
 from magical.learning.reinforcement.replay_buffer import ReplayBuffer
 from magical.learning.running.devices import Compute
@@ -112,7 +112,7 @@ def test_autoencoder_learns_what_it_is_shown(trajectories: list[Trajectory]) -> 
     data = ExpertData([(TASKS[0], trajectories[0])], TASKS[:1], PRESETS["LoRes4E"])
     rows = np.arange(4)
     images, (actions, _) = data.images(rows) / 255.0, data.labels(rows)
-    network = Autoencoder("light", (12, 96, 96))
+    network = Autoencoder(NetworkSettings(network="light"), (12, 96, 96))
     optimizer = torch.optim.Adam(network.parameters(), 1e-3)
     losses = []
     for _ in range(15):

@@ -363,16 +363,8 @@ def save_expert_reconstructions(
 
 def make_autoencoder(config: ALConfig) -> Autoencoder:
     """The autoencoder, initialised from the seed."""
-    networks = config.networks
     with seeded_init(config.seed, AUTOENCODER_INIT):
-        return Autoencoder(
-            networks.network,
-            config.input_shape,
-            action_input=networks.action_input,
-            pixel_range=networks.pixel_range,
-            decoder_batch_norm=networks.published,
-            linear_features=config.refined,
-        )
+        return Autoencoder(config.networks, config.input_shape, linear_features=config.refined)
 
 
 ALGORITHM = Algorithm(ALConfig, train, make_policy)
