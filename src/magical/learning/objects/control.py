@@ -43,7 +43,7 @@ def control_inputs(
     robot = targets == ROBOT_TARGET
     rows = torch.arange(table.size, device=targets.device)
     start = torch.where(robot[:, None], destinations, table.blocks[rows, targets.clamp(min=0)])
-    target, end = view.see(start), view.see(destinations)
+    target, end = view.see(torch.stack([start, destinations], dim=1)).unbind(dim=1)
     blocks = view.see(table.blocks)
     numbers = torch.arange(blocks.shape[1], device=blocks.device)
     is_target = (numbers == targets[:, None])[..., None].float()
@@ -68,31 +68,26 @@ class _RobotView:
     """Workspace coordinates to the robot's frame (x to the right, y ahead), mirrored or not."""
 
     def __init__(self, table: ObjectTable, mirrored: Tensor | None) -> None:
-        self._table, self._mirrored = table, mirrored
-        self._angle = table.robot[:, 2]
+        self._table = table
+        none = torch.zeros(table.size, dtype=torch.bool, device=table.robot.device)
+        self._mirrored = (none if mirrored is None else mirrored)[:, None]  # (B, 1)
 
     def see(self, places: Tensor) -> Tensor:
-        """Places (B, 2) or (B, K, 2) as seen from the robot."""
-        origin = self._table.robot[:, :2]
-        return self.turn(places - (origin if places.dim() == 2 else origin[:, None]))
+        """Places (B, K, 2) as seen from the robot."""
+        return self.turn(places - self._table.robot[:, None, :2])
 
     def turn(self, vectors: Tensor) -> Tensor:
-        """Vectors (B, 2) or (B, K, 2) in the robot's frame."""
-        angle = self._angle if vectors.dim() == 2 else self._angle[:, None]
+        """Vectors (B, K, 2) in the robot's frame."""
+        angle = self._table.robot[:, 2:]  # (B, 1)
         cos, sin = angle.cos(), angle.sin()
         right = vectors[..., 0] * cos + vectors[..., 1] * sin
         ahead = vectors[..., 1] * cos - vectors[..., 0] * sin
-        if self._mirrored is not None:
-            flipped = self._mirrored if vectors.dim() == 2 else self._mirrored[:, None]
-            right = torch.where(flipped, -right, right)
-        return torch.stack([right, ahead], dim=-1)
+        return torch.stack([torch.where(self._mirrored, -right, right), ahead], dim=-1)
 
     def fingers(self) -> Tensor:
         """How far both fingers are open, roughly of unit size: (B, 2)."""
         values = 3 * self._table.fingers
-        if self._mirrored is None:
-            return values
-        return torch.where(self._mirrored[:, None], values.flip(1), values)
+        return torch.where(self._mirrored, values.flip(1), values)
 
     def walls(self, places: Tensor, limit: float) -> Tensor:
         """Direction and nearness of the two walls next to each place, nearer one first: (B, 6)."""
