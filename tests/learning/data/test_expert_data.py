@@ -155,10 +155,10 @@ def test_continuous_actions_are_learned_where_they_are_discrete_ones(
     points = trajectories[0].with_action_space("continuous")
     DatasetWriter(tmp_path / "points").append(points)
     ((_, learned),) = sample_demonstrations(
-        str(tmp_path / "points"), [points.task.name], 1, 0, [points.variant]
+        str(tmp_path / "points"), [points.task.name], 1, 0
     ).trajectories
     assert learned.actions.tolist() == trajectories[0].actions.tolist()
     between = replace(points, actions=np.full((len(points), 3), 0.5))
     DatasetWriter(tmp_path / "between").append(between)
     with pytest.raises(DemonstrationsError, match="this learner takes discrete actions"):
-        sample_demonstrations(str(tmp_path / "between"), [points.task.name], 1, 0, [points.variant])
+        sample_demonstrations(str(tmp_path / "between"), [points.task.name], 1, 0)

@@ -67,10 +67,9 @@ def sample_demonstrations(
     tasks: Sequence[str],
     count: int,
     seed: int,
-    variants: Sequence[str] = ("Demo",),
     action_space: ActionSpaceName = "discrete",
 ) -> Demonstrations:
-    """Sample demonstrations of each task; the sample depends on the seed alone.
+    """Sample demonstrations of each task's Demo variant; the sample depends on the seed alone.
 
     All algorithms with the same seed get the same ones, and a task of a multi-task run gets the
     same as in a run of its own (appendix B).
@@ -90,16 +89,14 @@ def sample_demonstrations(
     dataset = Dataset.open(path)
     trajectories, record = [], []
     for task in tasks:
-        entries = [e for e in dataset.filter(task=task).entries if e.variant in variants]
-        if len(entries) < count:
+        of_task = dataset.filter(task=task, variant="Demo")
+        if len(of_task) < count:
             held = sorted({f"{entry.task}-{entry.variant}" for entry in dataset.entries})
             raise DemonstrationsError(
                 f"{dataset.path}: expected at least {count} demonstrations of {task} "
-                f"({', '.join(variants)}), found {len(entries)}; the dataset holds: "
-                f"{', '.join(held) or 'nothing'}. Add demonstrations, or ask for fewer with "
-                "--num-demos"
+                f"(Demo), found {len(of_task)}; the dataset holds: {', '.join(held) or 'nothing'}. "
+                "Add demonstrations, or ask for fewer with --num-demos"
             )
-        of_task = Dataset(dataset.path, entries)
         some = of_task.sample(count, stream(seed, Purpose.DEMONSTRATIONS))
         trajectories += [(task, _converted(trajectory, action_space)) for trajectory in some]
         record += [{"task": task, "file": e.file, "sha256": e.sha256} for e in some.entries]
