@@ -106,9 +106,10 @@ class NetworkSettings(EncoderSettings):
 
     def augmentations(self, names: str) -> Augmentations:
         """The augmentations of these names, with the borders and colours of the conventions."""
+        chosen = parse_augmentations(names)
         if self.published:
-            return parse_augmentations(names, "repeat", linear_light=False)
-        return parse_augmentations(names)
+            return dataclasses.replace(chosen, borders="repeat", linear_light=False)
+        return chosen
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,6 +20,7 @@ from magical.learning.augmentation.augment import (
     warp,
 )
 from magical.learning.augmentation.names import NAMES, SETS, Augmentations, parse_augmentations
+from magical.learning.config import NetworkSettings
 
 NONE = SETS["none"]
 
@@ -46,7 +47,7 @@ def test_names_sets_and_combinations() -> None:
     assert parse_augmentations("none") == Augmentations(False, False, False, False)
     assert parse_augmentations("noise+rotation") == Augmentations(True, False, True, False)
     for name in NAMES:
-        found = asdict(parse_augmentations(name, borders="repeat", linear_light=False))
+        found = asdict(NetworkSettings(conventions="published").augmentations(name))
         assert (found["borders"], found["linear_light"]) == ("repeat", False)
         assert {n: found[n] for n in NAMES} == {n: n == name for n in NAMES}
     with pytest.raises(UnknownNameError, match=r"'blur'.*no-trans-rot.*noise, translation"):
@@ -164,7 +165,9 @@ def test_compiled_code_agrees_with_pytorch(
     names: str, borders: str, linear_light: bool, size: tuple[int, ...], channels_last: bool
 ) -> None:
     """The slow reference, on every colour and far beyond the borders."""
-    which = replace(parse_augmentations(names, borders, linear_light), noise=False)
+    which = replace(
+        parse_augmentations(names), borders=borders, linear_light=linear_light, noise=False
+    )
     images = torch.from_numpy(rng().integers(0, 256, (5, *size), dtype=np.uint8))
     if channels_last:
         images = images.contiguous(memory_format=torch.channels_last)

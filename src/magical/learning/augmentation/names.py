@@ -28,19 +28,16 @@ SETS = {
 }
 
 
-def parse_augmentations(
-    text: str, borders: str = "mirror", linear_light: bool = True
-) -> Augmentations:
+def parse_augmentations(text: str) -> Augmentations:
     """Parse one of `SETS`, or names joined by `+`, such as `noise+rotation`.
 
-    `no-trans-rot` and `none` are the tables' "no trans./rot. aug." and "no aug.". The other
-    arguments are those of `Augmentations`.
+    `no-trans-rot` and `none` are the tables' "no trans./rot. aug." and "no aug.".
 
     Raises:
         UnknownNameError: a name that is none of these.
     """
     if text in SETS:
-        return replace(SETS[text], borders=borders, linear_light=linear_light)
+        return SETS[text]
     chosen = text.split("+")
     unknown = [name for name in chosen if name not in NAMES]
     if unknown:
@@ -48,9 +45,8 @@ def parse_augmentations(
             f"augmentation {unknown[0]!r} is unknown; expected one of {', '.join(SETS)}, or some "
             f"of {', '.join(NAMES)} joined by +"
         )
-    return Augmentations(
-        **{name: name in chosen for name in NAMES}, borders=borders, linear_light=linear_light
-    )
+    switches: dict[str, Any] = dict.fromkeys(chosen, True)
+    return replace(SETS["none"], **switches)
 
 
 def augment_option(default: str, images: str = "images") -> Any:
