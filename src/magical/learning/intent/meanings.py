@@ -105,7 +105,8 @@ class Language:
         ]
         but = choice(AllBut)
         negated = [
-            (AllBut(s), but + bits, _without(everything, named)) for s, bits, named in single
+            (AllBut(s), but + bits, tuple(map(operator.sub, everything, named)))
+            for s, bits, named in single
         ]
         yield from (*single, *negated)
         known = [each for each in single if all(each[2])]
@@ -167,10 +168,6 @@ def _probability(bits: float) -> float:
 
 def _and(a: Named, b: Named) -> Named:
     return tuple(map(operator.and_, a, b))
-
-
-def _without(a: Named, b: Named) -> Named:
-    return tuple(map(operator.sub, a, b))
 
 
 def outer_selections(expression: Expression) -> Iterator[Selection]:
