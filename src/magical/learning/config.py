@@ -35,8 +35,6 @@ from magical.runs.sources import DEMONSTRATIONS, EXTRA_DATA, LEARNED_FROM, NUM_D
 from magical.tasks import get_task
 from magical.untrusted import convert
 
-DEVICES = ("auto", "cpu", "cuda")
-PRECISIONS = ("auto", "float32", "bfloat16")
 APPENDIX, PUBLISHED = "appendix", "published"
 CONVENTIONS = (APPENDIX, PUBLISHED)
 PIXEL_RANGES = {"unit": (0.0, 1.0), "symmetric": (-1.0, 1.0)}
@@ -135,12 +133,12 @@ class Config(Settings):
     seed: int = option(
         0, "determines demonstrations, initialisation, minibatches and episodes", NOT_NEGATIVE
     )
-    device: str = option("auto", "where to compute", choices=DEVICES)
+    device: str = option("auto", "where to compute", choices=("auto", "cpu", "cuda"))
     # PPO compares ratios with a clip range of 0.01: bfloat16's resolution is nearly as coarse.
     precision: str = option(
         "float32",
         "of the forward and backward pass; auto: bfloat16 where the processor has it",
-        choices=PRECISIONS,
+        choices=("auto", "float32", "bfloat16"),
     )
     threads: int = option(0, "CPU threads; 0: PyTorch's own number", NOT_NEGATIVE)
     checkpoint_every: int = option(

@@ -52,11 +52,7 @@ def load_demonstrations(config: Config, run: "Run") -> TaskTrajectories:
     settings = config.part(DemonstrationSettings)
     assert settings is not None
     found = sample_demonstrations(
-        settings.demos,
-        config.tasks,
-        settings.num_demos,
-        config.seed,
-        action_space=config.action_space,
+        settings.demos, config.tasks, settings.num_demos, config.seed, config.action_space
     )
     run.describe(demonstrations=list(found.record))
     return found.trajectories
