@@ -170,7 +170,6 @@ class AggregatedDataset:
         Raises:
             RunFolderError: its episodes are not those that the checkpoint was trained on.
         """
-        self._config = config
         self._per_round = len(config.env_ids)
         self.folder = run.folder / AGGREGATE
         if self.folder.exists():
