@@ -30,7 +30,7 @@ from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.objects.parser import FAR, MAX_BLOCKS, parse_frames
 from magical.learning.objects.regions import MAX_REGIONS
 from magical.learning.objects.table import ObjectTable, to_table, to_tensor
-from magical.learning.policy import TrainedPolicy, sample_actions
+from magical.learning.policy import TrainedPolicy, choose_actions
 from magical.learning.running.loading import load_policy
 from magical.observe.pixels import STACK
 from magical.render import Renderer
@@ -136,7 +136,7 @@ class PartlyTruePolicy:
             targets, destinations = _expert_goals(table, observations, episodes)
         before = torch.from_numpy(np.stack([episode.pose_before for episode in episodes])).float()
         logits = self._network.control(table, before, targets, destinations)
-        actions = sample_actions(logits.double().softmax(dim=1).numpy(), rng)
+        actions = choose_actions(logits.double().softmax(dim=1).numpy(), rng)
         if "control" in self.truths:
             places = table.blocks[torch.arange(table.size), targets.clamp(min=0)]
             for row, episode in enumerate(episodes):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from magical.errors import PolicyError
 from magical.evaluation.policy import Actions, Mask
-from magical.learning.policy import NetworkPolicy, sample_actions
+from magical.learning.policy import NetworkPolicy, choose_actions
 from magical.learning.running.loading import load_policy
 
 
@@ -49,7 +49,7 @@ class EnsemblePolicy:
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
         """One action for each environment, (B,) int64; raises what `NetworkPolicy.act` raises."""
-        return sample_actions(self.probabilities(observations, env_ids), rng)
+        return choose_actions(self.probabilities(observations, env_ids), rng)
 
     def probabilities(self, observations: Any, env_ids: Sequence[str]) -> NDArray[np.float64]:
         """The mean distribution over actions, (B, 18) float64."""

@@ -112,22 +112,15 @@ class NetworkPolicy(TrainedPolicy):
 
 
 def choose_actions(
-    probabilities: NDArray[np.float64], rng: np.random.Generator, greedy: bool
+    probabilities: NDArray[np.float64], rng: np.random.Generator, greedy: bool = False
 ) -> NDArray[np.int64]:
     """Actions (B,) of distributions (B, 18): sampled, or the most probable ones."""
     if greedy:
-        most_probable: NDArray[np.int64] = probabilities.argmax(axis=1)
-        return most_probable
-    return sample_actions(probabilities, rng)
-
-
-def sample_actions(
-    probabilities: NDArray[np.float64], rng: np.random.Generator
-) -> NDArray[np.int64]:
-    """One action (B,) int64 from each of the distributions (B, 18)."""
+        actions: NDArray[np.int64] = probabilities.argmax(axis=1)
+        return actions
     cumulative = probabilities.cumsum(axis=1)
     uniforms = rng.random(len(probabilities)) * cumulative[:, -1]
-    actions: NDArray[np.int64] = (uniforms[:, None] >= cumulative).sum(axis=1)
+    actions = (uniforms[:, None] >= cumulative).sum(axis=1)
     return actions.clip(max=cumulative.shape[1] - 1)
 
 
