@@ -137,19 +137,16 @@ class Run:
             self._on_metrics(step, self._total, found)
             self._require_finite(step, found)
         if stops or last or self._checkpoint_is_due(step):
-            self._checkpoint(step, state())
+            saved = state()
+            self._require_finite(step, saved)
+            replace_checkpoint(self.folder, {**saved, "step": step})
+            self.step, self._saved_at = step, time.monotonic()
         return stops
 
     def _checkpoint_is_due(self, step: int) -> bool:
         if self._checkpoint_every:
             return step % self._checkpoint_every == 0
         return time.monotonic() - self._saved_at >= CHECKPOINT_SECONDS
-
-    def _checkpoint(self, step: int, state: StateDict) -> None:
-        self._require_finite(step, state)
-        replace_checkpoint(self.folder, {**state, "step": step})
-        self.step = step
-        self._saved_at = time.monotonic()
 
     def _require_finite(self, step: int, state: Any) -> None:
         """Raise `DivergedError` if any number or tensor in nested dicts and lists is not finite."""
