@@ -8,6 +8,7 @@ configurations without it. What needs PyTorch is imported on first use; without 
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from magical.extras import require
 from magical.learning.algorithms import Algorithm, algorithm_names, find_algorithm, read_config
 from magical.learning.config import Config
 from magical.runs import is_run
@@ -44,7 +45,5 @@ _NEEDS_TORCH = {
 def __getattr__(name: str) -> Any:
     if name not in _NEEDS_TORCH:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from magical.extras import require
-
     require("learning")
     return getattr(importlib.import_module(f"{__name__}.{_NEEDS_TORCH[name]}"), name)
