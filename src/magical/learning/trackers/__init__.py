@@ -79,8 +79,7 @@ def opened_trackers(names: Sequence[str], folder: Path, step: int) -> Iterator[L
     """
     trackers = [_TRACKERS.get(name) for name in names]
     with ExitStack() as stack:
-        run = TrackedRun.of(folder, step) if trackers else None
-        logs = [stack.enter_context(tracker.open(run)) for tracker in trackers if run]
+        logs = [stack.enter_context(each.open(TrackedRun.of(folder, step))) for each in trackers]
 
         def log(step: int, metrics: Mapping[str, float | str]) -> None:
             numbers = {name: v for name, v in metrics.items() if not isinstance(v, str)}
