@@ -102,11 +102,6 @@ class CloningSettings(Settings):
         """The names of the transformations."""
         return parse_transformations(self.transform)
 
-    @property
-    def renders_changes(self) -> bool:
-        """Whether scenes may be rendered with other colours or walls than the recorded ones."""
-        return bool(self.transformations & {PALETTE, WALLS}) and self.augment_by != RESAMPLING
-
 
 @dataclass(frozen=True, kw_only=True)
 class BCConfig(Config):
@@ -155,7 +150,10 @@ class BCConfig(Config):
     @property
     def learned_from(self) -> tuple[str, ...]:
         """See `Config`."""
-        rendered = (RENDERED_STATES,) if self.cloning.renders_changes else ()
+        cloning = self.cloning
+        # Scenes may be rendered with other colours or walls than the recorded ones.
+        changed = cloning.transformations & {PALETTE, WALLS} and cloning.augment_by != RESAMPLING
+        rendered = (RENDERED_STATES,) if changed else ()
         pretrained = (EXTRA_DATA,) if self.init_from else ()
         return (*super().learned_from, *rendered, *pretrained)
 
