@@ -85,18 +85,24 @@ def import_published(
                 report.failed.append((str(file), _reason(file, result)))
                 continue
             entry, raw, problem = result
-            if earlier := first.get(entry.fingerprint):  # perhaps of the same name
-                name = str(file) if earlier == file.name else file.name
-                report.duplicates.append((name, earlier))
-                if skip_duplicates:
-                    continue
-            else:
-                first[entry.fingerprint] = file.name
+            if _is_copy(entry, file, first, report.duplicates) and skip_duplicates:
+                continue
             writer.append_encoded(entry, raw)
             report.imported.append(file.name)
             if problem:
                 report.without_poses.append((file.name, problem))
     return report
+
+
+def _is_copy(
+    entry: ManifestEntry, file: Path, first: dict[str, str], copies: list[tuple[str, str]]
+) -> bool:
+    """Note whether an earlier file, perhaps of the same name, has the actions and frames of one."""
+    if earlier := first.get(entry.fingerprint):
+        copies.append((str(file) if earlier == file.name else file.name, earlier))
+        return True
+    first[entry.fingerprint] = file.name
+    return False
 
 
 def _convert(file: Path, keep: Contents) -> tuple[ManifestEntry, bytes, str | None]:
