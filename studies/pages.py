@@ -9,7 +9,7 @@ import hashlib
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from operator import attrgetter
 from pathlib import Path
 
@@ -85,7 +85,7 @@ PLANS = (
 # Their rows are on pages of their own.
 OTHERS = (
     *("object-bc-ablations", "bc-transformations", "sequence-learners", "held-out"),
-    *("program-bc-human", "object-networks-human", "program-bc-held-out"),
+    *("program-bc-human", "program-bc-perception", "program-bc-held-out", "object-networks-human"),
 )
 SECTIONS = {  # the generated parts of each study's page
     "published_tables": (
@@ -93,7 +93,7 @@ SECTIONS = {  # the generated parts of each study's page
     ),
     "demonstrations": ("variations", "variants"),
     "generated_tasks": ("held-out",),
-    "intent": ("program-bc-human",),
+    "intent": ("program-bc-human", "program-bc-perception"),
     "objects": ("baseline", "gaps", "leaderboard", "others"),
 }
 PICTURE = Path("published_tables", "results.png")
@@ -169,7 +169,7 @@ class Page:
             "leaderboard": self.leaderboard,
             "others": self.other_tables,
             "held-out": lambda: held_out_tables(self.root),
-            "program-bc-human": lambda: task_table(self.root, "program-bc-human"),
+            **{name: partial(task_table, self.root, name) for name in SECTIONS["intent"]},
             "cells": self.cell_tables,
             "rejected": self.rejections,
         }
