@@ -26,7 +26,7 @@ from magical.learning.algorithms.al import (
     unaugmented,
 )
 from magical.learning.autoencoder import Autoencoder, autoencoder_loss
-from magical.learning.config import CONVENTIONS, NetworkSettings
+from magical.learning.config import APPENDIX, CONVENTIONS, NetworkSettings
 from magical.learning.data.expert_data import ExpertData
 from magical.learning.reinforcement.replay_buffer import ReplayBuffer
 from magical.learning.running.devices import Compute
@@ -225,6 +225,9 @@ def test_batch_norm_moves_on_in_training_mode_alone(demos: Path, tmp_path: Path)
         changed = {name for name in trained if not torch.equal(trained[name], pretrained[name])}
         assert bool(changed) == moves
         assert all("running" in name or "num_batches" in name for name in changed)
+        if conventions == APPENDIX:  # pretraining ends with statistics of their own batches
+            counts = {int(each) for name, each in pretrained.items() if "num_batches" in name}
+            assert counts == {al.STATISTICS_BATCHES} != {config.pretraining_batches}
 
 
 @pytest.mark.parametrize("conventions", CONVENTIONS)
