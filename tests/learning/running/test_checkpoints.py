@@ -15,13 +15,12 @@ from magical.errors import CheckpointError
 from magical.learning.running.checkpoints import (
     load_checkpoint,
     load_newest_checkpoint,
-    load_optimizer,
-    optimizer_state,
     replace_checkpoint,
     restore_previous_checkpoint,
     restoring,
     save_checkpoint,
 )
+from magical.learning.running.optimizers import load_optimizer, optimizer_state
 from magical.runs.folder import CHECKPOINT, PREVIOUS
 
 

@@ -19,12 +19,8 @@ from magical.learning.config import Config, DemonstrationSettings, NetworkSettin
 from magical.learning.data.expert_data import ExpertData, load_demonstrations
 from magical.learning.models import PolicyNetwork, Trunk
 from magical.learning.running.averages import Averages
-from magical.learning.running.checkpoints import (
-    StateDict,
-    load_optimizer,
-    optimizer_state,
-    restoring,
-)
+from magical.learning.running.checkpoints import StateDict, restoring
+from magical.learning.running.optimizers import load_optimizer, optimizer_state
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import FRACTION, POSITIVE, option

@@ -37,13 +37,9 @@ from magical.learning.reinforcement.replay_buffer import ROLLOUTS, ReplayBuffer
 from magical.learning.reinforcement.reward_normalisation import RewardNormaliser, reward_floor
 from magical.learning.reinforcement.rollouts import Rollout
 from magical.learning.running.averages import Averages
-from magical.learning.running.checkpoints import (
-    StateDict,
-    load_optimizer,
-    optimizer_state,
-    restoring,
-)
+from magical.learning.running.checkpoints import StateDict, restoring
 from magical.learning.running.devices import Compute
+from magical.learning.running.optimizers import load_optimizer, optimizer_state
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import POSITIVE, Settings, option

@@ -30,14 +30,9 @@ from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.objects.perception import PARSER, PERCEPTIONS, get_perception
 from magical.learning.objects.table import ObjectTable, to_table
 from magical.learning.running.averages import Averages
-from magical.learning.running.checkpoints import (
-    StateDict,
-    load_optimizer,
-    optimizer_state,
-    restoring,
-)
+from magical.learning.running.checkpoints import StateDict, restoring
 from magical.learning.running.devices import Device, choose_device, one_thread
-from magical.learning.running.optimizers import set_learning_rate
+from magical.learning.running.optimizers import load_optimizer, optimizer_state, set_learning_rate
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option

@@ -35,14 +35,9 @@ from magical.learning.reinforcement.rollouts import (
 )
 from magical.learning.reinforcement.trainer import InteractionTrainer
 from magical.learning.running.averages import Averages
-from magical.learning.running.checkpoints import (
-    StateDict,
-    load_optimizer,
-    optimizer_state,
-    restoring,
-)
+from magical.learning.running.checkpoints import StateDict, restoring
 from magical.learning.running.devices import choose_device, one_thread
-from magical.learning.running.optimizers import set_learning_rate
+from magical.learning.running.optimizers import load_optimizer, optimizer_state, set_learning_rate
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option

@@ -16,11 +16,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import torch
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
-from torch.optim import Optimizer
 
 from magical.errors import CheckpointError, MagicalError
 from magical.files import link_atomically, read_regular, write_atomically
@@ -191,27 +189,3 @@ def _put_tensors(node: Any, tensors: Mapping[str, Tensor]) -> Any:
     if isinstance(node, list):
         return [_put_tensors(value, tensors) for value in node]
     return node
-
-
-def optimizer_state(optimizer: Optimizer) -> StateDict:
-    """`optimizer.state_dict()` with string keys."""
-    saved = optimizer.state_dict()
-    return {**saved, "state": {str(index): values for index, values in saved["state"].items()}}
-
-
-def load_optimizer(optimizer: Optimizer, state: Mapping[str, Any]) -> None:
-    """Load what `optimizer_state` returned.
-
-    Moments get the memory layout of their parameters, so that arithmetic stays bit-equal.
-    """
-    parameters = [p for group in optimizer.param_groups for p in group["params"]]
-    moments = {}
-    for index, values in state["state"].items():
-        parameter = parameters[int(index)]
-        moments[int(index)] = {
-            name: torch.empty_like(parameter).copy_(value)
-            if isinstance(value, Tensor) and value.shape == parameter.shape
-            else value
-            for name, value in values.items()
-        }
-    optimizer.load_state_dict({"state": moments, "param_groups": state["param_groups"]})

@@ -15,9 +15,9 @@ from magical.learning.data.expert_data import ExpertData, load_demonstrations
 from magical.learning.data.prefetch import prefetch
 from magical.learning.data.rendered_data import AUTO, choose_image_data
 from magical.learning.running.averages import Averages
-from magical.learning.running.checkpoints import load_optimizer, optimizer_state, restoring
+from magical.learning.running.checkpoints import restoring
 from magical.learning.running.devices import choose_device
-from magical.learning.running.optimizers import set_learning_rate
+from magical.learning.running.optimizers import load_optimizer, optimizer_state, set_learning_rate
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, stream
 from magical.learning.settings import NOT_NEGATIVE, POSITIVE, Settings, option
