@@ -192,8 +192,9 @@ def _search_last(folder: Path) -> None:
 def require_known_module(name: str, what: str) -> None:
     """Check that what a file names may be imported on its word.
 
-    Entry points may, and `module:NAME` of a module that is installed, or that the user has imported
-    before. A module of the working folder or a file may not: both may have come with the file.
+    Entry points may, and `module:NAME` of a package that is installed, or of which the user has
+    imported something. A module of the working folder or a file may not: both may have come with
+    the file.
 
     Args:
         name: of a thing of any kind.
@@ -204,7 +205,8 @@ def require_known_module(name: str, what: str) -> None:
     """
     module, colon, _ = name.rpartition(":")
     package = module.partition(".")[0]
-    if not colon or module in sys.modules or _is_installed(package):
+    imported = module if module.endswith(".py") else package
+    if not colon or imported in sys.modules or _is_installed(package):
         return
     raise PluginError(
         f"{what} names {quoted(name)}, of a module that is not installed; if you trust it, import "

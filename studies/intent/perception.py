@@ -1,11 +1,12 @@
 """Learned perception: a small network that finds the objects of frames, trained on random scenes.
 
-python -m studies.intent.perception train [--batches 7000]
+python -m studies.intent.perception train [--batches 7000] [--out FILE]
 python -m studies.intent.perception measure
 
 `FIND_OBJECTS` takes the place of the parser in `object-bc` and `program-bc`:
 
-magical train program-bc --perception studies.intent.perception:FIND_OBJECTS ...
+magical train program-bc --perception studies.intent.perception:FIND_OBJECTS --out RUN ...
+magical --import studies.intent.perception evaluate RUN
 
 The network says for every 4 x 4 pixels how likely they are an object's centre, where the centre is,
 and what the object is (Zhou, Wang and Kraehenbuehl, "Objects as points", 2019). Its scenes have up
@@ -260,8 +261,15 @@ def losses(channels: Tensor, batch: Batch) -> dict[str, Tensor]:
     }
 
 
-def train(batches: int, batch_size: int = 64, learning_rate: float = 3e-3) -> None:
-    """Train a network on random scenes, and write its weights."""
+def train(batches: int, out: Path, batch_size: int = 64, learning_rate: float = 3e-3) -> None:
+    """Train a network on random scenes, and write its weights.
+
+    Args:
+        batches: at least 11.
+        out: the file of the weights.
+        batch_size: scenes of each batch.
+        learning_rate: the highest; it rises for a tenth of the batches and then falls to nearly 0.
+    """
     torch.manual_seed(0)
     rng = np.random.default_rng(0)
     detector: Detector = Detector().to(memory_format=LAST)  # type: ignore[call-overload]
@@ -283,7 +291,7 @@ def train(batches: int, batch_size: int = 64, learning_rate: float = 3e-3) -> No
         if (number + 1) % 100 == 0:
             print(number + 1, {name: round(mean, 4) for name, mean in means.items()}, flush=True)
         if (number + 1) % 500 == 0 or number + 1 == batches:
-            torch.save({n: v.half() for n, v in detector.state_dict().items()}, WEIGHTS)
+            torch.save({n: v.half() for n, v in detector.state_dict().items()}, out)
 
 
 def main() -> None:
@@ -293,11 +301,12 @@ def main() -> None:
     commands = parser.add_subparsers(dest="command", required=True)
     training = commands.add_parser("train")
     training.add_argument("--batches", type=int, default=7000)
+    training.add_argument("--out", type=Path, default=WEIGHTS, help="default: what is in use")
     measuring = commands.add_parser("measure")
     measuring.add_argument("--episodes", type=int, default=1, help="of each environment")
     args = parser.parse_args()
     if args.command == "train":
-        train(args.batches)
+        train(args.batches, args.out)
     else:
         measure(args.episodes, FIND_OBJECTS)
 

@@ -48,9 +48,7 @@ def main() -> None:
 
 def measure(episodes: int, perception: Perception = p.parse_frames) -> None:
     """Print a row of figures for each variant."""
-    print(
-        "variant frames  ms  block mm  p95  robot mm  angle p95  finger  missed false shape regions"
-    )
+    print("variant frames  ms  block  p95  robot  angle p95  finger  missed false shape regions")
     by_variant = defaultdict(list)
     for env_id in all_env_ids():
         for k in range(episodes):

@@ -70,6 +70,7 @@ def _check_value(field: "dataclasses.Field[Any]", value: Any) -> None:
     if choices and value not in choices and not (others and is_plugin(others, value)):
         raise UnknownNameError(
             f"{name} {quoted(value)} is unknown; expected one of: {', '.join(choices)}"
+            + ("; or module:NAME" if others else "")
         )
     if field.metadata["parse"]:
         field.metadata["parse"](value)

@@ -24,6 +24,16 @@ def count(frames: Pixels, robot_alone: bool = False) -> ParsedFrames:
     return parse_frames(frames, robot_alone)
 
 
+def nothing(frames: Pixels, robot_alone: bool = False) -> None:
+    """No perception."""
+
+
+def single(frames: Pixels, robot_alone: bool = False) -> ParsedFrames:
+    """Of another precision."""
+    parsed = parse_frames(frames, robot_alone)
+    return parsed._replace(robot=parsed.robot.astype(np.float32))
+
+
 def config(kind: type[ObjectBCConfig], demos: Path, perception: str) -> ObjectBCConfig:
     fields = {"tasks": ("FixColour",), "demos": str(demos), "batches": 2, "batch_size": 8}
     return tiny(kind, "paper", **fields, perception=perception)
@@ -45,7 +55,17 @@ def test_training_and_acting_take_it(
 
 
 def test_other_names_are_refused(expert_demos: Path) -> None:
-    with pytest.raises(UnknownNameError, match="perception 'eyes' is unknown; expected one of"):
+    with pytest.raises(
+        UnknownNameError, match="perception 'eyes' is unknown; expected .*module:NAME"
+    ):
         config(ObjectBCConfig, expert_demos, "eyes")
     with pytest.raises(PluginError, match="expected a function of frames, found list"):
         get_perception(f"{__name__}:seen")
+
+
+@pytest.mark.parametrize(
+    ("name", "found"), [("nothing", "found NoneType"), ("single", r"found float32 \(1, 3\), ")]
+)
+def test_what_returns_something_else_is_refused(name: str, found: str) -> None:
+    with pytest.raises(PluginError, match=f"expected ParsedFrames of float64 .*{found}"):
+        get_perception(f"{__name__}:{name}")
