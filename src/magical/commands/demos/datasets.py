@@ -35,8 +35,9 @@ def run_generate(args: argparse.Namespace) -> int:
     )
     if copies := len(find_duplicates(Dataset.open(args.out).entries)):
         log(
-            f"warning: {args.out}: {copies} demonstrations equal earlier ones of the dataset; "
-            "give another --seed, or continue the series with --first"
+            f"warning: {args.out}: {copies} demonstrations equal earlier ones of the dataset; an "
+            "expert repeats itself where the scene is the same, unless its actions are perturbed "
+            "(--perturb); another series needs another --seed, or --first to continue one"
         )
     print_json(args, {"out": str(args.out), "environments": [asdict(report) for report in reports]})
     return 0
