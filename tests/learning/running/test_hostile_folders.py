@@ -6,6 +6,7 @@ import shutil
 import sys
 from collections import Counter
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -101,19 +102,31 @@ def test_whatever_a_record_holds_is_accepted_or_refused(
     assert outcomes["refused"] > 3
 
 
-@pytest.mark.parametrize("key", ["algorithm", "network", "observation"])
+@pytest.mark.parametrize("key", ["algorithm", "network", "observation", "perception"])
 def test_no_module_of_the_working_folder_is_imported_on_a_record_s_word(
     key: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(sys.modules, "this", raising=False)  # another test may have imported it
-    for module in ("planted.py", "run/planted.py"):
+    for module in ("planted.py", "run/planted.py", "json.py"):
         Path(module).write_text("raise SystemExit('imported')\n")
     data = json.loads((folder / CONFIG).read_text())
-    for name in ("planted:NAME", "run/planted.py:NAME", f"{folder}/planted.py:NAME", "this:s"):
+    files = "run/planted.py:NAME", f"{folder}/planted.py:NAME", "json.py:NAME"
+    for name in ("planted:NAME", *files, "this:s"):
         (folder / CONFIG).write_text(json.dumps({**data, key: name}))
         with pytest.raises(PluginError, match=r"config.json names .*not installed.*--import"):
             read_config(folder)
+
+
+def test_other_modules_of_an_imported_package_may_be_named(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = json.loads((folder / CONFIG).read_text())
+    (folder / CONFIG).write_text(json.dumps({**data, "network": "own.nets:NETWORK"}))
+    with pytest.raises(PluginError, match="not installed"):
+        read_config(folder)
+    monkeypatch.setitem(sys.modules, "own", ModuleType("own"))
+    assert read_config(folder).to_dict()["network"] == "own.nets:NETWORK"
 
 
 def test_gpu_memory_that_does_not_suffice_is_named(
