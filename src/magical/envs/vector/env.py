@@ -58,7 +58,11 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             raises `WorkerDiedError` and the environment is closed. With workers, only the process
             that made the environment may use it, and with any number only one thread at a time.
         observation: see `observe.make_spec`; takes precedence over the ids' preset.
-        horizon, reward, instruction, paraphrase, action_space: as for `MagicalEnv`.
+        horizon: as for `MagicalEnv`.
+        reward: as for `MagicalEnv`.
+        instruction: as for `MagicalEnv`.
+        paraphrase: as for `MagicalEnv`.
+        action_space: as for `MagicalEnv`.
         autoreset_mode: what happens after an episode's last step. NEXT_STEP: the next step
             ignores the action and starts another episode. SAME_STEP: that step already returns the
             next episode's first observation; the last observation and scores are in
