@@ -1,4 +1,4 @@
-"""Tasks, observations, networks, algorithms, experts and policies, of this package and of others.
+"""Tasks, observations, networks, perceptions, algorithms, experts, policies: ours and others'.
 
 Another distribution offers one by an entry point, for instance
 

@@ -38,7 +38,6 @@ WEIGHTS = Path(__file__).with_name("perception.pt")
 STRIDE = 4  # pixels of a cell
 CELLS = FRAME_SIZE // STRIDE
 CELL = 2 * VIEW_HALF / CELLS  # units
-LAST = torch.channels_last
 WIDTH, DILATIONS = 48, (1, 2, 4, 1, 2, 1)
 
 # The channels of each kind of object: centre, offset from the cell's centre, then its own.
@@ -98,7 +97,7 @@ class FindObjects:
             detector = Detector().eval()
             state = torch.load(self._weights, weights_only=True)
             detector.load_state_dict({name: value.float() for name, value in state.items()})
-            self._detector = detector.to(memory_format=LAST)  # type: ignore[call-overload]
+            self._detector = detector
         with torch.inference_mode(), torch.autocast("cpu", enabled=False):
             return decode(self._detector(to_images(frames)))
 
@@ -107,7 +106,7 @@ FIND_OBJECTS = FindObjects(WEIGHTS)
 
 
 def to_images(frames: Pixels) -> Tensor:
-    """Frames (B, 96, 96, 3) as floats (B, 3, 96, 96)."""
+    """Frames (B, 96, 96, 3) as floats (B, 3, 96, 96), channels last in memory."""
     pixels = torch.from_numpy(np.ascontiguousarray(frames))
     return pixels.permute(0, 3, 1, 2).float() / 255
 
@@ -272,15 +271,14 @@ def train(batches: int, out: Path, batch_size: int = 64, learning_rate: float = 
     """
     torch.manual_seed(0)
     rng = np.random.default_rng(0)
-    detector: Detector = Detector().to(memory_format=LAST)  # type: ignore[call-overload]
+    detector = Detector()
     optimizer = torch.optim.AdamW(detector.parameters(), learning_rate, weight_decay=1e-4)
     annealed = torch.optim.lr_scheduler.OneCycleLR(optimizer, learning_rate, batches, pct_start=0.1)
     means: dict[str, float] = {}
     for number in range(batches):
         batch = Batch([random_sample(rng) for _ in range(batch_size)])
-        images = to_images(batch.frames).contiguous(memory_format=LAST)
         with torch.autocast("cpu", torch.bfloat16):
-            channels = detector(images)
+            channels = detector(to_images(batch.frames))
         parts = losses(channels.float(), batch)
         optimizer.zero_grad()
         torch.autograd.backward(sum(parts.values(), torch.zeros(())))
