@@ -122,11 +122,11 @@ def test_other_modules_of_an_imported_package_may_be_named(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data = json.loads((folder / CONFIG).read_text())
-    (folder / CONFIG).write_text(json.dumps({**data, "network": "own.nets:NETWORK"}))
+    (folder / CONFIG).write_text(json.dumps({**data, "network": "imported_package.nets:NETWORK"}))
     with pytest.raises(PluginError, match="not installed"):
         read_config(folder)
-    monkeypatch.setitem(sys.modules, "own", ModuleType("own"))
-    assert read_config(folder).to_dict()["network"] == "own.nets:NETWORK"
+    monkeypatch.setitem(sys.modules, "imported_package", ModuleType("imported_package"))
+    assert read_config(folder).to_dict()["network"] == "imported_package.nets:NETWORK"
 
 
 def test_gpu_memory_that_does_not_suffice_is_named(
