@@ -58,10 +58,13 @@ class CompileCache:
 
     def load_overload(self, signature: Any, target_context: Any) -> Any:
         """The compiled function for a signature, or None: numba then compiles it."""
-        target_context.refresh()
         try:
             from numba.core import compiler
+            from numba.core.runtime.nrt import rtsys
 
+            # numba's own cache calls `target_context.refresh()`, which imports all that can be
+            # compiled, and SciPy. What is compiled already needs the runtime alone.
+            rtsys.initialize(target_context)
             rebuild: Callable[..., Any] = compiler.CompileResult._rebuild
             content = read_regular(self._path(signature, target_context.codegen()), MAX_BYTES)
             digest, payload = content[:DIGEST_BYTES], content[DIGEST_BYTES:]
