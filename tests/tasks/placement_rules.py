@@ -14,7 +14,8 @@ from magical.tasks import Axis, Task
 from magical.tasks import validation as v
 from magical.tasks.placement import ANGLE_JITTER, POSITION_JITTER, SIZE_JITTER
 
-Pair = tuple[tuple[str, Solid], tuple[str, Solid]]
+Named = tuple[str, Solid]
+Pair = tuple[Named, Named]
 
 
 def check_placement(task: Task, variant: str, scene: Scene, slack: float = v.ROUNDING) -> None:
@@ -28,8 +29,9 @@ def check_placement(task: Task, variant: str, scene: Scene, slack: float = v.ROU
         counts = [(len(s.blocks), len(s.regions)) for s in (demo, scene)]
         near("counts", counts[0], counts[1], (0, 0), 0.0)
     if axes & (Axis.JITTER | Axis.LAYOUT):
-        v.check_inside({**v.named_bodies(scene), **v.named_regions(scene)}, slack)
-        v.check_apart(kept_apart(task, scene), slack)
+        bodies, regions = v.named_bodies(scene), v.named_regions(scene)
+        v.check_inside({**bodies, **regions}, slack)
+        v.check_apart(kept_apart(task, [*bodies.items()], [*regions.items()]), slack)
         low, high = task.placement.region_size
         sizes = [size for region in scene.regions for size in (region.height, region.width)]
         middle, half = (low + high) / 2, (high - low) / 2
@@ -48,9 +50,9 @@ def check_placement(task: Task, variant: str, scene: Scene, slack: float = v.ROU
         check_near_demo(task, Axis.JITTER in axes, scene, slack)
 
 
-def kept_apart(task: Task, scene: Scene) -> Iterator[Pair]:
-    bodies, regions = list(v.named_bodies(scene).items()), list(v.named_regions(scene).items())
-    enclosed = {i + 1: r for i, r in task.placement.enclosed(len(scene.blocks)).items()}
+def kept_apart(task: Task, bodies: list[Named], regions: list[Named]) -> Iterator[Pair]:
+    # The robot is the first body.
+    enclosed = {i + 1: r for i, r in task.placement.enclosed(len(bodies) - 1).items()}
     yield from combinations(bodies, 2)
     yield from combinations(regions, 2)
     for (i, body), (j, region) in product(enumerate(bodies), enumerate(regions)):

@@ -108,7 +108,15 @@ def robot_pieces() -> tuple[Piece, ...]:
 
 def place(pieces: Iterable[Piece], pose: Pose) -> tuple[Piece, ...]:
     """Pieces given in a body's frame, in workspace coordinates."""
-    return tuple(Piece(tuple(to_workspace(v, pose) for v in p.vertices), p.radius) for p in pieces)
+    x0, y0, angle = pose
+    cos, sin = math.cos(angle), math.sin(angle)
+    return tuple(
+        Piece(
+            tuple((x0 + (cos * x - sin * y), y0 + (sin * x + cos * y)) for x, y in piece.vertices),
+            piece.radius,
+        )
+        for piece in pieces
+    )
 
 
 def depth(a: Piece, b: Piece) -> float:
