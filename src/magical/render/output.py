@@ -41,14 +41,11 @@ def compiled_push() -> Callable[..., None]:
     def push_four(pixels: NDArray[np.int32], stack: NDArray[np.uint32]) -> None:
         """The stack as little-endian words, three a pixel: (height, 3 * width)."""
         height, width = stack.shape[0], stack.shape[1] // 3
-        old = np.empty(3 * width, np.uint32)
         for y in range(height):
             first = (height - 1 - y) * width
             newest, new = pixels[first : first + width], stack[y]
-            for i in range(3 * width):
-                old[i] = new[i]
             for x in range(width):
-                a, b, c = old[3 * x], old[3 * x + 1], old[3 * x + 2]
+                a, b, c = new[3 * x], new[3 * x + 1], new[3 * x + 2]
                 new[3 * x] = a >> 24 | b << 8
                 new[3 * x + 1] = b >> 24 | c << 8
                 new[3 * x + 2] = c >> 24 | np.uint32(newest[x]) << 8
