@@ -32,7 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_tasks(parser, "MoveToRegion and MoveToCorner")
     add_seed(parser, "of training")
     add_rollouts(parser)
-    add_count(parser, "--batches", "of training (default: the preset's)")
+    add_count(parser, "--batches", "of training (default: 2000)")
     add_workers(parser, least=1)
 
 
@@ -45,10 +45,12 @@ def run(args: argparse.Namespace) -> int:
 
     require("report")
     plan = read_plan(find_plan("quickstart"))
-    settings = {"batches": args.batches} if args.batches else {}
+    if args.batches:
+        settings = {"batches": args.batches}
+        methods = tuple(replace(method, settings=settings) for method in plan.methods)
+        plan = replace(plan, methods=methods)
     plan = replace(
         plan,
-        methods=tuple(replace(method, settings=settings) for method in plan.methods),
         tasks=tuple(args.task or plan.tasks),
         seeds=(args.seed,),
         rollouts=args.rollouts,
