@@ -8,5 +8,8 @@ from tests.report.conftest import write_entry
 __all__ = ["finished", "inline", "planned", "tiny", "write_entry"]
 
 # What executes plans cannot even be imported without PyTorch.
-NEED_TORCH = ("collecting", "layout", "object_networks", "pages", "plans", "restoring", "weights")
+NEED_TORCH = (
+    *("collecting", "layout", "object_networks", "pages", "perception", "plans", "restoring"),
+    "weights",
+)
 collect_ignore = [] if find_spec("torch") else [f"test_{name}.py" for name in NEED_TORCH]
