@@ -22,7 +22,7 @@ from magical.report.leaderboard.checks import Rejected, by_reasons, check_entrie
 from magical.report.leaderboard.ranking import ALL_TASKS, Board, make_boards
 from magical.report.scores.tables import signed
 from magical.tasks.axes import SHORT_VARIANTS
-from studies.generated_tasks.baselines import held_out_tables, task_table
+from studies.generated_tasks.baselines import held_out_tables, method_table, task_table
 from studies.plan_results import NOT_RUN, PlanResults
 from studies.published_tables.agreement import find_agreements
 from studies.published_tables.cells import (
@@ -93,8 +93,14 @@ SECTIONS = {  # the generated parts of each study's page
     ),
     "demonstrations": ("variations", "variants"),
     "generated_tasks": ("held-out",),
-    "intent": ("program-bc-human", "program-bc-perception"),
+    "intent": ("program-bc-human", "program-bc-perception", "object-networks-human"),
+    "modern_baselines": ("sequence-learners",),
     "objects": ("baseline", "gaps", "leaderboard", "others"),
+}
+BY_TASK = ("program-bc-human", "program-bc-perception")
+BESIDE = {  # plans whose methods' means stand beside methods of other plans
+    "sequence-learners": {"bc-human": "BC (ST)"},
+    "object-networks-human": {"bc-human": "BC (ST)", "program-bc-human": "program-bc (ST), human"},
 }
 PICTURE = Path("published_tables", "results.png")
 BASELINE = ("object-bc (ST)", HUNDRED)  # from the same demonstrations
@@ -169,7 +175,8 @@ class Page:
             "leaderboard": self.leaderboard,
             "others": self.other_tables,
             "held-out": lambda: held_out_tables(self.root),
-            **{name: partial(task_table, self.root, name) for name in SECTIONS["intent"]},
+            **{name: partial(task_table, self.root, name) for name in BY_TASK},
+            **{name: partial(method_table, self.root, name, of) for name, of in BESIDE.items()},
             "cells": self.cell_tables,
             "rejected": self.rejections,
         }

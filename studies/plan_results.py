@@ -3,9 +3,12 @@
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from operator import itemgetter
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
+from magical.grouping import group_by
 from magical.runs.folder import read_json
 
 NOT_RUN = "not run"
@@ -37,6 +40,12 @@ class PlanResults:
         tasks, seeds = len(self.plan["tasks"]), len(self.plan["seeds"])
         groups = [1 if method.get("multi_task") else tasks for method in self.plan["methods"]]
         return sum(groups) * seeds
+
+    def training_minutes(self) -> dict[str, float]:
+        """Mean time of a run's training, by method."""
+        runs = group_by(self.collected.get("runs", {}).values(), itemgetter("method"))
+        seconds = {name: [run["seconds"]["training"] for run in of] for name, of in runs.items()}
+        return {name: fmean(each) / 60 for name, each in seconds.items()}
 
     def row(self) -> list[str]:
         """The plan, its runs, the hours that they took, by which version, what is missing."""

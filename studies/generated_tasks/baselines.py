@@ -13,8 +13,8 @@ from magical.evaluation.scores import RolloutScore
 from magical.evaluation.statistics import mean, run_means
 from magical.grouping import group_by
 from magical.tasks.axes import SHORT_VARIANTS, full_variant
-from studies.plan_results import PlanResults
-from studies.tables import mean_text
+from studies.plan_results import NOT_RUN, PlanResults
+from studies.tables import mean_text, task_names
 from tools.readme_tables import table
 
 PLAN = "held-out"
@@ -61,6 +61,41 @@ def task_table(root: Path, name: str) -> str:
     return "\n\n".join(parts)
 
 
+def method_table(root: Path, name: str, beside: Mapping[str, str]) -> str:
+    """Methods by variants: means over the tasks that all of them have been run on.
+
+    Args:
+        root: the repository.
+        name: of a plan, whose methods are all shown.
+        beside: methods of other plans, by the plan's name.
+    """
+    if not PlanResults.read(root, name).collected:
+        return f"Nothing yet: {NOT_RUN}."
+    rows: dict[str, tuple[Runs, list[str]]] = {}
+    for plan, wanted in ((name, None), *beside.items()):
+        minutes = PlanResults.read(root, plan).training_minutes()
+        for method, runs in read_methods(root.glob(f"studies/*/results/{plan}")).items():
+            if wanted in (None, method):
+                rows[method] = runs, [f"{minutes[method]:.1f}"]
+    tasks = [
+        task
+        for task in PlanResults.read(root, name).plan["tasks"]
+        if all(np.isfinite(_means(runs, [task], ENDS[0])).any() for runs, _ in rows.values())
+    ]
+    published = [f"{variant}, published rule" for variant in ENDS]
+    header = (f"Mean over {task_names(tasks)}", *SHORT_VARIANTS, *published, "Minutes of training")
+    lines = [
+        [
+            f"{method} ({_runs(runs)})",
+            *(_over_tasks(runs, tasks, variant) for variant in SHORT_VARIANTS),
+            *(_over_tasks(runs, tasks, variant, "published_code_score") for variant in ENDS),
+            *minutes,
+        ]
+        for method, (runs, minutes) in rows.items()
+    ]
+    return table(header, lines)
+
+
 def read_methods(folders: Iterable[Path]) -> Mapping[str, Runs]:
     """The rollouts of each run of each method."""
     found = [entry for path in folders if path.exists() for entry in read_collection(path).values()]
@@ -89,18 +124,18 @@ def _ends(runs: Runs, task: str) -> tuple[float, ...]:
     )
 
 
-def _means(runs: Runs, tasks: Sequence[str], variant: str) -> Floats:
+def _means(runs: Runs, tasks: Sequence[str], variant: str, rule: str = "score") -> Floats:
     """(runs, tasks), NaN where a run was not evaluated."""
-    return run_means(runs, [EnvId(task, full_variant(variant)) for task in tasks])
+    return run_means(runs, [EnvId(task, full_variant(variant)) for task in tasks], rule)
 
 
 def _pair(scores: tuple[float, ...]) -> str:
     return " / ".join("–" if np.isnan(score) else f"{score:.2f}" for score in scores)
 
 
-def _over_tasks(runs: Runs, tasks: Sequence[str], variant: str) -> str:
+def _over_tasks(runs: Runs, tasks: Sequence[str], variant: str, rule: str = "score") -> str:
     """With an interval over runs."""
-    means = _means(runs, tasks, variant)
+    means = _means(runs, tasks, variant, rule)
     missing = np.isnan(means)
     kept = means[~missing.all(axis=1)][:, ~missing.all(axis=0)]
     return mean_text(mean(kept)) if kept.size else "–"
