@@ -53,9 +53,9 @@ from magical.report.found.statements import LOOKS
 from magical.runs.folder import read_json, write_json
 from magical.runs.plan import PLAN, RESULT, RUNS
 from magical.runs.sources import DEMONSTRATIONS
+from studies.plan_results import LEADERBOARD
 
 COLLECTED = "collected"  # in the plan's file: what is known of its runs
-LEADERBOARD = "leaderboard"  # in a run's folder: its evaluation by the leaderboard's protocol
 VARIED = ("tasks", "seed")  # settings in which runs of a method differ
 DIGITS = 10  # of a digest of settings, hexadecimal
 

@@ -12,6 +12,7 @@ from magical.grouping import group_by
 from magical.runs.folder import read_json
 
 NOT_RUN = "not run"
+LEADERBOARD = "leaderboard"  # in a run's folder: its evaluation by the leaderboard's protocol
 
 
 @dataclass(frozen=True)

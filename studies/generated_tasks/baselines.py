@@ -13,7 +13,7 @@ from magical.evaluation.scores import RolloutScore
 from magical.evaluation.statistics import mean, run_means
 from magical.grouping import group_by
 from magical.tasks.axes import SHORT_VARIANTS, full_variant
-from studies.plan_results import NOT_RUN, PlanResults
+from studies.plan_results import LEADERBOARD, NOT_RUN, PlanResults
 from studies.tables import mean_text, task_names
 from tools.readme_tables import table
 
@@ -98,8 +98,13 @@ def method_table(root: Path, name: str, beside: Mapping[str, str]) -> str:
 
 def read_methods(folders: Iterable[Path]) -> Mapping[str, Runs]:
     """The rollouts of each run of each method."""
-    found = [entry for path in folders if path.exists() for entry in read_collection(path).values()]
-    entries = [entry for entry in found if not isinstance(entry, Exception)]
+    found = [item for path in folders if path.exists() for item in read_collection(path).items()]
+    entries = [
+        entry
+        for name, entry in found
+        # What is evaluated for the leaderboard as well counts once.
+        if not isinstance(entry, Exception) and Path(name).name != LEADERBOARD
+    ]
     groups = group_by(entries, lambda entry: entry.method)
     return {name: [entry.scores for entry in group] for name, group in groups.items()}
 

@@ -17,6 +17,7 @@ from magical.experiments.plan_file import read_plan
 from magical.report.found.search import search_results
 from magical.report.leaderboard import make_leaderboard
 from studies import collect as collect_results
+from studies.generated_tasks.baselines import read_methods
 
 Planned = Callable[..., list[PlannedRun]]
 
@@ -144,6 +145,7 @@ def test_the_leaderboards_evaluation_is_made_once_and_collected(
     assert (entry.method, entry.nudge, entry.horizon) == ("BC tiny", 1e-9, "appendix")
     assert entry.details["policy"] == ".."
     assert len(entry.scores) == 2 * len(environments(["MoveToRegion"]))
+    assert len(read_methods([out])["BC tiny"]) == 1  # of the run, not of both evaluations
     monkeypatch.setattr(collect_results, "evaluate_run", None)
     list(collect_results.collect([copied], out, tiny, leaderboard=True))
 
