@@ -28,6 +28,8 @@ def test_an_alias_makes_the_environment_and_names_the_new_id() -> None:
     new: Any = gymnasium.make("magical/ClusterColour-Demo-LoRes4E-v0").unwrapped
     assert (type(old), old.env_id, old.horizon) == (type(new), new.env_id, 3)
     assert old.observation_spec == new.observation_spec
+    with pytest.warns(DeprecationWarning, match="is now"):
+        gymnasium.make("MakeLine-Demo-v0", render_mode="rgb_array_list").close()
     with pytest.warns(DeprecationWarning, match="is now magical/MakeLine-Demo-v0") as caught:
         envs = gymnasium.make_vec("MakeLine-Demo-v0", 2, workers=0, observation="state")
     assert isinstance(envs, MagicalVectorEnv)

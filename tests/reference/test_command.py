@@ -126,6 +126,7 @@ def test_a_damaged_package_says_what_to_do(
 
 
 MOTION = {"robot": [[0, 0], 0], "blocks": [], "actions": [1]}
+FLAT = {"robot_pose": [[0, 0]] * 2, "finger_angles": [[0, 0]] * 2, "block_poses": [[]] * 2}
 CORNER = TASKS["MoveToCorner"].demo.to_dict()
 STATE = {"task": "MoveToCorner", "scene": CORNER, "final": CORNER}
 ROW = {"robot": [0, 0, 0], "blocks": [], "regions": [], "dynamics": [3, 1, 4, 1.5, 0.1]}
@@ -145,6 +146,8 @@ def without(data: dict[str, Any], name: str) -> dict[str, Any]:
         (motions.load, {"a": MOTION | {"robot": [[0], 0]}}),
         (motions.load, {"a": MOTION | {"blocks": [["cube", [0, 0], 0]]}}),
         (motions.load, {"a": MOTION | {"robot_pose": []}}),
+        (motions.load, {"a": MOTION | {"actions": [1.0]}}),
+        (motions.load, {"a": MOTION | FLAT}),
         (scores.load, {}),
         (scores.load, [3]),
         (scores.load, [without(STATE, "final")]),
@@ -159,6 +162,7 @@ def without(data: dict[str, Any], name: str) -> dict[str, Any]:
         (scenes.load, {LINE: [3]}),
         (scenes.load, {LINE: [without(ROW, "robot")]}),
         (scenes.load, {LINE: [without(ROW, "dynamics")]}),
+        (scenes.load, {LINE: [without(ROW, "regions")]}),
         (scenes.load, {LINE: [ROW | {"blocks": [["cube", "red", 0, 0, 0]]}]}),
     ],
 )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from magical.errors import InvalidSceneError
-from magical.scene import Poses, Scene
+from magical.scene import Pose, Poses, Scene
 from magical.tasks.find_dupe import DEMO, TASK
 
 QUERY, DUPLICATE = 6, 5
@@ -69,3 +69,6 @@ def test_scenes_that_do_not_fit() -> None:
         TASK.validate(replace(DEMO, regions=()))
     with pytest.raises(InvalidSceneError, match="expected a duplicate"):
         TASK.validate(replace(DEMO, blocks=(*DEMO.blocks[:-2], DEMO.blocks[-1])))
+    outside = replace(DEMO.blocks[-1], pose=Pose(0.2, 0.0, 0.0))
+    with pytest.raises(InvalidSceneError, match="inside the region"):
+        TASK.validate(replace(DEMO, blocks=(*DEMO.blocks[:-1], outside)))

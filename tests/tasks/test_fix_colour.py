@@ -69,5 +69,8 @@ def test_scenes_that_do_not_fit() -> None:
     with pytest.raises(InvalidSceneError, match="exactly 1 block of another colour"):
         TASK.validate(replace(DEMO, blocks=DEMO.blocks[:2], regions=DEMO.regions[:2]))
     outside = replace(DEMO.blocks[0], pose=Pose(-0.3, -0.8, 0.0))
-    with pytest.raises(InvalidSceneError, match="block 0 inside region 0"):
+    with pytest.raises(InvalidSceneError, match="block 0 alone inside region 0, found blocks"):
         TASK.validate(replace(DEMO, blocks=(outside, *DEMO.blocks[1:])))
+    around = replace(DEMO.regions[1], y=0.1, height=1.0)  # the first block, too
+    with pytest.raises(InvalidSceneError, match="block 1 alone inside region 1, found blocks"):
+        TASK.validate(replace(DEMO, regions=(DEMO.regions[0], around, *DEMO.regions[2:])))

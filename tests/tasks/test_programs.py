@@ -204,6 +204,7 @@ def test_without_attributes_an_instruction_is_the_same_in_every_colour(task: Tas
         ("__import__('os')", "__import__ is unknown"),
         ("Lined(AllBlocks)", "expected a name with its arguments"),
         ("(" * 2000, "expected an expression such as"),
+        ("1" + "+1" * 2000, "nested too deeply"),
         ("Lined(AllBlocks())" + " " * 5000, "expected at most 5000 characters"),
     ],
 )

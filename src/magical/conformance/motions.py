@@ -46,11 +46,13 @@ def load(path: Path | str) -> dict[str, Motion]:
 
 def _check(name: str, motion: Motion) -> None:
     _scene(motion)
-    if not all(a in range(NUM_ACTIONS) for a in motion["actions"]):
+    if not all(type(a) is int and a in range(NUM_ACTIONS) for a in motion["actions"]):
         raise ValueError(f"{name}: actions that are not integers from 0 to {NUM_ACTIONS - 1}")
     for key in _RESULTS:
         if key in motion and len(motion[key]) != len(motion["actions"]) + 1:
             raise ValueError(f"{name}: {key} not one more than actions")
+    if all(key in motion for key in _RESULTS):
+        _errors(motion, motion)  # which raises an error for arrays of other shapes
 
 
 write = write_json

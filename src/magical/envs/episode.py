@@ -78,6 +78,7 @@ class Episode:
         Raises:
             InvalidSceneError: an impossible scene.
             InvalidConfigError: unknown options, or a nudge that is not from 0 to `MAX_NUDGE`.
+            PlacementError: no scene that fits the task was sampled, or none after a nudge.
         """
         # A restored episode may have had others.
         self.horizon, self.variant = self._own
@@ -93,7 +94,7 @@ class Episode:
         if (given := chosen.get("dynamics")) is not None:
             dynamics = given if isinstance(given, Dynamics) else Dynamics.from_dict(given)
         if nudge := checked_nudge(chosen.get("nudge")):
-            scene = scene.nudged(nudge, rng)
+            scene = self.task.nudge(scene, nudge, rng)
         self._start_from(scene, dynamics)
 
     def step(self, action: AnyAction) -> bool:
@@ -131,10 +132,9 @@ class Episode:
         )
 
     def state(self) -> State:
-        """The true state."""
-        return State(
-            self.simulation.scene, self.poses, self.bodies[:, 3:], len(self.actions), self.horizon
-        )
+        """The true state, a copy."""
+        scene, bodies = self.simulation.scene, self.bodies.copy()
+        return State(scene, Poses(bodies[:, :3]), bodies[:, 3:], len(self.actions), self.horizon)
 
     def save(self, rng: np.random.Generator) -> dict[str, Any]:
         """Plain data from which `restore` continues bit-equally: the start and all actions.

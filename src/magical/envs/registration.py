@@ -76,3 +76,9 @@ def make_by_published_id(new_id: str, num_envs: int | None = None, **options: An
     if num_envs is None:
         return MagicalEnv(**options)
     return make_vector_env(num_envs=num_envs, **options)
+
+
+# Where Gymnasium looks for render modes; as `MagicalEnv`'s.
+make_by_published_id.metadata = {  # type: ignore[attr-defined]
+    "render_modes": ["rgb_array", "human"]
+}

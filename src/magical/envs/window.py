@@ -26,7 +26,8 @@ class Window:
     def show(self, frame: NDArray[np.uint8]) -> None:
         """Show an RGB frame (H, W, 3)."""
         pygame = self._pygame
-        if self._surface is None:
+        # Closing any window ends pygame's display.
+        if self._surface is None or not pygame.display.get_init():
             pygame.display.init()
             self._surface = pygame.display.set_mode((frame.shape[1], frame.shape[0]))
             pygame.display.set_caption(self._title)

@@ -67,8 +67,10 @@ class PixelSpec:
             )
         object.__setattr__(self, "parts", parts)
         object.__setattr__(self, "size", _whole("size", self.size, MAX_FRAME_SIZE))
-        if self.samples is not None and _whole("samples", self.samples, 4) not in SAMPLES:
-            raise ObservationError(f"samples: expected one of {SAMPLES}, found {self.samples}")
+        if self.samples is not None:
+            object.__setattr__(self, "samples", _whole("samples", self.samples, max(SAMPLES)))
+            if self.samples not in SAMPLES:
+                raise ObservationError(f"samples: expected one of {SAMPLES}, found {self.samples}")
 
     def shape(self, frames: int) -> tuple[int, int, int]:
         """The shape of an array of `frames` stacked frames."""

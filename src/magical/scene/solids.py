@@ -1,7 +1,7 @@
 """Fast overlap tests between bodies: circles first, exact pieces only where needed.
 
 Placement by rejection (docs/specification.md, section 8) runs hundreds of overlap tests a scene.
-Results equal `geometry.overlap` of the exact pieces, the slow reference in the tests.
+Results equal `geometry.penetrates` of the exact pieces, the slow reference in the tests.
 """
 
 import math

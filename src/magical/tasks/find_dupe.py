@@ -109,6 +109,8 @@ def validate(scene: Scene) -> str:
     """The reason why the scene does not fit the task, or an empty string."""
     if len(scene.regions) != 1 or not scene.blocks:
         return "expected 1 goal region and the query as the last block, found fewer; add them"
+    if not scene.regions[0].contains(*scene.blocks[-1].pose[:2]):
+        return "expected the last block (the query) inside the region, found it outside; move it in"
     if len(alike(scene)) > 1:
         return ""
     return "expected a duplicate of the last block (the query), found none; add one"

@@ -69,7 +69,8 @@ def unregister_task(name: str) -> Task:
         UnknownNameError: no such task.
     """
     task = get_task(name)
-    del _tasks[task.name]
+    if _tasks.pop(task.name, None) is None:
+        raise UnknownNameError(f"{task.name} is a generated task, which cannot be removed")
     return task
 
 

@@ -123,6 +123,18 @@ class Task:
                 return scene, Dynamics.sample(rng) if Axis.DYNAMICS in axes else Dynamics()
         raise PlacementError(f"{self.name}, {variant}: none of {MAX_SCENES} scenes fits: {problem}")
 
+    def nudge(self, scene: Scene, size: float, rng: np.random.Generator) -> Scene:
+        """A scene whose initial poses are shifted by at most `size` units and radians.
+
+        Raises:
+            PlacementError: the task fits none of many such scenes.
+        """
+        for _ in range(MAX_SCENES):
+            nudged = scene.nudged(size, rng)
+            if not (problem := self.validate_fn(nudged)):
+                return nudged
+        raise PlacementError(f"{self.name}: none of {MAX_SCENES} nudged scenes fits: {problem}")
+
     def score(self, scene: Scene, poses: Poses) -> float:
         """The appendix's score, 0 to 1, of the poses at the end of an episode from `scene`."""
         return self.score_fn(scene, poses)

@@ -8,6 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 
+from magical.envs import EnvId
 from magical.envs.vector import MagicalVectorEnv
 from magical.errors import (
     ClosedEnvironmentError,
@@ -54,6 +55,7 @@ def test_wrong_options_are_refused() -> None:
         ({"env_ids": []}, ValueError),
         ({"env_ids": "magical/MakeLine-Demo-v0"}, ValueError),
         ({"env_ids": ["magical/MakeLine-TestLyout-v0"]}, UnknownNameError),
+        ({"env_ids": [EnvId("MoveToCorner", "TestLayout")]}, UnknownNameError),
         ({"workers": -1}, ValueError),
         ({"horizon": 0}, ValueError),
         ({"reward": "sparse"}, UnknownNameError),

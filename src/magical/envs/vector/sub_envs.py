@@ -33,7 +33,7 @@ Seeds = Sequence[tuple[int, int | None]]  # sub-environments to reset, and their
 class VectorSpec:
     """What a vector environment consists of.
 
-    Raises `InvalidConfigError` or `UnknownNameError` for an impossible horizon or reward.
+    Raises `InvalidConfigError` or `UnknownNameError` for an impossible variant, horizon or reward.
     """
 
     env_ids: tuple[EnvId, ...]  # one for each sub-environment, without presets
@@ -46,8 +46,9 @@ class VectorSpec:
 
     def __post_init__(self) -> None:
         parse_horizon(self.horizon)
-        for task in self.tasks():
-            check_reward(task, self.reward)
+        for env_id in self.env_ids:
+            env_id.task_spec.axes_of(env_id.variant)  # raises for a variant that the task lacks
+            check_reward(env_id.task_spec, self.reward)
 
     def tasks(self) -> list[Task]:
         """The sub-environments' tasks."""

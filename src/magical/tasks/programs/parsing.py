@@ -41,7 +41,10 @@ def parse(text: str) -> Goal:
             f"program {quoted(text)}: expected an expression such as "
             "Each(WithColour('red'), InRegion())"
         ) from error
-    program = _expression(tree)
+    try:
+        program = _expression(tree)
+    except RecursionError as error:
+        raise InvalidProgramError(f"program {quoted(text)}: nested too deeply") from error
     if not isinstance(program, Goal):
         raise InvalidProgramError(
             f"program {quoted(text)}: expected a goal, found a {type(program).__name__}"
