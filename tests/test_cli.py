@@ -1,6 +1,7 @@
 """The command line: discovery, exit statuses, output."""
 
 import ast
+import io
 import json
 import os
 import re
@@ -193,6 +194,20 @@ def test_show_writes_both_views(tmp_path: Path, capsys: pytest.CaptureFixture[st
     argv[3] = "4"
     cli.main(argv)
     assert out.read_bytes() != first
+
+
+@pytest.mark.parametrize("out", ["", "."])
+def test_a_folder_is_no_file_to_write(out: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["show", "magical/MoveToRegion-Demo-v0", "--out", out]) == 1
+    assert "error: [Errno 21] expected the path of a file" in capsys.readouterr().err
+
+
+def test_names_of_any_bytes_can_be_printed(monkeypatch: pytest.MonkeyPatch) -> None:
+    written = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding="utf-8"))
+    cli.main(["--version"])
+    print("\udcff", flush=True)
+    assert written.getvalue().endswith(b"\\udcff\n")
 
 
 def test_show_chooses_a_name(

@@ -7,6 +7,7 @@ check failed or an error was met, 2 wrong usage, 130 interrupted.
 
 import argparse
 import importlib
+import io
 import os
 import pkgutil
 import sys
@@ -23,6 +24,8 @@ from magical.plugins import import_user_module
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status; errors go to standard error."""
+    if isinstance(sys.stdout, io.TextIOWrapper):  # a name of a file may be of any bytes
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
         arguments = build_parser().parse_args(_import_modules(argv))
         status = int(arguments.run(arguments))

@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+_imported_files: set[Path] = set()  # by the user, or on the user's word
+
 
 @dataclass(frozen=True, slots=True)
 class Registry(Generic[T]):
@@ -181,6 +183,7 @@ def _import_file(path: Path) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     sys.modules.setdefault(path.stem, module)
     spec.loader.exec_module(module)
+    _imported_files.add(path.resolve())
     return module
 
 
@@ -193,8 +196,8 @@ def require_known_module(name: str, what: str) -> None:
     """Check that what a file names may be imported on its word.
 
     Entry points may, and `module:NAME` of a package that is installed, or of which the user has
-    imported something. A module of the working folder or a file may not: both may have come with
-    the file.
+    imported something, and `path/to/file.py:NAME` of a file that the user has imported. Others may
+    have come with the file.
 
     Args:
         name: of a thing of any kind.
@@ -205,8 +208,11 @@ def require_known_module(name: str, what: str) -> None:
     """
     module, colon, _ = name.rpartition(":")
     package = module.partition(".")[0]
-    imported = module if module.endswith(".py") else package
-    if not colon or imported in sys.modules or _is_installed(package):
+    if module.endswith(".py"):
+        known = Path(module).resolve() in _imported_files
+    else:
+        known = package in sys.modules or _is_installed(package)
+    if not colon or known:
         return
     raise PluginError(
         f"{what} names {quoted(name)}, of a module that is not installed; if you trust it, import "

@@ -118,6 +118,18 @@ def test_wrong_arguments(
     assert message in err
 
 
+def test_what_cannot_be_written_or_verified_is_refused_before_anything_runs(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "seeing.py").write_text(POLICY + "wrong.observation = 'LoRes4A'\n")
+    argv = [f"{tmp_path / 'seeing.py'}:wrong", "--task", "MoveToRegion"]
+    status, _, err = evaluate(capsys, *argv, "--out", str(tmp_path / "file"))
+    assert (status, "expected a folder, found a file" in err) == (1, True)
+    status, _, err = evaluate(capsys, *argv, "--observation", "LoRes4E")
+    assert (status, "the policy states its own, LoRes4A" in err) == (2, True)
+
+
 def test_one_command_writes_an_entry_that_ranks(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -83,6 +83,9 @@ def test_what_is_done_is_not_done_again_and_a_changed_plan_runs_what_changed(
     inline.clear()
     execute(planned(("seeds = [0, 1]", "seeds = [0]"), ("batches = 6", "batches = 7")), copied)
     assert [run.config.num_updates for run in inline] == [7]
+    for record in copied.glob("runs/*/result.json"):
+        record.write_text('{"state": "done", "seconds": {"training": "long"}}')
+    assert read_status(copied).counts["done"] == 1
 
 
 def test_a_failing_run_is_recorded_and_does_not_stop_the_others(

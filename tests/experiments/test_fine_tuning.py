@@ -1,5 +1,6 @@
 """Pre-training on training tasks, then fine-tuning on a demonstration of a held-out one."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,3 +39,5 @@ def test_a_fine_tuned_run_is_evaluated_for_the_board_of_its_number_of_demonstrat
     assert len(entry.scores) == 4
     assert entry.details["pretrained_on"] == before
     assert held_out_board([Result(tmp_path / "run", entry)]) == pretrained_board(1)
+    odd = replace(entry, details={**entry.details, "num_demos": [10]})
+    assert held_out_board([Result(tmp_path / "run", odd)]) == ""

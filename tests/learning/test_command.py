@@ -32,6 +32,8 @@ def test_train_stop_resume(demos: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert f"to continue: magical train bc --out {out} --resume" in captured.err
     assert main(["train", "bc", "--out", str(out), "--resume"]) == 0
     assert "finished; magical evaluate" in capsys.readouterr().err
+    assert main(["train", "dagger", "--out", str(out), "--resume"]) == 2
+    assert "expected a run of dagger, found one of bc" in capsys.readouterr().err
     assert main(bc(demos, out, "--resume")) == 0
 
 

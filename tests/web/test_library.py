@@ -22,7 +22,7 @@ from magical.errors import MessageError
 from magical.scene import Poses
 from magical.tasks import TASKS
 from magical.web.library import routes
-from magical.web.library.routes import MAX_WAITING_ROLLOUTS
+from magical.web.library.routes import MAX_WAITING_ROLLOUTS, AsciiJSON
 from magical.web.library.sources import RolloutSource, unique_names
 from magical.web.security import RateLimit
 from magical.web.server import PlaySettings
@@ -187,6 +187,10 @@ def test_old_rollouts_are_dropped_and_folders_of_one_name_told_apart() -> None:
     assert list(source.episodes()) == [1, 2]
     folders = [Path("a/demos"), Path("b/demos"), Path("c/demos"), Path("other")]
     assert unique_names(folders) == ["demos", "demos (2)", "demos (3)", "other"]
+
+
+def test_names_of_any_characters_are_sent() -> None:
+    assert json.loads(AsciiJSON({"demonstrator": "\ud800"}).body) == {"demonstrator": "\ud800"}
 
 
 def test_work_is_not_piled_up(library: RunningServer, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -92,9 +92,14 @@ def run(args: argparse.Namespace) -> int:
     from magical.evaluation import Entry, environments, load_policy, summarise
     from magical.evaluation.protocol import NUDGE, Evaluation
     from magical.evaluation.rollouts import roll_out
+    from magical.files import make_folder
     from magical.progress import progress_bar
 
     policy = load_policy(args.policy)
+    own = getattr(policy, "observation", None)
+    if args.observation and own not in (None, args.observation):
+        log(f"error: --observation {args.observation}: the policy states its own, {own}")
+        return USAGE
     evaluation = Evaluation.of(
         environments(args.task or getattr(policy, "tasks", None), args.variants),
         rollouts=args.rollouts,
@@ -110,6 +115,8 @@ def run(args: argparse.Namespace) -> int:
     if args.leaderboard and (why := _why_unranked(entry, evaluation) if args.out else ["no --out"]):
         log(f"error: --leaderboard: the entry would not be ranked: {'; '.join(why)}")
         return USAGE
+    if args.out:
+        make_folder(args.out)  # what cannot be written is known before the rollouts
     with progress_bar("rollouts", len(evaluation.env_ids) * args.rollouts) as advance:
         scores = roll_out(policy, evaluation, workers=args.workers, progress=advance)
     print_scores(scores)

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from magical.commands._common import add_count, add_out, log, print_table
+from magical.commands._common import USAGE, add_count, add_out, log, print_table
 
 if TYPE_CHECKING:
     from magical.report.found.search import Found
@@ -55,11 +55,14 @@ def run(args: argparse.Namespace) -> int:
     from magical.report.found.search import find_results
     from magical.report.pages.export import format_of
 
-    kind = args.format or format_of(args.out) if args.out and not args.compare else None
-    if args.clips and kind != "html":
+    kind = args.format or format_of(args.out) if args.out else None
+    if args.compare and kind not in (None, "html"):
+        log("error: --compare writes a page: --out FILE.html")
+        return USAGE
+    if args.clips and (args.compare or kind != "html"):
         log("error: --clips is for a page (--out FILE.html); no rollouts are recorded")
         return 1
-    if kind == "html" or (args.compare and args.out):
+    if kind == "html":
         require("report")
     found = find_results(args.folders)
     for item in found.skipped:

@@ -187,7 +187,12 @@ def _config(args: argparse.Namespace) -> "Config":
     if args.resume and not is_run(args.out):
         raise RunFolderError(f"{args.out}: expected a run to resume, found none")
     if args.resume and args.preset is None:
-        return read_config(args.out).replace(**given)
+        recorded = read_config(args.out)
+        if recorded.algorithm != args.algorithm:
+            raise UnknownNameError(
+                f"{args.out}: expected a run of {args.algorithm}, found one of {recorded.algorithm}"
+            )
+        return recorded.replace(**given)
     if missing := [o for o in fields if o.required and o.name not in given]:
         flags = ", ".join("--task" if o.name == "tasks" else o.flag for o in missing)
         raise UnknownNameError(f"magical train {args.algorithm}: expected {flags}, found none")

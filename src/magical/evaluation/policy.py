@@ -139,7 +139,7 @@ class NoopPolicy:
 class FunctionPolicy:
     """A policy without memory from a function `(observations, env_ids, rng) -> actions`.
 
-    Its attributes `privileged`, `observation`, `action_space` and `tasks` are those of the
+    Its attributes `privileged`, `observation`, `action_space`, `tasks` and `exact` are those of the
     function, or of the object whose `act` that is.
     """
 
@@ -150,6 +150,7 @@ class FunctionPolicy:
         self.observation = getattr(stated, "observation", None)
         self.action_space = getattr(stated, "action_space", None)
         self.tasks = getattr(stated, "tasks", None)
+        self.exact = bool(getattr(stated, "exact", False))
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
         """Call the function."""

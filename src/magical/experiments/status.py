@@ -134,10 +134,11 @@ def _run_status(path: Path, run: ListedRun, running: bool) -> RunStatus:
     except (ResultsError, RunFolderError) as damage:
         state, record, error, step = FAILED, {}, str(damage), 0
     seconds = record.get("seconds")
+    times = list(seconds.values()) if isinstance(seconds, dict) else []
     return RunStatus(
         **asdict(run),
         state=state or (RUNNING if running else WAITING),
         step=step,
-        seconds=sum(seconds.values()) if seconds else None,
+        seconds=sum(times) if times and all(isinstance(t, int | float) for t in times) else None,
         error=error,
     )

@@ -1,5 +1,6 @@
 """Atomic writing of files."""
 
+import errno
 import os
 import re
 import secrets
@@ -69,6 +70,8 @@ def link_atomically(source: Path, target: Path) -> None:
 
 
 def _temporary(target: Path) -> Path:
+    if not target.name:
+        raise IsADirectoryError(errno.EISDIR, "expected the path of a file, found", str(target))
     return target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
 
 

@@ -17,6 +17,7 @@ from magical.errors import MagicalError, PluginError
 from magical.learning import load_policy, read_config, train
 from magical.learning.algorithms.bc import BCConfig
 from magical.learning.running.checkpoints import load_checkpoint, save_checkpoint
+from magical.plugins import import_user_module
 from magical.runs import read_metrics
 from magical.runs.folder import CHECKPOINT, CONFIG, METRICS, PREVIOUS, RECORD
 from tests.learning.tiny_runs import tiny
@@ -108,11 +109,12 @@ def test_no_module_of_the_working_folder_is_imported_on_a_record_s_word(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.delitem(sys.modules, "this", raising=False)  # another test may have imported it
-    for module in ("planted.py", "run/planted.py", "json.py"):
+    for module in ("planted.py", "run/planted.py", "json.py", "numpy.py", "timm.py"):
         Path(module).write_text("raise SystemExit('imported')\n")
     data = json.loads((folder / CONFIG).read_text())
-    files = "run/planted.py:NAME", f"{folder}/planted.py:NAME", "json.py:NAME"
-    for name in ("planted:NAME", *files, "this:s"):
+    files = "run/planted.py:NAME", f"{folder}/planted.py:NAME", "json.py:NAME", "numpy.py:NAME"
+    models = ["timm:NAME"] if key != "network" else []
+    for name in ("planted:NAME", *files, "this:s", *models):
         (folder / CONFIG).write_text(json.dumps({**data, key: name}))
         with pytest.raises(PluginError, match=r"config.json names .*not installed.*--import"):
             read_config(folder)
@@ -127,6 +129,17 @@ def test_other_modules_of_an_imported_package_may_be_named(
         read_config(folder)
     monkeypatch.setitem(sys.modules, "imported_package", ModuleType("imported_package"))
     assert read_config(folder).to_dict()["network"] == "imported_package.nets:NETWORK"
+
+
+def test_a_file_that_the_user_imported_may_be_named(folder: Path, tmp_path: Path) -> None:
+    data = json.loads((folder / CONFIG).read_text())
+    name = f"{tmp_path / 'own_network.py'}:NETWORK"
+    (tmp_path / "own_network.py").write_text("NETWORK = None\n")
+    (folder / CONFIG).write_text(json.dumps({**data, "network": name}))
+    with pytest.raises(PluginError, match="not installed"):
+        read_config(folder)
+    import_user_module(name.rpartition(":")[0])
+    assert read_config(folder).to_dict()["network"] == name
 
 
 def test_gpu_memory_that_does_not_suffice_is_named(

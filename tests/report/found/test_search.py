@@ -208,3 +208,5 @@ def test_entries_inside_a_run_that_is_no_longer_the_plans_are_skipped(
     assert [r.folder.parent.name for r in found.results] == ["runs", "now"]
     (skipped,) = found.skipped
     assert skipped.folder == tmp_path / "runs" / "old" / "leaderboard"
+    (tmp_path / "plan.json").write_text("{damaged")  # says nothing of any run
+    assert not search_results([tmp_path]).skipped

@@ -128,6 +128,11 @@ def test_what_is_no_longer_ranked_is_removed(entries: Path, tmp_path: Path) -> N
 
 def test_a_page_of_something_else_is_not_overwritten(entries: Path, tmp_path: Path) -> None:
     (tmp_path / "index.html").write_text("mine")
-    with pytest.raises(SiteError, match="expected no page or a leaderboard"):
+    with pytest.raises(SiteError, match=r"index.html: expected none or a leaderboard's"):
         make_leaderboard([entries]).write(tmp_path)
     assert (tmp_path / "index.html").read_text() == "mine"
+    mine = tmp_path / "site" / "entries" / "001-mine"
+    mine.mkdir(parents=True)
+    with pytest.raises(SiteError, match=r"entries: expected none or a leaderboard's"):
+        make_leaderboard([entries]).write(tmp_path / "site")
+    assert mine.is_dir()

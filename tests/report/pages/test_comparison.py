@@ -79,3 +79,5 @@ def test_the_command_writes_a_page(results: Path, capsys: pytest.CaptureFixture[
     assert len(ids) == len(set(ids)) > 10
     assert cli.main(["report", str(results), "--compare", "a", "d"]) == 2
     assert "expected one of: a, b, c" in capsys.readouterr().err
+    assert cli.main([*argv[:-1], str(results / "compare.csv")]) == 2
+    assert not (results / "compare.csv").exists()

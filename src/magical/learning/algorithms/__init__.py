@@ -79,6 +79,6 @@ def read_config(folder: Path) -> Config:
     for key, name in names.items():
         if key == "algorithm" and not isinstance(name, str):
             raise RunFolderError(f"{path}: expected the name of an algorithm, found none")
-        if isinstance(name, str) and not name.startswith(TIMM):
+        if isinstance(name, str) and not (key == "network" and name.startswith(TIMM)):
             require_known_module(name, str(path))
     return find_algorithm(str(names["algorithm"])).config.from_dict(data, str(path))

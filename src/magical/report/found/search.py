@@ -238,7 +238,8 @@ def _is_planned(place: Path, root: Path) -> bool:
             break
         results = folder.parent.parent
         if folder.parent.name == RUNS and (results / PLAN).is_file():
-            return folder.name in {run.folder for run in _listed(results)}
+            planned = {run.folder for run in _listed(results)}
+            return not planned or folder.name in planned
     return True
 
 

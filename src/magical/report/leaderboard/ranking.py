@@ -107,7 +107,10 @@ def held_out_board(runs: Sequence[Result]) -> str:
     it has `DEMOS` demonstrations, where it says how many, and no extra data.
     """
     details = [run.entry.details for run in runs]
-    numbers = {stated.get(NUM_DEMOS) for stated in details}
+    stated_numbers = [stated.get(NUM_DEMOS) for stated in details]
+    if not all(isinstance(number, int | None) for number in stated_numbers):
+        return ""
+    numbers = set(stated_numbers)
     if not any(PRETRAINED_ON in stated for stated in details):
         extra = any(EXTRA_DATA in learned_from(stated) for stated in details)
         return HELD_OUT_TASKS if numbers <= {DEMOS, None} and not extra else ""

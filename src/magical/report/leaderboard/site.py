@@ -40,12 +40,13 @@ class Leaderboard:
         Pages and copies of an earlier leaderboard in the folder are removed.
 
         Raises:
-            SiteError: the folder has an index page that is no leaderboard's.
+            SiteError: the folder has such pages or folders that are no leaderboard's.
             OSError: the folder cannot be written to.
         """
         index = site / INDEX
-        if index.exists() and MARK not in index.read_bytes():
-            raise SiteError(f"{index}: expected no page or a leaderboard; choose another folder")
+        taken = [path for path in (index, site / METHODS, site / ENTRIES) if path.exists()]
+        if taken and not (index.exists() and MARK in index.read_bytes()):
+            raise SiteError(f"{taken[0]}: expected none or a leaderboard's; choose another folder")
         groups = group_by(self.accepted, attrgetter("entry.method"))
         pages: dict[str, str] = {}
         copies: set[str] = set()

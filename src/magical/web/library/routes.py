@@ -1,6 +1,7 @@
 """The HTTP routes of the library. What takes long is computed in threads: the players go on."""
 
 import asyncio
+import json
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
@@ -52,6 +53,14 @@ OPEN_EPISODES = 8  # that are kept in memory
 
 _Result = TypeVar("_Result")
 _Query = TypeVar("_Query")
+
+
+class AsciiJSON(JSONResponse):
+    """JSON with everything but ASCII escaped: names in datasets may have lone surrogates."""
+
+    def render(self, content: Any) -> bytes:
+        """See Starlette."""
+        return json.dumps(content, allow_nan=False).encode()
 
 
 class Worker:
@@ -148,7 +157,7 @@ class Library:
     # Answers, computed in threads
 
     def _list_library(self, _: NoQuery) -> Response:
-        return JSONResponse(
+        return AsciiJSON(
             {
                 "tasks": [_described(task) for task in TASKS.values()],
                 "sources": [{"key": k, "name": source.name} for k, source in self._sources.items()],
@@ -168,10 +177,10 @@ class Library:
         found = self._find(query.source).episodes().items()
         listed = [item for item in found if query.task in ("", item[1].env_id.task)]
         newest = listed[::-1][query.skip : query.skip + PAGE_LENGTH]
-        return JSONResponse({"total": len(listed), "episodes": [summary(*item) for item in newest]})
+        return AsciiJSON({"total": len(listed), "episodes": [summary(*item) for item in newest]})
 
     def _show_episode(self, query: EpisodeQuery) -> Response:
-        return JSONResponse(self._viewed(query.source, query.episode).details)
+        return AsciiJSON(self._viewed(query.source, query.episode).details)
 
     def _send_frames(self, query: FramesQuery) -> Response:
         viewed = self._viewed(query.source, query.episode)
@@ -182,12 +191,12 @@ class Library:
         policy = self._policies.load(query.policy)
         episode = self._find(query.source).read(query.episode)
         self._policies.find(query.policy).check(episode.env_id)
-        return JSONResponse(episode_probabilities(policy, episode).round(4).tolist())
+        return AsciiJSON(episode_probabilities(policy, episode).round(4).tolist())
 
     def _roll_out(self, wanted: RolloutRequest) -> Response:
         seed = sample_training_seeds(self._rng, 1)[0] if wanted.seed is None else wanted.seed
         episode = roll_out(self._policies, wanted.policy, parse_env_id(wanted.env_id), seed)
-        return JSONResponse({"source": ROLLOUTS, "episode": self._rollouts.add(episode)})
+        return AsciiJSON({"source": ROLLOUTS, "episode": self._rollouts.add(episode)})
 
 
 def _described(task: Task) -> dict[str, Any]:
@@ -222,5 +231,5 @@ def _status(error: MagicalError) -> int:
     return next((status for kind, status in kinds.items() if isinstance(error, kind)), 422)
 
 
-def _problem(status: int, what: str) -> JSONResponse:
-    return JSONResponse({"problem": what}, status_code=status)
+def _problem(status: int, what: str) -> AsciiJSON:
+    return AsciiJSON({"problem": what}, status_code=status)
