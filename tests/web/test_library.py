@@ -190,7 +190,9 @@ def test_old_rollouts_are_dropped_and_folders_of_one_name_told_apart() -> None:
 
 
 def test_names_of_any_characters_are_sent() -> None:
-    assert json.loads(bytes(AsciiJSON({"demonstrator": "\ud800"}).body)) == {"demonstrator": "\ud800"}
+    assert json.loads(bytes(AsciiJSON({"demonstrator": "\ud800"}).body)) == {
+        "demonstrator": "\ud800"
+    }
 
 
 def test_work_is_not_piled_up(library: RunningServer, monkeypatch: pytest.MonkeyPatch) -> None:

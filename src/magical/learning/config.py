@@ -16,6 +16,7 @@ from magical.errors import InvalidConfigError, UnknownNameError
 from magical.learning.augmentation.names import Augmentations, parse_augmentations
 from magical.learning.networks import is_pretrained, network_names
 from magical.learning.settings import (
+    MAX_THREADS,
     NOT_NEGATIVE,
     POSITIVE,
     Part,
@@ -28,7 +29,7 @@ from magical.learning.settings import (
     type_hints,
 )
 from magical.messages import quoted
-from magical.observe import PRESETS, ObservationSpec, make_spec
+from magical.observe import PRESETS, STATE, ObservationSpec, make_spec
 from magical.observe.presets import GROUP
 from magical.plugins import is_plugin
 from magical.runs.sources import DEMONSTRATIONS, EXTRA_DATA, LEARNED_FROM, NUM_DEMOS
@@ -140,7 +141,11 @@ class Config(Settings):
         "of the forward and backward pass; auto: bfloat16 where the processor has it",
         choices=("auto", "float32", "bfloat16"),
     )
-    threads: int = option(0, "CPU threads; 0: PyTorch's own number", NOT_NEGATIVE)
+    threads: int = option(
+        0,
+        "CPU threads; 0: PyTorch's own number",
+        (lambda number: 0 <= number <= MAX_THREADS, f"a number from 0 to {MAX_THREADS}"),
+    )
     checkpoint_every: int = option(
         0,
         f"batches or updates between checkpoints; 0: one every {CHECKPOINT_SECONDS} s",
@@ -160,6 +165,10 @@ class Config(Settings):
             raise UnknownNameError(
                 f"observation {quoted(networks.observation)} is unknown; expected one of: "
                 f"{', '.join(self.observations)}"
+            )
+        if networks and STATE not in self.observations and len(self.input_shape) == 1:
+            raise InvalidConfigError(
+                f"observation: {self.algorithm} learns from images, found a vector"
             )
 
     def part(self, kind: type[Part]) -> Part | None:

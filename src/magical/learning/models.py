@@ -76,7 +76,7 @@ class Trunk(nn.Module):
             self.convolutions = architecture.make_convolutions(input_shape[0], batch_norm)
             self.map_shape = _map_shape(self.convolutions, input_shape)
         self.action_input = action_input
-        self._pixels = PIXEL_RANGES[getattr(architecture, "PIXEL_RANGE", pixel_range)]
+        self.pixels = PIXEL_RANGES[getattr(architecture, "PIXEL_RANGE", pixel_range)]
         joined = JOINED[action_input]
         self.linear = _linear_layers([math.prod(self.map_shape), *hidden], joined)
         self.embedding = nn.Embedding(NUM_ACTIONS, EMBEDDING) if joined[1] else None
@@ -116,7 +116,7 @@ class Trunk(nn.Module):
 
     def to_range(self, observations: Tensor) -> Tensor:
         """Images (B, C, H, W) in [0, 1] mapped to the range of this trunk; vectors unchanged."""
-        low, high = self._pixels
+        low, high = self.pixels
         if self.convolutions is None or (low, high) == (0.0, 1.0):
             return observations
         return (observations * (high - low)).add_(low)
@@ -221,7 +221,7 @@ def init_normal(*layers: TaskLinear) -> None:
         nn.init.normal_(layer.linear.bias)
 
 
-def centre(network: PolicyNetwork, pixel_range: str = "unit") -> None:
+def centre(network: PolicyNetwork) -> None:
     """Initialise a policy of images without batch norm so that it can tell frames apart.
 
     With PyTorch's initialisation the difference between two frames, which are nearly white,
@@ -237,7 +237,7 @@ def centre(network: PolicyNetwork, pixel_range: str = "unit") -> None:
         first = layers[0]
         assert first.bias is not None
         if isinstance(first, nn.Conv2d):  # not a linear layer on a frozen encoder's features
-            low, high = PIXEL_RANGES[pixel_range]
+            low, high = network.trunk.pixels
             brightness = low + (high - low) * MEAN_BRIGHTNESS
             first.bias.copy_(-brightness * first.weight.flatten(1).sum(dim=1))
         network.policy.linear.weight.mul_(POLICY_GAIN)

@@ -118,9 +118,16 @@ def choose_actions(
     if greedy:
         actions: NDArray[np.int64] = probabilities.argmax(axis=1)
         return actions
+    return sample_actions(probabilities, rng.random(len(probabilities)))
+
+
+def sample_actions(
+    probabilities: NDArray[np.float64], uniforms: NDArray[np.float64]
+) -> NDArray[np.int64]:
+    """Actions (B,) of distributions (B, 18), chosen by numbers (B,) that are uniform in [0, 1)."""
     cumulative = probabilities.cumsum(axis=1)
-    uniforms = rng.random(len(probabilities)) * cumulative[:, -1]
-    actions = (uniforms[:, None] >= cumulative).sum(axis=1)
+    thresholds = uniforms * cumulative[:, -1]
+    actions: NDArray[np.int64] = (thresholds[:, None] >= cumulative).sum(axis=1)
     return actions.clip(max=cumulative.shape[1] - 1)
 
 

@@ -10,9 +10,11 @@ from magical.errors import InvalidConfigError, UnknownNameError
 from magical.messages import quoted
 from magical.plugins import is_plugin
 
+MAX_THREADS = 4096  # of a CPU
 Check = tuple[Callable[[float], bool], str]
 POSITIVE: Check = (lambda number: number > 0, "a number above 0")
 NOT_NEGATIVE: Check = (lambda number: number >= 0, "at least 0")
+BELOW_1: Check = (lambda number: 0 <= number < 1, "a number from 0 to below 1")
 FRACTION: Check = (lambda number: 0 <= number <= 1, "a number from 0 to 1")
 Part = TypeVar("Part", bound="Settings")
 _type_hints = cache(get_type_hints)  # which evaluates every annotation anew

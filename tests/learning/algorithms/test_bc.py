@@ -318,7 +318,10 @@ def test_a_run_is_fine_tuned_from_the_trunk_of_another(demos: Path, tmp_path: Pa
     before = tmp_path / "before"
     train(tiny(demos, tasks=TASKS), before)
     config = tiny(demos, num_demos=1, init_from=str(before), learning_rate=1e-12, batches=2)
-    train(config, tmp_path / "after")
+    train(config, tmp_path / "after", stop_after=1)
+    kept = before.rename(tmp_path / "kept")  # not needed any more
+    train(config, tmp_path / "after", resume=True)
+    kept.rename(before)
     first, last = (checkpoint(tmp_path / name)["policy"] for name in ("before", "after"))
     own = make_policy(config).state_dict()
     for name in (name for name, _ in make_policy(config).named_parameters()):
@@ -336,6 +339,7 @@ def test_what_cannot_be_fine_tuned_is_refused(demos: Path, tmp_path: Path) -> No
     for changed, message in (
         ({"init_from": str(tmp_path / "once")}, "that was itself not fine-tuned"),
         ({"observation": "LoRes4A"}, "expected a run with the observation LoRes4A"),
+        ({"conventions": "published"}, "expected a run with the same conventions"),
     ):
         with pytest.raises(InvalidConfigError, match=message):
             train(once.replace(**changed), tmp_path / "refused")

@@ -203,6 +203,8 @@ def test_a_task_without_an_expert_is_named(demos: Path, monkeypatch: pytest.Monk
         ({"variants": ()}, "variants: expected at least one"),
         ({"variants": ("Demo", "Jitter")}, "episodes: expected at least one for each of 2"),
         ({"workers": -1}, "workers: expected at least 0"),
+        ({"momentum": 1.0}, "momentum: expected a number from 0 to below 1"),
+        ({"threads": 5000}, "threads: expected a number from 0 to 4096"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(

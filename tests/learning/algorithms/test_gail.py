@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from types import SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -113,6 +114,7 @@ def test_images_between_have_the_nearer_ones_action() -> None:
 
 def test_critic_loss_by_hand() -> None:
     network: Any = Linear()
+    network.trunk = SimpleNamespace(pixels=(0.0, 1.0))
     images = torch.stack([torch.full((6, 1, 1), value) for value in (1.0, 2.0, 0.0, 0.5)])
     batch = batch_of(images, [0, 0, 0, 0])
     total = 3.0  # of the weights: logits are 3, 6, 0, 1.5

@@ -13,6 +13,7 @@ from magical.demos import ObservationReader
 from magical.demos.generate import demonstrate
 from magical.errors import CheckpointError
 from magical.evaluation import evaluate
+from magical.evaluation.seeds import RolloutRng
 from magical.learning import load_policy, train
 from magical.learning.algorithms.program_bc import ProgramBCConfig, ProgramPolicy, beliefs_of
 from magical.learning.intent.posterior import Belief, Explanation
@@ -81,6 +82,26 @@ def test_relations_decide_where_no_program_explains_demonstrations(
     expected = policy.network.goals.decide(table, torch.ones(1, dtype=torch.int64))
     assert targets == expected[0]
     torch.testing.assert_close(destinations, expected[1])
+
+
+def test_what_relations_decide_does_not_depend_on_other_episodes(run: Path) -> None:
+    policy = load_policy(run)
+    assert isinstance(policy, ProgramPolicy)
+    policy.network.believe(1, Belief([Explanation(parse(OUT), 1.0)], 0.9, 1.0))
+    episodes = [
+        demonstrate("magical/MoveToRegion-Demo-v0", seed=1),
+        demonstrate("magical/FixColour-Demo-v0", seed=3),
+    ]
+    stacks = [ObservationReader(e, "LoRes4A").read(np.arange(1))[0] for e in episodes]
+
+    def act(rows: list[int]) -> list[int]:
+        policy.reset(np.ones(len(rows), np.bool_))
+        env_ids = [str(episodes[row].env_id) for row in rows]
+        rng = RolloutRng(env_ids, rows)
+        actions = policy.act(np.stack([stacks[row] for row in rows]), env_ids, rng)
+        return [int(action) for action in actions]
+
+    assert act([0, 1]) == [*act([0]), *act([1])]
 
 
 def test_a_damaged_belief_is_refused(run: Path) -> None:

@@ -182,7 +182,7 @@ def test_the_penalty_is_on_the_gradient_with_respect_to_the_network_s_pixels() -
         return logits
 
     images, zeros = torch.rand(3, 6, 1, 1), torch.zeros(3, dtype=torch.int64)
-    penalty = gradient_penalty(critic, images, zeros, zeros, pixel_range="symmetric")
+    penalty = gradient_penalty(critic, images, zeros, zeros, pixels=(-1.0, 1.0))
     assert penalty.item() == pytest.approx((weight.norm().item() - 1.0) ** 2, rel=1e-5)
 
 

@@ -5,12 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from magical.demos import ObservationReader
+from magical.demos.generate import demonstrate
 from magical.errors import PluginError, UnknownNameError
 from magical.learning import load_policy, train
 from magical.learning.algorithms.object_bc import ObjectBCConfig
 from magical.learning.algorithms.program_bc import ProgramBCConfig
 from magical.learning.objects.components import Pixels
-from magical.learning.objects.parser import ParsedFrames, parse_frames
+from magical.learning.objects.parser import ABSENT, ParsedFrames, parse_frames
 from magical.learning.objects.perception import get_perception
 from tests.learning.tiny_runs import tiny
 
@@ -52,6 +54,21 @@ def test_training_and_acting_take_it(
     stack = np.full((1, 96, 96, 12), 255, np.uint8)
     policy.act(stack, ["magical/FixColour-Demo-v0"], np.random.default_rng(0))
     assert seen
+
+
+def shuffled(frames: Pixels, robot_alone: bool = False) -> ParsedFrames:
+    """The parser's blocks, backwards: those that are there come last."""
+    parsed = parse_frames(frames, robot_alone)
+    names = ("blocks", "colours", "shapes")
+    return parsed._replace(**{name: getattr(parsed, name)[:, ::-1] for name in names})
+
+
+def test_blocks_may_come_in_any_order() -> None:
+    trajectory = demonstrate("magical/FixColour-Demo-v0", seed=3)
+    frames = ObservationReader(trajectory, "LoRes4A").read(np.arange(2))[..., -3:]
+    found, parsed = get_perception(f"{__name__}:shuffled")(frames), parse_frames(frames)
+    blocks = (parsed.colours != ABSENT).sum(axis=1).tolist()
+    assert blocks == (found.colours[:, : blocks[0]] != ABSENT).sum(axis=1).tolist()
 
 
 def test_other_names_are_refused(expert_demos: Path) -> None:

@@ -100,6 +100,10 @@ class ALConfig(ReinforcementConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.require_one_task()
+        if self.feature_samples < 2 and self.weight_metric == "covariance":
+            raise InvalidConfigError(
+                "feature_samples: expected at least 2 for a covariance, found 1"
+            )
         if self.input_shape[1:] != (SIZE, SIZE):
             raise InvalidConfigError(
                 f"observation: expected images of {SIZE} pixels, found {self.input_shape[1:]}"

@@ -42,7 +42,14 @@ from magical.learning.running.optimizers import load_optimizer, optimizer_state,
 from magical.learning.running.pretrained import load_pretrained
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
-from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, Settings, option
+from magical.learning.settings import (
+    BELOW_1,
+    FRACTION,
+    NOT_NEGATIVE,
+    POSITIVE,
+    Settings,
+    option,
+)
 from magical.observe import STATE
 from magical.runs.sources import EXTRA_DATA, RENDERED_STATES
 
@@ -58,7 +65,7 @@ class CloningSettings(Settings):
     batch_size: int = option(32, "samples per batch", POSITIVE)
     optimizer: str = option("sgd", "optimiser", choices=("sgd", "adam"))
     learning_rate: float = option(1e-3, "initial learning rate", POSITIVE)
-    momentum: float = option(0.1, "momentum; Adam's beta 1")
+    momentum: float = option(0.1, "momentum; Adam's beta 1", BELOW_1)
     anneal: bool = option(False, "anneal the learning rate linearly to 0")
     augment: str = augment_option("all")
     augment_by: str = option(
@@ -215,14 +222,17 @@ class BCTrainer:
         self.config, self.run = config, run
         self.device = choose_device(config.device)
         network = make_policy(config)
-        if config.init_from:
+        if config.init_from and not run.saved:
             load_pretrained(network.trunk, config, config.init_from, run)
         self.network = network.to(self.device)
         self.optimizer = make_optimizer(config.cloning, self.network)
         decay = config.cloning.average_decay
         average = get_ema_multi_avg_fn(decay)  # type: ignore[no-untyped-call]
         self._average = AveragedModel(self.network, multi_avg_fn=average) if decay else None
-        self.compute = run.compute(self.device, config.precision, config.threads)
+        # Positions need more digits than pixels.
+        exact = config.observes_vectors and config.precision == "auto"
+        precision = "float32" if exact else config.precision
+        self.compute = run.compute(self.device, precision, config.threads)
         if run.saved:
             with restoring(run.folder):
                 self.policy.load_state_dict(run.saved["policy"])

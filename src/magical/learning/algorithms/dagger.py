@@ -31,6 +31,7 @@ from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.bc import BCConfig, BCTrainer, CloningSettings, make_policy
 from magical.learning.config import IMAGE_OBSERVATIONS
 from magical.learning.data.expert_data import TaskTrajectories, load_demonstrations
+from magical.learning.data.rendered_data import choose_image_data
 from magical.learning.data.supervision import collect_labelled
 from magical.learning.policy import NetworkPolicy
 from magical.learning.running.checkpoints import restoring
@@ -114,6 +115,8 @@ def train(config: DAggerConfig, run: Run) -> None:
     """Alternate between collecting labelled episodes and behavioural cloning."""
     demonstrations = load_demonstrations(config, run)
     trainer = BCTrainer(config, run)
+    cloning = config.cloning  # refused before the folder has episodes
+    choose_image_data(demonstrations, run, cloning.augment_by, cloning.transformations)
     aggregated = AggregatedDataset(config, run)
     if run.step == config.num_updates:
         return

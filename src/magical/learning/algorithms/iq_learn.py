@@ -203,7 +203,7 @@ def make_policy(config: IQLearnConfig) -> QNetwork:
     with seeded_init(config.seed):
         trunk = Trunk(networks.network, config.input_shape, pixel_range=networks.pixel_range)
         network = QNetwork(trunk, len(config.tasks), config.iq.temperature)
-        centre(network, networks.pixel_range)
+        centre(network)
         return network
 
 

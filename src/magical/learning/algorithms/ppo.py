@@ -20,6 +20,7 @@ from torch import Tensor, nn
 from torch.optim import Adam
 
 from magical.envs.env import Reward
+from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
 from magical.learning.augmentation.augment import to_unit
 from magical.learning.config import IMAGE_OBSERVATIONS, PUBLISHED, NetworkSettings
@@ -41,7 +42,7 @@ from magical.learning.running.optimizers import load_optimizer, optimizer_state,
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
-from magical.observe import NAMED
+from magical.observe import STATE
 from magical.runs.sources import SCORE
 from magical.tasks import Horizon, have_two_horizons, require_two_horizons
 
@@ -92,6 +93,10 @@ class ReinforcementConfig(InteractionConfig):
         super().__post_init__()
         if self.ppo.horizon == PUBLISHED:
             require_two_horizons(self.tasks)
+        if self.ppo.normalise_advantages and self.ppo.steps_per_update < 2:
+            raise InvalidConfigError(
+                "normalise_advantages: expected at least 2 environment steps per update, found 1"
+            )
 
     @classmethod
     def preset(cls, name: str, **settings: Any) -> Self:
@@ -112,7 +117,7 @@ class ReinforcementConfig(InteractionConfig):
 class PPOConfig(ReinforcementConfig):
     """Settings of proximal policy optimisation; the defaults are Table 4's."""
 
-    observations: ClassVar[tuple[str, ...]] = (*IMAGE_OBSERVATIONS, *NAMED)
+    observations: ClassVar[tuple[str, ...]] = (*IMAGE_OBSERVATIONS, STATE)
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
         "paper": {},
         # The environment's rewards are sparser than a discriminator's: a longer time scale.
@@ -146,7 +151,7 @@ def make_policy(config: ReinforcementConfig) -> ActorCritic:
         trunk = Trunk(networks.network, config.input_shape, pixel_range=networks.pixel_range)
         network = ActorCritic(trunk, len(config.tasks))
         if config.ppo.init == "centred" and trunk.convolutions is not None:
-            centre(network, networks.pixel_range)
+            centre(network)
         if networks.published:
             init_normal(network.policy, network.value)
         return network
@@ -176,7 +181,7 @@ class PPOTrainer(InteractionTrainer):
         self.compute = run.compute(self.device, precision, config.threads)
         self.monitor = Monitor()
         with ExitStack() as stack:
-            if vectors:
+            if vectors and not config.threads:
                 stack.enter_context(one_thread())
             self.envs = stack.enter_context(RolloutEnvs(config, self.device, reward))
             self._start_or_resume()

@@ -43,7 +43,7 @@ from magical.learning.objects.parser import ParsedFrames
 from magical.learning.objects.perception import get_perception
 from magical.learning.planning.motion import Motion, fit_motion
 from magical.learning.planning.planner import Planner, Situation
-from magical.learning.policy import TrainedPolicy, choose_actions, to_inputs
+from magical.learning.policy import TrainedPolicy, sample_actions, to_inputs
 from magical.learning.running.devices import choose_device
 from magical.learning.running.loading import load_policy
 from magical.learning.running.run import Run
@@ -151,7 +151,10 @@ class ProgramPolicy(TrainedPolicy):
         if unknown:
             rows = np.array(unknown)
             logits = self.outputs(observations[rows], [env_ids[row] for row in unknown])
-            actions[rows] = choose_actions(logits.softmax(dim=1).numpy(), rng, self.greedy)
+            found = logits.softmax(dim=1).numpy()
+            # Each row has its own random numbers, whatever the others do.
+            sampled = sample_actions(found, uniforms[rows])
+            actions[rows] = found.argmax(axis=1) if self.greedy else sampled
         return actions
 
 

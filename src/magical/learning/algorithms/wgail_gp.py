@@ -24,7 +24,6 @@ from magical.learning.algorithms.gail import (
 )
 from magical.learning.algorithms.ppo import make_policy
 from magical.learning.augmentation.augment import Randoms
-from magical.learning.config import PIXEL_RANGES
 from magical.learning.models import Discriminator
 from magical.learning.running.run import Run
 from magical.learning.settings import POSITIVE, option
@@ -63,7 +62,6 @@ def train(config: WGAILGPConfig, run: Run) -> None:
         critic_loss,
         penalty_weight=config.penalty_weight,
         penalty_batch_norm=config.networks.published,
-        pixel_range=config.networks.pixel_range,
     )
     train_adversarially(config, run, loss, critic_reward)
 
@@ -79,7 +77,6 @@ def critic_loss(
     randoms: Randoms,
     penalty_weight: float,
     penalty_batch_norm: bool = False,
-    pixel_range: str = "unit",
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """Mean f(novice) - mean f(expert) + penalty_weight * penalty: to be minimised.
 
@@ -94,7 +91,7 @@ def critic_loss(
     expert, novice = logits[: batch.half], logits[batch.half :]
     distance = expert.mean() - novice.mean()
     critic.train(penalty_batch_norm)
-    penalty = gradient_penalty(critic, *interpolate(batch, randoms), pixel_range)
+    penalty = gradient_penalty(critic, *interpolate(batch, randoms), critic.trunk.pixels)
     critic.train()
     threshold = (expert.mean() + novice.mean()) / 2
     accuracy = torch.cat([expert > threshold, novice < threshold]).float().mean()
@@ -119,17 +116,21 @@ def interpolate(batch: DiscriminatorBatch, randoms: Randoms) -> tuple[Tensor, Te
 
 
 def gradient_penalty(
-    critic: Critic, images: Tensor, actions: Tensor, tasks: Tensor, pixel_range: str = "unit"
+    critic: Critic,
+    images: Tensor,
+    actions: Tensor,
+    tasks: Tensor,
+    pixels: tuple[float, float] = (0.0, 1.0),
 ) -> Tensor:
     """Mean of (|df / d image|_2 - 1)^2; differentiable with respect to the critic's weights.
 
-    Images (B, C, H, W) are in [0, 1]; the gradient is with respect to the pixels in `pixel_range`,
-    as the critic's first convolution takes them.
+    Images (B, C, H, W) are in [0, 1]; the gradient is with respect to pixels from `pixels[0]` to
+    `pixels[1]`, as the critic's first convolution takes them.
     """
     images = images.detach().requires_grad_()
     logits = critic(images, actions, tasks)
     (gradients,) = torch.autograd.grad(logits.sum(), images, create_graph=True)
-    low, high = PIXEL_RANGES[pixel_range]
+    low, high = pixels
     norms: Tensor = torch.linalg.vector_norm(gradients.float().flatten(1), dim=1)  # (B,)
     norms = norms / (high - low)
     return (norms - 1.0).square().mean()

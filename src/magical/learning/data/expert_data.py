@@ -75,7 +75,6 @@ def sample_demonstrations(
         tasks: the tasks' names.
         count: the number of demonstrations of each task.
         seed: the run's seed.
-        variants: the variants that demonstrations are sampled from.
         action_space: what their actions are converted to.
 
     Raises:

@@ -1,12 +1,13 @@
 """Perception: what finds the objects of frames, the parser or a function of others."""
 
+from functools import partial
 from typing import Protocol
 
 import numpy as np
 
 from magical.errors import PluginError
 from magical.learning.objects.components import Pixels
-from magical.learning.objects.parser import ParsedFrames, parse_frames
+from magical.learning.objects.parser import ABSENT, ParsedFrames, parse_frames
 from magical.plugins import load_plugin
 from magical.scene.constants import FRAME_SIZE
 
@@ -44,7 +45,18 @@ def get_perception(name: str) -> Perception:
             f"perception {name!r}: expected ParsedFrames of {_layout(expected)} for one frame, "
             f"found {_layout(found) if isinstance(found, ParsedFrames) else type(found).__name__}"
         )
-    return perception
+    return partial(_compacted, perception)
+
+
+def _compacted(perception: Perception, frames: Pixels, robot_alone: bool = False) -> ParsedFrames:
+    """What is perceived, with the blocks that are there in the first slots, as from the parser."""
+    parsed = perception(frames, robot_alone=robot_alone)
+    order = np.argsort(parsed.colours == ABSENT, axis=1, kind="stable")
+    return parsed._replace(
+        blocks=np.take_along_axis(parsed.blocks, order[:, :, None], axis=1),
+        colours=np.take_along_axis(parsed.colours, order, axis=1),
+        shapes=np.take_along_axis(parsed.shapes, order, axis=1),
+    )
 
 
 def _layout(parsed: ParsedFrames) -> str:

@@ -12,6 +12,7 @@ from msgspec import Meta
 from torch import Tensor
 
 from magical.errors import DeviceError, RunFolderError
+from magical.learning.settings import MAX_THREADS
 from magical.runs.folder import RECORD
 from magical.untrusted import convert
 
@@ -29,7 +30,7 @@ class Compute:
 
     device: Device
     precision: Precision
-    threads: Annotated[int, Meta(ge=0, le=4096)] = 0
+    threads: Annotated[int, Meta(ge=0, le=MAX_THREADS)] = 0
 
     def set_threads(self) -> None:
         """Set PyTorch's number of threads; results are bit-equal for the same number only."""

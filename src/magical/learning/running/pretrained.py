@@ -17,7 +17,8 @@ def load_pretrained(trunk: Trunk, config: Config, init_from: str, run: Run) -> N
     """Load the trunk of the run `init_from`, and record the tasks that it learned in `run.json`.
 
     Raises:
-        InvalidConfigError: no run of bc from its own initialisation, or of another observation.
+        InvalidConfigError: no run of bc from its own initialisation, or of another observation
+            or conventions.
         RunFolderError, CheckpointError: a damaged run, or one of another network.
     """
     folder = Path(init_from)
@@ -30,6 +31,10 @@ def load_pretrained(trunk: Trunk, config: Config, init_from: str, run: Run) -> N
         raise InvalidConfigError(
             f"init_from: expected a run with the observation {config.observation}, found "
             f"{before.observation} in {folder}"
+        )
+    if before.to_dict()["conventions"] != config.to_dict()["conventions"]:
+        raise InvalidConfigError(
+            f"init_from: expected a run with the same conventions, found others in {folder}"
         )
     network = load_policy(folder, "cpu").network
     with restoring(folder / CHECKPOINT):
