@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable
 from types import SimpleNamespace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
