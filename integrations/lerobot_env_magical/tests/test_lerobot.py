@@ -7,12 +7,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from lerobot.configs.types import FeatureType
 from lerobot.envs.factory import make_env
 from lerobot.envs.utils import add_envs_task, env_to_policy_features, preprocess_observation
 from lerobot_env_magical import MagicalEnvConfig
 
+from magical.demos import Dataset, DatasetWriter
+from magical.demos.export.lerobot import export_lerobot
+from magical.demos.generate import demonstrate
 from magical.envs.seeds import evaluation_seed
 from magical.errors import PolicyError
 from magical.evaluation import evaluate, load_policy
@@ -38,6 +42,17 @@ def test_observations_become_the_features_of_the_policy(envs: Any) -> None:
         if feature.type is not FeatureType.ACTION
     }
     assert features["action"].shape == envs.single_action_space.shape
+
+
+def test_states_are_those_of_exported_datasets(tmp_path: Path) -> None:
+    trajectory = demonstrate("magical/MoveToRegion-TestJitter-v0", seed=0)
+    DatasetWriter(tmp_path / "demos").append(trajectory)
+    export_lerobot(Dataset.open(tmp_path / "demos"), tmp_path / "exported")
+    (table,) = (tmp_path / "exported" / "data").rglob("*.parquet")
+    states = pq.read_table(table)["observation.state"].to_pylist()
+    env = LeRobotMagicalEnv("MoveToRegion-TestJitter-v0")
+    observation, _ = env.reset(seed=0)
+    np.testing.assert_allclose(observation["agent_pos"], states[0], atol=1e-6)
     tasks = add_envs_task(envs, found)["task"]
     assert len(tasks) == 2
     assert all("corner" in task for task in tasks)

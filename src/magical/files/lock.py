@@ -2,6 +2,7 @@
 
 import os
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +16,7 @@ else:
     import fcntl
 
 _DIGITS = 20  # of a process id that is read
+PAUSES = 0.01, 0.05  # seconds: `is_locked` in another process holds a lock for a moment
 
 
 class LockedError(Exception):
@@ -59,10 +61,14 @@ def lock_now(path: Path) -> Iterator[None]:
         OSError: the lock file cannot be created, or is not a regular file.
     """
     with open_regular(path, "ab") as file:
-        try:
-            _lock(file, reading=False, wait=False)
-        except (BlockingIOError, PermissionError) as error:  # on Windows the latter
-            raise LockedError(_holder(path)) from error
+        for pause in (*PAUSES, None):
+            try:
+                _lock(file, reading=False, wait=False)
+                break
+            except (BlockingIOError, PermissionError) as error:  # on Windows the latter
+                if pause is None:
+                    raise LockedError(_holder(path)) from error
+                time.sleep(pause)
         try:
             file.truncate(0)
             file.write(str(os.getpid()).encode())

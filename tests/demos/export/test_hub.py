@@ -60,6 +60,8 @@ class Handler(http.server.BaseHTTPRequestHandler):
         for line in map(json.loads, body.splitlines()):
             if line["key"] == "header":
                 self.server.commits.append(line["value"])
+            elif line["key"] == "deletedFile":
+                del self.server.files[line["value"]["path"]]
             else:
                 content = base64.b64decode(line["value"]["content"])
                 self.server.files[line["value"]["path"]] = content
@@ -73,7 +75,7 @@ class Handler(http.server.BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         path, files = self.path.partition("?")[0], self.server.files
-        if self.server.denied or not files:
+        if self.server.denied or not (files or self.server.created):
             return self.reply(b"{}", self.server.denied or 404, "RepoNotFound")
         if path.startswith(f"/api/datasets/{REPO}/revision/"):
             siblings = [{"rfilename": name} for name in files]
@@ -145,6 +147,13 @@ def test_a_dataset_comes_back_as_it_was(hub: Hub, dataset: Dataset, tmp_path: Pa
     found = sorted(p.relative_to(back.path) for p in back.path.rglob("*") if p.is_file())
     assert found == sorted(p.relative_to(dataset.path) for p in dataset.path.rglob("*.[jn]*"))
     assert [path.name for path in tmp_path.glob(".pull-*")] == []
+
+
+def test_some_of_a_dataset_replace_another(hub: Hub, dataset: Dataset, tmp_path: Path) -> None:
+    push(dataset, REPO, "mit")
+    push(Dataset(dataset.path, dataset.entries[1:]), REPO, "mit")
+    pulled = pull(REPO, tmp_path / "pulled")
+    assert list(pulled.entries) == list(dataset.entries[1:])
 
 
 def test_the_card_says_what_was_recorded(hub: Hub, dataset: Dataset) -> None:

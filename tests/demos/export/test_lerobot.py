@@ -113,5 +113,5 @@ def test_failed_lerobot_export_leaves_no_files(mixed: Path, tmp_path: Path) -> N
 
 
 def test_lerobot_needs_a_folder(mixed: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["demos", "export", str(mixed), "--to", "lerobot"]) == 1
+    assert main(["demos", "export", str(mixed), "--to", "lerobot"]) == 2
     assert "--out" in capsys.readouterr().err

@@ -86,6 +86,14 @@ def test_manifest_cut_off_is_detected_and_repaired(
     assert not Dataset.open(small_dataset, skip_damaged=True).problems
 
 
+def test_repair_names_files_that_are_missing(small_dataset: Path) -> None:
+    (_, first, *_) = stored_files(small_dataset)
+    first.unlink()
+    (problem,) = repair(small_dataset)
+    assert (problem.file, problem.what) == (str(first), "is missing")
+    assert len(Dataset.open(small_dataset)) == 2
+
+
 def test_repair_moves_damaged_files(small_dataset: Path) -> None:
     second = stored_files(small_dataset)[2]
     raw = second.read_bytes()

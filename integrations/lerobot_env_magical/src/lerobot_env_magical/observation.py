@@ -25,7 +25,7 @@ NAME = "lerobot"  # the entry point of `VIEWS_AND_ROBOT`
 class ViewsAndRobot:
     """The newest frame of both views, (size, size, 3) uint8, and `agent_pos`, (5,) float32.
 
-    `agent_pos` is the robot's x, y and angle, and the angles of its fingers in the workspace, as
+    `agent_pos` is the robot's x, y and angle, and the angles of its fingers relative to it, as
     `observation.state` of a dataset that `magical demos export --to lerobot` writes.
     """
 
@@ -115,8 +115,9 @@ class _Observer:
 
 
 def _robot_states(bodies: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Robot and finger angles (..., 5) of bodies (..., 5 + blocks, 6)."""
-    return np.concatenate([bodies[..., ROBOT, :3], bodies[..., FINGERS, 2]], axis=-1)
+    """The robot's pose, and its fingers' angles relative to it (..., 5), of bodies (..., N, 6)."""
+    robot = bodies[..., ROBOT, :3]
+    return np.concatenate([robot, bodies[..., FINGERS, 2] - robot[..., 2:]], axis=-1)
 
 
 VIEWS_AND_ROBOT = ViewsAndRobot()

@@ -100,7 +100,8 @@ class MagicalBenchmark(StepBenchmark):  # type: ignore[misc]
 
     def _state(self) -> NDArray[np.float32]:
         poses = self._env.unwrapped.state().poses
-        return np.array([*poses.robot, *poses.finger_angles], np.float32)
+        x, y, angle = poses.robot
+        return np.array([x, y, angle, *(np.asarray(poses.finger_angles) - angle)], np.float32)
 
     def get_step_result(self, step_result: StepResult) -> EpisodeResult:
         """Success and score of the episode."""

@@ -77,10 +77,18 @@ def _generate(parser: argparse.ArgumentParser) -> None:
     meaning = "number of the first attempt, to continue a series"
     add_count(parser, "--first", meaning, default=0, least=0, metavar="K")
     parser.add_argument(
-        "--min-score", type=float, default=0.0, metavar="X", help="drop those that score less"
+        "--min-score",
+        type=number(float, 0, 1),
+        default=0.0,
+        metavar="X",
+        help="drop those that score less",
     )
     parser.add_argument(
-        "--skill", type=float, default=1.0, metavar="K", help="below 1: deliberately worse"
+        "--skill",
+        type=number(float, 0, 1),
+        default=1.0,
+        metavar="K",
+        help="below 1: deliberately worse",
     )
     parser.add_argument(
         "--perturb",

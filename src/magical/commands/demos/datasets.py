@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from magical.commands._common import log, print_json, print_table
-from magical.errors import DatasetError
+from magical.errors import DatasetError, UnknownNameError
 from magical.messages import printable
 
 if TYPE_CHECKING:
@@ -183,7 +183,9 @@ def run_export(args: argparse.Namespace) -> int:
         from magical.demos.export.lerobot import export_lerobot
 
         if args.out is None:
-            raise DatasetError("--out: expected a new folder for the LeRobot dataset, found none")
+            raise UnknownNameError(
+                "--out: expected a new folder for the LeRobot dataset, found none"
+            )
         frames = export_lerobot(dataset, args.out, args.action_space, args.instruction)
         result |= {"out": str(args.out), "frames": frames}
         print(f"wrote {args.out}: {len(dataset)} episodes, {result['frames']} frames")

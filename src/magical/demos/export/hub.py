@@ -7,12 +7,13 @@ HF_TOKEN, or what `hf auth login` has stored.
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
 from magical import __version__
 from magical.demos.store.dataset import Dataset
-from magical.demos.store.manifest import FOLDER, NAME
+from magical.demos.store.manifest import FOLDER, NAME, new_text
 from magical.demos.store.summary import DatasetSummary, summarise_dataset
 from magical.errors import DatasetError
 from magical.extras import require
@@ -25,7 +26,8 @@ _FILES = (NAME, f"{FOLDER}/*.npz")  # what is a dataset's own in a repository
 def push(dataset: Dataset, repo: str, licence: str, *, private: bool = False) -> str:
     """Upload a dataset in one commit, with its card; returns the repository's address.
 
-    The repository is created where it does not exist; its other files stay.
+    The repository is created where it does not exist; trajectories of an earlier dataset in it are
+    removed, other files stay.
 
     Args:
         dataset: all of it is read first.
@@ -39,18 +41,24 @@ def push(dataset: Dataset, repo: str, licence: str, *, private: bool = False) ->
         MissingDependencyError: `huggingface_hub` is not installed.
     """
     require("hub")
-    from huggingface_hub import CommitOperationAdd, HfApi
+    from huggingface_hub import CommitOperationAdd, CommitOperationDelete, HfApi
 
     _require_publishable(dataset)
     files: dict[str, bytes | Path] = {CARD: card(dataset, repo, licence).encode()}
-    for path in (NAME, *(entry.file for entry in dataset.entries)):
-        files[path] = dataset.path / path
+    files[NAME] = new_text(list(dataset.entries)).encode()  # which may be some of the folder's
+    for entry in dataset.entries:
+        files[entry.file] = dataset.path / entry.file
     with _hub_errors(repo):
         api = HfApi(library_name="magical-benchmark", library_version=__version__)
         made = api.create_repo(repo, repo_type="dataset", private=private, exist_ok=True)
+        before = api.list_repo_files(repo, repo_type="dataset")
+        gone = [p for p in before if fnmatchcase(p, f"{FOLDER}/*.npz") and p not in files]
         api.create_commit(
             repo,
-            [CommitOperationAdd(path, content) for path, content in files.items()],
+            [
+                *(CommitOperationAdd(path, content) for path, content in files.items()),
+                *map(CommitOperationDelete, gone),
+            ],
             commit_message=f"{len(dataset)} demonstrations, by magical {__version__}",
             repo_type="dataset",
         )
@@ -188,7 +196,12 @@ def _values(records: Iterable[dict[str, Any]], name: str) -> str:
 @contextmanager
 def _hub_errors(repo: str) -> Iterator[None]:
     """Errors of the Hub and of the connection become a `DatasetError` that names the repository."""
-    from huggingface_hub.errors import HfHubHTTPError, HFValidationError, LocalTokenNotFoundError
+    from huggingface_hub.errors import (  # type: ignore[attr-defined]  # the last is httpx's
+        HfHubHTTPError,
+        HFValidationError,
+        HTTPError,
+        LocalTokenNotFoundError,
+    )
 
     try:
         yield
@@ -199,5 +212,5 @@ def _hub_errors(repo: str) -> Iterator[None]:
         raise DatasetError(f"{quoted(repo)} on the Hub: {printable(first)}{login}") from error
     except HFValidationError as error:
         raise DatasetError(f"repository: expected OWNER/NAME, found {quoted(repo)}") from error
-    except (OSError, RuntimeError) as error:
+    except (HTTPError, OSError, RuntimeError, ValueError) as error:
         raise DatasetError(f"{quoted(repo)} on the Hub: {printable(str(error))}") from error

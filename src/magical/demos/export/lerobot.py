@@ -74,7 +74,7 @@ def export_lerobot(
     of continuous ones drive, turn and grip, float32 from -1 to 1), `next.done`, and where all poses
     are known `observation.state` (robot pose and finger angles).
     `action` is the one to imitate; where some trajectory has others that were executed, those are
-    `executed_action`.
+    `executed_action`. Where a policy acted in some steps, `is_demonstrated` is false there.
     Scores, demonstrator and environment id are columns of `meta/episodes`.
 
     Args:
@@ -114,6 +114,7 @@ class _Writer:
         self.files = ExitStack()
         self._has_states = all(entry.has_poses for entry in dataset.entries)
         self._has_labels = any(trajectory.expert_actions is not None for trajectory in dataset)
+        self._has_actors = any(trajectory.actors is not None for trajectory in dataset)
         self._action_space = action_space or dataset.action_space()
         self._tasks: dict[str, int] = {}
         self._episodes: list[dict[str, Any]] = []
@@ -190,6 +191,8 @@ class _Writer:
         columns |= {"action": _exported(trajectory.labels), "next.done": frame == steps - 1}
         if self._has_labels:
             columns["executed_action"] = _exported(trajectory.actions)
+        if self._has_actors:
+            columns["is_demonstrated"] = trajectory.is_demonstrated
         return columns | {
             "timestamp": (frame / FPS).astype(np.float32),
             "frame_index": frame,

@@ -118,7 +118,7 @@ def _buffers(part: Dataset, preset: str, actions: ActionSpec) -> Iterator[Any]:
         steps = len(trajectory)
         yield EpisodeBuffer(
             id=index,
-            seed=trajectory.seed,
+            seed=trajectory.seed if (trajectory.seed or 0) < 1 << 63 else None,  # as HDF5 has it
             observations=observations(trajectory, preset),
             actions=trajectory.actions.astype(actions.space.dtype),
             rewards=[0.0] * steps,
@@ -138,6 +138,8 @@ def _infos(trajectory: Trajectory) -> dict[str, Any]:
         spec = action_spec(trajectory.action_space)
         none = np.full((1, *spec.shape), spec.nothing, spec.dtype)
         infos["expert_action"] = np.concatenate([trajectory.expert_actions, none])
+    if trajectory.actors is not None:
+        infos["is_demonstrated"] = np.append(trajectory.is_demonstrated, False)
     return infos
 
 

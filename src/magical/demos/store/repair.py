@@ -42,8 +42,10 @@ def repair(path: Path | str) -> list[Problem]:
         except DatasetError as error:
             entries, problems = [], [Problem(str(folder / manifest.NAME), str(error))]
         listed = {entry.file: entry for entry in entries}
-        kept, damaged = [], []
-        for file in stored_files(folder):
+        kept, damaged, files = [], [], stored_files(folder)
+        for name in sorted(listed.keys() - {f"{manifest.FOLDER}/{file.name}" for file in files}):
+            problems.append(Problem(printable(str(folder / name), MAX_MESSAGE), "is missing"))
+        for file in files:
             raw = _read(file)
             try:
                 kept.append(_recovered(folder, file, raw, listed))

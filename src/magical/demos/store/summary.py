@@ -51,11 +51,14 @@ def summarise_dataset(dataset: Dataset) -> list[DatasetSummary]:
 
 
 def find_duplicates(entries: Iterable[ManifestEntry]) -> list[tuple[str, str]]:
-    """Pairs (later, earlier) with the same actions and poses or frames, by source or file."""
-    first: dict[str, ManifestEntry] = {}
+    """Pairs (later, earlier) of an environment with the same actions and poses or frames.
+
+    They are named by source or file.
+    """
+    first: dict[tuple[str, str], ManifestEntry] = {}
     pairs = []
     for entry in entries:
-        earlier = first.setdefault(entry.fingerprint, entry)
+        earlier = first.setdefault((str(entry.env_id), entry.fingerprint), entry)
         if earlier is not entry:
             pairs.append((entry.source or entry.file, earlier.source or earlier.file))
     return pairs

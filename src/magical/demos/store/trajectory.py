@@ -26,7 +26,7 @@ from magical.scene import Dynamics, Poses, Scene, View
 from magical.scene.constants import FRAME_SIZE, MAX_COORDINATE, MAX_NUDGE
 from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import Task
-from magical.untrusted import check_plain
+from magical.untrusted import MAX_BITS, check_plain
 
 VIEWS = tuple(str(view) for view in View)
 RECOVERY = "recovery"  # in the metadata: how poses were recovered from frames
@@ -274,15 +274,18 @@ def checked_actions(
 
 
 def _checked_seed(seed: Any) -> int:
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        raise TrajectoryError(f"seed: expected an integer of at least 0, found {quoted(seed)}")
+    whole = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
+    if not whole or not 0 <= seed < 1 << MAX_BITS:
+        raise TrajectoryError(
+            f"seed: expected an integer from 0, of {MAX_BITS} bits at most, found {quoted(seed)}"
+        )
     return int(seed)
 
 
 def _checked_metadata(metadata: Mapping[str, Any]) -> dict[str, Any]:
     try:
         plain = json.loads(json.dumps(dict(metadata), allow_nan=False))
-        check_plain(plain)
+        check_plain({"metadata": plain})  # as in a file's header
     except (TypeError, ValueError, RecursionError) as error:
         raise TrajectoryError(f"metadata: expected plain JSON data, found {error}") from error
     assert isinstance(plain, dict)

@@ -63,10 +63,11 @@ class DatasetWriter:
     def _create(self) -> None:
         make_folder(self.path / manifest.FOLDER)
         with locked(self.path / LOCK):  # which all writers of these files hold
+            found = stored_files(self.path)  # raises where their folder is a symbolic link
             remove_partial_files(self.path, manifest.NAME)
             remove_partial_files(self.path / manifest.FOLDER, "*.npz")
             if not (self.path / manifest.NAME).exists():
-                if stored_files(self.path):
+                if found:
                     raise DatasetError(
                         f"{self.path}: {manifest.NAME} is missing; {manifest.ADVICE}"
                     )
