@@ -61,6 +61,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
         [],
         ["fly"],
         ["envs", "--fast"],
+        ["--impor", "json", "envs"],
         ["show"],
         ["show", "magical/MoveToCorner-Demo-v0", "--seed", "-1"],
         ["show", "magical/MoveToCorner-Demo-v0", "--seed", "one"],

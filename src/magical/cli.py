@@ -54,7 +54,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 def build_parser() -> argparse.ArgumentParser:
     """The parser of the whole command line."""
     parser = argparse.ArgumentParser(
-        prog="magical", description="The MAGICAL benchmark for robust imitation learning."
+        prog="magical",
+        description="The MAGICAL benchmark for robust imitation learning.",
+        allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"magical {__version__}")
     _add_import(parser)

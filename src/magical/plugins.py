@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-_imported_files: set[Path] = set()  # by the user, or on the user's word
+_imported_files: dict[Path, tuple[int, ModuleType]] = {}  # on the user's word; when written
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,11 +179,15 @@ def _import_file(path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if not path.is_file() or spec is None or spec.loader is None:
         raise PluginError(f"file {path}: expected a Python file, found none")
+    written = path.stat().st_mtime_ns
+    known = _imported_files.get(path.resolve())
+    if known and known[0] == written:  # what it registers is registered already
+        return known[1]
     _search_last(path.resolve().parent)
     module = importlib.util.module_from_spec(spec)
     sys.modules.setdefault(path.stem, module)
     spec.loader.exec_module(module)
-    _imported_files.add(path.resolve())
+    _imported_files[path.resolve()] = written, module
     return module
 
 

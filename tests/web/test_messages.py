@@ -36,7 +36,7 @@ VALID: dict[str, tuple[dict[str, Any], object]] = {
     "restart": ({}, Restart()),
     "pause": ({}, Pause()),
     "view": ({"view": "both"}, Show("both")),
-    "keep": ({"demonstrator": " Ada "}, Keep("Ada")),
+    "keep": ({"demonstrator": " Ada\u3000\u200d\U0001f52c "}, Keep("Ada\u3000\u200d\U0001f52c")),
     "discard": ({}, Discard()),
     "watch": ({"policy": 1}, Watch(1)),
     "hand_back": ({}, HandBack()),

@@ -28,6 +28,7 @@ def test_hosts() -> None:
     for host in others:
         assert not GUARD.accepts_host({"host": host}), host
     assert not GUARD.accepts_host({})
+    assert make_guard("LAB.example", "token").accepts_host({"host": "lab.example:8000"})
 
 
 def test_a_server_for_other_machines_accepts_addresses_and_named_hosts() -> None:

@@ -22,7 +22,7 @@ from magical.web.messages import (
     Restart,
     Watch,
 )
-from magical.web.session import STEP_TIME
+from magical.web.session import SILENCE_TIME, STEP_TIME, Phase
 from tests.web.clocked import GRIP, LEFT, watched
 from tests.web.serving import RunningServer
 
@@ -109,10 +109,10 @@ def test_the_environment_waits_for_a_slow_policy_and_late_answers_have_no_effect
     assert question is not None
     assert session.take_question() is None  # asked once for each state
     steps = session.episode.steps
-    for _ in range(10):
+    for _ in range(round(2 * SILENCE_TIME / STEP_TIME)):
         clocked.now += STEP_TIME
         session.advance(clocked.now)
-    assert session.episode.steps == steps
+    assert (session.episode.steps, session.phase) == (steps, Phase.PLAYING)
     session.handle(Restart(), clocked.now)
     session.note_proposal(question, question.answer())
     session.advance(clocked.now + STEP_TIME)

@@ -12,7 +12,7 @@ import pytest
 from lerobot.configs.types import FeatureType
 from lerobot.envs.factory import make_env
 from lerobot.envs.utils import add_envs_task, env_to_policy_features, preprocess_observation
-from lerobot_env_magical import MagicalEnvConfig
+from lerobot_env_magical import LeRobotMagicalEnv, MagicalEnvConfig
 
 from magical.demos import Dataset, DatasetWriter
 from magical.demos.export.lerobot import export_lerobot
@@ -42,6 +42,9 @@ def test_observations_become_the_features_of_the_policy(envs: Any) -> None:
         if feature.type is not FeatureType.ACTION
     }
     assert features["action"].shape == envs.single_action_space.shape
+    tasks = add_envs_task(envs, found)["task"]
+    assert len(tasks) == 2
+    assert all("corner" in task for task in tasks)
 
 
 def test_states_are_those_of_exported_datasets(tmp_path: Path) -> None:
@@ -53,9 +56,6 @@ def test_states_are_those_of_exported_datasets(tmp_path: Path) -> None:
     env = LeRobotMagicalEnv("MoveToRegion-TestJitter-v0")
     observation, _ = env.reset(seed=0)
     np.testing.assert_allclose(observation["agent_pos"], states[0], atol=1e-6)
-    tasks = add_envs_task(envs, found)["task"]
-    assert len(tasks) == 2
-    assert all("corner" in task for task in tasks)
 
 
 def test_the_last_step_tells_success_and_score(envs: Any) -> None:

@@ -158,6 +158,7 @@ def _add_option(parser: argparse.ArgumentParser, option: "Option") -> None:
         return
     parser.add_argument(
         *flags,
+        action="extend" if option.several else "store",
         dest=option.name,
         type=task_name if option.name == "tasks" else option.kind,
         nargs="+" if option.several else None,

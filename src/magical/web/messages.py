@@ -1,6 +1,7 @@
 """What the page may send: messages over the socket, requests over HTTP; their types check them."""
 
 import re
+import unicodedata
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Annotated, Literal, TypeVar
@@ -34,6 +35,10 @@ FrameNumber = Annotated[int, Meta(ge=0, le=1 << 53)]
 # Scenes of evaluation are not for demonstrations (docs/protocol.md).
 Seed = Annotated[int, Meta(ge=0, lt=FIRST_EVALUATION_SEED)]
 SourceKey = Annotated[str, Meta(min_length=1, max_length=20)]
+
+
+# Kinds of characters that no name has: controls, lone surrogates, ends of lines and paragraphs.
+_CONTROLS = frozenset({"Cc", "Cs", "Zl", "Zp"})
 
 
 class _Message(Struct, frozen=True, tag_field="type", tag=str.lower):
@@ -82,7 +87,8 @@ class Keep(_Message, frozen=True):
 
     def __post_init__(self) -> None:
         force_setattr(self, "demonstrator", self.demonstrator.strip())
-        if not self.demonstrator or not self.demonstrator.isprintable():
+        kinds = map(unicodedata.category, self.demonstrator)
+        if not self.demonstrator or not _CONTROLS.isdisjoint(kinds):
             raise ValueError(
                 f"demonstrator: expected a printable name, found {quoted(self.demonstrator)}"
             )

@@ -87,7 +87,7 @@ class Guard:
 
 def make_guard(host: str, token: str, allowed: frozenset[str] = frozenset()) -> Guard:
     """The guard of a server that is bound to `host` and may also be called by the allowed names."""
-    names = LOOPBACK | {host} | {name.lower() for name in allowed}
+    names = LOOPBACK | {host.lower()} | {name.lower() for name in allowed}
     if host in LOOPBACK:  # reachable from this machine alone
         return Guard(token, names)
     return Guard(token, names | {socket.gethostname().lower()}, any_address=True)

@@ -257,12 +257,14 @@ class Session:
             return
         if now < self.step_at:
             return
+        if self._driver is not None and self._proposal is None:
+            # Meanwhile no frame is sent that the page could confirm.
+            self._heard_at += now - self.step_at + POLL_TIME
+            self.step_at = now + POLL_TIME
+            return
         if now - self._heard_at > SILENCE_TIME:
             self.pause()
             self.note_problem("Paused: the page did not answer.")
-            return
-        if self._driver is not None and self._proposal is None:
-            self.step_at = now + POLL_TIME
             return
         late = now - self.step_at > STEP_TIME
         self.step_at = STEP_TIME + (now if late else self.step_at)

@@ -116,4 +116,4 @@ def _links(result: Result, page: Path) -> Iterator[tuple[str, str]]:
     for file in files:
         if file.is_file():
             relative = os.path.relpath(file.absolute(), page.absolute().parent)
-            yield file.name, quote(Path(relative).as_posix())
+            yield file.name, quote(os.fsencode(Path(relative).as_posix()))

@@ -107,9 +107,12 @@ class Library:
         self._limit = RateLimit(REQUEST_RATE, REQUEST_BURST, monotonic())
         self._reader = Worker("reader", MAX_WAITING)  # reads files, renders frames
         self._runner = Worker("runner", MAX_WAITING_ROLLOUTS)  # runs policies
-        self._viewed = lru_cache(OPEN_EPISODES)(
-            lambda source, number: ViewedEpisode(self._find(source).read(number))
+        self._opened = lru_cache(OPEN_EPISODES)(
+            lambda source, number, _: ViewedEpisode(self._find(source).read(number))
         )
+
+    def _viewed(self, source: str, number: int) -> ViewedEpisode:
+        return self._opened(source, number, self._find(source).version)
 
     def routes(self) -> list[BaseRoute]:
         """All routes; none takes a path."""

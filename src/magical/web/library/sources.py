@@ -29,6 +29,11 @@ class DatasetSource:
         self._opened = lru_cache(1)(lambda _version: Dataset.open(folder))
         self._open()
 
+    @property
+    def version(self) -> object:
+        """What changes when the dataset does."""
+        return version_of(self._folder / manifest.NAME)
+
     def episodes(self) -> Mapping[int, ManifestEntry]:
         """The manifest's entries by the numbers that episodes keep, oldest first."""
         return {entry.index: entry for entry in self._open().entries}
@@ -42,13 +47,14 @@ class DatasetSource:
         raise NotFoundError(f"{self.name}: expected the number of an episode, found {number}")
 
     def _open(self) -> Dataset:
-        return self._opened(version_of(self._folder / manifest.NAME))
+        return self._opened(self.version)
 
 
 class RolloutSource:
     """Episodes that policies were rolled out in for the page: in memory, the newest ones only."""
 
     name = "Rollouts of policies"
+    version: object = None  # the number of an episode is never used again
 
     def __init__(self, limit: int = MAX_ROLLOUTS) -> None:
         self._limit = limit

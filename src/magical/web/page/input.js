@@ -41,7 +41,7 @@ function hold(source, control, down) {
 export function keyDown(event) {
   if (event.ctrlKey || event.metaKey || event.altKey) return;
   if (event.key === "Escape") return element("stage").focus();
-  if (isField(event.target)) return;
+  if (isField(event.target) || (event.key === " " && event.target.matches("input"))) return;
   const control = KEYS[event.key];
   if (control) {
     event.preventDefault();
@@ -87,7 +87,8 @@ function readGamepads() {
     right: pressed(15) || axis(0, 1),
     grip: pressed(0) || pressed(7),
   };
-  sources.gamepad = new Set(Object.keys(states).filter((control) => states[control]));
+  const played = document.body.dataset.page === "play";
+  sources.gamepad = new Set(Object.keys(states).filter((control) => played && states[control]));
   sendKeys();
   if (pads.length) requestAnimationFrame(readGamepads);
 }

@@ -231,7 +231,14 @@ export function bind() {
   element("find").addEventListener("submit", (event) => event.preventDefault());
   element("source").addEventListener("change", () => list(0));
   element("shown-task").addEventListener("change", () => list(0));
-  element("more").addEventListener("click", () => list(listed));
+  element("more").addEventListener("click", async () => {
+    element("more").disabled = true;
+    try {
+      await list(listed);
+    } finally {
+      element("more").disabled = false;
+    }
+  });
   element("reload").addEventListener("click", refresh);
   element("policy").addEventListener("change", fillRollout);
   element("rollout-task").addEventListener("change", () => {

@@ -150,11 +150,15 @@ export class Pane {
   }
 
   async judge(policy) {
+    this.judged = policy;
     this.probabilities = null;
+    this.show(this.step);
     const entry = offered.policies[policy];
     if (entry?.algorithm && entry.tasks.includes(this.details.task)) {
       const fields = { source: this.source, episode: this.number, policy };
-      this.probabilities = await (await ask("probabilities", fields)).json();
+      const found = await (await ask("probabilities", fields)).json();
+      if (this.judged !== policy) return;
+      this.probabilities = found;
     }
     this.show(this.step);
   }

@@ -107,7 +107,7 @@ function showStatus(message) {
   if (message.recording) say(`Recording; ${message.kept} kept`, "good");
   showPolicy(before, message);
   const turned = before?.policy_acts !== message.policy_acts;
-  if (turned || before?.phase !== message.phase) showPhase(message);
+  if (turned || before?.phase !== message.phase || before?.seed !== message.seed) showPhase(message);
   if (before?.env_id !== message.env_id) showEnvironment();
   const seen = `${message.task} ${message.variant}, seed ${message.seed}, ${message.phase}`;
   element("frame").setAttribute("aria-label", seen);
