@@ -1,7 +1,7 @@
 """A study's plan, and what was collected of it."""
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from operator import itemgetter
 from pathlib import Path
@@ -42,9 +42,12 @@ class PlanResults:
         groups = [1 if method.get("multi_task") else tasks for method in self.plan["methods"]]
         return sum(groups) * seeds
 
-    def training_minutes(self) -> dict[str, float]:
-        """Mean time of a run's training, by method."""
-        runs = group_by(self.collected.get("runs", {}).values(), itemgetter("method"))
+    def training_minutes(self, tasks: Collection[str]) -> dict[str, float]:
+        """Mean time of a run's training on some of these tasks, by method."""
+        runs = self.collected.get("runs", {}).values()
+        runs = group_by(
+            (run for run in runs if not set(tasks).isdisjoint(run["tasks"])), itemgetter("method")
+        )
         seconds = {name: [run["seconds"]["training"] for run in of] for name, of in runs.items()}
         return {name: fmean(each) / 60 for name, each in seconds.items()}
 

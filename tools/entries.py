@@ -11,8 +11,10 @@ its scores. This runs the entry's code: only where that can do no harm. With --d
 
 import argparse
 import json
+import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -112,7 +114,14 @@ def _contradictions(folder: Path, submission: Submission) -> Iterator[str]:
     for run, policy in submission.policies.items():
         named = ["--policy", f"{folder / policy}"] if policy else []
         command = [sys.executable, "-m", "magical", "verify", str(folder / run), *named]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        with tempfile.TemporaryDirectory() as cache:  # no bytecode of the entry's own is run
+            done = subprocess.run(
+                command,
+                env={**os.environ, "PYTHONPYCACHEPREFIX": cache},
+                capture_output=True,
+                text=True,
+                check=False,
+            )
         if done.returncode:
             last = (done.stderr or done.stdout).strip().splitlines()[-1:]
             yield f"{run}: {''.join(last)}"

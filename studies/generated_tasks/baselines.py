@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from magical.envs import EnvId
-from magical.evaluation.collection import read_collection
 from magical.evaluation.intervals import Floats
 from magical.evaluation.scores import RolloutScore
 from magical.evaluation.statistics import mean, run_means
 from magical.grouping import group_by
+from magical.report.found.search import search_results
 from magical.tasks.axes import SHORT_VARIANTS, full_variant
 from studies.plan_results import LEADERBOARD, NOT_RUN, PlanResults
 from studies.tables import mean_text, task_names
@@ -71,12 +71,12 @@ def method_table(root: Path, name: str, beside: Mapping[str, str]) -> str:
     """
     if not PlanResults.read(root, name).collected:
         return f"Nothing yet: {NOT_RUN}."
-    rows: dict[str, tuple[Runs, list[str]]] = {}
+    rows: dict[str, tuple[Runs, PlanResults]] = {}
     for plan, wanted in ((name, None), *beside.items()):
-        minutes = PlanResults.read(root, plan).training_minutes()
+        results = PlanResults.read(root, plan)
         for method, runs in read_methods(root.glob(f"studies/*/results/{plan}")).items():
             if wanted in (None, method):
-                rows[method] = runs, [f"{minutes[method]:.1f}"]
+                rows[method] = runs, results
     tasks = [
         task
         for task in PlanResults.read(root, name).plan["tasks"]
@@ -86,25 +86,21 @@ def method_table(root: Path, name: str, beside: Mapping[str, str]) -> str:
     header = (f"Mean over {task_names(tasks)}", *SHORT_VARIANTS, *published, "Minutes of training")
     lines = [
         [
-            f"{method} ({_runs(runs)})",
+            f"{method} ({_runs([r for r in runs if any(s.env_id.task in tasks for s in r)])})",
             *(_over_tasks(runs, tasks, variant) for variant in SHORT_VARIANTS),
             *(_over_tasks(runs, tasks, variant, "published_code_score") for variant in ENDS),
-            *minutes,
+            f"{results.training_minutes(tasks)[method]:.1f}",
         ]
-        for method, (runs, minutes) in rows.items()
+        for method, (runs, results) in rows.items()
     ]
     return table(header, lines)
 
 
 def read_methods(folders: Iterable[Path]) -> Mapping[str, Runs]:
     """The rollouts of each run of each method."""
-    found = [item for path in folders if path.exists() for item in read_collection(path).items()]
-    entries = [
-        entry
-        for name, entry in found
-        # What is evaluated for the leaderboard as well counts once.
-        if not isinstance(entry, Exception) and Path(name).name != LEADERBOARD
-    ]
+    found = search_results([path for path in folders if path.exists()])
+    # What is evaluated for the leaderboard as well counts once.
+    entries = [r.entry for r in found.results if r.folder.name != LEADERBOARD]
     groups = group_by(entries, lambda entry: entry.method)
     return {name: [entry.scores for entry in group] for name, group in groups.items()}
 

@@ -63,5 +63,7 @@ def test_the_difference_from_a_published_mean_has_welch_s_interval() -> None:
     freedom = (ours_of + theirs_of) ** 2 / (ours_of**2 / 2 + theirs_of**2 / 4)
     half = float(scipy.stats.t.ppf(0.975, freedom)) * math.sqrt(ours_of + theirs_of)
     assert (value, low, high) == pytest.approx((0.1, 0.1 - half, 0.1 + half))
+    _, low, high = difference_from_published([0.996] * 5, Spread(1.0, 0.0))  # rounded to 0.00
+    assert low < 0.0 < high
     one = difference_from_published([0.25], Spread(0.5, 0.1))
     assert one == pytest.approx((-0.25, math.nan, math.nan), nan_ok=True)

@@ -4,8 +4,10 @@ from typing import Any
 
 import pytest
 
+from magical.experiments.forecast import _way as way_of
 from magical.experiments.forecast import estimate
 from magical.experiments.plan import Method, Plan, planned_runs
+from magical.learning import find_algorithm
 from magical.learning.running.devices import Compute
 
 SPEED = 100.0  # samples a second, forward and backward
@@ -54,3 +56,8 @@ def test_algorithms_with_ppo(algorithm: str, more: int) -> None:
     steps = 3906 * 256 + ROLLOUT_STEPS
     samples = 3906 * 256 * 12 + more
     assert seconds(algorithm) == pytest.approx((samples + steps / 3) / SPEED + steps / 7_500)
+
+
+def test_every_learner_is_timed_with_its_own_network() -> None:
+    config = find_algorithm("act").config.preset("quick", tasks=("MoveToCorner",), demos="demos")
+    assert way_of(config)[0] == "narrow"

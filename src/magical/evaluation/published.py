@@ -21,6 +21,7 @@ from magical.evaluation.statistics import Spread
 from magical.tasks.axes import full_variant, short_variant
 
 PUBLISHED_RUNS = 5
+RESOLUTION = 0.005  # the most by which rounding changes a published number
 PublishedTable = Mapping[tuple[str, str, str], Spread]  # (task, method, short variant)
 
 
@@ -82,7 +83,8 @@ def difference_from_published(
     value = float(ours.mean()) - published.mean
     if len(ours) < 2:
         return Interval(value, math.nan, math.nan)
-    variances = ours.var(ddof=1) / len(ours), published.std**2 / (PUBLISHED_RUNS - 1)
+    published_std = max(published.std, RESOLUTION)
+    variances = ours.var(ddof=1) / len(ours), published_std**2 / (PUBLISHED_RUNS - 1)
     unbounded = -math.inf, math.inf
     return welch_interval(
         value, variances, (len(ours) - 1, PUBLISHED_RUNS - 1), confidence, unbounded

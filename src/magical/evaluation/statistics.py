@@ -239,8 +239,9 @@ def performance_profile(
     """The share of runs that score above each threshold, averaged over environments.
 
     The run-score distribution of Agarwal et al. (2021), section 4.1; the same as theirs where all
-    environments have as many runs. The intervals are t intervals over runs, one for each threshold
-    (not a band that holds for all at once).
+    environments have as many runs. The intervals are Wilson's, as for `probability_of_improvement`:
+    a share varies no more than that of as many independent runs. There is one for each threshold
+    (not a band that holds for all at once), and none for single runs.
 
     Args:
         scores: (runs, environments), see the module's docstring.
@@ -251,11 +252,13 @@ def performance_profile(
         ValueError: as for `mean`.
     """
     table = _table(scores)
-    missing = np.isnan(table)
-    return [
-        mean(np.where(missing, np.nan, table > threshold), confidence)
-        for threshold in np.asarray(thresholds, np.float64)
-    ]
+    runs = (~np.isnan(table)).sum(axis=0)
+    limits = np.asarray(thresholds, np.float64)
+    shares = [float(np.mean((table > limit).sum(axis=0) / runs)) for limit in limits]
+    if runs.min() < 2:
+        return [Interval(share, np.nan, np.nan) for share in shares]
+    independent = _comparisons(table, table)
+    return [wilson_interval(share, independent, confidence) for share in shares]
 
 
 def _table(scores: ArrayLike) -> Floats:

@@ -15,7 +15,7 @@ from magical.experiments.display import duration
 from magical.experiments.plan import PlannedRun
 from magical.experiments.results import DONE, FAILED, planned_states
 from magical.learning import Config
-from magical.learning.config import DemonstrationSettings, NetworkSettings
+from magical.learning.config import DemonstrationSettings, EncoderSettings
 from magical.runs.plan import in_words
 
 HEADER = ("method", "tasks", "seed", "time", "state")
@@ -123,7 +123,7 @@ def _way(config: Config) -> Way:
     device = choose_device(config.device)
     compute = choose_compute(device, config.precision, config.threads)
     threads = compute.threads if device == "cpu" else 0
-    networks = config.part(NetworkSettings)
+    networks = config.part(EncoderSettings)
     network = networks.network if networks else "paper"
     return network, device, compute.precision, threads
 

@@ -81,12 +81,12 @@ class Status:
         overall = mean(seconds for _, seconds in times)
         groups = group_by(times, itemgetter(0)).items()
         means = {method: mean(seconds for _, seconds in group) for method, group in groups}
-        left = sum(
+        left = [
             means.get(run.method, overall) * (1 - run.step / max(1, run.total))
             for run in self.runs
             if run.state in (RUNNING, WAITING)
-        )
-        return left / max(1, self.slots)
+        ]
+        return max([sum(left) / max(1, self.slots), *left])
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""

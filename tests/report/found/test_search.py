@@ -117,6 +117,30 @@ def test_missing_tasks_runs_seeds_and_variants_are_named(
     }
 
 
+@pytest.mark.parametrize("seed", [None, 0])
+def test_of_two_evaluations_of_a_run_the_more_complete_one_counts(
+    write_entry: WriteEntry, tmp_path: Path, seed: int | None
+) -> None:
+    scores = {"MakeLine-Demo": [0.0, 0.5, 1.0] * 30, "MakeLine-TestAll": [0.0, 1.0] * 45}
+    write_entry("a-look", "m", {"MakeLine-Demo": scores["MakeLine-Demo"]}, seed=seed)
+    write_entry("whole", "m", scores, seed=seed)
+    found = find_results([tmp_path])
+    assert [result.folder.name for result in found.results] == ["whole"]
+    assert [item.folder.name for item in found.skipped] == ["a-look"]
+
+
+def test_runs_of_a_plan_may_lie_in_several_folders(write_entry: WriteEntry, tmp_path: Path) -> None:
+    run = {"method": "a", "tasks": ["MakeLine"], "total": 1}
+    runs = [{**run, "folder": f"run{seed}", "seed": seed} for seed in (0, 1, 2)]
+    for part in (0, 1):
+        scores = {"MakeLine-Demo": [0.1 * (part + 1), 0.0, 1.0]}
+        write_entry(f"part{part}/runs/run{part}", "a", scores, seed=part)
+        write_json(tmp_path / f"part{part}" / "plan.json", {"runs": runs})
+    planned = find_results([tmp_path / "part0", tmp_path / "part1"]).planned
+    assert planned is not None
+    assert [run.seed for run in planned] == [2]
+
+
 def test_a_plan_says_which_runs_are_missing(write_entry: WriteEntry, tmp_path: Path) -> None:
     region = {
         f"MoveToRegion-{v}": [1.0]

@@ -87,7 +87,7 @@ class Found:
 def same_run(result: Result, others: Iterable[Result]) -> Result | None:
     """The first of some results that evaluates the same training run of a method, if any does.
 
-    Equal scores on the tasks that both have, which differ among each other, are of one run,
+    Equal scores of the rollouts that both have, which differ among each other, are of one run,
     whatever the seeds. Otherwise the seeds of training and the configurations decide, as far as
     they are known; where a seed is not, equal scores.
     """
@@ -95,9 +95,9 @@ def same_run(result: Result, others: Iterable[Result]) -> Result | None:
         shared = set(result.tasks) & set(other.tasks)
         if result.entry.method != other.entry.method or not shared:
             continue
-        first, second = _scores_on(shared, result), _scores_on(shared, other)
+        first, second = _shared_scores(result, other)
         unknown = result.seed is None or other.seed is None
-        if first == second and (unknown or _is_telling(first)):
+        if first and first == second and (unknown or _is_telling(first)):
             return other
         differ = result.config and other.config and result.config != other.config
         if not unknown and result.seed == other.seed and not differ:
@@ -105,8 +105,11 @@ def same_run(result: Result, others: Iterable[Result]) -> Result | None:
     return None
 
 
-def _scores_on(tasks: Iterable[str], result: Result) -> set[RolloutScore]:
-    return {row for row in result.entry.scores if row.env_id.task in tasks}
+def _shared_scores(first: Result, second: Result) -> tuple[set[RolloutScore], set[RolloutScore]]:
+    """Both results' scores of the rollouts that both have."""
+    a, b = ({(row.env_id, row.rollout): row for row in r.entry.scores} for r in (first, second))
+    both = a.keys() & b.keys()
+    return {a[key] for key in both}, {b[key] for key in both}
 
 
 def _is_telling(scores: Iterable[RolloutScore]) -> bool:
@@ -118,6 +121,8 @@ def _is_telling(scores: Iterable[RolloutScore]) -> bool:
 def find_results(folders: Iterable[Path | str]) -> Found:
     """As `search_results`, with at least one entry, and each training run once in a row.
 
+    Of several evaluations of a run the one with the most scores counts.
+
     Raises:
         ScoresError: there is no entry that can be read; says why the first one cannot.
     """
@@ -126,16 +131,17 @@ def find_results(folders: Iterable[Path | str]) -> Found:
         reasons = [item.reason for item in found.skipped]
         raise ScoresError(reasons[0] if reasons else "expected folders, found none")
     rows: dict[str, list[Result]] = {}
-    results, repeated = [], []
-    for result in found.results:
+    repeated: dict[Path, Skipped] = {}
+    for result in sorted(found.results, key=lambda result: -len(result.entry.scores)):
         row = rows.setdefault(result.entry.row, [])
         if other := same_run(result, row):
             reason = f"the same run as {other.folder}: each run counts once in a row"
-            repeated.append(Skipped(result.folder, reason))
+            repeated[result.folder] = Skipped(result.folder, reason)
         else:
             row.append(result)
-            results.append(result)
-    return replace(found, results=results, skipped=[*found.skipped, *repeated])
+    results = [result for result in found.results if result.folder not in repeated]
+    skipped = [repeated[r.folder] for r in found.results if r.folder in repeated]
+    return replace(found, results=results, skipped=[*found.skipped, *skipped])
 
 
 def search_results(folders: Iterable[Path | str], without: Path | None = None) -> Found:
@@ -248,12 +254,13 @@ def _planned(places: Iterable[Path], evaluated: Iterable[Path | None]) -> list[P
     plans = [place for place in places if (place / PLAN).is_file()]
     if not plans:
         return None
-    done = {folder.resolve() for folder in evaluated if folder is not None}
+    done = {folder.name for folder in evaluated if folder is not None}
+    # A plan's runs may lie in several folders. The name of a run's folder has its digest.
+    left = {run.folder: (run, plan) for plan in plans for run in _listed(plan)}
     return [
-        Planned(**asdict(run), state=_state(folder))
-        for plan in plans
-        for run in _listed(plan)
-        if (folder := plan / RUNS / run.folder).resolve() not in done
+        Planned(**asdict(run), state=_state(plan / RUNS / name))
+        for name, (run, plan) in left.items()
+        if name not in done
     ]
 
 
