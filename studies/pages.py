@@ -23,7 +23,7 @@ from magical.report.leaderboard.ranking import ALL_TASKS, Board, make_boards
 from magical.report.scores.tables import signed
 from magical.tasks.axes import SHORT_VARIANTS
 from studies.generated_tasks.baselines import held_out_tables, method_table, task_table
-from studies.plan_results import LEADERBOARD, NOT_RUN, PlanResults
+from studies.plan_results import LEADERBOARD, NOT_RUN, NOTHING, PlanResults
 from studies.published_tables.agreement import find_agreements
 from studies.published_tables.cells import (
     LIMITS,
@@ -105,7 +105,6 @@ BESIDE = {  # plans whose methods' means stand beside methods of other plans
 PICTURE = Path("published_tables", "results.png")
 BASELINE = ("object-bc (ST)", HUNDRED)  # from the same demonstrations
 EXPERT = "expert"  # folder and method of the scripted experts' entry, which is no run of a plan
-NOTHING = f"Nothing yet: {NOT_RUN}."
 
 
 class Page:

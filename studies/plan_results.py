@@ -12,6 +12,7 @@ from magical.grouping import group_by
 from magical.runs.folder import read_json
 
 NOT_RUN = "not run"
+NOTHING = f"Nothing yet: {NOT_RUN}."
 LEADERBOARD = "leaderboard"  # in a run's folder: its evaluation by the leaderboard's protocol
 
 

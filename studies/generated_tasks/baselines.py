@@ -13,7 +13,7 @@ from magical.evaluation.statistics import mean, run_means
 from magical.grouping import group_by
 from magical.report.found.search import search_results
 from magical.tasks.axes import SHORT_VARIANTS, full_variant
-from studies.plan_results import LEADERBOARD, NOT_RUN, PlanResults
+from studies.plan_results import LEADERBOARD, NOTHING, PlanResults
 from studies.tables import mean_text, task_names
 from tools.readme_tables import table
 
@@ -70,7 +70,7 @@ def method_table(root: Path, name: str, beside: Mapping[str, str]) -> str:
         beside: methods of other plans, by the plan's name.
     """
     if not PlanResults.read(root, name).collected:
-        return f"Nothing yet: {NOT_RUN}."
+        return NOTHING
     rows: dict[str, tuple[Runs, PlanResults]] = {}
     for plan, wanted in ((name, None), *beside.items()):
         results = PlanResults.read(root, plan)

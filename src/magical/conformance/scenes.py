@@ -56,7 +56,8 @@ def load(path: Path | str) -> dict[str, list[SceneRow]]:
             for row in filter(None, rows):
                 Scene.from_dict(row)
                 Dynamics.from_dict(row["dynamics"])
-                _coordinates([row]), _categories(parse_env_id(env).task, [row])
+                _coordinates([row])
+                _categories(parse_env_id(env).task, [row])
     return recorded
 
 

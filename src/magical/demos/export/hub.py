@@ -52,12 +52,12 @@ def push(dataset: Dataset, repo: str, licence: str, *, private: bool = False) ->
         api = HfApi(library_name="magical-benchmark", library_version=__version__)
         made = api.create_repo(repo, repo_type="dataset", private=private, exist_ok=True)
         before = api.list_repo_files(repo, repo_type="dataset")
-        gone = [p for p in before if fnmatchcase(p, f"{FOLDER}/*.npz") and p not in files]
+        own = {path for path in before if any(fnmatchcase(path, kind) for kind in _FILES)}
         api.create_commit(
             repo,
             [
                 *(CommitOperationAdd(path, content) for path, content in files.items()),
-                *map(CommitOperationDelete, gone),
+                *map(CommitOperationDelete, sorted(own - files.keys())),
             ],
             commit_message=f"{len(dataset)} demonstrations, by magical {__version__}",
             repo_type="dataset",
@@ -196,7 +196,7 @@ def _values(records: Iterable[dict[str, Any]], name: str) -> str:
 @contextmanager
 def _hub_errors(repo: str) -> Iterator[None]:
     """Errors of the Hub and of the connection become a `DatasetError` that names the repository."""
-    from huggingface_hub.errors import (  # type: ignore[attr-defined]  # the last is httpx's
+    from huggingface_hub.errors import (  # type: ignore[attr-defined]  # HTTPError is httpx's
         HfHubHTTPError,
         HFValidationError,
         HTTPError,
