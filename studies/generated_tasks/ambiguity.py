@@ -13,7 +13,7 @@ import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations, product
+from itertools import product
 
 from magical.experts.rollout import rollout
 from magical.scene import Poses, Scene
@@ -97,7 +97,7 @@ def selections(scene: Scene) -> Mapping[frozenset[int], tuple[Selection, Mass]]:
     for selection in single:
         add(selection, masses[selection])
         add(AllBut(selection), choice(AllBut) * masses[selection])
-    for a, b in combinations(single, 2):
+    for a, b in product(single, repeat=2):
         if a.blocks(scene) and b.blocks(scene):
             for kind in (And, Or):
                 add(kind(a, b), choice(kind) * masses[a] * masses[b])
