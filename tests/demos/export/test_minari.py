@@ -78,6 +78,24 @@ def test_refused_minari_export_leaves_no_files(mixed: Path, tmp_path: Path) -> N
     assert sorted(root.rglob("*")) == before
 
 
+def test_failed_minari_export_leaves_none_of_its_datasets(mixed: Path, tmp_path: Path) -> None:
+    dataset, root = Dataset.open(mixed), tmp_path / "minari"
+    last = dataset.entries[-1]
+    assert last.env_id != dataset.entries[0].env_id
+    broken = mixed / last.file
+    whole = broken.read_bytes()
+    broken.write_bytes(whole[:-50])
+    with pytest.raises(DatasetError, match=broken.name):
+        export_minari(dataset, root=root)
+    assert not list(root.iterdir())
+    broken.write_bytes(whole)
+    export_minari(dataset.filter(env_id=last.env_id), root=root)
+    before = sorted(root.rglob("*"))
+    with pytest.raises(DatasetError, match="a dataset of that name exists"):
+        export_minari(dataset, root=root)
+    assert sorted(root.rglob("*")) == before
+
+
 def test_the_environment_has_the_horizon_of_the_episodes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -51,7 +51,7 @@ def export_minari(
 
     Raises:
         DatasetError: the name is invalid, a dataset of that name exists, or a trajectory is
-            damaged; no partial dataset remains.
+            damaged; nothing is written then.
         TrajectoryError: a recording of frames lacks those of the preset, or continuous actions are
             no discrete ones, where those are asked for.
     """
@@ -59,15 +59,14 @@ def export_minari(
         raise DatasetError(f"preset: expected one of {', '.join(PRESETS)}, found {preset!r}")
     if not re.fullmatch(r"[\w-]+", name):
         raise DatasetError(f"name: expected letters, digits, - and _, found {name!r}")
-    made = []
-    for env_id in dict.fromkeys(entry.env_id for entry in dataset.entries):
-        part = dataset.filter(env_id=env_id)
-        with_preset = EnvId(env_id.task, env_id.variant, preset)
-        minari_id = f"magical/{env_id.task}-{env_id.variant}-{preset}/{name}-v0"
-        with _moved_when_complete(minari_id, root):
+    env_ids = list(dict.fromkeys(entry.env_id for entry in dataset.entries))
+    made = [f"magical/{each.task}-{each.variant}-{preset}/{name}-v0" for each in env_ids]
+    with _moved_when_complete(made, root):
+        for env_id, minari_id in zip(env_ids, made, strict=True):
+            part = dataset.filter(env_id=env_id)
             actions = action_spec(action_space or part.action_space())
+            with_preset = EnvId(env_id.task, env_id.variant, preset)
             _create(minari_id, _env_spec(with_preset, part, actions), part, preset, actions)
-        made.append(minari_id)
     return made
 
 
@@ -144,22 +143,23 @@ def _infos(trajectory: Trajectory) -> dict[str, Any]:
 
 
 @contextmanager
-def _moved_when_complete(minari_id: str, root: Path | None) -> Iterator[None]:
-    """Let Minari write into a temporary folder, and move the complete dataset to its own."""
-    namespace = minari_id.rpartition("/")[0]
+def _moved_when_complete(minari_ids: list[str], root: Path | None) -> Iterator[None]:
+    """Let Minari write into a temporary folder, and move the complete datasets to their own."""
     with _minari_root(root):
         # Minari writes a relative path's parts below themselves.
         home = Path(get_dataset_path()).resolve()
-        target = home / minari_id
-        if target.exists():
-            raise DatasetError(f"{target}: a dataset of that name exists; choose another")
+        for target in (home / minari_id for minari_id in minari_ids):
+            if target.exists():
+                raise DatasetError(f"{target}: a dataset of that name exists; choose another")
         with tempfile.TemporaryDirectory(dir=home, prefix=".part-") as folder:
             with _minari_root(Path(folder)):
                 yield
-            target.parent.mkdir(parents=True, exist_ok=True)
-            (Path(folder) / minari_id).rename(target)
-        if namespace not in list_local_namespaces():
-            create_namespace(namespace)
+            for minari_id in minari_ids:
+                (home / minari_id).parent.mkdir(parents=True, exist_ok=True)
+                (Path(folder) / minari_id).rename(home / minari_id)
+        for namespace in (minari_id.rpartition("/")[0] for minari_id in minari_ids):
+            if namespace not in list_local_namespaces():
+                create_namespace(namespace)
 
 
 @contextmanager
