@@ -1,6 +1,6 @@
 """The poses of a published recording, from frame to frame, and how well they are known."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +24,6 @@ NEARBY = 0.03  # units around a block within which wrong pixels may be due to it
 SIGNIFICANT = 3.0  # standard deviations: a block that seems to have moved by less has not
 UNSEEN = 0.1  # units or radians: standard deviation of a pose that the pixels do not determine
 GRID = 2.0**-17  # units or radians: poses are rounded to it, far below their uncertainty
-AWAY = 100.0  # units: where bodies are out of view
 _GROUPS = {
     "robot": slice(ROBOT, ROBOT + 1),
     "fingers": FINGERS,
@@ -45,7 +44,6 @@ class Recovery:
     poses: NDArray[np.float64]  # (N, 5 + blocks, 3)
     deviations: NDArray[np.float64]  # (N, 5 + blocks, 3): standard deviations; 0 where unchanged
     wrong: NDArray[np.float64]  # (N,): share of pixels that differ by more than `TOLERANCE`
-    covered: int  # frames in which the robot and a block overlap in the allocentric view
     unseen: int  # poses that were kept because no pixel determined them, over all frames
     problem: str | None = None  # why the poses are not to be used
 
@@ -59,7 +57,6 @@ class Recovery:
             "wrong_pixels": wrong,
             "largest_wrong_pixels": max(wrong),
             "deviations": {name: self._deviation(rows) for name, rows in _GROUPS.items()},
-            "covered_frames": self.covered,
             "unseen_poses": self.unseen,
         }
 
@@ -86,7 +83,6 @@ def recover(demonstration: PublishedDemonstration) -> Recovery:
         np.stack([moment.bodies for moment in moments]),
         np.stack([moment.deviations for moment in moments]),
         wrong,
-        sum(moment.covered for moment in moments),
         sum(moment.unseen for moment in moments),
         _problem(wrong),
     )
@@ -131,7 +127,6 @@ class Moment:
     bodies: Bodies  # in the rows of `Poses`
     deviations: Bodies  # standard deviations; 0 for what kept its pose
     wrong: float  # share of pixels in both views that differ by more than `TOLERANCE`
-    covered: bool  # whether the robot and a block overlap in the allocentric view
     unseen: int  # bodies that kept their poses because the pixels do not determine them
 
 
@@ -153,7 +148,6 @@ class Tracker:
         self._follower = PoseFollower(scene)
         self._bodies = Poses.at_rest(scene).bodies
         self._frames: ViewFrames = {}
-        self._ground = self._allocentric(_without(self._bodies, range(len(self._bodies))))
 
     def start(self, frames: ViewFrames) -> Moment:
         """The first time step: the scene's own poses."""
@@ -212,10 +206,7 @@ class Tracker:
                 yield row
 
     def _moment(self, frames: ViewFrames, fit: Fit, unseen: int) -> Moment:
-        share = self._share(fit.bodies, frames)
-        return Moment(
-            fit.bodies.copy(), fit.deviations, share, self._is_covered(fit.bodies), unseen
-        )
+        return Moment(fit.bodies.copy(), fit.deviations, self._share(fit.bodies, frames), unseen)
 
     def _share(self, bodies: Bodies, frames: ViewFrames) -> float:
         return float(np.mean([self._wrong(view, bodies, frames).mean() for view in View]))
@@ -225,20 +216,3 @@ class Tracker:
         self._renderers[view].render(bodies, rendered)
         wrong = np.maximum(rendered, recorded) - np.minimum(rendered, recorded) > TOLERANCE
         return wrong[..., 0] | wrong[..., 1] | wrong[..., 2]  # `any` takes ten times as long
-
-    def _allocentric(self, bodies: Bodies) -> NDArray[np.uint8]:
-        self._renderers[View.ALLO].render(bodies, self._rendered)
-        return self._rendered.copy()
-
-    def _is_covered(self, bodies: Bodies) -> bool:
-        robot = self._allocentric(_without(bodies, range(FIRST_BLOCK, len(bodies))))
-        blocks = self._allocentric(_without(bodies, range(FIRST_BLOCK)))
-        overlap = (robot != self._ground) & (blocks != self._ground)
-        return bool(overlap.any())
-
-
-def _without(bodies: Bodies, rows: Sequence[int]) -> Bodies:
-    """The poses with some bodies out of view."""
-    shown = bodies.copy()
-    shown[list(rows), :2] = AWAY
-    return shown
