@@ -54,8 +54,9 @@ def test_environments_of_the_suite_are_made_by_their_ids() -> None:
     assert task_name(HELD_OUT[0]) not in list(TASKS)  # there are too many to iterate over
     with pytest.raises(UnknownNameError, match="version v3 is unknown; expected v0"):
         magical.parse_env_id(f"magical/{task_name(0)}-Demo-v3")
-    with pytest.raises(UnknownNameError, match="'Generated42' is not registered"):
-        magical.parse_env_id("magical/Generated42-Demo-v0")
+    for number in ("42", "\u0660\u0660\u0664\u0662"):  # digits of another script
+        with pytest.raises(UnknownNameError, match=f"'Generated{number}' is not registered"):
+            magical.parse_env_id(f"magical/Generated{number}-Demo-v0")
 
 
 @pytest.mark.parametrize("name", SOME[:2])

@@ -28,7 +28,7 @@ from magical.tasks.programs.validity import problem
 from magical.tasks.task import Task
 
 GENERATOR = 0  # the version of everything that a number's task depends on
-NAME = re.compile(r"Generated(\d{4})")
+NAME = re.compile("Generated[0-9]{4}")
 MAX_PROGRAMS = 100  # that are sampled for a number
 MAX_SCENES = 200  # that are sampled for a program
 MAX_MOVED = 3  # blocks that a goal is about at most, but for clusters
@@ -49,8 +49,7 @@ def generated_task(name: str) -> Task:
     Raises:
         InvalidProgramError: none of the programs that were sampled has a scene.
     """
-    (number,) = map(int, NAME.fullmatch(name).groups())  # type: ignore[union-attr]
-    rng = np.random.default_rng([GENERATOR, number])
+    rng = np.random.default_rng([GENERATOR, int(name.removeprefix("Generated"))])
     for _ in range(MAX_PROGRAMS):
         family, program = sample_program(rng)
         if (demo := _sample_demo(family, program, rng)) is not None:
