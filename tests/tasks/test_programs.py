@@ -11,14 +11,7 @@ from magical.errors import InvalidProgramError
 from magical.scene import Block, Colour, Pose, Poses, Region, Scene, Shape
 from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
 from magical.tasks import TASKS, Task
-from magical.tasks.programs import (
-    Lined,
-    instruction,
-    parse,
-    problem,
-    progress,
-    validate,
-)
+from magical.tasks.programs import Lined, instruction, parse, problem, progress
 from magical.tasks.programs.goals import UNFINISHED
 
 PAPER = [task for task in TASKS.values() if task.section]
@@ -216,15 +209,14 @@ def test_text_that_is_no_program_is_refused(text: str, message: str) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("Each(WithColour('yellow'), InRegion())", r"WithColour\('yellow'\) selects no block"),
+        ("Each(WithColour('yellow'), InRegion())", "WithColour('yellow') selects no block"),
         ("Each(WithColour('red'), InOwnColour())", "there is no such place in the scene"),
         ("Lined(WithColour('green'))", "there is no such place in the scene"),
         ("Each(Enclosed(), InRegion())", "is solved at the start"),
     ],
 )
-def test_what_no_episode_can_have_as_goal_is_refused(text: str, message: str) -> None:
-    with pytest.raises(InvalidProgramError, match=message):
-        validate(parse(text), SCENE)
+def test_what_no_episode_can_have_as_goal_is_a_problem(text: str, message: str) -> None:
+    assert message in problem(parse(text), SCENE)
 
 
 def test_a_cluster_that_another_colours_block_lies_in_is_not_done() -> None:

@@ -57,7 +57,7 @@ from magical.tasks.programs.selections import (
     WithShape,
     value_of,
 )
-from magical.tasks.programs.validity import problem, validate
+from magical.tasks.programs.validity import problem
 
 __all__ = [
     "SUCCESS",
@@ -107,6 +107,5 @@ __all__ = [
     "parse",
     "problem",
     "progress",
-    "validate",
     "value_of",
 ]

@@ -1,4 +1,4 @@
-"""What all expressions of the goal language have in common: types, text, length.
+"""What all expressions of the goal language have in common: types, text, parts.
 
 An expression is a frozen dataclass. Its fields are expressions, or words such as a colour; they
 are checked when it is made. Its `repr` is its text, which `magical.tasks.programs.parse` reads.
@@ -35,7 +35,10 @@ class Expression:
         for name, kind in self._fields.items():
             value = getattr(self, name)
             if issubclass(kind, StrEnum):
-                object.__setattr__(self, name, self._word(name, kind, value))
+                try:
+                    object.__setattr__(self, name, parse_word(kind, value))
+                except UnknownNameError as error:
+                    raise InvalidProgramError(f"{type(self).__name__}, {name}: {error}") from error
             elif not isinstance(value, kind):
                 raise InvalidProgramError(
                     f"{type(self).__name__}, {name}: expected a {kind.__name__.lower()}, found "
@@ -45,12 +48,6 @@ class Expression:
     @property
     def _fields(self) -> Mapping[str, type]:
         return field_types(type(self))
-
-    def _word(self, name: str, kind: type[StrEnum], value: Any) -> StrEnum:
-        try:
-            return parse_word(kind, value)
-        except UnknownNameError as error:
-            raise InvalidProgramError(f"{type(self).__name__}, {name}: {error}") from error
 
     def __repr__(self) -> str:
         values = (getattr(self, name) for name in self._fields)
@@ -65,16 +62,6 @@ class Expression:
             value = getattr(self, name)
             if isinstance(value, Expression):
                 yield from value.parts
-
-    @property
-    def length(self) -> int:
-        """How many expressions and words it is made of: what makes a program simple."""
-        return sum(1 + part.words for part in self.parts)
-
-    @property
-    def words(self) -> int:
-        """How many of its own fields are words."""
-        return sum(issubclass(kind, StrEnum) for kind in self._fields.values())
 
 
 def field_types(kind: Any) -> Mapping[str, Any]:

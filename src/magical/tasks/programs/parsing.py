@@ -12,15 +12,15 @@ from magical.tasks.programs.goals import Goal
 
 MAX_TEXT = 5000  # characters
 
-_KINDS = (selections.Selection, places.Place, Goal)
+KINDS: tuple[type[Expression], ...] = (selections.Selection, places.Place, Goal)
 VOCABULARY: Mapping[str, type[Expression]] = MappingProxyType(
     {
         name: kind
         for module in (selections, places, goals)
         for name, kind in vars(module).items()
         if isinstance(kind, type)
-        and issubclass(kind, _KINDS)
-        and kind not in _KINDS
+        and issubclass(kind, KINDS)
+        and kind not in KINDS
         and not name.startswith("_")
     }
 )  # every expression by its name

@@ -10,12 +10,7 @@ from enum import StrEnum
 from itertools import product
 
 from magical.tasks.programs.expressions import Expression, field_types
-from magical.tasks.programs.goals import Goal
-from magical.tasks.programs.parsing import VOCABULARY
-from magical.tasks.programs.places import Place
-from magical.tasks.programs.selections import Selection
-
-KINDS: tuple[type[Expression], ...] = (Selection, Place, Goal)
+from magical.tasks.programs.parsing import KINDS, VOCABULARY
 
 
 def bits(program: Expression) -> float:

@@ -2,7 +2,6 @@
 
 import math
 
-from magical.errors import InvalidProgramError
 from magical.scene import Poses, Scene
 from magical.tasks.programs.expressions import Attribute
 from magical.tasks.programs.goals import Clustered, Goal, Together, is_success
@@ -19,12 +18,6 @@ def problem(goal: Goal, scene: Scene) -> str:
     if is_success(goal.score(scene, Poses.at_rest(scene))):
         return f"{goal!r} is solved at the start"
     return ""
-
-
-def validate(goal: Goal, scene: Scene) -> None:
-    """Raise `InvalidProgramError` with the expression and the reason if there is a `problem`."""
-    if reason := problem(goal, scene):
-        raise InvalidProgramError(reason)
 
 
 def _unreachable(goal: Goal, scene: Scene) -> str:
