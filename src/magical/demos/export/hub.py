@@ -4,6 +4,7 @@ Needs the `hub` extra. The endpoint and the token are those of `huggingface_hub`
 HF_TOKEN, or what `hf auth login` has stored.
 """
 
+import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -100,18 +101,9 @@ def pull(repo: str, out: Path, revision: str | None = None) -> Dataset:
         dataset = Dataset.open(folder)
         for entry in dataset.entries:
             dataset.read(entry)
-        _keep(folder, out)
-    return Dataset.open(out)
-
-
-def _keep(folder: Path, out: Path) -> None:
-    """Move the dataset's own files to `out`; the Hub's client adds a folder of its own."""
-    kept = folder.with_name("kept")
-    kept.mkdir()
-    for name in (NAME, FOLDER):
-        if (folder / name).exists():
-            (folder / name).rename(kept / name)
-    kept.rename(out)
+        shutil.rmtree(folder / ".cache", ignore_errors=True)  # the Hub client's own
+        folder.rename(out)
+    return Dataset(out, dataset.entries)
 
 
 def _require_publishable(dataset: Dataset) -> None:
