@@ -24,9 +24,11 @@ class Selection(Expression):
 
     Attributes:
         single: whether it is one block by its meaning.
+        template: its clause, with its fields as `{0.field}`.
     """
 
     single: ClassVar[bool] = False
+    template: ClassVar[str] = ""
 
     def blocks(self, scene: Scene) -> Blocks:
         """Indices of the selected blocks."""
@@ -35,7 +37,7 @@ class Selection(Expression):
     @property
     def clause(self) -> str:
         """What follows "block" in English, such as "nearest to the region"."""
-        raise NotImplementedError
+        return self.template.format(self)
 
     @property
     def phrase(self) -> str:
@@ -46,6 +48,8 @@ class Selection(Expression):
 class AllBlocks(Selection):
     """All blocks."""
 
+    template = "of all"
+
     def blocks(self, scene: Scene) -> Blocks:
         return frozenset(range(len(scene.blocks)))
 
@@ -53,75 +57,63 @@ class AllBlocks(Selection):
     def phrase(self) -> str:
         return "all blocks"
 
-    @property
-    def clause(self) -> str:
-        return "of all"
-
 
 @dataclass(frozen=True, repr=False)
 class WithColour(Selection):
     """The blocks of a colour."""
+
+    template = "that is {0.colour}"
 
     colour: Colour
 
     def blocks(self, scene: Scene) -> Blocks:
         return _where(block.colour == self.colour for block in scene.blocks)
 
-    @property
-    def clause(self) -> str:
-        return f"that is {self.colour}"
-
 
 @dataclass(frozen=True, repr=False)
 class WithShape(Selection):
     """The blocks of a shape."""
+
+    template = "that is a {0.shape}"
 
     shape: Shape
 
     def blocks(self, scene: Scene) -> Blocks:
         return _where(block.shape == self.shape for block in scene.blocks)
 
-    @property
-    def clause(self) -> str:
-        return f"that is a {self.shape}"
-
 
 class OfRegionColour(Selection):
     """The blocks of the colour of a region, whichever."""
+
+    template = "of the region's colour"
 
     def blocks(self, scene: Scene) -> Blocks:
         colours = {region.colour for region in scene.regions}
         return _where(block.colour in colours for block in scene.blocks)
 
-    @property
-    def clause(self) -> str:
-        return "of the region's colour"
-
 
 class Enclosed(Selection):
     """The blocks that start inside a region."""
 
+    template = "that is inside a region"
+
     def blocks(self, scene: Scene) -> Blocks:
         return _where(region_of(block, scene) is not None for block in scene.blocks)
-
-    @property
-    def clause(self) -> str:
-        return "that is inside a region"
 
 
 class Outside(Selection):
     """The blocks that start outside all regions."""
 
+    template = "that is outside"
+
     def blocks(self, scene: Scene) -> Blocks:
         return AllBlocks().blocks(scene) - Enclosed().blocks(scene)
-
-    @property
-    def clause(self) -> str:
-        return "that is outside"
 
 
 class Mismatched(Selection):
     """The blocks that start inside a region of another colour."""
+
+    template = "that is inside a region of another colour"
 
     def blocks(self, scene: Scene) -> Blocks:
         regions = [region_of(block, scene) for block in scene.blocks]
@@ -130,20 +122,14 @@ class Mismatched(Selection):
             for block, region in zip(scene.blocks, regions, strict=True)
         )
 
-    @property
-    def clause(self) -> str:
-        return "that is inside a region of another colour"
-
 
 class Matched(Selection):
     """The blocks that start inside a region of their own colour."""
 
+    template = "that is inside a region of its own colour"
+
     def blocks(self, scene: Scene) -> Blocks:
         return Enclosed().blocks(scene) - Mismatched().blocks(scene)
-
-    @property
-    def clause(self) -> str:
-        return "that is inside a region of its own colour"
 
 
 @dataclass(frozen=True, repr=False)
@@ -178,19 +164,18 @@ class OddOneOut(_ByAttribute):
     """The block whose value of an attribute no other has, if there is one such block."""
 
     single = True
+    template = "whose {0.what} no other block has"
 
     def blocks(self, scene: Scene) -> Blocks:
         values = [value_of(block, self.attribute) for block in scene.blocks]
         alone = _where(values.count(value) == 1 for value in values)
         return alone if len(alone) == 1 else frozenset()
 
-    @property
-    def clause(self) -> str:
-        return f"whose {self.what} no other block has"
-
 
 class MostCommon(_ByAttribute):
     """The blocks with the most common value of an attribute, if one is the most common."""
+
+    template = "of the most common {0.what}"
 
     def blocks(self, scene: Scene) -> Blocks:
         values = [value_of(block, self.attribute) for block in scene.blocks]
@@ -198,10 +183,6 @@ class MostCommon(_ByAttribute):
         if not counts or (len(counts) == 2 and counts[0][1] == counts[1][1]):
             return frozenset()
         return _where(value == counts[0][0] for value in values)
-
-    @property
-    def clause(self) -> str:
-        return f"of the most common {self.what}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -213,23 +194,19 @@ class _ByDistance(Selection):
 class Nearest(_ByDistance):
     """The block nearest to a landmark, if it is so by `CLEAR_DIFFERENCE`."""
 
+    template = "nearest to the {0.landmark}"
+
     def blocks(self, scene: Scene) -> Blocks:
         return _first(distances_to(self.landmark, scene))
-
-    @property
-    def clause(self) -> str:
-        return f"nearest to the {self.landmark}"
 
 
 class Farthest(_ByDistance):
     """The block farthest from a landmark, if it is so by `CLEAR_DIFFERENCE`."""
 
+    template = "farthest from the {0.landmark}"
+
     def blocks(self, scene: Scene) -> Blocks:
         return _first([-distance for distance in distances_to(self.landmark, scene)])
-
-    @property
-    def clause(self) -> str:
-        return f"farthest from the {self.landmark}"
 
 
 @dataclass(frozen=True, repr=False)
