@@ -91,6 +91,8 @@ def test_a_share_outside_0_to_1_is_refused(
             generate(ENV, 1, out, perturb=float(share), workers=1)
         with pytest.raises(InvalidConfigError, match="perturb: expected a number from 0 to 1"):
             demonstrate(ENV, 0, perturb=float(share))
+        with pytest.raises(InvalidConfigError, match="skill: expected a number from 0 to 1"):
+            generate(ENV, 1, out, skill=float(share), workers=1)
     assert not out.exists()
 
 

@@ -66,6 +66,7 @@ def generate(
     """
     parsed, name = parse_env_id(env_id), action_spec(action_space).name
     check_share("perturb", perturb)
+    check_share("skill", skill)
     workers = available_cores() if workers is None else workers
     modules = modules_of(parsed.task) if workers > 1 else []
     attempt = partial(_attempt, modules, parsed, seed, skill, perturb, name)
