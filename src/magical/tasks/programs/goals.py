@@ -52,8 +52,8 @@ class Goal(Expression):
         raise NotImplementedError
 
     def moved(self, scene: Scene) -> Blocks:
-        """The blocks that the goal is about."""
-        raise NotImplementedError
+        """The blocks that the goal is about, by default none."""
+        return frozenset()
 
     def sentence(self, scene: Scene, style: Style) -> str:
         """The goal as an English sentence; see `instruction`."""
@@ -61,14 +61,18 @@ class Goal(Expression):
 
 
 @dataclass(frozen=True, repr=False)
-class _Placed(Goal):
-    """Blocks of a selection at a place."""
-
+class _OfBlocks(Goal):
     selection: Selection
-    place: Place
 
     def moved(self, scene: Scene) -> Blocks:
         return self.selection.blocks(scene)
+
+
+@dataclass(frozen=True, repr=False)
+class _Placed(_OfBlocks):
+    """Blocks of a selection at a place."""
+
+    place: Place
 
     def degrees(self, scene: Scene, poses: Poses) -> list[float]:
         """How well each selected block is placed, 0 to 1."""
@@ -126,14 +130,6 @@ class OneOf(_Placed):
         if style.attributes and len(kinds) == 1:
             what = f"one {kinds.pop()}"
         return f"{style.of(MOVE)} {what} {self.place.phrase(scene, style)}."
-
-
-@dataclass(frozen=True, repr=False)
-class _OfBlocks(Goal):
-    selection: Selection
-
-    def moved(self, scene: Scene) -> Blocks:
-        return self.selection.blocks(scene)
 
 
 class Only(_OfBlocks):
@@ -285,9 +281,6 @@ class RobotInside(Goal):
     def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
         way = InRegion().remaining(scene, 0, [poses.robot[:2]])
         return [{ROBOT: way} if way > 0.0 else {}]
-
-    def moved(self, scene: Scene) -> Blocks:
-        return frozenset()
 
     def sentence(self, scene: Scene, style: Style) -> str:
         verb = style.of(("Drive", "Go", "Move"))

@@ -160,10 +160,10 @@ DISTRIBUTION: Mapping[str, Family] = MappingProxyType(
 
 def sample_program(rng: Rng) -> tuple[Family, Goal]:
     """A family, by its weight, and a program of it."""
-    names = tuple(DISTRIBUTION)
-    weights = np.array([DISTRIBUTION[name].weight for name in names])
-    name = names[int(rng.choice(len(names), p=weights / weights.sum()))]
-    return DISTRIBUTION[name], DISTRIBUTION[name].sample_fn(rng)
+    families = tuple(DISTRIBUTION.values())
+    weights = np.array([family.weight for family in families])
+    family = families[int(rng.choice(len(families), p=weights / weights.sum()))]
+    return family, family.sample_fn(rng)
 
 
 def sample_selection(rng: Rng, region: bool = True) -> Selection:
