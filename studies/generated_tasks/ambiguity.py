@@ -84,7 +84,7 @@ def choice(kind: type[Expression]) -> Mass:
 
 def selections(scene: Scene) -> Mapping[frozenset[int], tuple[Selection, Mass]]:
     """Selections of at most two parts by the blocks that they select, with one of each."""
-    single = [s for s in simple_expressions(Selection) if isinstance(s, Selection)]
+    single = list(simple_expressions(Selection))
     masses = {s: part(s) for s in single}
     found: dict[frozenset[int], tuple[Selection, Mass]] = {}
 
@@ -107,7 +107,7 @@ def selections(scene: Scene) -> Mapping[frozenset[int], tuple[Selection, Mass]]:
 def goals(scene: Scene) -> Iterator[tuple[Goal, Mass]]:
     """Goals of one part, one of each meaning, with all that mean the same in this scene."""
     chosen = selections(scene).values()
-    places = [(p, part(p)) for p in simple_expressions(Place) if isinstance(p, Place)]
+    places: list[tuple[Place, Mass]] = [(p, part(p)) for p in simple_expressions(Place)]
     places += [(Beside(s), choice(Beside) * mass) for s, mass in chosen]
     for kind in (Each, Every, OneOf):
         for (selection, mass), (place, place_mass) in product(chosen, places):

@@ -8,9 +8,12 @@ import math
 from collections.abc import Iterator
 from enum import StrEnum
 from itertools import product
+from typing import TypeVar
 
 from magical.tasks.programs.expressions import Expression, field_types
 from magical.tasks.programs.parsing import KINDS, VOCABULARY
+
+Kind = TypeVar("Kind", bound=Expression)
 
 
 def bits(program: Expression) -> float:
@@ -30,7 +33,7 @@ def choice(kind: type[Expression]) -> float:
     return math.log2(sum(issubclass(other, base) for other in VOCABULARY.values()))
 
 
-def simple_expressions(base: type[Expression]) -> Iterator[Expression]:
+def simple_expressions(base: type[Kind]) -> Iterator[Kind]:
     """All expressions of a kind whose fields are words."""
     for kind in VOCABULARY.values():
         words = field_types(kind).values()

@@ -3,7 +3,6 @@
 import math
 
 from magical.scene import Poses, Scene
-from magical.tasks.programs.expressions import Attribute
 from magical.tasks.programs.goals import Clustered, Goal, Together, is_success
 from magical.tasks.programs.selections import Selection, value_of
 
@@ -23,7 +22,7 @@ def problem(goal: Goal, scene: Scene) -> str:
 def _unreachable(goal: Goal, scene: Scene) -> str:
     """Why no final state of the scene can be the goal, or an empty string."""
     if isinstance(goal, Clustered):
-        kinds = {value_of(block, Attribute(goal.attribute)) for block in scene.blocks}
+        kinds = {value_of(block, goal.attribute) for block in scene.blocks}
         return "" if len(kinds) > 1 else "expected blocks of at least two values, found fewer"
     if isinstance(goal, Together):
         return ""
