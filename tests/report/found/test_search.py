@@ -117,6 +117,16 @@ def test_missing_tasks_runs_seeds_and_variants_are_named(
     }
 
 
+def test_a_run_that_a_collection_has_too_counts_once(
+    write_entry: WriteEntry, tmp_path: Path
+) -> None:
+    folder = write_entry("runs/a", "a", LINE)
+    write_collection(tmp_path, {"runs/a": read_entry(folder)})
+    found = find_results([tmp_path])
+    assert [result.folder for result in found.results] == [folder]
+    assert [item.folder for item in found.skipped] == [folder]
+
+
 @pytest.mark.parametrize("seed", [None, 0])
 def test_of_two_evaluations_of_a_run_the_more_complete_one_counts(
     write_entry: WriteEntry, tmp_path: Path, seed: int | None

@@ -131,17 +131,17 @@ def find_results(folders: Iterable[Path | str]) -> Found:
         reasons = [item.reason for item in found.skipped]
         raise ScoresError(reasons[0] if reasons else "expected folders, found none")
     rows: dict[str, list[Result]] = {}
-    repeated: dict[Path, Skipped] = {}
+    skipped = list(found.skipped)
     for result in sorted(found.results, key=lambda result: -len(result.entry.scores)):
         row = rows.setdefault(result.entry.row, [])
         if other := same_run(result, row):
             reason = f"the same run as {other.folder}: each run counts once in a row"
-            repeated[result.folder] = Skipped(result.folder, reason)
+            skipped.append(Skipped(result.folder, reason))
         else:
             row.append(result)
-    results = [result for result in found.results if result.folder not in repeated]
-    skipped = [repeated[r.folder] for r in found.results if r.folder in repeated]
-    return replace(found, results=results, skipped=[*found.skipped, *skipped])
+    counted = {id(result) for row in rows.values() for result in row}
+    results = [result for result in found.results if id(result) in counted]
+    return replace(found, results=results, skipped=skipped)
 
 
 def search_results(folders: Iterable[Path | str], without: Path | None = None) -> Found:
