@@ -47,7 +47,7 @@ def new_figure(height: float, width: float = WIDTH) -> Any:
 
 
 def svg(figure: Any, name: str, label: str) -> str:
-    """A figure as an `<svg>` element.
+    """A figure as an `<svg>` element; to be called within `plotting`.
 
     Args:
         figure: of matplotlib.
@@ -56,8 +56,7 @@ def svg(figure: Any, name: str, label: str) -> str:
     """
     file = io.StringIO()
     no_metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-    with plotting():
-        figure.savefig(file, format="svg", metadata=no_metadata)
+    figure.savefig(file, format="svg", metadata=no_metadata)
     text = file.getvalue()
     text = text[text.index("<svg") :]
     # Metadata, and a style sheet that would hold for the whole page: the page has one of its own.
