@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from magical.report.figures import curves
-from magical.report.figures.curves import TrainedRun, curves_by_task, save_learning_curves
+from magical.report.figures.curves import curves_by_task, save_learning_curves
+from magical.report.found.search import Result
+from tests.report.conftest import make_entry
 
 pytest.importorskip("matplotlib", reason="the report extra is not installed")
 
@@ -26,14 +28,17 @@ def test_a_figure_for_each_task_and_quantity_and_a_line_for_each_run(tmp_path: P
         {"step": i, "loss": 1 / (i + 1), "accuracy": i / 100} for i in range(100)
     ]
     lines[7]["loss"] = None  # was not finite
-    runs = [
-        TrainedRun(name, "MakeLine", run_folder(tmp_path / name, lines)) for name in ("one", "two")
-    ]
-    runs += [
-        TrainedRun("one", "FindDupe", run_folder(tmp_path / "x", [{"step": 1}])),
-        TrainedRun("one", "FindDupe", tmp_path),
-    ]
-    figures, damaged = curves_by_task(runs, ["one", "two"])
+    for name in ("one", "two"):
+        run_folder(tmp_path / name, lines)
+    run_folder(tmp_path / "x", [{"step": 1}])
+    line, dupe = {"MakeLine-Demo": [1.0]}, {"FindDupe-Demo": [1.0]}
+    evaluated = [("one", line, "one"), ("two", line, "two"), ("one", dupe, "x"), ("one", dupe, "")]
+    figures, damaged = curves_by_task(
+        [
+            Result(tmp_path / f"{method}-scores", make_entry(method, scores), tmp_path / run)
+            for method, scores, run in evaluated
+        ]
+    )
     assert damaged == {}
     assert list(figures) == ["MakeLine"]
     for svg, name in zip(figures["MakeLine"], ("loss", "accuracy"), strict=True):
@@ -44,6 +49,7 @@ def test_a_figure_for_each_task_and_quantity_and_a_line_for_each_run(tmp_path: P
 
 def test_a_picture_of_every_metric_in_the_run_folder(tmp_path: Path) -> None:
     assert save_learning_curves(run_folder(tmp_path / "new", [])) is None
+    assert save_learning_curves(run_folder(tmp_path / "empty", [{"step": 0}])) is None
     lines = [{"step": step, "loss": 1.0 / step, "entropy": None} for step in (1, 2, 3)]
     lines[1]["entropy"] = 0.5
     picture = save_learning_curves(run_folder(tmp_path / "run", lines))

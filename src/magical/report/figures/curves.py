@@ -3,7 +3,6 @@
 import importlib.util
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +20,10 @@ from magical.report.figures.plots import (
     svg,
     tidy,
 )
+from magical.report.found.search import Result
 from magical.runs.folder import CURVES
 from magical.runs.metrics import read_metrics
+from magical.runs.plan import in_words
 
 PANELS = ("loss", "accuracy", "score")  # of a page, where the metrics have them
 SMOOTHING = 50  # rows of metrics that a curve is averaged over, at most a tenth of all
@@ -34,41 +35,42 @@ COLUMNS = 4  # of `save_learning_curves`
 MetricRows = Sequence[Mapping[str, Any]]
 
 
-@dataclass(frozen=True, slots=True)
-class TrainedRun:
-    """A training run whose curves are shown with those of other runs on the same task."""
-
-    method: str
-    task: str  # what it was trained on, in words
-    folder: Path
-
-
 def curves_by_task(
-    runs: Sequence[TrainedRun], methods: Sequence[str]
+    results: Sequence[Result],
 ) -> tuple[dict[str, list[str]], dict[Path, str]]:
-    """Learning curves, a figure for each task and quantity; a line for each run.
+    """Learning curves, a figure for each task and quantity; a line for each training run.
 
     Args:
-        runs: those without metrics are left out.
-        methods: all names; the place in the list gives a method's colour.
+        results: those without a training run, or whose run has no metrics, are left out. A method's
+            place among all gives its colour.
 
     Returns:
         The figures as SVG by task, and what is wrong with damaged metrics by folder.
     """
-    found, damaged = [], {}
-    for run in runs:
+    methods = list(dict.fromkeys(result.entry.row for result in results))
+    runs = {result.run: result for result in results if result.run is not None}
+    groups: dict[str, list[tuple[str, MetricRows]]] = {}
+    damaged = {}
+    for folder, result in runs.items():
         try:
-            found.append((run, read_metrics(run.folder)))
+            if rows := read_metrics(folder):
+                groups.setdefault(_trained_on(result), []).append((result.entry.row, rows))
         except RunFolderError as error:
-            damaged[run.folder] = str(error)
+            damaged[folder] = str(error)
     figures: dict[str, list[str]] = {}
-    for number, task in enumerate(dict.fromkeys(run.task for run, rows in found if rows)):
-        of_task = [(run.method, rows) for run, rows in found if run.task == task]
+    for number, (task, of_task) in enumerate(groups.items()):
         for key in PANELS:
             name = f"curve-{number}-{key}"
             if picture := _panel(of_task, key, methods, f"{key} on {task}", name):
                 figures.setdefault(task, []).append(picture)
     return figures, damaged
+
+
+def _trained_on(result: Result) -> str:
+    """The tasks that a run was trained on, in words."""
+    recorded = result.config.get("tasks")
+    known = isinstance(recorded, list) and recorded
+    return in_words(tuple(map(str, known or result.tasks)))
 
 
 def _panel(
@@ -119,13 +121,13 @@ def save_learning_curves(run: Path) -> Path | None:
     """Plot every number of a run's metrics over the steps, as a PNG in the run folder.
 
     Returns:
-        The picture's path; `None`, without a picture, if there are no metrics yet or matplotlib
+        The picture's path; `None`, without a picture, if there are no numbers yet or matplotlib
         (extra `report`) is not installed.
     """
     rows = read_metrics(run)
-    if not rows or importlib.util.find_spec("matplotlib") is None:
-        return None
     names = list(dict.fromkeys(name for row in rows for name in row if name not in NOT_PLOTTED))
+    if not names or importlib.util.find_spec("matplotlib") is None:
+        return None
     picture = run / CURVES
     with write_atomically(picture) as file:
         _figure(rows, names).savefig(file, format="png", dpi=80)

@@ -10,7 +10,7 @@ from magical import __version__
 from magical.evaluation import Entry
 from magical.evaluation.statistics import interquartile_mean
 from magical.processes import available_cores
-from magical.report.figures.curves import TrainedRun, curves_by_task
+from magical.report.figures.curves import curves_by_task
 from magical.report.figures.plots import interval_plot, profile_plot
 from magical.report.figures.reels import LoadPolicy, Reel, record_reels
 from magical.report.found.facts import describe_methods
@@ -26,7 +26,6 @@ from magical.report.scores.summaries import (
     profiles,
 )
 from magical.report.scores.tables import DARKEST, LIGHTEST, TextTable, report_tables
-from magical.runs.plan import in_words
 
 
 def write_page(
@@ -72,7 +71,7 @@ def _html(
     notes: Sequence[str],
 ) -> str:
     methods = compared_methods(found.entries)
-    curves, damaged = _curves(found.results)
+    curves, damaged = curves_by_task(found.results)
     skipped = [(str(item.folder), item.reason) for item in found.skipped]
     skipped += [(str(folder), reason) for folder, reason in damaged.items()]
     return render_template(
@@ -132,22 +131,6 @@ def _figures(methods: Sequence[ComparedMethod]) -> list[Figure]:
             "τ; higher is better. Shaded: 95% intervals over runs, for each τ on its own.",
         ),
     ]
-
-
-def _curves(results: Sequence[Result]) -> tuple[dict[str, list[str]], dict[Path, str]]:
-    names = list(dict.fromkeys(result.entry.row for result in results))
-    runs = {
-        result.run: TrainedRun(result.entry.row, _trained_on(result), result.run)
-        for result in results
-        if result.run is not None
-    }
-    return curves_by_task(list(runs.values()), names)
-
-
-def _trained_on(result: Result) -> str:
-    recorded = result.config.get("tasks")
-    known = isinstance(recorded, list) and recorded
-    return in_words(tuple(map(str, known or result.tasks)))
 
 
 def _missing(found: Found) -> TextTable | None:
