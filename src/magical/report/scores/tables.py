@@ -49,18 +49,13 @@ class Cell:
     @property
     def text(self) -> str:
         """Such as `0.88 ± 0.10 (−0.01)`, with the difference from the published mean."""
-        plain = f"{self.mean:.2f} {self.detail}"
-        if self.difference is None:
-            return plain
-        return f"{plain} ({signed(Interval(self.difference.value, math.nan, math.nan))})"
+        difference = f" ({self.beside[0]})" if self.beside else ""
+        return f"{self.mean:.2f} {self.detail}{difference}"
 
     @property
     def beside(self) -> list[str]:
-        """The difference from the published mean and its interval, or nothing."""
-        if self.difference is None:
-            return []
-        value, _, interval = signed(self.difference).partition(" ")
-        return [value, interval] if interval else [value]
+        """The difference from the published mean and its interval, if any, or nothing."""
+        return [] if self.difference is None else signed(self.difference).split(" ", 1)
 
 
 @dataclass(frozen=True, slots=True)
