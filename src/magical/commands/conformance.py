@@ -11,7 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from magical.commands._common import add_json, add_out, log, print_json, print_table
+from magical.commands._common import USAGE, add_json, add_out, log, print_json, print_table
 from magical.conformance.recordings import RECORDINGS, Comparison, recording_path
 
 HELP = "compare with recordings of the published environments"
@@ -30,7 +30,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="a file of that kind (default: those in the package)",
     )
     add_out(parser, "write what was computed for a single recording", "FILE")
-    parser.set_defaults(usage_error=parser.error)
     add_json(parser)
 
 
@@ -42,7 +41,8 @@ def run(args: argparse.Namespace) -> int:
         recordings = [(args.kind, args.recording)]
     if args.out and len(recordings) > 1:
         names = ", ".join(path.name for _, path in recordings)
-        args.usage_error(f"--out: expected a single recording, found {names}")
+        log(f"error: --out: expected a single recording, found {names}")
+        return USAGE
     results: list[dict[str, Any]] = []
     for kind, path in recordings:
         if results:
