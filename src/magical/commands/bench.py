@@ -22,6 +22,7 @@ from magical.commands._common import (
     add_json,
     add_seed,
     add_workers,
+    number,
     print_json,
     print_table,
 )
@@ -50,7 +51,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_workers(parser)
     parser.add_argument(
         "--seconds",
-        type=float,
+        type=number(float, 0),
         default=15.0,
         metavar="S",
         help="env, vector: measuring time (default: 15)",

@@ -12,6 +12,7 @@ from magical.commands._common import (
     add_rollouts,
     add_seed,
     add_workers,
+    number,
     print_json,
     print_table,
 )
@@ -28,7 +29,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_rollouts(evaluate)
     add_seed(evaluate, "which set of evaluation's seeds")
     evaluate.add_argument(
-        "--skill", type=float, default=1.0, metavar="X", help="0 to 1 (default: 1)"
+        "--skill", type=number(float, 0, 1), default=1.0, metavar="X", help="0 to 1 (default: 1)"
     )
     evaluate.add_argument(
         "--takeover",

@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
         return USAGE
     if args.clips and (args.compare or kind != "html"):
         log("error: --clips is for a page (--out FILE.html); no rollouts are recorded")
-        return 1
+        return USAGE
     if kind == "html":
         require("report")
     found = find_results(args.folders)
