@@ -74,7 +74,7 @@ def post(server: RunningServer, content: bytes | dict[str, Any]) -> tuple[int, A
     return answer.status, json.loads(answer.body)
 
 
-def png_sizes(content: bytes) -> list[tuple[int, int]]:
+def image_sizes(content: bytes) -> list[tuple[int, int]]:
     sizes = []
     while content:
         (length,) = struct.unpack_from(">I", content)
@@ -147,8 +147,8 @@ def test_an_episode_has_actions_and_the_score_of_every_state(
 
 def test_frames_are_rendered_where_poses_are_known(library: RunningServer) -> None:
     path = "/api/frames?source=d0&episode=1&view={}&first={}&count={}"
-    assert png_sizes(library.get(path.format("both", 0, 3)).body) == [(776, 384)] * 3
-    assert png_sizes(library.get(path.format("ego", 39, 16)).body) == [(384, 384)] * 2
+    assert image_sizes(library.get(path.format("both", 0, 3)).body) == [(776, 384)] * 3
+    assert image_sizes(library.get(path.format("ego", 39, 16)).body) == [(384, 384)] * 2
     first, second = (library.get(path.format("allo", time, 1)).body for time in (0, 30))
     assert first != second
 
@@ -164,8 +164,8 @@ def test_without_poses_the_stored_frames_are_shown_and_no_scores(
     sent = Image.open(BytesIO(library.get(path.format("ego")).body[4:]))
     np.testing.assert_array_equal(np.array(sent), frames["ego"][5])
     path = "/api/frames?source=d0&episode=2&view={}&first=40&count=16"
-    assert png_sizes(library.get(path.format("both")).body) == [(194, 96)]
-    assert png_sizes(library.get(path.format("allo")).body) == [(96, 96)]
+    assert image_sizes(library.get(path.format("both")).body) == [(194, 96)]
+    assert image_sizes(library.get(path.format("allo")).body) == [(96, 96)]
 
 
 # Rollouts

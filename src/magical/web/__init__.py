@@ -2,7 +2,7 @@
 
 - `security`: the token, which hosts and origins are accepted, rates and deadlines.
 - `messages`: what the page may send, as records.
-- `frames`: frames as PNG files.
+- `frames`: frames as lossless WebP files.
 - `episode`: an episode that is played, and its trajectory.
 - `policies`: the scripted expert and the runs, by number; loaded when they are first used.
 - `driver`: a policy in one episode: watched, rolled out, or asked for its action probabilities.

@@ -314,8 +314,8 @@ class Session:
         }
 
     def frame(self) -> bytes:
-        """The present frame as a PNG file."""
-        return self._encoder.png(self.episode.poses[-1])
+        """The present frame as a WebP file."""
+        return self._encoder.webp(self.episode.poses[-1])
 
     def _next_episode(self, policy: int | None) -> None:
         seed = self.episode.seed if self._fixed_seed else None

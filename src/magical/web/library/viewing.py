@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from magical.demos.store.trajectory import Trajectory
 from magical.errors import NotFoundError, TrajectoryError
 from magical.scene import Poses
-from magical.web.frames import FrameEncoder, encode_png
+from magical.web.frames import FrameEncoder, encode_webp
 from magical.web.messages import PAGE_VIEWS
 
 MAX_STEPS = 5000  # of an episode that can be looked at: ten minutes
@@ -67,7 +67,7 @@ class ViewedEpisode:
         return [name for name, views in PAGE_VIEWS.items() if set(views) <= set(stored)]
 
     def frames(self, view: str, first: int, count: int) -> bytes:
-        """Frames of the states from `first` on as PNG files, each after its size in four bytes.
+        """Frames of the states from `first` on as WebP files, each after its size in four bytes.
 
         Args:
             view: one of `PAGE_VIEWS`.
@@ -90,10 +90,10 @@ class ViewedEpisode:
         episode = self.trajectory
         if episode.poses is None:
             assert episode.frames is not None
-            return encode_png(_side_by_side([episode.frames[v][time] for v in PAGE_VIEWS[view]]))
+            return encode_webp(_side_by_side([episode.frames[v][time] for v in PAGE_VIEWS[view]]))
         if view not in self._encoders:
             self._encoders[view] = FrameEncoder(episode.scene, PAGE_VIEWS[view])
-        return self._encoders[view].png(episode.poses[time])
+        return self._encoders[view].webp(episode.poses[time])
 
     def _scores(self) -> list[float] | None:
         episode = self.trajectory

@@ -170,7 +170,7 @@ function split(buffer) {
   const files = [];
   for (let at = 0; at < buffer.byteLength;) {
     const size = view.getUint32(at);
-    files.push(new Blob([buffer.slice(at + 4, at + 4 + size)], { type: "image/png" }));
+    files.push(new Blob([buffer.slice(at + 4, at + 4 + size)], { type: "image/webp" }));
     at += 4 + size;
   }
   return files;
