@@ -10,6 +10,7 @@ from magical.demos import Actor, Dataset, DatasetWriter
 from magical.demos.generate import demonstrate
 from magical.envs import EnvId
 from magical.envs.keys import controls_of
+from magical.web.security import RateLimit
 from magical.web.server import PlaySettings
 from tests.web.browser import Browser, Tab
 from tests.web.driving import names_and_focus, open_page, play_expert, text_of
@@ -110,6 +111,20 @@ def test_two_episodes_are_compared_in_step(tab: Tab, dataset: Path) -> None:
     tab.evaluate("document.querySelector('.close').click()")
     assert tab.evaluate("panes.map((pane) => pane.details.task)") == ["MoveToCorner"]
     assert tab.evaluate("document.activeElement.className") == "close"
+
+
+def test_a_list_that_is_refused_is_not_said_to_be_empty(
+    tab: Tab, dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    DatasetWriter(dataset).append(demonstrate("magical/MoveToRegion-Demo-v0", 1))
+    look(tab)
+    monkeypatch.setattr(RateLimit, "allows", lambda *_: False)
+    tab.evaluate("element('more').click()")
+    tab.wait_for("!element('more').disabled")
+    assert text_of(tab, "look-status").startswith("too many requests")
+    assert "No episodes yet" not in text_of(tab, "episodes")
+    choose(tab, "shown-task", "MoveToRegion")
+    tab.wait_for("!element('episodes').children.length")
 
 
 CLIPPED = """[...document.querySelectorAll('select')].filter((one) => one.offsetParent

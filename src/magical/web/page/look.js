@@ -34,8 +34,12 @@ async function list(skip) {
   const task = element("shown-task").value;
   const answer = await attempt(async () => (await ask("episodes", { source, task, skip })).json());
   if (source !== element("source").value || task !== element("shown-task").value) return;
-  if (!skip) element("episodes").replaceChildren();
-  const { total = 0, episodes = [] } = answer ?? {};
+  if (!skip) {
+    element("episodes").replaceChildren();
+    element("more").hidden = true;
+  }
+  if (!answer) return;
+  const { total, episodes } = answer;
   listed = skip + episodes.length;
   element("episodes").append(...episodes.map((episode) => makeLine(source, episode)));
   if (!total) element("episodes").append(make("li", { class: "faint" }, "No episodes yet."));
