@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from magical.envs import EnvId
-
 if TYPE_CHECKING:
     from tests.web.browser import Browser, Tab
     from tests.web.serving import RunningServer
@@ -35,12 +33,10 @@ def fast(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def server(dataset: Path) -> Iterator["RunningServer"]:
-    """A server for three players that starts them in MoveToRegion."""
-    from magical.web.server import PlaySettings
+    """A server for three players."""
     from tests.web.serving import running
 
-    settings = PlaySettings(EnvId("MoveToRegion", "Demo"), record=dataset, max_players=3)
-    with running(settings) as started:
+    with running(record=dataset, max_players=3) as started:
         yield started
 
 

@@ -11,9 +11,10 @@ from typing import Any
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
+from magical.envs import EnvId
 from magical.web.players import Players
 from magical.web.security import make_guard
-from magical.web.server import PlayServer, PlaySettings, listen, make_server
+from magical.web.server import PlayServer, listen, make_server
 
 TOKEN = "a-token-of-the-tests"
 TIMEOUT = 60.0  # s
@@ -130,10 +131,12 @@ def close_code(socket: ClientConnection) -> int:
 
 
 @contextmanager
-def running(settings: PlaySettings) -> Iterator[RunningServer]:
-    """A server on a free port of loopback."""
+def running(**settings: Any) -> Iterator[RunningServer]:
+    """A server on a free port of loopback that starts players in MoveToRegion."""
     with listen("127.0.0.1", 0) as listening:
-        playing = PlayServer(settings, make_guard("127.0.0.1", TOKEN))
+        playing = PlayServer(
+            make_guard("127.0.0.1", TOKEN), EnvId("MoveToRegion", "Demo"), **settings
+        )
         server = make_server(playing.app)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]})
         thread.start()

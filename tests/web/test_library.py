@@ -17,7 +17,6 @@ from magical.demos import Dataset, DatasetWriter, Frames, Trajectory
 from magical.demos.generate import demonstrate
 from magical.demos.store.codec import encode
 from magical.demos.store.manifest import ManifestEntry
-from magical.envs import EnvId
 from magical.errors import MessageError
 from magical.scene import Poses
 from magical.tasks import TASKS
@@ -25,7 +24,6 @@ from magical.web.library import routes
 from magical.web.library.routes import MAX_WAITING_ROLLOUTS, AsciiJSON
 from magical.web.library.sources import RolloutSource, unique_names
 from magical.web.security import RateLimit
-from magical.web.server import PlaySettings
 from tests.web.serving import TOKEN, RunningServer, running
 
 REGION = "magical/MoveToRegion-Demo-v0"
@@ -56,8 +54,7 @@ def frames_only(episode: Trajectory) -> Trajectory:
 
 @pytest.fixture(scope="module")
 def library(demos: Path) -> Iterator[RunningServer]:
-    settings = PlaySettings(EnvId("MoveToRegion", "Demo"), datasets=[demos])
-    with running(settings) as started:
+    with running(datasets=[demos]) as started:
         yield started
 
 

@@ -8,10 +8,8 @@ import pytest
 from magical import cli
 from magical.demos import Actor, Dataset, DatasetWriter
 from magical.demos.generate import demonstrate
-from magical.envs import EnvId
 from magical.envs.keys import controls_of
 from magical.web.security import RateLimit
-from magical.web.server import PlaySettings
 from tests.web.browser import Browser, Tab
 from tests.web.driving import names_and_focus, open_page, play_expert, text_of
 from tests.web.serving import RunningServer, running
@@ -144,9 +142,8 @@ def test_texts_of_choices_fit_and_the_list_stays_near(
     run = tmp_path / "runs" / "bc-augmented"
     run.mkdir(parents=True)
     (run / "config.json").write_text('{"algorithm": "bc", "tasks": ["MoveToRegion"]}')
-    start = EnvId("MoveToRegion", "Demo")
-    settings = PlaySettings(start, datasets=[folder], runs=[tmp_path / "runs"])
-    with running(settings) as server, browser.open_tab() as tab:
+    served = running(datasets=[folder], runs=[tmp_path / "runs"])
+    with served as server, browser.open_tab() as tab:
         tab.resize(width, height, mobile=width < 400)
         open_page(tab, server)
         tab.wait_for("latest?.phase === 'ready'")
@@ -224,8 +221,7 @@ def test_play_keep_load_scrub_train_and_watch(
     pytest.importorskip("torch")
     runs = tmp_path / "runs"
     runs.mkdir()
-    settings = PlaySettings(EnvId("MoveToRegion", "Demo"), record=dataset, runs=[runs])
-    with running(settings) as server, browser.open_tab() as tab:
+    with running(record=dataset, runs=[runs]) as server, browser.open_tab() as tab:
         tab.resize(1280, 800)
         open_page(tab, server)
         tab.wait_for("latest?.phase === 'ready'")

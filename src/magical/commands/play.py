@@ -56,12 +56,18 @@ def run(args: argparse.Namespace) -> int:
     """Listen, print the address, answer until interrupted."""
     from magical.envs import parse_env_id
     from magical.web.security import LOOPBACK, make_guard, new_token, page_url
-    from magical.web.server import PlayServer, PlaySettings, listen, make_server
+    from magical.web.server import PlayServer, listen, make_server
 
     env_id = parse_env_id(args.env).without_preset
     token = new_token()
-    settings = PlaySettings(env_id, args.record, args.max_players, args.datasets, args.runs)
-    server = PlayServer(settings, make_guard(args.host, token, frozenset(args.allow_host)))
+    server = PlayServer(
+        make_guard(args.host, token, frozenset(args.allow_host)),
+        env_id,
+        record=args.record,
+        max_players=args.max_players,
+        datasets=args.datasets,
+        runs=args.runs,
+    )
     with listen(args.host, args.port) as listening:
         print(page_url(args.host, listening.getsockname()[1], token), flush=True)
         log(f"recording into {args.record}" if args.record else "not recording (see --record)")

@@ -6,7 +6,6 @@ import socket as sockets
 from collections.abc import AsyncIterator, Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from time import monotonic
@@ -46,47 +45,41 @@ DRIVING_THREADS = 2  # that policies which are watched are asked in
 SWEEP_TIME = 5.0  # s between checks for sessions that were not resumed in time
 
 
-@dataclass(frozen=True, slots=True)
-class PlaySettings:
-    """What a server offers.
+class PlayServer:
+    """A server's application and what its routes share.
 
     Args:
+        guard: decides which requests are answered.
         env_id: the environment that a new player starts in.
         record: the dataset's folder; `None`: nothing is recorded.
         max_players: the largest number of environments.
         datasets: to look at; the dataset that is recorded is always listed.
         runs: run folders, or folders with run folders in them, whose policies can be watched.
-    """
-
-    env_id: EnvId
-    record: Path | None = None
-    max_players: int = 16
-    datasets: Sequence[Path] = ()
-    runs: Sequence[Path] = ()
-
-
-class PlayServer:
-    """A server's application and what its routes share.
-
-    Args:
-        settings: what is offered.
-        guard: decides which requests are answered.
 
     Raises:
         DatasetError: the folder to record in cannot be written, or another one holds no dataset.
         RunFolderError: a folder of runs does not exist.
     """
 
-    def __init__(self, settings: PlaySettings, guard: Guard) -> None:
-        recorded = [settings.record] if settings.record else []
-        folders = {path.resolve(): path for path in [*settings.datasets, *recorded]}
-        policies, rng = Policies(settings.runs), np.random.default_rng()  # of scenes' seeds
-        self._writer = DatasetWriter(settings.record) if settings.record else None
+    def __init__(
+        self,
+        guard: Guard,
+        env_id: EnvId,
+        *,
+        record: Path | None = None,
+        max_players: int = 16,
+        datasets: Sequence[Path] = (),
+        runs: Sequence[Path] = (),
+    ) -> None:
+        recorded = [record] if record else []
+        folders = {path.resolve(): path for path in [*datasets, *recorded]}
+        policies, rng = Policies(runs), np.random.default_rng()  # of scenes' seeds
+        self._writer = DatasetWriter(record) if record else None
         self._saving: set[asyncio.Task[None]] = set()
         self._library = Library(list(folders.values()), policies)
         self._threads = ThreadPoolExecutor(DRIVING_THREADS, "driver")
-        new_session = partial(Session, settings.env_id, rng, policies, settings.record is not None)
-        self.players = Players(new_session, settings.max_players)
+        new_session = partial(Session, env_id, rng, policies, record is not None)
+        self.players = Players(new_session, max_players)
         self.app = Starlette(
             routes=[  # none takes a path from outside, so none can leave the page's folder
                 *(Route(path, _page_file(*file)) for path, file in PAGE_FILES.items()),
