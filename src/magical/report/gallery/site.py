@@ -20,13 +20,13 @@ GENERATOR = f"magical gallery {__version__}"
 _MARK = b'<meta name="generator" content="magical gallery'
 
 
-def write_gallery(site: Path | str, previews: Sequence[EnvPreview], seed: int = 0) -> int:
+def write_gallery(folder: Path, previews: Sequence[EnvPreview], seed: int = 0) -> int:
     """Write the page, after the images that it shows; returns the size of all in bytes.
 
     A gallery that is there is replaced; images of environments that only it shows stay.
 
     Args:
-        site: the folder.
+        folder: the site's.
         previews: of the environments to show.
         seed: of their scenes.
 
@@ -34,7 +34,6 @@ def write_gallery(site: Path | str, previews: Sequence[EnvPreview], seed: int = 
         SiteError: the folder holds something other than a gallery.
         OSError: the folder cannot be written to.
     """
-    folder = Path(site)
     check_site(folder)
     files = {preview.still_path: preview.still for preview in previews}
     files |= {p.animation_path: p.animation for p in previews if p.animation}
@@ -64,13 +63,12 @@ def gallery_page(previews: Sequence[EnvPreview], seed: int = 0) -> str:
     )
 
 
-def check_site(site: Path | str) -> None:
+def check_site(folder: Path) -> None:
     """Check that a gallery may be written to a folder: it is missing, empty or holds a gallery.
 
     Raises:
         SiteError: it holds something else; the message names it.
     """
-    folder = Path(site)
     if folder.exists() and not folder.is_dir():
         raise SiteError(f"{folder}: expected a folder, found a file; choose another")
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
