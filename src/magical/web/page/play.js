@@ -113,7 +113,7 @@ function showStatus(message) {
   element("frame").setAttribute("aria-label", seen);
 }
 
-export function deciding() {
+function deciding() {
   return latest?.phase === "ended" && latest.can_keep;
 }
 
@@ -158,7 +158,7 @@ function showPolicy(before, message) {
   }
 }
 
-export function showEnvironment() {
+function showEnvironment() {
   if (!latest || !offered.tasks.length) return;
   const task = offered.tasks.find((one) => one.name === latest.task);
   element("goal").textContent = task?.summary ?? latest.task;
@@ -210,13 +210,8 @@ function bindButton(id, act) {
   });
 }
 
-function remember(id, changed = () => {}) {
-  const kept = localStorage.getItem(id);
-  if (kept !== null && id === "name") element(id).value = kept;
-  element(id).addEventListener("change", () => {
-    localStorage.setItem(id, element(id).value);
-    changed();
-  });
+function remember(id) {
+  element(id).addEventListener("change", () => localStorage.setItem(id, element(id).value));
 }
 
 export function bind() {
@@ -233,6 +228,10 @@ export function bind() {
     fillVariants(element("variant"), element("task").value);
   });
   element("who").addEventListener("change", watch);
-  remember("view", () => send({ type: "view", view: element("view").value }));
+  element("view").addEventListener("change", () => {
+    send({ type: "view", view: element("view").value });
+  });
+  element("name").value = localStorage.getItem("name") ?? "";
+  remember("view");
   remember("name");
 }
