@@ -1,6 +1,5 @@
 """An episode that a person plays, with all that is needed to store it."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +9,6 @@ from magical.demos.record import recorded_trajectory
 from magical.demos.store.trajectory import Actor, Trajectory
 from magical.envs.env import MagicalEnv
 from magical.envs.ids import EnvId
-from magical.envs.keys import Control, controls_of
 from magical.scene import Poses, State
 
 RECORDER = "magical play"  # in the metadata of episodes
@@ -57,19 +55,9 @@ class PlayedEpisode:
         return replace(state, poses=poses, velocities=velocities), self.last_action
 
     @property
-    def executed(self) -> Sequence[Control] | None:
-        """The controls of the last step; `None`: there was none yet."""
-        return None if self.last_action is None else controls_of(self.last_action)
-
-    @property
     def steps(self) -> int:
         """Control steps so far."""
         return len(self.poses) - 1
-
-    @property
-    def is_demonstrated(self) -> bool:
-        """Whether a person acted in at least one step."""
-        return Actor.HUMAN in self.actors
 
     def trajectory(self, demonstrator: str, view: str, policy: str | None = None) -> Trajectory:
         """The episode as a demonstration.

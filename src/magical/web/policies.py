@@ -76,9 +76,6 @@ class Policies:
                 importlib.import_module("magical.learning.policy")
         self.refresh()
 
-    def __len__(self) -> int:
-        return len(self._entries)
-
     def refresh(self) -> Sequence[PolicyEntry]:
         """All policies, with runs that were added meanwhile; numbers stay what they are."""
         with self._lock:
@@ -92,8 +89,9 @@ class Policies:
 
     def find(self, number: int) -> PolicyEntry:
         """The policy of a number; raises `NotFoundError`."""
-        if not 0 <= number < len(self._entries):
-            raise NotFoundError(f"policy: expected one of {len(self)}, found number {number}")
+        count = len(self._entries)
+        if not 0 <= number < count:
+            raise NotFoundError(f"policy: expected one of {count}, found number {number}")
         return self._entries[number]
 
     def load(self, number: int) -> Policy:

@@ -196,7 +196,7 @@ class Session:
     @property
     def can_keep(self) -> bool:
         """Whether the episode, once it has ended, can be kept: a person has acted in it."""
-        return self.recording and self.episode.is_demonstrated
+        return self.recording and Actor.HUMAN in self.episode.actors
 
     def _require_decision(self) -> None:
         if self.phase is Phase.SAVING or (self.phase is Phase.ENDED and self.can_keep):
@@ -287,7 +287,7 @@ class Session:
     def status(self) -> dict[str, Any]:
         """The session's state as plain JSON data."""
         episode, env = self.episode, self.episode.env
-        driver, proposal = self._driver, self._proposal
+        driver, proposal, last = self._driver, self._proposal, episode.last_action
         return {
             "type": "status",
             "number": self.changes,
@@ -301,7 +301,7 @@ class Session:
             "horizon": env.horizon,
             "seconds_left": (env.horizon - episode.steps) * STEP_TIME,
             "score": env.scores().score,
-            "executed": episode.executed,
+            "executed": None if last is None else controls_of(last),
             "recording": self.recording,
             "can_keep": self.can_keep,
             "kept": self.kept,
