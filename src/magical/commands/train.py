@@ -1,4 +1,4 @@
-"""Train a policy; one sub-command per algorithm.
+"""Train a policy by one of the algorithms, each of which has options of its own.
 
 A run is kept in a folder: configuration, versions, demonstrations, metrics, two checkpoints.
 """
@@ -26,19 +26,22 @@ HELP = "train a policy"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
-    """Add a sub-command per algorithm, importing none of them: that would import PyTorch."""
+    """Describe the command's arguments, importing no algorithm: that would import PyTorch."""
     from magical.learning import algorithm_names
 
-    algorithms = parser.add_subparsers(
-        title="algorithms",
+    parser.add_argument(
+        "algorithm",
         metavar="ALGORITHM",
-        dest="algorithm",
-        required=True,
-        parser_class=_AlgorithmParser,
+        help=f"one of {', '.join(algorithm_names())}; or module:NAME",
     )
-    for name in algorithm_names():
-        algorithms.add_parser(name, help=f"magical train {name} --help", algorithm=name)
-    algorithms.choices = algorithms._name_parser_map = _Parsers(algorithms)
+    parser.add_argument(
+        "options",
+        nargs=argparse.REMAINDER,
+        action=_ParseOptions,
+        default=argparse.SUPPRESS,
+        metavar="...",
+        help="its options: magical train ALGORITHM --help",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -76,35 +79,23 @@ def run(args: argparse.Namespace) -> int:
     return INTERRUPTED if result.interrupted else 0
 
 
-class _Parsers(dict[str, "_AlgorithmParser"]):
-    """The algorithms' parsers by name; one is made for any `module:NAME`."""
+class _ParseOptions(argparse.Action):
+    """Parses what follows the algorithm's name by the options of its configuration."""
 
-    def __init__(self, algorithms: "argparse._SubParsersAction[_AlgorithmParser]") -> None:
-        super().__init__(algorithms._name_parser_map)
-        self._algorithms = algorithms
-
-    def __contains__(self, name: object) -> bool:
-        return super().__contains__(name) or ":" in str(name)
-
-    def __missing__(self, name: str) -> "_AlgorithmParser":
-        prog = f"{self._algorithms._prog_prefix} {name}"
-        return self.setdefault(name, _AlgorithmParser(prog=prog, algorithm=name))
-
-
-class _AlgorithmParser(argparse.ArgumentParser):
-    """Adds the options of the algorithm's configuration when it is first used."""
-
-    def __init__(self, *args: Any, algorithm: str, **kwargs: Any) -> None:
-        kwargs["argument_default"] = argparse.SUPPRESS  # the preset's value is used
-        super().__init__(*args, **kwargs)
-        self._algorithm: str | None = algorithm
-
-    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """As in `ArgumentParser`."""
-        if self._algorithm is not None:
-            _add_options(self, self._algorithm)
-            self._algorithm = None
-        return super().parse_known_args(args, namespace)
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: Any,
+        option_string: str | None = None,
+    ) -> None:
+        """See `argparse.Action`."""
+        options = argparse.ArgumentParser(
+            prog=f"{parser.prog} {namespace.algorithm}",
+            argument_default=argparse.SUPPRESS,  # the preset's value is used
+        )
+        _add_options(options, namespace.algorithm)
+        options.parse_args(values, namespace)
 
 
 def _add_options(parser: argparse.ArgumentParser, algorithm: str) -> None:
