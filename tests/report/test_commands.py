@@ -1,13 +1,11 @@
 """`magical report`, `leaderboard` and `gallery`: what is checked before the work, and failures."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from magical import cli, extras
-
-WriteEntry = Callable[..., Path]
+from tests.report.conftest import WriteEntry
 
 
 def test_clips_of_nothing_are_an_error(

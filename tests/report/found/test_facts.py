@@ -1,12 +1,11 @@
 """How every run was made."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 from magical.report.found.facts import Fact, describe_methods
 from magical.report.found.search import find_results
+from tests.report.conftest import WriteEntry
 
-WriteEntry = Callable[..., Path]
 LINE = {"MakeLine-Demo": [1.0]}
 
 

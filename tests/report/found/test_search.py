@@ -1,6 +1,5 @@
 """Evaluated runs in folders, and what is missing among them."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -11,9 +10,8 @@ from magical.evaluation.collection import write_collection
 from magical.report.found.missing import find_missing
 from magical.report.found.search import find_results, search_results
 from magical.report.pages.evaluated import write_page
-from tests.report.conftest import write_json
+from tests.report.conftest import WriteEntry, write_json
 
-WriteEntry = Callable[..., Path]
 LINE = {"MakeLine-Demo": [1.0, 0.0]}
 
 

@@ -2,7 +2,6 @@
 
 import re
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,11 +12,10 @@ from magical.evaluation import read_entry
 from magical.evaluation.protocol import ROLLOUTS
 from magical.report.leaderboard import make_leaderboard
 from magical.tasks import get_task
+from tests.report.conftest import WriteEntry
 
 pytest.importorskip("jinja2", reason="the report extra is not installed")
 pytest.importorskip("matplotlib", reason="the report extra is not installed")
-
-WriteEntry = Callable[..., Path]
 
 
 @pytest.fixture

@@ -1,7 +1,6 @@
 """Two methods held against each other."""
 
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,8 +10,7 @@ from magical import cli
 from magical.errors import UnknownNameError
 from magical.report.found.search import Result, find_results
 from magical.report.pages.comparison import compare
-
-WriteEntry = Callable[..., Path]
+from tests.report.conftest import WriteEntry
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 import csv
 import shutil
 import subprocess
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -12,8 +11,8 @@ from magical import cli
 from magical.evaluation import published_score
 from magical.report.pages.export import escape_latex, format_of, latex, markdown
 from magical.report.scores.tables import TextTable
+from tests.report.conftest import WriteEntry
 
-WriteEntry = Callable[..., Path]
 BC = "BC (ST)"
 
 
