@@ -82,7 +82,7 @@ def test_the_report_of_a_folder_says_everything(
         rows = [json.dumps({"step": step, "loss": 1 / (step + 1)}) for step in range(20)]
         rows += ['{"step": 21, "loss": null}']
         (folder / "metrics.jsonl").write_text("\n".join(rows) + "\n")
-    write_entry("runs/b", "$b_1", scores, details={"policy": "noop"})
+    write_entry("runs/b", "$b_1日本", scores, details={"policy": "noop"})
     (write_entry("runs/bad", "bad", scores) / "scores.csv").write_text("bad")
     (tmp_path / "runs" / "a1" / "metrics.jsonl").write_text("bad\n")
     page = tmp_path / "page.html"
@@ -111,7 +111,7 @@ def test_the_report_of_a_folder_says_everything(
         "Probability of improvement",
         'aria-label="Performance profiles of all methods"',
         'aria-label="Learning curves: loss on MoveToRegion"',
-        "$b_1 on MoveToRegion",
+        "$b_1日本 on MoveToRegion",
         "&lt;a&gt; on MoveToRegion: ",  # its run folder has no checkpoint
         "versions: torch 9.9",
     ):

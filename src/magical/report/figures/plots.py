@@ -3,6 +3,7 @@
 import html
 import io
 import re
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -34,7 +35,9 @@ def plotting() -> Iterator[None]:
     """The settings that figures are made and written with."""
     import matplotlib as mpl
 
-    with mpl.rc_context(STYLE):
+    with mpl.rc_context(STYLE), warnings.catch_warnings():
+        # Text stays text, so it is shown in the reader's fonts, not in matplotlib's.
+        warnings.filterwarnings("ignore", "Glyph ", UserWarning)
         yield
 
 
