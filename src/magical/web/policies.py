@@ -30,7 +30,6 @@ from magical.web.library.sources import unique_names, version_of
 EXPERT = 0  # the number of the scripted expert
 EXPERT_NAME = "expert"  # also the demonstrator of its episodes
 MAX_DEPTH = 3  # folders below a given one in which runs are looked for
-MAX_RUNS = 500  # that are listed
 MAX_LOADED = 4  # policies that are kept in memory
 
 
@@ -82,7 +81,7 @@ class Policies:
             known = {entry.folder for entry in self._entries}
             for name, root in self._folders.items():
                 for folder in find_runs(root):
-                    if folder not in known and len(self._entries) <= MAX_RUNS:
+                    if folder not in known:
                         self._entries.append(_entry(name, root, folder))
                         known.add(folder)
             return tuple(self._entries)
