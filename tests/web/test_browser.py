@@ -78,6 +78,15 @@ def test_a_lost_connection_is_resumed_where_it_was(tab: Tab) -> None:
     tab.wait_for("latest.phase === 'playing' && latest.steps > 3")
 
 
+def test_a_frame_that_cannot_be_decoded_is_left_out(tab: Tab) -> None:
+    tab.evaluate(
+        "globalThis.decode = createImageBitmap; globalThis.createImageBitmap = async () =>"
+        " { globalThis.createImageBitmap = decode; throw new Error('no memory'); }"
+    )
+    tab.tap("ArrowUp")
+    tab.wait_for("latest.steps > 8")
+
+
 def test_everything_on_the_page_to_play_on_has_a_name_and_a_visible_focus(tab: Tab) -> None:
     seen = names_and_focus(tab, "play", 24)
     expected = {"to-play", "to-look", "restart", "task", "variant", "seed", "who", "view", "name"}

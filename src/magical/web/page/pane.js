@@ -100,7 +100,7 @@ export class Pane {
 
   show(step) {
     this.step = Math.min(step, this.steps);
-    this.shown = this.shown.then(() => this.paint(this.step));
+    this.shown = this.shown.catch(() => {}).then(() => this.paint(this.step));
     moveChart(this.part(".chart"), this.step, this.length);
     this.showFacts();
     const executed = this.details.actions[this.step] ?? null;

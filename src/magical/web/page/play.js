@@ -18,7 +18,7 @@ export let socket = null;
 export let latest = null; // the newest status from the server
 let lostSince = null;
 let wait = 0.25;
-let decoding = Promise.resolve();
+let decoding = Promise.resolve(); // of the frames so far; one that fails leaves the others alone
 
 // The connection
 
@@ -77,7 +77,7 @@ export function say(text, state) {
 // Frames and status
 
 function showFrame(blob, shown) {
-  decoding = decoding.then(async () => {
+  decoding = decoding.catch(() => {}).then(async () => {
     const image = await createImageBitmap(blob);
     const canvas = element("frame");
     if (canvas.width !== image.width) {
