@@ -88,9 +88,29 @@ def test_a_loader_that_is_not_installed_is_named_with_the_command() -> None:
 
 def test_two_distributions_with_one_name(path: Path) -> None:
     install(path, "one", "same = a:A")
-    install(path, "two", "same = b:B")
-    with pytest.raises(PluginError, match=r"two distributions offer 'same': [ab]:[AB] and [ab]:"):
-        THINGS.names()
+    install(path, "two", "same = b:B", "mine = magical.tasks.make_line:TASK")
+    with pytest.raises(PluginError, match="two distributions offer 'same': a:A and b:B; uninstall"):
+        THINGS.get("same")
+    assert THINGS.get("mine").name == "MakeLine"
+
+
+def test_two_tasks_of_one_name_do_not_keep_the_package_from_being_imported(path: Path) -> None:
+    install(path, "one", "Same = a:A", group="magical.tasks")
+    install(path, "two", "Same = b:B", group="magical.tasks")
+    program = (
+        "import gymnasium, magical\n"
+        "print('magical/MakeLine-Demo-v0' in gymnasium.registry)\n"
+        "gymnasium.make('magical/Same-Demo-v0')\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, sys.path))},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.stdout == "True\n"
+    assert "magical.tasks: two distributions offer 'Same': a:A and b:B" in done.stderr
 
 
 def test_an_unknown_name_lists_the_known_ones(path: Path) -> None:

@@ -90,23 +90,12 @@ def _files(package: str) -> Mapping[str, str]:
 
 @cache
 def plugins(group: str) -> "Mapping[str, EntryPoint]":
-    """What other distributions offer in a group of entry points, by name; none is imported.
-
-    Raises:
-        PluginError: two distributions offer the same name.
-    """
+    """What other distributions offer in a group of entry points, by name; none is imported."""
     if not _any_offered():
         return MappingProxyType({})
     from importlib.metadata import entry_points  # tens of milliseconds, seldom needed
 
-    found: dict[str, EntryPoint] = {}
-    for entry in entry_points(group=group):
-        if found.setdefault(entry.name, entry).value != entry.value:
-            raise PluginError(
-                f"{group}: two distributions offer {entry.name!r}: {found[entry.name].value} and "
-                f"{entry.value}; uninstall one"
-            )
-    return MappingProxyType(found)
+    return MappingProxyType({entry.name: entry for entry in entry_points(group=group)})
 
 
 def _any_offered() -> bool:
@@ -124,11 +113,18 @@ def load_plugin(group: str, name: str) -> Any:
     """Import what an entry point or `module:NAME` stands for.
 
     Raises:
-        PluginError: it cannot be imported.
+        PluginError: it cannot be imported, or two distributions offer something of this name.
     """
     if ":" in name:
         return load_reference(name)
+    from importlib.metadata import entry_points
+
     entry = plugins(group)[name]
+    offered = sorted({each.value for each in entry_points(group=group, name=name)})
+    if len(offered) > 1:
+        raise PluginError(
+            f"{group}: two distributions offer {name!r}: {' and '.join(offered)}; uninstall one"
+        )
     try:
         return entry.load()
     except (ImportError, AttributeError) as error:

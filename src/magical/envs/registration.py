@@ -1,7 +1,6 @@
 """Registration with Gymnasium; it imports no environment."""
 
 import warnings
-from contextlib import suppress
 from itertools import product
 from typing import Any
 
@@ -9,7 +8,6 @@ import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec
 
 from magical.envs.ids import NAMESPACE, EnvId
-from magical.errors import PluginError
 from magical.observe.presets import PRESETS
 from magical.plugins import plugins
 from magical.tasks import TASKS, possible_variants
@@ -40,9 +38,8 @@ def register_all() -> None:
 
     Tasks of the appendix are registered by the ids of the published package as well.
     """
-    with suppress(PluginError):  # two offer the same task: raised where one is asked for
-        for task in (*TASKS, *map(task_name, SUITE)):
-            register_envs(task)
+    for task in (*TASKS, *map(task_name, SUITE)):
+        register_envs(task)
     published = [name for name in TASKS if name not in plugins(GROUP) and TASKS[name].section]
     for name, preset in product(published, (None, *PRESETS)):
         for variant in TASKS[name].variants:
