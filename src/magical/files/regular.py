@@ -1,7 +1,6 @@
 """Opening regular files only: a device or FIFO under a file's name would block or never end."""
 
 import errno
-import hashlib
 import os
 import stat
 from pathlib import Path
@@ -15,7 +14,6 @@ _FLAGS = {
 }
 # None of these exists on every platform; O_NONBLOCK keeps the opening of a FIFO from waiting.
 _SAFE = sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))
-_CHUNK = 1 << 18  # bytes
 _NO_LINKS = getattr(os, "O_NOFOLLOW", 0)
 
 
@@ -59,14 +57,6 @@ def read_regular(path: Path, max_bytes: int) -> bytes:
         if size > max_bytes:
             raise OSError(errno.EFBIG, f"more than {max_bytes} bytes", str(path))
         return file.read(size)  # allocates what is asked for at once, whatever there is
-
-
-def sha256_sum(file: IO[bytes]) -> str:
-    """The SHA-256 sum of the rest of a file."""
-    digest = hashlib.sha256()
-    while chunk := file.read(_CHUNK):
-        digest.update(chunk)
-    return digest.hexdigest()
 
 
 def _check_regular(status: os.stat_result, path: Path) -> None:
