@@ -27,7 +27,7 @@ def available_cores() -> int:
 
 
 def map_in_processes(
-    work: Callable[[Item], Result], items: Iterable[Item], workers: int | None = None
+    work: Callable[[Item], Result], items: Iterable[Item], workers: int
 ) -> Generator[Result, None, None]:
     """Yield `work(item)` for each item, in the items' order, computed in child processes.
 
@@ -39,8 +39,7 @@ def map_in_processes(
     Args:
         work: a function that pickle can name, such as one at the top of a module, or a partial.
         items: what can be pickled.
-        workers: the number of processes; with 1 everything is done in this process. Default: one
-            for each available core.
+        workers: the number of processes; with 1 or less everything is done in this process.
 
     Raises:
         WorkerDiedError: a process ended by itself or was killed.
@@ -53,7 +52,7 @@ def map_in_processes(
 
 
 def outcomes_in_processes(
-    work: Callable[[Item], Result], items: Iterable[Item], workers: int | None = None
+    work: Callable[[Item], Result], items: Iterable[Item], workers: int
 ) -> Generator[Result | Exception, None, None]:
     """As `map_in_processes`, but an exception is yielded as the item's result."""
     with closing(_futures(work, items, workers)) as futures:
@@ -63,10 +62,9 @@ def outcomes_in_processes(
 
 
 def _futures(
-    work: Callable[[Item], Result], items: Iterable[Item], workers: int | None
+    work: Callable[[Item], Result], items: Iterable[Item], workers: int
 ) -> Generator["Future[Result]", None, None]:
-    count = available_cores() if workers is None else workers
-    return _map_here(work, items) if count <= 1 else _map_in_pool(work, items, count)
+    return _map_here(work, items) if workers <= 1 else _map_in_pool(work, items, workers)
 
 
 def _map_here(
