@@ -168,9 +168,8 @@ class SharedMemory:
 
     def release_handle(self) -> None:
         """Close the handle, which workers need only to start; the mapping stays."""
-        if isinstance(self.handle, int) and self.handle >= 0:
+        if isinstance(self.handle, int):
             os.close(self.handle)
-            self.handle = -1
 
 
 def open_memory(handle: int | str, size: int) -> mmap.mmap:

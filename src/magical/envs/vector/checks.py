@@ -2,7 +2,6 @@
 
 import operator
 import os
-import threading
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
@@ -12,6 +11,8 @@ from numpy.typing import NDArray
 
 from magical.errors import ResetNeededError
 from magical.messages import quoted
+
+MAX_TIMEOUT = 1e6  # s, that can be waited for in one call of the system
 
 
 def checked_mask(name: str, mask: Any, num_envs: int) -> NDArray[np.bool_]:
@@ -53,8 +54,10 @@ def check_timeout(timeout: float | None, workers: int) -> None:
     if timeout is None:
         return
     number = isinstance(timeout, int | float) and not isinstance(timeout, bool)
-    if not number or not 0 < timeout <= threading.TIMEOUT_MAX:
-        raise ValueError(f"timeout: expected positive seconds or None, found {quoted(timeout)}")
+    if not number or not 0 < timeout <= MAX_TIMEOUT:
+        raise ValueError(
+            f"timeout: expected seconds up to {MAX_TIMEOUT:g}, or None, found {quoted(timeout)}"
+        )
     if not workers or os.name == "nt":
         raise ValueError(
             f"timeout: expected None without workers and on Windows, found {quoted(timeout)}"

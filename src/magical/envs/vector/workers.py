@@ -159,15 +159,11 @@ class _Worker(Child):
         """
         poll = select.poll()
         poll.register(self.replies, select.POLLIN)
-        while not (ready := poll.poll(1000 * min(1.0, max(0.0, deadline - time.monotonic())))):
-            if time.monotonic() >= deadline:
-                break
-        return bool(ready)
+        return bool(poll.poll(1000 * max(0.0, deadline - time.monotonic())))
 
 
 def split(count: int, workers: int) -> Iterator[range]:
-    """Rows of `count` sub-environments for each of at most `workers` workers, divided evenly."""
-    workers = min(workers, count)
+    """Rows of `count` sub-environments for each of the workers, divided evenly."""
     for i in range(workers):
         yield range(count * i // workers, count * (i + 1) // workers)
 
