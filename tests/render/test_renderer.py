@@ -89,10 +89,10 @@ def test_importing_compiles_nothing() -> None:
 
 
 def test_both_views_side_by_side(case: Case) -> None:
-    both = render_views(*case, size=40)
-    assert both.shape == (40, 80, 3)
-    np.testing.assert_array_equal(both[:, :40], render_frame(*case, View.EGO, 40))
-    np.testing.assert_array_equal(both[:, 40:], render_frame(*case, View.ALLO, 40))
+    both = render_views(*case)
+    assert both.shape == (384, 768, 3)
+    np.testing.assert_array_equal(both[:, :384], render_frame(*case, View.EGO, 384))
+    np.testing.assert_array_equal(both[:, 384:], render_frame(*case, View.ALLO, 384))
 
 
 def test_bodies_may_have_velocities_and_be_read_only(case: Case) -> None:

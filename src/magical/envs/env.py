@@ -1,7 +1,7 @@
 """The Gymnasium environment."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal, NoReturn
+from typing import Any, ClassVar, Literal, NoReturn, get_args
 
 import gymnasium as gym
 import numpy as np
@@ -9,7 +9,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from magical.envs.action_spec import ActionSpaceName, action_spec
-from magical.envs.episode import Episode, Scores
+from magical.envs.episode import Episode, Reward, Scores
 from magical.envs.ids import EnvId
 from magical.envs.keys import KEYS_TO_ACTION
 from magical.envs.saved_state import parse_state
@@ -19,11 +19,10 @@ from magical.messages import quoted
 from magical.observe import Observation, make_spec
 from magical.observe.arrays import copy_arrays
 from magical.scene.actions import ACTION_NAMES
-from magical.scene.constants import CONTROL_RATE, RAW_FRAME_SIZE
+from magical.scene.constants import CONTROL_RATE
 from magical.scene.poses import State
 from magical.tasks import Horizon, Task, get_task
 
-Reward = Literal["none", "score", "dense"]
 SCORE_KEYS = ("eval_score", "published_code_score")  # of `info`
 Instruction = Literal["attributes", "task"]
 
@@ -187,9 +186,7 @@ class MagicalEnv(gym.Env[Any, Any]):
         from magical.render import render_views  # imports numba: only when something is rendered
 
         self._require_episode("render")
-        return render_views(
-            self._episode.simulation.scene, self._episode.poses, size=RAW_FRAME_SIZE
-        )
+        return render_views(self._episode.simulation.scene, self._episode.poses)
 
     def _show(self) -> None:
         if self._window is not None:
@@ -262,7 +259,7 @@ def score_info(scores: Scores) -> dict[str, Any]:
 
 def names_attributes(instruction: str) -> bool:
     """Whether instructions name blocks by their attributes; raises `UnknownNameError`."""
-    if instruction not in ("attributes", "task"):
+    if instruction not in get_args(Instruction):
         raise UnknownNameError(
             f"instruction {quoted(instruction)} is unknown; expected attributes or task"
         )

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from magical.tasks import TASKS, Horizon, Task, parse_horizon
 from magical.tasks.programs import is_success, progress
 
 RESET_OPTIONS = ("scene", "dynamics", "nudge")
-REWARDS = ("none", "score", "dense")
+Reward = Literal["none", "score", "dense"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class Episode:
         variant: str,
         spec: ObservationSpec,
         horizon: Horizon = None,
-        reward: str = "none",
+        reward: Reward = "none",
         out: Any = None,
     ) -> None:
         check_reward(task, reward)
@@ -187,8 +187,10 @@ class Episode:
 
 def check_reward(task: Task, reward: str) -> None:
     """Raise `UnknownNameError` for a reward that the task does not have."""
-    if reward not in REWARDS:
-        raise UnknownNameError(f"reward {quoted(reward)} is unknown; expected one of {REWARDS}")
+    if reward not in get_args(Reward):
+        raise UnknownNameError(
+            f"reward {quoted(reward)} is unknown; expected one of {get_args(Reward)}"
+        )
     if reward == "dense" and task.program is None:
         having = [name for name, other in TASKS.items() if other.program is not None]
         raise UnknownNameError(

@@ -162,12 +162,10 @@ def render_frame(
     return out
 
 
-def render_views(
-    scene: Scene, poses: Poses, size: int = FRAME_SIZE, samples: int | None = None
-) -> Image:
-    """The egocentric and the allocentric frame side by side, (size, 2 * size, 3) uint8."""
+def render_views(scene: Scene, poses: Poses) -> Image:
+    """The raw egocentric and allocentric frames side by side, (384, 768, 3) uint8."""
     views = (View.EGO, View.ALLO)
-    return np.concatenate([render_frame(scene, poses, v, size, samples) for v in views], axis=1)
+    return np.concatenate([render_frame(scene, poses, v, RAW_FRAME_SIZE) for v in views], axis=1)
 
 
 def warm_up(samples: int = max(SAMPLES)) -> None:

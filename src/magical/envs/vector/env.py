@@ -13,7 +13,8 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from magical.envs.action_spec import ActionSpaceName, action_spec
-from magical.envs.env import Instruction, MagicalEnv, Reward, names_attributes, not_picklable
+from magical.envs.env import Instruction, MagicalEnv, names_attributes, not_picklable
+from magical.envs.episode import Reward
 from magical.envs.ids import EnvId, parse_env_id
 from magical.envs.saved_state import parse_state
 from magical.envs.vector.buffers import Copies, SharedMemory, VectorBuffers
@@ -33,7 +34,6 @@ from magical.messages import quoted
 from magical.observe import Observation
 from magical.observe.arrays import copy_arrays, select
 from magical.processes import available_cores
-from magical.scene.constants import RAW_FRAME_SIZE
 from magical.scene.poses import Poses, State
 from magical.scene.scene import Scene
 from magical.tasks import Horizon
@@ -280,8 +280,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             return None
         from magical.render import render_views  # imports numba: only when something is rendered
 
-        states = self.states()
-        return tuple(render_views(s.scene, s.poses, size=RAW_FRAME_SIZE) for s in states)
+        return tuple(render_views(state.scene, state.poses) for state in self.states())
 
     def __reduce__(self) -> NoReturn:
         raise not_picklable("MagicalVectorEnv", "MagicalVectorEnv(env_ids, ...)")

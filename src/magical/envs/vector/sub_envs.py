@@ -9,8 +9,7 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
 
 from magical.envs.action_spec import ActionSpec
-from magical.envs.env import Reward
-from magical.envs.episode import Episode, check_reward
+from magical.envs.episode import Episode, Reward, check_reward
 from magical.envs.ids import EnvId
 from magical.envs.saved_state import SavedState
 from magical.envs.vector.buffers import BufferLayout, VectorBuffers
@@ -177,7 +176,7 @@ class _SubEnv:
             spec.reward,
             self._observation,
         )
-        self.rng: np.random.Generator
+        self.rng, _ = seeding.np_random()
         self.ended = False  # the next step starts another episode
         self._row = row
         self._buffers = buffers
@@ -200,7 +199,7 @@ class _SubEnv:
         self, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[int, Scene]:
         """Start an episode as `MagicalEnv.reset` does."""
-        if seed is not None or not hasattr(self, "rng"):
+        if seed is not None:
             self.rng, _ = seeding.np_random(seed)
         self.ended = True  # should the start fail
         self.episode.start(self.rng, options)
@@ -209,8 +208,6 @@ class _SubEnv:
     def restore(self, state: SavedState) -> tuple[int, Scene]:
         """Continue as `MagicalEnv.set_state` does."""
         self.episode.restore(state)
-        if not hasattr(self, "rng"):
-            self.rng, _ = seeding.np_random()
         state.restore_rng(self.rng)
         return self._started()
 
