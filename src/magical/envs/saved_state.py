@@ -42,7 +42,7 @@ class _Generator:
 
 
 class _Point(Struct, array_like=True, frozen=True, forbid_unknown_fields=True):
-    """A continuous action, as a list of its parts."""
+    """A continuous action, as a list of its parts (msgspec 0.22 crashes on `int | tuple`)."""
 
     drive: _Part
     turn: _Part

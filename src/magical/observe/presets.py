@@ -35,7 +35,7 @@ PRESETS: Mapping[str, PixelSpec] = {
 RAW = PixelSpec(tuple((view, 1) for view in _BOTH), size=RAW_FRAME_SIZE, separate=True)
 
 # Other distributions' observations: an `ObservationSpec`, or a function from the task to one. Its
-# `to_dict` returns the name of the entry point, or `module:NAME`, for worker processes.
+# `to_dict` returns the name of the entry point, or `module:NAME`, for records of evaluations.
 GROUP = "magical.observations"
 
 # Every other named observation of ours, a function of the task.
