@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from magical.errors import RenderError, UnknownNameError
 from magical.render import Renderer, default_samples, render_frame, render_views
+from magical.render.frame import compiled_render
 from magical.scene import Colour, Pose, Poses, Region, Scene, View
 from tests.render.cases import Case, random_case
 
@@ -51,6 +52,13 @@ def test_default_samples(case: Case) -> None:
         4, 4, 4, 4, 2, 2, 1, 1,
     ]  # fmt: skip
     np.testing.assert_array_equal(render_frame(*case, "ego"), render_frame(*case, "ego", 96, 4))
+
+
+@pytest.mark.parametrize("samples", [2.0, np.int64(2)])
+def test_samples_of_another_type(samples: Any, case: Case) -> None:
+    expected = render_frame(*case, "ego", 8, 2)
+    compiled_render.cache_clear()  # which finds kernels by a number of any type
+    np.testing.assert_array_equal(render_frame(*case, "ego", 8, samples), expected)
 
 
 def test_frames_depend_on_the_poses_alone_in_threads_too() -> None:

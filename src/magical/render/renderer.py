@@ -30,7 +30,7 @@ def default_samples(size: int) -> int:
 def checked_samples(size: int, samples: int | None) -> int:
     """The samples across a pixel, `default_samples` for None; raises `RenderError`."""
     if isinstance(size, int) and 0 < size <= MAX_FRAME_SIZE and samples in (None, *SAMPLES):
-        return default_samples(size) if samples is None else samples
+        return default_samples(size) if samples is None else int(samples)  # a float fits no kernel
     raise RenderError(
         f"expected a size from 1 to {MAX_FRAME_SIZE} and samples among {SAMPLES}, "
         f"found {quoted(size)} and {quoted(samples)}"
