@@ -186,11 +186,9 @@ class ViewComponent:
 
     def read(self, source: EpisodeSource, times: NDArray[np.intp]) -> Pixels:
         """See `Component`: (B, 3, size, size) uint8."""
-        rendered = source.frames(self.view, self.size, self.samples)
-        images = np.empty((len(times), self.size, self.size, CHANNELS), np.uint8)
-        for time, image in zip(times.tolist(), images, strict=True):
-            rendered.render(time, image)
-        return np.ascontiguousarray(images.transpose(0, 3, 1, 2))
+        single = PixelSpec(((self.view, 1),), self.size, self.samples, channels_first=True)
+        images: Pixels = single.read(source, times)
+        return images
 
 
 class PixelObserver:
