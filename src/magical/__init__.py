@@ -7,7 +7,6 @@ Importing registers the environments with Gymnasium and does nothing else:
 """
 
 import warnings
-from functools import cache
 from typing import NoReturn
 
 from magical.envs import all_env_ids, parse_env_id, register_all
@@ -24,9 +23,8 @@ def register_task(task: Task) -> None:
     _register_envs(task.name)
 
 
-@cache
 def register_envs() -> None:
-    """Do nothing: importing the package registers its environments. Says so once."""
+    """Do nothing: importing the package registers its environments."""
     warnings.warn(
         "magical.register_envs() does nothing: importing magical registers the environments",
         DeprecationWarning,
