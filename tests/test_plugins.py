@@ -159,6 +159,22 @@ def test_a_file_finds_its_neighbours(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert THINGS.get(f"{file}:T").name == "MakeLine"
 
 
+def test_a_file_that_was_corrected_can_be_named_in_other_processes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.path", [*sys.path])
+    file = tmp_path / "corrected_plugin.py"
+    file.write_text("raise ZeroDivisionError\n")
+    with pytest.raises(ZeroDivisionError):
+        plugins.load_reference(f"{file}:act")
+    for written, result in enumerate(("1", "22")):
+        file.write_text(f"def act(): return {result}\n")
+        os.utime(file, (written, written))
+        act = plugins.load_reference(f"{file}:act")
+        assert sys.modules["corrected_plugin"].act is act
+        assert act() == int(result)
+
+
 PLAN = """
 tasks = ["EmptyRegion"]
 demos = "expert"

@@ -181,10 +181,21 @@ def _import_file(path: Path) -> ModuleType:
         return known[1]
     _search_last(path.resolve().parent)
     module = importlib.util.module_from_spec(spec)
+    if known:  # by its name, pickle finds what is in the file now
+        _forget(path.stem, known[1])
     sys.modules.setdefault(path.stem, module)
-    spec.loader.exec_module(module)
+    try:
+        spec.loader.exec_module(module)
+    except BaseException:
+        _forget(path.stem, module)
+        raise
     _imported_files[path.resolve()] = written, module
     return module
+
+
+def _forget(name: str, module: ModuleType) -> None:
+    if sys.modules.get(name) is module:
+        del sys.modules[name]
 
 
 def _search_last(folder: Path) -> None:
