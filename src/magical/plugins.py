@@ -16,11 +16,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.machinery import PathFinder
+from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from magical.errors import PluginError, UnknownNameError
+from magical.grouping import group_by
 from magical.messages import quoted
 
 if TYPE_CHECKING:
@@ -89,13 +91,13 @@ def _files(package: str) -> Mapping[str, str]:
 
 
 @cache
-def plugins(group: str) -> "Mapping[str, EntryPoint]":
+def plugins(group: str) -> "Mapping[str, list[EntryPoint]]":
     """What other distributions offer in a group of entry points, by name; none is imported."""
     if not _any_offered():
         return MappingProxyType({})
     from importlib.metadata import entry_points  # tens of milliseconds, seldom needed
 
-    return MappingProxyType({entry.name: entry for entry in entry_points(group=group)})
+    return MappingProxyType(group_by(entry_points(group=group), attrgetter("name")))
 
 
 def _any_offered() -> bool:
@@ -117,13 +119,11 @@ def load_plugin(group: str, name: str) -> Any:
     """
     if ":" in name:
         return load_reference(name)
-    from importlib.metadata import entry_points
-
-    entry = plugins(group)[name]
-    offered = sorted({each.value for each in entry_points(group=group, name=name)})
-    if len(offered) > 1:
+    entry, *others = plugins(group)[name]
+    values = sorted({each.value for each in (entry, *others)})
+    if len(values) > 1:
         raise PluginError(
-            f"{group}: two distributions offer {name!r}: {' and '.join(offered)}; uninstall one"
+            f"{group}: two distributions offer {name!r}: {' and '.join(values)}; uninstall one"
         )
     try:
         return entry.load()
