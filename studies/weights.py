@@ -13,7 +13,6 @@ a run's rollouts again.
 """
 
 import argparse
-import hashlib
 import sys
 import tempfile
 import zipfile
@@ -23,7 +22,7 @@ from pathlib import Path
 from magical.errors import MagicalError, ResultsError
 from magical.evaluation import Entry, read_entry
 from magical.experiments.results import DONE, read_state
-from magical.files import open_regular, write_atomically
+from magical.files import open_regular, sha256_sum, write_atomically
 from magical.learning.running.checkpoints import load_newest_checkpoint, save_checkpoint
 from magical.runs.folder import CHECKPOINT, CONFIG, RECORD, read_json, write_json
 from magical.runs.plan import RUNS
@@ -120,7 +119,7 @@ def _files(folder: Path, entry: Entry) -> Iterator[tuple[str, bytes]]:
 
 def _digest(path: Path) -> str:
     with open_regular(path, follow_links=True) as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+        return sha256_sum(file)
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -10,7 +10,6 @@ its scores. This runs the entry's code: only where that can do no harm. With --d
 """
 
 import argparse
-import hashlib
 import json
 import os
 import subprocess
@@ -21,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from magical.errors import MagicalError
-from magical.files import open_regular, write_atomically
+from magical.files import open_regular, sha256_sum, write_atomically
 from magical.report.found.search import Found, search_results
 from magical.report.leaderboard.checks import check_entries
 from magical.untrusted import read_json
@@ -89,7 +88,7 @@ def _files(folder: Path) -> Iterator[str]:
 
 def _digest(path: Path) -> str:
     with open_regular(path) as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+        return sha256_sum(file)
 
 
 def _protocol_faults(folder: Path, submission: Submission, others: Sequence[Path]) -> Iterator[str]:

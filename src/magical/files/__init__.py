@@ -15,7 +15,7 @@ from magical.files.atomic import (
 )
 from magical.files.lock import LockedError, is_locked, lock_now, locked
 from magical.files.owned import LOCK, OwnedFolder, is_out_of_space
-from magical.files.regular import open_regular, read_regular
+from magical.files.regular import open_regular, read_regular, sha256_sum
 
 __all__ = [
     "LOCK",
@@ -31,5 +31,6 @@ __all__ = [
     "open_regular",
     "read_regular",
     "remove_partial_files",
+    "sha256_sum",
     "write_atomically",
 ]

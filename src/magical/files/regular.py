@@ -1,6 +1,7 @@
 """Opening regular files only: a device or FIFO under a file's name would block or never end."""
 
 import errno
+import hashlib
 import os
 import stat
 from pathlib import Path
@@ -57,6 +58,11 @@ def read_regular(path: Path, max_bytes: int) -> bytes:
         if size > max_bytes:
             raise OSError(errno.EFBIG, f"more than {max_bytes} bytes", str(path))
         return file.read(size)  # allocates what is asked for at once, whatever there is
+
+
+def sha256_sum(file: IO[bytes]) -> str:
+    """The SHA-256 sum of the rest of a file."""
+    return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
 
 
 def _check_regular(status: os.stat_result, path: Path) -> None:

@@ -1,7 +1,6 @@
 """Published human demonstrations: gzipped pickles of 384 x 384 frames (milbench, 2020)."""
 
 import gzip
-import hashlib
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -19,7 +18,7 @@ from magical.demos.store.trajectory import Trajectory, checked_actions, checked_
 from magical.envs.action_spec import Actions
 from magical.envs.ids import EnvId
 from magical.errors import MagicalError, TrajectoryError, UnsafeFileError
-from magical.files import open_regular
+from magical.files import open_regular, sha256_sum
 from magical.messages import printable, quoted
 from magical.scene import View
 from magical.scene.constants import FRAME_SIZE, RAW_FRAME_SIZE
@@ -80,7 +79,7 @@ def read_demonstration(path: Path) -> PublishedDemonstration:
     """
     with naming_errors(path):
         with open_regular(path, follow_links=True) as file:
-            source = hashlib.file_digest(file, "sha256").hexdigest()
+            source = sha256_sum(file)
             file.seek(0)
             with gzip.open(file) as unpacked:
                 data = load(unpacked, pack)
@@ -169,7 +168,7 @@ def file_sum(path: Path, *, follow_links: bool = False) -> str:
     """The SHA-256 of a file; empty if there is none, or it cannot be read."""
     try:
         with open_regular(path, follow_links=follow_links) as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+            return sha256_sum(file)
     except OSError:
         return ""
 
