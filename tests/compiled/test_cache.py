@@ -32,8 +32,8 @@ POSIX = pytest.mark.skipif(sys.platform == "win32", reason="owners and modes are
 FLIPS = 400  # of one bit each, at random places of the file
 STORE = (
     "import numpy as np\n"
-    "from magical.render.output import compiled_store\n"
-    "store, image = compiled_store(), np.empty((2, 2, 3), np.uint8)\n"
+    "from magical.render.output import store\n"
+    "image = np.empty((2, 2, 3), np.uint8)\n"
     "store(np.arange(4, dtype=np.int32), image)\n"
     "assert image[:, :, 0].tolist() == [[2, 3], [0, 1]]\n"
     "import sys; print('numba.np.linalg' in sys.modules, end=' ')  # slow to import\n"

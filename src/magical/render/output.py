@@ -1,8 +1,6 @@
 """Writing a frame's pixels into arrays of any layout, and shifting frame stacks."""
 
 import sys
-from collections.abc import Callable
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,53 +12,44 @@ CHANNELS = 3
 Stack = NDArray[np.uint8]
 
 
-@cache
-def compiled_store() -> Callable[..., None]:
-    """The entry point that copies a canvas's pixels into an image."""
-
-    @entry_point
-    def store(pixels: NDArray[np.int32], out: NDArray[np.uint8]) -> None:
-        """Write pixels, lowest row first, into `out` (height, width, 3), highest row first."""
-        height, width = out.shape[0], out.shape[1]
-        for y in range(height):
-            first = (height - 1 - y) * width
-            for x in range(width):
-                colour = pixels[first + x]
-                out[y, x, 0] = colour
-                out[y, x, 1] = colour >> 8
-                out[y, x, 2] = colour >> 16
-
-    return store
+@entry_point
+def store(pixels: NDArray[np.int32], out: NDArray[np.uint8]) -> None:
+    """Write pixels, lowest row first, into `out` (height, width, 3), highest row first."""
+    height, width = out.shape[0], out.shape[1]
+    for y in range(height):
+        first = (height - 1 - y) * width
+        for x in range(width):
+            colour = pixels[first + x]
+            out[y, x, 0] = colour
+            out[y, x, 1] = colour >> 8
+            out[y, x, 2] = colour >> 16
 
 
-@cache
-def compiled_push() -> Callable[..., None]:
-    """The entry point that shifts a stack of four frames and adds the newest, in one pass."""
+@entry_point
+def push_four(pixels: NDArray[np.int32], stack: NDArray[np.uint32]) -> None:
+    """Drop the oldest of a stack's four frames, and add the newest, in one pass.
 
-    @entry_point
-    def push_four(pixels: NDArray[np.int32], stack: NDArray[np.uint32]) -> None:
-        """The stack as little-endian words, three a pixel: (height, 3 * width)."""
-        height, width = stack.shape[0], stack.shape[1] // 3
-        for y in range(height):
-            first = (height - 1 - y) * width
-            newest, new = pixels[first : first + width], stack[y]
-            for x in range(width):
-                a, b, c = new[3 * x], new[3 * x + 1], new[3 * x + 2]
-                new[3 * x] = a >> 24 | b << 8
-                new[3 * x + 1] = b >> 24 | c << 8
-                new[3 * x + 2] = c >> 24 | np.uint32(newest[x]) << 8
-
-    return push_four
+    The stack is given as little-endian words, three a pixel: (height, 3 * width).
+    """
+    height, width = stack.shape[0], stack.shape[1] // 3
+    for y in range(height):
+        first = (height - 1 - y) * width
+        newest, new = pixels[first : first + width], stack[y]
+        for x in range(width):
+            a, b, c = new[3 * x], new[3 * x + 1], new[3 * x + 2]
+            new[3 * x] = a >> 24 | b << 8
+            new[3 * x + 1] = b >> 24 | c << 8
+            new[3 * x + 2] = c >> 24 | np.uint32(newest[x]) << 8
 
 
 def push(pixels: NDArray[np.int32], stack: Stack) -> None:
     """Drop a stack's oldest frame, and add `pixels` as its newest."""
     words = _words(stack)
     if words is not None:
-        compiled_push()(pixels, words)
+        push_four(pixels, words)
     else:
         shift_stack(stack)
-        compiled_store()(pixels, stack[:, :, -CHANNELS:])
+        store(pixels, stack[:, :, -CHANNELS:])
 
 
 def _words(stack: Stack) -> NDArray[np.uint32] | None:

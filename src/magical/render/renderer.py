@@ -11,7 +11,7 @@ from magical.messages import quoted
 from magical.render.canvas import working_memory
 from magical.render.display import FURTHEST, display_list
 from magical.render.frame import ALLO, EGO, GROUND, compiled_render
-from magical.render.output import CHANNELS, compiled_store, push
+from magical.render.output import CHANNELS, push, store
 from magical.scene.constants import FRAME_SIZE, MAX_FRAME_SIZE, RAW_FRAME_SIZE, SAMPLES
 from magical.scene.poses import FIRST_BLOCK, Poses
 from magical.scene.scene import Pose, Scene
@@ -69,7 +69,6 @@ class Renderer:
         self.size = size
         self.samples = checked_samples(size, samples)
         self._compiled = compiled_render(self.samples)
-        self._store = compiled_store()
         self._display = display_list(scene)
         self._bodies = np.empty((FIRST_BLOCK + len(scene.blocks), 3))
         self._pixels = np.empty(size * size, np.int32)
@@ -89,7 +88,7 @@ class Renderer:
         """
         self._check(out, CHANNELS)
         self._render_pixels(bodies)
-        self._store(self._pixels, out)
+        store(self._pixels, out)
 
     def render_stacked(self, bodies: NDArray[np.float64], stack: Image) -> None:
         """Shift a stack by one frame and render the newest one in its last three channels.
