@@ -19,6 +19,7 @@ from magical.errors import (
     ResetNeededError,
     UnknownNameError,
 )
+from magical.observe import StateSpec
 from magical.scene import ACTION_NAMES, Block, Colour, Dynamics, Pose, Poses, Scene, Shape
 from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
 from magical.scene.poses import FIRST_BLOCK, ROBOT
@@ -223,6 +224,19 @@ def test_impossible_scenes(scene: Any) -> None:
     with pytest.raises(ResetNeededError):
         env.step(0)
     env.reset(seed=0)
+
+
+def test_after_a_scene_that_cannot_be_shown_the_state_is_its_start() -> None:
+    demo = TASKS["MatchRegions"].demo
+    fewer = replace(demo, blocks=demo.blocks[1:])
+    spec = StateSpec(len(fewer.blocks), len(fewer.regions))
+    env = MagicalEnv("MatchRegions", "Demo", observation=spec)
+    env.reset(options={"scene": fewer})
+    env.step(1)
+    with pytest.raises(InvalidSceneError, match="expected at most"):
+        env.reset()
+    state = env.get_state()
+    assert (state["scene"], state["actions"]) == (demo.to_dict(), [])
 
 
 @pytest.mark.parametrize(

@@ -173,8 +173,8 @@ class Episode:
         for action in actions[:unobserved]:
             self.simulation.step(action)
         self.bodies = self.simulation.read()
-        self.observer.start(scene, self.bodies)
         self.actions = list(actions[:unobserved])
+        self.observer.start(scene, self.bodies)  # raises for a scene that it cannot show
         for action in actions[unobserved:]:
             self.step(action)
         self._progress = self._measure_progress()
