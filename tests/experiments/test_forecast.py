@@ -4,10 +4,8 @@ from typing import Any
 
 import pytest
 
-from magical.experiments.forecast import _way as way_of
 from magical.experiments.forecast import estimate
 from magical.experiments.plan import Method, Plan, planned_runs
-from magical.learning import find_algorithm
 from magical.learning.running.devices import Compute
 
 SPEED = 100.0  # samples a second, forward and backward
@@ -15,18 +13,23 @@ ROLLOUT_STEPS = 100 * 6 * 80  # MoveToCorner: rollouts, variants, horizon
 
 
 @pytest.fixture(autouse=True)
-def measured(monkeypatch: pytest.MonkeyPatch) -> None:
+def measured(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The networks whose speed is asked for; all are equally fast."""
+    networks: list[str] = []
+
     def speeds(network: str, *, threads: tuple[int, ...], **options: Any) -> dict[Compute, float]:
+        networks.append(network)
         return {
             Compute("cpu", precision, threads[0]): SPEED for precision in ("float32", "bfloat16")
         }
 
     monkeypatch.setattr("magical.learning.running.speed.training_speeds", speeds)
     monkeypatch.setattr("magical.learning.running.devices.choose_device", lambda _: "cpu")
+    return networks
 
 
-def seconds(algorithm: str) -> float:
-    method = Method(name="A", algorithm=algorithm)
+def seconds(algorithm: str, preset: str = "paper") -> float:
+    method = Method(name="A", algorithm=algorithm, preset=preset)
     (found,) = estimate(planned_runs(Plan(methods=(method,), tasks=("MoveToCorner",))))
     return found
 
@@ -58,6 +61,12 @@ def test_algorithms_with_ppo(algorithm: str, more: int) -> None:
     assert seconds(algorithm) == pytest.approx((samples + steps / 3) / SPEED + steps / 7_500)
 
 
-def test_every_learner_is_timed_with_its_own_network() -> None:
-    config = find_algorithm("act").config.preset("quick", tasks=("MoveToCorner",), demos="demos")
-    assert way_of(config)[0] == "narrow"
+@pytest.mark.parametrize(
+    ("algorithm", "preset", "network"),
+    [("act", "quick", "narrow"), ("bc", "paper", "paper"), ("ppo", "paper", "paper")],
+)
+def test_every_learner_is_timed_with_its_own_network(
+    measured: list[str], algorithm: str, preset: str, network: str
+) -> None:
+    seconds(algorithm, preset)
+    assert measured == [network]
