@@ -290,3 +290,18 @@ def test_runs_recorded_in_an_earlier_form_are_not_run_again(
         (old / "result.json").write_text(json.dumps(record))
     assert execute([first, second], copied).complete
     assert [run.seed for run in inline] == [second.seed]
+
+
+def test_a_first_run_that_has_changed_since_is_noticed(
+    planned: Planned, inline: Started, out: Path, finished: Path, tmp_path: Path
+) -> None:
+    one, other = (finished / "runs" / run.folder for run in planned())
+    first = Path(shutil.copytree(one, tmp_path / "first"))
+    runs = planned(("batches = 6", f'init_from = "{first}", batches = 6'))
+    assert execute(runs[:1], out).counts["done"] == 1
+    shutil.copy(other / "checkpoint.safetensors", first)
+    for some in (runs, runs[:1]):  # one waits; all are done
+        with pytest.raises(ResultsError, match=f"another checkpoint of {first} than there is now"):
+            execute(some, out)
+    shutil.rmtree(first)
+    assert execute(runs[:1], out).complete

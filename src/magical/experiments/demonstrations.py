@@ -12,12 +12,11 @@ from magical.demos.store.manifest import ManifestEntry
 from magical.demos.store.repair import open_repaired
 from magical.demos.store.writer import DatasetWriter
 from magical.envs.seeds import episode_seed
-from magical.errors import DatasetError, DemonstrationsError, ResultsError
+from magical.errors import DatasetError, DemonstrationsError
 from magical.evaluation import environments
 from magical.experiments.plan import DemonstrationSource, PlannedRun
-from magical.experiments.results import DEMOS, EXPERIMENT, Results
+from magical.experiments.results import DEMOS, EXPERIMENT, Results, read_record
 from magical.learning.config import DemonstrationSettings
-from magical.runs.folder import read_json, write_json
 
 DIGESTS = "demonstrations"  # in `experiment.json`: task -> digest of the user's dataset
 GENERATED = "generated_demonstrations"  # in `experiment.json`: folder/task -> digest
@@ -86,7 +85,7 @@ def require_same_demonstrations(runs: Sequence[PlannedRun], results: Results) ->
     for config in [run.config for run in runs if run.source.dataset][:1]:
         wanted = config.part(DemonstrationSettings)
         if wanted and Path(wanted.demos).exists():
-            known = read_json(results.path / EXPERIMENT).get(DIGESTS, {})
+            known = read_record(results.path / EXPERIMENT).get(DIGESTS, {})
             _require_same(Dataset.open(Path(wanted.demos)), known, results)
 
 
@@ -151,12 +150,8 @@ def _generated(
         progress=progress,
     )
     dataset = Dataset.open(folder)
-    _require_known(
-        {f"{folder.name}/{task}": _digest_of_actions(dataset, task) for task in tasks},
-        dataset,
-        results,
-        GENERATED,
-    )
+    digests = {f"{folder.name}/{task}": _digest_of_actions(dataset, task) for task in tasks}
+    _require_known(digests, dataset, results, GENERATED)
     return folder
 
 
@@ -206,18 +201,13 @@ def _require_same(dataset: Dataset, tasks: Iterable[str], results: Results) -> N
 def _require_known(
     found: Mapping[str, str], dataset: Dataset, results: Results, field: str
 ) -> None:
-    """Record digests in a field of `experiment.json`; those that are there must be the same."""
-    experiment = read_json(results.path / EXPERIMENT)
-    known = experiment.get(field, {})
-    for name, digest in found.items():
-        if known.get(name, digest) != digest:
-            raise ResultsError(
-                f"{results.path} holds runs that learned from other demonstrations of "
-                f"{name.rpartition('/')[2]} than those in {dataset.path}; choose another folder "
-                "(--out)"
-            )
-    if not found.keys() <= known.keys():
-        write_json(results.path / EXPERIMENT, {**experiment, field: {**known, **found}})
+    results.require_same(
+        field,
+        found,
+        lambda name: (
+            f"other demonstrations of {name.rpartition('/')[2]} than those in {dataset.path}"
+        ),
+    )
 
 
 def _digest(dataset: Dataset, task: str) -> str:

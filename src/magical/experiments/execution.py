@@ -17,7 +17,14 @@ from magical.experiments.demonstrations import prepare_demonstrations, require_s
 from magical.experiments.display import Display
 from magical.experiments.one_run import evaluate_reference, finish, record_failure
 from magical.experiments.plan import PlannedRun
-from magical.experiments.results import DONE, FAILED, Outcome, Results, opened
+from magical.experiments.results import (
+    DONE,
+    FAILED,
+    Outcome,
+    Results,
+    opened,
+    require_same_first_runs,
+)
 from magical.files import is_out_of_space
 from magical.learning.running.interrupts import Interrupts
 from magical.processes import ProcessPool, available_cores
@@ -166,6 +173,7 @@ def execute(
     with Interrupts() as stop, opened(out, runs) as results:
         states = {run: results.state(run) for run in runs}
         require_same_demonstrations([run for run in runs if states[run] == DONE], results)
+        require_same_first_runs(runs, results)
         again = (None, FAILED) if retry_failed else (None,)
         waiting = [run for run in runs if states[run] in again]
 

@@ -1,6 +1,7 @@
 """The results folder of a plan (docs/experiments.md).
 
-- `experiment.json`: format, identity of the folder, versions, the demonstrations of a dataset
+- `experiment.json`: format, identity of the folder, versions; digests of the demonstrations, and of
+  the checkpoints of first runs
 - `plan.json`: the runs of the plan, in its order
 - `progress.json`: which runs are in progress, while `.lock` is held
 - `demos/`: demonstrations generated for the plan
@@ -10,7 +11,7 @@
 import glob
 import json
 import uuid
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -19,13 +20,14 @@ from typing import Any, Literal
 from magical import __version__
 from magical.errors import MagicalError, ResultsError
 from magical.experiments.plan import PlannedRun
-from magical.files import OwnedFolder
-from magical.runs.folder import versions, write_json
+from magical.files import OwnedFolder, open_regular, sha256_sum
+from magical.runs.folder import CHECKPOINT, versions, write_json
 from magical.runs.plan import PLAN, RESULT, RUNS, ListedRun, listed_runs
 from magical.untrusted import read_json
 
 FORMAT = 1
 EXPERIMENT, PROGRESS, DEMOS = "experiment.json", "progress.json", "demos"
+FIRST_RUNS = "first_runs"  # in `experiment.json`: `init_from` -> digest of the checkpoint there
 DONE, FAILED, WAITING = "done", "failed", "waiting"  # states; the first two are in `result.json`
 
 
@@ -61,6 +63,30 @@ class Results:
     def full(self) -> MagicalError:
         """The error of a full disk."""
         return _owned(self.path).full()
+
+    def require_same(
+        self, field: str, found: Mapping[str, str], others: Callable[[str], str]
+    ) -> None:
+        """Record digests in a field of `experiment.json`; those that are there must be the same.
+
+        Args:
+            field: the field.
+            found: digests by name of what runs learn from.
+            others: what runs in the folder learned from if that of a name is another, in words.
+
+        Raises:
+            ResultsError: one is another.
+        """
+        experiment = read_record(self.path / EXPERIMENT)
+        known = experiment.get(field, {})
+        for name, digest in found.items():
+            if known.get(name, digest) != digest:
+                raise ResultsError(
+                    f"{self.path} holds runs that learned from {others(name)}; choose another "
+                    "folder (--out)"
+                )
+        if not found.keys() <= known.keys():
+            write_json(self.path / EXPERIMENT, {**experiment, field: {**known, **found}})
 
     def write_progress(self, running: Iterable[PlannedRun], slots: int) -> None:
         """Note which runs are in progress, and how many can be at a time."""
@@ -108,6 +134,23 @@ def opened(path: Path, runs: Sequence[PlannedRun]) -> Iterator[Results]:
 def _owned(path: Path) -> OwnedFolder:
     written, then = (EXPERIMENT, PLAN, PROGRESS), "give the same command again"
     return OwnedFolder(path, written, ResultsError, "runs a plan in this folder", then)
+
+
+def require_same_first_runs(runs: Iterable[PlannedRun], results: Results) -> None:
+    """Check that runs are all fine-tuned from the same checkpoints; a missing one is not read.
+
+    Raises:
+        ResultsError: those in the folder were fine-tuned from others.
+    """
+    folders = {str(run.config.to_dict().get("init_from") or "") for run in runs} - {""}
+    digests: dict[str, str] = {}
+    for folder in sorted(folders):
+        if (Path(folder) / CHECKPOINT).is_file():
+            with open_regular(Path(folder) / CHECKPOINT, follow_links=True) as file:
+                digests[folder] = sha256_sum(file)
+    results.require_same(
+        FIRST_RUNS, digests, lambda folder: f"another checkpoint of {folder} than there is now"
+    )
 
 
 def is_results(path: Path) -> bool:
