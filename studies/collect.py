@@ -38,8 +38,7 @@ from magical.evaluation.entry import ENTRY_FILE
 from magical.evaluation.protocol import NUDGE, Evaluation, environments
 from magical.experiments.demonstrations import DIGESTS, GENERATED
 from magical.experiments.one_run import evaluate_run
-from magical.experiments.plan import DATASET, PlannedRun, planned_runs
-from magical.experiments.plan_file import read_plan
+from magical.experiments.plan import DATASET, PlannedRun, planned_runs, read_plan
 from magical.experiments.results import (
     DONE,
     EXPERIMENT,

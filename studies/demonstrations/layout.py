@@ -18,8 +18,7 @@ from pathlib import Path
 from magical.evaluation import environments, load_policy
 from magical.evaluation.protocol import Evaluation
 from magical.evaluation.rollouts import roll_out
-from magical.experiments.plan import PlannedRun, planned_runs
-from magical.experiments.plan_file import read_plan
+from magical.experiments.plan import PlannedRun, planned_runs, read_plan
 from magical.experiments.results import opened
 from magical.learning import train
 from magical.learning.algorithms.ppo import ReinforcementConfig

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from magical.experiments.plan import PlannedRun, planned_runs
+from magical.experiments.plan import PlannedRun, planned_runs, read_plan
 from magical.experiments.results import Outcome, Results
 
 # What needs PyTorch cannot even be imported without it.
@@ -42,8 +42,6 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def planned(tiny: Path) -> Callable[..., list[PlannedRun]]:
     """The runs of the tiny plan, with parts of its text replaced."""
-    from magical.experiments.plan_file import read_plan
-
     def make(*changes: tuple[str, str], demos: str | None = None) -> list[PlannedRun]:
         text = tiny.read_text()
         for old, new in changes:

@@ -7,7 +7,7 @@ import pytest
 
 from magical import cli
 from magical.evaluation import read_entry
-from magical.experiments.plan_file import find_plan, read_plan
+from magical.experiments.plan import find_plan, read_plan
 from magical.runs.sources import learned_from
 
 for _extra in ("torch", "safetensors", "jinja2", "matplotlib"):

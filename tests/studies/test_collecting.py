@@ -12,8 +12,7 @@ import pytest
 from magical.evaluation import Entry, Evaluation, environments, read_entry
 from magical.evaluation.collection import write_collection
 from magical.evaluation.entry import ENTRY_FILE, SCORES_FILE
-from magical.experiments.plan import PlannedRun, planned_runs
-from magical.experiments.plan_file import read_plan
+from magical.experiments.plan import PlannedRun, planned_runs, read_plan
 from magical.report.found.search import search_results
 from magical.report.leaderboard import make_leaderboard
 from studies import collect as collect_results

@@ -6,8 +6,7 @@ import pytest
 
 from magical.evaluation import published_methods
 from magical.evaluation.protocol import Evaluation, environments
-from magical.experiments.plan import Plan, planned_runs
-from magical.experiments.plan_file import read_plan
+from magical.experiments.plan import Plan, planned_runs, read_plan
 
 
 def read_study_plan(root: Path, name: str) -> Plan:

@@ -39,8 +39,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Execute the plan, print the tables, write the page."""
     from magical.experiments.execution import Resources, execute
-    from magical.experiments.plan import planned_references, planned_runs
-    from magical.experiments.plan_file import find_plan, read_plan
+    from magical.experiments.plan import find_plan, planned_references, planned_runs, read_plan
     from magical.extras import require
 
     require("report")

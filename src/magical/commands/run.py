@@ -68,8 +68,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Execute the plan, or describe what it would do."""
-    from magical.experiments.plan import planned_runs
-    from magical.experiments.plan_file import find_plan, read_plan
+    from magical.experiments.plan import find_plan, planned_runs, read_plan
 
     path = find_plan(args.plan)
     plan = read_plan(path, args.demos)

@@ -1,7 +1,7 @@
 """A plan: which methods are trained on which tasks with which seeds, and how they are evaluated.
 
-`magical.experiments.plan_file` reads plans; docs/experiments.md describes their files, which have
-the fields of `Plan` and `Method` as keys.
+docs/experiments.md describes the files of plans, which have the fields of `Plan` and `Method` as
+keys.
 """
 
 import hashlib
@@ -9,6 +9,8 @@ import json
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from importlib.resources import files
+from pathlib import Path
 from typing import Annotated, Any
 
 from msgspec import Meta
@@ -26,8 +28,9 @@ from magical.messages import quoted
 from magical.runs.plan import file_name, in_words
 from magical.tasks import TASKS, load_task, parse_horizon
 from magical.tasks.axes import full_variant
-from magical.untrusted import convert
+from magical.untrusted import convert, read_toml
 
+PLANS = Path(str(files("magical"))) / "plans"  # those of this package
 EXPERT = "expert"  # as `demos`: the scripted experts' demonstrations, generated for the plan
 DATASET = "dataset"  # in records: demonstrations of a folder, whose path says nothing
 DIGITS = 10  # of a run's identity, hexadecimal
@@ -155,6 +158,40 @@ def _require_each_once(key: str, values: Sequence[Any]) -> None:
     for value in values:
         if values.count(value) > 1:
             raise PlanError(f"{key}: expected each once, found {quoted(value)} twice")
+
+
+def find_plan(name: str) -> Path:
+    """The file of one of this package's plans, such as `quick`, or the file at a path.
+
+    Raises:
+        PlanError: neither.
+    """
+    for path in (PLANS / f"{name}.toml", Path(name)):
+        if path.is_file():
+            return path
+    known = ", ".join(sorted(path.stem for path in PLANS.glob("*.toml")))
+    raise PlanError(f"{name}: expected a file with a plan in TOML, or one of {known}; found none")
+
+
+def read_plan(path: Path, demos: str | None = None) -> Plan:
+    """Read a plan from a TOML file.
+
+    Args:
+        path: the file.
+        demos: replaces the file's `demos`.
+
+    Raises:
+        PlanError: no TOML, unknown names, values of other types, settings that cannot be combined,
+            or the same run twice.
+        MissingDependencyError: PyTorch is not installed.
+    """
+    plan = read_toml(path, Plan, PlanError)
+    try:
+        plan = plan if demos is None else replace(plan, demos=demos)
+        planned_runs(plan)
+    except PlanError as error:
+        raise PlanError(f"{path}: {error}") from error
+    return plan
 
 
 @dataclass(frozen=True, slots=True)

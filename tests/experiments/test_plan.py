@@ -9,8 +9,7 @@ import pytest
 from magical.cli import main
 from magical.errors import PlanError
 from magical.evaluation import published_methods, published_tasks
-from magical.experiments.plan import PlannedRun, planned_runs
-from magical.experiments.plan_file import find_plan, read_plan
+from magical.experiments.plan import PlannedRun, find_plan, planned_runs, read_plan
 
 HEAD = 'tasks = ["MoveToCorner"]\npreset = "quick"\n'
 BC = '[[methods]]\nname = "A"\nalgorithm = "bc"\n'
