@@ -19,9 +19,9 @@ from magical.files import write_atomically
 from magical.messages import quoted
 from magical.observe import NAMED, PRESETS, STATE
 from magical.tasks import parse_horizon
+from magical.tasks.horizons import APPENDIX
 from magical.untrusted import convert, parse_json, read_json
 
-APPENDIX = "appendix"  # the horizon
 POLICY = "policy"  # in the details: a run folder relative to the entry's, or a policy's name
 THREADS = "threads"  # in the details: CPU threads of a network that acted
 SCORES_FILE, ENTRY_FILE = "scores.csv", "entry.json"

@@ -7,7 +7,6 @@ from typing import Any
 from magical import __version__
 from magical.errors import MagicalError
 from magical.evaluation import Entry, by_variant
-from magical.evaluation.entry import APPENDIX
 from magical.evaluation.policy import NO_OBSERVATION
 from magical.evaluation.protocol import NUDGE, ROLLOUTS, SEED
 from magical.grouping import group_by
@@ -17,6 +16,7 @@ from magical.report.found.statements import stated_looks
 from magical.runs.sources import learned_from
 from magical.tasks import get_task
 from magical.tasks.axes import short_variant
+from magical.tasks.horizons import APPENDIX
 
 
 @dataclass(frozen=True, slots=True)
