@@ -27,7 +27,7 @@ import json
 import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +44,6 @@ from magical.experiments.results import (
     EXPERIMENT,
     is_results,
     is_same_run,
-    listed,
     read_state,
     run_folders,
 )
@@ -169,7 +168,7 @@ def collect(
         for name in sorted(set(runs) - set(planned)):
             del runs[name]
             yield f"does not count any more: {out / RUNS / name}: not a run of {plan}"
-    collected.write(out, [listed(run) for run in planned.values()])
+    collected.write(out, [asdict(run.listed()) for run in planned.values()])
     commits = Counter(_commit(collected.entries[f"{RUNS}/{name}"]) for name in collected.runs)
     if len(commits) > 1:
         shown = ", ".join(f"{count} of {commit:.7}" for commit, count in commits.items())

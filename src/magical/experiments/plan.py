@@ -25,7 +25,7 @@ from magical.learning import Config, find_algorithm
 from magical.learning.config import DemonstrationSettings, options
 from magical.learning.settings import option_types
 from magical.messages import quoted
-from magical.runs.plan import file_name, in_words
+from magical.runs.plan import ListedRun, file_name
 from magical.tasks import TASKS, load_task, parse_horizon
 from magical.tasks.axes import full_variant
 from magical.untrusted import convert, read_toml
@@ -275,9 +275,13 @@ class PlannedRun:
         name = f"{file_name(self.method)}-{tasks}-seed{self.seed}-{self.identity}"
         return name.lstrip("-")
 
+    def listed(self) -> ListedRun:
+        """The run as `plan.json` lists it."""
+        return ListedRun(self.folder, self.method, self.tasks, self.seed, self.config.num_updates)
+
     def __str__(self) -> str:
         """For messages, for instance `BC (ST), MoveToCorner, seed 0`."""
-        return f"{self.method}, {in_words(self.tasks)}, seed {self.seed}"
+        return str(self.listed())
 
     def settings(self) -> dict[str, Any]:
         """All that the scores depend on, as plain data for JSON; datasets without their paths."""

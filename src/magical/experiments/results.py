@@ -22,7 +22,7 @@ from magical.errors import MagicalError, ResultsError
 from magical.experiments.plan import PlannedRun
 from magical.files import OwnedFolder, open_regular, sha256_sum
 from magical.runs.folder import CHECKPOINT, versions, write_json
-from magical.runs.plan import PLAN, RESULT, RUNS, ListedRun, listed_runs
+from magical.runs.plan import PLAN, RESULT, RUNS, listed_runs
 from magical.untrusted import read_json
 
 FORMAT = 1
@@ -127,7 +127,7 @@ def opened(path: Path, runs: Sequence[PlannedRun]) -> Iterator[Results]:
             found = {"format": FORMAT, "id": uuid.uuid4().hex, "versions": versions()}
             write_json(path / EXPERIMENT, found)
         _adopt_earlier(path, runs)
-        write_json(path / PLAN, {"runs": [listed(run) for run in runs]})
+        write_json(path / PLAN, {"runs": [asdict(run.listed()) for run in runs]})
         yield Results(path, str(read_record(path / EXPERIMENT).get("id")))
 
 
@@ -240,12 +240,6 @@ def is_same_run(run: PlannedRun, record: Mapping[str, Any]) -> bool:
         return False
     then, now = {**settings, "config": config}, run.settings()
     return json.dumps(then, sort_keys=True) == json.dumps(now, sort_keys=True)
-
-
-def listed(run: PlannedRun) -> dict[str, Any]:
-    """A run as `plan.json` lists it."""
-    total = run.config.num_updates
-    return asdict(ListedRun(run.folder, run.method, run.tasks, run.seed, total))
 
 
 def read_record(path: Path) -> dict[str, Any]:
