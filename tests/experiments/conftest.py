@@ -42,6 +42,7 @@ def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def planned(tiny: Path) -> Callable[..., list[PlannedRun]]:
     """The runs of the tiny plan, with parts of its text replaced."""
+
     def make(*changes: tuple[str, str], demos: str | None = None) -> list[PlannedRun]:
         text = tiny.read_text()
         for old, new in changes:

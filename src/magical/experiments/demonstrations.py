@@ -116,12 +116,10 @@ def prepare_demonstrations(
     if not source.dataset:
         return _generated(source, tasks, results, workers, progress)
     dataset = Dataset.open(Path(folder).absolute())
-    if source.expert_demos is None:
-        _require_enough(dataset, counts)
-        _require_same(dataset, tasks, results)
-        return dataset.path
-    _require_enough(dataset, dict.fromkeys(counts, 1))
+    _require_enough(dataset, counts if source.expert_demos is None else dict.fromkeys(counts, 1))
     _require_same(dataset, tasks, results)
+    if source.expert_demos is None:
+        return dataset.path
     generated = Dataset.open(_generated(source, tasks, results, workers, progress))
     pooled = results.path / DEMOS / f"dataset-and-{generated.path.name}"
     _pool([dataset, generated], tasks, pooled)

@@ -9,9 +9,9 @@ from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 
-from magical.errors import ClusterError, UnknownNameError
+from magical.errors import ClusterError
 from magical.evaluation import Evaluation
 from magical.experiments.demonstrations import prepare_demonstrations, require_same_demonstrations
 from magical.experiments.display import Display
@@ -31,7 +31,6 @@ from magical.processes import ProcessPool, available_cores
 
 TRIES = 3  # of a run that the cluster, not the run itself, has ended
 POLL = 1.0  # seconds between checks for signals, and between refreshes of the display
-LOCAL, RAY = "local", "ray"  # executors
 
 
 class Executor(Protocol):
@@ -82,22 +81,16 @@ class Resources:
     """Where runs are executed, and with what.
 
     Attributes:
-        executor: `local` or `ray`.
+        executor: processes on this machine, or tasks of a Ray cluster.
         address: of a Ray cluster; by default a running one on this machine, or a new one.
         workers: processes on this machine, local or of a new Ray cluster.
         gpus: the share of a GPU that Ray reserves for each run.
     """
 
-    executor: str = LOCAL
+    executor: Literal["local", "ray"] = "local"
     address: str | None = None
     workers: int | None = None
     gpus: float = 0.0
-
-    def __post_init__(self) -> None:
-        if self.executor not in (LOCAL, RAY):
-            raise UnknownNameError(
-                f"executor {self.executor!r} is unknown; expected {LOCAL} or {RAY}"
-            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,10 +189,10 @@ def execute(
 
 @contextmanager
 def _timed(part: str, seconds: dict[str, float]) -> Iterator[None]:
-    """Add the seconds that the context takes to those of a part."""
+    """Note the seconds that the context takes as those of a part."""
     start = time.perf_counter()
     yield
-    seconds[part] = seconds.get(part, 0.0) + time.perf_counter() - start
+    seconds[part] = time.perf_counter() - start
 
 
 class _Interrupted(Exception):
@@ -298,7 +291,7 @@ def _outcome(run: PlannedRun, future: Future[Outcome], results: Results, stoppin
 
 
 def _executor(runs: Sequence[PlannedRun], results: Results, resources: Resources) -> Executor:
-    if resources.executor == RAY:
+    if resources.executor == "ray":
         from magical.experiments.ray_cluster import RayExecutor  # an optional library
 
         return RayExecutor(runs, results, resources.address, resources.workers, resources.gpus)

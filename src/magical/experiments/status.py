@@ -36,7 +36,7 @@ class RunStatus(ListedRun):
 
     Attributes:
         state: one of `STATES`; an interrupted run waits.
-        step: batches or updates done; of the newest line of metrics.
+        step: batches or updates done, of the newest line of metrics; 0 for a run that has ended.
         seconds: that the last session of training and the evaluation took, if it is done.
         error: the message, if it failed.
     """
