@@ -13,6 +13,7 @@ import argparse
 import csv
 from collections.abc import Iterator, Sequence
 from contextlib import closing
+from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,6 +26,7 @@ from magical.envs.vector import MagicalVectorEnv
 from magical.evaluation import RolloutScore, evaluate
 from magical.evaluation.policy import Policy, observation_for
 from magical.evaluation.seeds import RolloutRng
+from magical.grouping import group_by
 from magical.learning import load_policy
 from magical.scene import Scene
 from magical.tasks import get_task
@@ -147,20 +149,14 @@ def spread(rows: Sequence[Row]) -> Spread:
     return Spread(exact, own, means.min(), means.max(), means.std(ddof=1), float(expected))
 
 
-def by_run(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    """Rows grouped by their run, in the order they come."""
-    return {
-        run: [row for row in rows if row.run == run] for run in dict.fromkeys(r.run for r in rows)
-    }
-
-
 def print_table(rows: Sequence[Row]) -> None:
     """A Markdown table with a line for each run."""
     print(
         "| Task | Exact | Shared shifts | SD over shifts | SD by rollouts | Excess | Own shifts "
         "| Jitter, exact | Jitter, own shifts |"
     )
-    for group in by_run(rows).values():
+    print("| --- " * 9 + "|")
+    for group in group_by(rows, attrgetter("run")).values():
         found = spread([row for row in group if row.variant == "Demo"])
         jitter = {row.start: row.mean for row in group if row.variant == "TestJitter"}
         print(
@@ -172,7 +168,7 @@ def print_table(rows: Sequence[Row]) -> None:
 
 def draw(rows: Sequence[Row], path: Path) -> None:
     """Demo's score of each policy from every start."""
-    groups = by_run(rows)
+    groups = group_by(rows, attrgetter("run"))
     figure = Figure(figsize=(8, 0.45 * len(groups) + 1.2), layout="constrained")
     axes = figure.add_subplot()
     for height, group in enumerate(groups.values()):

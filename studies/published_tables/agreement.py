@@ -45,11 +45,8 @@ class Agreement:
             return "open: too few runs"
         if -MARGIN < found.low and found.high < MARGIN:
             return f"equivalent within {MARGIN}"
-        return f"differs by more than {MARGIN}" if _is_beyond(found) else "open"
-
-
-def _is_beyond(found: Interval) -> bool:
-    return found.low > MARGIN or found.high < -MARGIN
+        beyond = found.low > MARGIN or found.high < -MARGIN
+        return f"differs by more than {MARGIN}" if beyond else "open"
 
 
 def find_agreements(rows: Iterable[MethodRuns]) -> list[Agreement]:

@@ -2,13 +2,15 @@
 
 import math
 from collections.abc import Iterable
+from statistics import fmean
 from typing import NamedTuple
 
 from magical.envs import EnvId
-from magical.evaluation import published_score, published_tasks
+from magical.evaluation import published_table, published_tasks
 from magical.evaluation.intervals import Interval
 from magical.evaluation.statistics import generalisation_gap, mean
 from magical.report.found.statements import Statements
+from magical.tasks.axes import short_variant
 from studies.published_tables.rows import MethodRuns
 
 VARIANTS = ("Demo", "TestAll")
@@ -57,18 +59,12 @@ def _drop(row: MethodRuns, env_ids: list[EnvId]) -> Drop:
 
 def _published(method: str) -> Drop:
     """From the published means, which come without the runs' scores."""
+    table = published_table()
     demo, test_all = (
-        math.fsum(_score(task, method, variant) for task in published_tasks())
-        / len(published_tasks())
+        fmean(table[task, method, short_variant(variant)].mean for task in published_tasks())
         for variant in VARIANTS
     )
     means = (Interval(value, math.nan, math.nan) for value in (demo, test_all, demo - test_all))
     learning_class = "P" if method.startswith("BC") else ""
     statements = Statements("10 of each task (humans)")
     return Drop(f"{method}, published", learning_class, statements, *means)
-
-
-def _score(task: str, method: str, variant: str) -> float:
-    found = published_score(task, method, variant)
-    assert found is not None  # both are in all tables
-    return found.mean

@@ -7,11 +7,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magical.evaluation.intervals import CONFIDENCE, Interval, welch_interval
-from magical.evaluation.published import PUBLISHED_RUNS, published_table
+from magical.evaluation.published import PUBLISHED_RUNS, RESOLUTION, published_table
 from magical.evaluation.statistics import Spread
 from magical.tasks.axes import full_variant, short_variant
 
-RESOLUTION = 0.005  # the most by which rounding changes a published number
 MULTI_TASK = "(MT"  # in the names of methods whose runs learn all tasks
 
 

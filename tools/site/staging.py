@@ -4,7 +4,6 @@ A page keeps its place in the repository, but for `docs/`, whose files stand at 
 a page stays a line, so that what MkDocs finds wrong can be told by file and line.
 """
 
-import os
 import posixpath
 import re
 import shutil
@@ -114,7 +113,7 @@ def assets(root: Path) -> Mapping[str, bytes]:
     """Files of `docs` that are no pages: pictures, styles, scripts."""
     folder = root / "docs"
     return {
-        path.relative_to(folder).as_posix().replace(os.sep, "/"): path.read_bytes()
+        path.relative_to(folder).as_posix(): path.read_bytes()
         for path in sorted(folder.rglob("*"))
         if path.is_file() and path.suffix != PAGE
     }
