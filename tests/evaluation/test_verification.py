@@ -28,6 +28,7 @@ from magical.evaluation import (
 from magical.evaluation.policy import Actions
 from magical.evaluation.rollouts import evaluate_round, roll_out
 from magical.evaluation.verification import Verification, is_elsewhere, verify
+from magical.observe import Observation
 from magical.runs import versions
 from magical.runs.machine import machine
 
@@ -83,9 +84,11 @@ class Undecided:
         pass
 
 
-def test_a_policy_is_shown_again_what_it_was_shown() -> None:
-    shown = evaluate(Undecided(), IDS, rollouts=2, observation="LoRes4A", workers=0)
-    made = Entry(method="m", scores=shown, observation="LoRes4A")
+@pytest.mark.parametrize("observation", ["LoRes4A", {"parts": (("allo", 2),), "size": 48}])
+def test_a_policy_is_shown_again_what_it_was_shown(observation: Observation) -> None:
+    evaluation = Evaluation.of(IDS, rollouts=2, observation=observation)
+    shown = roll_out(Undecided(), evaluation, workers=0)
+    made = Entry.of(Undecided(), evaluation, method="m", scores=shown, details={})
     rng = np.random.default_rng(0)
     found = verify(made, Undecided(), rng=rng, workers=0)
     assert found.confirmed

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -11,13 +12,13 @@ from msgspec import Meta
 from magical import __version__
 from magical.envs.action_spec import DISCRETE
 from magical.envs.episode import checked_nudge
-from magical.errors import ScoresError
+from magical.errors import MagicalError, ScoresError
 from magical.evaluation.policy import Policy, action_spec_of, observed
 from magical.evaluation.protocol import Evaluation
 from magical.evaluation.scores import RolloutScore, check_protocol, read_scores, write_scores
 from magical.files import write_atomically
 from magical.messages import quoted
-from magical.observe import NAMED, PRESETS, STATE
+from magical.observe import STATE, Observation, parse_spec
 from magical.tasks import parse_horizon
 from magical.tasks.horizons import APPENDIX
 from magical.untrusted import convert, parse_json, read_json
@@ -116,14 +117,18 @@ class Entry(_EntryFile):
 
     def evaluation(self, policy: Policy) -> Evaluation:
         """How its policy is evaluated in the same way again."""
-        # The recorded name counts only where the policy has no observation of its own.
-        own = getattr(policy, "observation", None)
-        named = own is None and self.observation in (*PRESETS, *NAMED)
+        env_ids = tuple(dict.fromkeys(row.env_id for row in self.scores))
+        observation: Observation = None
+        # The recorded one counts only where the policy has no observation of its own.
+        if getattr(policy, "observation", None) is None:
+            with suppress(MagicalError):  # none that is known here
+                spec = parse_spec(self.observation, env_ids[0].task_spec)
+                observation = spec if self.observation.startswith("{") else self.observation
         return Evaluation(
-            env_ids=tuple(dict.fromkeys(row.env_id for row in self.scores)),
+            env_ids=env_ids,
             rollouts=1 + max(row.rollout for row in self.scores),
             seed=self.seed,
-            observation=self.observation if named else None,
+            observation=observation,
             horizon=parse_horizon(self.horizon),
             nudge=self.nudge,
         )
