@@ -132,6 +132,7 @@ def table(arguments: argparse.Namespace) -> Iterator[str]:
     """A Markdown table of the architectures whose runs are there."""
     times = batch_times(arguments.network, arguments.precision)
     yield f"| network | ms a batch | {' | '.join(f'{t}: batches | s' for t in TASKS)} |"
+    yield "| --- " * (2 + 2 * len(TASKS)) + "|"
     for name in sorted(arguments.network, key=times.__getitem__):
         cells = [name, f"{1e3 * times[name]:.1f}"]
         for task in TASKS:
