@@ -42,6 +42,7 @@ from magical.experiments.plan import DATASET, PlannedRun, planned_runs, read_pla
 from magical.experiments.results import (
     DONE,
     EXPERIMENT,
+    FIRST_RUNS,
     is_results,
     is_same_run,
     read_state,
@@ -70,6 +71,7 @@ class Collected:
             made with, by the run's folder.
         failed: the error of each run that failed.
         settings: what runs were made with but for tasks and seed, by a digest.
+        first_runs: digests of the checkpoints that runs were fine-tuned from, by their folders.
         entries: by `runs/FOLDER` and `runs/FOLDER/leaderboard`.
     """
 
@@ -79,6 +81,7 @@ class Collected:
     failed: dict[str, str] = field(default_factory=dict)
     generated: dict[str, str] = field(default_factory=dict)
     settings: dict[str, dict[str, Any]] = field(default_factory=dict)
+    first_runs: dict[str, str] = field(default_factory=dict)
     entries: dict[str, Entry] = field(default_factory=dict)
 
     @classmethod
@@ -240,12 +243,16 @@ def _require_same(source: Path, collected: Collected, out: Path) -> None:
             f"{source}: expected runs of magical {collected.version}, as in {out}, found {version}"
         )
     collected.version = version
-    for name, known in ((DIGESTS, collected.demonstrations), (GENERATED, collected.generated)):
-        for task, digest in found.get(name, {}).items():
-            if known.setdefault(task, digest) != digest:
+    for what, kept, known in (
+        ("demonstrations", DIGESTS, collected.demonstrations),
+        ("demonstrations", GENERATED, collected.generated),
+        ("checkpoint", FIRST_RUNS, collected.first_runs),
+    ):
+        for name, digest in found.get(kept, {}).items():
+            if known.setdefault(name, digest) != digest:
                 raise ResultsError(
-                    f"{source}: expected the demonstrations of {task} that runs in {out} learned "
-                    "from, found others"
+                    f"{source}: expected the {what} of {name} that runs in {out} learned from, "
+                    "found another"
                 )
 
 

@@ -20,7 +20,7 @@ from pathlib import Path
 
 from magical.errors import MagicalError, ResultsError
 from magical.experiments.demonstrations import DIGESTS, GENERATED
-from magical.experiments.results import DONE, EXPERIMENT, FORMAT
+from magical.experiments.results import DONE, EXPERIMENT, FIRST_RUNS, FORMAT
 from magical.runs.folder import read_json, write_json
 from magical.runs.plan import PLAN, RESULT, RUNS
 from studies.collect import Collected
@@ -52,7 +52,11 @@ def restore(source: Path, out: Path, again: int | None = None) -> int:
     write_json(out / PLAN, {"runs": read_json(source / PLAN)["runs"]})
     versions = {"magical": collected.version}
     found = {"format": FORMAT, "id": uuid.uuid4().hex, "versions": versions}
-    digests = {DIGESTS: collected.demonstrations, GENERATED: collected.generated}
+    digests = {
+        DIGESTS: collected.demonstrations,
+        GENERATED: collected.generated,
+        FIRST_RUNS: collected.first_runs,
+    }
     write_json(out / EXPERIMENT, {**found, **digests})
     return len(collected.runs)
 

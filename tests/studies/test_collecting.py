@@ -174,6 +174,7 @@ def test_what_cannot_be_used_is_left_out_with_its_reason(
     [
         ("experiment.json", '"magical": "', '"magical": "9.', "expected runs of magical"),
         ("experiment.json", '"versions"', '"demonstrations": {"A": "2"}, "versions"', "of A that"),
+        ("experiment.json", '"versions"', '"first_runs": {"B": "2"}, "versions"', "of B that"),
         ("experiment.json", None, None, "expected a results folder, found no experiment.json"),
     ],
 )
@@ -187,12 +188,13 @@ def test_runs_that_are_not_alike_are_refused(
     message: str,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    change(copied / file, '"versions"', '"demonstrations": {"A": "1"}, "versions"')
+    digests = '"demonstrations": {"A": "1"}, "first_runs": {"B": "1"}, '
+    change(copied / file, '"versions"', f'{digests}"versions"')
     argv = [str(copied), "--out", str(out), "--plan", str(tiny)]
     assert collect_results.main(argv) == 0
     assert capsys.readouterr().out == f"{out}: 2 runs collected\n"
     before = files(out)
-    change(copied / file, '"demonstrations": {"A": "1"}, ', "")
+    change(copied / file, digests, "")
     if old is None:
         (copied / file).unlink()
     else:
