@@ -69,7 +69,10 @@ class InlineExecutor:
 
         self.started.append(run)
         future: Future[Outcome] = Future()
-        future.set_result(finish(run, self.results.folder(run), demos))
+        try:
+            future.set_result(finish(run, self.results.folder(run), demos))
+        except OSError as error:  # a process would pass it on
+            future.set_exception(error)
         return future
 
     def stop(self) -> None:

@@ -17,7 +17,7 @@ from magical.demos.generate import generate
 from magical.envs.seeds import episode_seed
 from magical.errors import DatasetError, DemonstrationsError, ResultsError
 from magical.evaluation import read_entry
-from magical.experiments.demonstrations import _next_attempt, _pool, generate_missing
+from magical.experiments.demonstrations import generate_missing
 from magical.experiments.execution import execute
 from magical.experiments.plan import PlannedRun
 
@@ -76,10 +76,11 @@ def test_a_signal_ends_the_generation_of_demonstrations(
     monkeypatch.undo()
 
 
-def test_the_series_of_demonstrations_goes_on_after_many_that_were_dropped() -> None:
-    assert _next_attempt(Path("demos"), [episode_seed(0, 40)], 3) == 41
-    with pytest.raises(DatasetError, match="expected demonstrations generated with seed 0"):
-        _next_attempt(Path("demos"), [episode_seed(1, 0)], 3)
+def test_the_series_of_demonstrations_goes_on_after_many_that_were_dropped(tmp_path: Path) -> None:
+    generate("magical/MoveToRegion-Demo-v0", 1, tmp_path / "demos", first=40)
+    generate_missing(tmp_path / "demos", ["MoveToRegion"], 3, workers=1)
+    seeds = [one.seed for one in Dataset.open(tmp_path / "demos").entries]
+    assert seeds == [episode_seed(0, number) for number in (40, 41, 42)]
 
 
 def test_perturbed_experts(planned: Planned, inline: Started, out: Path) -> None:
@@ -113,8 +114,13 @@ def test_the_experts_demonstrations_are_added_to_a_dataset(
     assert [one.actions.tolist() for one in pooled] == expected
     details = read_entry(out / "runs" / runs[0].folder).details
     assert details["demonstrations"] == "5 of each task (dataset and expert)"
-    execute(runs, out)
-    assert Dataset.open(pooled.path).entries == pooled.entries
+    whole = list(pooled)
+    shutil.rmtree(pooled.path)
+    DatasetWriter(pooled.path).append(whole[0])
+    execute(runs, out)  # copying goes on where it was interrupted
+    assert [e.sha256 for e in Dataset.open(pooled.path).entries] == [
+        e.sha256 for e in pooled.entries
+    ]
 
     more = ("num_demos = 2", "num_demos = 6\nadd_expert = true")
     with pytest.raises(DemonstrationsError, match="at least 6 demonstrations of MoveToRegion"):
@@ -122,18 +128,6 @@ def test_the_experts_demonstrations_are_added_to_a_dataset(
     elsewhere = planned(add, ('"MoveToRegion"', '"MoveToCorner"'), demos=str(tmp_path / "human"))
     with pytest.raises(DemonstrationsError, match="at least 1 demonstrations of MoveToCorner"):
         execute(elsewhere, tmp_path / "none")
-
-
-def test_pooling_that_was_interrupted_continues(
-    planned: Planned, inline: Started, finished: Path, tmp_path: Path
-) -> None:
-    theirs = Dataset.open(finished / "demos" / "expert-3")
-    _pool([theirs[:1]], ["MoveToRegion"], tmp_path / "part")
-    for folder in ("part", "whole"):
-        _pool([theirs, theirs[:2]], ["MoveToRegion"], tmp_path / folder)
-    part, whole = (Dataset.open(tmp_path / name) for name in ("part", "whole"))
-    assert len(whole) == 5
-    assert [e.sha256 for e in part.entries] == [e.sha256 for e in whole.entries]
 
 
 @pytest.mark.parametrize(("perturb", "min_score"), [(0.0, 0.0), (0.7, 0.9)])

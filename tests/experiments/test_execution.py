@@ -6,7 +6,6 @@ import os
 import shutil
 import signal
 from collections.abc import Callable
-from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from magical.cli import main
 from magical.errors import PlacementError, ResultsError
 from magical.evaluation import read_entry
 from magical.experiments import forecast, one_run, results
-from magical.experiments.execution import _outcome, execute
+from magical.experiments.execution import execute
 from magical.experiments.plan import PlannedRun
 from magical.experiments.status import read_status
 from magical.files import lock_now
@@ -188,15 +187,13 @@ def test_no_space_stops_the_plan_and_says_so(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     runs = planned()
-    future: Future[results.Outcome] = Future()  # of a process
-    future.set_exception(OSError(errno.ENOSPC, "No space left on device"))
-    died = _outcome(runs[0], future, results.Results(out, "x"), stopping=False)
-    assert died.state == "no space"
-    monkeypatch.setattr(one_run, "evaluate_run", full)
-    with pytest.raises(ResultsError, match=r"no space left on the device.* free some space"):
-        execute(runs, out)
-    assert [run.seed for run in inline] == [0]
-    assert results_of(out) == {}
+    for part in ("evaluate_run", "finish"):  # in a run, or where its process does something else
+        inline.clear()
+        monkeypatch.setattr(one_run, part, full)
+        with pytest.raises(ResultsError, match=r"no space left on the device.* free some space"):
+            execute(runs, out)
+        assert [run.seed for run in inline] == [0]
+        assert results_of(out) == {}
     monkeypatch.setattr(results, "write_json", full)
     with pytest.raises(ResultsError, match="no space left on the device"):
         execute(runs, out)
