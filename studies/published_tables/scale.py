@@ -40,6 +40,7 @@ def published_contrast(
     They do not say how a run's scores in several variants vary together. The interval takes that
     they do completely, within a task, and for multi-task methods over all tasks, which makes it
     wide; for the standard deviations' divisor see `difference_from_published`.
+    Each is at least the tables' resolution.
 
     Args:
         weights: of each method's mean over the cells.
@@ -55,7 +56,7 @@ def published_contrast(
             mean, std = table[task, method, short_variant(full_variant(variant))]
             value += weight * mean / len(cells)
             key = "" if MULTI_TASK in method else task
-            parts[key] = parts.get(key, 0.0) + abs(weight) * std / len(cells)
+            parts[key] = parts.get(key, 0.0) + abs(weight) * max(std, RESOLUTION) / len(cells)
         deviations += parts.values()
     variances = np.array(deviations) ** 2 / (PUBLISHED_RUNS - 1)
     bounds = sum(min(w, 0.0) for w in weights.values()), sum(max(w, 0.0) for w in weights.values())

@@ -40,3 +40,10 @@ def test_the_runs_of_a_multi_task_row_are_the_same_for_all_tasks() -> None:
     half = scipy.stats.t.ppf(0.975, freedom) * math.sqrt(sum(parts))
     assert single.low == pytest.approx(single.value - half)
     assert multi.high == 1.0
+
+
+def test_a_published_spread_is_at_least_its_rounding() -> None:
+    # GAIL (ST) has 1.00 and 0.00 on MoveToRegion Demo, that is a mean and a spread up to 0.005 off.
+    value, low, high = published_contrast({"GAIL (ST)": 1.0}, [("MoveToRegion", "Demo")])
+    half = scipy.stats.t.ppf(0.975, 4) * 0.005 / 2
+    assert (value, low, high) == pytest.approx((1.0, 1.0 - half, 1.0))
