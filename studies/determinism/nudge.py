@@ -25,13 +25,13 @@ from magical.envs.seeds import evaluation_seed
 from magical.envs.vector import MagicalVectorEnv
 from magical.evaluation import RolloutScore, evaluate
 from magical.evaluation.policy import Policy, observation_for
+from magical.evaluation.protocol import NUDGE
 from magical.evaluation.seeds import RolloutRng
 from magical.grouping import group_by
 from magical.learning import load_policy
 from magical.scene import Scene
 from magical.tasks import get_task
 
-NUDGE = 1e-9
 EXACT, SHARED, OWN = "exact", "shared shift", "own shifts"
 
 

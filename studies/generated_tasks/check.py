@@ -14,13 +14,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from magical.evaluation import environments, evaluate, load_policy, summarise
+from magical.evaluation.protocol import NUDGE
 from magical.tasks import TASKS, get_task
 from magical.tasks.programs.suite import LEAST_SCORES, SIZE, task_name
 
 SCORES = Path(__file__).with_name("expert.csv")
 FIELDS = ("number", "program", "Demo", "All")
 ROLLOUTS = 20  # of each environment, with the seeds of an evaluation
-NUDGE = 1e-9  # Demo has one scene
 
 
 def read_scores() -> dict[int, dict[str, str]]:

@@ -16,6 +16,7 @@ import torch
 from magical.envs import EnvId
 from magical.evaluation import environments, evaluate
 from magical.evaluation.policy import Actions, Mask
+from magical.evaluation.protocol import NUDGE
 from magical.learning.algorithms.program_bc import ProgramPolicy
 from magical.learning.intent.acting import Intention
 from magical.learning.intent.posterior import Belief, Explanation
@@ -55,7 +56,7 @@ def main() -> None:
                 raise SystemExit("expected runs of program-bc")
             oracle = OraclePolicy(policy, truths.split("+"))
             env_ids = environments(policy.tasks, [args.variant])
-            scores = evaluate(oracle, env_ids, rollouts=args.rollouts, nudge=1e-9, workers=1)
+            scores = evaluate(oracle, env_ids, rollouts=args.rollouts, nudge=NUDGE, workers=1)
             for task in policy.tasks:
                 mean = np.mean([row.score for row in scores if row.env_id.task == task])
                 cells.append(f"{mean:.2f}")

@@ -21,6 +21,7 @@ from torch import Tensor
 from magical.envs import EnvId
 from magical.evaluation import environments, evaluate
 from magical.evaluation.policy import Actions, Mask
+from magical.evaluation.protocol import NUDGE
 from magical.experts.expert import Expert, expert_for
 from magical.experts.memory import Memory, note_other_action
 from magical.experts.planning import Move, MovePlan, Planner, Strategy
@@ -81,7 +82,7 @@ def show(
         environments(tasks, [variant]),
         rollouts=args.rollouts,
         seed=args.seed,
-        nudge=1e-9,
+        nudge=NUDGE,
         workers=1,
     )
     means = [np.mean([s.score for s in scores if s.env_id.task == task]) for task in tasks]
