@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import chain, islice
 from pathlib import Path
+from typing import Any
 
 from magical.demos.generate import MAX_DROPPED, generate
 from magical.demos.store.dataset import Dataset
@@ -24,20 +25,11 @@ GENERATED = "generated_demonstrations"  # in `experiment.json`: folder/task -> d
 Progress = Callable[[int], None]
 
 
-def generate_missing(
-    folder: Path,
-    tasks: Iterable[str],
-    count: int,
-    *,
-    perturb: float = 0.0,
-    min_score: float = 0.0,
-    workers: int | None = None,
-    progress: Progress | None = None,
-) -> None:
+def generate_missing(folder: Path, tasks: Iterable[str], count: int, **settings: Any) -> None:
     """Generate those of `count` expert demonstrations of each task's Demo variant that are missing.
 
-    They are the same whether or not an earlier call was interrupted. `progress` is called after
-    each.
+    They are the same whether or not an earlier call was interrupted. `settings` are those of
+    `magical.demos.generate.generate`.
 
     Raises:
         DatasetError, NoExpertError: see `magical.demos.generate.generate`.
@@ -48,16 +40,7 @@ def generate_missing(
         first = _next_attempt(folder, seeds, count) if seeds else 0
         if len(seeds) < count:
             (demo,) = environments([task], ["Demo"])
-            generate(
-                demo,
-                count - len(seeds),
-                folder,
-                first=first,
-                perturb=perturb,
-                min_score=min_score,
-                workers=workers,
-                progress=progress,
-            )
+            generate(demo, count - len(seeds), folder, first=first, **settings)
 
 
 def _next_attempt(folder: Path, seeds: Sequence[int | None], count: int) -> int:
@@ -138,15 +121,8 @@ def _generated(
     assert source.expert_demos is not None
     parts = (f"{name.replace('_', '-')}-{value:g}" for name, value in source.generation.items())
     folder = results.path / DEMOS / "-".join([f"expert-{source.expert_demos}", *parts])
-    generate_missing(
-        folder,
-        tasks,
-        source.expert_demos,
-        perturb=source.perturb,
-        min_score=source.min_score,
-        workers=workers,
-        progress=progress,
-    )
+    settings = {**source.generation, "workers": workers, "progress": progress}
+    generate_missing(folder, tasks, source.expert_demos, **settings)
     dataset = Dataset.open(folder)
     digests = {f"{folder.name}/{task}": _digest_of_actions(dataset, task) for task in tasks}
     _require_known(digests, dataset, results, GENERATED)
