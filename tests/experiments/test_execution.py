@@ -285,6 +285,7 @@ def test_runs_recorded_in_an_earlier_form_are_not_run_again(
         del config["conventions"]
         record["settings"]["config"] = config
         (old / "result.json").write_text(json.dumps(record))
+    assert results.planned_states(copied, [first, second]) == ["done", "waiting"]
     assert execute([first, second], copied).complete
     assert [run.seed for run in inline] == [second.seed]
 

@@ -213,7 +213,7 @@ def planned_states(path: Path, runs: Sequence[PlannedRun]) -> list[str]:
     """
     if is_results(path):
         check_results(path, runs)
-        return [read_state(path / RUNS / run.folder) or WAITING for run in runs]
+        return [read_state(_found(path, run)) or WAITING for run in runs]
     _owned(path).require_new()
     return [WAITING] * len(runs)
 
@@ -221,12 +221,20 @@ def planned_states(path: Path, runs: Sequence[PlannedRun]) -> list[str]:
 def _adopt_earlier(path: Path, runs: Sequence[PlannedRun]) -> None:
     """Rename the folders of finished runs whose settings were recorded in an earlier form."""
     for run in runs:
-        prefix, new = run.folder.removesuffix(run.identity), path / RUNS / run.folder
-        if not new.exists():
-            for old in sorted((path / RUNS).glob(f"{glob.escape(prefix)}*")):
-                if (old / RESULT).is_file() and is_same_run(run, read_record(old / RESULT)):
-                    old.replace(new)
-                    break
+        found, folder = _found(path, run), path / RUNS / run.folder
+        if found != folder:
+            found.replace(folder)
+
+
+def _found(path: Path, run: PlannedRun) -> Path:
+    """A run's folder, or that of the same run whose settings were recorded in an earlier form."""
+    folder = path / RUNS / run.folder
+    if not folder.exists():
+        prefix = glob.escape(run.folder.removesuffix(run.identity))
+        for old in sorted((path / RUNS).glob(f"{prefix}*")):
+            if (old / RESULT).is_file() and is_same_run(run, read_record(old / RESULT)):
+                return old
+    return folder
 
 
 def is_same_run(run: PlannedRun, record: Mapping[str, Any]) -> bool:
