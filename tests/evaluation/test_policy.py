@@ -93,6 +93,10 @@ def test_a_plain_function_is_a_policy(module: str, suffix: str) -> None:
     np.testing.assert_array_equal(policy.act(None, [DEMO], np.random.default_rng(0)), [1])
 
 
+def test_a_compiled_function_without_a_signature_is_a_policy() -> None:
+    assert isinstance(load_policy("builtins:max"), FunctionPolicy)
+
+
 def function(
     observations: object, env_ids: Sequence[str], rng: np.random.Generator
 ) -> NDArray[np.int64]:
@@ -137,6 +141,7 @@ FORMS = "random, noop, expert, a run folder, module:name"
         (7, PolicyError, "found int 7"),
         ("{}:number", PolicyError, "found int 7"),
         ("{}:Needy", PolicyError, "class that can be instantiated without arguments"),
+        ("builtins:dict", PolicyError, "class that can be instantiated without arguments"),
         ("{}:make_nothing", PolicyError, "found None"),
         ("{}:absent", PluginError, "no 'absent' in the module, which has: .*Still"),
         ("no_such_module:policy", PluginError, "no_such_module"),

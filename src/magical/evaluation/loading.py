@@ -91,8 +91,8 @@ def as_policy(thing: Any, name: str = "policy") -> Policy:
         return as_policy(made)
     if inspect.isclass(thing):
         raise PolicyError(
-            f"{name}: expected a class that can be instantiated without arguments, found one with "
-            f"{inspect.signature(thing)}; name a function that makes it"
+            f"{name}: expected a class that can be instantiated without arguments, found "
+            f"{thing.__name__}; name a function that makes it"
         )
     return FunctionPolicy(thing)
 
@@ -106,7 +106,7 @@ _EXPECTED = (
 def _needs_arguments(thing: Callable[..., Any]) -> bool:
     try:
         inspect.signature(thing).bind()
-    except TypeError:
+    except (TypeError, ValueError):  # compiled functions need not have a signature
         return True
     return False
 
