@@ -28,8 +28,8 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return networks
 
 
-def seconds(algorithm: str, preset: str = "paper") -> float:
-    method = Method(name="A", algorithm=algorithm, preset=preset)
+def seconds(algorithm: str, preset: str = "paper", **settings: Any) -> float:
+    method = Method(name="A", algorithm=algorithm, preset=preset, settings=settings)
     (found,) = estimate(planned_runs(Plan(methods=(method,), tasks=("MoveToCorner",))))
     return found
 
@@ -70,3 +70,14 @@ def test_every_learner_is_timed_with_its_own_network(
 ) -> None:
     seconds(algorithm, preset)
     assert measured == [network]
+
+
+def test_learners_of_state_vectors_are_timed_in_float32(monkeypatch: pytest.MonkeyPatch) -> None:
+    def speeds(network: str, *, threads: tuple[int, ...], **options: Any) -> dict[Compute, float]:
+        by_precision = {"float32": SPEED, "bfloat16": SPEED / 10}
+        return {Compute("cpu", name, threads[0]): speed for name, speed in by_precision.items()}
+
+    monkeypatch.setattr("magical.learning.running.speed.training_speeds", speeds)
+    monkeypatch.setattr("magical.learning.running.devices.has_bfloat16", lambda _: True)
+    assert seconds("ppo", "states") == seconds("ppo", "states", precision="float32")
+    assert seconds("ppo", "quick") > seconds("ppo", "quick", precision="float32")

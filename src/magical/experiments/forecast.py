@@ -121,7 +121,7 @@ def _way(config: Config) -> Way:
     from magical.learning.running.devices import choose_compute, choose_device
 
     device = choose_device(config.device)
-    compute = choose_compute(device, config.precision, config.threads)
+    compute = choose_compute(device, config.network_precision, config.threads)
     threads = compute.threads if device == "cpu" else 0
     networks = config.part(EncoderSettings)
     network = networks.network if networks else "paper"

@@ -166,7 +166,7 @@ class Config(Settings):
                 f"observation {quoted(networks.observation)} is unknown; expected one of: "
                 f"{', '.join(self.observations)}"
             )
-        if networks and STATE not in self.observations and len(self.input_shape) == 1:
+        if networks and STATE not in self.observations and self.observes_vectors:
             raise InvalidConfigError(
                 f"observation: {self.algorithm} learns from images, found a vector"
             )
@@ -230,6 +230,17 @@ class Config(Settings):
     def input_shape(self) -> tuple[int, ...]:
         """The shape of one observation as a network input."""
         return self.observation_spec.network_shape
+
+    @property
+    def observes_vectors(self) -> bool:
+        """Whether observations are state vectors."""
+        return len(self.input_shape) == 1
+
+    @property
+    def network_precision(self) -> str:
+        """`precision`, but that `auto` is float32 where positions need more digits than pixels."""
+        exact = self.precision == "auto" and self.observes_vectors
+        return "float32" if exact else self.precision
 
     def require_one_task(self) -> None:
         """Raise `InvalidConfigError` for several tasks."""

@@ -139,11 +139,6 @@ class BCConfig(Config):
             _check_vectors(self.cloning, self.tasks)
 
     @property
-    def observes_vectors(self) -> bool:
-        """Whether observations are state vectors."""
-        return len(self.input_shape) == 1
-
-    @property
     def augmentations(self) -> Augmentations:
         """The augmentations of images."""
         chosen = self.networks.augmentations(self.cloning.augment)
@@ -229,10 +224,7 @@ class BCTrainer:
         decay = config.cloning.average_decay
         average = get_ema_multi_avg_fn(decay)  # type: ignore[no-untyped-call]
         self._average = AveragedModel(self.network, multi_avg_fn=average) if decay else None
-        # Positions need more digits than pixels.
-        exact = config.observes_vectors and config.precision == "auto"
-        precision = "float32" if exact else config.precision
-        self.compute = run.compute(self.device, precision, config.threads)
+        self.compute = run.compute(self.device, config.network_precision, config.threads)
         if run.saved:
             with restoring(run.folder):
                 self.policy.load_state_dict(run.saved["policy"])

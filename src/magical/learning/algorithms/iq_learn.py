@@ -220,7 +220,7 @@ class IQTrainer(InteractionTrainer):
         self.network = make_policy(config).to(device)
         self.target = deepcopy(self.network).requires_grad_(False)
         self.optimizer = Adam(self.network.parameters(), config.iq.learning_rate, fused=True)
-        self.compute = run.compute(device, config.precision, config.threads)
+        self.compute = run.compute(device, config.network_precision, config.threads)
         self.demonstrations = TransitionBuffer.of_demonstrations(
             demonstrations, config.tasks, config.observation_spec, device
         )

@@ -210,7 +210,7 @@ class ObjectBCTrainer:
         """Create a new trainer, or resume from the run's checkpoint."""
         self.config, self.run, self.device = config, run, device
         self.policy = policy.to(device)
-        self.compute = run.compute(device, config.precision, config.threads)
+        self.compute = run.compute(device, config.network_precision, config.threads)
         self.goal_optimizer = torch.optim.Adam(self.policy.goals.parameters(), GOAL_LEARNING_RATE)
         self.optimizer = torch.optim.AdamW(
             self.policy.controller.parameters(), config.learning_rate, weight_decay=WEIGHT_DECAY

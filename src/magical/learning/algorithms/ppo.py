@@ -175,13 +175,10 @@ class PPOTrainer(InteractionTrainer):
         self.device = choose_device(config.device)
         self.network = make_policy(config).to(self.device)
         self.optimizer = Adam(self.network.parameters(), config.ppo.learning_rate, fused=True)
-        vectors = len(config.input_shape) == 1
-        # Positions need more digits than pixels.
-        precision = "float32" if vectors and config.precision == "auto" else config.precision
-        self.compute = run.compute(self.device, precision, config.threads)
+        self.compute = run.compute(self.device, config.network_precision, config.threads)
         self.monitor = Monitor()
         with ExitStack() as stack:
-            if vectors and not config.threads:
+            if config.observes_vectors and not config.threads:
                 stack.enter_context(one_thread())
             self.envs = stack.enter_context(RolloutEnvs(config, self.device, reward))
             self._start_or_resume()

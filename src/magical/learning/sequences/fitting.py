@@ -111,7 +111,7 @@ def fit(
     optimizer = AdamW(
         network.parameters(), fitting.learning_rate, weight_decay=fitting.weight_decay, fused=True
     )
-    compute = run.compute(device, config.precision, config.threads)
+    compute = run.compute(device, config.network_precision, config.threads)
     if run.saved:
         with restoring(run.folder):
             network.load_state_dict(run.saved["policy"])
