@@ -5,7 +5,6 @@ quantiles, scaled to a variance of exactly 1. The bits are SplitMix64's (Steele,
 "Fast splittable pseudorandom number generators", OOPSLA 2014), four numbers from each output.
 """
 
-from collections.abc import Callable
 from functools import cache
 from statistics import NormalDist
 
@@ -32,7 +31,7 @@ def add_noise(images: Floats32, deviation: float, seeds: Seeds) -> None:
         seeds: (B,) uint64, one for each image: its noise depends on nothing else.
     """
     table = (_normal_quantiles() * deviation).astype(np.float32)
-    compiled_add_noise()(images.reshape(len(images), -1), table, seeds)
+    compiled_add_noise(images.reshape(len(images), -1), table, seeds)
 
 
 @cache
@@ -51,27 +50,21 @@ def _mixed(state: np.uint64) -> np.uint64:
     return word ^ (word >> np.uint64(31))
 
 
-@cache
-def compiled_add_noise() -> Callable[..., None]:
-    """The entry point behind `add_noise`."""
-
-    @nogil_entry_point
-    def add(rows: Floats32, table: Floats32, seeds: Seeds) -> None:
-        """Rows (B, n), a table of noise, seeds (B,)."""
-        noise = np.empty(CHUNK, np.float32)
-        last, zero, one = np.uint64(len(table) - 1), np.float32(0.0), np.float32(1.0)
-        for b in range(len(rows)):
-            state = seeds[b]
-            for first in range(0, rows.shape[1], CHUNK):
-                for i in range(0, CHUNK, 4):
-                    state += GOLDEN_GAMMA
-                    word = _mixed(state)
-                    noise[i] = table[word & last]
-                    noise[i + 1] = table[word >> LANE & last]
-                    noise[i + 2] = table[word >> (LANE + LANE) & last]
-                    noise[i + 3] = table[word >> (LANE + LANE + LANE) & last]
-                some = rows[b, first : first + CHUNK]
-                for i in range(len(some)):
-                    some[i] = min(max(some[i] + noise[i], zero), one)
-
-    return add
+@nogil_entry_point
+def compiled_add_noise(rows: Floats32, table: Floats32, seeds: Seeds) -> None:
+    """Rows (B, n), a table of noise, seeds (B,)."""
+    noise = np.empty(CHUNK, np.float32)
+    last, zero, one = np.uint64(len(table) - 1), np.float32(0.0), np.float32(1.0)
+    for b in range(len(rows)):
+        state = seeds[b]
+        for first in range(0, rows.shape[1], CHUNK):
+            for i in range(0, CHUNK, 4):
+                state += GOLDEN_GAMMA
+                word = _mixed(state)
+                noise[i] = table[word & last]
+                noise[i + 1] = table[word >> LANE & last]
+                noise[i + 2] = table[word >> (LANE + LANE) & last]
+                noise[i + 3] = table[word >> (LANE + LANE + LANE) & last]
+            some = rows[b, first : first + CHUNK]
+            for i in range(len(some)):
+                some[i] = min(max(some[i] + noise[i], zero), one)

@@ -3,8 +3,6 @@
 The slow reference, which also runs on other devices, is `magical.learning.augmentation.augment`.
 """
 
-from collections.abc import Callable
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -59,7 +57,7 @@ def resample(
     matrices, offsets = root_maps(*jitter) if jitter else (np.empty((0, 3, 3)), np.empty((0, 3)))
     levels = np.arange(LEVELS + 1) / LEVELS
     decoded = decode_gamma(levels) if linear_light else levels  # (256,)
-    compiled_resample()(images, maps, matrices, offsets, decoded, linear_light, mirror, out)
+    compiled_resample(images, maps, matrices, offsets, decoded, linear_light, mirror, out)
 
 
 @inlined
@@ -199,35 +197,29 @@ def _warp(pixels: Floats32, inverse: Floats, mirror: bool, out: Floats32) -> Non
                 new[k] = neither * a[k] + only_across * b[k] + only_down * c[k] + both * d[k]
 
 
-@cache
-def compiled_resample() -> Callable[..., None]:
-    """The entry point behind `resample`."""
-
-    @nogil_entry_point
-    def resample_stacks(
-        images: Any,
-        inverses: Floats,
-        matrices: Floats,
-        offsets: Floats,
-        decoded: Floats,
-        encodes: bool,
-        mirror: bool,
-        out: Floats32,
-    ) -> None:
-        """See `resample`; no `inverses` and no `matrices` stand for no warp and no jitter."""
-        channels, height, width = images.shape[1:]
-        own = np.empty((height * width, channels), np.float32)
-        packed = np.empty((height * width, channels // CHANNELS), np.int32)
-        keys, values = np.empty(SLOTS, np.int32), np.empty((SLOTS, CHANNELS), np.float32)
-        for b in range(len(images)):
-            pixels = own if len(inverses) else out[b].reshape(height * width, channels)
-            if len(matrices):
-                _pack(images[b], packed)
-                jitter = matrices[b], offsets[b], decoded, encodes
-                _jitter(packed.ravel(), *jitter, keys, values, pixels.reshape(-1, CHANNELS))
-            else:
-                _load(images[b], pixels)
-            if len(inverses):
-                _warp(own, inverses[b], mirror, out[b])
-
-    return resample_stacks
+@nogil_entry_point
+def compiled_resample(
+    images: Any,
+    inverses: Floats,
+    matrices: Floats,
+    offsets: Floats,
+    decoded: Floats,
+    encodes: bool,
+    mirror: bool,
+    out: Floats32,
+) -> None:
+    """See `resample`; no `inverses` and no `matrices` stand for no warp and no jitter."""
+    channels, height, width = images.shape[1:]
+    own = np.empty((height * width, channels), np.float32)
+    packed = np.empty((height * width, channels // CHANNELS), np.int32)
+    keys, values = np.empty(SLOTS, np.int32), np.empty((SLOTS, CHANNELS), np.float32)
+    for b in range(len(images)):
+        pixels = own if len(inverses) else out[b].reshape(height * width, channels)
+        if len(matrices):
+            _pack(images[b], packed)
+            jitter = matrices[b], offsets[b], decoded, encodes
+            _jitter(packed.ravel(), *jitter, keys, values, pixels.reshape(-1, CHANNELS))
+        else:
+            _load(images[b], pixels)
+        if len(inverses):
+            _warp(own, inverses[b], mirror, out[b])
