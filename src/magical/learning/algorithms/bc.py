@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
@@ -13,7 +14,7 @@ from torch.optim import SGD, Adam, Optimizer
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from magical.errors import InvalidConfigError
-from magical.learning.algorithms import Algorithm
+from magical.learning.algorithms import Algorithm, read_config
 from magical.learning.augmentation.names import Augmentations, augment_option
 from magical.learning.augmentation.transformations import (
     NONE,
@@ -38,8 +39,8 @@ from magical.learning.models import PolicyNetwork, Trunk, init_normal, new_stati
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import StateDict, restoring
 from magical.learning.running.devices import choose_device
+from magical.learning.running.loading import load_policy
 from magical.learning.running.optimizers import load_optimizer, optimizer_state, set_learning_rate
-from magical.learning.running.pretrained import load_pretrained
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import (
@@ -51,7 +52,8 @@ from magical.learning.settings import (
     option,
 )
 from magical.observe import STATE
-from magical.runs.sources import EXTRA_DATA, RENDERED_STATES
+from magical.runs.folder import CHECKPOINT
+from magical.runs.sources import EXTRA_DATA, PRETRAINED_ON, RENDERED_STATES
 
 ADAM_BETA_2 = 0.999
 STATISTICS_BATCHES = 50  # that batch norm's statistics of averaged weights are from
@@ -218,7 +220,7 @@ class BCTrainer:
         self.device = choose_device(config.device)
         network = make_policy(config)
         if config.init_from and not run.saved:
-            load_pretrained(network.trunk, config, config.init_from, run)
+            load_pretrained(network.trunk, config, run)
         self.network = network.to(self.device)
         self.optimizer = make_optimizer(config.cloning, self.network)
         decay = config.cloning.average_decay
@@ -349,6 +351,35 @@ def make_policy(config: BCConfig) -> PolicyNetwork:
         if networks.published:
             init_normal(network.policy)
         return network
+
+
+def load_pretrained(trunk: Trunk, config: BCConfig, run: Run) -> None:
+    """Load the trunk of the run `init_from`, and record the tasks that it learned in `run.json`.
+
+    Raises:
+        InvalidConfigError: no run of bc from its own initialisation, or of another observation
+            or conventions.
+        RunFolderError, CheckpointError: a damaged run, or one of another network.
+    """
+    folder = Path(config.init_from)
+    before = read_config(folder)
+    if type(before) is not BCConfig or before.init_from:
+        raise InvalidConfigError(
+            f"init_from: expected a run of bc that was itself not fine-tuned, found {folder}"
+        )
+    if before.observation_spec != config.observation_spec:
+        raise InvalidConfigError(
+            f"init_from: expected a run with the observation {config.observation}, found "
+            f"{before.observation} in {folder}"
+        )
+    if before.networks.conventions != config.networks.conventions:
+        raise InvalidConfigError(
+            f"init_from: expected a run with the same conventions, found others in {folder}"
+        )
+    network = load_policy(folder, "cpu").network
+    with restoring(folder / CHECKPOINT):
+        trunk.load_state_dict(network.get_submodule("trunk").state_dict())
+    run.describe(**{PRETRAINED_ON: list(before.tasks)})
 
 
 def make_optimizer(settings: CloningSettings, network: nn.Module) -> Optimizer:
