@@ -17,7 +17,8 @@ NOT_NEGATIVE: Check = (lambda number: number >= 0, "at least 0")
 BELOW_1: Check = (lambda number: 0 <= number < 1, "a number from 0 to below 1")
 FRACTION: Check = (lambda number: 0 <= number <= 1, "a number from 0 to 1")
 Part = TypeVar("Part", bound="Settings")
-_type_hints = cache(get_type_hints)  # which evaluates every annotation anew
+# Of a class's fields; not cached, every annotation is evaluated anew.
+type_hints: Callable[[Any], dict[str, Any]] = cache(get_type_hints)
 
 
 def option(
@@ -91,11 +92,6 @@ def all_fields(kind: type[Settings]) -> Iterator[tuple[str, "dataclasses.Field[A
         elif field.name != "algorithm":
             for _, inner, hint in all_fields(hints[field.name]):
                 yield field.name, inner, hint
-
-
-def type_hints(kind: Any) -> dict[str, Any]:
-    """The types of a class's fields, by their names."""
-    return _type_hints(kind)
 
 
 def option_types(kind: type[Settings]) -> dict[str, Any]:

@@ -5,7 +5,7 @@ is the same whether or not the run was resumed at 999.
 """
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from enum import IntEnum
 
 import numpy as np
@@ -33,11 +33,18 @@ def stream(seed: int, purpose: Purpose, number: int = 0) -> np.random.Generator:
 
 
 @contextmanager
-def seeded_init(seed: int, number: int = 0) -> Iterator[None]:
-    """A context in which PyTorch's initialisation of network `number` follows from the seed.
+def seeded(seed: int, purpose: Purpose, number: int = 0, device: str = "cpu") -> Iterator[None]:
+    """A context in which PyTorch's global random numbers are those of a stream.
 
-    PyTorch's global generator is restored afterwards.
+    The generators of the CPU and of the device are restored afterwards.
     """
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(int(stream(seed, Purpose.INIT, number).integers(2**63)))
+    # Without their numbers, all GPUs of the machine would be initialised.
+    devices = [torch.cuda.current_device()] if device == "cuda" else []
+    with torch.random.fork_rng(devices):
+        torch.manual_seed(int(stream(seed, purpose, number).integers(2**63)))
         yield
+
+
+def seeded_init(seed: int, number: int = 0) -> AbstractContextManager[None]:
+    """A context in which PyTorch's initialisation of network `number` follows from the seed."""
+    return seeded(seed, Purpose.INIT, number)

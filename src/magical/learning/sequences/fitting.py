@@ -1,7 +1,6 @@
 """Fitting a network to batches of demonstrations by supervised learning."""
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, TypeVar
 
@@ -19,7 +18,7 @@ from magical.learning.running.checkpoints import restoring
 from magical.learning.running.devices import choose_device
 from magical.learning.running.optimizers import load_optimizer, optimizer_state, set_learning_rate
 from magical.learning.running.run import Run
-from magical.learning.running.streams import Purpose, stream
+from magical.learning.running.streams import Purpose, seeded
 from magical.learning.settings import NOT_NEGATIVE, POSITIVE, Settings, option
 
 MAX_GRAD_NORM = 10.0
@@ -120,7 +119,7 @@ def fit(
     with prefetch(sample, numbers, data.batches_on_host) as batches:
         for number, batch in zip(numbers, batches, strict=False):
             set_learning_rate(optimizer, fitting.learning_rate * (1.0 - number / fitting.batches))
-            with _seeded(config.seed, number), compute.autocast():
+            with seeded(config.seed, Purpose.NOISE, number, device), compute.autocast():
                 metrics = losses(batch)
             optimizer.zero_grad()
             torch.autograd.backward(metrics["loss"])
@@ -140,11 +139,3 @@ def fit(
 def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
     """The mean of values (...,) where a mask (...,) is true."""
     return (values * mask).sum() / mask.sum()
-
-
-@contextmanager
-def _seeded(seed: int, number: int) -> Iterator[None]:
-    """A context in which PyTorch's random numbers follow from the seed and the batch's number."""
-    with torch.random.fork_rng():
-        torch.manual_seed(int(stream(seed, Purpose.NOISE, number).integers(2**63)))
-        yield
