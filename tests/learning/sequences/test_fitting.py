@@ -35,6 +35,18 @@ def test_random_numbers_follow_from_the_seed_and_are_no_others(
     assert_same(found[0], found[1])
 
 
+def test_training_on_the_cpu_leaves_gpus_alone(
+    demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    touched: list[Any] = []
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    monkeypatch.setattr(torch.cuda, "get_rng_state", touched.append)
+    monkeypatch.setattr(torch.cuda, "set_rng_state", lambda *_: None)
+    config = tiny(find_algorithm("act").config, demos=str(demos), batches=1)
+    assert train(config, tmp_path / "run").finished
+    assert not touched
+
+
 class Recorded:
     """A policy, and the actions that it chose."""
 
