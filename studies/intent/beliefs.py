@@ -12,6 +12,8 @@ from magical.demos import Dataset
 from magical.learning.algorithms.program_bc import ProgramBCConfig, infer_beliefs
 from magical.learning.intent.picture import draw_beliefs
 from magical.learning.intent.posterior import Belief
+from magical.learning.objects.data import parse_demonstrations
+from magical.learning.objects.parser import parse_frames
 from magical.tasks import TASKS, get_task
 from tools.readme_tables import table
 
@@ -47,7 +49,7 @@ def main() -> None:
         for trajectory in dataset.filter(task=task).sample(DEMONSTRATIONS, rng)
     )
     config = ProgramBCConfig.preset("quick", tasks=tuple(TASKS), demos=args.demos)
-    beliefs = infer_beliefs(config, demonstrations)
+    beliefs = infer_beliefs(config, parse_demonstrations(demonstrations, parse_frames))
     header = ("Task", "Its program", "p", "The most probable one", "p", "Its meaning", "None")
     print(table(header, (row(task, belief) for task, belief in beliefs.items())))
     if args.picture:

@@ -14,9 +14,7 @@ from magical.learning.intent.meanings import Language
 from magical.learning.intent.posterior import infer
 from magical.learning.intent.scenes import parsed_episode
 from magical.learning.objects.data import parse_trajectory
-from magical.learning.objects.hindsight import track
 from magical.learning.objects.parser import parse_frames
-from magical.observe import make_spec
 from magical.scene import Poses, Scene
 from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import TASKS
@@ -39,10 +37,7 @@ def moved(scene: Scene, block: int, place: tuple[float, float]) -> Poses:
 
 
 def episode_of(trajectory: Trajectory) -> Episode:
-    component = make_spec("LoRes4A", TASKS["FixColour"]).components[0]
-    return parsed_episode(
-        trajectory, track(parse_trajectory(trajectory, component, parse_frames)), rng()
-    )
+    return parsed_episode(trajectory, parse_trajectory(trajectory, parse_frames), rng())
 
 
 @pytest.fixture(scope="module")

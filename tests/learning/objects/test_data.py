@@ -9,12 +9,10 @@ from magical.demos import Actor
 from magical.demos.generate import demonstrate
 from magical.envs import EnvId
 from magical.errors import DemonstrationsError
-from magical.learning.objects.data import ObjectData
+from magical.learning.objects.data import ObjectData, parse_demonstrations
 from magical.learning.objects.parser import parse_frames
-from magical.observe import PRESETS
 
 TASK = "MoveToRegion"
-COMPONENT = PRESETS["LoRes4A"].components[0]
 
 
 def test_steps_of_a_watched_policy_are_not_sampled() -> None:
@@ -22,10 +20,10 @@ def test_steps_of_a_watched_policy_are_not_sampled() -> None:
     actors = np.full(len(trajectory), Actor.POLICY)
     actors[:12] = Actor.HUMAN
     taken_over = replace(trajectory, actors=actors)
-    data = ObjectData(((TASK, taken_over),), [TASK], COMPONENT, parse_frames)
+    data = ObjectData(parse_demonstrations(((TASK, taken_over),), parse_frames), [TASK])
     rng = np.random.default_rng(0)
     assert set(data.sample_each(500, rng).tolist()) == set(range(12))
     assert data.sample_eventful(500, rng).max() < 12
     watched = replace(trajectory, actors=np.full(len(trajectory), Actor.POLICY))
     with pytest.raises(DemonstrationsError, match=f"{TASK}: expected steps that were demonstr"):
-        ObjectData(((TASK, watched),), [TASK], COMPONENT, parse_frames)
+        ObjectData(parse_demonstrations(((TASK, watched),), parse_frames), [TASK])

@@ -7,7 +7,6 @@ import pytest
 
 from magical.demos.generate import demonstrate
 from magical.learning.objects.data import parse_trajectory
-from magical.learning.objects.hindsight import track
 from magical.learning.objects.parser import ParsedFrames, parse_frames
 from magical.learning.planning.motion import (
     PRIOR,
@@ -17,16 +16,13 @@ from magical.learning.planning.motion import (
     robot_steps,
     to_robot,
 )
-from magical.observe import make_spec
 from magical.scene.actions import Action, Longitudinal, to_continuous
 from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
-from magical.tasks import get_task
 
 
 def demonstrations(task: str, seeds: Sequence[int]) -> list[Demonstration]:
-    component = make_spec("LoRes4A", get_task(task)).components[0]
     trajectories = [demonstrate(f"magical/{task}-Demo-v0", seed=seed) for seed in seeds]
-    return [(track(parse_trajectory(t, component, parse_frames)), t.actions) for t in trajectories]
+    return [(parse_trajectory(t, parse_frames), t.actions) for t in trajectories]
 
 
 @pytest.fixture(scope="module")

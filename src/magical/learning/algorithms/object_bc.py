@@ -24,7 +24,7 @@ from magical.learning.config import Config, DemonstrationSettings
 from magical.learning.data.expert_data import load_demonstrations
 from magical.learning.objects.components import Pixels
 from magical.learning.objects.control import Controller, control_inputs
-from magical.learning.objects.data import ObjectData
+from magical.learning.objects.data import OBSERVATION, ObjectData, parse_demonstrations
 from magical.learning.objects.goals import BORDER, CANDIDATES, REFITTED, GoalModel, goal_losses
 from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.objects.perception import PARSER, PERCEPTIONS, get_perception
@@ -41,7 +41,6 @@ from magical.runs.sources import BENCHMARK_PRIOR, OBJECT_PARSER
 from magical.scene.actions import MIRRORED_ACTIONS
 
 STANDS, STANDS_ANGLE = 0.01, 0.05  # units, rad: a robot that moved less over the stack stands still
-OBSERVATION = "LoRes4A"  # the allocentric camera sees every object
 HIDDEN = 256  # units in the controller's layers
 WEIGHT_DECAY = 1e-2  # of the controller
 DESTINATION_NOISE = 0.03  # units: standard deviation of the noise on the controller's destinations
@@ -196,9 +195,8 @@ def train(config: ObjectBCConfig, run: Run) -> None:
     device = choose_device(config.device)
     policy = make_policy(config)
     trainer = ObjectBCTrainer(config, run, policy, device)
-    demonstrations = load_demonstrations(config, run)
-    component = config.observation_spec.components[0]
-    trainer.fit(ObjectData(demonstrations, config.tasks, component, policy.perception, device))
+    parsed = parse_demonstrations(load_demonstrations(config, run), policy.perception)
+    trainer.fit(ObjectData(parsed, config.tasks, device))
 
 
 class ObjectBCTrainer:

@@ -22,7 +22,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from magical.demos.store.trajectory import Trajectory
 from magical.errors import CheckpointError, RunFolderError
 from magical.evaluation.policy import Actions, Mask
 from magical.learning.algorithms import Algorithm
@@ -33,14 +32,13 @@ from magical.learning.algorithms.object_bc import (
     initialised,
     stacked_frames,
 )
-from magical.learning.data.expert_data import TaskTrajectories, load_demonstrations
+from magical.learning.data.expert_data import load_demonstrations
 from magical.learning.intent.acting import Intention
 from magical.learning.intent.posterior import Belief, Explanation, infer
 from magical.learning.intent.scenes import parsed_episode, parsed_poses, parsed_scene
-from magical.learning.objects.data import ObjectData, parse_trajectory
+from magical.learning.objects.data import ObjectData, ParsedDemonstration, parse_demonstrations
 from magical.learning.objects.hindsight import track
 from magical.learning.objects.parser import ParsedFrames
-from magical.learning.objects.perception import get_perception
 from magical.learning.planning.motion import Motion, fit_motion
 from magical.learning.planning.planner import Planner, Situation
 from magical.learning.policy import TrainedPolicy, sample_actions, to_inputs
@@ -191,38 +189,22 @@ def train(config: ProgramBCConfig, run: Run) -> None:
     """Learn from the demonstrations."""
     device = choose_device(config.device)
     policy = make_policy(config)
-    demonstrations = load_demonstrations(config, run)
+    demonstrations = parse_demonstrations(load_demonstrations(config, run), policy.perception)
     if not run.saved:
-        tracked = _track(config, demonstrations)
-        policy.move_as(fit_motion([(parsed, t.actions) for _, t, parsed in tracked]))
-        for number, belief in enumerate(_infer(config, tracked).values()):
+        policy.move_as(fit_motion([(parsed, t.actions) for _, t, parsed in demonstrations]))
+        for number, belief in enumerate(infer_beliefs(config, demonstrations).values()):
             policy.believe(number, belief)
     trainer = ObjectBCTrainer(config, run, policy, device)
-    component = config.observation_spec.components[0]
-    trainer.fit(ObjectData(demonstrations, config.tasks, component, policy.perception, device))
+    trainer.fit(ObjectData(demonstrations, config.tasks, device))
 
 
-def infer_beliefs(config: ProgramBCConfig, demonstrations: TaskTrajectories) -> dict[str, Belief]:
-    """What is believed of each task after its demonstrations."""
-    return _infer(config, _track(config, demonstrations))
-
-
-def _track(
-    config: ProgramBCConfig, demonstrations: TaskTrajectories
-) -> list[tuple[str, Trajectory, ParsedFrames]]:
-    """Each demonstration with its task and its tracked frames."""
-    component, perception = config.observation_spec.components[0], get_perception(config.perception)
-    return [
-        (task, t, track(parse_trajectory(t, component, perception))) for task, t in demonstrations
-    ]
-
-
-def _infer(
-    config: ProgramBCConfig, tracked: Sequence[tuple[str, Trajectory, ParsedFrames]]
+def infer_beliefs(
+    config: ProgramBCConfig, demonstrations: Sequence[ParsedDemonstration]
 ) -> dict[str, Belief]:
+    """What is believed of each task after its demonstrations."""
     rng = stream(config.seed, Purpose.PROGRAMS)
     return {
-        task: infer([parsed_episode(t, parsed, rng) for name, t, parsed in tracked if name == task])
+        task: infer([parsed_episode(t, p, rng) for name, t, p in demonstrations if name == task])
         for task in config.tasks
     }
 

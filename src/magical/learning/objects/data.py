@@ -1,6 +1,7 @@
 """Demonstrations as training data of the object-centred learner."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -16,12 +17,21 @@ from magical.learning.objects.hindsight import ROBOT_TARGET, find_goals, track
 from magical.learning.objects.parser import ParsedFrames
 from magical.learning.objects.perception import Perception
 from magical.learning.objects.table import ObjectTable, to_tensor
-from magical.observe import Component
+from magical.observe import PRESETS
 
+OBSERVATION = "LoRes4A"  # the allocentric camera sees every object
 CHUNK = 256  # frames or samples at a time
 STILL, STILL_FINGERS = 0.004, 0.02  # units or rad in a step, rad: more is motion
 
 Rows = NDArray[np.int64]
+
+
+class ParsedDemonstration(NamedTuple):
+    """A demonstration, and the objects in its frames."""
+
+    task: str
+    trajectory: Trajectory  # of T steps
+    parsed: ParsedFrames  # T + 1 frames, tracked
 
 
 class ObjectData:
@@ -38,25 +48,20 @@ class ObjectData:
 
     def __init__(
         self,
-        demonstrations: TaskTrajectories,
+        demonstrations: Sequence[ParsedDemonstration],
         task_names: Sequence[str],
-        component: Component,
-        perception: Perception,
         device: str = "cpu",
     ) -> None:
-        """Find the objects of all frames, read through an allocentric component.
+        """Find the goals of all steps.
 
         Steps in which a watched policy acted by itself are never sampled.
 
         Raises:
             DemonstrationsError: no samples are left of a task.
         """
-        parts = [
-            _samples(trajectory, task_names.index(task), component, perception)
-            for task, trajectory in demonstrations
-        ]
+        parts = [_samples(each, task_names.index(each.task)) for each in demonstrations]
         tables, targets, destinations, actions, tasks, eventful = zip(*parts, strict=True)
-        demonstrated = np.concatenate([t.is_demonstrated for _, t in demonstrations])
+        demonstrated = np.concatenate([each.trajectory.is_demonstrated for each in demonstrations])
         columns = zip(*tables, strict=True)
         self.table = ObjectTable(*(torch.cat(column).to(device) for column in columns))
         self.targets, self.destinations, self.actions, self.tasks = (
@@ -95,10 +100,10 @@ class ObjectData:
 
 
 def _samples(
-    trajectory: Trajectory, task: int, component: Component, perception: Perception
+    demonstration: ParsedDemonstration, task: int
 ) -> tuple[ObjectTable, Tensor, Tensor, Tensor, Tensor, Tensor]:
     """One demonstration's scenes, targets, destinations, actions, task, and which are not idle."""
-    parsed = track(parse_trajectory(trajectory, component, perception))
+    _, trajectory, parsed = demonstration
     intended = trajectory.is_demonstrated & (trajectory.labels == trajectory.actions)
     targets, destinations = find_goals(parsed.robot, parsed.blocks, intended)
     return (
@@ -120,13 +125,22 @@ def _moves(parsed: ParsedFrames) -> NDArray[np.bool_]:
     return moves
 
 
-def parse_trajectory(
-    trajectory: Trajectory, component: Component, perception: Perception
-) -> ParsedFrames:
-    """The objects of all time steps."""
+def parse_demonstrations(
+    demonstrations: TaskTrajectories, perception: Perception
+) -> list[ParsedDemonstration]:
+    """Find the objects in all frames of demonstrations."""
+    return [
+        ParsedDemonstration(task, trajectory, parse_trajectory(trajectory, perception))
+        for task, trajectory in demonstrations
+    ]
+
+
+def parse_trajectory(trajectory: Trajectory, perception: Perception) -> ParsedFrames:
+    """The objects of all time steps, with blocks numbered as in the first."""
+    (component,) = PRESETS[OBSERVATION].components
     source, steps = TrajectorySource(trajectory), np.arange(len(trajectory) + 1)
     parts = []
     for start in range(0, len(steps), CHUNK):
         frames = component.read(source, steps[start : start + CHUNK])  # (B, 3, 96, 96)
         parts.append(perception(frames.transpose(0, 2, 3, 1)))
-    return ParsedFrames(*map(np.concatenate, zip(*parts, strict=True)))
+    return track(ParsedFrames(*map(np.concatenate, zip(*parts, strict=True))))
