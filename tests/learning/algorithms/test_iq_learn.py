@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from magical.demos import Trajectory
-from magical.errors import InvalidConfigError, UnknownNameError
+from magical.errors import InvalidConfigError
 from magical.learning import train
 from magical.learning.algorithms import iq_learn
 from magical.learning.algorithms.iq_learn import (
@@ -244,8 +244,3 @@ def test_paper_settings_are_the_published_codes() -> None:
 def test_impossible_settings(fields: dict[str, Any], named: str) -> None:
     with pytest.raises(InvalidConfigError, match=named):
         tiny(IQLearnConfig, **fields)
-
-
-def test_unknown_augmentation() -> None:
-    with pytest.raises(UnknownNameError, match="blur"):
-        tiny(IQLearnConfig, augment="blur")

@@ -169,8 +169,9 @@ def train_adversarially(config: AdversarialConfig, run: Run, loss: Loss, reward:
             with ppo.monitor.timed("discriminator"):
                 replay_buffer.add(rollout.observations, rollout.actions)
                 metrics |= discriminator.train(stream(config.seed, Purpose.DISCRIMINATOR, update))
-            state = lambda: {"discriminator": discriminator.state_dict()}  # noqa: E731
-            if ppo.finish_update(update, metrics, state):
+            if ppo.finish_update(
+                update, metrics, lambda: {"discriminator": discriminator.state_dict()}
+            ):
                 break
 
 
@@ -202,7 +203,6 @@ class DiscriminatorTrainer:
         self._compute = compute
         self._loss = loss
         self._reward = reward
-        self._randoms = Randoms(compute.device)
 
     def rewards(self, rollout: Rollout) -> tuple[Tensor, Metrics]:
         """Normalised rewards (T, N) of a rollout, and mean and spread of the raw ones.
@@ -233,15 +233,14 @@ class DiscriminatorTrainer:
         averages = Averages()
         for _ in range(self.config.discriminator.steps):
             batch = self.sample_batch(rng)
-            self._randoms.start(rng)
-            averages.add(1, **self._step(batch))
+            averages.add(1, **self._step(batch, Randoms(self._compute.device, rng)))
         return {**averages.reset()}
 
-    def _step(self, batch: DiscriminatorBatch) -> dict[str, Tensor]:
+    def _step(self, batch: DiscriminatorBatch, randoms: Randoms) -> dict[str, Tensor]:
         """Take one step of the optimiser on a batch; returns what is logged."""
-        images = self._randoms.augment(batch.images, self._augmentations)
+        images = randoms.augment(batch.images, self._augmentations)
         with self._compute.autocast():
-            loss, logged = self._loss(self.network, batch._replace(images=images), self._randoms)
+            loss, logged = self._loss(self.network, batch._replace(images=images), randoms)
         self.optimizer.zero_grad()
         torch.autograd.backward(loss)
         self.optimizer.step()

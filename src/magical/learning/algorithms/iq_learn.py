@@ -226,7 +226,6 @@ class IQTrainer(InteractionTrainer):
         )
         self.replay_buffer = self.demonstrations.emptied(config.iq.buffer_size)
         self.monitor = Monitor()
-        self._randoms = Randoms(device)
         self._augmentations = config.networks.augmentations(config.iq.augment)
         with ExitStack() as stack:
             self.envs = stack.enter_context(RolloutEnvs(config, device))
@@ -264,16 +263,15 @@ class IQTrainer(InteractionTrainer):
                 counts = split_evenly(iq.batch_size // 2, len(self.config.tasks), rng)
                 demonstrated = self.demonstrations.sample(counts, rng)
                 batch = demonstrated.join(self.replay_buffer.sample(counts, rng))
-                self._randoms.start(rng)
-                averages.add(1, **self._step(batch))
+                averages.add(1, **self._step(batch, Randoms(self.compute.device, rng)))
         return {**averages.reset()}
 
-    def _step(self, batch: Transitions) -> dict[str, Tensor]:
+    def _step(self, batch: Transitions, randoms: Randoms) -> dict[str, Tensor]:
         """Take one step of the optimiser on a batch; returns what is logged."""
         iq = self.config.iq
         network = self.target if iq.target_every else self.network
-        observations = self._randoms.augment(batch.observations, self._augmentations)
-        following = self._randoms.augment(batch.next_observations, self._augmentations)
+        observations = randoms.augment(batch.observations, self._augmentations)
+        following = randoms.augment(batch.next_observations, self._augmentations)
         with self.compute.autocast():
             q = self.network.q(observations, batch.tasks)
             next_q = network.q(following, batch.tasks)

@@ -9,7 +9,7 @@ One update:
 `train` uses the environment's reward; other algorithms pass learned ones to `improve_policy`.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple, Self, cast
@@ -184,9 +184,9 @@ class PPOTrainer(InteractionTrainer):
             self._start_or_resume()
             self._stack = stack.pop_all()
 
-    def remaining_updates(self) -> Iterator[int]:
+    def remaining_updates(self) -> range:
         """The numbers of the updates that are not done yet."""
-        yield from range(max(self.run.step - self.previous_steps, 0), self.config.ppo.num_updates)
+        return range(max(self.run.step - self.previous_steps, 0), self.config.ppo.num_updates)
 
     def forward(
         self, observations: Tensor, tasks: Tensor, in_range: bool = False

@@ -181,22 +181,17 @@ def noise_seeds(count: int, rng: np.random.Generator) -> NDArray[np.uint64]:
 
 
 class Randoms:
-    """Random numbers where networks compute.
+    """Random numbers of a step, where networks compute.
 
     On a CPU they are those of `rng`; elsewhere those of a generator on the device, which is seeded
     from it: a step then neither waits for the host nor copies from it.
     """
 
-    def __init__(self, device: str, rng: np.random.Generator | None = None) -> None:
-        self._device = device
-        self._generator = None if device == "cpu" else torch.Generator(device)
-        self.start(rng or np.random.default_rng(0))
-
-    def start(self, rng: np.random.Generator) -> None:
-        """Continue with the numbers of another generator."""
-        self._rng = rng
-        if self._generator:
-            self._generator.manual_seed(int(rng.integers(2**63)))
+    def __init__(self, device: str, rng: np.random.Generator) -> None:
+        self._device, self._rng = device, rng
+        self._generator: torch.Generator | None = None
+        if device != "cpu":
+            self._generator = torch.Generator(device).manual_seed(int(rng.integers(2**63)))
 
     def uniform(self, *shape: int) -> Tensor:
         """Numbers from 0 to 1, float32."""
