@@ -13,7 +13,7 @@ from magical.envs import EnvId
 from magical.envs.vector import MagicalVectorEnv
 from magical.experts import Memory, expert_for
 from magical.experts.memory import note_other_action
-from magical.learning.data.supervision import collect_labelled
+from magical.learning.algorithms.dagger import collect_labelled
 from magical.physics import Simulation
 from magical.scene import Poses, State
 
