@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.experts.geometry import ROBOT_LIMIT
+from magical.experts.geometry import ROBOT_LIMIT, excess
 from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.planning.kernels import compiled_roll_out
 from magical.learning.planning.motion import Floats, Motion, from_robot, robot_steps, to_robot
@@ -165,6 +165,6 @@ def _collisions(seen: Situation, paths: Floats, held: bool) -> Floats:
         return cost
     carried = from_robot(paths, to_robot(seen.pose, block))
     gaps = np.linalg.norm(carried[..., None, :] - seen.others, axis=-1)
-    overlap = (APART - gaps).clip(min=0.0), (np.abs(carried) - BLOCK_LIMIT).clip(min=0.0)
+    overlap = (APART - gaps).clip(min=0.0), excess(carried, BLOCK_LIMIT)
     cost += HIT * sum(each.sum(axis=(0, 2)) for each in overlap)
     return cost

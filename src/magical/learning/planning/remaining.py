@@ -6,7 +6,7 @@ Motions are taken to be turns on the spot and straight drives at top speed, forw
 
 import numpy as np
 
-from magical.experts.geometry import CONTACT_DISTANCE, ROBOT_LIMIT, wrap_angle
+from magical.experts.geometry import CONTACT_DISTANCE, ROBOT_LIMIT, excess, wrap_angle
 from magical.learning.planning.kernels import compiled_overlaps
 from magical.learning.planning.motion import Floats, Motion
 from magical.learning.planning.routes import Search
@@ -72,8 +72,7 @@ def steps_to_place(
     gap = np.where(straight, distance + reach, length)
     back = gap / speeds[0] + (np.pi - turn) / speeds[2]
     outside = [  # where the robot would have to stand in the end
-        HIT * (np.abs(place + side * reach * direction) - ROBOT_LIMIT).clip(min=0.0).sum(axis=1)
-        for side in (-1, 1)
+        HIT * excess(place + side * reach * direction, ROBOT_LIMIT).sum(axis=1) for side in (-1, 1)
     ]
     steps: Floats = np.minimum(ahead + outside[0], back + outside[1])
     return steps
@@ -110,7 +109,7 @@ def _steps_to_run_up(
     """From poses (M, 3) to the start of the best run-up, facing the block there."""
     back, forward, spin = motion.speeds[0]
     starts = block - (motion.grasp[1] + RUN_UP) * _AHEAD
-    crowd = crowd + HIT * (np.abs(starts) - ROBOT_LIMIT).clip(min=0.0).sum(axis=1)
+    crowd = crowd + HIT * excess(starts, ROBOT_LIMIT).sum(axis=1)
     starts = starts.clip(-ROBOT_LIMIT, ROBOT_LIMIT)
     room = np.append(np.full(len(others), CONTACT_DISTANCE + ROOM), CONTACT_DISTANCE + TARGET_ROOM)
     routes = search(starts, crowd * forward, np.vstack([others, block]), room, ROBOT_LIMIT)
