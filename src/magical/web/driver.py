@@ -128,9 +128,9 @@ def _network_chooser(policy: Any, env_id: EnvId, seed: int) -> Chooser:
 
 def _one_thread() -> AbstractContextManager[None]:
     """For single observations one thread is faster, and leaves the other cores to the players."""
-    from magical.learning.running.devices import one_thread  # imports PyTorch: only for runs
+    from magical.learning.running.devices import cpu_threads  # imports PyTorch: only for runs
 
-    return one_thread()
+    return cpu_threads(1)
 
 
 def roll_out(policies: Policies, number: int, env_id: EnvId, seed: int) -> Trajectory:

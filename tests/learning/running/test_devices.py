@@ -21,7 +21,6 @@ from magical.learning.running.devices import (
     cpu_threads,
     full_float32,
     has_bfloat16,
-    one_thread,
     restored_threads,
 )
 from magical.learning.running.speed import training_speeds
@@ -145,20 +144,20 @@ def test_overlapping_contexts_of_several_threads_leave_everything_as_it_was() ->
     began, overlaps, done = (threading.Event() for _ in range(3))
 
     def first() -> None:
-        with one_thread(), full_float32():
+        with cpu_threads(1), full_float32():
             began.set()
             overlaps.wait()
         done.set()
 
     def second() -> None:
         began.wait()
-        with one_thread(), full_float32():
+        with cpu_threads(1), full_float32():
             overlaps.set()
             done.wait()  # the other one, which began before, has ended
             assert torch.get_num_threads() == 1
             assert parts[0].fp32_precision == "ieee"
 
-    with one_thread(), cpu_threads(3):
+    with cpu_threads(1), cpu_threads(3):
         assert torch.get_num_threads() == 3
     threads = [threading.Thread(target=target) for target in (first, second)]
     for thread in threads:

@@ -31,7 +31,7 @@ from magical.learning.objects.perception import PARSER, PERCEPTIONS, get_percept
 from magical.learning.objects.table import ObjectTable, to_table
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import StateDict, restoring
-from magical.learning.running.devices import Device, choose_device, one_thread
+from magical.learning.running.devices import Device, choose_device, cpu_threads
 from magical.learning.running.optimizers import load_optimizer, optimizer_state, set_learning_rate
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
@@ -139,7 +139,7 @@ class ObjectPolicy(nn.Module):
         table = ObjectTable(*(column.to(tasks.device) for column in parsed))
         before = torch.from_numpy(self.perception(oldest, robot_alone=True).robot).to(table.robot)
         plain = torch.autocast(tasks.device.type, enabled=False)  # positions need float32
-        with one_thread():
+        with cpu_threads(1):
             with plain:
                 targets, destinations = self.goals.decide(table, tasks)
             return self.control(table, before, targets, destinations)

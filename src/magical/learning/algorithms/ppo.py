@@ -37,7 +37,7 @@ from magical.learning.reinforcement.rollouts import (
 from magical.learning.reinforcement.trainer import InteractionTrainer
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import StateDict, restoring
-from magical.learning.running.devices import choose_device, one_thread
+from magical.learning.running.devices import choose_device, cpu_threads
 from magical.learning.running.optimizers import load_optimizer, optimizer_state, set_learning_rate
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
@@ -179,7 +179,7 @@ class PPOTrainer(InteractionTrainer):
         self.monitor = Monitor()
         with ExitStack() as stack:
             if config.observes_vectors and not config.threads:
-                stack.enter_context(one_thread())
+                stack.enter_context(cpu_threads(1))
             self.envs = stack.enter_context(RolloutEnvs(config, self.device, reward))
             self._start_or_resume()
             self._stack = stack.pop_all()
