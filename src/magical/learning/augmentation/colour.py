@@ -1,6 +1,11 @@
-"""CIE Lab colour jitter of image batches in PyTorch, on any device (see `lab`).
+"""CIE Lab colour jitter: an affine map, and image batches jittered in PyTorch, on any device.
 
-Powers are exp(c * log(x)), several times faster than `pow` on a CPU.
+In CIE 1976 Lab both lightness and the (a, b) plane are linear in the three cube roots of the
+normalised XYZ values, so scaling L and rotating (a, b) is one affine map of these roots: Lab itself
+is never computed. Source: appendix B, "Colour jitter"; sRGB as in IEC 61966-2-1, white D65 for the
+2 degree observer.
+
+In PyTorch powers are exp(c * log(x)), several times faster than `pow` on a CPU.
 """
 
 import math
@@ -11,18 +16,56 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from magical.learning.augmentation import lab
-from magical.learning.augmentation.lab import (
-    GAMMA,
-    GAMMA_KNEE,
-    GAMMA_OFFSET,
-    GAMMA_SCALE,
-    GAMMA_SLOPE,
-    ROOT_KNEE,
-    ROOT_SLOPE,
-)
+Floats = NDArray[np.float64]
+Values = Floats | Tensor
 
-Values = NDArray[np.float64] | Tensor
+# Linear sRGB to XYZ, and the white point it is divided by.
+SRGB_TO_XYZ = np.array(
+    [[0.412453, 0.357580, 0.180423], [0.212671, 0.715160, 0.072169], [0.019334, 0.119193, 0.950227]]
+)
+WHITE = np.array([0.95047, 1.0, 1.08883])
+TO_TRISTIMULUS = SRGB_TO_XYZ / WHITE[:, None]  # linear sRGB to XYZ relative to white
+FROM_TRISTIMULUS = np.linalg.inv(TO_TRISTIMULUS)
+
+# L = 116 fy - 16, a = 500 (fx - fy), b = 200 (fy - fz), with f the (extended) cube roots.
+ROOTS_TO_LAB = np.array([[0.0, 116.0, 0.0], [500.0, -500.0, 0.0], [0.0, 200.0, -200.0]])
+LAB_OFFSET = np.array([-16.0, 0.0, 0.0])
+LAB_TO_ROOTS = np.linalg.inv(ROOTS_TO_LAB)
+
+# Near black, below these arguments, the power functions are replaced by straight lines.
+ROOT_KNEE, ROOT_SLOPE = 0.008856, 7.787
+GAMMA, GAMMA_SCALE, GAMMA_OFFSET = 2.4, 1.055, 0.055
+GAMMA_KNEE, GAMMA_SLOPE = 0.0031308, 12.92
+
+
+def _of_roots(in_lab: Floats) -> Floats:
+    """A linear map of Lab colours (without the offset) as one of the cube roots: (3, 3)."""
+    return np.asarray(LAB_TO_ROOTS @ in_lab @ ROOTS_TO_LAB)
+
+
+# A jitter's map is a sum of these: scale * LIGHTNESS + cos(hue) * COSINE + sin(hue) * SINE, and
+# (scale - 1) * OFFSET is added.
+LIGHTNESS = _of_roots(np.diag([1.0, 0.0, 0.0]))
+COSINE = _of_roots(np.diag([0.0, 1.0, 1.0]))
+SINE = _of_roots(np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]))
+OFFSET = LAB_TO_ROOTS @ LAB_OFFSET
+
+
+def root_maps(scales: Floats, hues: Floats) -> tuple[Floats, Floats]:
+    """The affine maps of the cube roots that the jitter amounts to: (B, 3, 3) and (B, 3).
+
+    Args:
+        scales: (B,) factors for L.
+        hues: (B,) angles in radians, from a towards b.
+    """
+    scale, cos, sin = (v[:, None, None] for v in (scales, np.cos(hues), np.sin(hues)))
+    return scale * LIGHTNESS + cos * COSINE + sin * SINE, (scales[:, None] - 1.0) * OFFSET
+
+
+def decode_gamma(encoded: Floats) -> Floats:
+    """Map sRGB values in [0, 1] to linear light."""
+    curve = ((encoded + GAMMA_OFFSET) / GAMMA_SCALE) ** GAMMA
+    return np.where(encoded > GAMMA_KNEE * GAMMA_SLOPE, curve, encoded / GAMMA_SLOPE)
 
 
 def colour_jitter(
@@ -44,7 +87,7 @@ def colour_jitter(
     linear = _decode_gamma(images) if linear_light else _to_float(images)
     linear = linear.reshape(batch, channels // 3, 3, height * width)
     to_xyz, from_xyz, lightness, cosine, sine, offset = _constants(images.device, linear.dtype)
-    # As `lab.root_maps` has them.
+    # As `root_maps` has them.
     scale, hue = (torch.as_tensor(v).to(offset)[:, None, None] for v in (scales, hues))
     matrices = scale * lightness + hue.cos() * cosine + hue.sin() * sine  # (B, 3, 3)
     offsets = (scale - 1.0) * offset  # (B, 1, 3)
@@ -57,9 +100,9 @@ def colour_jitter(
 
 @cache
 def _constants(device: torch.device, dtype: torch.dtype) -> tuple[Tensor, ...]:
-    """Those of `lab` on a device, copied there once."""
-    arrays = lab.TO_TRISTIMULUS, lab.FROM_TRISTIMULUS, lab.LIGHTNESS, lab.COSINE, lab.SINE
-    return tuple(torch.from_numpy(a).to(device, dtype) for a in (*arrays, lab.OFFSET))
+    """The maps' constants on a device, copied there once."""
+    arrays = TO_TRISTIMULUS, FROM_TRISTIMULUS, LIGHTNESS, COSINE, SINE, OFFSET
+    return tuple(torch.from_numpy(array).to(device, dtype) for array in arrays)
 
 
 def _to_float(images: Tensor) -> Tensor:

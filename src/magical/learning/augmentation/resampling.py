@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.compiled import fused, inlined, nogil_entry_point
-from magical.learning.augmentation.lab import (
+from magical.learning.augmentation.colour import (
     FROM_TRISTIMULUS,
     GAMMA,
     GAMMA_KNEE,
