@@ -53,7 +53,7 @@ class SmoothBCConfig(Config):
 
 def train(config: SmoothBCConfig, run: Run) -> None:
     """Train on batches of the demonstrations, from the run's newest checkpoint on."""
-    compute = run.compute("cpu", config.precision, config.threads)
+    compute = run.compute("cpu", config.network_precision, config.threads)
     network = make_policy(config)
     optimizer = torch.optim.Adam(network.parameters(), config.learning_rate)
     data = ExpertData(
