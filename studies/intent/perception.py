@@ -25,9 +25,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from magical.learning.objects.components import VIEW_HALF, Pixels
+from magical.learning.objects.components import MAX_REGIONS, VIEW_HALF, Pixels
 from magical.learning.objects.parser import ABSENT, FAR, MAX_BLOCKS, ParsedFrames
-from magical.learning.objects.regions import MAX_REGIONS
 from magical.render import Renderer
 from magical.scene import COLOURS, SHAPES, Block, Pose, Poses, Region, Scene, View
 from magical.scene.constants import BLOCK_SIZE, FINGER_OPEN, FRAME_SIZE, SIDES, WORKSPACE_HALF

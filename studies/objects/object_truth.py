@@ -27,9 +27,9 @@ from magical.experts.memory import Memory, note_other_action
 from magical.experts.planning import Move, MovePlan, Planner, Strategy
 from magical.experts.state_view import StateView
 from magical.learning.algorithms.object_bc import ObjectPolicy
+from magical.learning.objects.components import MAX_REGIONS
 from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.objects.parser import FAR, MAX_BLOCKS, parse_frames
-from magical.learning.objects.regions import MAX_REGIONS
 from magical.learning.objects.table import ObjectTable, to_table, to_tensor
 from magical.learning.policy import TrainedPolicy, choose_actions
 from magical.learning.running.loading import load_policy

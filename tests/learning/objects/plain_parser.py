@@ -7,7 +7,15 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from magical.learning.objects.components import PIXEL, VIEW_HALF
+from magical.learning.objects.components import (
+    MAX_REGION_PIXELS,
+    MAX_REGIONS,
+    MAX_WHITE,
+    MIN_REGION_PIXELS,
+    PIXEL,
+    REGION_MARGIN,
+    VIEW_HALF,
+)
 from magical.learning.objects.parser import (
     ABSENT,
     BODY_WINDOW,
@@ -20,13 +28,6 @@ from magical.learning.objects.parser import (
     MIN_BLOCK_PIXELS,
     SHAPE_WEIGHTS,
     ParsedFrames,
-)
-from magical.learning.objects.regions import (
-    MAX_REGION_PIXELS,
-    MAX_REGIONS,
-    MAX_WHITE,
-    MIN_REGION_PIXELS,
-    REGION_MARGIN,
 )
 from magical.render.palette import GREY, RGB, SHADES, WHITE
 from magical.scene.constants import FINGER_ROOT_X, FINGER_ROOT_Y, FRAME_SIZE, ROBOT_RADIUS, SIDES

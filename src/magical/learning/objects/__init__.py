@@ -1,6 +1,6 @@
 """Scenes as objects: parsed from pixels, related to each other, acted on.
 
-- `parser`: frames to the objects in them, from `components` of colours and their `regions`.
+- `parser`: frames to the objects in them, from `components` of colours.
 - `table`: a batch of parsed scenes as tensors.
 - `hindsight`: which block a demonstration moved, and where to, from the recorded frames alone.
 - `relations`: how a block, at a place, relates to the other objects.

@@ -23,6 +23,7 @@ from magical.learning.objects.components import (
     GRID,
     KIND,
     LEFT,
+    MAX_REGIONS,
     NOTHING,
     OPEN,
     PIXEL,
@@ -34,13 +35,13 @@ from magical.learning.objects.components import (
     Ints,
     Pixels,
     classify,
+    find_regions,
     flood,
     measure,
     number_components,
     pixel_x,
     pixel_y,
 )
-from magical.learning.objects.regions import MAX_REGIONS, find_regions
 from magical.scene.constants import FINGER_ROOT_X, FINGER_ROOT_Y, FRAME_SIZE, ROBOT_RADIUS, SIDES
 
 MAX_BLOCKS = 10  # of the benchmark's tasks
