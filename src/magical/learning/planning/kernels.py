@@ -1,4 +1,8 @@
-"""Compiled parts of planning: rollouts of plans, and overlaps with blocks and walls."""
+"""Compiled parts of planning: rollouts of plans, and overlaps with blocks and walls.
+
+They are apart from their users, which import from other rooms: the key of compiled code on disk
+has the sources of this folder alone (see `magical.compiled.cache`).
+"""
 
 import math
 
