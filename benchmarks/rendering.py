@@ -18,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from magical.render import Renderer, default_samples, warm_up
+from magical.render.output import store
 from magical.scene import Poses, Scene, View
 from magical.tasks import TASKS, get_task
 
@@ -54,7 +55,7 @@ def measure(scene: Scene, view: View, size: int, repeats: int) -> list[float]:
     frame, median = microseconds(lambda: renderer.render(bodies, newest), repeats)
     stacked, _ = microseconds(lambda: renderer.render_stacked(bodies, stack), repeats)
     created, _ = microseconds(lambda: Renderer(scene, view, size), max(1, repeats // 10))
-    output, _ = microseconds(lambda: renderer._store(renderer._pixels, newest), repeats)
+    output, _ = microseconds(lambda: store(renderer._pixels, newest), repeats)
     bare, unblocked = replace(scene, blocks=(), regions=()), replace(scene, blocks=())
     parts = [compiled(s, view, size, repeats) for s in (bare, unblocked, scene)]
     regions, blocks = np.diff(parts).tolist()

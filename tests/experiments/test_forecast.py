@@ -74,8 +74,8 @@ def test_every_learner_is_timed_with_its_own_network(
 
 def test_learners_of_state_vectors_are_timed_in_float32(monkeypatch: pytest.MonkeyPatch) -> None:
     def speeds(network: str, *, threads: tuple[int, ...], **options: Any) -> dict[Compute, float]:
-        by_precision = {"float32": SPEED, "bfloat16": SPEED / 10}
-        return {Compute("cpu", name, threads[0]): speed for name, speed in by_precision.items()}
+        (n,) = threads
+        return {Compute("cpu", "float32", n): SPEED, Compute("cpu", "bfloat16", n): SPEED / 10}
 
     monkeypatch.setattr("magical.learning.running.speed.training_speeds", speeds)
     monkeypatch.setattr("magical.learning.running.devices.has_bfloat16", lambda _: True)

@@ -52,9 +52,8 @@ def generate(
     Attempt i has the scene of `reset(seed=episode_seed(seed, i))` and its own strategy; `first` is
     the number of the first attempt, to continue a series. Attempts that score less than
     `min_score` (appendix's rule) are dropped. In a share `perturb` of the control steps a random
-    action is executed; the expert's remain those to imitate (`Trajectory.labels`). The result does
-    not depend on `workers` (processes; default: the available cores). The actions are stored as
-    those of `action_space`.
+    action is executed; the expert's remain those to imitate (`Trajectory.labels`). Actions are
+    those of `action_space`. `workers` (processes; default: the available cores) change nothing.
 
     Raises:
         DatasetError: too few attempts reach the score, or the dataset cannot be written.
