@@ -98,11 +98,7 @@ class Language:
     def _selections(self) -> Iterator[tuple[Selection, float, Named]]:
         """Selections of at most two parts, their bits, and what they name."""
         everything = self.named_by(AllBlocks())
-        single = [
-            (s, bits_of_part(s), self.named_by(s))
-            for s in simple_expressions(Selection)
-            if isinstance(s, Selection)
-        ]
+        single = [(s, bits_of_part(s), self.named_by(s)) for s in simple_expressions(Selection)]
         but = choice(AllBut)
         negated = [
             (AllBut(s), but + bits, tuple(map(operator.sub, everything, named)))
@@ -122,11 +118,7 @@ class Language:
         """Every goal of one part."""
         alternatives = self.alternatives.values()
         chosen = [(max(each, key=each.__getitem__), sum(each.values())) for each in alternatives]
-        places = [
-            (place, _probability(bits_of_part(place)))
-            for place in simple_expressions(Place)
-            if isinstance(place, Place)
-        ]
+        places = [(place, _probability(bits_of_part(place))) for place in simple_expressions(Place)]
         beside = _probability(choice(Beside))
         of_one_part = [each for each in chosen if not isinstance(each[0], AllBut | And | Or)]
         places += [(Beside(selection), beside * weight) for selection, weight in of_one_part]
