@@ -9,6 +9,11 @@ from magical.envs.seeds import evaluation_seed
 from magical.evaluation.seeds import ROW_METHODS, RolloutRng, rollout_stream
 
 
+def test_a_rollouts_stream_is_the_same_in_all_versions() -> None:
+    assert rollout_stream("magical/FindDupe-Demo-v0", 7) == (7, 2_007_158_634)
+    assert rollout_stream("magical/FindDupe-TestAll-v0", 7) == (7, 1_583_955_812)
+
+
 def test_seeds_depend_on_the_rollout_and_the_set_alone() -> None:
     assert [evaluation_seed(i) for i in range(3)] == [1_000_000_000, 1_000_000_001, 1_000_000_002]
     assert evaluation_seed(3, seed=2) == 1_002_000_003
