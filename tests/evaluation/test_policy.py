@@ -93,6 +93,19 @@ def test_a_plain_function_is_a_policy(module: str, suffix: str) -> None:
     np.testing.assert_array_equal(policy.act(None, [DEMO], np.random.default_rng(0)), [1])
 
 
+def test_a_policy_that_only_acts_keeps_all_that_it_states() -> None:
+    stated = {
+        "privileged": True,
+        "observation": "LoRes4A",
+        "action_space": "continuous",
+        "tasks": ("MoveToRegion",),
+        "exact": True,
+    }
+    policy = load_policy(type("Stating", (OnlyActs,), stated)())
+    assert isinstance(policy, FunctionPolicy)
+    assert {name: getattr(policy, name) for name in stated} == stated
+
+
 def test_a_compiled_function_without_a_signature_is_a_policy() -> None:
     assert isinstance(load_policy("builtins:max"), FunctionPolicy)
 

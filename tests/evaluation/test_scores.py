@@ -51,6 +51,7 @@ def test_a_summary_is_by_variant_and_nested_for_several_tasks() -> None:
         "published_code_mean": 0.5,
     }
     json.dumps(summary)
+    assert summarise([SCORES[i] for i in (0, 2, 1, 3)]) == summary  # rows may come in any order
     nested = summarise([*SCORES, RolloutScore(EnvId("FindDupe", "Demo"), 0, 0, 1.0, 1.0)])
     assert list(nested) == ["MakeLine", "FindDupe"]
     assert nested["FindDupe"]["Demo"]["mean"] == 1.0

@@ -47,6 +47,9 @@ def test_run_means_have_a_row_for_each_run() -> None:
     np.testing.assert_allclose(stats.run_means(runs, IDS[:2]), [[0.5, 0.2], [1.0, NAN]])
     published = stats.run_means(runs, IDS[:2], "published_code_score")
     np.testing.assert_allclose(published, [[0.25, 0.1], [0.5, NAN]])
+    # Rows of an environment need not follow each other.
+    apart = rollouts(IDS[0], 0.0) + rollouts(IDS[1], 0.2) + rollouts(IDS[0], 1.0)
+    np.testing.assert_allclose(stats.run_means([apart], IDS[:2]), [[0.5, 0.2]])
 
 
 # Means over runs.

@@ -181,6 +181,22 @@ def test_swapped_environments_of_one_rollout_tell_nothing() -> None:
     assert Verification(now, now, exact=False).confirmed
 
 
+@pytest.mark.parametrize(("count", "confirmed"), [(2, False), (12, True)])
+def test_the_more_environments_the_more_often_one_changes_by_chance(
+    count: int, confirmed: bool
+) -> None:
+    env_ids = environments(["MoveToRegion", "MoveToCorner"])[:count]
+    better, worse = [1.0] * 5 + [0.0] * 3, [0.0] * 8
+    now = [row for i in env_ids[::2] for row in rows(*better, env_id=i)]
+    now += [row for i in env_ids[1::2] for row in rows(*worse, env_id=i)]
+    claimed = [row for i in env_ids[::2] for row in rows(*worse, env_id=i)]
+    claimed += [row for i in env_ids[1::2] for row in rows(*better, env_id=i)]
+    found = Verification(claimed, now, exact=False)
+    # In each the mean change, 5/8, is 3.42 times its standard error; over all it is 0.
+    assert found.mean_changes()[0].value == 0.0
+    assert found.confirmed == confirmed
+
+
 def test_a_change_by_one_rule_is_not_cancelled_by_the_other() -> None:
     now = rows(*[0.5] * 8)
     claimed = [
