@@ -137,12 +137,13 @@ def test_half_or_fewer_clustered_score_zero(apart: int, moved: Callable[..., Pos
 @pytest.mark.parametrize("variant", ["TestColour", "TestShape", "TestCountPlus", "TestAll"])
 def test_all_four_values_are_present(task: Task, variant: str) -> None:
     rng = np.random.default_rng(0)
-    for _ in range(50):
-        scene, _ = task.sample(variant, rng)
+    scenes = [task.sample(variant, rng)[0] for _ in range(50)]
+    first = [scene.blocks[0] for scene in scenes]  # they are in random order
+    for blocks in (*(scene.blocks for scene in scenes), first):
         if variant != "TestShape":
-            assert {block.colour for block in scene.blocks} == set(COLOURS)
+            assert {block.colour for block in blocks} == set(COLOURS)
         if variant != "TestColour":
-            assert {block.shape for block in scene.blocks} == set(SHAPES)
+            assert {block.shape for block in blocks} == set(SHAPES)
 
 
 @BOTH
