@@ -1,5 +1,6 @@
 """Vector environments: equal to single ones, Gymnasium's interface, saved states."""
 
+from copy import deepcopy
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -112,13 +113,16 @@ def test_autoreset_as_gymnasiums_own(mode: AutoresetMode, workers: int) -> None:
     same(own.reset(seed=5, options=solved), plain.reset(seed=5, options=solved))
     own.set_state(1, own.get_state(0))
     plain.envs[1].set_state(plain.envs[0].get_state())  # type: ignore[attr-defined]
-    successes = []
+    successes, kept = [], []
     for actions in actions_for(3, 8):
         found = own.step(actions)
         same(found, plain.step(actions))
+        kept.append((found, deepcopy(found)))
         ended = found[4].get("final_info", found[4])
         successes.append(ended["is_success"].all())
     assert successes == [False, False, True, *[False] * 5]  # the first episodes are solved
+    for found, before in kept:  # later steps have changed nothing
+        same(found, before)
     own.close()
 
 
