@@ -50,12 +50,13 @@ def test_demonstration_matches_the_environment() -> None:
 def test_only_demonstrations_with_the_score_are_kept(
     tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    command = ("--env", ENV, "-n", 4, "--skill", 0.3, "--min-score", 0.9, "--workers", 1)
+    command = ("--env", ENV, "-n", 4, "--skill", 0.3, "--min-score", 1.0, "--workers", 1)
     status, result = run("generate", *command, "--out", tmp_path / "d")
     (report,) = result["environments"]
     assert (status, report["kept"]) == (0, 4)
-    assert min(report["scores"]) >= 0.9
+    assert report["scores"] == [1.0] * 4
     assert [t.score for t in Dataset.open(tmp_path / "d")] == report["scores"]
+    assert {t.metadata["skill"] for t in Dataset.open(tmp_path / "d")} == {0.3}
     monkeypatch.setattr("magical.demos.generate.MAX_DROPPED", 1)
     with pytest.raises(DatasetError, match=r"attempts scored less than 1\.1"):
         generate(ENV, 2, tmp_path / "d", min_score=1.1, workers=1)

@@ -56,6 +56,11 @@ def test_unfinished_and_low_scoring_episodes_are_not_stored(tmp_path: Path) -> N
     info = roll(env, np.random.default_rng(0), seed=0)
     assert info["eval_score"] < 0.5
     assert len(Dataset.open(tmp_path / "d")) == 0
+    env = RecordTrajectories(
+        make(), tmp_path / "d", demonstrator="random", min_score=info["eval_score"]
+    )
+    roll(env, np.random.default_rng(0), seed=0)
+    assert len(Dataset.open(tmp_path / "d")) == 1
 
 
 def test_wrappers_inside_and_around(tmp_path: Path) -> None:

@@ -28,10 +28,10 @@ def mixed(
 
 @pytest.fixture
 def labelled(tmp_path: Path, make_trajectory: MakeTrajectory) -> Dataset:
-    """A trajectory without labels, and one with some."""
+    """A trajectory in which a person took over from a policy, and one with labels."""
     writer = DatasetWriter(tmp_path / "labelled")
-    for labels in (None, [17, 0, 4]):
-        writer.append(make_trajectory(steps=3, expert_actions=labels))
+    writer.append(make_trajectory(steps=3, seed=1, actors=[0, 2, 0], demonstrator="me"))
+    writer.append(make_trajectory(steps=3, seed=2, expert_actions=[17, 0, 4]))
     return Dataset.open(tmp_path / "labelled")
 
 

@@ -9,6 +9,7 @@ import pytest
 from magical.cli import main
 from magical.demos import Dataset, observations
 from magical.errors import DatasetError
+from magical.scene.poses import FINGERS, ROBOT
 from tests.demos.export.conftest import MISSING, decoded
 
 av = pytest.importorskip("av", reason=MISSING)
@@ -41,9 +42,14 @@ def test_lerobot_export_is_readable(
         assert row["tasks"] == [words]
         assert {step["task_index"] for step in steps} == {tasks[words]}
         assert trajectory.poses is not None
+        robot, fingers = trajectory.poses[:-1, ROBOT], trajectory.poses[:-1, FINGERS, 2]
         np.testing.assert_allclose(
-            [step["observation.state"][:3] for step in steps], trajectory.poses[:-1, 0], atol=1e-6
+            [step["observation.state"] for step in steps],
+            np.hstack([robot, fingers - robot[:, 2:]]),
+            atol=1e-6,
         )
+        assert [step["timestamp"] for step in steps] == [i / 8 for i in range(len(steps))]
+        assert row["stats/action/mean"] == pytest.approx([trajectory.actions.mean()])
         for view in ("ego", "allo"):
             key = f"observation.images.{view}"
             assert info["features"][key]["shape"] == [96, 96, 3]
@@ -75,6 +81,7 @@ def test_lerobot_actions_are_those_to_imitate(labelled: Dataset, tmp_path: Path)
     table = pq.read_table(tmp_path / "out" / "data").to_pydict()
     assert table["action"] == [*first, 17, 0, 4]
     assert table["executed_action"] == [*first, *second]
+    assert table["is_demonstrated"] == [False, True, False, True, True, True]
     features = json.loads((tmp_path / "out" / "meta" / "info.json").read_text())["features"]
     assert features["executed_action"] == features["action"] | {"names": None}
     stats = json.loads((tmp_path / "out" / "meta" / "stats.json").read_text())

@@ -53,10 +53,14 @@ def test_labels_are_infos_beside_the_executed_actions(
 ) -> None:
     (name,) = export_minari(labelled, root=tmp_path / "minari")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
-    first, second = minari.load_dataset(name)
+    loaded = minari.load_dataset(name)
+    first, second = loaded
     assert "expert_action" not in first.infos
+    assert first.infos["is_demonstrated"].tolist() == [False, True, False, False]
     assert second.infos["expert_action"].tolist() == [17, 0, 4, -1]
     assert second.actions.tolist() == labelled[1].actions.tolist()
+    facts = loaded.storage.get_episode_metadata([0, 1])
+    assert [(each["demonstrator"], each["seed"]) for each in facts] == [("me", 1), ("random", 2)]
 
 
 def test_refused_minari_export_leaves_no_files(mixed: Path, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from PIL import Image
 from magical.cli import main
 from magical.demos import Trajectory
 from magical.demos.export.video import BANNER, LAST_FRAME_REPEATS, video_frames
+from magical.scene.poses import FIRST_BLOCK
 from tests.demos.export.conftest import MISSING, decoded
 
 MakeTrajectory = Callable[..., Trajectory]
@@ -25,6 +26,7 @@ def test_video_as_webp(mixed: Path, tmp_path: Path) -> None:
         assert video.n_frames == 6 + 5  # frames that repeat are shown longer
         video.seek(0)
         start = np.asarray(video.convert("RGB")).astype(int)
+        assert video.info["duration"] == 125  # ms
         video.seek(5)
         assert np.abs(np.asarray(video.convert("RGB")).astype(int) - start)[32:].max() > 30
 
@@ -36,6 +38,7 @@ def test_video_as_mp4(mixed: Path, tmp_path: Path) -> None:
     video = decoded(av, out)
     assert len(video) == 7 + 6 + 5 + 3 * LAST_FRAME_REPEATS  # one of each environment
     assert video[0][1].shape == (416, 768, 3)
+    assert [time for time, _ in video[:3]] == [0.0, 1 / 8, 2 / 8]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mixed", "video.mp4"]
 
 
@@ -46,6 +49,18 @@ def test_video_has_both_views_and_the_score(make_frames_trajectory: MakeTrajecto
     np.testing.assert_array_equal(first[BANNER::4, :384:4], recorded.frames["ego"][0])
     np.testing.assert_array_equal(last[BANNER::4, 384::4], recorded.frames["allo"][-1])
     assert (first[:BANNER] != last[:BANNER]).any()
+
+
+def test_a_video_shows_the_score_of_every_time_step(make_trajectory: MakeTrajectory) -> None:
+    unsolved = make_trajectory(steps=2)
+    poses = np.array(unsolved.poses)
+    poses[-1, FIRST_BLOCK, :2] = -0.8, 0.8  # in the corner
+    solved = Trajectory.from_poses(
+        unsolved.env_id, unsolved.scene, unsolved.actions, poses, demonstrator="random"
+    )
+    shown = [[frame[:BANNER] for frame in video_frames(one)] for one in (unsolved, solved)]
+    same = [np.array_equal(*banners) for banners in zip(*shown, strict=True)]
+    assert same == [True, True, *[False] * (1 + LAST_FRAME_REPEATS)]
 
 
 @pytest.mark.parametrize("change", [["--out", "video.avi"], ["--out", "f.webp", "--index", "9"]])

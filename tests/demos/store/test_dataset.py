@@ -129,6 +129,8 @@ def test_sample_depends_on_the_generator_alone(small_dataset: Path) -> None:
     samples = [dataset.sample(2, np.random.default_rng(seed)).entries for seed in (0, 0, 1, 2, 3)]
     assert samples[0] == samples[1]
     assert len(set(samples)) > 1
+    for sample in samples:
+        assert [entry.index for entry in sample] == sorted(entry.index for entry in sample)
     with pytest.raises(DatasetError, match="expected 4 trajectories, found 3"):
         dataset.sample(4, np.random.default_rng(0))
 

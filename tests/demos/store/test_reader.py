@@ -120,8 +120,9 @@ def test_arrays_have_every_step(
     tmp_path: Path, make_trajectory: MakeTrajectory, preset: str
 ) -> None:
     writer = DatasetWriter(tmp_path / "d")
-    labels = {3: [1, 2, 3], 5: None}
-    made = [make_trajectory(steps=n, seed=n, expert_actions=labels[n]) for n in (3, 5)]
+    labelled = make_trajectory(steps=3, seed=3, expert_actions=[1, 2, 3])
+    watched = make_trajectory(steps=5, seed=5, actors=[0, 2, 1, 0, 0], demonstrator="me")
+    made = [replace(labelled, published_code_score=0.25), watched]
     for trajectory in made:
         writer.append(trajectory)
     dataset = Dataset.open(tmp_path / "d")
@@ -133,6 +134,9 @@ def test_arrays_have_every_step(
     expected = [observations(trajectory, preset, range(len(trajectory))) for trajectory in made]
     assert_same(arrays["observations"], joined(expected, np.concatenate))
     assert arrays["env_ids"].tolist() == ["magical/MoveToCorner-Demo-v0"] * 2
+    assert arrays["is_demonstrated"].tolist() == [True] * 3 + [False, True, True, False, False]
     assert arrays["scores"].tolist() == [trajectory.score for trajectory in made]
+    assert arrays["published_code_scores"].tolist() == [0.25, watched.published_code_score]
+    assert arrays["demonstrators"].tolist() == ["random", "me"]
     mixed = dataset.filter(demonstrator="unknown").arrays(preset="LoRes4E")
     assert len(mixed["actions"]) == 0
