@@ -36,6 +36,8 @@ def test_demonstrations_of_a_dataset(
         execute(planned(("num_demos = 2", "num_demos = 4"), demos=str(demos)), tmp_path / "few")
     execute(runs[:1], out)
     assert read_entry(out / "runs" / runs[0].folder).details["demonstrations"].endswith("(dataset)")
+    generate("magical/MoveToCorner-Demo-v0", 1, demos, workers=1)
+    assert execute(runs[:1], out).complete  # another task's are not what it learned from
     DatasetWriter(demos).append(Dataset.open(demos)[0])
     for some in (runs, runs[:1]):  # one waits; all are done
         with pytest.raises(ResultsError, match="learned from other demonstrations of MoveToRegion"):

@@ -6,6 +6,7 @@ import os
 import shutil
 import signal
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,12 @@ import pytest
 import magical
 from magical.cli import main
 from magical.errors import PlacementError, ResultsError
-from magical.evaluation import read_entry
+from magical.evaluation import Evaluation, environments, read_entry
 from magical.experiments import forecast, one_run, results
-from magical.experiments.execution import execute
+from magical.experiments.execution import LocalExecutor, execute
+from magical.experiments.one_run import evaluate_reference
 from magical.experiments.plan import PlannedRun
+from magical.experiments.results import Results
 from magical.experiments.status import read_status
 from magical.files import lock_now
 from magical.learning import load_policy, read_config
@@ -303,3 +306,31 @@ def test_a_first_run_that_has_changed_since_is_noticed(
             execute(some, out)
     shutil.rmtree(first)
     assert execute(runs[:1], out).complete
+
+
+@pytest.mark.parametrize(("workers", "slots"), [(None, 2), (5, 5)])
+def test_the_cores_have_room_for_the_threads_of_all_runs(
+    planned: Planned, finished: Path, monkeypatch: pytest.MonkeyPatch, workers: int, slots: int
+) -> None:
+    monkeypatch.setattr("magical.experiments.execution.available_cores", lambda: 8)
+    runs = planned(("seeds = [0, 1]", "seeds = [0, 1]\nthreads = 3"))
+    with closing(LocalExecutor(runs, Results(finished, ""), workers)) as executor:
+        assert executor.slots() == slots
+
+
+def test_a_reference_is_evaluated_again_where_the_evaluation_is_another(tmp_path: Path) -> None:
+    folder = tmp_path / "references" / "noop-MoveToRegion"
+    for variant, rollouts, horizon in (
+        ("Demo", 1, 1),
+        ("Demo", 2, 1),
+        ("Demo", 2, 3),
+        ("TestAll", 2, 3),
+    ):
+        env_ids = environments(["MoveToRegion"], [variant])
+        evaluation = Evaluation.of(env_ids, rollouts=rollouts, horizon=horizon)
+        evaluate_reference(("noop", evaluation), tmp_path)
+        entry, before = read_entry(folder), (folder / "scores.csv").stat()
+        assert [row.env_id for row in entry.scores] == env_ids * rollouts
+        assert entry.horizon == str(horizon)
+        evaluate_reference(("noop", evaluation), tmp_path)
+        assert (folder / "scores.csv").stat() == before

@@ -1,0 +1,30 @@
+"""How far a plan is."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from magical.experiments.status import RunStatus, Status
+
+
+def run(method: str, state: str, **more: Any) -> RunStatus:
+    options = {"tasks": ("MakeLine",), "seed": 0, "total": 10, "step": 0, **more}
+    return RunStatus(folder="x", method=method, state=state, **options)
+
+
+@pytest.mark.parametrize(("slots", "expected"), [(1, 35.0), (2, 17.5), (9, 15.0)])
+def test_time_left_is_that_of_the_methods_finished_runs_or_of_all(
+    slots: int, expected: float
+) -> None:
+    runs = (
+        run("a", "done", seconds=10.0),
+        run("a", "done", seconds=20.0),
+        run("b", "done", seconds=30.0),
+        run("a", "waiting"),  # 15 s
+        run("c", "running", step=5, total=10),  # half of 20 s
+        run("c", "running", step=5, total=10),
+        run("b", "failed"),
+    )
+    assert Status(Path(), True, slots, runs, 0).seconds_left() == pytest.approx(expected)
+    assert Status(Path(), True, slots, runs[3:], 0).seconds_left() is None
