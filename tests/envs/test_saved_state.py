@@ -127,6 +127,23 @@ def test_the_next_episode_has_the_environments_own_horizon(workers: int) -> None
     envs.close()
 
 
+def test_after_a_state_at_its_episodes_end_comes_another_episode() -> None:
+    ended = {**SAVED, "horizon": len(SAVED["actions"])}
+    env = make_env()
+    env.set_state(ended)
+    with pytest.raises(ResetNeededError):
+        env.step(1)
+    ids = [f"{TASK}-{VARIANT}-v0"]
+    envs = MagicalVectorEnv(ids, 0, observation="state", autoreset_mode="NextStep")
+    envs.set_state(0, ended)
+    assert not envs.step([1])[3].any()
+    assert (envs.states()[0].step, envs.states()[0].horizon) == (0, 120)
+    envs = MagicalVectorEnv(ids, 0, observation="state", autoreset_mode="Disabled")
+    envs.set_state(0, ended)
+    with pytest.raises(ResetNeededError):
+        envs.step([1])
+
+
 VALUES: list[Any] = [
     *(None, True, -1, 0, 0.5, 1e6, -0.0, 5e-324, 1e308, math.nan, math.inf, 10**400),
     *("", "red", "\x1b[2J\x00", "x" * 100_000, b"star", [], {}, [[]], {"x": {}}),

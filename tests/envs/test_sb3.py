@@ -1,6 +1,7 @@
 """The adapter for Stable-Baselines3."""
 
 import sys
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -9,6 +10,8 @@ import pytest
 
 from magical.envs.vector import MagicalVectorEnv
 from magical.errors import InvalidActionError, MissingDependencyError
+from magical.scene import Pose
+from magical.tasks import TASKS
 
 sb3 = pytest.importorskip("stable_baselines3", reason="the extra sb3 is not installed")
 
@@ -46,6 +49,17 @@ def test_episode_ends_follow_the_conventions_of_stable_baselines3() -> None:
         np.testing.assert_array_equal(infos[row]["terminal_observation"], final)
         assert infos[row]["eval_score"] == expected[4]["final_info"]["eval_score"][row]
     assert infos[0] is not infos[1]
+
+
+def test_the_scores_of_an_episode_are_in_its_last_info() -> None:
+    envs, demo = adapter(), TASKS["MoveToRegion"].demo
+    x, y = demo.regions[0].centre
+    envs.set_options({"scene": replace(demo, robot=Pose(x, y, 0.0))})
+    envs.reset()
+    infos = [envs.step(np.zeros(2, int))[3][1] for _ in range(HORIZON)]
+    scores = [(each["eval_score"], each["published_code_score"]) for each in infos]
+    assert scores == [(0.0, 0.0)] * (HORIZON - 1) + [(1.0, 1.0)]
+    assert [each["is_success"] for each in infos] == [False] * (HORIZON - 1) + [True]
 
 
 def test_seeds_and_options_apply_to_one_reset() -> None:
