@@ -37,9 +37,11 @@ def test_what_runs_have_in_common_is_said_once(write_entry: WriteEntry, tmp_path
 def test_describing_a_run_twice_says_the_same(write_entry: WriteEntry, tmp_path: Path) -> None:
     folder = write_entry("m", "m", LINE, seed=0)
     (folder / "run.json").write_text('{"demonstrations": ["a", "b"]}')
+    (folder / "result.json").write_text('{"commit": "abc", "settings": {"augment": "all"}}')
     results = find_results([tmp_path]).results
     first, second = describe_methods(results), describe_methods(results)
     assert Fact("demonstrations used", "2") in first[0].common
+    assert Fact("recorded: commit", "abc") in first[0].common
     assert second == first
 
 

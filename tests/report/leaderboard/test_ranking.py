@@ -67,6 +67,9 @@ def test_what_learned_nothing_from_true_states_is_a_reference_without_a_rank() -
 def test_equal_scores_share_a_rank() -> None:
     board = make_boards([run("b", 0.5, 0.5), run("a", 0.6, 0.5), run("c", 0.4, 0.4)])[1]
     assert [(row.method, row.rank) for row in board.standings] == [("b", 1), ("a", 1), ("c", 3)]
+    runs = [run("two runs", 0.5, mean) for mean in (0.1, 0.2)]  # whose mean is rounded
+    board = make_boards([run("one run", 0.5, 0.15), *runs])[1]
+    assert [row.rank for row in board.standings] == [1, 1]
 
 
 def test_methods_with_all_tasks_have_a_board_of_their_own() -> None:
@@ -148,11 +151,12 @@ def test_demonstrations_and_looks_are_as_the_entries_say() -> None:
     results = [
         run("m", 1.0, 0.9, details={**learned, "demonstrations": "10 (human)", "looks": 2}),
         run("m", 1.0, 0.8, details={**learned, "demonstrations": "10 (human)", "looks": 7}),
+        run("m", 1.0, 0.85, details={**learned, "demonstrations": "25 (expert)"}),
         run("n", 1.0, 0.7, details=learned),
     ]
     results.append(run("o", 1.0, 0.6, details={**learned, "looks": 0}))
     stated = [row.statements for row in make_boards(results)[1].standings]
-    assert stated == [("10 (human)", 7), ("", None), ("", 0)]
+    assert stated == [("10 (human); 25 (expert)", 7), ("", None), ("", 0)]
     assert [each.mark for each in stated] == ["†", "", ""]
 
 
