@@ -18,15 +18,17 @@ def test_info_counts_and_lists_problems(
 ) -> None:
     first, second, _ = Dataset.open(small_dataset).entries
     writer = DatasetWriter(small_dataset)
-    labelled = writer.append(make_trajectory(seed=4, expert_actions=[1] * 12))
+    longer = make_trajectory(steps=14, seed=4, expert_actions=[1] * 14)
+    labelled = writer.append(replace(longer, score=1.0, published_code_score=0.5))
     copy = writer.append(Dataset.open(small_dataset)[1])
     status, result = run("info", small_dataset)
     assert (status, result["count"], result["problems"]) == (0, 5, [])
     assert result["duplicates"] == [[copy.file, second.file]]
     corner = result["environments"][1]
     assert (corner["env_id"], corner["count"], corner["with_poses"]) == (labelled.env_id, 2, 2)
-    assert (corner["with_expert_actions"], sum(corner["actions"])) == (1, 24)
-    assert corner["lengths"] == [12, 12.0, 12]
+    assert (corner["with_expert_actions"], sum(corner["actions"])) == (1, 26)
+    assert corner["lengths"] == [12, 13.0, 14]
+    assert (corner["score"], corner["published_code_score"]) == (0.5, 0.25)
     (small_dataset / first.file).unlink()
     status, result = run("info", small_dataset)
     assert (status, result["count"]) == (1, 4)

@@ -28,6 +28,9 @@ def test_entries_come_back_and_the_same_ones_give_the_same_bytes(tmp_path: Path)
     write_collection(tmp_path / "y", dict(reversed(ENTRIES.items())))
     for name in ("entries.json", "scores.csv.gz"):
         assert (tmp_path / "x" / name).read_bytes() == (tmp_path / "y" / name).read_bytes()
+    with gzip.open(tmp_path / "x" / "scores.csv.gz") as rows:
+        rows.read()
+        assert rows.mtime == 0  # at any time
 
 
 def test_a_wrong_entry_is_named_and_the_others_are_read(tmp_path: Path) -> None:

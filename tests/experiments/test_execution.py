@@ -69,6 +69,8 @@ def test_every_run_is_a_run_folder_with_an_entry_and_a_record(
         assert {"torch", "numpy", "python"} <= set(record["versions"])
         assert set(record["machine"]) == {"name", "platform", "processor", "cores"}
         assert set(record["seconds"]) == {"training", "evaluation"}
+    seconds = [sum(records[run.folder]["seconds"].values()) for run in planned()]
+    assert [run.seconds for run in read_status(finished).runs] == seconds
 
 
 def test_what_is_done_is_not_done_again_and_a_changed_plan_runs_what_changed(
