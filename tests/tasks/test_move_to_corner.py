@@ -55,7 +55,3 @@ def test_the_demo_scene_scores_zero(moved: Callable[..., Poses]) -> None:
 def test_needs_one_block() -> None:
     with pytest.raises(InvalidSceneError, match="expected 1 block, found 0"):
         TASK.validate(replace(DEMO, blocks=()))
-
-
-def test_robot_is_under_the_block() -> None:
-    assert DEMO.robot_first
