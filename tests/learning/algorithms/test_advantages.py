@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 import torch
+from numpy.typing import NDArray
 
-from magical.learning.algorithms.ppo import compute_gae
+from magical.learning.algorithms.ppo import compute_gae, make_samples
 from magical.learning.reinforcement.monitoring import explained_variance
 from magical.learning.reinforcement.rollouts import Rollout, shuffle_evenly
+
+Floats = NDArray[np.float64]
 
 
 def rng() -> np.random.Generator:
@@ -30,20 +33,38 @@ def test_advantages_are_those_of_a_plain_loop(bootstrap: bool) -> None:
                 weight *= gamma * lam
                 if dones[t, env]:
                     break
-    unused = torch.zeros(steps, envs)
-    rollout = Rollout(
-        observations=unused,
+    rollout = rollout_of(values, following, dones)
+    found = compute_gae(rollout, torch.from_numpy(rewards), gamma, lam)
+    np.testing.assert_allclose(found.numpy(), expected, atol=1e-12)
+
+
+def rollout_of(values: Floats, following: Floats, dones: NDArray[np.bool_]) -> Rollout:
+    """Of three environments, the last of another task; observations tell steps apart."""
+    unused = torch.zeros(values.shape)
+    return Rollout(
+        observations=torch.arange(values.size).view(*values.shape, 1) / values.size,
         actions=unused,
         log_probs=unused,
         values=torch.from_numpy(values),
         next_values=torch.from_numpy(following),
         rewards=unused,
         dones=torch.from_numpy(dones),
-        tasks=torch.zeros(envs, dtype=torch.int64),
+        tasks=torch.tensor([0, 0, 1]),
         scores=(),
     )
-    found = compute_gae(rollout, torch.from_numpy(rewards), gamma, lam)
-    np.testing.assert_allclose(found.numpy(), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("normalise", [False, True])
+def test_samples_are_the_steps_of_a_rollout_one_after_another(normalise: bool) -> None:
+    values, following, rewards = rng().normal(size=(3, 4, 3))
+    rollout = rollout_of(values, following, np.zeros((4, 3), np.bool_))
+    plain = compute_gae(rollout, torch.from_numpy(rewards), 0.9, 0.7)
+    samples = make_samples(rollout, torch.from_numpy(rewards), 0.9, 0.7, normalise)
+    assert samples.tasks.view(4, 3).tolist() == [[0, 0, 1]] * 4
+    assert torch.equal(samples.observations.flatten(), torch.arange(12) / 12)
+    torch.testing.assert_close(samples.returns.view(4, 3), plain + rollout.values)
+    scaled = (plain - plain.mean()) / plain.std() if normalise else plain
+    torch.testing.assert_close(samples.advantages.view(4, 3), scaled)
 
 
 def test_explained_variance_by_hand() -> None:

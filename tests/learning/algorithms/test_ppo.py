@@ -55,15 +55,15 @@ def test_loss_by_hand() -> None:
     assert parts["policy_loss"].item() == pytest.approx((1.6 * 2.0 + 0.9 * 5.0) / 2, abs=1e-6)
 
 
-def scripted(value: float = 0.0, action: int = 1) -> Any:
-    """Acts without a network: always the same action, the same value."""
+def scripted(observations: torch.Tensor, tasks: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Acts without a network: always the same action; values tell observations apart."""
+    logits = torch.full((len(observations), 18), -1e9)
+    logits[:, 1] = 0.0
+    return logits, value_of(observations)
 
-    def act(observations: torch.Tensor, tasks: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        logits = torch.full((len(observations), 18), -1e9)
-        logits[:, action] = 0.0
-        return logits, torch.full((len(observations),), value)
 
-    return act
+def value_of(observations: torch.Tensor) -> torch.Tensor:
+    return observations.flatten(1).sum(dim=1)
 
 
 @pytest.mark.parametrize("bootstrap", [False, True])
@@ -74,15 +74,13 @@ def test_rollouts_against_the_environment(bootstrap: bool, monkeypatch: pytest.M
     with RolloutEnvs(config, "cpu", "dense") as envs:
         monkeypatch.setattr(envs, "_horizons", np.ones(3, np.int64))  # all start at once
         envs.reset()
-        rollout = collect_rollout(envs, scripted(value=0.25), horizon + 2, bootstrap, rng())
+        rollout = collect_rollout(envs, scripted, horizon + 2, bootstrap, rng())
         states = [envs.envs.get_state(row) for row in range(3)]
+        present = value_of(envs.observations())
     assert rollout.actions.eq(1).all()
     assert rollout.log_probs.eq(0).all()
     assert rollout.dones.any(dim=1).nonzero().tolist() == [[horizon - 1]]
     assert len(rollout.scores) == 3
-    at_end = 0.25 if bootstrap else 0.0
-    assert rollout.next_values[horizon - 1].tolist() == [at_end] * 3
-    assert rollout.next_values[:-3].eq(0.25).all()
     assert [len(state["actions"]) for state in states] == [2, 2, 2]
     env = MagicalVectorEnv(["magical/MoveToRegion-Demo-v0"], 0, "state", reward="dense")
     shown, _ = env.reset(seed=0)
@@ -91,6 +89,20 @@ def test_rollouts_against_the_environment(bootstrap: bool, monkeypatch: pytest.M
         shown, rewards, *_ = env.step(np.array([1]))
         np.testing.assert_allclose(rollout.rewards[t].numpy(), rewards.repeat(3), rtol=1e-6)
     env.close()
+    torch.testing.assert_close(rollout.values, torch.stack([*map(value_of, rollout.observations)]))
+    expected = torch.cat([rollout.values[1:], present[None]])
+    expected[horizon - 1] = value_of(torch.from_numpy(shown)) if bootstrap else 0.0
+    torch.testing.assert_close(rollout.next_values, expected)
+    assert len(set(rollout.values[:, 0].tolist())) > horizon / 2
+
+
+def test_scores_are_of_the_tasks_whose_episodes_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = tiny(PPOConfig, tasks=("MoveToCorner", "MoveToRegion"), num_envs=2)
+    with RolloutEnvs(config, "cpu") as envs:
+        monkeypatch.setattr(envs, "_horizons", np.ones(2, np.int64))  # both start at once
+        envs.reset()
+        ended = [envs.step(torch.ones(2, dtype=torch.int64))[3] for _ in range(40)]
+    assert [[task for task, _ in scores] for scores in ended] == [[]] * 39 + [[1]]
 
 
 def test_environments_start_at_different_times() -> None:
@@ -120,10 +132,13 @@ def test_learns_from_states(tmp_path: Path) -> None:
     assert len(scores) == 4
 
 
-def test_evaluations_are_logged(tmp_path: Path) -> None:
-    config = tiny(PPOConfig, observation="state", evaluate_every=1, total_steps=6)
+def test_evaluations_are_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("magical.learning.reinforcement.trainer.ROLLOUTS", 1)
+    config = tiny(PPOConfig, observation="state", evaluate_every=2)
     trained = train(config, tmp_path / "run")
     assert {"evaluation_score", "entropy", "sample_seconds"} < trained.metrics.keys()
+    rows = read_metrics(tmp_path / "run")
+    assert ["evaluation_score" in row for row in rows] == [False, True, True]  # and at the end
     assert load_policy(tmp_path / "run").observation == "state"
 
 
@@ -204,7 +219,7 @@ def test_unknown_words() -> None:
 def test_the_centred_init_tells_frames_apart() -> None:
     with RolloutEnvs(tiny(PPOConfig, num_envs=8), "cpu") as envs:
         envs.reset()
-        frames = collect_rollout(envs, scripted(), 2, False, rng()).observations[0]
+        frames = collect_rollout(envs, scripted, 2, False, rng()).observations[0]
     spreads = {}
     for init in ("torch", "centred"):
         network = make_policy(tiny(PPOConfig, init=init))
