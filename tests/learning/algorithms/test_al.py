@@ -25,10 +25,13 @@ from magical.learning.algorithms.al import (
     sample_batch,
     unaugmented,
 )
+from magical.learning.algorithms.ppo import PPOTrainer
 from magical.learning.autoencoder import Autoencoder, autoencoder_loss
 from magical.learning.config import APPENDIX, CONVENTIONS, NetworkSettings
 from magical.learning.data.expert_data import ExpertData
+from magical.learning.reinforcement.monitoring import Metrics
 from magical.learning.reinforcement.replay_buffer import ReplayBuffer
+from magical.learning.reinforcement.rollouts import Rollout
 from magical.learning.running.devices import Compute
 from magical.observe import PRESETS
 from tests.learning.conftest import TASKS
@@ -185,6 +188,21 @@ def test_annealing_lowers_the_autoencoders_learning_rate(expert: ExpertData) -> 
     assert rates == [0.25, 0.5]
 
 
+def test_pretraining_divides_the_image_error_alone_by_its_scale(expert: ExpertData) -> None:
+    config = small("", pretraining_batch_size=1)
+    gradients: list[Any] = []
+    for scale in (1.0, 10.0):
+        autoencoder = make_autoencoder(config)
+        optimizer = torch.optim.Adam(autoencoder.parameters(), fused=True)
+        pretraining_step(config, CPU, expert, autoencoder, optimizer, 0, scale)
+        heads = autoencoder.start, autoencoder.action
+        gradients.append([head.weight.grad for head in heads])
+    (image, action), (scaled, same) = gradients
+    torch.testing.assert_close(10.0 * scaled, image)
+    torch.testing.assert_close(same, action)
+    assert min(image.abs().max(), action.abs().max()) > 0
+
+
 def test_statistics_are_those_of_unaugmented_expert_batches(expert: ExpertData) -> None:
     config = small("", pretraining_batch_size=24)
     autoencoder = make_autoencoder(config)
@@ -228,6 +246,33 @@ def test_batch_norm_moves_on_in_training_mode_alone(demos: Path, tmp_path: Path)
         if conventions == APPENDIX:  # pretraining ends with statistics of their own batches
             counts = {int(each) for name, each in pretrained.items() if "num_batches" in name}
             assert counts == {al.STATISTICS_BATCHES} != {config.pretraining_batches}
+
+
+def test_rewards_are_normalised_and_higher_for_what_the_expert_did(
+    demos: Path, expert: ExpertData, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[torch.Tensor] = []
+    collect, improve = PPOTrainer.collect_rollout, PPOTrainer.improve_policy
+
+    def with_the_experts(ppo: PPOTrainer, update: int) -> Rollout:
+        rollout, rows = collect(ppo, update), np.arange(2)
+        rollout.observations[:, 0] = expert.images(rows)
+        rollout.actions[:, 0] = expert.labels(rows)[0]
+        return rollout
+
+    def noted(ppo: PPOTrainer, update: int, rollout: Rollout, rewards: torch.Tensor) -> Metrics:
+        seen.append(rewards)
+        return improve(ppo, update, rollout, rewards)
+
+    monkeypatch.setattr(PPOTrainer, "collect_rollout", with_the_experts)
+    monkeypatch.setattr(PPOTrainer, "improve_policy", noted)
+    fields = {"autoencoder": "appendix", "weight_metric": "euclidean"}
+    config = small(demos, **fields, pretraining_batches=1, total_steps=6, reward_std=0.3)
+    train(config, tmp_path / "run")
+    (rewards,) = seen
+    assert rewards[:, 0].mean() > 0.2 > rewards[:, 1:].mean()
+    assert rewards.mean().item() == pytest.approx(0.0, abs=1e-5)
+    assert rewards.std(correction=0).item() == pytest.approx(0.3, rel=1e-3)
 
 
 @pytest.mark.parametrize("conventions", CONVENTIONS)

@@ -63,6 +63,8 @@ def test_the_aggregate_is_a_dataset_like_others(whole: Path) -> None:
     assert [t.metadata["round"] for t in dataset] == [1, 2]
     assert [t.metadata["expert_share"] for t in dataset] == [0.5, 0.25]
     assert dataset.arrays()["actions"].shape == (80,)
+    first, second = dataset
+    assert first.seed != second.seed
 
 
 def test_reports_count_the_experts_labels(whole: Path) -> None:

@@ -1,7 +1,6 @@
 """Adversarial imitation: losses by hand, rewards, whole runs of GAIL and WGAIL-GP."""
 
 import math
-from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,6 +16,7 @@ from magical.learning.algorithms.gail import (
     DiscriminatorSettings,
     DiscriminatorTrainer,
     GAILConfig,
+    RewardFn,
     gail_loss,
     gail_reward,
     make_discriminator,
@@ -130,7 +130,7 @@ def test_critic_loss_by_hand() -> None:
 
 
 def trainer(
-    trajectories: list[Trajectory], reward: Callable[[Tensor], Tensor] = critic_reward
+    trajectories: list[Trajectory], reward: RewardFn = gail_reward
 ) -> tuple[DiscriminatorTrainer, ReplayBuffer]:
     sizes: dict[str, Any] = {"discriminator_learning_rate": 1e-3, "discriminator_batch_size": 12}
     config = tiny(GAILConfig, tasks=TASKS, augment="none", **sizes)
@@ -155,15 +155,21 @@ def novice(steps: int = 4) -> Any:
     )
 
 
-def test_rewards_are_the_evaluated_discriminators(trajectories: list[Trajectory]) -> None:
-    (subject, _), rollout = trainer(trajectories, gail_reward), novice()
+@pytest.mark.parametrize(
+    ("reward", "of_logits"),
+    [(gail_reward, lambda logits: logits.sigmoid().log()), (critic_reward, lambda logits: logits)],
+)
+def test_rewards_are_the_evaluated_discriminators(
+    reward: RewardFn, of_logits: RewardFn, trajectories: list[Trajectory]
+) -> None:
+    (subject, _), rollout = trainer(trajectories, reward), novice()
     before = {name: tensor.clone() for name, tensor in subject.network.state_dict().items()}
     rewards, statistics = subject.rewards(rollout)
     network = subject.network.eval()
     images = rollout.observations.flatten(0, 1) / 255.0
     with torch.no_grad():
         logits = network(images, rollout.actions.flatten(), torch.tensor([0, 1] * 4))
-    raw = logits.sigmoid().log().view(4, 2)
+    raw = of_logits(logits).view(4, 2)
     assert statistics["raw_reward"] == pytest.approx(raw.mean().item(), abs=1e-5)
     scaled = (raw - raw.mean(dim=0)) / raw.std(dim=0, correction=0).clamp(min=1e-3) * 0.1
     np.testing.assert_allclose(rewards.numpy(), scaled.numpy(), atol=1e-3)
