@@ -1,5 +1,6 @@
 """Action chunking with transformers: its losses, and its style variable."""
 
+import math
 from typing import Any
 
 import pytest
@@ -42,6 +43,21 @@ def test_the_divergence_is_that_of_normal_distributions() -> None:
     mean, log_variance = torch.randn(2, 5, 32, generator=torch.Generator().manual_seed(1))
     expected = kl_divergence(Normal(mean, (0.5 * log_variance).exp()), Normal(0.0, 1.0))
     torch.testing.assert_close(act.kl_divergence(mean, log_variance), expected.sum(dim=1))
+
+
+def test_the_style_is_sampled_from_the_encoders_distribution(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    network, samples = make_policy(config()), batch()
+    mean, log_variance = torch.full((6, 32), 3.0), torch.full((6, 32), -2.0)
+    monkeypatch.setattr(act.StyleEncoder, "forward", lambda *_: (mean, log_variance))
+    seen: list[torch.Tensor] = []
+    assert network.from_style is not None
+    network.from_style.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))
+    losses(network, samples)
+    (z,) = seen
+    assert z.mean().item() == pytest.approx(3.0, abs=0.1)
+    assert z.std().item() == pytest.approx(math.exp(-1.0), rel=0.1)
 
 
 @pytest.mark.parametrize("space", SPACES)

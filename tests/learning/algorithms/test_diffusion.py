@@ -58,6 +58,7 @@ class Counting(nn.Module):
 
     def forward(self, noisy: Tensor, levels: Tensor, features: Tensor) -> Tensor:
         self.levels.append(int(levels[0]))
+        self.seen = noisy, levels
         return self.actions
 
 
@@ -87,6 +88,21 @@ def test_steps_between_follow_the_deterministic_sampler() -> None:
                 direction = (noisy - alpha**0.5 * actions) / (1 - alpha) ** 0.5
                 noisy = next_alpha**0.5 * actions + (1 - next_alpha) ** 0.5 * direction
     torch.testing.assert_close(found, actions)
+
+
+def test_training_adds_noise_of_all_levels_and_keeps_the_variance() -> None:
+    network = make_policy(config())
+    network.trunk = _Brightness()  # type: ignore[assignment]
+    many = Chunks(*(each.repeat_interleave(300, dim=0) for each in batch()))
+    network.denoiser = counting = Counting(many.actions + 0.5)  # type: ignore[assignment]
+    torch.manual_seed(0)
+    assert diffusion_losses(network, many)["loss"].item() == pytest.approx(0.25)
+    noisy, levels = counting.seen
+    assert set(levels.tolist()) == set(range(NOISE_LEVELS))
+    alphas = network.alphas[levels, None, None]
+    noise = (noisy - alphas.sqrt() * many.actions) / (1.0 - alphas).sqrt()
+    assert noise.mean().item() == pytest.approx(0.0, abs=0.03)
+    assert noise.std().item() == pytest.approx(1.0, abs=0.03)
 
 
 class _Brightness(nn.Module):

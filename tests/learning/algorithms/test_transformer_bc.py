@@ -34,9 +34,11 @@ def config(**settings: Any) -> TransformerBCConfig:
     return TransformerBCConfig.preset("quick", **made)
 
 
-def logits(network: MemoryNetwork, tokens: Tensor, before: Tensor, exist: Tensor) -> Tensor:
+def logits(
+    network: MemoryNetwork, tokens: Tensor, before: Tensor, exist: Tensor, tasks: Any = (0, 0)
+) -> Tensor:
     with torch.no_grad():
-        return network.logits(tokens, before, exist, torch.zeros(len(tokens), dtype=torch.int64))
+        return network.logits(tokens, before, exist, torch.tensor(tasks[: len(tokens)]))
 
 
 @pytest.fixture
@@ -69,6 +71,16 @@ def test_windows_end_at_samples_and_begin_at_the_demonstrations() -> None:
     assert lengths == {1, 2, 3, 4}
 
 
+def test_a_window_is_augmented_in_one_way() -> None:
+    pairs = [(task, picture_demo(task, 0, [3, 4])) for task in TASKS]
+    data = ExpertData(pairs, TASKS, PRESETS["LoRes4E"])
+    fields = {"augment": "translation", "batch_size": 4}
+    images = sample_windows(config(**fields), data, 0).images
+    first = images[:, :1].expand(-1, WINDOW - 2, *images.shape[2:])
+    assert torch.equal(images[:, 1 : WINDOW - 1], first)  # repeated before the start
+    assert not torch.equal(images[0, 0], images[1, 0])
+
+
 @pytest.mark.parametrize("training", [False, True])
 def test_steps_see_earlier_ones_that_exist_and_no_others(
     training: bool, inputs: tuple[Tensor, Tensor, Tensor]
@@ -99,6 +111,13 @@ def test_both_modes_compute_the_same(inputs: tuple[Tensor, Tensor, Tensor]) -> N
         torch.testing.assert_close(logits(network, *inputs)[inputs[2]], fast[inputs[2]])
     finally:
         torch.backends.mha.set_fastpath_enabled(True)
+
+
+def test_windows_have_the_logits_of_their_own_tasks(inputs: tuple[Tensor, Tensor, Tensor]) -> None:
+    network = make_policy(config()).eval()
+    first, second, both = (logits(network, *inputs, tasks) for tasks in ((0, 0), (1, 1), (0, 1)))
+    torch.testing.assert_close(both, torch.stack([first[0], second[1]]))
+    assert not torch.allclose(first, second)
 
 
 @pytest.mark.parametrize("seen", [False, True])

@@ -47,6 +47,14 @@ def test_training_on_the_cpu_leaves_gpus_alone(
     assert not touched
 
 
+def test_the_learning_rate_is_annealed_to_0(demos: Path, tmp_path: Path) -> None:
+    fields: dict[str, Any] = {"batches": 2, "batch_size": 1, "learning_rate": 1e-3}
+    config = tiny(find_algorithm("diffusion").config, demos=str(demos), **fields)
+    train(config, tmp_path / "run")
+    (group,) = checkpoint(tmp_path / "run")["optimizer"]["param_groups"]
+    assert group["lr"] == pytest.approx(0.5e-3)  # of the second of two batches
+
+
 class Recorded:
     """A policy, and the actions that it chose."""
 
