@@ -2,11 +2,13 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from torch.nn.functional import cross_entropy
 
 from magical.demos import ObservationReader
 from magical.demos.generate import demonstrate
@@ -15,10 +17,12 @@ from magical.learning import load_policy, train
 from magical.learning.algorithms import object_bc
 from magical.learning.algorithms.object_bc import ObjectBCConfig, make_policy
 from magical.learning.objects.control import control_inputs
+from magical.learning.objects.data import ObjectData
 from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.objects.parser import parse_frames
 from magical.learning.objects.table import ObjectTable, to_table
 from magical.runs import read_metrics
+from magical.scene.actions import Action, Turn
 from tests.learning import tiny_runs
 from tests.learning.tiny_runs import assert_same, checkpoint
 
@@ -60,6 +64,15 @@ def test_relations_are_left_out_halfway(whole: Path, expert_demos: Path, tmp_pat
     assert not checkpoint(whole)["policy"]["goals.choice.used"].all()
     train(tiny(expert_demos, goal_sparsity=0.0), tmp_path / "run")
     assert checkpoint(tmp_path / "run")["policy"]["goals.choice.used"].all()
+
+
+def test_learning_rates_are_annealed_to_0(whole: Path) -> None:
+    rates = {}
+    for name in ("optimizer", "goal_optimizer"):
+        (group,) = checkpoint(whole)[name]["param_groups"]
+        rates[name] = group["lr"]
+    # Of batches 5 and 4, of six.
+    assert rates == pytest.approx({"optimizer": 2e-3 / 6, "goal_optimizer": 0.05 / 3})
 
 
 def test_metrics_and_policy(whole: Path) -> None:
@@ -118,6 +131,34 @@ def test_a_share_of_the_other_blocks_is_dropped_and_no_target(
         train(tiny(expert_demos, **fields), tmp_path / str(share))
         found.append(others)
     assert found[1] / found[0] == pytest.approx(0.75, abs=0.02)
+
+
+def test_mirrored_samples_have_mirrored_actions(
+    expert_demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left, right = (Action(turn=turn).id for turn in (Turn.LEFT, Turn.RIGHT))
+    mirrored: list[torch.Tensor] = []
+    labels: list[torch.Tensor] = []
+
+    def to_the_left(*arguments: Any) -> ObjectData:
+        data = ObjectData(*arguments)
+        data.actions[:] = left
+        return data
+
+    def seen(*arguments: Any) -> Any:
+        mirrored.append(arguments[-1])
+        return control_inputs(*arguments)
+
+    def learned(logits: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
+        labels.append(actions)
+        return cross_entropy(logits, actions)
+
+    monkeypatch.setattr(object_bc, "ObjectData", to_the_left)
+    monkeypatch.setattr(object_bc, "control_inputs", seen)
+    monkeypatch.setattr(object_bc, "functional", SimpleNamespace(cross_entropy=learned))
+    train(tiny(expert_demos, batches=1, batch_size=32), tmp_path / "run")
+    assert torch.equal(labels[-1] == right, mirrored[-1])
+    assert set(labels[-1].tolist()) == {left, right}
 
 
 def test_trimmed_tables_keep_all_blocks() -> None:

@@ -27,3 +27,10 @@ def test_steps_of_a_watched_policy_are_not_sampled() -> None:
     watched = replace(trajectory, actors=np.full(len(trajectory), Actor.POLICY))
     with pytest.raises(DemonstrationsError, match=f"{TASK}: expected steps that were demonstr"):
         ObjectData(parse_demonstrations(((TASK, watched),), parse_frames), [TASK])
+
+
+def test_standing_still_is_learned_where_no_block_is_left_to_move() -> None:
+    trajectory = demonstrate(EnvId(TASK, "Demo"), seed=0)  # stands still in the region at last
+    data = ObjectData(parse_demonstrations(((TASK, trajectory),), parse_frames), [TASK])
+    rows = data.sample_eventful(1000, np.random.default_rng(0))
+    assert set(rows.tolist()) == set(range(len(trajectory)))

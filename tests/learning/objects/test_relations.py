@@ -6,7 +6,12 @@ import pytest
 import torch
 
 from magical.learning.objects import goals
-from magical.learning.objects.goals import GoalModel, PiecewiseLinear, relate_blocks
+from magical.learning.objects.goals import (
+    GoalModel,
+    PiecewiseLinear,
+    goal_losses,
+    relate_blocks,
+)
 from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.objects.parser import FAR
 from magical.learning.objects.relations import RELATIONS, UNKNOWN, relate
@@ -50,6 +55,18 @@ def test_values_in_a_scene_made_by_hand() -> None:
     assert value(found, "block of the same shape alone, in a region") == pytest.approx(0.41**0.5)
     assert value(found, "block of the same colour and shape, in none") == UNKNOWN
     assert value(found, "wall") == pytest.approx(1.0)
+    assert value(found, "share of the own colour's distance") == pytest.approx(
+        0.5 / (0.5 + 0.41**0.5), abs=1e-4
+    )
+    assert value(found, "share of the own shape's distance") == pytest.approx(
+        0.41**0.5 / (0.5 + 0.41**0.5), abs=1e-4
+    )
+    # The line of the other two is 0.4 away; along it, the nearer one is at a neighbour's distance.
+    assert value(found, "line of two other blocks") == pytest.approx(0.4)
+    assert value(found, "line of two other blocks side by side") == UNKNOWN
+    nearer, farther = relate(table, torch.tensor([0]), torch.tensor([[[0.2, 0.4], [0.9, 0.4]]]))[0]
+    assert value(nearer, "line of two other blocks") == pytest.approx(2 * 0.1)
+    assert value(farther, "line of two other blocks") == pytest.approx(0.2)
     assert value(found, "x, where there is nothing else") == UNKNOWN
     robot = relate(table, torch.tensor([ROBOT_TARGET]), table.blocks[:, :1])[0, 0]
     assert value(robot, "region of the same colour") == UNKNOWN
@@ -188,6 +205,27 @@ def test_decisions_do_not_need_the_relations_that_were_left_out() -> None:
     expected = model.decide(table, tasks)
     assert found[0].tolist() == expected[0].tolist()
     torch.testing.assert_close(found[1], expected[1])
+
+
+def test_losses_are_negative_log_likelihoods_of_targets_and_destinations() -> None:
+    """Of a model without functions of relations, for which nearness decides alone."""
+    table, model, tasks = one_scene(), GoalModel(1), torch.zeros(1, dtype=torch.int64)
+    distances = (table.blocks[0, :2] - table.grip).norm(dim=1)
+    places = table.blocks[:, :2] + 0.3  # of both blocks
+
+    def losses(target: int, destination: int) -> list[float]:
+        chosen = torch.tensor([target]), places[:, destination]
+        others = places[:, 1 - destination, None]
+        relations = relate_blocks(table)
+        found = goal_losses(model, table, relations, *chosen, tasks, others)
+        return [loss.item() for loss in found]
+
+    logits = torch.cat([-goals.NEARNESS * distances, torch.zeros(1)])  # last: nothing is left
+    expected = -logits.log_softmax(dim=0)
+    assert [losses(k, 0)[0] for k in (0, 1, ROBOT_TARGET)] == pytest.approx(expected.tolist())
+    ways = (places[0] - table.blocks[0, 0]).norm(dim=1)  # of block 0
+    expected = -(-goals.NEARNESS * ways).log_softmax(dim=0)
+    assert [losses(0, k)[1] for k in (0, 1)] == pytest.approx(expected.tolist())
 
 
 def test_relations_that_explain_nothing_are_left_out() -> None:
