@@ -92,6 +92,14 @@ def test_probabilities_are_those_of_the_programs_that_move_a_block() -> None:
         assert probability == pytest.approx(1.0 if block in of_colour else 0.25)
 
 
+def test_programs_that_are_the_same_goal_in_the_scene_count_together() -> None:
+    green, yellow = (f"Exactly(WithColour('{name}'))" for name in ("green", "yellow"))
+    programs = ((yellow, 0.4), (IN_REGION, 0.35), (green, 0.25))  # the region is green
+    intention = Intention(belief(*programs), MATCH)
+    assert [weight for _, weight in intention.goals] == pytest.approx([0.6, 0.4])
+    assert intention.goals[0][0].moved(MATCH) == parse(green).moved(MATCH)
+
+
 def test_programs_that_are_no_task_in_the_scene_are_left_out() -> None:
     (mismatched,) = Mismatched().blocks(FIX)
     solved = "Every(Enclosed(), InRegion())"

@@ -11,15 +11,16 @@ from magical.demos.generate import demonstrate
 from magical.learning.intent import demonstrator
 from magical.learning.intent.demonstrator import MOVE_COST, RATIONALITY, SLIPS, Episode, States
 from magical.learning.intent.meanings import Language
-from magical.learning.intent.posterior import infer
+from magical.learning.intent.posterior import Belief, infer
 from magical.learning.intent.scenes import parsed_episode
 from magical.learning.objects.data import parse_trajectory
 from magical.learning.objects.parser import parse_frames
 from magical.scene import Poses, Scene
 from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import TASKS
-from magical.tasks.programs import Goal, parse
+from magical.tasks.programs import Goal, Together, parse
 from magical.tasks.programs.goals import UNFINISHED
+from magical.tasks.programs.prior import bits
 
 FIX = TASKS["FixColour"].demo
 MISMATCHED = "Every(Mismatched(), OutOfRegions())"
@@ -120,10 +121,12 @@ def test_meanings_are_told_apart_by_what_selections_name_in_all_scenes() -> None
     assert len(both.alternatives[both.named_by(selection)]) < len(alone)
 
 
-def test_selections_name_what_they_are_grouped_by() -> None:
+def test_selections_name_what_they_are_grouped_by_and_have_their_prior_weights() -> None:
     language = Language([FIX, TASKS["MatchRegions"].demo])
     for named, alternatives in language.alternatives.items():
         assert {language.named_by(each) for each in alternatives} == {named}
+        expected = [2.0 ** -bits(each) for each in alternatives]
+        np.testing.assert_allclose(list(alternatives.values()), expected)
 
 
 def test_wordings_mean_the_same_and_share_the_weight() -> None:
@@ -135,10 +138,26 @@ def test_wordings_mean_the_same_and_share_the_weight() -> None:
     assert {program.moved(FIX) for program, _ in found} == {goal.moved(FIX)}
 
 
-def test_the_programs_that_explain_demonstrations_move_what_was_moved(
-    fixed: list[Episode],
+@pytest.fixture(scope="module")
+def belief(fixed: list[Episode]) -> Belief:
+    return infer(fixed)
+
+
+def test_weights_are_those_of_priors_and_of_the_square_root_of_as_many_likelihoods(
+    fixed: list[Episode], belief: Belief
 ) -> None:
-    belief = infer(fixed)
+    constants = []
+    for program, weight in belief.explanations:
+        orders = 2 if isinstance(program, Together) else 1
+        prior = math.log(orders) - math.log(2.0) * bits(program)
+        likelihoods = [episode.log_likelihood(program) for episode in fixed]
+        evidence = math.sqrt(len(fixed)) * float(np.mean(likelihoods))
+        constants.append(math.log(weight) - prior - evidence)
+    assert np.ptp(constants) == pytest.approx(0.0, abs=1e-9)
+    assert {type(program) for program, _ in belief.explanations} > {Together}
+
+
+def test_the_programs_that_explain_demonstrations_move_what_was_moved(belief: Belief) -> None:
     assert belief.is_explained
     assert "known: " in belief.verdict
     assert 0.5 < sum(each.weight for each in belief.explanations) <= 1.0 + 1e-9

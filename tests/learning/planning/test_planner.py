@@ -90,6 +90,11 @@ def test_a_block_that_was_put_down_is_left_backwards(motion: Motion) -> None:
     assert action.gripper is Gripper.OPEN
 
 
+def test_the_robot_is_not_driven_into_another_block(motion: Motion) -> None:
+    seen = situation((0.0, -0.6, 0.0), (0.0, 0.6), (0.0, -0.3))
+    assert ACTIONS[Planner(motion).act(seen, None)].longitudinal is not Longitudinal.FORWARD
+
+
 def test_a_robot_that_is_stuck_acts_more_randomly(motion: Motion) -> None:
     seen = situation((0.0, -0.6, 0.0), (0.0, 0.5))
     planner = Planner(motion)
