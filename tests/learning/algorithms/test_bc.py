@@ -18,8 +18,15 @@ from magical.errors import CheckpointError, DivergedError, InvalidConfigError, R
 from magical.evaluation import evaluate
 from magical.experiments.entries import evaluation_details
 from magical.learning import NetworkPolicy, load_policy, train
-from magical.learning.algorithms.bc import BCConfig, CloningSettings, bc_loss, make_policy
+from magical.learning.algorithms.bc import (
+    BCConfig,
+    BCTrainer,
+    CloningSettings,
+    bc_loss,
+    make_policy,
+)
 from magical.learning.running import run
+from magical.learning.running.run import Run
 from magical.physics import Simulation
 from magical.runs import read_metrics
 from magical.runs.folder import CHECKPOINT
@@ -83,6 +90,19 @@ def test_loss_is_the_mean_negative_log_likelihood() -> None:
     first = torch.log(17 + torch.tensor(2.0).exp()) - 2.0
     expected = 0.5 * (first + torch.tensor(18.0).log())
     assert torch.allclose(bc_loss(logits, torch.tensor([3, 0])), expected)
+
+
+def test_mirrored_samples_have_mirrored_labels(tmp_path: Path) -> None:
+    task, left, right = "MoveToRegion", 3, 6
+    config = tiny(tmp_path, tasks=(task,), augment="none", transform="mirror", batch_size=16)
+    with Run(tmp_path, config) as folder:
+        trainer = BCTrainer(config, folder)
+        data = trainer.expert_data(((task, picture_demo(task, 0, [left] * 6)),), True)
+        images, labels, _ = trainer.sample_batch(data, 0)
+    corners = (images * 255).round() == left * 14  # dark in the upper left half, unless mirrored
+    is_left = corners[:, :, :48, :48].flatten(1).all(dim=1)
+    assert labels.tolist() == torch.where(is_left, left, right).tolist()
+    assert set(labels.tolist()) == {left, right}
 
 
 def test_the_learning_rate_is_constant_or_annealed_to_0(demos: Path) -> None:

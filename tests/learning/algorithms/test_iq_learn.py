@@ -128,6 +128,12 @@ def trainer(trajectories: list[Trajectory], tmp_path: Path) -> Iterator[Any]:
         yield make
 
 
+def test_actions_are_sampled_anew_in_every_step(trainer: Any) -> None:
+    subject = trainer(num_envs=2, num_steps=12, total_steps=24, temperature=100.0)
+    sampled = subject.replay_buffer.sample([100, 100], np.random.default_rng(0))
+    assert len(set(sampled.actions.tolist())) > 6
+
+
 def test_the_target_network_is_replaced_every_so_many_steps(trainer: Any) -> None:
     subject = trainer(gradient_steps=2, target_every=3, total_steps=60)
 

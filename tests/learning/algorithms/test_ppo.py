@@ -96,13 +96,22 @@ def test_rollouts_against_the_environment(bootstrap: bool, monkeypatch: pytest.M
     assert len(set(rollout.values[:, 0].tolist())) > horizon / 2
 
 
-def test_scores_are_of_the_tasks_whose_episodes_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scores_and_final_values_are_of_the_tasks_whose_episodes_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def random(
+        observations: torch.Tensor, tasks: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        return torch.zeros(len(tasks), 18), tasks + 1.0
+
     config = tiny(PPOConfig, tasks=("MoveToCorner", "MoveToRegion"), num_envs=2)
     with RolloutEnvs(config, "cpu") as envs:
         monkeypatch.setattr(envs, "_horizons", np.ones(2, np.int64))  # both start at once
         envs.reset()
-        ended = [envs.step(torch.ones(2, dtype=torch.int64))[3] for _ in range(40)]
-    assert [[task for task, _ in scores] for scores in ended] == [[]] * 39 + [[1]]
+        rollout = collect_rollout(envs, random, 40, True, rng())
+    assert [task for task, _ in rollout.scores] == [1]
+    assert rollout.next_values.tolist() == [[1.0, 2.0]] * 40
+    assert len(rollout.actions.unique(dim=0)) > 20  # type: ignore[no-untyped-call]
 
 
 def test_environments_start_at_different_times() -> None:
