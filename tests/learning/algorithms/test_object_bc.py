@@ -1,5 +1,6 @@
 """Object-centred behavioural cloning from beginning to end, in the smallest runs."""
 
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -198,3 +199,32 @@ def test_mirrored_inputs_are_those_of_the_mirrored_scene() -> None:
     torch.testing.assert_close(mirrored[0], expected[0], rtol=0, atol=1e-4)
     present = table.present
     torch.testing.assert_close(mirrored[1][present], expected[1][present], rtol=0, atol=1e-4)
+
+
+def test_inputs_are_in_the_robots_frame() -> None:
+    table = _table()
+    targets, destinations = torch.full((table.size,), 2), torch.rand((table.size, 2)) - 0.5
+
+    def turned(places: torch.Tensor) -> torch.Tensor:
+        return torch.stack([-places[..., 1], places[..., 0]], dim=-1)
+
+    angle = table.robot[:, 2:] + math.pi / 2
+    other = table._replace(
+        robot=torch.cat([turned(table.robot[:, :2]), angle], dim=1), blocks=turned(table.blocks)
+    )
+    found = control_inputs(other, targets, turned(destinations), 0.6, 0.4)
+    expected = control_inputs(table, targets, destinations, 0.6, 0.4)
+    torch.testing.assert_close(found[0], expected[0], rtol=0, atol=1e-4)
+    present = table.present
+    torch.testing.assert_close(found[1][present], expected[1][present], rtol=0, atol=1e-4)
+
+
+def test_a_wall_is_seen_from_near() -> None:
+    table, targets = _table().select(slice(0, 1)), torch.tensor([ROBOT_TARGET])
+    table = table._replace(robot=torch.tensor([[0.9, 0.1, 0.0]]))
+    near, _, _ = control_inputs(table, targets, torch.tensor([[0.9, -0.8]]), 0.6, 0.4)
+    # Of the robot, and twice of its destination; 0.05 is added to distances.
+    right = [0.1 / 0.15 * 0.75, 0.0, 0.75]
+    behind = [0.0, -0.2 / 0.25 * 0.5, 0.5]
+    expected = [*right, 0.0, 0.0, 0.0, *right, *behind, *right, *behind]
+    torch.testing.assert_close(near[0, -18:], torch.tensor(expected))

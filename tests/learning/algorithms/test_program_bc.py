@@ -17,6 +17,7 @@ from magical.evaluation.seeds import RolloutRng
 from magical.learning import load_policy, train
 from magical.learning.algorithms.program_bc import ProgramBCConfig, ProgramPolicy, beliefs_of
 from magical.learning.intent.posterior import Belief, Explanation
+from magical.learning.planning.planner import Planner, Situation
 from magical.scene import NOOP
 from magical.tasks.programs import parse
 from tests.learning import tiny_runs
@@ -59,6 +60,28 @@ def test_what_is_done_stops_the_robot(run: Path) -> None:
     ]
     assert NOOP != actions[0]
     assert actions[-1] == NOOP
+
+
+def test_the_planner_sees_where_the_robot_was_a_step_ago(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[Situation] = []
+
+    def noted(planner: Planner, situation: Situation, uniform: float | None) -> int:
+        seen.append(situation)
+        return NOOP
+
+    monkeypatch.setattr(Planner, "act", noted)
+    policy = load_policy(run)
+    assert isinstance(policy, ProgramPolicy)
+    policy.network.believe(1, Belief([Explanation(parse(OUT), 1.0)], 0.0, 1.0))
+    trajectory = demonstrate("magical/FixColour-Demo-v0", seed=3)
+    policy.reset(np.ones(1, np.bool_))
+    for stack in ObservationReader(trajectory, "LoRes4A").read(np.arange(4)):
+        policy.act(stack[None], ["magical/FixColour-Demo-v0"], np.random.default_rng(0))
+    poses = [each.pose.tolist() for each in seen]
+    assert [each.before.tolist() for each in seen] == [poses[0], *poses[:-1]]
+    assert poses[3] != poses[2] != poses[1]
 
 
 def test_relations_decide_where_no_program_explains_demonstrations(

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
@@ -205,6 +206,23 @@ def test_decisions_do_not_need_the_relations_that_were_left_out() -> None:
     expected = model.decide(table, tasks)
     assert found[0].tolist() == expected[0].tolist()
     torch.testing.assert_close(found[1], expected[1])
+
+
+@pytest.mark.parametrize("target", [0, ROBOT_TARGET])
+def test_tasks_and_the_robot_have_destinations_of_their_own(target: int) -> None:
+    table, model, tasks = one_scene(), GoalModel(2), torch.ones(1, dtype=torch.int64)
+    targets, places = torch.tensor([target]), torch.tensor([[[0.1, 0.2], [0.5, -0.4]]])
+    own = 3 if target == ROBOT_TARGET else 2  # the second task's
+
+    def logits() -> torch.Tensor:
+        return model.destination_logits(table, targets, places, tasks)
+
+    plain = logits()
+    with torch.no_grad():
+        model.destination.values[np.arange(4) != own] = 3.0
+        assert torch.equal(logits(), plain)
+        model.destination.values[own] = 3.0
+        assert (logits() > plain).all()
 
 
 def test_losses_are_negative_log_likelihoods_of_targets_and_destinations() -> None:
