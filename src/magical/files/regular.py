@@ -62,6 +62,7 @@ def read_regular(path: Path, max_bytes: int) -> bytes:
 
 def sha256_sum(file: IO[bytes]) -> str:
     """The SHA-256 sum of the rest of a file."""
+    # `IO` does not declare `readinto`, which every file opened as binary has.
     return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
 
 
