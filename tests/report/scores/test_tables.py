@@ -70,6 +70,7 @@ def test_published_rows_are_never_beside_scores_of_another_horizon() -> None:
     assert "Scored by the appendix's rule. The published rows are left out" in table.note
     assert "240 control steps, not 320; evaluate with --horizon published" in table.note
     short = entry("short", {"MakeLine-Demo": [1.0]}, horizon="7")
+    assert task_table("MakeLine", [short]).rows[0].note.endswith("horizon 7")
     assert "--horizon 180 to compare" in task_table("MakeLine", [short], ["BC (ST)"]).note
     elsewhere = entry("elsewhere", {"MakeLine-Demo": [1.0]})
     assert len(task_table("ClusterShape", [mine, elsewhere], ["BC (ST)"]).rows) == 2

@@ -212,10 +212,11 @@ def _published_row(task: str, method: str) -> Row:
 
 
 def _horizon_note(task: Task, runs: Sequence[Entry]) -> str:
-    """Which horizon, where the published code's differs from the appendix's."""
-    if not task.has_two_horizons:
+    """Which horizon, where it may be another than the appendix's."""
+    found = sorted({horizon_of(task, run) for run in runs})
+    if found == [task.horizon] and not task.has_two_horizons:
         return ""
-    return f"; horizon {' and '.join(map(str, sorted({horizon_of(task, run) for run in runs})))}"
+    return f"; horizon {' and '.join(map(str, found))}"
 
 
 def _other_horizons(task: Task, entries: Sequence[Entry]) -> list[str]:
