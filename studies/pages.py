@@ -82,7 +82,7 @@ PLANS = (
     "object-bc",
     "object-bc-human",
 )
-# Their rows are on pages of their own.
+# Their rows are on pages of their own; the leaderboard has them too.
 OTHERS = (
     *("object-bc-ablations", "bc-transformations", "sequence-learners", "held-out"),
     *("program-bc-human", "program-bc-perception", "program-bc-held-out", "object-networks-human"),
@@ -113,22 +113,21 @@ class Page:
     def __init__(self, root: Path) -> None:
         self.root = root
         self.plans = [PlanResults.read(root, name) for name in PLANS]
-        names = (*PLANS, EXPERT)
-        folders = [path for name in names for path in root.glob(f"studies/*/results/{name}")]
-        everything = search_results(folders) if folders else Found([])
-        found, self.rejected = make_rows(_evaluations(everything, leaderboard=False))
+        shown, others = _results(root, (*PLANS, EXPERT)), _results(root, OTHERS)
+        found, self.rejected = make_rows(_evaluations(shown, leaderboard=False))
+        everything = replace(shown, results=[*shown.results, *others.results])
         self.ranked, rejected = check_entries(_evaluations(everything, leaderboard=True))
         self.rejected += rejected
         known = {row.method: row for row in found}
         planned = [method for plan in self.plans for method in plan.methods]
         self.methods = [method for method in planned if published_row(method)]
         self.rows: list[MethodRuns] = [known[name] for name in self.methods if name in known]
-        others = [method for method in (*planned, EXPERT) if method not in self.methods]
-        self.others = [known[name] for name in others if name in known]
+        unpublished = [method for method in (*planned, EXPERT) if method not in self.methods]
+        self.others = [known[name] for name in unpublished if name in known]
         self.rejected += [
             Rejected(str(root / "studies"), name, [f"{name} is a method of none of the plans"])
             for name in known
-            if name not in (*self.methods, *others)
+            if name not in (*self.methods, *unpublished)
         ]
         self.tasks = published_tasks()
 
@@ -323,6 +322,12 @@ class Page:
 
     def _name(self, entry: Rejected) -> str:
         return f"`{entry.folder.removeprefix(f'{self.root}/')}`"
+
+
+def _results(root: Path, names: Sequence[str]) -> Found:
+    """What was collected of some plans, or in folders of these names."""
+    folders = [path for name in names for path in root.glob(f"studies/*/results/{name}")]
+    return search_results(folders) if folders else Found([])
 
 
 def _evaluations(found: Found, leaderboard: bool) -> Found:

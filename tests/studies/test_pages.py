@@ -202,8 +202,11 @@ def write_leaderboard_entry(folder: Path, score: float) -> None:
     change_entries(folder, add)
 
 
-def test_the_leaderboards_evaluations_are_ranked_and_shown_nowhere_else(repository: Path) -> None:
-    folder = write_run(repository, "bc-human", "BC (ST)", "MoveToRegion", 0, 0.5)
+@pytest.mark.parametrize("plan", ["bc-human", "program-bc-human"])
+def test_the_leaderboards_evaluations_are_ranked_and_shown_nowhere_else(
+    repository: Path, plan: str
+) -> None:
+    folder = write_run(repository, plan, "BC (ST)", "MoveToRegion", 0, 0.5)
     before = made(repository)
     write_leaderboard_entry(folder, 0.25)
     text = made(repository)

@@ -121,6 +121,7 @@ def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = (
     kept = tuple(row for row in rows if row.cells)
     one_run = any(len(runs[row.label]) == 1 for row in kept if row.label in runs)
     note = _rule_note(found, compared)
+    note += "" if compared else _horizon_note(found, runs)
     note += _left_out_note(found, other) if methods and other else ""
     note += ONE_RUN if one_run else ""
     note += RUNS_APART if any(cell.are_apart for row in kept for cell in row.cells.values()) else ""
@@ -156,7 +157,7 @@ def _method_row(task: Task, method: str, runs: Sequence[Entry], rule: str) -> Ro
     note = (
         f"mean ± std over {len(runs)} runs" if len(runs) > 1 else "mean, 95% interval over rollouts"
     )
-    return Row(method, cells, f"{note}{_horizon_note(task, runs)}")
+    return Row(method, cells, note)
 
 
 def _beside(row: Row, task: Task, runs: Sequence[Entry], theirs: Mapping[str, str]) -> Row:
@@ -211,11 +212,17 @@ def _published_row(task: str, method: str) -> Row:
     return Row(f"{method}, published", cells, f"mean ± std over {PUBLISHED_RUNS} runs")
 
 
-def _horizon_note(task: Task, runs: Sequence[Entry]) -> str:
-    """Which horizon, where the published code's differs from the appendix's."""
-    if not task.has_two_horizons:
+def _horizon_note(task: Task, runs: Mapping[str, Sequence[Entry]]) -> str:
+    """Which rows have another horizon than the appendix's."""
+    found = {row: sorted({horizon_of(task, run) for run in group}) for row, group in runs.items()}
+    other = [
+        f"{row} ({' and '.join(map(str, steps))})"
+        for row, steps in found.items()
+        if steps != [task.horizon]
+    ]
+    if not other:
         return ""
-    return f"; horizon {' and '.join(map(str, sorted({horizon_of(task, run) for run in runs})))}"
+    return f" Not with the appendix's horizon of {task.horizon} control steps: {'; '.join(other)}."
 
 
 def _other_horizons(task: Task, entries: Sequence[Entry]) -> list[str]:
