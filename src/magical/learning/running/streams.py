@@ -32,19 +32,20 @@ def stream(seed: int, purpose: Purpose, number: int = 0) -> np.random.Generator:
     return np.random.default_rng((seed, purpose, number))
 
 
-@contextmanager
-def seeded(seed: int, purpose: Purpose, number: int = 0, device: str = "cpu") -> Iterator[None]:
-    """A context in which PyTorch's global random numbers are those of a stream.
+def seed_torch(seed: int, purpose: Purpose, number: int = 0) -> None:
+    """Make PyTorch's global random numbers those of a stream."""
+    torch.manual_seed(int(stream(seed, purpose, number).integers(2**63)))
 
-    The generators of the CPU and of the device are restored afterwards.
-    """
+
+def restored_generators(device: str = "cpu") -> AbstractContextManager[None]:
+    """A context after which PyTorch's global generators, of CPU and device, are as before."""
     # Without their numbers, all GPUs of the machine would be initialised.
-    devices = [torch.cuda.current_device()] if device == "cuda" else []
-    with torch.random.fork_rng(devices):
-        torch.manual_seed(int(stream(seed, purpose, number).integers(2**63)))
-        yield
+    return torch.random.fork_rng([torch.cuda.current_device()] if device == "cuda" else [])
 
 
-def seeded_init(seed: int, number: int = 0) -> AbstractContextManager[None]:
+@contextmanager
+def seeded_init(seed: int, number: int = 0) -> Iterator[None]:
     """A context in which PyTorch's initialisation of network `number` follows from the seed."""
-    return seeded(seed, Purpose.INIT, number)
+    with restored_generators():
+        seed_torch(seed, Purpose.INIT, number)
+        yield
