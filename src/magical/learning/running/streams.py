@@ -4,12 +4,16 @@ No generator's state has to be saved, and batches can be prepared ahead or out o
 is the same whether or not the run was resumed at 999.
 """
 
+import threading
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from enum import IntEnum
 
 import numpy as np
 import torch
+
+# Of PyTorch's global generator: while one thread initialises a network, a run in another one waits.
+_lock = threading.RLock()
 
 
 class Purpose(IntEnum):
@@ -34,7 +38,8 @@ def stream(seed: int, purpose: Purpose, number: int = 0) -> np.random.Generator:
 
 def seed_torch(seed: int, purpose: Purpose, number: int = 0) -> None:
     """Make PyTorch's global random numbers those of a stream."""
-    torch.manual_seed(int(stream(seed, purpose, number).integers(2**63)))
+    with _lock:
+        torch.manual_seed(int(stream(seed, purpose, number).integers(2**63)))
 
 
 def restored_generators(device: str = "cpu") -> AbstractContextManager[None]:
@@ -46,6 +51,6 @@ def restored_generators(device: str = "cpu") -> AbstractContextManager[None]:
 @contextmanager
 def seeded_init(seed: int, number: int = 0) -> Iterator[None]:
     """A context in which PyTorch's initialisation of network `number` follows from the seed."""
-    with restored_generators():
+    with _lock, restored_generators():
         seed_torch(seed, Purpose.INIT, number)
         yield
