@@ -30,7 +30,7 @@ class FittingSettings(Settings):
     """How a network is fitted to demonstrations by AdamW."""
 
     batches: int = option(20_000, "batches in all", POSITIVE)
-    batch_size: int = option(32, "samples per batch", POSITIVE)
+    batch_size: int = option(32, "samples per batch; of transformer-bc, windows", POSITIVE)
     learning_rate: float = option(
         5e-4, "AdamW's initial learning rate; annealed linearly to 0", POSITIVE
     )
