@@ -8,9 +8,10 @@ import pytest
 
 from magical.cli import main
 from magical.errors import PluginError, UnknownNameError
-from magical.learning import find_algorithm, read_config
+from magical.learning import find_algorithm, read_config, train
 from magical.learning.networks import find_network
 from magical.runs.folder import CONFIG
+from tests.learning.tiny_runs import same_weights, tiny
 
 MODULE = '''
 from dataclasses import dataclass
@@ -35,6 +36,13 @@ class OwnConfig(BCConfig):
 ALGORITHM = Algorithm(OwnConfig, train, make_policy)
 NETWORK = SimpleNamespace(
     HIDDEN=(8,), make_convolutions=lambda channels, batch_norm: nn.Conv2d(channels, 2, 8, 8)
+)
+
+DROPOUT = SimpleNamespace(
+    HIDDEN=(8,),
+    make_convolutions=lambda channels, batch_norm: nn.Sequential(
+        nn.Conv2d(channels, 2, 8, 8), nn.Dropout(0.5)
+    ),
 )
 
 
@@ -81,6 +89,18 @@ def test_it_trains_resumes_and_is_evaluated_like_ours(
     capsys.readouterr()
     assert main(["train", f"{module}:ALGORITHM", "--help"]) == 0
     assert "--patience N" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("algorithm", ["bc", "ppo", "gail", "iq-learn"])
+def test_a_network_with_dropout_learns_the_same_again_and_resumed(
+    algorithm: str, module: str, demos: Path, tmp_path: Path
+) -> None:
+    data = {} if algorithm == "ppo" else {"demos": str(demos)}
+    config = tiny(find_algorithm(algorithm).config, network=f"{module}:DROPOUT", **data)
+    train(config, tmp_path / "whole")
+    train(config, tmp_path / "parts", stop_after=1)
+    train(config, tmp_path / "parts", resume=True)
+    assert same_weights(tmp_path / "whole", tmp_path / "parts")
 
 
 def test_what_is_not_there_or_of_another_kind_is_named(module: str) -> None:

@@ -170,6 +170,12 @@ class Config(Settings):
             raise InvalidConfigError(
                 f"observation: {self.algorithm} learns from images, found a vector"
             )
+        shapes = {self._spec_of(name).network_shape for name in names} if networks else ()
+        if len(shapes) > 1:
+            raise InvalidConfigError(
+                "observation: state vectors differ between tasks, so one task is expected, found "
+                f"{', '.join(names)}; use a pixel observation, or a run for each task"
+            )
 
     def part(self, kind: type[Part]) -> Part | None:
         """The record of a type that the configuration is composed of; `None` if it has none."""
@@ -224,7 +230,10 @@ class Config(Settings):
     @property
     def observation_spec(self) -> ObservationSpec:
         """The observation's specification; the same for all tasks."""
-        return make_spec(self.observation, get_task(self.tasks[0]))
+        return self._spec_of(self.tasks[0])
+
+    def _spec_of(self, task: str) -> ObservationSpec:
+        return make_spec(self.observation, get_task(task))
 
     @property
     def input_shape(self) -> tuple[int, ...]:

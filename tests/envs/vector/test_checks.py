@@ -50,6 +50,11 @@ def test_presets_in_ids_apply_unless_an_observation_is_given() -> None:
         MagicalVectorEnv(["MakeLine-Demo-LoRes4A-v0", "MakeLine-Demo-LoRes4E-v0"], workers=0)
 
 
+def test_state_vectors_of_several_tasks_are_refused_by_their_shapes() -> None:
+    with pytest.raises(MismatchedSpacesError, match=r"found shape \(75,\) \(MakeLine\) and \(132,"):
+        vector(env_ids=["MakeLine-Demo-v0", "FindDupe-Demo-v0"])
+
+
 def test_wrong_options_are_refused() -> None:
     for wrong, error in (
         ({"env_ids": []}, ValueError),
@@ -60,7 +65,6 @@ def test_wrong_options_are_refused() -> None:
         ({"horizon": 0}, ValueError),
         ({"reward": "sparse"}, UnknownNameError),
         ({"render_mode": "human"}, UnknownNameError),
-        ({"env_ids": ["MakeLine-Demo-v0", "FindDupe-Demo-v0"]}, MismatchedSpacesError),
     ):
         with pytest.raises(error):
             vector(**wrong)

@@ -211,6 +211,10 @@ def test_a_collapse_is_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         ({"num_envs": 1, "tasks": ("MoveToCorner", "MoveToRegion")}, "num_envs"),
         ({"ent_coef": -1.0}, "ent_coef"),
         ({"workers": -1}, "workers"),
+        (
+            {"observation": "state", "tasks": ("MoveToCorner", "MoveToRegion")},
+            "state vectors differ between tasks",
+        ),
     ],
 )
 def test_impossible_settings(fields: dict[str, Any], named: str) -> None:

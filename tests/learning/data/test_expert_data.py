@@ -80,6 +80,22 @@ def test_neighbours_are_of_the_same_demonstration() -> None:
     ]
 
 
+def test_neighbours_are_on_the_same_side_of_what_a_policy_did() -> None:
+    actors = np.array([Actor.HUMAN] * 3 + [Actor.POLICY] * 2 + [Actor.HUMAN] * 3, np.uint8)
+    trajectory = replace(
+        picture_demo("MoveToCorner", 0, [3, 0, 4, 8, 8, 5, 6, 7]),
+        actors=actors,
+        policy_actions=np.full(8, 8),
+    )
+    demos = [("MoveToCorner", trajectory)]
+    data = ExpertData(demos, ["MoveToCorner"], PRESETS["LoRes4E"], remove_noops=True)
+    assert data.actions.tolist() == [3, 4, 5, 6, 7]
+    found, exist = data.neighbours(np.arange(5), np.array([-1, 0, 1]))
+    assert found.tolist() == [[0, 0, 1], [0, 1, 1], [2, 2, 3], [2, 3, 4], [3, 4, 4]]
+    assert (found[~exist] == np.arange(5)[np.nonzero(~exist)[0]]).all()
+    assert exist.sum(axis=1).tolist() == [2, 2, 2, 3, 2]
+
+
 def test_nothing_but_noops_is_an_error() -> None:
     task, nothing = "MoveToCorner", picture_demo("MoveToCorner", 0, [0, 0, 0])
     with pytest.raises(DemonstrationsError, match="MoveToCorner: expected demonstrations with"):

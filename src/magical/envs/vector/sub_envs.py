@@ -82,8 +82,8 @@ def common_observation(env_ids: Sequence[EnvId], observation: Observation) -> Ob
         if other.space != spec.space:
             raise MismatchedSpacesError(
                 "environments in one batch: expected one observation space, found "
-                f"{spec.space} ({first.name}) and {other.space} ({task.name}); use a pixel "
-                "observation or a batch for each task"
+                f"shape {spec.space.shape} ({first.name}) and {other.space.shape} "
+                f"({task.name}); use a pixel observation or a batch for each task"
             )
     return spec
 

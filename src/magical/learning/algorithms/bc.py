@@ -1,6 +1,6 @@
 """Behavioural cloning: maximum likelihood of the demonstrator's actions (appendix B, Table 3)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -45,7 +45,6 @@ from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import (
     BELOW_1,
-    FRACTION,
     NOT_NEGATIVE,
     POSITIVE,
     Settings,
@@ -63,7 +62,7 @@ STATISTICS_BATCHES = 50  # that batch norm's statistics of averaged weights are 
 class CloningSettings(Settings):
     """How demonstrations are cloned; the defaults are Table 3's."""
 
-    batches: int = option(20_000, "batches in all", POSITIVE)
+    batches: int = option(20_000, "batches in all; of dagger, in each round", POSITIVE)
     batch_size: int = option(32, "samples per batch", POSITIVE)
     optimizer: str = option("sgd", "optimiser", choices=("sgd", "adam"))
     learning_rate: float = option(1e-3, "initial learning rate", POSITIVE)
@@ -89,7 +88,7 @@ class CloningSettings(Settings):
         0.0,
         "decay, at each batch, of the exponential moving average of the weights, which is then "
         "the policy; 0: no average",
-        FRACTION,
+        BELOW_1,
     )
     log_every: int = option(50, "batches between lines of metrics", POSITIVE)
 
@@ -138,7 +137,7 @@ class BCConfig(Config):
         super().__post_init__()
         check_transformations(self.cloning.transformations, self.tasks)
         if self.observes_vectors:
-            _check_vectors(self.cloning, self.tasks)
+            _check_vectors(self.cloning)
 
     @property
     def augmentations(self) -> Augmentations:
@@ -172,7 +171,7 @@ class BCConfig(Config):
         return self.cloning.learning_rate * left
 
 
-def _check_vectors(cloning: CloningSettings, tasks: Sequence[str]) -> None:
+def _check_vectors(cloning: CloningSettings) -> None:
     """Raise `InvalidConfigError` for what state vectors cannot be learned with."""
     what = "state vectors are not"
     if cloning.augment_by == RENDERING:
@@ -181,11 +180,6 @@ def _check_vectors(cloning: CloningSettings, tasks: Sequence[str]) -> None:
         problem = f"augment: expected none, as {what} augmented, found {cloning.augment}"
     elif cloning.transformations:
         problem = f"transform: expected none, as {what} transformed, found {cloning.transform}"
-    elif len(tasks) > 1:
-        problem = (
-            "observation: state vectors differ between tasks, so one task is expected, found "
-            f"{', '.join(tasks)}; use a pixel observation, or a run for each task"
-        )
     else:
         return
     raise InvalidConfigError(problem)

@@ -142,9 +142,8 @@ class ExpertData:
         if remove_noops:
             kept = [some & ~_noops(t.labels) for some, t in zip(kept, trajectories, strict=True)]
         steps = [np.flatnonzero(of_one) for of_one in kept]
-        lengths = np.array([len(s) for s in steps])
-        ends = np.cumsum(lengths)
-        self._bounds = np.repeat([ends - lengths, ends - 1], lengths, axis=1)  # (2, S)
+        lengths = [len(s) for s in steps]
+        self._bounds = _bounds(trajectories, steps)  # (2, S)
         first = np.cumsum([0, *map(len, trajectories[:-1])])  # number of each one's first frame
         self._stacks = []  # of each component: (S, frames), indices of frames, oldest first
         for component in spec.components:
@@ -225,7 +224,8 @@ class ExpertData:
     def neighbours(self, rows: Rows, offsets: Rows) -> tuple[Rows, NDArray[np.bool_]]:
         """Samples of the same trajectories, so many steps later: (B, K), and which there are.
 
-        In place of those beyond a trajectory's ends there is its first or last sample.
+        In place of those beyond a trajectory's ends, or beyond a step in which a policy acted
+        itself, there is the first or last sample before that.
         """
         wanted = rows[:, None] + offsets
         first, last = self._bounds[:, rows, None]
@@ -251,6 +251,19 @@ class ExpertData:
 
     def _index(self, rows: NDArray[Any]) -> Tensor:
         return torch.from_numpy(rows).to(self.actions.device, non_blocking=True)
+
+
+def _bounds(trajectories: Sequence[Trajectory], steps: Sequence[Rows]) -> Rows:
+    """The first and last sample of each sample's stretch, (2, S), of the trajectories' steps.
+
+    A step in which a policy acted itself ends a stretch: what comes after it is no sequel.
+    """
+    pairs = zip(trajectories, steps, strict=True)
+    stretches = [np.cumsum(~trajectory.is_demonstrated)[some] for trajectory, some in pairs]
+    begins = np.concatenate([np.diff(of_one, prepend=-1) > 0 for of_one in stretches])
+    sizes = np.diff(np.append(np.flatnonzero(begins), len(begins)))
+    ends = np.cumsum(sizes)
+    return np.repeat([ends - sizes, ends - 1], sizes, axis=1)
 
 
 def _noops(actions: Actions) -> NDArray[np.bool_]:

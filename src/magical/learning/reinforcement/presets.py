@@ -32,8 +32,7 @@ PUBLISHED_CODE: Mapping[str, Any] = {
     "horizon": PUBLISHED,
 }
 
-# `states`, of PPO: state vectors and the dense reward, for which an episode is a short time. All
-# environments start together: with fewer steps, an update would see one part of an episode alone.
+# `states`, of PPO: state vectors and the dense reward, for which an episode is a short time.
 STATES: Mapping[str, Any] = {
     **QUICK,
     "observation": "state",

@@ -22,6 +22,7 @@ from magical.learning.running.checkpoints import (
 )
 from magical.learning.running.devices import Compute, Device, choose_compute, read_compute
 from magical.learning.running.interrupts import Interrupts
+from magical.learning.running.streams import Purpose, seed_torch
 from magical.messages import quoted
 from magical.runs.folder import CHECKPOINT, PREVIOUS, RECORD, read_json, write_json
 from magical.runs.metrics import MetricsWriter
@@ -32,6 +33,9 @@ OnMetrics = Callable[[int, int, Metrics], None]  # step, total number of steps, 
 
 class Run:
     """Logs metrics, saves checkpoints and decides when to stop.
+
+    In each step PyTorch's global random numbers, such as those of dropout, follow from the seed and
+    the step's number.
 
     Attributes:
         folder: the run folder.
@@ -55,6 +59,7 @@ class Run:
         """
         self.folder = folder
         self._total, self._checkpoint_every = config.num_updates, config.checkpoint_every
+        self._seed = config.seed
         self._on_metrics = on_metrics
         self._interrupts = interrupts or Interrupts()
         self.record = read_json(folder / RECORD) if (folder / RECORD).exists() else {}
@@ -65,6 +70,7 @@ class Run:
         self._last = math.inf if stop_after is None else self.step + stop_after
         self._saved_at = time.monotonic()
         self._metrics = MetricsWriter(folder, self.step)
+        seed_torch(self._seed, Purpose.NOISE, self.step)
 
     def __enter__(self) -> Self:
         return self
@@ -141,6 +147,7 @@ class Run:
             self._require_finite(step, saved)
             replace_checkpoint(self.folder, {**saved, "step": step})
             self.step, self._saved_at = step, time.monotonic()
+        seed_torch(self._seed, Purpose.NOISE, step)
         return stops
 
     def _checkpoint_is_due(self, step: int) -> bool:

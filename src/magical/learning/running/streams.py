@@ -4,12 +4,16 @@ No generator's state has to be saved, and batches can be prepared ahead or out o
 is the same whether or not the run was resumed at 999.
 """
 
+import threading
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from enum import IntEnum
 
 import numpy as np
 import torch
+
+# Of PyTorch's global generator: while one thread initialises a network, a run in another one waits.
+_lock = threading.RLock()
 
 
 class Purpose(IntEnum):
@@ -32,19 +36,21 @@ def stream(seed: int, purpose: Purpose, number: int = 0) -> np.random.Generator:
     return np.random.default_rng((seed, purpose, number))
 
 
-@contextmanager
-def seeded(seed: int, purpose: Purpose, number: int = 0, device: str = "cpu") -> Iterator[None]:
-    """A context in which PyTorch's global random numbers are those of a stream.
-
-    The generators of the CPU and of the device are restored afterwards.
-    """
-    # Without their numbers, all GPUs of the machine would be initialised.
-    devices = [torch.cuda.current_device()] if device == "cuda" else []
-    with torch.random.fork_rng(devices):
+def seed_torch(seed: int, purpose: Purpose, number: int = 0) -> None:
+    """Make PyTorch's global random numbers those of a stream."""
+    with _lock:
         torch.manual_seed(int(stream(seed, purpose, number).integers(2**63)))
-        yield
 
 
-def seeded_init(seed: int, number: int = 0) -> AbstractContextManager[None]:
+def restored_generators(device: str = "cpu") -> AbstractContextManager[None]:
+    """A context after which PyTorch's global generators, of CPU and device, are as before."""
+    # Without their numbers, all GPUs of the machine would be initialised.
+    return torch.random.fork_rng([torch.cuda.current_device()] if device == "cuda" else [])
+
+
+@contextmanager
+def seeded_init(seed: int, number: int = 0) -> Iterator[None]:
     """A context in which PyTorch's initialisation of network `number` follows from the seed."""
-    return seeded(seed, Purpose.INIT, number)
+    with _lock, restored_generators():
+        seed_torch(seed, Purpose.INIT, number)
+        yield

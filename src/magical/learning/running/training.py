@@ -13,10 +13,16 @@ from magical.learning.config import Config
 from magical.learning.policy import TrainedPolicy
 from magical.learning.running.allocator import keep_freed_memory
 from magical.learning.running.checkpoints import restore_previous_checkpoint
-from magical.learning.running.devices import full_float32, gpu_memory_as_error, restored_threads
+from magical.learning.running.devices import (
+    choose_device,
+    full_float32,
+    gpu_memory_as_error,
+    restored_threads,
+)
 from magical.learning.running.interrupts import Interrupts
 from magical.learning.running.loading import load_policy
 from magical.learning.running.run import Metrics, Run
+from magical.learning.running.streams import restored_generators
 from magical.learning.trackers import opened_trackers
 from magical.progress import ProgressBar
 from magical.runs.folder import opened_folder
@@ -116,6 +122,7 @@ def _opened(folder: Path, config: Config, resume: bool, previous: bool) -> Itera
     with (
         opened_folder(folder, config.to_dict(), resume),
         restored_threads(),
+        restored_generators(choose_device(config.device)),
         full_float32(),
         gpu_memory_as_error(),
     ):

@@ -18,7 +18,6 @@ from magical.learning.running.checkpoints import restoring
 from magical.learning.running.devices import choose_device
 from magical.learning.running.optimizers import load_optimizer, optimizer_state, set_learning_rate
 from magical.learning.running.run import Run
-from magical.learning.running.streams import Purpose, seeded
 from magical.learning.settings import NOT_NEGATIVE, POSITIVE, Settings, option
 
 MAX_GRAD_NORM = 10.0
@@ -31,7 +30,7 @@ class FittingSettings(Settings):
     """How a network is fitted to demonstrations by AdamW."""
 
     batches: int = option(20_000, "batches in all", POSITIVE)
-    batch_size: int = option(32, "samples per batch", POSITIVE)
+    batch_size: int = option(32, "samples per batch; of transformer-bc, windows", POSITIVE)
     learning_rate: float = option(
         5e-4, "AdamW's initial learning rate; annealed linearly to 0", POSITIVE
     )
@@ -101,8 +100,7 @@ def fit(
         network: what is trained, and saved as the policy.
         data: what batches are sampled from.
         sample: batch n, a function of the seed and n alone.
-        losses: metrics of a batch, of which `loss` is minimised. Random numbers that it takes from
-            PyTorch's global generator, dropout's too, follow from the seed and n.
+        losses: metrics of a batch, of which `loss` is minimised.
     """
     fitting = config.fitting
     device = choose_device(config.device)
@@ -119,7 +117,7 @@ def fit(
     with prefetch(sample, numbers, data.batches_on_host) as batches:
         for number, batch in zip(numbers, batches, strict=False):
             set_learning_rate(optimizer, fitting.learning_rate * (1.0 - number / fitting.batches))
-            with seeded(config.seed, Purpose.NOISE, number, device), compute.autocast():
+            with compute.autocast():
                 metrics = losses(batch)
             optimizer.zero_grad()
             torch.autograd.backward(metrics["loss"])
