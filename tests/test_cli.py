@@ -67,6 +67,7 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
         ["show", "magical/MoveToCorner-Demo-v0", "--seed", "one"],
         ["show", "magical/MoveToMoon-Demo-v0"],
         ["show", "magical/MoveToCorner-TestLayout-v0"],
+        ["show", "magical/MoveToCorner-Demo-v0", "--out", "no-folder/scene.jpg"],
         ["conformance", "smells", "x.json"],
     ],
 )

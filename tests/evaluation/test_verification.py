@@ -222,6 +222,7 @@ def test_the_command_confirms_or_exits_with_1(
     assert cli.main([*verify, "--json"]) == 0
     out = capsys.readouterr().out
     assert "confirmed: 8 of 8" in out
+    assert "MoveToRegion  All " in out
     assert '"equal": 8' in out
     scores = tmp_path / "scores.csv"
     scores.write_text(scores.read_text().replace(",0.0,0.0", ",1.0,1.0"))
@@ -237,7 +238,9 @@ def test_code_that_an_entry_names_is_not_run(
     name = f"{tmp_path / 'bad.py'}:policy"
     Entry(method="m", scores=scores, details={"policy": name}).write(tmp_path)
     assert cli.main(["verify", str(tmp_path)]) == 1
-    assert "expected a run folder or one of random, noop, expert" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert "expected a run folder or one of random, noop, expert" in err
+    assert "magical verify --policy" in err
 
 
 @pytest.mark.parametrize("horizon", ["soon", "0", "-1", "1e3", ""])

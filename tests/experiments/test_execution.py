@@ -14,7 +14,7 @@ import pytest
 
 import magical
 from magical.cli import main
-from magical.errors import PlacementError, ResultsError
+from magical.errors import DatasetError, PlacementError, ResultsError
 from magical.evaluation import Evaluation, environments, read_entry
 from magical.experiments import forecast, one_run, results
 from magical.experiments.execution import LocalExecutor, execute
@@ -174,6 +174,7 @@ def test_what_a_killed_process_left_does_not_stand_in_the_way(
     (run, _) = planned()
     folder = out / "runs" / run.folder
     with results.opened(out, [run]) as opened:
+        opened.write_plan([run])
         opened.write_progress([run], 2)
         assert read_status(out).counts["running"] == 1
     with results.opened(out, [run]):
@@ -218,6 +219,14 @@ def test_other_folders_are_refused(planned: Planned, inline: Started, copied: Pa
     (out / "experiment.json").write_text("{")
     with pytest.raises(ResultsError, match=r"experiment\.json"):
         execute(runs, out)
+
+
+def test_a_plan_that_is_refused_leaves_the_one_before_listed(
+    planned: Planned, inline: Started, copied: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(DatasetError, match="no-such-folder"):
+        execute(planned(demos=str(tmp_path / "no-such-folder")), copied)
+    assert read_status(copied).counts["done"] == 2
 
 
 def test_a_folder_is_used_by_one_execution_at_a_time(

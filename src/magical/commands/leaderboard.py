@@ -37,6 +37,9 @@ def run(args: argparse.Namespace) -> int:
         require("report")
     board = make_leaderboard(args.folders, args.out, args.rerun)
     for part in board.boards:
+        if not part.standings:
+            print("no method has entries on all tasks\n")
+            continue
         rows = [
             (
                 "reference" if row.is_reference else row.rank,

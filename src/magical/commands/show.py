@@ -5,6 +5,7 @@ from pathlib import Path
 
 from magical.commands._common import add_json, add_out, add_seed, print_json
 from magical.envs import parse_env_id
+from magical.errors import UnknownNameError
 from magical.files import write_atomically
 
 HELP = "write an image of a scene"
@@ -26,6 +27,8 @@ def run(args: argparse.Namespace) -> int:
 
     env_id = parse_env_id(args.env_id)
     out = args.out or Path(f"{env_id.replace('/', '-')}.png")
+    if out.suffix.lower() not in ("", ".png"):
+        raise UnknownNameError(f"{out}: expected the suffix .png")
     env = gymnasium.make(env_id, render_mode="rgb_array")
     env.reset(seed=args.seed)
     with write_atomically(out) as file:

@@ -59,10 +59,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print(found: "Verification") -> None:
+    from magical.tasks.axes import short_variant
+
     rows = [
         (
             env_id.task,
-            env_id.variant,
+            short_variant(env_id.variant),
             len(part.recorded),
             part.equal,
             f"{sum(row.score for row in part.recorded) / len(part.recorded):.3f}",

@@ -72,6 +72,35 @@ def require_same_demonstrations(runs: Sequence[PlannedRun], results: Results) ->
             _require_same(Dataset.open(Path(wanted.demos)), known, results)
 
 
+def open_dataset(runs: Sequence[PlannedRun], results: Results) -> Dataset | None:
+    """The dataset of the user's that runs learn from, if they learn from one.
+
+    Raises:
+        DatasetError: there is none, or a damaged one.
+        DemonstrationsError: it has too few demonstrations for a run.
+        ResultsError: the results folder holds runs that learned from others.
+    """
+    counts, source, folder = _wanted(runs)
+    if not source.dataset:
+        return None
+    dataset = Dataset.open(Path(folder).absolute())
+    _require_enough(dataset, counts if source.expert_demos is None else dict.fromkeys(counts, 1))
+    _require_same(dataset, list(counts), results)
+    return dataset
+
+
+def _wanted(runs: Iterable[PlannedRun]) -> tuple[dict[str, int], DemonstrationSource, str]:
+    """The most demonstrations of each task that a run learns from, their source, the dataset."""
+    counts: dict[str, int] = {}
+    source, folder = DemonstrationSource(), ""
+    for run in runs:
+        wanted = run.config.part(DemonstrationSettings)
+        if wanted:
+            folder, source = wanted.demos, run.source  # the plan's
+            counts |= {task: max(wanted.num_demos, counts.get(task, 0)) for task in run.tasks}
+    return counts, source, folder
+
+
 def prepare_demonstrations(
     runs: Sequence[PlannedRun],
     results: Results,
@@ -83,24 +112,15 @@ def prepare_demonstrations(
     `progress` is called after each demonstration that is generated.
 
     Raises:
-        DatasetError: there is no dataset, or a damaged one.
-        DemonstrationsError: it has too few demonstrations for a run.
-        ResultsError: the results folder holds runs that learned from others.
+        DatasetError, DemonstrationsError, ResultsError: see `open_dataset`.
     """
-    counts: dict[str, int] = {}  # by task: the most that a run learns from
-    for run in runs:
-        wanted = run.config.part(DemonstrationSettings)
-        if wanted:
-            folder, source = wanted.demos, run.source  # the plan's
-            counts |= {task: max(wanted.num_demos, counts.get(task, 0)) for task in run.tasks}
+    counts, source, _ = _wanted(runs)
     if not counts:
         return None
     tasks = list(counts)
-    if not source.dataset:
+    dataset = open_dataset(runs, results)
+    if dataset is None:
         return _generated(source, tasks, results, workers, progress)
-    dataset = Dataset.open(Path(folder).absolute())
-    _require_enough(dataset, counts if source.expert_demos is None else dict.fromkeys(counts, 1))
-    _require_same(dataset, tasks, results)
     if source.expert_demos is None:
         return dataset.path
     generated = Dataset.open(_generated(source, tasks, results, workers, progress))

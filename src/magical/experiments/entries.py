@@ -60,7 +60,7 @@ def policy_of(folder: Path, entry: Entry, run: Path | None = None) -> Policy:
             return load_policy(place)
     raise PolicyError(
         f"{folder}: expected a run folder or one of {', '.join(BUILT_IN)} as the policy "
-        f"that was evaluated, found {name!r}"
+        f"that was evaluated, found {name!r}; magical verify --policy runs code that you trust"
     )
 
 

@@ -13,7 +13,11 @@ from typing import Any, Literal, Protocol
 
 from magical.errors import ClusterError
 from magical.evaluation import Evaluation
-from magical.experiments.demonstrations import prepare_demonstrations, require_same_demonstrations
+from magical.experiments.demonstrations import (
+    open_dataset,
+    prepare_demonstrations,
+    require_same_demonstrations,
+)
 from magical.experiments.display import Display
 from magical.experiments.one_run import evaluate_reference, finish, record_failure
 from magical.experiments.plan import PlannedRun
@@ -169,6 +173,8 @@ def execute(
         require_same_first_runs(runs, results)
         again = (None, FAILED) if retry_failed else (None,)
         waiting = [run for run in runs if states[run] in again]
+        open_dataset(waiting, results)  # a plan that is refused leaves the one before listed
+        results.write_plan(runs)
 
         def go_on(_: int) -> None:
             if stop.seen:

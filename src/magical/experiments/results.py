@@ -88,6 +88,10 @@ class Results:
         if not found.keys() <= known.keys():
             write_json(self.path / EXPERIMENT, {**experiment, field: {**known, **found}})
 
+    def write_plan(self, runs: Sequence[PlannedRun]) -> None:
+        """List the runs of the plan, which are then what reports and `magical status` show."""
+        write_json(self.path / PLAN, {"runs": [asdict(run.listed()) for run in runs]})
+
     def write_progress(self, running: Iterable[PlannedRun], slots: int) -> None:
         """Note which runs are in progress, and how many can be at a time."""
         names = [run.folder for run in running]
@@ -127,7 +131,6 @@ def opened(path: Path, runs: Sequence[PlannedRun]) -> Iterator[Results]:
             found = {"format": FORMAT, "id": uuid.uuid4().hex, "versions": versions()}
             write_json(path / EXPERIMENT, found)
         _adopt_earlier(path, runs)
-        write_json(path / PLAN, {"runs": [asdict(run.listed()) for run in runs]})
         yield Results(path, str(read_record(path / EXPERIMENT).get("id")))
 
 

@@ -41,6 +41,8 @@ def test_the_site_is_whole(
     site = tmp_path / "site"
     assert cli.main(["leaderboard", str(entries), "--out", str(site)]) == 0
     printed = capsys.readouterr().out
+    assert "no method has entries on all tasks" in printed
+    assert "All tasks" not in printed
     assert printed.index("C ") < printed.index("<A> & b")
     assert "not ranked: " in printed
     assert "made by version 0.0.1" in printed

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from magical import cli
+from magical.errors import UnknownNameError
 from magical.evaluation import published_score
 from magical.report.pages.export import escape_latex, format_of, latex, markdown
 from magical.report.scores.tables import TextTable
@@ -115,3 +116,8 @@ def test_tables_are_escaped() -> None:
 )
 def test_the_suffix_says_the_format(name: str, kind: str) -> None:
     assert format_of(Path(name)) == kind
+
+
+def test_another_suffix_is_refused() -> None:
+    with pytest.raises(UnknownNameError, match=r"x\.pdf: expected the suffix .*, or --format"):
+        format_of(Path("x.pdf"))

@@ -42,7 +42,7 @@ def test_one_run_each_is_compared_over_rollouts() -> None:
     second = entry("second", line=[1.0] * 4, dupe=[0.0] * 4)
     rows, grid = compared([first, second])
     assert grid.note.startswith("Over 2 environments.")
-    assert "does not include the spread between training runs" in grid.note
+    assert "do not include the spread between training runs" in grid.note
     assert [row.unit for row in rows] == ["rollouts of 1 run"] * 2
     assert rows[0].mean().value == pytest.approx(1.5 / 8)
     assert rows[0].mean().low < 1.5 / 8 < rows[0].mean().high

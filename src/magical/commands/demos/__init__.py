@@ -87,8 +87,8 @@ def _generate(parser: argparse.ArgumentParser) -> None:
         "--skill",
         type=number(float, 0, 1),
         default=1.0,
-        metavar="K",
-        help="below 1: deliberately worse",
+        metavar="X",
+        help="0 to 1; below 1 deliberately worse (default: 1)",
     )
     parser.add_argument(
         "--perturb",

@@ -31,7 +31,7 @@ class Algorithm:
     Attributes:
         config: the configuration class.
         train: called as `train(config, run)`; trains, logs, and saves checkpoints whose entry
-            `policy` is the state dict of
+            `policy` is the state dict of the module that `make_policy` returns.
         make_policy: a function from the configuration to a module that maps observations (B, ...)
             and tasks (B,) to logits (B, 18), or to what `policy` takes.
         policy: the kind of policy that acts by this module; `None` for `NetworkPolicy`.

@@ -62,7 +62,7 @@ STATISTICS_BATCHES = 50  # that batch norm's statistics of averaged weights are 
 class CloningSettings(Settings):
     """How demonstrations are cloned; the defaults are Table 3's."""
 
-    batches: int = option(20_000, "batches in all; of dagger, in each round", POSITIVE)
+    batches: int = option(20_000, "batches of training", POSITIVE)
     batch_size: int = option(32, "samples per batch", POSITIVE)
     optimizer: str = option("sgd", "optimiser", choices=("sgd", "adam"))
     learning_rate: float = option(1e-3, "initial learning rate", POSITIVE)

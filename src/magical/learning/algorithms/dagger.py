@@ -65,7 +65,7 @@ class DAggerConfig(BCConfig):
         default_factory=partial(CloningSettings, batches=2_000)
     )  # of a round
     rounds: int = option(
-        10, "rounds, of so many batches each; all but the first collect episodes", POSITIVE
+        10, "rounds, each of `batches` batches; all but the first collect episodes", POSITIVE
     )
     episodes: int = option(10, "episodes of each task per round, variants in rotation", POSITIVE)
     variants: tuple[str, ...] = option(

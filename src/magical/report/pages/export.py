@@ -11,6 +11,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from magical.errors import UnknownNameError
 from magical.evaluation import Entry, by_variant, published_score, published_tasks
 from magical.evaluation.intervals import rollout_mean
 from magical.evaluation.statistics import mean, over_runs
@@ -67,12 +68,15 @@ def write_latex(found: Found, published: Sequence[str], path: Path) -> None:
 FORMATS: Mapping[str, Write] = MappingProxyType(
     {"csv": write_csv, "markdown": write_markdown, "latex": write_latex}
 )
-_SUFFIXES = {".csv": "csv", ".md": "markdown", ".tex": "latex"}
+_SUFFIXES = {".html": "html", ".csv": "csv", ".md": "markdown", ".tex": "latex"}
 
 
 def format_of(path: Path) -> str:
-    """The format that a file's suffix stands for; a page in HTML unless it is another's."""
-    return _SUFFIXES.get(path.suffix.lower(), "html")
+    """The format that a file's suffix stands for, HTML without one; raises `UnknownNameError`."""
+    kind = _SUFFIXES.get(path.suffix.lower() or ".html")
+    if kind is None:
+        raise UnknownNameError(f"{path}: expected the suffix {', '.join(_SUFFIXES)}, or --format")
+    return kind
 
 
 def markdown(table: TextTable) -> str:

@@ -26,7 +26,7 @@ AXES = tuple(variant for variant in VARIANTS if variant != "Demo")
 SHOWN = 6  # names in a note
 NOTE = (
     "95% intervals over training runs. Where a method has one run, the intervals of its mean, its "
-    "generalisation gap and its difference are over rollouts, which does not include the spread "
+    "generalisation gap and its difference are over rollouts and do not include the spread "
     "between training runs; its interquartile mean and its optimality gap have none. Where some "
     "environments have several runs and others one, there is no interval."
 )
