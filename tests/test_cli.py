@@ -155,6 +155,11 @@ def test_a_reader_that_leaves_is_no_traceback() -> None:
     assert (done.returncode, done.stderr) == (1, b"")
 
 
+def test_there_may_be_no_standard_output(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdout", None)  # as after `>&-`, and in a service
+    assert cli.main(["envs"]) == 0
+
+
 @pytest.mark.parametrize("words", [("envs", "--import"), ("--import",)])
 def test_a_module_is_imported_before_any_command(root: Path, words: tuple[str, ...]) -> None:
     command = [sys.executable, "-m", "magical", *words, str(root / "examples/ninth_task.py")]

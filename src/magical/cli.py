@@ -29,7 +29,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         arguments = build_parser().parse_args(_import_modules(argv))
         status = int(arguments.run(arguments))
-        sys.stdout.flush()
+        print(end="", flush=True)  # there may be no standard output to flush
     except SystemExit as stop:  # argparse: --help, --version, wrong usage
         return stop.code if isinstance(stop.code, int) else USAGE
     except (UnknownNameError, PlanError) as error:

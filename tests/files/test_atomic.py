@@ -1,5 +1,6 @@
 """Writing in one go."""
 
+import errno
 import os
 import re
 import secrets
@@ -52,6 +53,43 @@ def test_a_failure_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
         fail()
     assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_an_error_names_the_file_that_was_to_be_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "x.bin"
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")  # as of a write: without a name
+
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(OSError, match="dir") as refused, write_atomically(tmp_path / "folder"):
+        pass
+    assert refused.value.filename == str(tmp_path / "folder")
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space") as refused, write_atomically(path):
+        pass
+    assert refused.value.filename == str(path)
+
+
+def test_windows_is_asked_again_while_a_reader_has_the_older_file_open(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, replace, refusals = tmp_path / "x.bin", Path.replace, [1, 2]
+
+    def refused_twice(self: Path, target: Path) -> Path:
+        if refusals:
+            refusals.pop()
+            raise PermissionError
+        return replace(self, target)
+
+    monkeypatch.setattr(Path, "replace", refused_twice)
+    monkeypatch.setattr(sys, "platform", "win32")
+    monkeypatch.setattr("time.sleep", lambda _: None)
+    with write_atomically(path) as file:
+        file.write(b"new")
+    assert path.read_bytes() == b"new"
 
 
 def test_the_file_has_the_usual_permissions(tmp_path: Path) -> None:

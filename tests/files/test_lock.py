@@ -1,5 +1,6 @@
 """Locks between processes and threads."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -8,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from magical.files import LockedError, lock_now, locked
+from magical.files import LockedError, is_locked, lock_now, locked
 
 HOLD = """
 import sys, pathlib
@@ -47,3 +48,19 @@ def test_a_lock_whose_holder_is_unknown_is_refused_too(tmp_path: Path) -> None:
         with pytest.raises(LockedError) as refused, lock_now(tmp_path / "lock"):
             pass
         assert refused.value.process_id is None
+
+
+def test_a_file_system_without_locks_can_be_read_and_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unsupported(*_: object) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    lock = tmp_path / "lock"
+    lock.touch()
+    monkeypatch.setattr("fcntl.flock", unsupported)
+    with locked(lock, reading=True):
+        assert not is_locked(lock)
+    for holding in (locked, lock_now):
+        with pytest.raises(OSError, match=rf"a file system with file locks.*{lock}"), holding(lock):
+            pass

@@ -5,6 +5,8 @@ import os
 import re
 import secrets
 import shutil
+import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from fnmatch import fnmatchcase
@@ -12,6 +14,8 @@ from pathlib import Path
 from typing import IO
 
 _PARTIAL = re.compile(r"\.(?P<name>.+)\.[0-9a-f]+\.part")  # the target's name, a random number
+_FULL = errno.ENOSPC, errno.EDQUOT, errno.EFBIG  # of a write, whose error names no file
+_PAUSES = 0.01, 0.05, 0.2, 0.5  # seconds, on Windows
 
 
 @contextmanager
@@ -22,18 +26,24 @@ def write_atomically(path: Path | str) -> Iterator[IO[bytes]]:
     `path` stays as it was. If the machine fails, the older file or the new one is there, whole.
 
     Raises:
-        OSError: the folder cannot be made or written to, or the disk is full.
+        OSError: the folder cannot be made or written to, or the disk is full; names `path`.
     """
     target = Path(path)
     make_folder(target.parent)
     temporary = _temporary(target)
-    file = temporary.open("xb")  # x: never a file or link that is there already
-    with _removed(temporary), file:
-        yield file
-        file.close()
-        with temporary.open("r+b") as whole:
-            os.fsync(whole.fileno())
-        temporary.replace(target)
+    try:
+        file = temporary.open("xb")  # x: never a file or link that is there already
+        with _removed(temporary), file:
+            yield file
+            file.close()
+            with temporary.open("r+b") as whole:
+                os.fsync(whole.fileno())
+            _replace(temporary, target)
+    except OSError as error:
+        unnamed = error.filename is None and error.errno in _FULL
+        if unnamed or error.filename == str(temporary):
+            raise OSError(error.errno, error.strerror, str(target)) from error
+        raise
 
 
 def make_folder(path: Path) -> None:
@@ -66,7 +76,19 @@ def link_atomically(source: Path, target: Path) -> None:
             with source.open("rb") as old, write_atomically(target) as new:
                 shutil.copyfileobj(old, new)
         else:
+            _replace(temporary, target)
+
+
+def _replace(temporary: Path, target: Path) -> None:
+    """Rename a file; Windows refuses that while another process has the older one open."""
+    for pause in _PAUSES if sys.platform == "win32" else ():
+        try:
             temporary.replace(target)
+        except PermissionError:
+            time.sleep(pause)
+        else:
+            return
+    temporary.replace(target)
 
 
 def _temporary(target: Path) -> Path:

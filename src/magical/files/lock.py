@@ -1,10 +1,11 @@
 """File locks between processes and threads; the end of a process, or a kill, releases its locks."""
 
+import errno
 import os
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO
 
@@ -31,21 +32,29 @@ class LockedError(Exception):
         self.process_id = process_id
 
 
+class NoLocksError(OSError):
+    """A file system has no file locks: some network file systems, as they are mounted."""
+
+
 @contextmanager
 def locked(path: Path, *, reading: bool = False) -> Iterator[None]:
     """Hold a lock on the file `path`: exclusive, or with `reading` shared with other readers.
 
     Waits until the lock is free. A reader takes no lock where there is no lock file, as in a
-    read-only copy.
+    read-only copy, or where the file system has no locks.
 
     Raises:
-        OSError: the lock file cannot be created, or is not a regular file.
+        OSError: the lock file cannot be created, is not a regular file, or cannot be locked.
     """
     if reading and not path.exists():
         yield
         return
     with open_regular(path, "rb" if reading else "ab") as file:
-        _lock(file, reading=reading, wait=True)
+        try:
+            _lock(file, path, reading=reading, wait=True)
+        except NoLocksError:
+            if not reading:
+                raise
         try:
             yield
         finally:
@@ -58,12 +67,12 @@ def lock_now(path: Path) -> Iterator[None]:
 
     Raises:
         LockedError: another process or thread holds it.
-        OSError: the lock file cannot be created, or is not a regular file.
+        OSError: the lock file cannot be created, is not a regular file, or cannot be locked.
     """
     with open_regular(path, "ab") as file:
         for pause in (*PAUSES, None):
             try:
-                _lock(file, reading=False, wait=False)
+                _lock(file, path, reading=False, wait=False)
                 break
             except (BlockingIOError, PermissionError) as error:  # on Windows the latter
                 if pause is None:
@@ -81,6 +90,8 @@ def lock_now(path: Path) -> Iterator[None]:
 def is_locked(path: Path) -> bool:
     """Whether another process, or an open file of this one, holds an exclusive lock on a file.
 
+    None does where the file system has no locks.
+
     Raises:
         OSError: the file cannot be opened, or is not a regular file.
     """
@@ -88,9 +99,11 @@ def is_locked(path: Path) -> bool:
         return False
     with open_regular(path) as file:
         try:
-            _lock(file, reading=True, wait=False)
+            _lock(file, path, reading=True, wait=False)
         except (BlockingIOError, PermissionError):
             return True
+        except NoLocksError:
+            return False
         _unlock(file)
         return False
 
@@ -105,19 +118,34 @@ def _holder(path: Path) -> int | None:
 if sys.platform == "win32":
     _LOCKED_BYTE = 1 << 30  # beyond the contents, which others could not read if it were in them
 
-    def _lock(file: IO[bytes], *, reading: bool, wait: bool) -> None:
-        file.seek(_LOCKED_BYTE)
-        msvcrt.locking(file.fileno(), msvcrt.LK_LOCK if wait else msvcrt.LK_NBLCK, 1)
+    def _lock(file: IO[bytes], path: Path, *, reading: bool, wait: bool) -> None:
+        while True:
+            file.seek(_LOCKED_BYTE)
+            try:
+                msvcrt.locking(file.fileno(), msvcrt.LK_LOCK if wait else msvcrt.LK_NBLCK, 1)
+            except OSError as error:
+                if not wait or error.errno != errno.EDEADLOCK:  # it gives up after ten seconds
+                    raise
+            else:
+                return
 
     def _unlock(file: IO[bytes]) -> None:
         file.seek(_LOCKED_BYTE)
         msvcrt.locking(file.fileno(), msvcrt.LK_UNLCK, 1)
 
 else:
+    _NO_LOCKS = errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP
 
-    def _lock(file: IO[bytes], *, reading: bool, wait: bool) -> None:
+    def _lock(file: IO[bytes], path: Path, *, reading: bool, wait: bool) -> None:
         kind = fcntl.LOCK_SH if reading else fcntl.LOCK_EX
-        fcntl.flock(file, kind if wait else kind | fcntl.LOCK_NB)
+        try:
+            fcntl.flock(file, kind if wait else kind | fcntl.LOCK_NB)
+        except OSError as error:
+            if error.errno not in _NO_LOCKS:
+                raise
+            problem = "expected a file system with file locks, found none; use another folder"
+            raise NoLocksError(error.errno, problem, str(path)) from error
 
     def _unlock(file: IO[bytes]) -> None:
-        fcntl.flock(file, fcntl.LOCK_UN)
+        with suppress(OSError):  # there was no lock; closing the file releases one anyway
+            fcntl.flock(file, fcntl.LOCK_UN)

@@ -48,7 +48,7 @@ class DatasetWriter:
                 self._store(file, raw, entry, check)
         except OSError as error:
             where = error.filename or self.path
-            raise DatasetError(f"{where}: cannot be written: {error}") from error
+            raise DatasetError(f"{where}: cannot be written: {error.strerror or error}") from error
         return entry
 
     def _store(self, file: Path, raw: bytes, entry: ManifestEntry, check: str) -> None:

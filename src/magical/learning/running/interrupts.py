@@ -9,7 +9,10 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class Interrupts:
-    """A context in which the first signal sets `seen`; a second one raises `KeyboardInterrupt`."""
+    """A context in which the first signal sets `seen`; a second one raises `KeyboardInterrupt`.
+
+    A signal whose handler is not Python's, in a program that embeds Python, is left to it.
+    """
 
     def __init__(self) -> None:
         self.seen = False
@@ -17,7 +20,8 @@ class Interrupts:
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():  # only it may set handlers
-            self._before = {number: signal.signal(number, self._note) for number in SIGNALS}
+            ours = [number for number in SIGNALS if signal.getsignal(number) is not None]
+            self._before = {number: signal.signal(number, self._note) for number in ours}
         return self
 
     def __exit__(self, *error: object) -> None:
