@@ -1,5 +1,6 @@
 """README and docs say what is: tables, commands, code, links, versions."""
 
+import json
 import re
 import runpy
 import shlex
@@ -90,6 +91,35 @@ def test_links_lead_somewhere(page: Path) -> None:
         file = (page.parent / target).resolve()
         generated = file.is_relative_to(ROOT) and GENERATED.match(file.relative_to(ROOT).as_posix())
         assert target.startswith("https://") or file.exists() or generated, target
+
+
+def keys(value: object) -> set[str]:
+    """Of an object that was read as JSON, and of all objects in it."""
+    if isinstance(value, dict):
+        return set(value).union(*map(keys, value.values()))
+    return set().union(*map(keys, value)) if isinstance(value, list) else set()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "envs",
+        "show magical/MoveToRegion-Demo-v0",
+        "evaluate noop --task MoveToRegion --variants Demo --rollouts 1 --workers 0",
+        "expert evaluate --env magical/MoveToRegion-Demo-v0 --rollouts 1 --workers 0",
+        "demos generate --env magical/MoveToRegion-Demo-v0 -n 1 --out demos",
+    ],
+)
+def test_objects_of_json_have_the_documented_keys(
+    words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = (ROOT / "docs" / "how-to" / "script.md").read_text()
+    rows = dict(re.findall(r"^\| `([^|]+)` \| (.*) \|$", page, re.MULTILINE))
+    (documented,) = (cell for command, cell in rows.items() if words.startswith(command))
+    monkeypatch.chdir(tmp_path)
+    assert cli.main([*words.split(), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert set(re.findall("`([a-z_]+)`", documented)) <= keys(found)
 
 
 def cited_sections() -> Iterator[tuple[str, int]]:

@@ -6,9 +6,15 @@ listed with the reason.
 """
 
 import argparse
+import math
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from magical.commands._common import add_out, log, print_table
+from magical.commands._common import add_json, add_out, log, print_json, print_table
+
+if TYPE_CHECKING:
+    from magical.evaluation.intervals import Interval
+    from magical.report.leaderboard.ranking import Standing
 
 HELP = "rank evaluated entries on a static page"
 
@@ -24,6 +30,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="METHOD",
         help="mark methods whose scores you have run again (magical verify)",
     )
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -62,4 +69,28 @@ def run(args: argparse.Namespace) -> int:
     if args.out:
         board.write(args.out)
         log(f"wrote {args.out / 'index.html'}")
+    boards = {part.name: [_plain(row) for row in part.standings] for part in board.boards}
+    rejected = [
+        {"folder": entry.folder, "reasons": list(entry.reasons)} for entry in board.rejected
+    ]
+    print_json(args, {"boards": boards, "rejected": rejected})
     return 0
+
+
+def _plain(row: "Standing") -> dict[str, Any]:
+    """A method's place as plain data; a reference has no ranks, and no interval is `None`s."""
+
+    def bounds(interval: "Interval") -> list[float | None]:
+        return [None if math.isnan(number) else number for number in interval]
+
+    return {
+        "method": row.method,
+        "rank": None if row.is_reference else row.rank,
+        "rank_by_gap": None if row.is_reference else row.gap_rank,
+        "test_all": bounds(row.test_all),
+        "demo": bounds(row.demo),
+        "gap": bounds(row.gap),
+        "class": row.learning_class,
+        "used": row.used,
+        **row.statements._asdict(),
+    }

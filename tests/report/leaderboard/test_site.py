@@ -1,5 +1,6 @@
 """The leaderboard's pages."""
 
+import json
 import re
 import shutil
 from pathlib import Path
@@ -65,6 +66,17 @@ def test_the_site_is_whole(
                 assert target.is_relative_to(site.resolve())
     methods = {read_entry(path.parent).method for path in site.rglob("entry.json")}
     assert methods == {"<A> & b", "C"}
+
+
+def test_the_boards_are_given_as_json(entries: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["leaderboard", str(entries), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert found["boards"]["All tasks"] == []
+    first, second = found["boards"]["MoveToRegion"]
+    assert (first["method"], first["rank"], first["test_all"][0]) == ("C", 1, 1.0)
+    assert second["used"] == ["demonstrations"]
+    assert (second["class"], second["looks"]) == ("P", 0)
+    assert len(found["rejected"]) == 2
 
 
 def test_entries_that_are_not_ranked_stand_together_by_reason(
