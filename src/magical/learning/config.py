@@ -148,7 +148,7 @@ class Config(Settings):
     )
     checkpoint_every: int = option(
         0,
-        f"batches or updates between checkpoints; 0: one every {CHECKPOINT_SECONDS} s",
+        f"batches or updates between checkpoints; 0: one every {CHECKPOINT_SECONDS} s at most",
         NOT_NEGATIVE,
     )
 

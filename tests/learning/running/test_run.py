@@ -109,6 +109,28 @@ def test_checkpoints_are_due_by_number_or_by_time(
         assert run.step == 8
 
 
+def test_checkpoints_that_take_long_are_saved_less_often(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = 100.0
+    monkeypatch.setattr("magical.learning.running.run.time.monotonic", lambda: now)
+
+    def state() -> dict[str, Any]:
+        nonlocal now
+        now += 6.0
+        return {}
+
+    with opened(folder) as run:
+        now += CHECKPOINT_SECONDS
+        run.finish_step(1, dict, state)
+        now += 119.0
+        run.finish_step(2, dict, state)
+        assert run.step == 1
+        now += 1.0
+        run.finish_step(3, dict, state)
+        assert run.step == 3
+
+
 def test_metrics_are_logged_every_so_many_steps_and_at_the_last(folder: Path) -> None:
     with opened(folder) as run:
         for step in range(1, 6):

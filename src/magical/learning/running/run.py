@@ -30,6 +30,8 @@ from magical.runs.metrics import MetricsWriter
 Metrics = Mapping[str, float | str]
 OnMetrics = Callable[[int, int, Metrics], None]  # step, total number of steps, metrics
 
+SAVING_SHARE = 0.05  # of training time is for saving checkpoints, at most
+
 
 class Run:
     """Logs metrics, saves checkpoints and decides when to stop.
@@ -68,7 +70,7 @@ class Run:
         with restoring(folder):
             self.step = int(self.saved["step"]) if self.saved else 0
         self._last = math.inf if stop_after is None else self.step + stop_after
-        self._saved_at = time.monotonic()
+        self._saved_at, self._pause = time.monotonic(), float(CHECKPOINT_SECONDS)
         self._metrics = MetricsWriter(folder, self.step)
         seed_torch(self._seed, Purpose.NOISE, self.step)
 
@@ -143,17 +145,19 @@ class Run:
             self._on_metrics(step, self._total, found)
             self._require_finite(step, found)
         if stops or last or self._checkpoint_is_due(step):
+            begun = time.monotonic()
             saved = state()
             self._require_finite(step, saved)
             replace_checkpoint(self.folder, {**saved, "step": step})
             self.step, self._saved_at = step, time.monotonic()
+            self._pause = max(CHECKPOINT_SECONDS, (self._saved_at - begun) / SAVING_SHARE)
         seed_torch(self._seed, Purpose.NOISE, step)
         return stops
 
     def _checkpoint_is_due(self, step: int) -> bool:
         if self._checkpoint_every:
             return step % self._checkpoint_every == 0
-        return time.monotonic() - self._saved_at >= CHECKPOINT_SECONDS
+        return time.monotonic() - self._saved_at >= self._pause
 
     def _require_finite(self, step: int, state: Any) -> None:
         """Raise `DivergedError` if any number or tensor in nested dicts and lists is not finite."""
