@@ -7,6 +7,7 @@ import subprocess
 import sys
 from argparse import ArgumentTypeError
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,8 +16,10 @@ import pytest
 from magical import plugins
 from magical.commands._common import task_name
 from magical.envs import parse_env_id
+from magical.envs.vector import MagicalVectorEnv
 from magical.errors import MissingDependencyError, PluginError, UnknownNameError
 from magical.evaluation.loading import LOADERS, load_policy
+from magical.observe import make_spec
 from magical.plugins import Registry
 from magical.tasks import TASKS, Task, get_task, load_task, unregister_task
 
@@ -58,11 +61,13 @@ def test_ours_and_those_of_other_distributions(path: Path) -> None:
         ("no_such_module:TASK", "'broken' of other cannot be imported from no_such_module:TASK"),
         ("magical.tasks:NO", "cannot be imported from magical.tasks:NO"),
         ("magical.tasks:TASKS", "thing 'broken': expected Task, found _Tasks"),
+        ("raising_plugin:TASK", "'broken' of other cannot .* ZeroDivisionError: no licence"),
     ],
 )
 def test_a_broken_plugin_is_named_and_leaves_the_others(
     path: Path, value: str, message: str
 ) -> None:
+    (path / "raising_plugin.py").write_text("raise ZeroDivisionError('no licence')")
     install(path, "other", f"broken = {value}", "good = magical.tasks.make_line:TASK")
     assert THINGS.get("good").name == "MakeLine"
     with pytest.raises(PluginError, match=message):
@@ -94,8 +99,8 @@ def test_two_distributions_with_one_name(path: Path) -> None:
     assert THINGS.get("mine").name == "MakeLine"
 
 
-def test_two_tasks_of_one_name_do_not_keep_the_package_from_being_imported(path: Path) -> None:
-    install(path, "one", "Same = a:A", group="magical.tasks")
+def test_tasks_of_one_name_do_not_keep_the_package_from_being_imported(path: Path) -> None:
+    install(path, "one", "Same = a:A", "MakeLine = a:A", group="magical.tasks")
     install(path, "two", "Same = b:B", group="magical.tasks")
     program = (
         "import gymnasium, magical\n"
@@ -119,6 +124,7 @@ def test_an_unknown_name_lists_the_known_ones(path: Path) -> None:
         THINGS.get("your")
 
 
+DRIVE_THERE = "magical/DriveThere-Demo-v0"
 TASK = """
 from dataclasses import replace
 from magical.tasks import get_task
@@ -149,6 +155,22 @@ def test_a_task_of_another_name_than_its_entry_points(path: Path) -> None:
     assert list(TASKS)[-1] == "Misnamed"
     with pytest.raises(PluginError, match="expected the task 'Misnamed', found 'MakeLine'"):
         get_task("Misnamed")
+
+
+def test_a_task_within_a_class_is_found_by_workers(path: Path) -> None:
+    (path / "grouped_tasks.py").write_text(f"{TASK}\nclass Tasks:\n    drive = TASK\ndel TASK\n")
+    install(path, "other", "DriveThere = grouped_tasks:Tasks.drive", group="magical.tasks")
+    try:
+        with closing(MagicalVectorEnv([DRIVE_THERE], 1, "state")) as envs:
+            envs.reset(seed=0)
+    finally:
+        unregister_task("DriveThere")
+
+
+def test_an_observation_that_is_none(path: Path) -> None:
+    install(path, "other", "actions = magical.scene:NUM_ACTIONS", group="magical.observations")
+    with pytest.raises(PluginError, match="'actions': expected an ObservationSpec, or a function"):
+        make_spec("actions", get_task("MakeLine"))
 
 
 def test_a_file_finds_its_neighbours(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -203,10 +225,11 @@ class Installed:
 
     def python(self, *arguments: str) -> str:
         """The standard output of an interpreter."""
+        given = filter(None, [os.environ.get("PYTHONPATH")])
         done = subprocess.run(
             [sys.executable, *arguments],
             cwd=self.folder,
-            env={**os.environ, "PYTHONPATH": str(self.folder / "site")},
+            env={**os.environ, "PYTHONPATH": os.pathsep.join([str(self.folder / "site"), *given])},
             capture_output=True,
             text=True,
             check=False,
@@ -253,9 +276,10 @@ def test_entry_points_are_imported_when_they_are_needed(installed: Installed) ->
 def test_tasks_experts_and_policies_of_a_distribution(installed: Installed) -> None:
     assert "EmptyRegion" in installed.magical("envs")
     for policy in ("circle", "expert"):
-        command = f"evaluate {policy} --task EmptyRegion --rollouts 2 --json"
+        command = f"evaluate {policy} --task EmptyRegion --rollouts 2 --out {policy} --json"
         scores = json.loads(installed.magical(command).splitlines()[-1])
         assert scores["All"]["mean"] == 1.0
+        assert "confirmed: " in installed.magical(f"verify {policy}")
 
 
 def test_an_algorithm_of_a_distribution_is_resumed_and_ranked(installed: Installed) -> None:

@@ -127,10 +127,11 @@ def load_plugin(group: str, name: str) -> Any:
         )
     try:
         return entry.load()
-    except (ImportError, AttributeError) as error:
+    except Exception as error:  # its module may raise anything
         source = f" of {entry.dist.name}" if entry.dist else ""
         raise PluginError(
-            f"{group}: {name!r}{source} cannot be imported from {entry.value}: {error}"
+            f"{group}: {name!r}{source} cannot be imported from {entry.value}: "
+            f"{type(error).__name__}: {error}"
         ) from error
 
 

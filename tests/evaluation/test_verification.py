@@ -240,7 +240,7 @@ def test_code_that_an_entry_names_is_not_run(
     assert cli.main(["verify", str(tmp_path)]) == 1
     err = capsys.readouterr().err
     assert "expected a run folder or one of random, noop, expert" in err
-    assert "magical verify --policy" in err
+    assert "by --policy" in err
 
 
 @pytest.mark.parametrize("horizon", ["soon", "0", "-1", "1e3", ""])

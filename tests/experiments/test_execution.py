@@ -17,7 +17,7 @@ from magical.cli import main
 from magical.errors import DatasetError, PlacementError, ResultsError
 from magical.evaluation import Evaluation, environments, read_entry
 from magical.experiments import forecast, one_run, results
-from magical.experiments.execution import LocalExecutor, execute
+from magical.experiments.execution import LocalExecutor, Resources, execute
 from magical.experiments.one_run import evaluate_reference
 from magical.experiments.plan import PlannedRun
 from magical.experiments.results import Results
@@ -27,6 +27,7 @@ from magical.learning import load_policy, read_config
 from magical.learning.running import training
 from magical.runs import versions
 from magical.runs.machine import machine
+from magical.tasks import unregister_task
 from tests.experiments.processes import scores_of
 
 Planned = Callable[..., list[PlannedRun]]
@@ -345,3 +346,28 @@ def test_a_reference_is_evaluated_again_where_the_evaluation_is_another(tmp_path
         assert entry.horizon == str(horizon)
         evaluate_reference(("noop", evaluation), tmp_path)
         assert (folder / "scores.csv").stat().st_mtime_ns == before
+
+
+OUTSIDE = """
+from dataclasses import replace
+from magical.experts import register_planner
+from magical.experts.goals import get_planner
+from magical.tasks import get_task
+TASK = replace(get_task("MoveToRegion"), name="DriveThere", section="")
+register_planner("DriveThere", get_planner("MoveToRegion"))
+"""
+
+
+def test_a_task_of_a_module_is_known_in_the_processes_of_runs_and_references(
+    planned: Planned, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "task_for_a_plan.py").write_text(OUTSIDE)
+    monkeypatch.syspath_prepend(tmp_path)
+    changes = ('["MoveToRegion"]', '["task_for_a_plan:TASK"]'), ("seeds = [0, 1]", "seeds = [0]")
+    try:
+        runs = planned(*changes)
+        references = [("expert", runs[0].evaluation)]
+        assert execute(runs, out, Resources(workers=1), references=references).complete
+        assert (out / "references" / "expert-DriveThere" / "scores.csv").exists()
+    finally:
+        unregister_task("DriveThere")

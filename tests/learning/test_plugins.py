@@ -2,14 +2,19 @@
 
 import json
 import sys
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import pytest
 
 from magical.cli import main
-from magical.errors import PluginError, UnknownNameError
-from magical.learning import find_algorithm, read_config, train
+from magical.errors import PluginError, RunFolderError, UnknownNameError
+from magical.learning import Config, find_algorithm, read_config, train
+from magical.learning.algorithms.bc import BCConfig
+from magical.learning.config import options
 from magical.learning.networks import find_network
+from magical.learning.settings import Settings, option
 from magical.runs.folder import CONFIG
 from tests.learning.tiny_runs import same_weights, tiny
 
@@ -101,6 +106,69 @@ def test_a_network_with_dropout_learns_the_same_again_and_resumed(
     train(config, tmp_path / "parts", stop_after=1)
     train(config, tmp_path / "parts", resume=True)
     assert same_weights(tmp_path / "whole", tmp_path / "parts")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Inner(Settings):
+    learning_rate: float = option(0.1, "another")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outer(Settings):
+    inner: Inner = field(default_factory=Inner)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bare(BCConfig):
+    patience: int = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nested(BCConfig):
+    outer: Outer = field(default_factory=Outer)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Twice(BCConfig):
+    inner: Inner = field(default_factory=Inner)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Chosen(BCConfig):
+    side: Literal["left", "right"] = option("left", "where")
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        (Bare, r"Bare\.patience: expected option\(...\), or .*, found <class 'int'>"),
+        (Nested, r"Nested\.outer\.inner: expected option\(...\)"),
+        (
+            Twice,
+            r"Twice\.inner\.learning_rate: expected another name than Twice\.cloning\.learning",
+        ),
+        (Chosen, r"Chosen, side: expected int, float, str or bool, .* found typing\.Literal"),
+    ],
+)
+def test_a_class_that_has_no_options_says_which_field(kind: type[Config], message: str) -> None:
+    with pytest.raises(PluginError, match=message):
+        options(kind)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Named(BCConfig):
+    name: str = option("", "a note")
+
+
+def test_an_option_may_have_the_name_of_a_parameter() -> None:
+    config = Named.preset("quick", tasks=("MakeLine",), demos="demos", name="mine")
+    assert (config.name, Named.from_dict(config.to_dict())) == ("mine", config)
+
+
+def test_an_algorithm_that_is_not_installed_any_more_is_named_with_the_file(tmp_path: Path) -> None:
+    (tmp_path / CONFIG).write_text('{"algorithm": "gone"}')
+    with pytest.raises(RunFolderError, match=r"config\.json: algorithm 'gone' is unknown"):
+        read_config(tmp_path)
 
 
 def test_what_is_not_there_or_of_another_kind_is_named(module: str) -> None:

@@ -1,7 +1,7 @@
 """Policies, evaluation with fixed seeds, statistics, and the published scores. Needs no torch."""
 
 from magical.evaluation.entry import Entry, read_entry
-from magical.evaluation.loading import BUILT_IN, as_policy, load_policy
+from magical.evaluation.loading import BUILT_IN, as_policy, load_policy, policy_names
 from magical.evaluation.policy import FunctionPolicy, NoopPolicy, Policy, RandomPolicy
 from magical.evaluation.protocol import Evaluation, environments
 from magical.evaluation.published import (
@@ -29,6 +29,7 @@ __all__ = [
     "environments",
     "evaluate",
     "load_policy",
+    "policy_names",
     "published_methods",
     "published_score",
     "published_table",

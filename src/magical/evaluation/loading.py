@@ -64,7 +64,7 @@ def load_policy(source: PolicySource) -> Policy:
     name = os.fspath(source)
     if name in BUILT_IN:
         return BUILT_IN[name]()
-    if Path(name).is_dir():
+    if name not in policy_names() and Path(name).is_dir():
         policy: Policy = _attribute(RUN_LOADER)(name)
         return policy
     loader, colon, what = name.partition(":")
@@ -76,6 +76,14 @@ def load_policy(source: PolicySource) -> Policy:
             f"clone of the repository: pip install ./integrations/{INTEGRATIONS[loader]}"
         )
     return as_policy(_attribute(name), name)
+
+
+def policy_names() -> tuple[str, ...]:
+    """The names in `BUILT_IN` and of other distributions' entry points; none is imported.
+
+    They come before folders of these names. An entry may have them loaded: they are installed.
+    """
+    return (*BUILT_IN, *plugins(GROUP))
 
 
 def as_policy(thing: Any, name: str = "policy") -> Policy:
@@ -117,6 +125,6 @@ def _attribute(name: str) -> Any:
     if name in plugins(GROUP) or (module_name and attribute):
         return load_plugin(GROUP, name)
     raise UnknownNameError(
-        f"policy {name!r}: expected one of {', '.join((*BUILT_IN, *plugins(GROUP)))}, a run "
+        f"policy {name!r}: expected one of {', '.join(policy_names())}, a run "
         "folder, module:name or file.py:name"
     )

@@ -151,12 +151,12 @@ def _in_processes(
         for first in range(0, evaluation.rollouts, SHARE)
     ]
     count = min(available_cores() if workers is None else workers, len(shares))
-    modules = _modules(policy, list(evaluation.by_task)) if count > 1 else []
+    modules = modules_for(policy, list(evaluation.by_task)) if count > 1 else []
     score = partial(_score_share, policy, evaluation, modules)
     yield from map_in_processes(score, shares, count)
 
 
-def _modules(policy: Policy, tasks: Sequence[str]) -> list[str]:
+def modules_for(policy: Policy | None, tasks: Sequence[str]) -> list[str]:
     """The modules from which a new process learns of the tasks, and what the policy needs."""
     needed = getattr(policy, "modules", None)
     return [*defining_modules(list(map(get_task, tasks))), *(needed(tasks) if needed else [])]

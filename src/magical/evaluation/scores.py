@@ -14,7 +14,7 @@ import numpy as np
 
 from magical.envs import EnvId, parse_env_id
 from magical.envs.seeds import evaluation_seed
-from magical.errors import ScoresError
+from magical.errors import ScoresError, UnknownNameError
 from magical.files import open_regular, write_atomically
 from magical.tasks.axes import short_variant
 
@@ -82,6 +82,8 @@ def parse_row(line: Sequence[str], path: Path | str, number: int) -> RolloutScor
         text, rollout, seed, score, published = line
         env_id = _parse_env_id(text)
         row = RolloutScore(env_id, int(rollout), int(seed), float(score), float(published))
+    except UnknownNameError as error:  # perhaps of a task that is not installed here
+        raise ScoresError(f"{path}, line {number}: {error}") from error
     except ValueError as error:
         raise ScoresError(
             f"{path}, line {number}: expected {','.join(HEADER)}, found {repr(line)[:SHOWN]}"

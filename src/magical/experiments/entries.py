@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from magical.errors import PolicyError
-from magical.evaluation import BUILT_IN, Entry, Policy, load_policy
+from magical.evaluation import BUILT_IN, Entry, Policy, load_policy, policy_names
 from magical.evaluation.entry import POLICY, THREADS
 from magical.runs import is_run
 from magical.runs.folder import RECORD, read_json
@@ -25,7 +25,7 @@ def evaluation_details(policy: str, out: Path) -> dict[str, Any]:
     """
     if policy in BUILT_IN:
         return {POLICY: policy, LEARNED_FROM: [], **provenance()}
-    if not Path(policy).is_dir():
+    if policy in policy_names() or not Path(policy).is_dir():
         return {POLICY: policy, **provenance()}
     from magical.learning import read_config
     from magical.learning.running.devices import num_threads
@@ -38,9 +38,9 @@ def evaluation_details(policy: str, out: Path) -> dict[str, Any]:
 
 
 def policy_of(folder: Path, entry: Entry, run: Path | None = None) -> Policy:
-    """The policy of an evaluated run: that of its run folder, or a built-in one by name.
+    """The policy of an evaluated run: that of its run folder, or that of a name in `policy_names`.
 
-    Code that an entry names is not run, since entries come from anywhere.
+    Other code that an entry names is not run, since entries come from anywhere.
 
     Args:
         folder: the entry's.
@@ -52,15 +52,15 @@ def policy_of(folder: Path, entry: Entry, run: Path | None = None) -> Policy:
         RunFolderError, CheckpointError: the run cannot be loaded.
     """
     name = entry.details.get(POLICY)
-    if isinstance(name, str) and name in BUILT_IN:
+    if isinstance(name, str) and name in policy_names():
         return load_policy(name)
     recorded = [folder / name] if isinstance(name, str) else []
     for place in (*recorded, run or folder):
         if is_run(place):
             return load_policy(place)
     raise PolicyError(
-        f"{folder}: expected a run folder or one of {', '.join(BUILT_IN)} as the policy "
-        f"that was evaluated, found {name!r}; magical verify --policy runs code that you trust"
+        f"{folder}: expected a run folder or one of {', '.join(policy_names())} as the policy "
+        f"that was evaluated, found {name!r}; magical verify takes others by --policy"
     )
 
 

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any, Literal, Protocol
 
 from magical.errors import ClusterError
-from magical.evaluation import Evaluation
+from magical.evaluation import BUILT_IN, Evaluation
+from magical.evaluation.rollouts import modules_for
 from magical.experiments.demonstrations import (
     open_dataset,
     prepare_demonstrations,
@@ -69,7 +70,8 @@ class LocalExecutor:
     def start(self, run: PlannedRun, demos: Path | None) -> Future[Outcome]:
         """Start a run in a process."""
         folder = self._results.folder(run)
-        return self._pool.submit(partial(finish, folder=folder, demos=demos), run)
+        modules = modules_for(None, run.tasks)
+        return self._pool.submit(partial(finish, folder=folder, demos=demos, modules=modules), run)
 
     def stop(self) -> None:
         """Send SIGTERM."""
@@ -257,16 +259,19 @@ class _References:
         results: Results,
         resources: Resources,
     ) -> None:
-        self._waiting = deque(references)
+        self._waiting = deque(
+            (partial(evaluate_reference, results=results.path, modules=modules), (name, evaluation))
+            for name, evaluation in references
+            for modules in [modules_for(BUILT_IN[name](), list(evaluation.by_task))]
+        )
         self._started: list[Future[None]] = []
-        self._evaluate = partial(evaluate_reference, results=results.path)
         self._pool = ProcessPool(min(resources.workers or available_cores(), len(references)))
 
     def start(self, slots: int) -> None:
         """Have as many evaluations in progress as there are slots."""
         free = slots - sum(not future.done() for future in self._started)
         for _ in range(min(free, len(self._waiting))):
-            self._started.append(self._pool.submit(self._evaluate, self._waiting.popleft()))
+            self._started.append(self._pool.submit(*self._waiting.popleft()))
 
     def finish(self, progress: Callable[[int], None]) -> None:
         """Evaluate what is left; `progress` is called meanwhile, and may raise."""

@@ -23,6 +23,7 @@ from ray.exceptions import (
 )
 
 from magical.errors import ClusterError, RunFolderError
+from magical.evaluation.rollouts import modules_for
 from magical.experiments.one_run import finish
 from magical.experiments.plan import PlannedRun
 from magical.experiments.results import DONE, EXPERIMENT, Outcome, Results
@@ -87,7 +88,9 @@ class RayExecutor:
                 self._packed[demos] = ray.put(pack(demos))
             # References in a list are not fetched before they are needed.
             dataset = (str(demos), [self._packed[demos]]) if demos else None
-            reference = task.remote(run, str(folder), self._results.id, dataset)
+            reference = task.remote(
+                run, str(folder), self._results.id, dataset, modules_for(None, run.tasks)
+            )
             ended: Future[Returned] = reference.future()
         self._tasks[ended] = reference
         outcome: Future[Outcome] = Future()
@@ -211,19 +214,23 @@ def _answers(address: str) -> bool:
 
 
 def _finish(
-    run: PlannedRun, folder: str, identity: str, demos: tuple[str, list[Any]] | None
+    run: PlannedRun,
+    folder: str,
+    identity: str,
+    demos: tuple[str, list[Any]] | None,
+    modules: Sequence[str],
 ) -> Returned:
     """A run's task on a node of the cluster."""
     shared = Path(folder)
     if _is_shared(shared, identity):
-        return finish(run, shared, None if demos is None else Path(demos[0])), None
+        return finish(run, shared, None if demos is None else Path(demos[0]), modules), None
     with tempfile.TemporaryDirectory(prefix="magical-") as name:
         own = Path(name) / "run"
         dataset = None
         if demos is not None:
             dataset = Path(name) / "demos"
             unpack(ray.get(demos[1][0]), dataset)
-        outcome = finish(run, own, dataset)
+        outcome = finish(run, own, dataset, modules)
         complete = (own / RESULT).is_file()
         return outcome, pack(own) if complete else None
 

@@ -12,7 +12,7 @@ from dataclasses import MISSING, dataclass
 from typing import Any, ClassVar, Self, get_args, get_origin
 
 from magical.envs.action_spec import ActionSpaceName
-from magical.errors import InvalidConfigError, UnknownNameError
+from magical.errors import InvalidConfigError, PluginError, UnknownNameError
 from magical.learning.augmentation.names import Augmentations, parse_augmentations
 from magical.learning.networks import is_pretrained, network_names
 from magical.learning.settings import (
@@ -202,8 +202,8 @@ class Config(Settings):
 
     @property
     def num_updates(self) -> int:
-        """The number of steps (batches or updates) of a whole run."""
-        raise NotImplementedError
+        """The number of steps (batches or updates) of a whole run; every class defines it."""
+        raise NotImplementedError(f"{type(self).__name__} defines no num_updates")
 
     @property
     def training_samples(self) -> int:
@@ -260,7 +260,7 @@ class Config(Settings):
             )
 
     @classmethod
-    def preset(cls, name: str, **settings: Any) -> Self:
+    def preset(cls, name: str, /, **settings: Any) -> Self:
         """A preset's settings, by the options' names, some of them replaced.
 
         Raises:
@@ -367,6 +367,11 @@ def _option(kind: type[Config], field: "dataclasses.Field[Any]", hint: Any, defa
     if several or isinstance(hint, types.UnionType):  # tuple[str, ...] or int | None
         hint = next(kind for kind in get_args(hint) if kind not in (Ellipsis, types.NoneType))
     name, choices = name_of(field), field.metadata["choices"]()
+    if hint not in METAVARS:
+        raise PluginError(
+            f"{kind.__name__}, {name}: expected int, float, str or bool, a tuple of one of them, "
+            f"or one and None, found {hint}"
+        )
     if name == "observation":
         choices = kind.observations
     return Option(

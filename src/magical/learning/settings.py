@@ -10,7 +10,7 @@ from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from magical.errors import InvalidConfigError, UnknownNameError
+from magical.errors import InvalidConfigError, PluginError, UnknownNameError
 from magical.messages import quoted
 from magical.plugins import is_plugin
 
@@ -118,14 +118,37 @@ def _check_value(field: "dataclasses.Field[Any]", value: Any, hint: Any) -> None
 
 
 def all_fields(kind: type[Settings]) -> Iterator[tuple[str, "dataclasses.Field[Any]", Any]]:
-    """Every option's field: the name of its record, empty for the class's own; itself; its type."""
+    """Every option's field: the name of its record, empty for the class's own; itself; its type.
+
+    Raises `PluginError` for a class of which options cannot be made.
+    """
+    places: dict[str, str] = {}
+    for part, field, hint in _fields(kind):
+        place = f"{kind.__name__}.{part}{'.' if part else ''}{field.name}"
+        if not field.metadata:
+            raise PluginError(
+                f"{place}: expected option(...), or in the configuration itself a record of "
+                f"options, found {hint}"
+            )
+        if other := places.get(name_of(field)):
+            raise PluginError(
+                f"{place}: expected another name than {other} has as an option; give option() a "
+                "name"
+            )
+        places[name_of(field)] = place
+        yield part, field, hint
+
+
+def _fields(kind: type[Settings]) -> Iterator[tuple[str, "dataclasses.Field[Any]", Any]]:
+    """The class's own fields and those of its records."""
     hints = type_hints(kind)
     for field in dataclasses.fields(kind):
-        if field.metadata:
-            yield "", field, hints[field.name]
+        record = hints[field.name]
+        if not field.metadata and isinstance(record, type) and issubclass(record, Settings):
+            for inner in dataclasses.fields(record):
+                yield field.name, inner, type_hints(record)[inner.name]
         elif field.name != "algorithm":
-            for _, inner, hint in all_fields(hints[field.name]):
-                yield field.name, inner, hint
+            yield "", field, record
 
 
 def option_types(kind: type[Settings]) -> dict[str, Any]:

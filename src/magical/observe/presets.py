@@ -5,9 +5,9 @@ Source of the presets: docs/specification.md, section 7.
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from typing import Any, TypeGuard, cast
+from typing import Any, TypeGuard
 
-from magical.errors import UnknownNameError
+from magical.errors import PluginError, UnknownNameError
 from magical.messages import quoted
 from magical.observe.pixels import STACK, PixelSpec
 from magical.observe.spec import ObservationSpec
@@ -56,7 +56,7 @@ def make_spec(observation: Observation, task: Task) -> ObservationSpec:
 
     Raises:
         UnknownNameError: none of these.
-        PluginError: another distribution's observation cannot be imported.
+        PluginError: another distribution's observation cannot be imported, or is something else.
     """
     if observation is None:
         return RAW
@@ -71,7 +71,13 @@ def make_spec(observation: Observation, task: Task) -> ObservationSpec:
         return NAMED[observation](task)
     if isinstance(observation, str) and is_plugin(GROUP, observation):
         offered = load_plugin(GROUP, observation)
-        return offered if _is_spec(offered) else cast(ObservationSpec, offered(task))
+        made = offered(task) if callable(offered) and not _is_spec(offered) else offered
+        if not _is_spec(made):
+            raise PluginError(
+                f"observation {observation!r}: expected an ObservationSpec, or a function from the "
+                f"task to one, found {type(made).__name__}"
+            )
+        return made
     known = ", ".join((*PRESETS, *NAMED, *plugins(GROUP)))
     raise UnknownNameError(
         f"observation {quoted(observation)} is unknown; expected one of {known}, module:NAME, an "

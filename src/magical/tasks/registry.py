@@ -84,7 +84,7 @@ def get_task(name: str) -> Task:
     if name in TASKS:
         return TASKS[name]
     close = get_close_matches(str(name), TASKS, n=1)
-    hint = f"did you mean {close[0]!r}?" if close else "import the module that registers it"
+    hint = f"did you mean {close[0]!r}?" if close else "import or install what registers it"
     raise UnknownNameError(
         f"task {name!r} is not registered; expected one of: {', '.join(TASKS)}; {hint}"
     )
@@ -121,7 +121,7 @@ def discover(package: str, path: Iterable[str]) -> None:
     modules = [importlib.import_module(name) for name in names]
     tasks = [module.TASK for module in modules if hasattr(module, "TASK")]
     for task in sorted(tasks, key=lambda task: (not task.section, task.section, task.name)):
-        register_task(task)
+        _tasks[task.name] = task  # imports no task of this name of another distribution
 
 
 def _loaded(name: str) -> Task:

@@ -5,7 +5,7 @@ import sys
 import tracemalloc
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ import pytest
 from magical.demos import Dataset, DatasetWriter, Trajectory
 from magical.demos.store.codec import decode, encode
 from magical.errors import DatasetError, UnknownNameError
+from magical.tasks import get_task, register_task, unregister_task
 
 MakeTrajectory = Callable[..., Trajectory]
 
@@ -60,6 +61,16 @@ def test_labels_in_the_metadata_of_earlier_versions_are_read(
         )
         with pytest.raises(DatasetError, match="expected a trajectory"):
             decode(encode(damaged))
+
+
+def test_a_task_that_is_not_registered_is_named(make_trajectory: MakeTrajectory) -> None:
+    register_task(replace(get_task("MakeLine"), name="Gone", section=""))
+    try:
+        raw = encode(make_trajectory("magical/Gone-Demo-v0"))
+    finally:
+        unregister_task("Gone")
+    with pytest.raises(DatasetError, match=r"^task 'Gone' is not .*; import or install"):
+        decode(raw)
 
 
 def test_largest_trajectory_takes_at_most_150_kb(make_trajectory: MakeTrajectory) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from magical.demos.store.trajectory import VIEWS, Trajectory, stored_env_id
-from magical.errors import DatasetError, MagicalError, TrajectoryError
+from magical.errors import DatasetError, MagicalError, TrajectoryError, UnknownNameError
 from magical.messages import printable, quoted
 from magical.scene import Dynamics, Scene
 from magical.scene.actions import PARTS
@@ -31,6 +31,7 @@ from magical.untrusted import convert
 FORMAT = {"format": "magical-trajectory", "version": 1}
 MAX_UNPACKED = 512 << 20  # bytes of all members together
 MAX_HEADER = 1 << 20  # bytes of JSON
+MAX_UNKNOWN = 1000  # characters of a message that lists the known names
 MAX_STEPS = 1 << 20  # actions of one trajectory: 36 hours at 8 Hz
 MAX_FILE = MAX_UNPACKED + (1 << 20)  # bytes: what cannot be compressed, and the archive's own
 _FIELDS = ("env_id", "seed", "score", "published_code_score", "demonstrator", "metadata")
@@ -121,6 +122,8 @@ def decode(raw: bytes) -> Trajectory:
         return _trajectory(_read_header(arrays["header"]), arrays)
     except DatasetError:
         raise
+    except UnknownNameError as error:  # perhaps of a task that is not installed here
+        raise DatasetError(printable(str(error), MAX_UNKNOWN)) from error
     except _DAMAGED as error:
         raise DatasetError(
             f"expected an .npz file, found a damaged one: {printable(str(error))}"

@@ -25,10 +25,12 @@ from magical.envs.saved_state import SavedState
 from magical.envs.vector.buffers import SharedMemory, VectorBuffers, open_memory
 from magical.envs.vector.sub_envs import Seeds, Started, SubEnvs, VectorSpec
 from magical.errors import InvalidTaskError, WorkerDiedError, WorkerTimeoutError
+from magical.plugins import plugins
 from magical.processes import Child, serve
 from magical.scene.actions import NOOP
 from magical.tasks import Task, load_tasks
 from magical.tasks.programs.generated import is_generated
+from magical.tasks.registry import GROUP
 
 _GRACE_PERIOD = 2.0  # seconds that workers have to end by themselves
 _STEP = pickle.dumps(("step", ()))
@@ -171,10 +173,12 @@ def split(count: int, workers: int) -> Iterator[range]:
 def defining_modules(tasks: Sequence[Task]) -> list[str]:
     """The modules that a new process must import to have tasks from outside the package.
 
-    Raises `InvalidTaskError` for a task that no importable module holds.
+    It finds those of entry points by itself. Raises `InvalidTaskError` for another that no
+    importable module holds.
     """
     own = [module for module in vars(magical.tasks).values() if isinstance(module, ModuleType)]
-    others = [task for task in tasks if not is_generated(task.name)]
+    known = plugins(GROUP)
+    others = [task for task in tasks if not is_generated(task.name) and task.name not in known]
     foreign = [task for task in others if not any(_holds(module, task) for module in own)]
     return sorted({_defining_module(task) for task in foreign})
 

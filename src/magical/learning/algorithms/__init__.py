@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from magical.errors import RunFolderError
+from magical.errors import RunFolderError, UnknownNameError
 from magical.extras import require
 from magical.learning.config import Config
 from magical.learning.networks import TIMM
@@ -70,7 +70,8 @@ def read_config(folder: Path) -> Config:
     It may name modules of others, which are not imported from the working folder on its word.
 
     Raises:
-        RunFolderError: the record is missing, damaged, or names a module that is not installed.
+        RunFolderError: the record is missing, damaged, or names an algorithm or a module that is
+            not installed.
         InvalidConfigError: its settings cannot be.
     """
     path = folder / CONFIG
@@ -81,4 +82,8 @@ def read_config(folder: Path) -> Config:
             raise RunFolderError(f"{path}: expected the name of an algorithm, found none")
         if isinstance(name, str) and not (key == "network" and name.startswith(TIMM)):
             require_known_module(name, str(path))
-    return find_algorithm(str(names["algorithm"])).config.from_dict(data, str(path))
+    try:
+        kind = find_algorithm(str(names["algorithm"])).config
+    except UnknownNameError as error:
+        raise RunFolderError(f"{path}: {error}") from error
+    return kind.from_dict(data, str(path))

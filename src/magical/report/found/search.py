@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from magical.errors import ResultsError, RunFolderError, ScoresError
-from magical.evaluation import BUILT_IN, Entry, RolloutScore, by_variant, read_entry
+from magical.evaluation import Entry, RolloutScore, by_variant, policy_names, read_entry
 from magical.evaluation.collection import is_collection, read_collection
 from magical.evaluation.entry import ENTRY_FILE, POLICY, SCORES_FILE
 from magical.runs import is_run, read_json
@@ -162,8 +162,8 @@ def search_results(folders: Iterable[Path | str], without: Path | None = None) -
             if place != root and not _is_planned(place, root):
                 skipped.append(Skipped(place, "not a run of the plan, but of an earlier one"))
             elif isinstance(entry, Entry):
-                built_in = entry.details.get(POLICY) in list(BUILT_IN)
-                results.append(Result(place, entry, None if built_in else _run_of(place, root)))
+                has_no_run = entry.details.get(POLICY) in policy_names()
+                results.append(Result(place, entry, None if has_no_run else _run_of(place, root)))
             else:
                 skipped.append(Skipped(place, str(entry)))
     evaluated = {place for result in results for place in (result.run, result.folder)}
