@@ -23,7 +23,7 @@ from magical.report.leaderboard.ranking import ALL_TASKS, Board, make_boards
 from magical.report.scores.tables import signed
 from magical.tasks.axes import SHORT_VARIANTS
 from studies.generated_tasks.baselines import held_out_tables, method_table, task_table
-from studies.plan_results import LEADERBOARD, NOT_RUN, NOTHING, PlanResults
+from studies.plan_results import LEADERBOARD, NOT_RUN, NOTHING, OTHERS, PLANS, PlanResults
 from studies.published_tables.agreement import find_agreements
 from studies.published_tables.cells import (
     LIMITS,
@@ -60,33 +60,6 @@ from studies.tables import (
 from tools.readme_tables import renew_page, table
 
 ROOT = Path(__file__).resolve().parents[1]
-PLANS = (
-    "bc-human",
-    "bc-human-paper",
-    "bc-multi-human",
-    "bc-ablations-human",
-    "adversarial-human",
-    "gail-published-code",
-    "adversarial-published-code",
-    "bc-scripted",
-    "bc-perturbed",
-    "bc-mixed",
-    "bc-perturbed-100",
-    "training-time",
-    "training-time-multi",
-    "training-time-adversarial",
-    "settings",
-    "settings-published-code",
-    "settings-adversarial",
-    "settings-gail",
-    "object-bc",
-    "object-bc-human",
-)
-# Their rows are on pages of their own; the leaderboard has them too.
-OTHERS = (
-    *("object-bc-ablations", "bc-transformations", "sequence-learners", "held-out"),
-    *("program-bc-human", "program-bc-perception", "program-bc-held-out", "object-networks-human"),
-)
 SECTIONS = {  # the generated parts of each study's page
     "published_tables": (
         *("runs", "counts", "tasks", "far", "agreement", "claims", "orders", "cells", "rejected"),

@@ -13,6 +13,34 @@ from magical.runs.folder import read_json
 
 NOT_RUN = "not run"
 NOTHING = f"Nothing yet: {NOT_RUN}."
+# Of the published tables' page.
+PLANS = (
+    "bc-human",
+    "bc-human-paper",
+    "bc-multi-human",
+    "bc-ablations-human",
+    "adversarial-human",
+    "gail-published-code",
+    "adversarial-published-code",
+    "bc-scripted",
+    "bc-perturbed",
+    "bc-mixed",
+    "bc-perturbed-100",
+    "training-time",
+    "training-time-multi",
+    "training-time-adversarial",
+    "settings",
+    "settings-published-code",
+    "settings-adversarial",
+    "settings-gail",
+    "object-bc",
+    "object-bc-human",
+)
+# Those whose rows are on pages of their own; the leaderboard has them too.
+OTHERS = (
+    *("object-bc-ablations", "bc-transformations", "sequence-learners", "held-out"),
+    *("program-bc-human", "program-bc-perception", "program-bc-held-out", "object-networks-human"),
+)
 LEADERBOARD = "leaderboard"  # in a run's folder: its evaluation by the leaderboard's protocol
 
 

@@ -16,6 +16,7 @@ from magical.evaluation import Entry, RolloutScore, environments
 from magical.evaluation.collection import write_collection
 from studies import pages
 from studies.collect import Collected
+from studies.plan_results import PLANS
 from studies.published_tables.picture import write_picture
 
 pytest.importorskip("matplotlib", reason="the report extra is not installed")
@@ -93,7 +94,7 @@ def lines(text: str, name: str, start: str) -> list[list[str]]:
 
 def test_without_results_everything_is_not_run(repository: Path) -> None:
     text = made(repository)
-    for plan in pages.PLANS:
+    for plan in PLANS:
         ((_, runs, *_, missing),) = lines(text, "runs", f"[{plan}](")
         assert runs == f"0 of {missing.removesuffix(' not run')}"
     assert lines(text, "counts", "BC (ST) ") == []

@@ -99,7 +99,7 @@ class ReinforcementConfig(InteractionConfig):
             )
 
     @classmethod
-    def preset(cls, name: str, **settings: Any) -> Self:
+    def preset(cls, name: str, /, **settings: Any) -> Self:
         """As `Config.preset`; a preset's `published` horizon is for tasks that have one."""
         tasks = settings.get("tasks", ())
         one_horizon = not have_two_horizons((tasks,) if isinstance(tasks, str) else tasks)
