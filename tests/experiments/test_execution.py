@@ -353,8 +353,8 @@ from dataclasses import replace
 from magical.experts import register_planner
 from magical.experts.goals import get_planner
 from magical.tasks import get_task
-TASK = replace(get_task("MoveToRegion"), name="DriveThere", section="")
-register_planner("DriveThere", get_planner("MoveToRegion"))
+TASK = replace(get_task("MoveToRegion"), name="DriveHere", section="")
+register_planner("DriveHere", get_planner("MoveToRegion"))
 """
 
 
@@ -368,6 +368,6 @@ def test_a_task_of_a_module_is_known_in_the_processes_of_runs_and_references(
         runs = planned(*changes)
         references = [("expert", runs[0].evaluation)]
         assert execute(runs, out, Resources(workers=1), references=references).complete
-        assert (out / "references" / "expert-DriveThere" / "scores.csv").exists()
+        assert (out / "references" / "expert-DriveHere" / "scores.csv").exists()
     finally:
-        unregister_task("DriveThere")
+        unregister_task("DriveHere")
