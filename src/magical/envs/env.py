@@ -75,6 +75,7 @@ class MagicalEnv(gym.Env[Any, Any]):
         MissingDependencyError: "human" without pygame.
     """
 
+    # Of the class, as Gymnasium reads it, which declares it as an instance's.
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
         "render_modes": ["rgb_array", "human"],
         "render_fps": int(CONTROL_RATE),

@@ -65,7 +65,7 @@ class Autoencoder(nn.Module):
         self.image = _image_decoder(image_shape[0], settings.published)
         self.mean_image: Tensor
         self.register_buffer("mean_image", torch.zeros(image_shape))
-        # Convolutions are fastest with this memory layout.
+        # Convolutions are fastest with this memory layout; PyTorch's overloads leave it out.
         self.image.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, images: Tensor, actions: Tensor) -> tuple[Tensor, Tensor]:

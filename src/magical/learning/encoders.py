@@ -91,7 +91,7 @@ class FrameFeatures(nn.Module):
         return flat
 
     def _apply(self, fn: Any, recurse: bool = True) -> Self:
-        """Move the encoder, too."""
+        """Move the encoder, too; PyTorch declares no types for this method."""
         self._encoder[0]._apply(fn)  # type: ignore[no-untyped-call]
         super()._apply(fn, recurse)  # type: ignore[no-untyped-call]
         return self

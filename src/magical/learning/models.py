@@ -81,7 +81,7 @@ class Trunk(nn.Module):
         self.linear = _linear_layers([math.prod(self.map_shape), *hidden], joined)
         self.embedding = nn.Embedding(NUM_ACTIONS, EMBEDDING) if joined[1] else None
         self.num_features = hidden[-1]
-        # Convolutions are fastest with this memory layout.
+        # Convolutions are fastest with this memory layout; PyTorch's overloads leave it out.
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(
