@@ -9,14 +9,21 @@ import pytest
 import torch
 
 from magical.cli import main
-from magical.demos import ObservationReader
+from magical.demos import Dataset, ObservationReader
 from magical.demos.generate import demonstrate
 from magical.errors import CheckpointError
 from magical.evaluation import evaluate
 from magical.evaluation.seeds import RolloutRng
 from magical.learning import load_policy, train
-from magical.learning.algorithms.program_bc import ProgramBCConfig, ProgramPolicy, beliefs_of
+from magical.learning.algorithms.program_bc import (
+    ProgramBCConfig,
+    ProgramPolicy,
+    beliefs_of,
+    infer_beliefs,
+)
 from magical.learning.intent.posterior import Belief, Explanation
+from magical.learning.objects.data import parse_demonstrations
+from magical.learning.objects.parser import parse_frames
 from magical.learning.planning.planner import Planner, Situation
 from magical.scene import NOOP
 from magical.tasks.programs import parse
@@ -40,6 +47,15 @@ def test_programs_of_each_task_are_inferred(run: Path) -> None:
     assert list(beliefs) == list(TASKS)
     assert repr(beliefs["MoveToRegion"].explanations[0].program) == "RobotInside()"
     assert beliefs["FixColour"].is_explained
+
+
+def test_a_task_is_believed_the_same_alone(run: Path, expert_demos: Path) -> None:
+    fields: dict[str, Any] = {"demos": str(expert_demos), "batches": 2, "batch_size": 8}
+    config = tiny_runs.tiny(ProgramBCConfig, "paper", tasks=TASKS[1:], **fields)
+    dataset = Dataset.open(expert_demos).filter(task=TASKS[1])
+    demonstrations = parse_demonstrations([(TASKS[1], t) for t in dataset], parse_frames)
+    alone = infer_beliefs(config, demonstrations)
+    assert beliefs_of(run)[TASKS[1]].explanations == alone[TASKS[1]].explanations
 
 
 def test_the_policy_acts_in_test_variants(run: Path) -> None:

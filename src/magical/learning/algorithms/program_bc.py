@@ -201,12 +201,13 @@ def train(config: ProgramBCConfig, run: Run) -> None:
 def infer_beliefs(
     config: ProgramBCConfig, demonstrations: Sequence[ParsedDemonstration]
 ) -> dict[str, Belief]:
-    """What is believed of each task after its demonstrations."""
-    rng = stream(config.seed, Purpose.PROGRAMS)
-    return {
-        task: infer([parsed_episode(t, p, rng) for name, t, p in demonstrations if name == task])
-        for task in config.tasks
-    }
+    """What is believed of each task after its demonstrations, whatever other tasks there are."""
+    beliefs = {}
+    for task in config.tasks:
+        rng = stream(config.seed, Purpose.PROGRAMS)
+        episodes = [parsed_episode(t, p, rng) for name, t, p in demonstrations if name == task]
+        beliefs[task] = infer(episodes)
+    return beliefs
 
 
 def beliefs_of(run: Path) -> dict[str, Belief]:
