@@ -66,11 +66,14 @@ SECTIONS = {  # the generated parts of each study's page
     ),
     "demonstrations": ("variations", "variants"),
     "generated_tasks": ("held-out",),
-    "intent": ("program-bc-human", "program-bc-perception", "object-networks-human"),
+    "intent": (
+        *("program-bc-human", "program-bc-perception", "program-bc-training"),
+        "object-networks-human",
+    ),
     "modern_baselines": ("sequence-learners",),
     "objects": ("baseline", "gaps", "leaderboard", "others"),
 }
-BY_TASK = ("program-bc-human", "program-bc-perception")
+BY_TASK = ("program-bc-human", "program-bc-perception", "program-bc-training")
 BESIDE = {  # plans whose methods' means stand beside methods of other plans
     "sequence-learners": {"bc-human": "BC (ST)"},
     "object-networks-human": {"bc-human": "BC (ST)", "program-bc-human": "program-bc (ST), human"},

@@ -39,7 +39,8 @@ PLANS = (
 # Those whose rows are on pages of their own; the leaderboard has them too.
 OTHERS = (
     *("object-bc-ablations", "bc-transformations", "sequence-learners", "held-out"),
-    *("program-bc-human", "program-bc-perception", "program-bc-held-out", "object-networks-human"),
+    *("program-bc-human", "program-bc-perception", "program-bc-training", "program-bc-held-out"),
+    "object-networks-human",
 )
 LEADERBOARD = "leaderboard"  # in a run's folder: its evaluation by the leaderboard's protocol
 
