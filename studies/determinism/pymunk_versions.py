@@ -195,8 +195,8 @@ def replays(folder: Path, shift: float) -> dict[str, float]:
         with np.load(folder / entry["file"], allow_pickle=False) as arrays:
             for action in arrays["actions"].tolist():
                 simulation.step(action)
-        score_fn = task.published_score_fn or task.score_fn
-        scores.setdefault(name, []).append(score_fn(task.demo, simulation.poses()))
+        score = task.published_code_score(task.demo, simulation.poses())
+        scores.setdefault(name, []).append(score)
     return {name: float(np.mean(each)) for name, each in scores.items()}
 
 

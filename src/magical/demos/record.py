@@ -105,7 +105,7 @@ def recorded_trajectory(
     demonstrator: str,
     metadata: Mapping[str, Any],
 ) -> Trajectory:
-    """The trajectory of an environment's episode so far, scored in its present state.
+    """The trajectory of an environment's episode so far, scored by its last poses.
 
     Args:
         env: in the state that the episode ends in.
@@ -120,15 +120,12 @@ def recorded_trajectory(
     saved = env.get_state()
     if len(poses) != len(saved["actions"]) + 1:
         raise TrajectoryError("the episode was not recorded from its start; reset() first")
-    scores = env.scores()
-    return Trajectory(
-        env_id=env.env_id,
-        scene=env.state().scene,
+    return Trajectory.from_poses(
+        env.env_id,
+        env.state().scene,
+        saved["actions"],
+        np.stack(poses),
         dynamics=Dynamics.from_dict(saved["dynamics"]),
-        actions=np.array(saved["actions"]),
-        poses=np.stack(poses),
-        score=scores.score,
-        published_code_score=scores.published_code,
         seed=seed,
         demonstrator=demonstrator,
         metadata={**provenance(), **metadata},

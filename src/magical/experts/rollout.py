@@ -98,4 +98,6 @@ def modules_of(task: str) -> list[str]:
         InvalidTaskError: the task is from outside the package and in no importable module.
         NoExpertError: the task has no expert.
     """
-    return sorted({*defining_modules([get_task(task)]), get_planner(task).plan_fn.__module__})
+    modules, plan_fn = defining_modules([get_task(task)]), get_planner(task).plan_fn
+    planning = getattr(plan_fn, "func", plan_fn).__module__  # of a partial, its function's
+    return sorted({*modules, planning})

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled import (
+from magical.compiled.jit import (
     ADDRESS,
     FLOAT,
     c_function,

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled import count_bits, inlined, integer, maximum, merged, minimum
+from magical.compiled.jit import count_bits, inlined, integer, maximum, merged, minimum
 from magical.render.polygons import MAX_SIDES, POLYGON_ROWS, Floats, Ints, mask, pad, pixel_spans
 
 UNCOVERED = 48  # the lowest bit of a body pixel's mask; below it are the three lanes

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled import entry_point, inlined, integer, merged, rint
+from magical.compiled.jit import entry_point, inlined, integer, merged, rint
 from magical.render.canvas import Canvas, cover, finish_bodies, finish_ground, pack, paint
 from magical.render.display import FURTHEST
 from magical.render.lines import outline, round_up

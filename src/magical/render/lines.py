@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled import inlined, integer, maximum, merged, minimum, rint
+from magical.compiled.jit import inlined, integer, maximum, merged, minimum, rint
 from magical.render.canvas import Canvas, open_tile
 from magical.render.polygons import CORNER_X, CORNER_Y
 from magical.scene.constants import RAW_FRAME_SIZE

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled import inlined, nogil_entry_point
+from magical.compiled.jit import inlined, nogil_entry_point
 from magical.errors import RenderError
 from magical.render.canvas import Canvas, finish_bodies, finish_ground, working_memory
 from magical.render.display import FURTHEST, display_list

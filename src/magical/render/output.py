@@ -5,7 +5,7 @@ import sys
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled import entry_point
+from magical.compiled.jit import entry_point
 
 CHANNELS = 3
 

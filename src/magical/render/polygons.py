@@ -9,7 +9,7 @@ those at the height of a vertex go with the edge above.
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled import ceil, inlined, integer, maximum, merged, minimum, rint
+from magical.compiled.jit import ceil, inlined, integer, maximum, merged, minimum, rint
 
 SUBSAMPLES = 256.0  # vertices lie on a grid of this many lines a sample
 LEFT, RIGHT = 0, 1  # rows of `spans`

@@ -18,14 +18,12 @@ from magical.scene import COLOURS, SHAPES, Poses, Scene
 from magical.tasks.attributes import cycle_blocks, sample_count, sample_covering
 from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.programs import Attribute, Clustered, value_of
-from magical.tasks.scoring import centroid_distances, positions
 from magical.tasks.task import Task
 
 HORIZON = 320  # control steps
 PUBLISHED_HORIZON = 240  # control steps
 BLOCKS = (7, 10)  # least and most in CountPlus
-NO_SCORE_FRACTION = 0.5  # of blocks correctly clustered; the score is 0 up to here
-PUBLISHED_NO_SCORE_FRACTION = 0.75
+PUBLISHED_NO_SCORE = 0.75  # fraction of blocks clustered up to which that score is 0
 
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
@@ -41,23 +39,11 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     return replace(scene, blocks=blocks)
 
 
-def score(scene: Scene, poses: Poses, attribute: Attribute) -> float:
-    """The appendix's score, 0 to 1 (appendix A.2.7)."""
-    values = [value_of(block, attribute) for block in scene.blocks]
-    own, other = centroid_distances(values, positions(scene, poses))
-    return _above(float(np.mean(own < other / 3)), NO_SCORE_FRACTION)
-
-
-def published_score(scene: Scene, poses: Poses, attribute: Attribute) -> float:
+def published_score(scene: Scene, poses: Poses, program: Clustered) -> float:
     """The published code's score, 0 to 1 (docs/specification.md, section 9)."""
-    values = [value_of(block, attribute) for block in scene.blocks]
-    own, other = centroid_distances(values, positions(scene, poses))
-    clustered = np.sqrt(own) < np.sqrt(other) - 2 * own
-    return _above(float(np.mean(clustered)), PUBLISHED_NO_SCORE_FRACTION)
-
-
-def _above(fraction: float, least: float) -> float:
-    return max(0.0, fraction - least) / (1.0 - least)
+    own, other = program.distances(scene, poses)
+    fraction = float(np.mean(np.sqrt(own) < np.sqrt(other) - 2 * own))
+    return max(0.0, fraction - PUBLISHED_NO_SCORE) / (1.0 - PUBLISHED_NO_SCORE)
 
 
 def validate(scene: Scene, attribute: Attribute, expected: Sequence[str]) -> str:
@@ -69,6 +55,7 @@ def validate(scene: Scene, attribute: Attribute, expected: Sequence[str]) -> str
 
 def make_task(attribute: Attribute, demo: Scene, values: Sequence[str]) -> Task:
     """The task that clusters blocks by an attribute with these values."""
+    program = Clustered(attribute)
     return Task(
         name=f"Cluster{attribute.capitalize()}",
         summary=f"Push the blocks into clusters of the same {attribute}.",
@@ -78,9 +65,9 @@ def make_task(attribute: Attribute, demo: Scene, values: Sequence[str]) -> Task:
         demo=demo,
         axes=EVERYTHING,
         randomise_fn=randomise,
-        program=Clustered(attribute),
-        score_fn=partial(score, attribute=attribute),
-        published_score_fn=partial(published_score, attribute=attribute),
+        program=program,
+        score_fn=program.score,
+        published_score_fn=partial(published_score, program=program),
         max_blocks=BLOCKS[1],
         max_regions=0,
         validate_fn=partial(validate, attribute=attribute, expected=values),

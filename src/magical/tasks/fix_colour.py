@@ -22,12 +22,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from magical.scene import COLOURS, Block, Colour, Pose, Poses, Region, Scene, Shape
+from magical.scene import COLOURS, Block, Colour, Pose, Region, Scene, Shape
 from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count, sample_item
 from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.placement import Placement
 from magical.tasks.programs import Every, Matched, Mismatched, OutOfRegions, Together, Undisturbed
-from magical.tasks.scoring import blocks_inside
 from magical.tasks.task import Task
 
 PAIRS = (2, 3)  # least and most blocks with their regions in CountPlus
@@ -48,6 +47,8 @@ DEMO = Scene(
     ),
 )
 
+PROGRAM = Together(Every(Mismatched(), OutOfRegions()), Undisturbed(Matched()))
+
 
 def own_region(count: int) -> Mapping[int, int]:
     """Block i is enclosed by region i."""
@@ -66,16 +67,6 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
         colours[odd] = sample_item([colour for colour in COLOURS if colour != colours[odd]], rng)
         blocks = [replace(b, colour=c) for b, c in zip(blocks, colours, strict=True)]
     return replace(scene, blocks=tuple(blocks), regions=regions)
-
-
-def score(scene: Scene, poses: Poses) -> float:
-    """Whether the mismatch is fixed and nothing else disturbed, 0 or 1 (appendix A.2.6)."""
-    mismatched = mismatches(scene)
-    inside = [blocks_inside(region, scene, poses) for region in scene.regions]
-    fixed = all(
-        i not in found if i in mismatched else found == {i} for i, found in enumerate(inside)
-    )
-    return float(fixed)
 
 
 def mismatches(scene: Scene) -> set[int]:
@@ -109,8 +100,8 @@ TASK = Task(
     axes=EVERYTHING,
     randomise_fn=randomise,
     placement=Placement(region_size=REGION_SIZE, enclosed=own_region, margin=MARGIN),
-    program=Together(Every(Mismatched(), OutOfRegions()), Undisturbed(Matched())),
-    score_fn=score,
+    program=PROGRAM,
+    score_fn=PROGRAM.score,
     max_blocks=PAIRS[1],
     max_regions=PAIRS[1],
     validate_fn=validate,

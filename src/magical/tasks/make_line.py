@@ -40,6 +40,8 @@ DEMO = Scene(
     ),
 )
 
+PROGRAM = Lined(AllBlocks())
+
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """The number of blocks, each block's colour and shape."""
@@ -49,17 +51,10 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     return replace(scene, blocks=sample_attributes(blocks, axes, rng))
 
 
-def score(scene: Scene, poses: Poses) -> float:
-    """1 for a line of all blocks, 0.5 for all but one, otherwise 0 (appendix A.2.4)."""
-    blocks = positions(scene, poses)
-    missing = len(blocks) - longest_line(blocks)
-    return {0: 1.0, 1: 0.5}.get(missing, 0.0)
-
-
 def published_score(scene: Scene, poses: Poses) -> float:
-    """As `score`, but two blocks of three in line give 0 (docs/specification.md, section 9)."""
+    """As `PROGRAM`'s, but two blocks of three give 0 (docs/specification.md, section 9)."""
     shortest = min(PUBLISHED_SHORTEST, len(scene.blocks))
-    return score(scene, poses) if longest_line(positions(scene, poses)) >= shortest else 0.0
+    return PROGRAM.score(scene, poses) if longest_line(positions(scene, poses)) >= shortest else 0.0
 
 
 def validate(scene: Scene) -> str:
@@ -75,8 +70,8 @@ TASK = Task(
     demo=DEMO,
     axes=EVERYTHING,
     randomise_fn=randomise,
-    program=Lined(AllBlocks()),
-    score_fn=score,
+    program=PROGRAM,
+    score_fn=PROGRAM.score,
     published_score_fn=published_score,
     max_blocks=BLOCKS[1],
     max_regions=0,

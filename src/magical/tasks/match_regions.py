@@ -22,11 +22,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from magical.scene import COLOURS, Block, Colour, Pose, Poses, Region, Scene, Shape
+from magical.scene import COLOURS, Block, Colour, Pose, Region, Scene, Shape
 from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count, sample_item
 from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.programs import Exactly, OfRegionColour
-from magical.tasks.scoring import blocks_inside
 from magical.tasks.task import Task
 
 TARGETS = (1, 2)  # least and most in CountPlus
@@ -44,6 +43,8 @@ DEMO = Scene(
     ),
     regions=(Region(Colour.GREEN, x=0.1, y=0.7, height=0.7, width=0.6),),
 )
+
+PROGRAM = Exactly(OfRegionColour())
 
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
@@ -71,16 +72,6 @@ def _target_first(target: Colour) -> list[Colour]:
     return [target, *(colour for colour in COLOURS if colour != target)]
 
 
-def score(scene: Scene, poses: Poses) -> float:
-    """Target bonus times one less the distractor penalty, 0 to 1 (appendix A.2.3)."""
-    region = scene.regions[0]
-    targets = {i for i, block in enumerate(scene.blocks) if block.colour == region.colour}
-    inside = blocks_inside(region, scene, poses)
-    if not inside:
-        return 0.0
-    return len(targets & inside) / len(targets) * (1 - len(inside - targets) / len(inside))
-
-
 def validate(scene: Scene) -> str:
     """The reason why the scene does not fit the task, or an empty string."""
     if len(scene.regions) != 1:
@@ -98,8 +89,8 @@ TASK = Task(
     demo=DEMO,
     axes=EVERYTHING,
     randomise_fn=randomise,
-    program=Exactly(OfRegionColour()),
-    score_fn=score,
+    program=PROGRAM,
+    score_fn=PROGRAM.score,
     max_blocks=TARGETS[1] + DISTRACTORS[1] * (len(COLOURS) - 1),
     max_regions=1,
     validate_fn=validate,

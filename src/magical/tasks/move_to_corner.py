@@ -22,12 +22,11 @@ from magical.scene.constants import WORKSPACE_HALF
 from magical.tasks.attributes import sample_attributes
 from magical.tasks.axes import Axis
 from magical.tasks.programs import AllBlocks, Corner, Each, InCorner
+from magical.tasks.programs.places import CORNER_FULL_SCORE, CORNER_NO_SCORE
 from magical.tasks.scoring import positions
 from magical.tasks.task import Task
 
 GOAL = (-WORKSPACE_HALF, WORKSPACE_HALF)  # the top left corner
-NO_SCORE = math.sqrt(2.0)  # units: no score from here on
-FULL_SCORE = NO_SCORE / 2  # units: full score within
 
 DEMO = Scene(
     robot=Pose(0.4, 0.0, 0.55 * math.pi),
@@ -44,7 +43,8 @@ def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
 def score(scene: Scene, poses: Poses) -> float:
     """How near the block is to the top left corner, 0 to 1 (appendix A.2.1)."""
     (block,) = positions(scene, poses)
-    return min(max((NO_SCORE - math.dist(block, GOAL)) / (NO_SCORE - FULL_SCORE), 0.0), 1.0)
+    left = CORNER_NO_SCORE - math.dist(block, GOAL)
+    return min(max(left / (CORNER_NO_SCORE - CORNER_FULL_SCORE), 0.0), 1.0)
 
 
 def validate(scene: Scene) -> str:

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from magical.scene import COLOURS, Colour, Pose, Poses, Region, Scene
+from magical.scene import COLOURS, Colour, Pose, Region, Scene
 from magical.tasks.attributes import sample_item
 from magical.tasks.axes import Axis
 from magical.tasks.programs import RobotInside
@@ -26,17 +26,14 @@ DEMO = Scene(
     regions=(Region(Colour.BLUE, x=-0.62, y=-0.17, height=0.76, width=0.75),),
 )
 
+PROGRAM = RobotInside()
+
 
 def randomise(scene: Scene, axes: Axis, rng: np.random.Generator) -> Scene:
     """The region's colour."""
     if Axis.COLOUR not in axes:
         return scene
     return replace(scene, regions=(replace(scene.regions[0], colour=sample_item(COLOURS, rng)),))
-
-
-def score(scene: Scene, poses: Poses) -> float:
-    """Whether the robot's centre is inside the goal region, 0 or 1 (appendix A.2.2)."""
-    return float(scene.regions[0].contains(poses.robot.x, poses.robot.y))
 
 
 def validate(scene: Scene) -> str:
@@ -52,8 +49,8 @@ TASK = Task(
     demo=DEMO,
     axes=Axis.JITTER | Axis.LAYOUT | Axis.COLOUR | Axis.DYNAMICS,
     randomise_fn=randomise,
-    program=RobotInside(),
-    score_fn=score,
+    program=PROGRAM,
+    score_fn=PROGRAM.score,
     max_blocks=0,
     max_regions=1,
     validate_fn=validate,

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 from magical.demos import Dataset, DatasetWriter, Trajectory
+from magical.demos.store import manifest
 from magical.demos.store.repair import repair
 from magical.errors import DatasetError, UnknownNameError
 from magical.files import write_atomically
@@ -106,8 +108,20 @@ def test_repair_moves_damaged_files(small_dataset: Path) -> None:
         repair(small_dataset / "missing")
 
 
-def test_listed_files_are_kept_unread(small_dataset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Such as those of a task that is not registered in this process."""
+def test_a_line_that_describes_another_trajectory_is_made_anew(small_dataset: Path) -> None:
+    first, *others = before = Dataset.open(small_dataset).entries
+    wrong = [replace(first, score=0.125), *others]
+    (small_dataset / "manifest.jsonl").write_text(manifest.new_text(wrong))
+    with pytest.raises(DatasetError, match=r"describes another one.*--repair"):
+        Dataset.open(small_dataset)[0]
+    (problem,) = repair(small_dataset)
+    assert str(problem) == f"{small_dataset / first.file}: the manifest described another one"
+    assert Dataset.open(small_dataset).entries == before
+
+
+def test_listed_files_of_a_task_that_is_not_registered_are_kept(
+    small_dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     before = Dataset.open(small_dataset).entries
 
     def unknown(raw: bytes) -> Trajectory:

@@ -26,7 +26,7 @@ def repair(path: Path | str) -> list[Problem]:
     """Rebuild the manifest from the intact trajectory files; returns the problems found.
 
     Damaged trajectory files are moved to the folder `damaged`. Files that are as the manifest lists
-    them are kept unread.
+    them are kept even where their task is not registered.
 
     Raises:
         DatasetError: there is no dataset; a file cannot be read, or is of a task that is not
@@ -48,7 +48,9 @@ def repair(path: Path | str) -> list[Problem]:
         for file in files:
             raw = _read(file)
             try:
-                kept.append(_recovered(folder, file, raw, listed))
+                kept.append(entry := _recovered(folder, file, raw, listed))
+                if listed.get(entry.file, entry) != entry:
+                    problems.append(Problem(str(file), "the manifest described another one"))
             except DatasetError as error:
                 if isinstance(error.__cause__, UnknownNameError):
                     raise DatasetError(
@@ -101,15 +103,18 @@ def _recovered(
     if raw is None:
         raise DatasetError(f"{file}: expected a regular file of at most {MAX_FILE} bytes")
     known = listed.get(f"{manifest.FOLDER}/{file.name}")
-    if known and known.sha256 == hashlib.sha256(raw).hexdigest():
-        return known
-    trajectory, number = decode(raw), re.match(r"\d{1,9}(?=-)", file.name)
+    unchanged = known is not None and known.sha256 == hashlib.sha256(raw).hexdigest()
+    number = re.match(r"\d{1,9}(?=-)", file.name)
     try:
-        entry = ManifestEntry.of(trajectory, raw, int(number[0]) if number else 0)
+        entry = ManifestEntry.of(decode(raw), raw, int(number[0]) if number else 0)
+    except DatasetError as error:
+        if known and unchanged and isinstance(error.__cause__, UnknownNameError):
+            return known
+        raise
     except ValueError as error:
         raise DatasetError(f"{file}: cannot be listed in a manifest: {error}") from error
     if folder / entry.file != file:
         raise DatasetError(f"{file}: expected the name {entry.file}")
-    if known:
+    if known and not unchanged:
         raise DatasetError(f"{file}: the file was changed after it was written")
     return entry

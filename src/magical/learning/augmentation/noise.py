@@ -11,7 +11,7 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled import inlined, nogil_entry_point
+from magical.compiled.jit import inlined, nogil_entry_point
 
 TABLE_BITS = 14
 CHUNK = 1024  # numbers at a time: they stay in the innermost cache

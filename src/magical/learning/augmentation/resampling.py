@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled import fused, inlined, nogil_entry_point
+from magical.compiled.jit import fused, inlined, nogil_entry_point
 from magical.learning.augmentation.colour import (
     FROM_TRISTIMULUS,
     GAMMA,

@@ -10,7 +10,7 @@ splits it; parts are joined where no workspace lies between.
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled import inlined, merged
+from magical.compiled.jit import inlined, merged
 from magical.render.palette import GREY, RGB, SHADES, WHITE
 from magical.scene.constants import FRAME_SIZE
 from magical.scene.vocabulary import COLOURS

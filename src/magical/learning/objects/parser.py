@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from magical.compiled import inlined, merged, nogil_entry_point
+from magical.compiled.jit import inlined, merged, nogil_entry_point
 from magical.learning.objects.components import (
     AREA,
     BLOCK,

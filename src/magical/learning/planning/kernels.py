@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled import nogil_entry_point
+from magical.compiled.jit import nogil_entry_point
 from magical.learning.planning.motion import Floats
 
 FINGERS = np.array([[-0.2, 0.26], [0.2, 0.26], [-0.22, 0.12], [0.22, 0.12]])  # (right, ahead)

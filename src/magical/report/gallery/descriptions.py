@@ -7,6 +7,7 @@ import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from magical.scene import Scene
 from magical.tasks import CHANGES, Axis, Task
@@ -33,12 +34,14 @@ def describe_task(task: Task) -> Description:
 
     The docstring of the module whose `TASK` it is has both if it begins with the task's name and
     is laid out like those of `magical.tasks`: the score rule before `Horizon:`, the variation in
-    the list after it. Otherwise the score rule is the first paragraph of the score function's
-    docstring.
+    the list after it. Otherwise the score rule is the first paragraph of the docstring of the
+    score function, or of the program's class where the score is the program's.
     """
-    score_fn = task.score_fn
+    score_fn: Any = task.score_fn
     while isinstance(score_fn, functools.partial):
         score_fn = score_fn.func
+    if task.program is not None and score_fn == task.program.score:
+        score_fn = task.program
     held = ((m, getattr(m, "__dict__", {})) for m in list(sys.modules.values()))
     doc = next((m.__doc__ for m, names in held if names.get("TASK") is task), None) or ""
     first, *paragraphs = inspect.cleandoc(doc).split("\n\n")

@@ -18,7 +18,7 @@ from magical.errors import InvalidProgramError, PlacementError
 from magical.scene import COLOURS, SHAPES, Block, Pose, Region, Scene
 from magical.scene.constants import STAR_OUTER_RADIUS, WORKSPACE_HALF
 from magical.scene.solids import Solid
-from magical.tasks.attributes import sample_attributes, sample_count, sample_item
+from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count, sample_item
 from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.placement import Placement, sample_placement
 from magical.tasks.programs.goals import Clustered, Goal, instruction
@@ -92,7 +92,7 @@ def randomise(
     regions = scene.regions
     if Axis.COLOUR in axes:
         regions = tuple(replace(region, colour=sample_item(COLOURS, rng)) for region in regions)
-    blocks = (*(scene.blocks[i % outside] for i in range(count)), *scene.blocks[outside:])
+    blocks = (*cycle_blocks(scene.blocks[:outside], count), *scene.blocks[outside:])
     return replace(scene, blocks=sample_attributes(blocks, axes, rng), regions=regions)
 
 

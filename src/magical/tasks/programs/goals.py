@@ -237,12 +237,12 @@ class Clustered(Goal):
     attribute: Attribute
 
     def score(self, scene: Scene, poses: Poses) -> float:
-        own, other = self._distances(scene, poses)
+        own, other = self.distances(scene, poses)
         fraction = float(np.mean(own < other / 3))
         return max(0.0, fraction - CLUSTER_NO_SCORE) / (1.0 - CLUSTER_NO_SCORE)
 
     def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
-        own, other = self._distances(scene, poses)
+        own, other = self.distances(scene, poses)
         if (own < other / 3).all():
             return [{}]
         points = positions(scene, poses)
@@ -266,7 +266,8 @@ class Clustered(Goal):
         what = "colour and shape" if self.attribute == Attribute.KIND else self.attribute
         return f"{verb} the blocks into clusters of the same {what}."
 
-    def _distances(self, scene: Scene, poses: Poses) -> tuple[Distances, Distances]:
+    def distances(self, scene: Scene, poses: Poses) -> tuple[Distances, Distances]:
+        """See `centroid_distances`: of each block to its own value's centroid, to another's."""
         values = [value_of(block, self.attribute) for block in scene.blocks]
         return centroid_distances(values, positions(scene, poses))
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled import entry_point, inlined
+from magical.compiled.jit import entry_point, inlined
 from magical.render.display import DISC_SIDES
 from magical.render.frame import body_frames
 from magical.render.polygons import SUBSAMPLES, Floats, Ints

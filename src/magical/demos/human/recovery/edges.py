@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from magical.compiled import entry_point
+from magical.compiled.jit import entry_point
 from magical.demos.human.recovery.edge_search import (
     ANCHOR,
     MAX_LAYERS,
