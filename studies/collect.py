@@ -36,15 +36,14 @@ from magical.evaluation import Entry, read_entry
 from magical.evaluation.collection import read_collection, write_collection
 from magical.evaluation.entry import ENTRY_FILE
 from magical.evaluation.protocol import NUDGE, Evaluation, environments
-from magical.experiments.demonstrations import DIGESTS, GENERATED
 from magical.experiments.one_run import evaluate_run
 from magical.experiments.plan import DATASET, PlannedRun, planned_runs, read_plan
 from magical.experiments.results import (
     DONE,
     EXPERIMENT,
-    FIRST_RUNS,
     is_results,
     is_same_run,
+    read_experiment,
     read_state,
     run_folders,
 )
@@ -236,19 +235,19 @@ def _require_same(source: Path, collected: Collected, out: Path) -> None:
     """Note a results folder's version and demonstrations, which must be those of all others."""
     if not is_results(source):
         raise ResultsError(f"{source}: expected a results folder, found no {EXPERIMENT}")
-    found = read_json(source / EXPERIMENT)
-    version = str(found["versions"]["magical"])
+    found = read_experiment(source)
+    version = found.versions["magical"]
     if collected.version not in ("", version):
         raise ResultsError(
             f"{source}: expected runs of magical {collected.version}, as in {out}, found {version}"
         )
     collected.version = version
-    for what, kept, known in (
-        ("demonstrations", DIGESTS, collected.demonstrations),
-        ("demonstrations", GENERATED, collected.generated),
-        ("checkpoint", FIRST_RUNS, collected.first_runs),
+    for what, digests, known in (
+        ("demonstrations", found.demonstrations, collected.demonstrations),
+        ("demonstrations", found.generated_demonstrations, collected.generated),
+        ("checkpoint", found.first_runs, collected.first_runs),
     ):
-        for name, digest in found.get(kept, {}).items():
+        for name, digest in digests.items():
             if known.setdefault(name, digest) != digest:
                 raise ResultsError(
                     f"{source}: expected the {what} of {name} that runs in {out} learned from, "

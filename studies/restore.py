@@ -16,11 +16,11 @@ import argparse
 import sys
 import uuid
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 from magical.errors import MagicalError, ResultsError
-from magical.experiments.demonstrations import DIGESTS, GENERATED
-from magical.experiments.results import DONE, EXPERIMENT, FIRST_RUNS, FORMAT
+from magical.experiments.results import DONE, EXPERIMENT, FORMAT, Experiment
 from magical.runs.folder import read_json, write_json
 from magical.runs.plan import PLAN, RESULT, RUNS
 from studies.collect import Collected
@@ -50,14 +50,15 @@ def restore(source: Path, out: Path, again: int | None = None) -> int:
         if Path(key).parts[1] in collected.runs:
             entry.write(out / key)
     write_json(out / PLAN, {"runs": read_json(source / PLAN)["runs"]})
-    versions = {"magical": collected.version}
-    found = {"format": FORMAT, "id": uuid.uuid4().hex, "versions": versions}
-    digests = {
-        DIGESTS: collected.demonstrations,
-        GENERATED: collected.generated,
-        FIRST_RUNS: collected.first_runs,
-    }
-    write_json(out / EXPERIMENT, {**found, **digests})
+    experiment = Experiment(
+        FORMAT,
+        uuid.uuid4().hex,
+        {"magical": collected.version},
+        collected.demonstrations,
+        collected.generated,
+        collected.first_runs,
+    )
+    write_json(out / EXPERIMENT, asdict(experiment))
     return len(collected.runs)
 
 

@@ -31,7 +31,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from magical.errors import MagicalError
-from magical.files import open_regular, read_regular
+from magical.files import open_regular, read_regular, reading
 from magical.messages import MAX_LENGTH, printable, quoted
 
 MAX_DEPTH = 32  # levels of nested lists and dicts
@@ -111,15 +111,12 @@ def read_json_lines(path: Path, kind: Kind[T], error: type[MagicalError]) -> Ite
     A last line without a newline, which a crash has cut off, is left out. Arguments and errors as
     in `read_json`; a message names the line, and `MAX_BYTES` bounds each line.
     """
-    try:
-        with open_regular(path, follow_links=True) as file:
-            for number in itertools.count(1):
-                line = file.readline(MAX_BYTES)
-                if len(line) < MAX_BYTES and not line.endswith(b"\n"):
-                    return
-                yield parse_json(line, kind, f"{path}: line {number}", error)
-    except OSError as problem:
-        raise _unreadable(path, problem, error) from problem
+    with reading(path, error), open_regular(path, follow_links=True) as file:
+        for number in itertools.count(1):
+            line = file.readline(MAX_BYTES)
+            if len(line) < MAX_BYTES and not line.endswith(b"\n"):
+                return
+            yield parse_json(line, kind, f"{path}: line {number}", error)
 
 
 def convert(plain: Any, kind: Kind[T], what: str, error: type[MagicalError]) -> T:
@@ -161,14 +158,8 @@ def _is_ordinary(number: float) -> bool:
 
 
 def _read(path: Path, max_bytes: int, error: type[MagicalError]) -> bytes:
-    try:
+    with reading(path, error):
         return read_regular(path, max_bytes)
-    except OSError as problem:
-        raise _unreadable(path, problem, error) from problem
-
-
-def _unreadable(path: Path, problem: OSError, error: type[MagicalError]) -> MagicalError:
-    return error(f"{path}: expected a readable file, found {problem.strerror or problem}")
 
 
 def _check_fields(plain: Any, record: Any, path: str) -> None:

@@ -217,9 +217,10 @@ def test_other_folders_are_refused(planned: Planned, inline: Started, copied: Pa
     (out / "experiment.json").write_text(json.dumps(experiment))
     with pytest.raises(ResultsError, match=r"results of magical 0\.0\.1 .*this is magical"):
         execute(runs, out)
-    (out / "experiment.json").write_text("{")
-    with pytest.raises(ResultsError, match=r"experiment\.json"):
-        execute(runs, out)
+    for damaged in ("{", json.dumps({**experiment, "demonstrations": [1]})):
+        (out / "experiment.json").write_text(damaged)
+        with pytest.raises(ResultsError, match=r"experiment\.json"):
+            execute(runs, out)
 
 
 def test_a_plan_that_is_refused_leaves_the_one_before_listed(
@@ -292,6 +293,10 @@ def test_runs_recorded_in_an_earlier_form_are_not_run_again(
     planned: Planned, inline: Started, copied: Path
 ) -> None:
     first, second = planned()
+    damaged = copied / "runs" / first.folder.replace(first.identity, "")
+    damaged.mkdir()
+    of_another = {"state": "done", "method": first.method, "settings": {"config": [1]}}
+    (damaged / "result.json").write_text(json.dumps(of_another))
     for run, spoilt in ((first, {}), (second, {"batches": 5})):
         old = copied / "runs" / run.folder.replace(run.identity, "0" * 10)
         (copied / "runs" / run.folder).rename(old)

@@ -85,7 +85,7 @@ def test_errors_say_what_to_do_and_have_status_1(
         (bc(tmp_path / "none", tmp_path / "a"), "none"),
         (bc(demos, tmp_path / "b", "--num-demos", "9"), "ask for fewer with --num-demos"),
         (["train", "bc", "--out", str(tmp_path / "c"), "--resume", "--task", "FindDupe",
-          "--demos", str(demos)], "expected a run to resume"),
+          "--demos", str(demos)], "expected a run folder with config.json"),
     ):  # fmt: skip
         assert main(arguments) == 1
         error = capsys.readouterr().err

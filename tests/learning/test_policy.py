@@ -187,7 +187,7 @@ def test_folders_that_hold_no_usable_run_are_named(run: Path, tmp_path: Path) ->
         load_policy(copy)
     (copy / "config.json").write_text(config)
     (copy / CHECKPOINT).unlink()
-    with pytest.raises(CheckpointError, match="expected a file, found none"):
+    with pytest.raises(CheckpointError, match="expected a readable file, found No such file"):
         load_policy(copy)
     (copy / "config.json").write_text("{")
     with pytest.raises(RunFolderError, match=r"config\.json: expected JSON"):

@@ -89,6 +89,20 @@ def add_count(
     )
 
 
+def add_number(
+    parser: argparse.ArgumentParser,
+    flag: str,
+    meaning: str,
+    *,
+    default: float = 0.0,
+    most: float = math.inf,
+    metavar: str = "X",
+) -> None:
+    """Add an option whose value is a number from 0 to `most`; the help says the default."""
+    kind, stated = number(float, 0, most), f" (default: {default:g})"
+    parser.add_argument(flag, type=kind, default=default, metavar=metavar, help=meaning + stated)
+
+
 def add_seed(parser: argparse.ArgumentParser, meaning: str) -> None:
     """Add `--seed N`, 0 or more."""
     add_count(parser, "--seed", meaning, default=0, least=0)

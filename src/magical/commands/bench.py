@@ -20,9 +20,9 @@ import numpy as np
 from magical.commands._common import (
     add_count,
     add_json,
+    add_number,
     add_seed,
     add_workers,
-    number,
     print_json,
     print_table,
 )
@@ -49,13 +49,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     add_count(parser, "--num-envs", "vector: sub-environments", default=32)
     add_workers(parser)
-    parser.add_argument(
-        "--seconds",
-        type=number(float, 0),
-        default=15.0,
-        metavar="S",
-        help="env, vector: measuring time (default: 15)",
-    )
+    add_number(parser, "--seconds", "env, vector: measuring time", default=15.0, metavar="S")
     add_seed(parser, "env, vector: of scenes and actions")
     parser.add_argument("--network", default="paper", help="training: default paper")
     add_count(parser, "--batch-size", "training: samples a batch", default=32)

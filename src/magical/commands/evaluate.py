@@ -17,6 +17,7 @@ from magical.commands._common import (
     USAGE,
     add_count,
     add_json,
+    add_number,
     add_out,
     add_rollouts,
     add_seed,
@@ -24,7 +25,6 @@ from magical.commands._common import (
     add_workers,
     explained,
     log,
-    number,
     print_json,
     print_table,
 )
@@ -54,14 +54,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         metavar="STEPS",
         help="control steps (default: the paper's); `published`: 240 for the Cluster tasks",
     )
-    parser.add_argument(
-        "--nudge",
-        type=number(float, 0, MAX_NUDGE),
-        default=0.0,
-        metavar="X",
-        help="shift initial poses by up to X units and radians, sampled from each rollout's seed; "
-        "1e-9 averages over what rounding decides (default: 0)",
+    meaning = (
+        "shift initial poses by up to X units and radians, sampled from each rollout's seed; 1e-9 "
+        "averages over what rounding decides"
     )
+    add_number(parser, "--nudge", meaning, most=MAX_NUDGE)
     add_seed(parser, "which set of fixed seeds")
     parser.add_argument(
         "--observation", metavar="PRESET", help="default: the policy's own, or LoRes4E"

@@ -9,10 +9,10 @@ from typing import Any
 
 from magical.commands._common import (
     add_json,
+    add_number,
     add_rollouts,
     add_seed,
     add_workers,
-    number,
     print_json,
     print_table,
 )
@@ -28,9 +28,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     evaluate.add_argument("--env", nargs="+", metavar="ID", help="environments (default: all)")
     add_rollouts(evaluate)
     add_seed(evaluate, "which set of evaluation's seeds")
-    evaluate.add_argument(
-        "--skill", type=number(float, 0, 1), default=1.0, metavar="X", help="0 to 1 (default: 1)"
-    )
+    add_number(evaluate, "--skill", "0 to 1", default=1.0, most=1)
     evaluate.add_argument(
         "--takeover",
         action="store_true",

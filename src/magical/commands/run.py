@@ -14,9 +14,9 @@ from magical.commands._common import (
     INTERRUPTED,
     add_count,
     add_json,
+    add_number,
     add_out,
     log,
-    number,
     print_json,
     print_table,
 )
@@ -50,13 +50,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     meaning = "runs at a time on this machine (default: the cores, divided by the threads of a run)"
     add_count(parser, "--workers", meaning)
-    parser.add_argument(
-        "--gpus",
-        type=number(float, 0),
-        default=0.0,
-        metavar="X",
-        help="the share of a GPU that Ray reserves for each run (default: 0)",
-    )
+    add_number(parser, "--gpus", "the share of a GPU that Ray reserves for each run")
     parser.add_argument(
         "--dry-run",
         action="store_true",

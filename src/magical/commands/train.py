@@ -165,8 +165,8 @@ def _shown(value: object) -> object:
 
 def _config(args: argparse.Namespace) -> "Config":
     """The preset's or the resumed run's configuration, with the given options replaced."""
-    from magical.errors import RunFolderError, UnknownNameError
-    from magical.learning import find_algorithm, is_run, read_config
+    from magical.errors import UnknownNameError
+    from magical.learning import find_algorithm, read_config
     from magical.learning.config import options
 
     kind = find_algorithm(args.algorithm).config
@@ -176,8 +176,6 @@ def _config(args: argparse.Namespace) -> "Config":
         for option in fields
         if (value := getattr(args, option.name, None)) is not None
     }
-    if args.resume and not is_run(args.out):
-        raise RunFolderError(f"{args.out}: expected a run to resume, found none")
     if args.resume and args.preset is None:
         recorded = read_config(args.out)
         if recorded.algorithm != args.algorithm:

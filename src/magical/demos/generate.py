@@ -1,6 +1,6 @@
 """Demonstrations from the scripted experts."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -18,7 +18,7 @@ from magical.errors import DatasetError
 from magical.experts import modules_of, rollout
 from magical.experts.noise import check_share
 from magical.processes import available_cores, map_in_processes
-from magical.tasks import load_tasks
+from magical.tasks import with_tasks
 
 MAX_DROPPED = 20  # attempts below the score, per requested demonstration, before giving up
 
@@ -68,7 +68,7 @@ def generate(
     check_share("skill", skill)
     workers = available_cores() if workers is None else workers
     modules = modules_of(parsed.task) if workers > 1 else []
-    attempt = partial(_attempt, modules, parsed, seed, skill, perturb, name)
+    attempt = with_tasks(partial(_attempt, parsed, seed, skill, perturb, name), modules)
     writer, scores, dropped = DatasetWriter(out), list[float](), 0
     with closing(map_in_processes(attempt, count(first), workers)) as results:
         while len(scores) < number:
@@ -118,7 +118,6 @@ def demonstrate(env_id: str, seed: int, skill: float = 1.0, *, perturb: float = 
 
 
 def _attempt(
-    modules: Sequence[str],
     env_id: EnvId,
     seed: int,
     skill: float,
@@ -126,7 +125,5 @@ def _attempt(
     action_space: ActionSpaceName,
     attempt: int,
 ) -> tuple[ManifestEntry, bytes]:
-    for module in modules:
-        load_tasks(module)
     trajectory = demonstrate(env_id, episode_seed(seed, attempt), skill, perturb=perturb)
     return encoded(trajectory.with_action_space(action_space))

@@ -20,7 +20,7 @@ from magical.evaluation.scores import RolloutScore
 from magical.evaluation.seeds import RolloutRng
 from magical.observe import Observation
 from magical.processes import available_cores, map_in_processes
-from magical.tasks import Horizon, get_task, load_tasks
+from magical.tasks import Horizon, get_task, with_tasks
 
 NUM_ENVS = 64  # sub-environments stepped together: bounds the memory, hardly changes the speed
 SHARE = 10  # rollouts of one environment that a process computes at a time
@@ -112,7 +112,7 @@ def evaluate_round(
         first = number - number % SHARE
         numbers = range(first, min(first + SHARE, evaluation.rollouts))
         shares = ((env_id, numbers) for env_id in evaluation.env_ids)
-        return [row for share in shares for row in _score_share(policy, evaluation, [], share)]
+        return [row for share in shares for row in _score_share(policy, evaluation, share)]
     with _Rollouts(policy, evaluation, evaluation.env_ids, workers=workers) as batch:
         first = number - number % batch.copies
         numbers = range(first, min(first + batch.copies, evaluation.rollouts))
@@ -152,7 +152,7 @@ def _in_processes(
     ]
     count = min(available_cores() if workers is None else workers, len(shares))
     modules = modules_for(policy, list(evaluation.by_task)) if count > 1 else []
-    score = partial(_score_share, policy, evaluation, modules)
+    score = with_tasks(partial(_score_share, policy, evaluation), modules)
     yield from map_in_processes(score, shares, count)
 
 
@@ -163,10 +163,8 @@ def modules_for(policy: Policy | None, tasks: Sequence[str]) -> list[str]:
 
 
 def _score_share(
-    policy: Policy, evaluation: Evaluation, modules: Sequence[str], share: tuple[EnvId, range]
+    policy: Policy, evaluation: Evaluation, share: tuple[EnvId, range]
 ) -> list[RolloutScore]:
-    for module in modules:
-        load_tasks(module)
     env_id, numbers = share
     part = replace(evaluation, rollouts=len(numbers))
     with _Rollouts(policy, part, [env_id], workers=0) as batch:

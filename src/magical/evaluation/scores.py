@@ -15,7 +15,8 @@ import numpy as np
 from magical.envs import EnvId, parse_env_id
 from magical.envs.seeds import evaluation_seed
 from magical.errors import ScoresError, UnknownNameError
-from magical.files import open_regular, write_atomically
+from magical.files import open_regular, reading, write_atomically
+from magical.messages import quoted
 from magical.tasks.axes import short_variant
 
 
@@ -32,7 +33,6 @@ class RolloutScore(NamedTuple):
 HEADER = RolloutScore._fields
 MAX_ROWS = 10_000_000  # a compressed file may hold any number
 MAX_LINE = 2000  # characters
-SHOWN = 200  # characters of a damaged line that a message shows
 
 
 def write_scores(scores: Iterable[RolloutScore], path: Path | str) -> None:
@@ -45,12 +45,10 @@ def write_scores(scores: Iterable[RolloutScore], path: Path | str) -> None:
 
 def read_scores(path: Path | str) -> list[RolloutScore]:
     """Read what `write_scores` wrote; raises `ScoresError` naming the line that is wrong."""
-    try:
-        with open_regular(Path(path), follow_links=True) as file:
-            lines = read_lines(file, HEADER, path)
-            return [parse_row(line, path, number) for number, line in enumerate(lines, 2)]
-    except OSError as error:
-        raise ScoresError(f"{path}: expected a readable file, found {error.strerror}") from error
+    source = Path(path)
+    with reading(source, ScoresError), open_regular(source, follow_links=True) as file:
+        lines = read_lines(file, HEADER, path)
+        return [parse_row(line, path, number) for number, line in enumerate(lines, 2)]
 
 
 def read_lines(
@@ -67,7 +65,7 @@ def read_lines(
         try:
             found = next(lines, [])
             if tuple(found) != tuple(header):
-                shown = repr(found)[:SHOWN] if found else "nothing"
+                shown = quoted(found) if found else "nothing"
                 raise ScoresError(f"{path}: expected the header {','.join(header)}, found {shown}")
             yield from islice(lines, MAX_ROWS)
             if next(lines, None) is not None:
@@ -86,11 +84,11 @@ def parse_row(line: Sequence[str], path: Path | str, number: int) -> RolloutScor
         raise ScoresError(f"{path}, line {number}: {error}") from error
     except ValueError as error:
         raise ScoresError(
-            f"{path}, line {number}: expected {','.join(HEADER)}, found {repr(line)[:SHOWN]}"
+            f"{path}, line {number}: expected {','.join(HEADER)}, found {quoted(line)}"
         ) from error
     if not (0.0 <= row.score <= 1.0 and 0.0 <= row.published_code_score <= 1.0):
         raise ScoresError(
-            f"{path}, line {number}: expected scores from 0 to 1, found {repr(line[3:])[:SHOWN]}"
+            f"{path}, line {number}: expected scores from 0 to 1, found {quoted(line[3:])}"
         )
     return row
 

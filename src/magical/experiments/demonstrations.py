@@ -16,11 +16,8 @@ from magical.envs.seeds import episode_seed
 from magical.errors import DatasetError, DemonstrationsError
 from magical.evaluation import environments
 from magical.experiments.plan import DemonstrationSource, PlannedRun
-from magical.experiments.results import DEMOS, EXPERIMENT, Results, read_record
+from magical.experiments.results import DEMOS, Results, read_experiment
 from magical.learning.config import DemonstrationSettings
-
-DIGESTS = "demonstrations"  # in `experiment.json`: task -> digest of the user's dataset
-GENERATED = "generated_demonstrations"  # in `experiment.json`: folder/task -> digest
 
 Progress = Callable[[int], None]
 
@@ -68,7 +65,7 @@ def require_same_demonstrations(runs: Sequence[PlannedRun], results: Results) ->
     for config in [run.config for run in runs if run.source.dataset][:1]:
         wanted = config.part(DemonstrationSettings)
         if wanted and Path(wanted.demos).exists():
-            known = read_record(results.path / EXPERIMENT).get(DIGESTS, {})
+            known = read_experiment(results.path).demonstrations
             _require_same(Dataset.open(Path(wanted.demos)), known, results)
 
 
@@ -145,7 +142,7 @@ def _generated(
     generate_missing(folder, tasks, source.expert_demos, **settings)
     dataset = Dataset.open(folder)
     digests = {f"{folder.name}/{task}": _digest_of_actions(dataset, task) for task in tasks}
-    _require_known(digests, dataset, results, GENERATED)
+    _require_known(digests, dataset, results, "generated_demonstrations")
     return folder
 
 
@@ -189,7 +186,8 @@ def _require_enough(dataset: Dataset, counts: Mapping[str, int]) -> None:
 
 def _require_same(dataset: Dataset, tasks: Iterable[str], results: Results) -> None:
     """Record digests of the user's dataset, which must be those of earlier runs in the folder."""
-    _require_known({task: _digest(dataset, task) for task in tasks}, dataset, results, DIGESTS)
+    found = {task: _digest(dataset, task) for task in tasks}
+    _require_known(found, dataset, results, "demonstrations")
 
 
 def _require_known(

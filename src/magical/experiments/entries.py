@@ -8,6 +8,7 @@ from typing import Any
 from magical.errors import PolicyError
 from magical.evaluation import BUILT_IN, Entry, Policy, load_policy, policy_names
 from magical.evaluation.entry import POLICY, THREADS
+from magical.messages import quoted
 from magical.runs import is_run
 from magical.runs.folder import RECORD, read_json
 from magical.runs.machine import provenance
@@ -60,7 +61,7 @@ def policy_of(folder: Path, entry: Entry, run: Path | None = None) -> Policy:
             return load_policy(place)
     raise PolicyError(
         f"{folder}: expected a run folder or one of {', '.join(policy_names())} as the policy "
-        f"that was evaluated, found {name!r}; magical verify takes others by --policy"
+        f"that was evaluated, found {quoted(name)}; magical verify takes others by --policy"
     )
 
 

@@ -33,6 +33,7 @@ from magical.experiments.results import (
 from magical.files import is_out_of_space
 from magical.learning.running.interrupts import Interrupts
 from magical.processes import ProcessPool, available_cores
+from magical.tasks import with_tasks
 
 TRIES = 3  # of a run that the cluster, not the run itself, has ended
 POLL = 1.0  # seconds between checks for signals, and between refreshes of the display
@@ -70,8 +71,8 @@ class LocalExecutor:
     def start(self, run: PlannedRun, demos: Path | None) -> Future[Outcome]:
         """Start a run in a process."""
         folder = self._results.folder(run)
-        modules = modules_for(None, run.tasks)
-        return self._pool.submit(partial(finish, folder=folder, demos=demos, modules=modules), run)
+        work = with_tasks(partial(finish, folder=folder, demos=demos), modules_for(None, run.tasks))
+        return self._pool.submit(work, run)
 
     def stop(self) -> None:
         """Send SIGTERM."""
@@ -259,8 +260,9 @@ class _References:
         results: Results,
         resources: Resources,
     ) -> None:
+        evaluate = partial(evaluate_reference, results=results.path)
         self._waiting = deque(
-            (partial(evaluate_reference, results=results.path, modules=modules), (name, evaluation))
+            (with_tasks(evaluate, modules), (name, evaluation))
             for name, evaluation in references
             for modules in [modules_for(BUILT_IN[name](), list(evaluation.by_task))]
         )

@@ -2,7 +2,7 @@
 
 import time
 import traceback
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,26 +23,20 @@ from magical.messages import printable
 from magical.runs.folder import write_json
 from magical.runs.machine import provenance, source_commit
 from magical.runs.plan import RESULT
-from magical.tasks import load_tasks
 
 MAX_ERROR = 2_000  # characters of a recorded message
 MAX_TRACEBACK = 20_000  # and of a traceback, whose end says most
 REFERENCES = "references"  # in a results folder: a folder for each reference policy and task
 
 
-def finish(
-    run: PlannedRun, folder: Path, demos: Path | None, modules: Sequence[str] = ()
-) -> Outcome:
+def finish(run: PlannedRun, folder: Path, demos: Path | None) -> Outcome:
     """Train on the dataset `demos`, or resume; evaluate; write `result.json` last.
 
-    `modules` hold the run's tasks where those are from outside the package. An error is recorded in
-    `result.json` and returned, not raised.
+    An error is recorded in `result.json` and returned, not raised.
     """
     start = time.perf_counter()
     source_commit()  # now: the source may change while the run is in progress
     try:
-        for module in modules:
-            load_tasks(module)
         (folder / RESULT).unlink(missing_ok=True)
         remove_partial_files(folder, RESULT, SCORES_FILE, ENTRY_FILE)
         seconds = _train_and_evaluate(run, folder, demos)
@@ -121,16 +115,9 @@ def evaluate_run(run: PlannedRun, folder: Path, out: Path, evaluation: Evaluatio
     Entry.of(policy, evaluation, method=run.method, scores=scores, details=details).write(out)
 
 
-def evaluate_reference(
-    reference: tuple[str, Evaluation], results: Path, modules: Sequence[str] = ()
-) -> None:
-    """Evaluate a built-in policy on a task, unless the results folder has its entry already.
-
-    `modules` hold the task and its expert where those are from outside the package.
-    """
+def evaluate_reference(reference: tuple[str, Evaluation], results: Path) -> None:
+    """Evaluate a built-in policy on a task, unless the results folder has its entry already."""
     name, evaluation = reference
-    for module in modules:
-        load_tasks(module)
     policy = BUILT_IN[name]()
     folder = results / REFERENCES / f"{name}-{evaluation.env_ids[0].task}"
     details = evaluation_details(name, folder)

@@ -22,16 +22,17 @@ from ray.exceptions import (
     WorkerCrashedError,
 )
 
-from magical.errors import ClusterError, RunFolderError
+from magical.errors import ClusterError, ResultsError
 from magical.evaluation.rollouts import modules_for
 from magical.experiments.one_run import finish
 from magical.experiments.plan import PlannedRun
-from magical.experiments.results import DONE, EXPERIMENT, Outcome, Results
+from magical.experiments.results import DONE, Outcome, Results, read_experiment
 from magical.files import LOCK, make_folder
 from magical.learning.running.interrupts import SIGNALS
 from magical.messages import printable
-from magical.runs.folder import CHECKPOINT, read_json
+from magical.runs.folder import CHECKPOINT
 from magical.runs.plan import RESULT
+from magical.tasks import load_tasks
 
 RETRIES = 3  # after the end of a node or of a process on it
 MAX_ERROR = 500  # characters of Ray's own messages
@@ -221,24 +222,25 @@ def _finish(
     modules: Sequence[str],
 ) -> Returned:
     """A run's task on a node of the cluster."""
+    for module in modules:
+        load_tasks(module)
     shared = Path(folder)
     if _is_shared(shared, identity):
-        return finish(run, shared, None if demos is None else Path(demos[0]), modules), None
+        return finish(run, shared, None if demos is None else Path(demos[0])), None
     with tempfile.TemporaryDirectory(prefix="magical-") as name:
         own = Path(name) / "run"
         dataset = None
         if demos is not None:
             dataset = Path(name) / "demos"
             unpack(ray.get(demos[1][0]), dataset)
-        outcome = finish(run, own, dataset, modules)
+        outcome = finish(run, own, dataset)
         complete = (own / RESULT).is_file()
         return outcome, pack(own) if complete else None
 
 
 def _is_shared(folder: Path, identity: str) -> bool:
     """Whether this node sees the results folder itself, not one of its own at the same path."""
-    experiment = folder.parents[1] / EXPERIMENT
     try:
-        return read_json(experiment).get("id") == identity
-    except RunFolderError:
+        return read_experiment(folder.parents[1]).id == identity
+    except ResultsError:
         return False

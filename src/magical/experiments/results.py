@@ -13,7 +13,7 @@ import json
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,14 +21,40 @@ from magical import __version__
 from magical.errors import MagicalError, ResultsError
 from magical.experiments.plan import PlannedRun
 from magical.files import OwnedFolder, open_regular, sha256_sum
+from magical.messages import quoted
 from magical.runs.folder import CHECKPOINT, versions, write_json
 from magical.runs.plan import PLAN, RESULT, RUNS, listed_runs
 from magical.untrusted import read_json
 
 FORMAT = 1
 EXPERIMENT, PROGRESS, DEMOS = "experiment.json", "progress.json", "demos"
-FIRST_RUNS = "first_runs"  # in `experiment.json`: `init_from` -> digest of the checkpoint there
 DONE, FAILED, WAITING = "done", "failed", "waiting"  # states; the first two are in `result.json`
+
+
+@dataclass(frozen=True, slots=True)
+class Experiment:
+    """What `experiment.json` holds.
+
+    Attributes:
+        format: of the folder.
+        id: sampled when the folder was created; tells it from another machine's of the same path.
+        versions: that it was created with.
+        demonstrations: digests of the user's dataset, by task.
+        generated_demonstrations: digests of the scripted experts', by folder and task.
+        first_runs: digests of the checkpoints that runs are fine-tuned from, by `init_from`.
+    """
+
+    format: int
+    id: str
+    versions: dict[str, str]
+    demonstrations: dict[str, str] = field(default_factory=dict)
+    generated_demonstrations: dict[str, str] = field(default_factory=dict)
+    first_runs: dict[str, str] = field(default_factory=dict)
+
+
+def read_experiment(path: Path) -> Experiment:
+    """The record of a results folder; raises `ResultsError` if it is missing or damaged."""
+    return read_json(path / EXPERIMENT, Experiment, ResultsError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +71,7 @@ class Results:
 
     Attributes:
         path: the folder, absolute.
-        id: sampled when the folder was created; tells it from another machine's folder of the
-            same path.
+        id: see `Experiment`.
     """
 
     path: Path
@@ -65,20 +90,20 @@ class Results:
         return _owned(self.path).full()
 
     def require_same(
-        self, field: str, found: Mapping[str, str], others: Callable[[str], str]
+        self, part: str, found: Mapping[str, str], others: Callable[[str], str]
     ) -> None:
         """Record digests in a field of `experiment.json`; those that are there must be the same.
 
         Args:
-            field: the field.
+            part: the field, of `Experiment`.
             found: digests by name of what runs learn from.
             others: what runs in the folder learned from if that of a name is another, in words.
 
         Raises:
             ResultsError: one is another.
         """
-        experiment = read_record(self.path / EXPERIMENT)
-        known = experiment.get(field, {})
+        experiment = asdict(read_experiment(self.path))
+        known = experiment[part]
         for name, digest in found.items():
             if known.get(name, digest) != digest:
                 raise ResultsError(
@@ -86,7 +111,7 @@ class Results:
                     "folder (--out)"
                 )
         if not found.keys() <= known.keys():
-            write_json(self.path / EXPERIMENT, {**experiment, field: {**known, **found}})
+            write_json(self.path / EXPERIMENT, {**experiment, part: {**known, **found}})
 
     def write_plan(self, runs: Sequence[PlannedRun]) -> None:
         """List the runs of the plan, which are then what reports and `magical status` show."""
@@ -128,10 +153,9 @@ def opened(path: Path, runs: Sequence[PlannedRun]) -> Iterator[Results]:
             check_results(path, runs)
             (path / PROGRESS).unlink(missing_ok=True)  # of a command that was killed
         else:
-            found = {"format": FORMAT, "id": uuid.uuid4().hex, "versions": versions()}
-            write_json(path / EXPERIMENT, found)
+            write_json(path / EXPERIMENT, asdict(Experiment(FORMAT, uuid.uuid4().hex, versions())))
         _adopt_earlier(path, runs)
-        yield Results(path, str(read_record(path / EXPERIMENT).get("id")))
+        yield Results(path, read_experiment(path).id)
 
 
 def _owned(path: Path) -> OwnedFolder:
@@ -152,7 +176,7 @@ def require_same_first_runs(runs: Iterable[PlannedRun], results: Results) -> Non
             with open_regular(Path(folder) / CHECKPOINT, follow_links=True) as file:
                 digests[folder] = sha256_sum(file)
     results.require_same(
-        FIRST_RUNS, digests, lambda folder: f"another checkpoint of {folder} than there is now"
+        "first_runs", digests, lambda folder: f"another checkpoint of {folder} than there is now"
     )
 
 
@@ -169,12 +193,11 @@ def check_results(path: Path, runs: Sequence[PlannedRun]) -> None:
     Raises:
         ResultsError: the folder is of another version, or of another plan.
     """
-    found = read_record(path / EXPERIMENT)
-    versions_then = found.get("versions")
-    version = versions_then.get("magical") if isinstance(versions_then, dict) else None
-    if found.get("format") != FORMAT or version != __version__:
+    found = read_experiment(path)
+    version = found.versions.get("magical")
+    if (found.format, version) != (FORMAT, __version__):
         raise ResultsError(
-            f"{path} holds results of magical {version} (format {found.get('format')}), this is "
+            f"{path} holds results of magical {version} (format {found.format}), this is "
             f"magical {__version__} (format {FORMAT}): their scores may differ. Choose another "
             "folder (--out), or install that version"
         )
@@ -202,7 +225,7 @@ def read_state(folder: Path) -> str | None:
     state = read_record(folder / RESULT).get("state")
     if state not in (DONE, FAILED):
         raise ResultsError(
-            f"{folder / RESULT}: expected a state, {DONE} or {FAILED}, found {state!r:.100}; "
+            f"{folder / RESULT}: expected a state, {DONE} or {FAILED}, found {quoted(state)}; "
             "remove the file to finish the run again"
         )
     return str(state)
@@ -247,7 +270,7 @@ def is_same_run(run: PlannedRun, record: Mapping[str, Any]) -> bool:
         return False
     try:
         config = type(run.config).from_dict(settings.get("config", {})).to_dict()
-    except (MagicalError, TypeError):
+    except (AttributeError, MagicalError, TypeError):  # another run's, or damaged
         return False
     then, now = {**settings, "config": config}, run.settings()
     return json.dumps(then, sort_keys=True) == json.dumps(now, sort_keys=True)

@@ -15,7 +15,7 @@ from magical.files.atomic import (
 )
 from magical.files.lock import LockedError, is_locked, lock_now, locked
 from magical.files.owned import LOCK, OwnedFolder, is_out_of_space
-from magical.files.regular import open_regular, read_regular, sha256_sum
+from magical.files.regular import open_regular, read_regular, reading, sha256_sum
 
 __all__ = [
     "LOCK",
@@ -30,6 +30,7 @@ __all__ = [
     "make_folder",
     "open_regular",
     "read_regular",
+    "reading",
     "remove_partial_files",
     "sha256_sum",
     "write_atomically",

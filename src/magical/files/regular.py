@@ -4,8 +4,12 @@ import errno
 import hashlib
 import os
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
+
+from magical.errors import MagicalError
 
 _FLAGS = {
     "rb": os.O_RDONLY,
@@ -58,6 +62,16 @@ def read_regular(path: Path, max_bytes: int) -> bytes:
         if size > max_bytes:
             raise OSError(errno.EFBIG, f"more than {max_bytes} bytes", str(path))
         return file.read(size)  # allocates what is asked for at once, whatever there is
+
+
+@contextmanager
+def reading(path: Path, error: type[MagicalError]) -> Iterator[None]:
+    """A context that reads a file: an `OSError` in it becomes one of the class `error`."""
+    try:
+        yield
+    except OSError as problem:
+        name, found = problem.filename or path, problem.strerror or problem
+        raise error(f"{name}: expected a readable file, found {found}") from problem
 
 
 def sha256_sum(file: IO[bytes]) -> str:

@@ -12,7 +12,6 @@ from typing import IO, Any
 
 from magical.errors import WorkerDiedError
 from magical.processes.channel import receive_result, send
-from magical.processes.import_path import absolute_python_path, folders_of_modules, import_path
 
 _START = Path(__file__).with_name("start.py")
 _WAIT = 2.0  # seconds that a child is given to end once its pipes are closed
@@ -24,9 +23,9 @@ class Child:
     """A fresh interpreter that runs `main(requests, replies)` of a module.
 
     `main` gets two pipes, one to read requests from and one to write replies to (`serve`); what it
-    prints goes to standard error. The child imports what this process would, except
-    from the working folder (see `import_path`). It ends when this process does, even in the middle
-    of a computation, and ignores Ctrl-C, which is this process's to handle.
+    prints goes to standard error. The child has this process's `sys.path`. It ends when this
+    process does, even in the middle of a computation, and ignores Ctrl-C, which is this process's
+    to handle.
 
     Args:
         module: the module's name.
@@ -41,8 +40,8 @@ class Child:
 
     def __init__(self, module: str, name: str, inherited: Sequence[int] = ()) -> None:
         self.name = name
-        path = import_path()
-        setup = {"module": module, "path": path, "folders": folders_of_modules(path)}
+        entries = (entry for entry in sys.path if isinstance(entry, str))  # others are ignored
+        setup = {"module": module, "path": [str(Path(entry).absolute()) for entry in entries]}
         read_end, write_end = _lifeline()
         try:
             self.process = _start(setup, read_end, inherited)
@@ -135,6 +134,6 @@ def _start(
         [sys.executable, "-P", str(_START), json.dumps({**setup, "lifeline": lifeline})],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        env={**os.environ, **_ONE_THREAD, "PYTHONPATH": absolute_python_path()},
+        env={**os.environ, **_ONE_THREAD},
         **platform,
     )

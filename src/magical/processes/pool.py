@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future
 from contextlib import closing
+from functools import partial
 from queue import SimpleQueue
 from threading import Lock, Thread
 from typing import IO, Any, TypeVar
@@ -46,49 +47,41 @@ def map_in_processes(
         Exception: what `work` raises. From a child, an exception that is neither built in nor of
             `magical.errors` is a `WorkerError`; its cause is the child's traceback.
     """
-    with closing(_futures(work, items, workers)) as futures:
-        for future in futures:
-            yield future.result()
+    with closing(_calls(work, items, workers)) as calls:
+        for call in calls:
+            yield call()
 
 
 def outcomes_in_processes(
     work: Callable[[Item], Result], items: Iterable[Item], workers: int
 ) -> Generator[Result | Exception, None, None]:
     """As `map_in_processes`, but an exception is yielded as the item's result."""
-    with closing(_futures(work, items, workers)) as futures:
-        for future in futures:
-            error = future.exception()
-            yield error if isinstance(error, Exception) else future.result()
+    with closing(_calls(work, items, workers)) as calls:
+        for call in calls:
+            outcome: Result | Exception
+            try:
+                outcome = call()
+            except Exception as error:
+                outcome = error
+            yield outcome
 
 
-def _futures(
+def _calls(
     work: Callable[[Item], Result], items: Iterable[Item], workers: int
-) -> Generator["Future[Result]", None, None]:
-    return _map_here(work, items) if workers <= 1 else _map_in_pool(work, items, workers)
-
-
-def _map_here(
-    work: Callable[[Item], Result], items: Iterable[Item]
-) -> Generator["Future[Result]", None, None]:
-    for item in items:
-        result: Future[Result] = Future()
-        try:
-            result.set_result(work(item))
-        except Exception as error:
-            result.set_exception(error)
-        yield result
-
-
-def _map_in_pool(
-    work: Callable[[Item], Result], items: Iterable[Item], count: int
-) -> Generator["Future[Result]", None, None]:
-    with closing(ProcessPool(count)) as pool:
+) -> Generator[Callable[[], Result], None, None]:
+    """For each item what waits for `work(item)`, or here computes it, and returns or raises."""
+    if workers <= 1:
+        for item in items:
+            yield partial(work, item)
+        return
+    with closing(ProcessPool(workers)) as pool:
         waiting: deque[Future[Result]] = deque()
         for item in items:
             waiting.append(pool.submit(work, item))
-            if len(waiting) > 2 * count:
-                yield waiting.popleft()
-        yield from waiting
+            if len(waiting) > 2 * workers:
+                yield waiting.popleft().result
+        for future in waiting:
+            yield future.result
 
 
 class ProcessPool:

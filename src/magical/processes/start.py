@@ -10,25 +10,20 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Mapping, Sequence
-from importlib.abc import MetaPathFinder
-from importlib.machinery import ModuleSpec, PathFinder
-from types import ModuleType
+from collections.abc import Sequence
 
 
-def main(module: str, path: Sequence[str], folders: Mapping[str, str], lifeline: int) -> None:
+def main(module: str, path: Sequence[str], lifeline: int) -> None:
     """Set up this process, then run `module.main(requests, replies)`.
 
     Args:
         module: a module's name.
         path: `sys.path`.
-        folders: where to find modules that no entry of `path` has, by their names.
         lifeline: the descriptor of a pipe (on Windows its handle) that the parent keeps open.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's to handle
     _end_with_parent(lifeline)
     sys.path[:] = path
-    sys.meta_path.append(_FolderFinder(folders))
     requests, replies = _take_pipes()
     serve = importlib.import_module(module).main
     with (
@@ -37,19 +32,6 @@ def main(module: str, path: Sequence[str], folders: Mapping[str, str], lifeline:
         os.fdopen(replies, "wb") as outgoing,
     ):
         serve(incoming, outgoing)
-
-
-class _FolderFinder(MetaPathFinder):
-    """Finds top-level modules by name in given folders, if nothing else finds them."""
-
-    def __init__(self, folders: Mapping[str, str]) -> None:
-        self._folders = folders
-
-    def find_spec(
-        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
-        folder = self._folders.get(fullname)
-        return None if folder is None else PathFinder.find_spec(fullname, [folder], target)
 
 
 def _end_with_parent(lifeline: int) -> None:

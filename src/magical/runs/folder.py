@@ -23,6 +23,7 @@ from typing import Any
 from magical import __version__, untrusted
 from magical.errors import RunFolderError
 from magical.files import LOCK, OwnedFolder, write_atomically
+from magical.messages import printable, quoted
 
 CONFIG = "config.json"
 RECORD = "run.json"
@@ -114,7 +115,7 @@ def differences(wanted: Mapping[str, Any], found: Mapping[str, Any]) -> str:
     """
     names = [name for name in {**wanted, **found} if name != "demos"]
     return ", ".join(
-        f"{name} {found.get(name)!r} there, {wanted.get(name)!r} asked for"
+        f"{printable(name)} {quoted(found.get(name))} there, {quoted(wanted.get(name))} asked for"
         for name in names
         if wanted.get(name) != found.get(name)
     )

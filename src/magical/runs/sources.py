@@ -4,6 +4,8 @@ from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any
 
+from magical.messages import quoted
+
 DEMONSTRATIONS = "demonstrations"
 RENDERED_STATES = "rendered states"
 SIMULATOR = "simulator"
@@ -65,6 +67,6 @@ def learned_from(details: Mapping[str, Any]) -> tuple[str, ...]:
     if names is None or any(name not in SOURCES for name in map(str, names)):
         raise ValueError(
             f"expected {LEARNED_FROM} in the details, a list of some of: {', '.join(SOURCES)}; "
-            f"found {'none' if stated is None else repr(stated)[:100]}"
+            f"found {'none' if stated is None else quoted(stated)}"
         )
     return tuple(name for name in SOURCES if name in names)

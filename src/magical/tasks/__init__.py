@@ -18,6 +18,7 @@ from magical.tasks.registry import (
     possible_variants,
     register_task,
     unregister_task,
+    with_tasks,
 )
 from magical.tasks.task import Horizon, Task
 from magical.tasks.validation import validate_scene
@@ -42,6 +43,7 @@ __all__ = [
     "require_two_horizons",
     "unregister_task",
     "validate_scene",
+    "with_tasks",
 ]
 
 discover(__name__, __path__)

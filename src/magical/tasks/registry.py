@@ -2,15 +2,19 @@
 
 import importlib
 import pkgutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from difflib import get_close_matches
-from typing import Any
+from functools import partial
+from typing import Any, TypeVar
 
 from magical.errors import InvalidTaskError, PluginError, UnknownNameError
 from magical.plugins import load_plugin, plugins
 from magical.tasks.axes import VARIANTS
 from magical.tasks.programs.generated import generated_task, is_generated
 from magical.tasks.task import Task
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 GROUP = "magical.tasks"  # of entry points, named like their tasks
 
@@ -113,6 +117,17 @@ def load_tasks(module: str) -> None:
     for task in vars(importlib.import_module(module)).values():
         if isinstance(task, Task) and task.name not in _tasks:
             register_task(task)
+
+
+def with_tasks(work: Callable[[Item], Result], modules: Iterable[str]) -> Callable[[Item], Result]:
+    """`work` for another process, which loads the tasks of these modules before it is called."""
+    return partial(_with_tasks, work, tuple(modules))
+
+
+def _with_tasks(work: Callable[[Item], Result], modules: Iterable[str], item: Item) -> Result:
+    for module in modules:
+        load_tasks(module)
+    return work(item)
 
 
 def discover(package: str, path: Iterable[str]) -> None:

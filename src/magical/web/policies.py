@@ -8,7 +8,6 @@ from copy import copy
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 from magical.envs.action_spec import DISCRETE
 from magical.envs.ids import EnvId
@@ -21,10 +20,9 @@ from magical.errors import (
 from magical.evaluation.loading import load_policy
 from magical.evaluation.policy import Policy, action_spec_of
 from magical.experts import has_expert
-from magical.runs import is_run
+from magical.runs import is_run, read_json
 from magical.runs.folder import CHECKPOINT, CONFIG
 from magical.tasks import TASKS
-from magical.untrusted import read_json
 from magical.web.library.sources import unique_names, version_of
 
 EXPERT = 0  # the number of the scripted expert
@@ -126,7 +124,7 @@ def _entry(name: str, root: Path, folder: Path) -> PolicyEntry:
     parts = [name, *folder.relative_to(root).parts]
     shown = "/".join(filter(None, parts)) or root.resolve().name
     try:
-        config: dict[str, Any] = read_json(folder / CONFIG, dict[str, Any], RunFolderError)
+        config = read_json(folder / CONFIG)
         tasks = tuple(task for task in config["tasks"] if task in TASKS)
         return PolicyEntry(shown, tasks, str(config["algorithm"]), folder)
     except (MagicalError, LookupError, TypeError):

@@ -44,7 +44,7 @@ def test_state_dicts_are_read_as_they_were_written(tmp_path: Path) -> None:
 
 def test_missing_and_foreign_files_are_named(tmp_path: Path) -> None:
     path = tmp_path / "c"
-    with pytest.raises(CheckpointError, match="expected a file, found none"):
+    with pytest.raises(CheckpointError, match="expected a readable file, found No such file"):
         load_checkpoint(path)
     for damaged in (b"", b"\x80\x04K\x01."):
         path.write_bytes(damaged)
@@ -142,7 +142,7 @@ def test_a_damaged_checkpoint_names_the_intact_previous_one(tmp_path: Path) -> N
     with pytest.raises(CheckpointError, match=r"previous.*of step 4.*--previous-checkpoint"):
         load_newest_checkpoint(tmp_path)
     (tmp_path / CHECKPOINT).unlink()
-    with pytest.raises(CheckpointError, match=r"found none.*of step 4"):
+    with pytest.raises(CheckpointError, match=r"found No such file.*of step 4"):
         load_newest_checkpoint(tmp_path)
     (tmp_path / PREVIOUS).write_bytes(b"x")
     with pytest.raises(CheckpointError, match=r"no intact checkpoint"):
@@ -162,7 +162,7 @@ def test_the_previous_checkpoint_replaces_a_damaged_one_only_if_it_is_intact(
     (tmp_path / PREVIOUS).write_bytes(intact)
     restore_previous_checkpoint(tmp_path)
     assert step_of(tmp_path, CHECKPOINT) == 4
-    with pytest.raises(CheckpointError, match="expected a file, found none"):
+    with pytest.raises(CheckpointError, match="expected a readable file, found No such file"):
         restore_previous_checkpoint(tmp_path)
 
 

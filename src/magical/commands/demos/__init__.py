@@ -6,7 +6,14 @@ A dataset DIR is a folder with one file for each demonstration, and a manifest.
 import argparse
 from pathlib import Path
 
-from magical.commands._common import add_count, add_json, add_out, add_seed, add_workers, number
+from magical.commands._common import (
+    add_count,
+    add_json,
+    add_number,
+    add_out,
+    add_seed,
+    add_workers,
+)
 from magical.commands.demos import datasets, human
 
 HELP = "demonstrations: import, generate, replay, export, push"
@@ -76,28 +83,14 @@ def _generate(parser: argparse.ArgumentParser) -> None:
     add_seed(parser, "of the scenes and strategies")
     meaning = "number of the first attempt, to continue a series"
     add_count(parser, "--first", meaning, default=0, least=0, metavar="K")
-    parser.add_argument(
-        "--min-score",
-        type=number(float, 0, 1),
-        default=0.0,
-        metavar="X",
-        help="drop those that score less",
+    add_number(parser, "--min-score", "drop those that score less", most=1)
+    meaning = "0 to 1; below 1 deliberately worse"
+    add_number(parser, "--skill", meaning, default=1.0, most=1)
+    meaning = (
+        "share of steps, 0 to 1, with a random action in place of the expert's; learners imitate "
+        "the expert's"
     )
-    parser.add_argument(
-        "--skill",
-        type=number(float, 0, 1),
-        default=1.0,
-        metavar="X",
-        help="0 to 1; below 1 deliberately worse (default: 1)",
-    )
-    parser.add_argument(
-        "--perturb",
-        type=number(float, 0, 1),
-        default=0.0,
-        metavar="P",
-        help="share of steps, 0 to 1, with a random action in place of the expert's; learners "
-        "imitate the expert's (default: 0)",
-    )
+    add_number(parser, "--perturb", meaning, most=1, metavar="P")
     _action_space(parser, "of the stored actions (default: discrete)", default="discrete")
     add_workers(parser)
     add_json(parser)

@@ -16,7 +16,7 @@ from magical.demos.store.trajectory import Trajectory
 from magical.envs.action_spec import ActionSpaceName
 from magical.envs.ids import parse_env_id, split_env_id
 from magical.errors import DatasetError
-from magical.files import LOCK, locked, open_regular
+from magical.files import LOCK, locked, open_regular, reading
 from magical.messages import printable
 from magical.observe import Observation
 from magical.tasks import get_task
@@ -69,11 +69,8 @@ class Dataset(Sequence[Trajectory]):
                 or does not list all files.
         """
         folder = Path(path)
-        try:
-            with locked(folder / LOCK, reading=True):
-                entries, problems = read_manifest(folder)
-        except OSError as error:
-            raise DatasetError(f"{folder}: cannot be read: {error}") from error
+        with reading(folder, DatasetError), locked(folder / LOCK, reading=True):
+            entries, problems = read_manifest(folder)
         if problems and not skip_damaged:
             more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
             raise DatasetError(
@@ -271,14 +268,11 @@ def read_file(path: Path, size: int | None = None) -> bytes:
         DatasetError: it is missing, not a regular file, or of another size; names it.
     """
     limit = MAX_FILE if size is None else size
-    try:
-        with open_regular(path) as file:
-            found = os.fstat(file.fileno()).st_size
-            if found > limit or size not in (None, found):
-                raise DatasetError(
-                    f"{path}: expected {'at most ' if size is None else ''}{limit} bytes, "
-                    f"found {found}; the file was changed or cut off after it was written"
-                )
-            return file.read(found)
-    except OSError as error:
-        raise DatasetError(f"{path}: cannot be read: {error.strerror or error}") from error
+    with reading(path, DatasetError), open_regular(path) as file:
+        found = os.fstat(file.fileno()).st_size
+        if found > limit or size not in (None, found):
+            raise DatasetError(
+                f"{path}: expected {'at most ' if size is None else ''}{limit} bytes, "
+                f"found {found}; the file was changed or cut off after it was written"
+            )
+        return file.read(found)

@@ -21,7 +21,7 @@ from magical.demos.store.codec import MAX_FILE, MAX_STEPS, encode, fingerprint
 from magical.demos.store.trajectory import MAX_NAME, Trajectory
 from magical.envs.ids import EnvId, split_env_id
 from magical.errors import DatasetError, MagicalError
-from magical.files import open_regular
+from magical.files import open_regular, reading
 from magical.messages import quoted
 from magical.untrusted import convert
 
@@ -146,13 +146,10 @@ def read_entries(folder: Path) -> Iterator[ManifestEntry | DatasetError]:
         DatasetError: there is no manifest, or it cannot be read.
     """
     path = folder / NAME
-    try:
-        with open_regular(path) as file:
-            yield from _parse_lines(path, file)
-    except FileNotFoundError as error:
-        raise DatasetError(f"{folder}: expected a dataset, found no {NAME} in it") from error
-    except OSError as error:
-        raise DatasetError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if not os.path.lexists(path):
+        raise DatasetError(f"{folder}: expected a dataset, found no {NAME} in it")
+    with reading(path, DatasetError), open_regular(path) as file:
+        yield from _parse_lines(path, file)
 
 
 def _parse_lines(path: Path, file: IO[bytes]) -> Iterator[ManifestEntry | DatasetError]:

@@ -15,7 +15,7 @@ from magical.extras import require
 from magical.learning.config import Config
 from magical.learning.networks import TIMM
 from magical.plugins import Registry, require_known_module
-from magical.runs.folder import CONFIG, read_json
+from magical.runs.folder import CONFIG, is_run, read_json
 
 if TYPE_CHECKING:
     from torch import nn
@@ -75,6 +75,8 @@ def read_config(folder: Path) -> Config:
         InvalidConfigError: its settings cannot be.
     """
     path = folder / CONFIG
+    if not is_run(folder):
+        raise RunFolderError(f"{folder}: expected a run folder with {CONFIG}, found none")
     data = read_json(path)
     names = {key: data.get(key) for key in ("algorithm", "network", "observation", "perception")}
     for key, name in names.items():

@@ -21,7 +21,7 @@ from safetensors.torch import load, save
 from torch import Tensor
 
 from magical.errors import CheckpointError, MagicalError
-from magical.files import link_atomically, read_regular, write_atomically
+from magical.files import link_atomically, read_regular, reading, write_atomically
 from magical.messages import printable
 from magical.runs.folder import CHECKPOINT, PREVIOUS
 
@@ -65,12 +65,8 @@ def load_checkpoint(path: Path) -> StateDict:
     Raises:
         CheckpointError: the file is missing, damaged, or no checkpoint.
     """
-    try:
+    with reading(path, CheckpointError):
         data = read_regular(path, MAX_BYTES)
-    except FileNotFoundError as error:
-        raise CheckpointError(f"checkpoint {path}: expected a file, found none") from error
-    except OSError as error:
-        raise CheckpointError(f"checkpoint {path}: cannot be read: {error}") from error
     _check_digest(path, data)
     with restoring(path):
         length = int.from_bytes(data[:_LENGTH], "little")

@@ -2,12 +2,11 @@
 
 from pathlib import Path
 
-from magical.errors import RunFolderError
 from magical.learning.algorithms import find_algorithm, read_config
 from magical.learning.policy import NetworkPolicy, TrainedPolicy
 from magical.learning.running.checkpoints import load_newest_checkpoint, restoring
 from magical.learning.running.devices import Compute, choose_device, read_compute
-from magical.runs.folder import CHECKPOINT, CONFIG, RECORD, is_run, read_json
+from magical.runs.folder import CHECKPOINT, RECORD, read_json
 
 
 def load_policy(run: Path | str, device: str = "auto", greedy: bool = False) -> TrainedPolicy:
@@ -23,8 +22,6 @@ def load_policy(run: Path | str, device: str = "auto", greedy: bool = False) -> 
         CheckpointError: no checkpoint yet, a damaged one, or one of another network.
     """
     folder = Path(run)
-    if not is_run(folder):
-        raise RunFolderError(f"{folder}: expected a run folder with {CONFIG}, found none")
     config = read_config(folder)
     algorithm = find_algorithm(config.algorithm)
     network = algorithm.make_policy(config)

@@ -3,6 +3,8 @@
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
+from magical.messages import quoted
+
 LOOKS = "looks"
 
 
@@ -48,6 +50,5 @@ def stated_looks(details: Mapping[str, Any]) -> int | None:
     if looks is None or (type(looks) is int and looks >= 0):
         return looks
     raise ValueError(
-        f"expected {LOOKS} in the details to be a whole number, 0 or more; "
-        f"found {str(looks)[:100]!r}"
+        f"expected {LOOKS} in the details to be a whole number, 0 or more; found {quoted(looks)}"
     )

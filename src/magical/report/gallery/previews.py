@@ -17,7 +17,7 @@ from magical.report.figures.clips import Clip, encoded
 from magical.report.gallery.descriptions import describe_scene
 from magical.scene import Poses, View
 from magical.scene.constants import CONTROL_RATE
-from magical.tasks import Task, load_tasks
+from magical.tasks import Task, with_tasks
 
 SIZE = 288  # pixels across
 SPEED = 2  # of animations, as a multiple of the benchmark's control rate
@@ -69,12 +69,10 @@ def make_previews(
     count = available_cores() if workers is None else workers
     tasks = {env_id.task: env_id.task_spec for env_id in env_ids}
     modules = sorted({m for task in tasks.values() for m in _modules(task)}) if count > 1 else []
-    return map_in_processes(partial(_make, modules, seed), env_ids, count)
+    return map_in_processes(with_tasks(partial(_make, seed), modules), env_ids, count)
 
 
-def _make(modules: Sequence[str], seed: int, env_id: EnvId) -> EnvPreview:
-    for module in modules:
-        load_tasks(module)
+def _make(seed: int, env_id: EnvId) -> EnvPreview:
     if not has_expert(env_id.task):
         scene, _ = env_id.task_spec.sample(env_id.variant, np_random(seed)[0])
         frame = render_frame(scene, Poses.at_rest(scene), View.ALLO, SIZE)
