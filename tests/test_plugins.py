@@ -21,6 +21,7 @@ from magical.errors import MissingDependencyError, PluginError, UnknownNameError
 from magical.evaluation.loading import LOADERS, load_policy
 from magical.observe import make_spec
 from magical.plugins import Registry
+from magical.runs import versions
 from magical.tasks import TASKS, Task, get_task, load_task, unregister_task
 
 GROUP = "magical.things"
@@ -29,9 +30,11 @@ THINGS = Registry("thing", Task, GROUP, "magical.tasks", "TASK")
 
 @pytest.fixture(autouse=True)
 def _forget() -> Iterator[None]:
-    plugins.plugins.cache_clear()
+    for found in (plugins.plugins, plugins.distributions):
+        found.cache_clear()
     yield
-    plugins.plugins.cache_clear()
+    for found in (plugins.plugins, plugins.distributions):
+        found.cache_clear()
 
 
 def install(folder: Path, name: str, *lines: str, group: str = GROUP) -> None:
@@ -53,6 +56,13 @@ def test_ours_and_those_of_other_distributions(path: Path) -> None:
     assert {"mine", "make-line"} <= set(THINGS.names())
     assert THINGS.get("mine") is THINGS.get("make-line")
     assert THINGS.get("magical.tasks.make_line:TASK").name == "MakeLine"
+
+
+def test_what_a_run_records_names_distributions_with_plugins(path: Path) -> None:
+    install(path, "other", "mine = magical.tasks.make_line:TASK")
+    install(path, "unrelated", "mine = json:loads", group="console_scripts")
+    assert versions()["other"] == "1.0"
+    assert "unrelated" not in versions()
 
 
 @pytest.mark.parametrize(

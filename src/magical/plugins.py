@@ -100,6 +100,21 @@ def plugins(group: str) -> "Mapping[str, list[EntryPoint]]":
     return MappingProxyType(group_by(entry_points(group=group), attrgetter("name")))
 
 
+@cache
+def distributions() -> Mapping[str, str]:
+    """Names and versions of the installed distributions that offer anything here."""
+    if not _any_offered():
+        return MappingProxyType({})
+    from importlib import metadata
+
+    offer = [
+        found
+        for found in metadata.distributions()
+        if any(entry.group.startswith("magical.") for entry in found.entry_points)
+    ]
+    return MappingProxyType({found.name: found.version for found in offer})
+
+
 def _any_offered() -> bool:
     """Whether an installed distribution has entry points for this package (not one in a zip)."""
     files = (file for path in sys.path for file in Path(path).glob("*-info/entry_points.txt"))

@@ -147,6 +147,8 @@ HERE = {"name": "a", "processor": "p", "cores": "2"}
     [
         ({"machine": {**HERE, "name": "b"}, "versions": {"numpy": "1"}}, False),
         ({"machine": HERE, "versions": {"numpy": "2"}}, True),
+        ({"machine": HERE, "versions": {"numpy": "1", "plugin": "1"}}, True),
+        ({"machine": HERE, "versions": {"python": "3"}}, False),
         ({"machine": {**HERE, "processor": "q"}, "versions": {"numpy": "1"}}, True),
         ({"machine": {**HERE, "processor": "q"}}, False),
         ({"machine": {"name": "b"}, "versions": {"numpy": "1"}}, False),
@@ -158,7 +160,7 @@ HERE = {"name": "a", "processor": "p", "cores": "2"}
 def test_another_machine_counts_only_where_it_is_stated(
     details: dict[str, Any], expected: bool
 ) -> None:
-    assert is_elsewhere(details, HERE, {"numpy": "1"}) == expected
+    assert is_elsewhere(details, HERE, {"numpy": "1", "python": "3"}) == expected
 
 
 def test_swapped_environments_do_not_cancel() -> None:

@@ -129,14 +129,15 @@ def is_elsewhere(
 ) -> bool:
     """Whether an entry's details state a machine and versions, and others than these.
 
-    A machine's name may differ.
+    A machine's name may differ, and there may be more libraries now.
     """
     stated, libraries = details.get("machine"), details.get("versions")
     if not isinstance(stated, dict) or not isinstance(libraries, dict):
         return False
     if not (stated.keys() >= machine.keys() and libraries):
         return False
-    return {**stated, "name": ""} != {**machine, "name": ""} or libraries != dict(versions)
+    same_machine = {**stated, "name": ""} == {**machine, "name": ""}
+    return not (same_machine and libraries.items() <= versions.items())
 
 
 def _check_policy(entry: Entry, policy: Policy) -> None:

@@ -24,6 +24,7 @@ from magical import __version__, untrusted
 from magical.errors import RunFolderError
 from magical.files import LOCK, OwnedFolder, write_atomically
 from magical.messages import printable, quoted
+from magical.plugins import distributions
 
 CONFIG = "config.json"
 RECORD = "run.json"
@@ -122,14 +123,14 @@ def differences(wanted: Mapping[str, Any], found: Mapping[str, Any]) -> str:
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python, this package and the libraries that results may depend on."""
+    """Versions of what results may depend on: Python, this package, libraries, plug-ins."""
     found = {"magical": __version__, "python": platform.python_version()}
     for name in VERSIONED:
         try:
             found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:  # an extra that is not installed
             continue
-    return found
+    return {**found, **distributions()}
 
 
 def read_json(path: Path) -> dict[str, Any]:
