@@ -288,9 +288,7 @@ class Config(Settings):
 
     def replace(self, **settings: Any) -> Self:
         """The same configuration with some settings, by the options' names, replaced."""
-        fields, parts = by_part(type(self), settings)
-        changed = {n: dataclasses.replace(getattr(self, n), **given) for n, given in parts.items()}
-        return dataclasses.replace(self, **fields, **changed)
+        return self._of({**self.to_dict(), **settings})
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON: a mapping of all options, and the algorithm."""
