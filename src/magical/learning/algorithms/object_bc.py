@@ -12,7 +12,7 @@ settings.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -131,6 +131,8 @@ class ObjectPolicy(nn.Module):
         self.controller = Controller(HIDDEN)
         self.ranges = config.block_range, config.wall_range
         self.temperature, self.stuck_temperature = config.temperature, config.stuck_temperature
+        blank = torch.zeros((1, *config.input_shape), dtype=torch.uint8)
+        self(blank, torch.zeros(1, dtype=torch.int64))  # fixes the sizes of the lazy layers
 
     def forward(self, observations: Tensor, tasks: Tensor) -> Tensor:
         """Logits (B, 18) of stacks (B, 12, 96, 96), uint8."""
@@ -160,9 +162,6 @@ class ObjectPolicy(nn.Module):
         return logits / torch.where(stuck, hot, cool)[:, None]
 
 
-AnyPolicy = TypeVar("AnyPolicy", bound=ObjectPolicy)
-
-
 def stacked_frames(observations: Tensor, number: int) -> Pixels:
     """Frames (B, 96, 96, 3) of the stacks (B, 12, 96, 96), by their number from the oldest."""
     frames = observations[:, number * CHANNELS : (number + 1) * CHANNELS].permute(0, 2, 3, 1)
@@ -180,14 +179,7 @@ def _stands(robot: Tensor, before: Tensor) -> Tensor:
 def make_policy(config: ObjectBCConfig) -> ObjectPolicy:
     """The policy, initialised from the seed."""
     with seeded_init(config.seed):
-        return initialised(ObjectPolicy(config), config)
-
-
-def initialised(policy: AnyPolicy, config: ObjectBCConfig) -> AnyPolicy:
-    """The same policy, the sizes of whose lazy layers are fixed by a blank observation."""
-    blank = torch.zeros((1, *config.input_shape), dtype=torch.uint8)
-    policy(blank, torch.zeros(1, dtype=torch.int64))
-    return policy
+        return ObjectPolicy(config)
 
 
 def train(config: ObjectBCConfig, run: Run) -> None:

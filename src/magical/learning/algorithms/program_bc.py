@@ -29,7 +29,6 @@ from magical.learning.algorithms.object_bc import (
     ObjectBCConfig,
     ObjectBCTrainer,
     ObjectPolicy,
-    initialised,
     stacked_frames,
 )
 from magical.learning.data.expert_data import load_demonstrations
@@ -234,7 +233,7 @@ def beliefs_of(run: Path) -> dict[str, Belief]:
 def make_policy(config: ProgramBCConfig) -> ProgramNetwork:
     """The policy without beliefs, initialised from the seed."""
     with seeded_init(config.seed):
-        return initialised(ProgramNetwork(config), config)
+        return ProgramNetwork(config)
 
 
 ALGORITHM = Algorithm(ProgramBCConfig, train, make_policy, ProgramPolicy)
