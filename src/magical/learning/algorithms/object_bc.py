@@ -10,7 +10,7 @@ The goal model has functions for each task, the controller is shared by all. The
 settings.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -24,14 +24,19 @@ from magical.learning.config import Config, DemonstrationSettings
 from magical.learning.data.expert_data import load_demonstrations
 from magical.learning.objects.components import Pixels
 from magical.learning.objects.control import Controller, control_inputs
-from magical.learning.objects.data import OBSERVATION, ObjectData, parse_demonstrations
+from magical.learning.objects.data import (
+    OBSERVATION,
+    ObjectData,
+    ParsedDemonstration,
+    parse_demonstrations,
+)
 from magical.learning.objects.goals import BORDER, CANDIDATES, REFITTED, GoalModel, goal_losses
 from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.objects.perception import PARSER, PERCEPTIONS, get_perception
 from magical.learning.objects.table import ObjectTable, to_table
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import StateDict, restoring
-from magical.learning.running.devices import Device, choose_device, cpu_threads
+from magical.learning.running.devices import choose_device, cpu_threads
 from magical.learning.running.optimizers import load_optimizer, optimizer_state, set_learning_rate
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
@@ -184,23 +189,20 @@ def make_policy(config: ObjectBCConfig) -> ObjectPolicy:
 
 def train(config: ObjectBCConfig, run: Run) -> None:
     """Learn from the demonstrations."""
-    device = choose_device(config.device)
     policy = make_policy(config)
-    trainer = ObjectBCTrainer(config, run, policy, device)
-    parsed = parse_demonstrations(load_demonstrations(config, run), policy.perception)
-    trainer.fit(ObjectData(parsed, config.tasks, device))
+    demonstrations = parse_demonstrations(load_demonstrations(config, run), policy.perception)
+    ObjectBCTrainer(config, run, policy).fit(demonstrations)
 
 
 class ObjectBCTrainer:
     """Goal model and controller, each with its optimiser."""
 
-    def __init__(
-        self, config: ObjectBCConfig, run: Run, policy: ObjectPolicy, device: Device
-    ) -> None:
+    def __init__(self, config: ObjectBCConfig, run: Run, policy: ObjectPolicy) -> None:
         """Create a new trainer, or resume from the run's checkpoint."""
-        self.config, self.run, self.device = config, run, device
-        self.policy = policy.to(device)
-        self.compute = run.compute(device, config.network_precision, config.threads)
+        self.config, self.run = config, run
+        self.device = choose_device(config.device)
+        self.policy = policy.to(self.device)
+        self.compute = run.compute(self.device, config.network_precision, config.threads)
         self.goal_optimizer = torch.optim.Adam(self.policy.goals.parameters(), GOAL_LEARNING_RATE)
         self.optimizer = torch.optim.AdamW(
             self.policy.controller.parameters(), config.learning_rate, weight_decay=WEIGHT_DECAY
@@ -211,9 +213,10 @@ class ObjectBCTrainer:
                 load_optimizer(self.optimizer, run.saved["optimizer"])
                 load_optimizer(self.goal_optimizer, run.saved["goal_optimizer"])
 
-    def fit(self, data: ObjectData) -> None:
+    def fit(self, demonstrations: Sequence[ParsedDemonstration]) -> None:
         """Train from the run's step to the last batch, or until the run stops."""
         config, run = self.config, self.run
+        data = ObjectData(demonstrations, config.tasks, self.device)
         averages = Averages()
         for number in range(run.step, config.batches):
             rng = stream(config.seed, Purpose.BATCHES, number)

@@ -35,13 +35,12 @@ from magical.learning.data.expert_data import load_demonstrations
 from magical.learning.intent.acting import Intention
 from magical.learning.intent.posterior import Belief, Explanation, infer
 from magical.learning.intent.scenes import parsed_episode, parsed_poses, parsed_scene
-from magical.learning.objects.data import ObjectData, ParsedDemonstration, parse_demonstrations
+from magical.learning.objects.data import ParsedDemonstration, parse_demonstrations
 from magical.learning.objects.hindsight import track
 from magical.learning.objects.parser import ParsedFrames
 from magical.learning.planning.motion import Motion, fit_motion
 from magical.learning.planning.planner import Planner, Situation
 from magical.learning.policy import TrainedPolicy, sample_actions, to_inputs
-from magical.learning.running.devices import choose_device
 from magical.learning.running.loading import load_policy
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
@@ -193,15 +192,13 @@ def _rows(parsed: ParsedFrames, rows: Any) -> ParsedFrames:
 
 def train(config: ProgramBCConfig, run: Run) -> None:
     """Learn from the demonstrations."""
-    device = choose_device(config.device)
     policy = make_policy(config)
     demonstrations = parse_demonstrations(load_demonstrations(config, run), policy.perception)
     if not run.saved:
         policy.move_as(fit_motion([(parsed, t.actions) for _, t, parsed in demonstrations]))
         for number, belief in enumerate(infer_beliefs(config, demonstrations).values()):
             policy.believe(number, belief)
-    trainer = ObjectBCTrainer(config, run, policy, device)
-    trainer.fit(ObjectData(demonstrations, config.tasks, device))
+    ObjectBCTrainer(config, run, policy).fit(demonstrations)
 
 
 def infer_beliefs(
