@@ -117,8 +117,8 @@ def test_settings_have_the_fields_types(tmp_path: Path) -> None:
         ("sedes = [1]\n" + BC, "expected the fields methods, tasks, seeds,.*found 'sedes'"),
         (BC + 'settings = { augmnt = "none" }', r"methods\[0\]: settings.augmnt: unknown"),
         (BC + "settings = { seed = 1 }", r"methods\[0\]: settings.seed: unknown"),
-        (BC + 'settings = { batches = "9" }', "settings.batches: expected int, found '9'"),
-        (BC + "settings = { batches = true }", "settings.batches: expected int, found True"),
+        (BC + 'settings = { batches = "9" }', r"\(A\): batches: expected int, found '9'"),
+        (BC + "settings = { batches = true }", r"\(A\): batches: expected int, found True"),
         (
             BC + "settings = { batches = 0 }",
             r"methods\[0\] \(A\): batches: expected a number above",

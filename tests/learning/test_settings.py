@@ -22,7 +22,7 @@ TASKS = ("MoveToRegion",)
         ({"seed": True}, "seed: expected int, found True"),
         ({"anneal": "yes"}, "anneal: expected bool, found 'yes'"),
         ({"learning_rate": "1e-3"}, "learning_rate: expected float, found '1e-3'"),
-        ({"learning_rate": float("inf")}, "learning_rate: expected a finite number, found inf"),
+        ({"learning_rate": float("inf")}, "learning_rate: expected finite numbers, found inf"),
         ({"augment": None}, "augment: expected str, found None"),
         ({"average_decay": 1.0}, "average_decay: expected a number from 0 to below 1, found 1.0"),
     ],
@@ -36,7 +36,7 @@ def test_settings_of_another_type_or_range_are_refused(
 
 def test_optional_settings_may_be_none() -> None:
     assert PPOConfig.preset("quick", tasks=TASKS, workers=None).ppo.workers is None
-    with pytest.raises(InvalidConfigError, match=r"workers: expected int \| None, found 'two'"):
+    with pytest.raises(InvalidConfigError, match=r"workers: expected int \| null, found 'two'"):
         PPOConfig.preset("quick", tasks=TASKS, workers="two")
 
 

@@ -23,12 +23,11 @@ from magical.experts import get_planner
 from magical.experts.noise import check_share
 from magical.learning import Config, find_algorithm
 from magical.learning.config import DemonstrationSettings, options
-from magical.learning.settings import option_types
 from magical.messages import quoted
 from magical.runs.plan import ListedRun, file_name
 from magical.tasks import TASKS, load_task, parse_horizon
 from magical.tasks.axes import full_variant
-from magical.untrusted import convert, read_toml
+from magical.untrusted import read_toml
 
 PLANS = Path(str(files("magical"))) / "plans"  # those of this package
 EXPERT = "expert"  # as `demos`: the scripted experts' demonstrations, generated for the plan
@@ -72,12 +71,6 @@ class Method:
         for name in self.settings:
             if name not in known:
                 raise PlanError(f"settings.{name}: unknown; expected some of: {', '.join(known)}")
-        types = option_types(config)
-        settings = {
-            name: convert(value, types[name], f"settings.{name}", PlanError)
-            for name, value in self.settings.items()
-        }
-        object.__setattr__(self, "settings", settings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

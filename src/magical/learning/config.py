@@ -34,7 +34,6 @@ from magical.observe.presets import GROUP
 from magical.plugins import is_plugin
 from magical.runs.sources import DEMONSTRATIONS, EXTRA_DATA, LEARNED_FROM, NUM_DEMOS
 from magical.tasks import get_task
-from magical.untrusted import convert
 
 APPENDIX, PUBLISHED = "appendix", "published"
 CONVENTIONS = (APPENDIX, PUBLISHED)
@@ -154,8 +153,7 @@ class Config(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given = (self.tasks,) if isinstance(self.tasks, str) else self.tasks
-        names = tuple(get_task(name).name for name in given)
+        names = tuple(get_task(name).name for name in self.tasks)
         object.__setattr__(self, "tasks", names)
         if not names or len(set(names)) < len(names):
             raise InvalidConfigError(f"tasks: expected each task once, found {names}")
@@ -265,13 +263,20 @@ class Config(Settings):
 
         Raises:
             UnknownNameError: an unknown preset or setting.
-            InvalidConfigError: settings that cannot be.
+            InvalidConfigError: missing settings, or settings that cannot be.
         """
         if name not in cls.presets:
             raise UnknownNameError(
                 f"preset {name!r} is unknown; {cls.algorithm} has: {', '.join(cls.presets)}"
             )
-        fields, parts = by_part(cls, {**cls.presets[name], **settings})
+        return cls._of({**cls.presets[name], **settings})
+
+    @classmethod
+    def _of(cls, settings: Mapping[str, Any]) -> Self:
+        """The configuration of settings by the options' names, the others being the defaults."""
+        if missing := [o.name for o in options(cls) if o.required and o.name not in settings]:
+            raise InvalidConfigError(f"expected the setting {missing[0]}, found none")
+        fields, parts = by_part(cls, settings)
         hints = type_hints(cls)
         for field in dataclasses.fields(cls):
             if field.name in parts:
@@ -283,9 +288,7 @@ class Config(Settings):
 
     def replace(self, **settings: Any) -> Self:
         """The same configuration with some settings, by the options' names, replaced."""
-        fields, parts = by_part(type(self), settings)
-        changed = {n: dataclasses.replace(getattr(self, n), **given) for n, given in parts.items()}
-        return dataclasses.replace(self, **fields, **changed)
+        return self._of({**self.to_dict(), **settings})
 
     def to_dict(self) -> dict[str, Any]:
         """Plain data for JSON: a mapping of all options, and the algorithm."""
@@ -307,15 +310,9 @@ class Config(Settings):
             InvalidConfigError: unknown or missing settings, or settings that cannot be.
         """
         try:
-            fields, parts = by_part(cls, cls.modernised(data))
-        except UnknownNameError as error:
+            return cls._of(cls.modernised(data))
+        except ValueError as error:
             raise InvalidConfigError(f"{what}: {error}") from error
-        for field in dataclasses.fields(cls):
-            if not field.metadata and field.name != "algorithm":
-                record = default_of(field)
-                given = parts.get(field.name, {})
-                fields[field.name] = {**(dataclasses.asdict(record) if record else {}), **given}
-        return convert(fields, cls, what, InvalidConfigError)
 
     @classmethod
     def modernised(cls, data: Mapping[str, Any]) -> dict[str, Any]:

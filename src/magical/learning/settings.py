@@ -1,18 +1,18 @@
 """Records of options: what configurations are composed of, and how they are flattened."""
 
 import dataclasses
-import math
 import os
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, dataclass
 from functools import cache
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, get_origin, get_type_hints
 
 import numpy as np
 
 from magical.errors import InvalidConfigError, PluginError, UnknownNameError
 from magical.messages import quoted
 from magical.plugins import is_plugin
+from magical.untrusted import convert
 
 MAX_THREADS = 4096  # of a CPU
 Check = tuple[Callable[[float], bool], str]
@@ -64,45 +64,31 @@ def option(
 class Settings:
     """A record of options: a part of a configuration, or a configuration.
 
-    Paths become texts, and NumPy's numbers Python's: a record can be written as JSON.
+    Paths become texts, NumPy's numbers Python's, and of a tuple's values one may be given alone: a
+    record can be written as JSON.
     """
 
     def __post_init__(self) -> None:
         hints = type_hints(type(self))
         for field in dataclasses.fields(self):
             if field.metadata:
-                value = _plain(getattr(self, field.name))
+                value = _plain(getattr(self, field.name), hints[field.name])
+                value = convert(value, hints[field.name], name_of(field), InvalidConfigError)
                 object.__setattr__(self, field.name, value)
-                _check_value(field, value, hints[field.name])
+                _check_value(field, value)
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: Any, hint: Any) -> Any:
     if isinstance(value, np.generic):
         return value.item()
-    return os.fspath(value) if isinstance(value, os.PathLike) else value
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    return (value,) if get_origin(hint) is tuple and isinstance(value, str) else value
 
 
-def _is_of_type(value: Any, hint: Any) -> bool:
-    """Whether a value is of an option's type; integers count as floats, and truth values do not.
-
-    What is given for a tuple is checked by the class that has it.
-    """
-    if get_origin(hint) is tuple:
-        return True
-    kinds = get_args(hint) or (hint,)  # of `int | None`, and of `int`
-    if isinstance(value, bool):
-        return bool in kinds
-    return isinstance(value, (*kinds, int) if float in kinds else kinds)
-
-
-def _check_value(field: "dataclasses.Field[Any]", value: Any, hint: Any) -> None:
+def _check_value(field: "dataclasses.Field[Any]", value: Any) -> None:
     """Raise `InvalidConfigError` or `UnknownNameError` unless a field may have the value."""
     name, choices = name_of(field), field.metadata["choices"]()
-    if not _is_of_type(value, hint):
-        expected = getattr(hint, "__name__", hint)  # of a union there is no name
-        raise InvalidConfigError(f"{name}: expected {expected}, found {quoted(value)}")
-    if isinstance(value, float) and not math.isfinite(value):
-        raise InvalidConfigError(f"{name}: expected a finite number, found {value}")
     others = field.metadata["others"]
     if choices and value not in choices and not (others and is_plugin(others, value)):
         raise UnknownNameError(
@@ -149,11 +135,6 @@ def _fields(kind: type[Settings]) -> Iterator[tuple[str, "dataclasses.Field[Any]
                 yield field.name, inner, type_hints(record)[inner.name]
         elif field.name != "algorithm":
             yield "", field, record
-
-
-def option_types(kind: type[Settings]) -> dict[str, Any]:
-    """The type of each option's value, by the option's name."""
-    return {name_of(field): hint for _, field, hint in all_fields(kind)}
 
 
 def name_of(field: "dataclasses.Field[Any]") -> str:

@@ -33,9 +33,9 @@ def batch(space: str = "discrete") -> Chunks:
     return Chunks(images, actions, exist, torch.arange(6) % len(TASKS))
 
 
-def losses(network: act.ACTNetwork, samples: Chunks, kl_weight: float = 10.0) -> dict[str, float]:
+def losses(network: act.ACTNetwork, samples: Chunks) -> dict[str, float]:
     torch.manual_seed(0)  # of z and of dropout
-    found = act_losses(network, kl_weight, samples)
+    found = act_losses(network, samples)
     return {name: value.item() for name, value in found.items()}
 
 
@@ -80,7 +80,7 @@ def test_chunks_are_overfitted_and_predicted_without_their_style(space: str, ste
         nn.init.zeros_(parameter.requires_grad_(False))
     optimizer = torch.optim.AdamW(network.parameters(), 2e-3)
     for _ in range(steps):
-        found = act_losses(network, 10.0, samples)
+        found = act_losses(network, samples)
         optimizer.zero_grad()
         torch.autograd.backward(found["loss"])
         optimizer.step()
@@ -112,7 +112,7 @@ def test_the_style_variable_is_optional() -> None:
     samples = batch()
     with_style, without = make_policy(config()), make_policy(config(kl_weight=0.0))
     assert without.style is None
-    assert losses(without, samples, 0.0)["kl"] == 0.0
+    assert losses(without, samples)["kl"] == 0.0
     with_style.eval()
     with torch.no_grad():
         plain, zero, one = (

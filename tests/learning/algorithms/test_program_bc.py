@@ -147,9 +147,15 @@ def test_a_damaged_belief_is_refused(run: Path) -> None:
     policy = load_policy(run)
     assert isinstance(policy, ProgramPolicy)
     network = policy.network
-    network.beliefs[0, 0] = ord("?")
-    with pytest.raises(CheckpointError, match="expected programs with their probabilities"):
-        network.belief(0)
+    for text, message in (
+        (b"?", "expected JSON"),
+        (b'[[], "x", 1]', "expected float, found 'x'"),
+        (b'[[["f()", 1]], 0, 1]', "policy: expression"),
+    ):
+        network.beliefs[0] = 0
+        network.beliefs[0, : len(text)] = torch.frombuffer(bytearray(text), dtype=torch.uint8)
+        with pytest.raises(CheckpointError, match=message):
+            network.belief(0)
 
 
 def test_the_command_prints_and_draws_beliefs(

@@ -31,8 +31,9 @@ def test_a_chunk_has_the_next_actions_that_are_no_noops_up_to_the_end(space: Any
         (task, picture_demo(task, 0, actions[task]).with_action_space(space)) for task in TASKS
     ]
     data = ExpertData(pairs, TASKS, PRESETS["LoRes4E"], remove_noops=True)
-    config = ACTConfig.preset("quick", tasks=TASKS, demos="", batch_size=64, augment="none")
-    batch = sample_chunks(config, data, LENGTH, 3)
+    sizes = {"batch_size": 64, "chunk": LENGTH}
+    config = ACTConfig.preset("quick", tasks=TASKS, demos="", augment="none", **sizes)
+    batch = sample_chunks(config, data, 3)
     steps = set()
     for row, task in enumerate(batch.tasks.tolist()):
         shown = int(batch.images[row, -1, 0, 0] * 255) // 14  # the brightness tells the action

@@ -21,8 +21,7 @@ mean of their predictions is right at no moment, so `quick` has no temporal ense
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass
 from typing import Any, ClassVar, cast
 
 import torch
@@ -36,12 +35,12 @@ from magical.learning.running.run import Run
 from magical.learning.running.streams import seeded_init
 from magical.learning.sequences.chunks import (
     ACTION_SIZES,
+    ChunkConfig,
     ChunkPolicy,
     Chunks,
-    ChunkSettings,
     sample_chunks,
 )
-from magical.learning.sequences.fitting import QUICK, SequenceConfig, fit, load_data, masked_mean
+from magical.learning.sequences.fitting import QUICK, fit, masked_mean
 from magical.learning.settings import NOT_NEGATIVE, option
 
 WIDTH, FEEDFORWARD, HEADS, DROPOUT = 64, 256, 4, 0.1  # of all three transformers
@@ -50,7 +49,7 @@ LATENT_SIZE = 32  # of z, as published
 
 
 @dataclass(frozen=True, kw_only=True)
-class ACTConfig(SequenceConfig):
+class ACTConfig(ChunkConfig):
     """Settings of action chunking with transformers."""
 
     presets: ClassVar[Mapping[str, Mapping[str, Any]]] = {
@@ -59,7 +58,6 @@ class ACTConfig(SequenceConfig):
     }
 
     algorithm: str = "act"
-    chunks: ChunkSettings = field(default_factory=ChunkSettings)
     actions: str = option(
         "discrete", "what is predicted", choices=tuple(ACTION_SPECS), name="action_space"
     )
@@ -99,6 +97,7 @@ class ACTNetwork(nn.Module):
         self.decoder = nn.TransformerDecoder(layer, LAYERS["decoder"], nn.LayerNorm(WIDTH))
         self.head = nn.Linear(WIDTH, action_size)
         self.shortcut = TaskLinear(self.trunk.num_features, length * action_size, len(config.tasks))
+        self.kl_weight = config.kl_weight
         self.style = StyleEncoder(action_size, length) if config.kl_weight else None
         self.from_style = nn.Linear(LATENT_SIZE, WIDTH) if config.kl_weight else None
 
@@ -142,7 +141,7 @@ class StyleEncoder(nn.Module):
         return mean, log_variance
 
 
-def act_losses(network: ACTNetwork, kl_weight: float, batch: Chunks) -> dict[str, Tensor]:
+def act_losses(network: ACTNetwork, batch: Chunks) -> dict[str, Tensor]:
     """The loss to be minimised and its two parts: of the actions that exist, and of z."""
     z, kl = None, torch.zeros(())
     if network.style is not None:
@@ -155,7 +154,7 @@ def act_losses(network: ACTNetwork, kl_weight: float, batch: Chunks) -> dict[str
     else:
         errors = functional.cross_entropy(predicted.mT, batch.actions, reduction="none")
     action_loss = masked_mean(errors, batch.exist)
-    return {"loss": action_loss + kl_weight * kl, "action_loss": action_loss, "kl": kl}
+    return {"loss": action_loss + network.kl_weight * kl, "action_loss": action_loss, "kl": kl}
 
 
 def kl_divergence(mean: Tensor, log_variance: Tensor) -> Tensor:
@@ -176,9 +175,7 @@ class ACTPolicy(ChunkPolicy):
 
 def train(config: ACTConfig, run: Run) -> None:
     """Learn from the demonstrations."""
-    network, data = make_policy(config), load_data(config, run)
-    sample = partial(sample_chunks, config, data, config.chunks.chunk)
-    fit(config, run, network, data, sample, partial(act_losses, network, config.kl_weight))
+    fit(config, run, make_policy(config), sample_chunks, act_losses)
 
 
 def make_policy(config: ACTConfig) -> ACTNetwork:

@@ -87,8 +87,7 @@ class DAggerConfig(BCConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        names = (self.variants,) if isinstance(self.variants, str) else self.variants
-        unique = dict.fromkeys(map(full_variant, names))
+        unique = dict.fromkeys(map(full_variant, self.variants))
         object.__setattr__(self, "variants", tuple(map(short_variant, unique)))
         if not self.variants:
             raise InvalidConfigError("variants: expected at least one, found none")

@@ -32,12 +32,13 @@ from magical.learning.running.run import Run
 from magical.learning.running.streams import seeded_init
 from magical.learning.sequences.chunks import (
     ACTION_SIZES,
+    ChunkConfig,
     ChunkPolicy,
     Chunks,
     ChunkSettings,
     sample_chunks,
 )
-from magical.learning.sequences.fitting import SequenceConfig, fit, load_data
+from magical.learning.sequences.fitting import fit
 from magical.learning.settings import POSITIVE, option
 
 ACTION_SIZE = ACTION_SIZES["continuous"]
@@ -49,7 +50,7 @@ EMBEDDING_SIZE = 64  # of a noise level
 
 
 @dataclass(frozen=True, kw_only=True)
-class DiffusionConfig(SequenceConfig):
+class DiffusionConfig(ChunkConfig):
     """Settings of diffusion policy."""
 
     algorithm: str = "diffusion"
@@ -189,9 +190,7 @@ class DiffusionPolicy(ChunkPolicy):
 
 def train(config: DiffusionConfig, run: Run) -> None:
     """Learn from the demonstrations."""
-    network, data = make_policy(config), load_data(config, run)
-    sample = partial(sample_chunks, config, data, config.chunks.chunk)
-    fit(config, run, network, data, sample, partial(diffusion_losses, network))
+    fit(config, run, make_policy(config), sample_chunks, diffusion_losses)
 
 
 def make_policy(config: DiffusionConfig) -> DiffusionNetwork:

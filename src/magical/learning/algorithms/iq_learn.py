@@ -29,14 +29,12 @@ if the episode went on; without it 0.
 """
 
 from collections.abc import Mapping
-from contextlib import ExitStack
 from copy import deepcopy
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
-from torch.optim import Adam
 
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
@@ -46,14 +44,13 @@ from magical.learning.config import DemonstrationSettings, NetworkSettings
 from magical.learning.data.expert_data import TaskTrajectories, load_demonstrations, split_evenly
 from magical.learning.models import PolicyNetwork, Trunk, centre, sample_actions
 from magical.learning.reinforcement.interaction import InteractionConfig, InteractionSettings
-from magical.learning.reinforcement.monitoring import Metrics, Monitor
-from magical.learning.reinforcement.rollouts import EpisodeScores, RolloutEnvs
+from magical.learning.reinforcement.monitoring import Metrics
+from magical.learning.reinforcement.rollouts import EpisodeScores
 from magical.learning.reinforcement.trainer import InteractionTrainer
 from magical.learning.reinforcement.transitions import TransitionBuffer, Transitions
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import StateDict, restoring
-from magical.learning.running.devices import choose_device
-from magical.learning.running.optimizers import load_optimizer, optimizer_state, set_learning_rate
+from magical.learning.running.optimizers import set_learning_rate
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
@@ -214,23 +211,14 @@ class IQTrainer(InteractionTrainer):
     network: QNetwork
 
     def __init__(self, config: IQLearnConfig, run: Run, demonstrations: TaskTrajectories) -> None:
-        """Create a new trainer, or resume from the run's checkpoint."""
-        self.config, self.run = config, run
-        device = choose_device(config.device)
-        self.network = make_policy(config).to(device)
+        """See `InteractionTrainer`."""
+        super().__init__(config, run, make_policy(config), config.iq.learning_rate)
         self.target = deepcopy(self.network).requires_grad_(False)
-        self.optimizer = Adam(self.network.parameters(), config.iq.learning_rate, fused=True)
-        self.compute = run.compute(device, config.network_precision, config.threads)
         self.demonstrations = TransitionBuffer.of_demonstrations(
-            demonstrations, config.tasks, config.observation_spec, device
+            demonstrations, config.tasks, config.observation_spec, self.device
         )
         self.replay_buffer = self.demonstrations.emptied(config.iq.buffer_size)
-        self.monitor = Monitor()
         self._augmentations = config.networks.augmentations(config.iq.augment)
-        with ExitStack() as stack:
-            self.envs = stack.enter_context(RolloutEnvs(config, device))
-            self._start_or_resume()
-            self._stack = stack.pop_all()
 
     def collect(self, update: int) -> None:
         """Step all environments T times with actions sampled from the policy, into the buffer."""
@@ -286,13 +274,12 @@ class IQTrainer(InteractionTrainer):
         return {
             "policy": self.network.state_dict(),
             "target": self.target.state_dict(),
-            "optimizer": optimizer_state(self.optimizer),
-            "envs": self.envs.state_dict(),
             "replay_buffer": self.replay_buffer.state_dict(),
-            "monitor": self.monitor.state_dict(),
+            **super().state_dict(),
         }
 
-    def _start_or_resume(self) -> None:
+    def start_or_resume(self) -> None:
+        """See `InteractionTrainer`."""
         saved = self.run.saved
         if not saved:
             self.envs.reset()
@@ -301,10 +288,8 @@ class IQTrainer(InteractionTrainer):
         with restoring(self.run.folder):
             self.network.load_state_dict(saved["policy"])
             self.target.load_state_dict(saved["target"])
-            load_optimizer(self.optimizer, saved["optimizer"])
-            self.envs.load_state_dict(saved["envs"])
             self.replay_buffer.load_state_dict(saved["replay_buffer"])
-            self.monitor.load_state_dict(saved["monitor"])
+            self.load_state_dict(saved)
 
 
 ALGORITHM = Algorithm(IQLearnConfig, train, make_policy)

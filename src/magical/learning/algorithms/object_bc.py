@@ -10,9 +10,9 @@ The goal model has functions for each task, the controller is shared by all. The
 settings.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -24,14 +24,19 @@ from magical.learning.config import Config, DemonstrationSettings
 from magical.learning.data.expert_data import load_demonstrations
 from magical.learning.objects.components import Pixels
 from magical.learning.objects.control import Controller, control_inputs
-from magical.learning.objects.data import OBSERVATION, ObjectData, parse_demonstrations
+from magical.learning.objects.data import (
+    OBSERVATION,
+    ObjectData,
+    ParsedDemonstration,
+    parse_demonstrations,
+)
 from magical.learning.objects.goals import BORDER, CANDIDATES, REFITTED, GoalModel, goal_losses
 from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.learning.objects.perception import PARSER, PERCEPTIONS, get_perception
 from magical.learning.objects.table import ObjectTable, to_table
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import StateDict, restoring
-from magical.learning.running.devices import Device, choose_device, cpu_threads
+from magical.learning.running.devices import choose_device, cpu_threads
 from magical.learning.running.optimizers import load_optimizer, optimizer_state, set_learning_rate
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
@@ -131,6 +136,8 @@ class ObjectPolicy(nn.Module):
         self.controller = Controller(HIDDEN)
         self.ranges = config.block_range, config.wall_range
         self.temperature, self.stuck_temperature = config.temperature, config.stuck_temperature
+        blank = torch.zeros((1, *config.input_shape), dtype=torch.uint8)
+        self(blank, torch.zeros(1, dtype=torch.int64))  # fixes the sizes of the lazy layers
 
     def forward(self, observations: Tensor, tasks: Tensor) -> Tensor:
         """Logits (B, 18) of stacks (B, 12, 96, 96), uint8."""
@@ -160,9 +167,6 @@ class ObjectPolicy(nn.Module):
         return logits / torch.where(stuck, hot, cool)[:, None]
 
 
-AnyPolicy = TypeVar("AnyPolicy", bound=ObjectPolicy)
-
-
 def stacked_frames(observations: Tensor, number: int) -> Pixels:
     """Frames (B, 96, 96, 3) of the stacks (B, 12, 96, 96), by their number from the oldest."""
     frames = observations[:, number * CHANNELS : (number + 1) * CHANNELS].permute(0, 2, 3, 1)
@@ -180,35 +184,25 @@ def _stands(robot: Tensor, before: Tensor) -> Tensor:
 def make_policy(config: ObjectBCConfig) -> ObjectPolicy:
     """The policy, initialised from the seed."""
     with seeded_init(config.seed):
-        return initialised(ObjectPolicy(config), config)
-
-
-def initialised(policy: AnyPolicy, config: ObjectBCConfig) -> AnyPolicy:
-    """The same policy, the sizes of whose lazy layers are fixed by a blank observation."""
-    blank = torch.zeros((1, *config.input_shape), dtype=torch.uint8)
-    policy(blank, torch.zeros(1, dtype=torch.int64))
-    return policy
+        return ObjectPolicy(config)
 
 
 def train(config: ObjectBCConfig, run: Run) -> None:
     """Learn from the demonstrations."""
-    device = choose_device(config.device)
     policy = make_policy(config)
-    trainer = ObjectBCTrainer(config, run, policy, device)
-    parsed = parse_demonstrations(load_demonstrations(config, run), policy.perception)
-    trainer.fit(ObjectData(parsed, config.tasks, device))
+    demonstrations = parse_demonstrations(load_demonstrations(config, run), policy.perception)
+    ObjectBCTrainer(config, run, policy).fit(demonstrations)
 
 
 class ObjectBCTrainer:
     """Goal model and controller, each with its optimiser."""
 
-    def __init__(
-        self, config: ObjectBCConfig, run: Run, policy: ObjectPolicy, device: Device
-    ) -> None:
+    def __init__(self, config: ObjectBCConfig, run: Run, policy: ObjectPolicy) -> None:
         """Create a new trainer, or resume from the run's checkpoint."""
-        self.config, self.run, self.device = config, run, device
-        self.policy = policy.to(device)
-        self.compute = run.compute(device, config.network_precision, config.threads)
+        self.config, self.run = config, run
+        self.device = choose_device(config.device)
+        self.policy = policy.to(self.device)
+        self.compute = run.compute(self.device, config.network_precision, config.threads)
         self.goal_optimizer = torch.optim.Adam(self.policy.goals.parameters(), GOAL_LEARNING_RATE)
         self.optimizer = torch.optim.AdamW(
             self.policy.controller.parameters(), config.learning_rate, weight_decay=WEIGHT_DECAY
@@ -219,9 +213,10 @@ class ObjectBCTrainer:
                 load_optimizer(self.optimizer, run.saved["optimizer"])
                 load_optimizer(self.goal_optimizer, run.saved["goal_optimizer"])
 
-    def fit(self, data: ObjectData) -> None:
+    def fit(self, demonstrations: Sequence[ParsedDemonstration]) -> None:
         """Train from the run's step to the last batch, or until the run stops."""
         config, run = self.config, self.run
+        data = ObjectData(demonstrations, config.tasks, self.device)
         averages = Averages()
         for number in range(run.step, config.batches):
             rng = stream(config.seed, Purpose.BATCHES, number)

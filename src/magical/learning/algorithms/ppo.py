@@ -10,35 +10,27 @@ One update:
 """
 
 from collections.abc import Mapping
-from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, NamedTuple, Self, cast
 
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.optim import Adam
 
 from magical.envs.episode import Reward
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
 from magical.learning.augmentation.augment import to_unit
 from magical.learning.config import IMAGE_OBSERVATIONS, PUBLISHED, NetworkSettings
-from magical.learning.models import ActorCritic, Trunk, centre, init_normal
+from magical.learning.models import UNIT, ActorCritic, Trunk, centre, init_normal
 from magical.learning.reinforcement.interaction import InteractionConfig, InteractionSettings
-from magical.learning.reinforcement.monitoring import Metrics, Monitor, explained_variance
+from magical.learning.reinforcement.monitoring import Metrics, explained_variance
 from magical.learning.reinforcement.presets import QUICK, STATES
-from magical.learning.reinforcement.rollouts import (
-    Rollout,
-    RolloutEnvs,
-    collect_rollout,
-    shuffle_evenly,
-)
+from magical.learning.reinforcement.rollouts import Rollout, collect_rollout, shuffle_evenly
 from magical.learning.reinforcement.trainer import InteractionTrainer
 from magical.learning.running.averages import Averages
 from magical.learning.running.checkpoints import StateDict, restoring
-from magical.learning.running.devices import choose_device, cpu_threads
-from magical.learning.running.optimizers import load_optimizer, optimizer_state, set_learning_rate
+from magical.learning.running.optimizers import set_learning_rate
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
 from magical.learning.settings import FRACTION, NOT_NEGATIVE, POSITIVE, option
@@ -170,30 +162,18 @@ class PPOTrainer(InteractionTrainer):
         reward: Reward = "none",
         previous_steps: int = 0,
     ) -> None:
-        """Create a new trainer, or resume from the run's checkpoint."""
-        self.config, self.run, self.previous_steps = config, run, previous_steps
-        self.device = choose_device(config.device)
-        self.network = make_policy(config).to(self.device)
-        self.optimizer = Adam(self.network.parameters(), config.ppo.learning_rate, fused=True)
-        self.compute = run.compute(self.device, config.network_precision, config.threads)
-        self.monitor = Monitor()
-        with ExitStack() as stack:
-            if config.observes_vectors and not config.threads:
-                stack.enter_context(cpu_threads(1))
-            self.envs = stack.enter_context(RolloutEnvs(config, self.device, reward))
-            self._start_or_resume()
-            self._stack = stack.pop_all()
+        """See `InteractionTrainer`."""
+        rate = config.ppo.learning_rate
+        super().__init__(config, run, make_policy(config), rate, reward, previous_steps)
 
     def remaining_updates(self) -> range:
         """The numbers of the updates that are not done yet."""
         return range(max(self.run.step - self.previous_steps, 0), self.config.ppo.num_updates)
 
-    def forward(
-        self, observations: Tensor, tasks: Tensor, in_range: bool = False
-    ) -> tuple[Tensor, Tensor]:
-        """Logits (B, 18) and values (B,), float32, of inputs (B, ...); `in_range`: see `Trunk`."""
+    def forward(self, observations: Tensor, tasks: Tensor) -> tuple[Tensor, Tensor]:
+        """Logits (B, 18) and values (B,), float32, of inputs (B, ...)."""
         with self.compute.autocast():
-            logits, values = self.network.logits_and_values(observations, tasks, in_range=in_range)
+            logits, values = self.network.logits_and_values(observations, tasks)
         return logits.float(), values.float()
 
     def collect_rollout(self, update: int) -> Rollout:
@@ -212,9 +192,8 @@ class PPOTrainer(InteractionTrainer):
             samples = make_samples(
                 rollout, rewards, ppo.gamma, ppo.gae_lambda, ppo.normalise_advantages
             )
-            # Mapped and converted once, and not in every epoch.
-            observations = self.compute.cast(self.network.trunk.to_range(samples.observations))
-            samples = samples._replace(observations=observations)
+            if self.network.trunk.pixels == UNIT:  # converted once, and not in every epoch
+                samples = samples._replace(observations=self.compute.cast(samples.observations))
             left = 1.0 - update / ppo.num_updates if ppo.anneal else 1.0
             set_learning_rate(self.optimizer, ppo.learning_rate * left)
             clip_range = torch.tensor(ppo.clip_range * left, device=self.device)
@@ -233,7 +212,7 @@ class PPOTrainer(InteractionTrainer):
 
     def _step(self, minibatch: "Samples", clip_range: Tensor) -> dict[str, Tensor]:
         """Take one step of the optimiser; returns the loss's parts."""
-        logits, values = self.forward(minibatch.observations, minibatch.tasks, in_range=True)
+        logits, values = self.forward(minibatch.observations, minibatch.tasks)
         loss, parts = ppo_loss(logits, values, minibatch, clip_range, self.config.ppo.ent_coef)
         self.optimizer.zero_grad()
         torch.autograd.backward(loss)
@@ -243,23 +222,17 @@ class PPOTrainer(InteractionTrainer):
 
     def state_dict(self) -> StateDict:
         """See `InteractionTrainer`."""
-        ppo = {
-            "optimizer": optimizer_state(self.optimizer),
-            "envs": self.envs.state_dict(),
-            "monitor": self.monitor.state_dict(),
-        }
-        return {"policy": self.network.state_dict(), "ppo": ppo}
+        return {"policy": self.network.state_dict(), "ppo": super().state_dict()}
 
-    def _start_or_resume(self) -> None:
+    def start_or_resume(self) -> None:
+        """See `InteractionTrainer`."""
         saved = self.run.saved or {}
         if "ppo" not in saved:
             self.envs.reset()
             return
         with restoring(self.run.folder):
             self.network.load_state_dict(saved["policy"])
-            load_optimizer(self.optimizer, saved["ppo"]["optimizer"])
-            self.envs.load_state_dict(saved["ppo"]["envs"])
-            self.monitor.load_state_dict(saved["ppo"]["monitor"])
+            self.load_state_dict(saved["ppo"])
 
 
 class Samples(NamedTuple):

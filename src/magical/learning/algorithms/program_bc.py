@@ -16,41 +16,39 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from magical.errors import CheckpointError, RunFolderError
+from magical.errors import CheckpointError, InvalidProgramError, RunFolderError
 from magical.evaluation.policy import Actions, Mask
 from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.object_bc import (
     ObjectBCConfig,
     ObjectBCTrainer,
     ObjectPolicy,
-    initialised,
     stacked_frames,
 )
 from magical.learning.data.expert_data import load_demonstrations
 from magical.learning.intent.acting import Intention
 from magical.learning.intent.posterior import Belief, Explanation, infer
 from magical.learning.intent.scenes import parsed_episode, parsed_poses, parsed_scene
-from magical.learning.objects.data import ObjectData, ParsedDemonstration, parse_demonstrations
+from magical.learning.objects.data import ParsedDemonstration, parse_demonstrations
 from magical.learning.objects.hindsight import track
 from magical.learning.objects.parser import ParsedFrames
 from magical.learning.planning.motion import Motion, fit_motion
 from magical.learning.planning.planner import Planner, Situation
 from magical.learning.policy import TrainedPolicy, sample_actions, to_inputs
-from magical.learning.running.devices import choose_device
 from magical.learning.running.loading import load_policy
 from magical.learning.running.run import Run
 from magical.learning.running.streams import Purpose, seeded_init, stream
-from magical.messages import quoted
 from magical.observe.pixels import STACK
 from magical.scene import NOOP
 from magical.scene.poses import ROBOT
 from magical.tasks.programs import parse
+from magical.untrusted import parse_json
 
 MAX_BYTES = 1 << 16  # of a task's programs as text
 MOTION_SHAPES = {"drive": (2, 3), "turn": (2, 2), "grasp": (3,)}
@@ -92,8 +90,9 @@ class ProgramNetwork(ObjectPolicy):
 
     def believe(self, task: int, belief: Belief) -> None:
         """Keep what is believed of a task."""
-        programs = [[repr(program), weight] for program, weight in belief.explanations]
-        text = json.dumps([programs, belief.unexplained, belief.largest]).encode()
+        programs = [(repr(program), weight) for program, weight in belief.explanations]
+        saved = _SavedBelief(programs, belief.unexplained, belief.largest)
+        text = json.dumps(saved).encode()
         assert len(text) <= MAX_BYTES
         self.beliefs[task] = 0
         self.beliefs[task, : len(text)] = torch.frombuffer(bytearray(text), dtype=torch.uint8)
@@ -101,14 +100,20 @@ class ProgramNetwork(ObjectPolicy):
     def belief(self, task: int) -> Belief:
         """What is believed of a task."""
         text = bytes(self.beliefs[task].cpu().numpy()).rstrip(b"\0")
+        saved = parse_json(text, _SavedBelief, "policy", CheckpointError)
         try:
-            programs, unexplained, largest = json.loads(text)
-            explanations = [Explanation(parse(program), float(w)) for program, w in programs]
-        except (ValueError, TypeError) as error:
-            raise CheckpointError(
-                f"policy: expected programs with their probabilities, found {quoted(text)}"
-            ) from error
-        return Belief(explanations, unexplained, largest)
+            explanations = [Explanation(parse(program), w) for program, w in saved.programs]
+        except InvalidProgramError as error:
+            raise CheckpointError(f"policy: {error}") from error
+        return Belief(explanations, saved.unexplained, saved.largest)
+
+
+class _SavedBelief(NamedTuple):
+    """A belief in JSON, an array of these."""
+
+    programs: list[tuple[str, float]]  # with their weights
+    unexplained: float
+    largest: float
 
 
 class ProgramPolicy(TrainedPolicy):
@@ -187,15 +192,13 @@ def _rows(parsed: ParsedFrames, rows: Any) -> ParsedFrames:
 
 def train(config: ProgramBCConfig, run: Run) -> None:
     """Learn from the demonstrations."""
-    device = choose_device(config.device)
     policy = make_policy(config)
     demonstrations = parse_demonstrations(load_demonstrations(config, run), policy.perception)
     if not run.saved:
         policy.move_as(fit_motion([(parsed, t.actions) for _, t, parsed in demonstrations]))
         for number, belief in enumerate(infer_beliefs(config, demonstrations).values()):
             policy.believe(number, belief)
-    trainer = ObjectBCTrainer(config, run, policy, device)
-    trainer.fit(ObjectData(demonstrations, config.tasks, device))
+    ObjectBCTrainer(config, run, policy).fit(demonstrations)
 
 
 def infer_beliefs(
@@ -228,7 +231,7 @@ def beliefs_of(run: Path) -> dict[str, Belief]:
 def make_policy(config: ProgramBCConfig) -> ProgramNetwork:
     """The policy without beliefs, initialised from the seed."""
     with seeded_init(config.seed):
-        return initialised(ProgramNetwork(config), config)
+        return ProgramNetwork(config)
 
 
 ALGORITHM = Algorithm(ProgramBCConfig, train, make_policy, ProgramPolicy)

@@ -36,7 +36,6 @@ from magical.learning.sequences.fitting import (
     FittingSettings,
     SequenceConfig,
     fit,
-    load_data,
     masked_mean,
 )
 from magical.learning.settings import POSITIVE, option
@@ -181,9 +180,7 @@ def memory_losses(network: MemoryNetwork, batch: Windows) -> dict[str, Tensor]:
 
 def train(config: TransformerBCConfig, run: Run) -> None:
     """Learn from the demonstrations."""
-    network, data = make_policy(config), load_data(config, run)
-    sample = partial(sample_windows, config, data)
-    fit(config, run, network, data, sample, partial(memory_losses, network))
+    fit(config, run, make_policy(config), sample_windows, memory_losses)
 
 
 def make_policy(config: TransformerBCConfig) -> MemoryNetwork:

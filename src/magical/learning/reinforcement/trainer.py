@@ -1,12 +1,14 @@
 """What the trainers of policies that act in environments have in common."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
+from torch.optim import Adam
 
 from magical.envs import EnvId
+from magical.envs.episode import Reward
 from magical.evaluation.protocol import Evaluation
 from magical.evaluation.rollouts import RepeatedEvaluation
 from magical.learning.models import PolicyNetwork
@@ -15,7 +17,8 @@ from magical.learning.reinforcement.interaction import InteractionConfig
 from magical.learning.reinforcement.monitoring import Metrics, Monitor
 from magical.learning.reinforcement.rollouts import RolloutEnvs
 from magical.learning.running.checkpoints import StateDict
-from magical.learning.running.devices import Compute
+from magical.learning.running.devices import choose_device, cpu_threads
+from magical.learning.running.optimizers import load_optimizer, optimizer_state
 from magical.learning.running.run import Run
 
 SEED = 1  # of the evaluations; not the seed of reported results
@@ -25,29 +28,65 @@ ROLLOUTS = 20  # of each task
 class InteractionTrainer:
     """A policy that is trained in environments, and evaluated over its tasks' Demo variants.
 
-    A subclass sets the attributes, and lets `_stack` close what it opens. The environments of
-    evaluations are made for the first one and kept for the next ones.
+    It is a context: on entering, the environments are opened, and started or resumed from the run's
+    checkpoint. Those of evaluations are made for the first one and kept for the next ones.
     """
 
-    config: InteractionConfig
-    run: Run
-    network: PolicyNetwork
-    compute: Compute
     envs: RolloutEnvs
-    monitor: Monitor
-    previous_steps = 0  # that the run takes before the first update, such as pretraining
     _stack: ExitStack
     _evaluation: RepeatedEvaluation | None = None
 
+    def __init__(
+        self,
+        config: InteractionConfig,
+        run: Run,
+        network: PolicyNetwork,
+        learning_rate: float,
+        reward: Reward = "none",
+        previous_steps: int = 0,
+    ) -> None:
+        """Create a trainer of a network by Adam.
+
+        `previous_steps` are those of the run before the first update, such as pretraining.
+        """
+        self.config, self.run, self.previous_steps = config, run, previous_steps
+        self.device = choose_device(config.device)
+        self.network = network.to(self.device)
+        self.optimizer = Adam(self.network.parameters(), learning_rate, fused=True)
+        self.compute = run.compute(self.device, config.network_precision, config.threads)
+        self.monitor = Monitor()
+        self._reward = reward
+
     def __enter__(self) -> Self:
+        config = self.config
+        with ExitStack() as stack:
+            if config.observes_vectors and not config.threads:
+                stack.enter_context(cpu_threads(1))
+            self.envs = stack.enter_context(RolloutEnvs(config, self.device, self._reward))
+            self.start_or_resume()
+            self._stack = stack.pop_all()
         return self
 
     def __exit__(self, *error: object) -> None:
         self._stack.close()
 
-    def state_dict(self) -> StateDict:
-        """Everything that the next update depends on."""
+    def start_or_resume(self) -> None:
+        """Reset the environments, or restore what the run's checkpoint holds of `state_dict`."""
         raise NotImplementedError
+
+    def state_dict(self) -> StateDict:
+        """What the next update depends on; here optimiser, environments and monitor."""
+        return {
+            "optimizer": optimizer_state(self.optimizer),
+            "envs": self.envs.state_dict(),
+            "monitor": self.monitor.state_dict(),
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Restore what `state_dict` returned here."""
+        load_optimizer(self.optimizer, state["optimizer"])
+        self.envs.load_state_dict(state["envs"])
+        self.monitor.load_state_dict(state["monitor"])
 
     def finish_update(
         self, update: int, metrics: Metrics, extra_state: Callable[[], StateDict] = dict

@@ -1,7 +1,7 @@
 """Chunks of actions: samples to learn them from, and policies whose network predicts them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,6 +39,13 @@ class ChunkSettings(Settings):
             )
 
 
+@dataclass(frozen=True, kw_only=True)
+class ChunkConfig(SequenceConfig):
+    """What the configurations of learners of chunks are composed of."""
+
+    chunks: ChunkSettings = field(default_factory=ChunkSettings)
+
+
 class Chunks(NamedTuple):
     """Samples of demonstrations with the actions from each of them on."""
 
@@ -48,8 +55,8 @@ class Chunks(NamedTuple):
     tasks: Tensor  # (B,) int64
 
 
-def sample_chunks(config: SequenceConfig, data: ExpertData, length: int, number: int) -> Chunks:
-    """Batch `number`, of chunks of this length; a function of the seed and the number alone.
+def sample_chunks(config: ChunkConfig, data: ExpertData, number: int) -> Chunks:
+    """Batch `number`: a function of the data, the seed and the number alone.
 
     Where no-ops have been left out of the data, the actions are the next ones that are none. Beyond
     a demonstration's end its last action is repeated.
@@ -57,7 +64,7 @@ def sample_chunks(config: SequenceConfig, data: ExpertData, length: int, number:
     rng = stream(config.seed, Purpose.BATCHES, number)
     rows = data.sample(config.fitting.batch_size, rng)
     images = data.augmented(rows, config.fitting.augmentations, rng)
-    chosen, exist = data.neighbours(rows, np.arange(length))
+    chosen, exist = data.neighbours(rows, np.arange(config.chunks.chunk))
     actions, tasks = data.labels(chosen)
     return Chunks(images, actions, torch.from_numpy(exist).to(data.device), tasks[:, 0])
 
@@ -73,6 +80,7 @@ class ChunkPolicy(TrainedPolicy):
     its own: what is executed there does not depend on when episodes start elsewhere in the batch.
     """
 
+    config: ChunkConfig
     _sums: Floats  # (B, K, D): of the next K steps, the weighted sums of what was predicted
     _weights: Floats  # (B, K): the sums of the weights
     _counts: NDArray[np.int64]  # (B, K): the number of predictions
@@ -80,11 +88,8 @@ class ChunkPolicy(TrainedPolicy):
 
     def reset(self, mask: Mask) -> None:
         """Forget the chunks of the environments in which an episode starts."""
-        settings = self.config.part(ChunkSettings)
-        assert settings is not None
-        self._execute = settings.execute
         if mask.all():
-            shape = len(mask), settings.chunk
+            shape = len(mask), self.config.chunks.chunk
             self._sums = np.zeros((*shape, ACTION_SIZES[self.action_space]))
             self._weights = np.zeros(shape)
             self._counts = np.zeros(shape, np.int64)
@@ -94,7 +99,7 @@ class ChunkPolicy(TrainedPolicy):
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:
         """See `TrainedPolicy`."""
-        due = self._steps % self._execute == 0
+        due = self._steps % self.config.chunks.execute == 0
         inputs = self.extra_inputs(len(env_ids), rng)
         if due.any():
             chunks = self.outputs(observations, env_ids, *inputs)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, ClassVar, TypeVar
 
 import torch
@@ -22,6 +23,8 @@ from magical.learning.settings import NOT_NEGATIVE, POSITIVE, Settings, option
 
 MAX_GRAD_NORM = 10.0
 QUICK = {"network": "narrow", "batches": 2400, "precision": "auto"}  # of the preset
+AnyConfig = TypeVar("AnyConfig", bound="SequenceConfig")
+Network = TypeVar("Network", bound=nn.Module)
 Batch = TypeVar("Batch")
 
 
@@ -65,45 +68,43 @@ class SequenceConfig(Config):
         return self.num_updates * self.fitting.batch_size
 
 
-def load_data(config: SequenceConfig, run: Run) -> ExpertData:
-    """The run's demonstrations, without no-ops as in behavioural cloning.
-
-    Frames are augmented by rendering where all demonstrations have poses.
-
-    Raises:
-        DemonstrationsError, RunFolderError: see `load_demonstrations` and `ExpertData`.
-    """
+def _load_data(config: SequenceConfig, run: Run, device: str) -> ExpertData:
     demonstrations = load_demonstrations(config, run)
     kind = choose_image_data(demonstrations, run, AUTO)
     return kind(
         demonstrations,
         config.tasks,
         config.observation_spec,
-        device=choose_device(config.device),
+        device=device,
         remove_noops=True,
     )
 
 
 def fit(
-    config: SequenceConfig,
+    config: AnyConfig,
     run: Run,
-    network: nn.Module,
-    data: ExpertData,
-    sample: Callable[[int], Batch],
-    losses: Callable[[Batch], Mapping[str, Tensor]],
+    network: Network,
+    sample: Callable[[AnyConfig, ExpertData, int], Batch],
+    losses: Callable[[Network, Batch], Mapping[str, Tensor]],
 ) -> None:
     """Train from the run's step to the last batch, or until the run stops.
+
+    The data are the run's demonstrations, without no-ops as in behavioural cloning. Frames are
+    augmented by rendering where all demonstrations have poses.
 
     Args:
         config: of the run.
         run: where it is logged, and continued from.
         network: what is trained, and saved as the policy.
-        data: what batches are sampled from.
-        sample: batch n, a function of the seed and n alone.
+        sample: batch n of the data, a function of the seed and n alone.
         losses: metrics of a batch, of which `loss` is minimised.
+
+    Raises:
+        DemonstrationsError, RunFolderError: see `load_demonstrations` and `ExpertData`.
     """
     fitting = config.fitting
     device = choose_device(config.device)
+    data = _load_data(config, run, device)
     network.to(device).train()
     optimizer = AdamW(
         network.parameters(), fitting.learning_rate, weight_decay=fitting.weight_decay, fused=True
@@ -114,11 +115,11 @@ def fit(
             network.load_state_dict(run.saved["policy"])
             load_optimizer(optimizer, run.saved["optimizer"])
     averages, numbers = Averages(), range(run.step, fitting.batches)
-    with prefetch(sample, numbers, data.batches_on_host) as batches:
+    with prefetch(partial(sample, config, data), numbers, data.batches_on_host) as batches:
         for number, batch in zip(numbers, batches, strict=False):
             set_learning_rate(optimizer, fitting.learning_rate * (1.0 - number / fitting.batches))
             with compute.autocast():
-                metrics = losses(batch)
+                metrics = losses(network, batch)
             optimizer.zero_grad()
             torch.autograd.backward(metrics["loss"])
             nn.utils.clip_grad_norm_(network.parameters(), MAX_GRAD_NORM)
