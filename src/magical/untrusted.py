@@ -175,7 +175,9 @@ def _check_fields(plain: Any, record: Any, path: str) -> None:
             raise ValueError(
                 f"{path}: expected the fields {', '.join(known)}, found {quoted(name)}"
             )
-        _check_fields(item, known.get(name), f"{path}.{printable(name)}")
+        made = known.get(name)
+        if made is not item:  # `Any` is taken over as it is, and holds no records
+            _check_fields(item, made, f"{path}.{printable(name)}")
 
 
 def _fields(record: Any) -> dict[str, Any]:

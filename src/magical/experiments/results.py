@@ -215,20 +215,25 @@ def run_folders(path: Path) -> list[Path]:
 
 
 def read_state(folder: Path) -> str | None:
-    """`done`, `failed`, or `None` for a run that has not been finished, by its final record.
+    """`done`, `failed`, or `None` for a run that has not been finished; raises `ResultsError`."""
+    return read_result(folder).get("state")
+
+
+def read_result(folder: Path) -> dict[str, Any]:
+    """A run's final record, with its `state`; empty for a run that has not been finished.
 
     Raises:
         ResultsError: the record is damaged.
     """
     if not (folder / RESULT).is_file():
-        return None
-    state = read_record(folder / RESULT).get("state")
-    if state not in (DONE, FAILED):
+        return {}
+    record = read_record(folder / RESULT)
+    if (state := record.get("state")) not in (DONE, FAILED):
         raise ResultsError(
             f"{folder / RESULT}: expected a state, {DONE} or {FAILED}, found {quoted(state)}; "
             "remove the file to finish the run again"
         )
-    return str(state)
+    return record
 
 
 def planned_states(path: Path, runs: Sequence[PlannedRun]) -> list[str]:

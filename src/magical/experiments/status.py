@@ -16,14 +16,13 @@ from magical.experiments.results import (
     WAITING,
     RunsInProgress,
     is_results,
-    read_record,
-    read_state,
+    read_result,
     run_folders,
 )
 from magical.files import LOCK, is_locked
 from magical.grouping import group_by
 from magical.runs.metrics import read_metrics
-from magical.runs.plan import MAX_BYTES, RESULT, RUNS, ListedRun, listed_runs
+from magical.runs.plan import MAX_BYTES, RUNS, ListedRun, listed_runs
 from magical.untrusted import read_json
 
 RUNNING = "running"
@@ -125,20 +124,19 @@ def read_status(path: Path) -> Status:
 
 def _run_status(path: Path, run: ListedRun, running: bool) -> RunStatus:
     folder = path / RUNS / run.folder
+    step = 0
     try:
-        state = read_state(folder)
-        record = read_record(folder / RESULT) if state else {}
-        error = str(record.get("error", ""))
-        rows = [] if state else read_metrics(folder)
-        step = int(rows[-1]["step"]) if rows else 0
+        record = read_result(folder)
+        if not record and (rows := read_metrics(folder)):
+            step = int(rows[-1]["step"])
     except (ResultsError, RunFolderError) as damage:
-        state, record, error, step = FAILED, {}, str(damage), 0
+        record = {"state": FAILED, "error": str(damage)}
     seconds = record.get("seconds")
     times = list(seconds.values()) if isinstance(seconds, dict) else []
     return RunStatus(
         **asdict(run),
-        state=state or (RUNNING if running else WAITING),
+        state=record.get("state") or (RUNNING if running else WAITING),
         step=step,
         seconds=sum(times) if times and all(isinstance(t, int | float) for t in times) else None,
-        error=error,
+        error=str(record.get("error", "")),
     )

@@ -7,9 +7,11 @@ import pytest
 from magical.errors import ScoresError
 from magical.evaluation import read_entry
 from magical.evaluation.collection import write_collection
+from magical.report.found import search
 from magical.report.found.missing import find_missing
 from magical.report.found.search import find_results, search_results
 from magical.report.pages.evaluated import write_page
+from magical.runs.plan import ListedRun, listed_runs
 from tests.report.conftest import WriteEntry, write_json
 
 LINE = {"MakeLine-Demo": [1.0, 0.0]}
@@ -242,3 +244,22 @@ def test_entries_inside_a_run_that_is_no_longer_the_plans_are_skipped(
     assert skipped.folder == tmp_path / "runs" / "old" / "leaderboard"
     (tmp_path / "plan.json").write_text("{damaged")  # says nothing of any run
     assert not search_results([tmp_path]).skipped
+
+
+def test_a_plan_is_read_once_whatever_the_number_of_its_runs(
+    write_entry: WriteEntry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = {"method": "a", "tasks": ["MakeLine"], "total": 1}
+    for seed in range(3):
+        write_entry(f"runs/run{seed}", "a", {"MakeLine-Demo": [0.1 * seed, 0.0]}, seed=seed)
+    runs = [{**run, "folder": f"run{seed}", "seed": seed} for seed in range(3)]
+    write_json(tmp_path / "plan.json", {"runs": runs})
+    read: list[Path] = []
+
+    def noted(results: Path) -> tuple[ListedRun, ...]:
+        read.append(results)
+        return listed_runs(results)
+
+    monkeypatch.setattr(search, "listed_runs", noted)
+    assert len(find_results([tmp_path]).results) == 3
+    assert read == [tmp_path]

@@ -2,13 +2,14 @@
 
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
+from magical.envs import EnvId
 from magical.errors import ResultsError, RunFolderError, ScoresError
 from magical.evaluation import Entry, RolloutScore, by_variant, policy_names, read_entry
 from magical.evaluation.collection import is_collection, read_collection
@@ -18,6 +19,8 @@ from magical.runs.folder import CONFIG, RECORD
 from magical.runs.plan import PLAN, RESULT, RUNS, ListedRun, listed_runs
 
 TELLING = 20  # rollouts with another score than the most frequent one
+
+Listed = Callable[[Path], Mapping[str, ListedRun]]  # the runs of a results folder, by folder
 
 
 @dataclass(frozen=True)
@@ -91,13 +94,14 @@ def same_run(result: Result, others: Iterable[Result]) -> Result | None:
     whatever the seeds. Otherwise the seeds of training and the configurations decide, as far as
     they are known; where a seed is not, equal scores.
     """
+    own = {(row.env_id, row.rollout): row for row in result.entry.scores}
     for other in others:
         shared = set(result.tasks) & set(other.tasks)
         if result.entry.method != other.entry.method or not shared:
             continue
-        first, second = _shared_scores(result, other)
+        equal = _equal_scores(own, other.entry.scores)
         unknown = result.seed is None or other.seed is None
-        if first and first == second and (unknown or _is_telling(first)):
+        if equal and (unknown or _is_telling(equal)):
             return other
         differ = result.config and other.config and result.config != other.config
         if not unknown and result.seed == other.seed and not differ:
@@ -105,11 +109,20 @@ def same_run(result: Result, others: Iterable[Result]) -> Result | None:
     return None
 
 
-def _shared_scores(first: Result, second: Result) -> tuple[set[RolloutScore], set[RolloutScore]]:
-    """Both results' scores of the rollouts that both have."""
-    a, b = ({(row.env_id, row.rollout): row for row in r.entry.scores} for r in (first, second))
-    both = a.keys() & b.keys()
-    return {a[key] for key in both}, {b[key] for key in both}
+def _equal_scores(
+    own: Mapping[tuple[EnvId, int], RolloutScore], others: Iterable[RolloutScore]
+) -> list[RolloutScore]:
+    """The scores of the rollouts that both have, if they are equal; empty if any differs.
+
+    Those of two runs mostly differ in one of the first rollouts.
+    """
+    equal = []
+    for row in others:
+        if (mine := own.get((row.env_id, row.rollout))) is not None:
+            if mine != row:
+                return []
+            equal.append(row)
+    return equal
 
 
 def _is_telling(scores: Iterable[RolloutScore]) -> bool:
@@ -154,12 +167,14 @@ def search_results(folders: Iterable[Path | str], without: Path | None = None) -
     results: list[Result] = []
     skipped: list[Skipped] = []
     places: list[Path] = []
+    known: set[Path] = set()
+    listed = cache(_listed)  # every plan is read once, whatever the number of its runs
     for root in map(Path, folders):
-        known = {place.resolve() for place in places}
         new = [place for place in _places(root, without) if place.resolve() not in known]
         places += new
+        known.update(place.resolve() for place in new)
         for place, entry in _entries(root, new):
-            if place != root and not _is_planned(place, root):
+            if place != root and not _is_planned(place, root, listed):
                 skipped.append(Skipped(place, "not a run of the plan, but of an earlier one"))
             elif isinstance(entry, Entry):
                 has_no_run = entry.details.get(POLICY) in policy_names()
@@ -174,7 +189,7 @@ def search_results(folders: Iterable[Path | str], without: Path | None = None) -
         for place in places
         if is_run(place) and place not in evaluated and _absolute(place) not in named
     ]
-    return Found(results, skipped, runs, _planned(places, evaluated))
+    return Found(results, skipped, runs, _planned(places, evaluated, listed))
 
 
 def _entries(root: Path, places: Iterable[Path]) -> Iterator[tuple[Path, Entry | Exception]]:
@@ -237,26 +252,28 @@ def _run_of(place: Path, root: Path) -> Path | None:
     return inside[0] if len(inside) == 1 else None
 
 
-def _is_planned(place: Path, root: Path) -> bool:
+def _is_planned(place: Path, root: Path, listed: Listed) -> bool:
     """Whether a folder is neither a plan's run nor in one, or the plan still lists that run."""
     for folder in (place, *place.parents):
         if folder == root:
             break
         results = folder.parent.parent
         if folder.parent.name == RUNS and (results / PLAN).is_file():
-            planned = {run.folder for run in _listed(results)}
+            planned = listed(results)
             return not planned or folder.name in planned
     return True
 
 
-def _planned(places: Iterable[Path], evaluated: Iterable[Path | None]) -> list[Planned] | None:
+def _planned(
+    places: Iterable[Path], evaluated: Iterable[Path | None], listed: Listed
+) -> list[Planned] | None:
     """The runs without scores of all plans among the folders."""
     plans = [place for place in places if (place / PLAN).is_file()]
     if not plans:
         return None
     done = {folder.name for folder in evaluated if folder is not None}
     # A plan's runs may lie in several folders. The name of a run's folder has its digest.
-    left = {run.folder: (run, plan) for plan in plans for run in _listed(plan)}
+    left = {name: (run, plan) for plan in plans for name, run in listed(plan).items()}
     return [
         Planned(**asdict(run), state=_state(plan / RUNS / name))
         for name, (run, plan) in left.items()
@@ -264,11 +281,11 @@ def _planned(places: Iterable[Path], evaluated: Iterable[Path | None]) -> list[P
     ]
 
 
-def _listed(results: Path) -> Sequence[ListedRun]:
-    """The runs that a plan lists; none if the file is damaged."""
+def _listed(results: Path) -> Mapping[str, ListedRun]:
+    """The runs that a plan lists, by folder; none if the file is damaged."""
     with suppress(ResultsError):
-        return listed_runs(results)
-    return ()
+        return {run.folder: run for run in listed_runs(results)}
+    return {}
 
 
 def _state(folder: Path) -> str:

@@ -135,10 +135,10 @@ def _conflicts(result: Result, accepted: Sequence[Result]) -> Iterator[str]:
             "state that, by its scores: each run counts once"
         )
         return
-    for other in (run for run in accepted if run.entry.method == entry.method):
-        if found := mismatch(entry, other):
-            yield found
-            return
+    # Those that were accepted are alike.
+    first = next((run for run in accepted if run.entry.method == entry.method), None)
+    if first and (found := mismatch(entry, first)):
+        yield found
 
 
 def mismatch(entry: Entry, other: Result) -> str:
