@@ -24,7 +24,6 @@ EMBEDDING = 32  # size of the learnt embedding of an action (docs/specification.
 # Inputs that an action adds to the first and to the last linear layer, by how it is joined.
 JOINED = {"none": (0, 0), "one-hot": (NUM_ACTIONS, 0), "embedding": (0, EMBEDDING)}
 MEAN_BRIGHTNESS = 0.92  # of the tasks' frames, in [0, 1]
-UNIT = PIXEL_RANGES["unit"]
 POLICY_GAIN = 0.01  # factor of the policy's last layer under `centred`: nearly uniform actions
 
 
@@ -85,9 +84,14 @@ class Trunk(nn.Module):
         # Convolutions are fastest with this memory layout; PyTorch's overloads leave it out.
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
-    def forward(self, observations: Tensor, actions: Tensor | None = None) -> Tensor:
-        """Features (B, num_features) of observations (B, ...), and of actions (B,) int64."""
-        flat = self.feature_map(observations).flatten(1)  # (B, C * H * W)
+    def forward(
+        self, observations: Tensor, actions: Tensor | None = None, *, in_range: bool = False
+    ) -> Tensor:
+        """Features (B, num_features) of observations (B, ...), and of actions (B,) int64.
+
+        `in_range`: the observations are what `to_range` returned.
+        """
+        flat = self.feature_map(observations, in_range=in_range).flatten(1)  # (B, C * H * W)
         linear: nn.Module = self.linear
         if self.action_input == "embedding":
             flat, linear = self.linear[:-2](flat), self.linear[-2:]  # a last layer and its ReLU
@@ -102,17 +106,20 @@ class Trunk(nn.Module):
         features: Tensor = linear(flat)
         return features
 
-    def feature_map(self, observations: Tensor) -> Tensor:
+    def feature_map(self, observations: Tensor, *, in_range: bool = False) -> Tensor:
         """The convolutions' output (B, C, H, W) for images; state vectors unchanged."""
+        ranged = observations if in_range else self.to_range(observations)
         if self.convolutions is None:
-            return observations
-        mapped: Tensor = self.convolutions(self.to_range(observations))
+            return ranged
+        mapped: Tensor = self.convolutions(ranged)
         return mapped
 
-    def to_range(self, images: Tensor) -> Tensor:
-        """Images (B, C, H, W) in [0, 1] mapped to the range of this trunk."""
+    def to_range(self, observations: Tensor) -> Tensor:
+        """Images (B, C, H, W) in [0, 1] mapped to the range of this trunk; vectors unchanged."""
         low, high = self.pixels
-        return images if self.pixels == UNIT else (images * (high - low)).add_(low)
+        if self.convolutions is None or (low, high) == (0.0, 1.0):
+            return observations
+        return (observations * (high - low)).add_(low)
 
 
 def _map_shape(convolutions: nn.Module, input_shape: tuple[int, ...]) -> tuple[int, ...]:
@@ -183,9 +190,11 @@ class ActorCritic(PolicyNetwork):
         super().__init__(trunk, num_tasks)
         self.value = TaskLinear(trunk.num_features, 1, num_tasks)
 
-    def logits_and_values(self, observations: Tensor, tasks: Tensor) -> tuple[Tensor, Tensor]:
-        """Logits (B, 18) and values (B,) from one pass through the trunk."""
-        features = self.trunk(observations)
+    def logits_and_values(
+        self, observations: Tensor, tasks: Tensor, *, in_range: bool = False
+    ) -> tuple[Tensor, Tensor]:
+        """Logits (B, 18) and values (B,) from one pass through the trunk; `in_range`: see there."""
+        features = self.trunk(observations, in_range=in_range)
         return self.policy(features, tasks), self.value(features, tasks).squeeze(1)
 
 

@@ -105,10 +105,13 @@ def test_pixels_are_mapped_to_the_configured_range() -> None:
     assert torch.equal(first_input(Trunk("light", IMAGE), images), images)
     symmetric = Trunk("light", IMAGE, pixel_range="symmetric")
     assert torch.allclose(first_input(symmetric, images), 2.0 * images - 1.0)
+    once = symmetric.to_range(images)
+    assert torch.equal(symmetric(once, in_range=True), symmetric(images))
     vectors = torch.rand(2, 27)
     networks = [Trunk("light", (27,), pixel_range=name) for name in ("unit", "symmetric")]
     networks[1].load_state_dict(networks[0].state_dict())
     assert torch.equal(networks[0](vectors), networks[1](vectors))
+    assert networks[1].to_range(vectors) is vectors
 
 
 @pytest.mark.parametrize(

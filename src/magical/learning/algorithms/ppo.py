@@ -22,7 +22,7 @@ from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
 from magical.learning.augmentation.augment import to_unit
 from magical.learning.config import IMAGE_OBSERVATIONS, PUBLISHED, NetworkSettings
-from magical.learning.models import UNIT, ActorCritic, Trunk, centre, init_normal
+from magical.learning.models import ActorCritic, Trunk, centre, init_normal
 from magical.learning.reinforcement.interaction import InteractionConfig, InteractionSettings
 from magical.learning.reinforcement.monitoring import Metrics, explained_variance
 from magical.learning.reinforcement.presets import QUICK, STATES
@@ -170,10 +170,12 @@ class PPOTrainer(InteractionTrainer):
         """The numbers of the updates that are not done yet."""
         return range(max(self.run.step - self.previous_steps, 0), self.config.ppo.num_updates)
 
-    def forward(self, observations: Tensor, tasks: Tensor) -> tuple[Tensor, Tensor]:
-        """Logits (B, 18) and values (B,), float32, of inputs (B, ...)."""
+    def forward(
+        self, observations: Tensor, tasks: Tensor, in_range: bool = False
+    ) -> tuple[Tensor, Tensor]:
+        """Logits (B, 18) and values (B,), float32, of inputs (B, ...); `in_range`: see `Trunk`."""
         with self.compute.autocast():
-            logits, values = self.network.logits_and_values(observations, tasks)
+            logits, values = self.network.logits_and_values(observations, tasks, in_range=in_range)
         return logits.float(), values.float()
 
     def collect_rollout(self, update: int) -> Rollout:
@@ -192,8 +194,9 @@ class PPOTrainer(InteractionTrainer):
             samples = make_samples(
                 rollout, rewards, ppo.gamma, ppo.gae_lambda, ppo.normalise_advantages
             )
-            if self.network.trunk.pixels == UNIT:  # converted once, and not in every epoch
-                samples = samples._replace(observations=self.compute.cast(samples.observations))
+            # Mapped and converted once, and not in every epoch.
+            observations = self.compute.cast(self.network.trunk.to_range(samples.observations))
+            samples = samples._replace(observations=observations)
             left = 1.0 - update / ppo.num_updates if ppo.anneal else 1.0
             set_learning_rate(self.optimizer, ppo.learning_rate * left)
             clip_range = torch.tensor(ppo.clip_range * left, device=self.device)
@@ -212,7 +215,7 @@ class PPOTrainer(InteractionTrainer):
 
     def _step(self, minibatch: "Samples", clip_range: Tensor) -> dict[str, Tensor]:
         """Take one step of the optimiser; returns the loss's parts."""
-        logits, values = self.forward(minibatch.observations, minibatch.tasks)
+        logits, values = self.forward(minibatch.observations, minibatch.tasks, in_range=True)
         loss, parts = ppo_loss(logits, values, minibatch, clip_range, self.config.ppo.ent_coef)
         self.optimizer.zero_grad()
         torch.autograd.backward(loss)
