@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 
-CONFIDENCE = 0.95  # nominal coverage of every interval that is shown
+CONFIDENCE = 0.95
 TINY = 1e-12  # a variance that is only rounding
 
 
@@ -75,14 +75,15 @@ def welch_interval(
     return Interval(value, max(value - half, bounds[0]), min(value + half, bounds[1]))
 
 
-def wilson_interval(value: float, count: float) -> Interval:
+def wilson_interval(value: float, count: float, confidence: float = CONFIDENCE) -> Interval:
     """Wilson's score interval: all p with count (value - p)^2 <= z^2 p (1 - p).
 
     Args:
         value: the mean of values from 0 to 1.
         count: how many independent zeros and ones it is worth as much as.
+        confidence: nominal coverage.
     """
-    ratio = NormalDist().inv_cdf((1.0 + CONFIDENCE) / 2.0) ** 2 / count
+    ratio = NormalDist().inv_cdf((1.0 + confidence) / 2.0) ** 2 / count
     centre = value + ratio / 2.0
     root = math.sqrt(max(centre**2 - (1.0 + ratio) * value**2, 0.0))
     low, high = (centre - root) / (1.0 + ratio), (centre + root) / (1.0 + ratio)
@@ -90,7 +91,7 @@ def wilson_interval(value: float, count: float) -> Interval:
     return Interval(value, max(min(low, value), 0.0), min(max(high, value), 1.0))
 
 
-def rollout_mean(scores: ArrayLike) -> Interval:
+def rollout_mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     """The mean of one policy's rollouts in one environment, with a Wilson interval.
 
     It does not include the spread between training runs. For scores of 0 and 1 it is Wilson's
@@ -100,6 +101,7 @@ def rollout_mean(scores: ArrayLike) -> Interval:
 
     Args:
         scores: (rollouts,), each from 0 to 1.
+        confidence: nominal coverage of the interval.
 
     Raises:
         ValueError: no such array, or scores outside [0, 1].
@@ -110,7 +112,7 @@ def rollout_mean(scores: ArrayLike) -> Interval:
     check_range(rollouts)
     value, variance = float(rollouts.mean()), float(rollouts.var())
     worth = value * (1.0 - value) / variance if variance > TINY else 1.0
-    return wilson_interval(value, len(rollouts) * worth)
+    return wilson_interval(value, len(rollouts) * worth, confidence)
 
 
 def weighted_sum(intervals: Sequence[Interval], weights: ArrayLike) -> Interval:

@@ -66,7 +66,9 @@ def published_score(task: str, method: str, variant: str) -> Spread | None:
     return published_table().get((task, method, short_variant(full_variant(variant))))
 
 
-def difference_from_published(means: ArrayLike, published: Spread) -> Interval:
+def difference_from_published(
+    means: ArrayLike, published: Spread, confidence: float = CONFIDENCE
+) -> Interval:
     """The mean of our runs less the published mean, with Welch's t interval over runs.
 
     The published tables give a standard deviation over five runs, but not its divisor; the interval
@@ -75,6 +77,7 @@ def difference_from_published(means: ArrayLike, published: Spread) -> Interval:
     Args:
         means: (runs,), each run's mean score in one environment, by the published code's rule.
         published: the mean and standard deviation of the tables.
+        confidence: nominal coverage.
     """
     ours = np.asarray(means, np.float64)
     value = float(ours.mean()) - published.mean
@@ -84,5 +87,5 @@ def difference_from_published(means: ArrayLike, published: Spread) -> Interval:
     variances = ours.var(ddof=1) / len(ours), published_std**2 / (PUBLISHED_RUNS - 1)
     unbounded = -math.inf, math.inf
     return welch_interval(
-        value, variances, (len(ours) - 1, PUBLISHED_RUNS - 1), CONFIDENCE, unbounded
+        value, variances, (len(ours) - 1, PUBLISHED_RUNS - 1), confidence, unbounded
     )

@@ -101,20 +101,21 @@ def over_runs(scores: ArrayLike) -> Spread:
     return Spread(float(means.mean()), float(means.std()))
 
 
-def mean(scores: ArrayLike) -> Interval:
+def mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     """The mean over environments of the mean over runs, with a t interval over runs.
 
     Args:
         scores: (runs, environments), see the module's docstring.
+        confidence: nominal coverage of the interval.
 
     Raises:
         ValueError: no such array, scores outside [0, 1], or a row or column without a score.
     """
     table = _table(scores)
-    return _weighted_means(table, np.full(table.shape[1], 1 / table.shape[1]))
+    return _weighted_means(table, np.full(table.shape[1], 1 / table.shape[1]), confidence)
 
 
-def interquartile_mean(scores: ArrayLike) -> Interval:
+def interquartile_mean(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     """The mean of the middle half of all scores, runs and environments pooled (rliable's IQM).
 
     A quarter of the scores, rounded down, is left out at either end. The t interval over runs is
@@ -127,16 +128,19 @@ def interquartile_mean(scores: ArrayLike) -> Interval:
     middle = pooled[cut : len(pooled) - cut]
     winsorised = np.clip(table, middle[0], middle[-1])
     strata = _by_stratum(table, np.nansum(winsorised, axis=1) / len(middle))
-    return t_interval(float(middle.mean()), strata, CONFIDENCE, (0.0, 1.0))
+    return t_interval(float(middle.mean()), strata, confidence, (0.0, 1.0))
 
 
-def optimality_gap(scores: ArrayLike) -> Interval:
+def optimality_gap(scores: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     """By how much scores fall short of 1 on average; arguments and errors as for `mean`."""
-    return mean(1.0 - _table(scores))
+    return mean(1.0 - _table(scores), confidence)
 
 
 def generalisation_gap(
-    scores: ArrayLike, env_ids: Sequence[str], variant: str = "TestAll"
+    scores: ArrayLike,
+    env_ids: Sequence[str],
+    variant: str = "TestAll",
+    confidence: float = CONFIDENCE,
 ) -> Interval:
     """Demo's mean score minus TestAll's, by task, then the mean over tasks.
 
@@ -144,6 +148,7 @@ def generalisation_gap(
         scores: (runs, environments), see the module's docstring.
         env_ids: the columns' environments; tasks without both variants are left out.
         variant: another test variant in TestAll's place gives the gap along that axis.
+        confidence: nominal coverage of the t interval over runs.
 
     Raises:
         ValueError: as for `mean`, or no task has both variants.
@@ -156,7 +161,7 @@ def generalisation_gap(
         )
     compared = table[:, weights != 0]
     evaluated = ~np.isnan(compared).all(axis=1)
-    return _weighted_means(compared[evaluated], weights[weights != 0])
+    return _weighted_means(compared[evaluated], weights[weights != 0], confidence)
 
 
 def gap_weights(env_ids: Sequence[str], variant: str = "TestAll") -> Floats:
@@ -177,13 +182,13 @@ def gap_weights(env_ids: Sequence[str], variant: str = "TestAll") -> Floats:
     return np.array(weights) / len(tasks)
 
 
-def difference(first: ArrayLike, second: ArrayLike) -> Interval:
+def difference(first: ArrayLike, second: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     """The mean of `first` less that of `second`, with Welch's t interval over runs.
 
     Both (runs, environments) with the same columns; the runs of the two are independent. Raises
     `ValueError` as `mean` does, or where the columns differ in number.
     """
-    return contrast([first, second], (1.0, -1.0))
+    return contrast([first, second], (1.0, -1.0), confidence)
 
 
 def contrast(
@@ -212,7 +217,9 @@ def contrast(
     return t_interval(value, strata, confidence, bounds)
 
 
-def probability_of_improvement(first: ArrayLike, second: ArrayLike) -> Interval:
+def probability_of_improvement(
+    first: ArrayLike, second: ArrayLike, confidence: float = CONFIDENCE
+) -> Interval:
     """How probably a run of `first` beats one of `second`, averaged over environments.
 
     Ties count half, as in rliable. The interval is Wilson's for as many independent comparisons as
@@ -223,10 +230,12 @@ def probability_of_improvement(first: ArrayLike, second: ArrayLike) -> Interval:
     a, b = _tables([first, second])
     won = [_share_won(x[~np.isnan(x)], y[~np.isnan(y)]) for x, y in zip(a.T, b.T, strict=True)]
     value = float(np.mean(won))
-    return wilson_interval(value, _comparisons(a, b))
+    return wilson_interval(value, _comparisons(a, b), confidence)
 
 
-def performance_profile(scores: ArrayLike, thresholds: ArrayLike) -> list[Interval]:
+def performance_profile(
+    scores: ArrayLike, thresholds: ArrayLike, confidence: float = CONFIDENCE
+) -> list[Interval]:
     """The share of runs that score above each threshold, averaged over environments.
 
     The run-score distribution of Agarwal et al. (2021), section 4.1; the same as theirs where all
@@ -237,6 +246,7 @@ def performance_profile(scores: ArrayLike, thresholds: ArrayLike) -> list[Interv
     Args:
         scores: (runs, environments), see the module's docstring.
         thresholds: (T,), in units of scores.
+        confidence: nominal coverage of each interval.
 
     Raises:
         ValueError: as for `mean`.
@@ -248,7 +258,7 @@ def performance_profile(scores: ArrayLike, thresholds: ArrayLike) -> list[Interv
     if runs.min() < 2:
         return [Interval(share, np.nan, np.nan) for share in shares]
     independent = _comparisons(table, table)
-    return [wilson_interval(share, independent) for share in shares]
+    return [wilson_interval(share, independent, confidence) for share in shares]
 
 
 def _table(scores: ArrayLike) -> Floats:
@@ -277,12 +287,12 @@ def _tables(scores: Iterable[ArrayLike]) -> list[Floats]:
     return tables
 
 
-def _weighted_means(table: Floats, weights: Floats) -> Interval:
+def _weighted_means(table: Floats, weights: Floats, confidence: float) -> Interval:
     """The weighted sum of the environments' means over runs."""
     contributions = _contributions(table, weights)
     bounds = float(weights[weights < 0].sum()), float(weights[weights > 0].sum())
     strata = _by_stratum(table, contributions)
-    return t_interval(float(contributions.sum()), strata, CONFIDENCE, bounds)
+    return t_interval(float(contributions.sum()), strata, confidence, bounds)
 
 
 def _contributions(table: Floats, weights: Floats) -> Floats:
