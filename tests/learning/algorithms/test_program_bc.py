@@ -53,8 +53,8 @@ def test_a_task_is_believed_the_same_alone(run: Path, expert_demos: Path) -> Non
     fields: dict[str, Any] = {"demos": str(expert_demos), "batches": 2, "batch_size": 8}
     config = tiny_runs.tiny(ProgramBCConfig, "paper", tasks=TASKS[1:], **fields)
     dataset = Dataset.open(expert_demos).filter(task=TASKS[1])
-    demonstrations = parse_demonstrations([(TASKS[1], t) for t in dataset], parse_frames)
-    alone = infer_beliefs(config, demonstrations)
+    demonstrations = tuple((TASKS[1], trajectory) for trajectory in dataset)
+    alone = infer_beliefs(config, parse_demonstrations(demonstrations, parse_frames))
     assert beliefs_of(run)[TASKS[1]].explanations == alone[TASKS[1]].explanations
 
 
