@@ -85,7 +85,13 @@ def add_count(
     """Add an option whose value is an integer of at least `least`; the help says the default."""
     kind, stated = number(int, least), "" if default is None else f" (default: {default})"
     parser.add_argument(
-        flag, type=kind, default=default, metavar=metavar, nargs=nargs, help=meaning + stated
+        flag,
+        type=kind,
+        default=default,
+        metavar=metavar,
+        nargs=nargs,
+        action="extend" if nargs else "store",
+        help=meaning + stated,
     )
 
 

@@ -26,6 +26,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rerun",
         nargs="+",
+        action="extend",
         default=[],
         metavar="METHOD",
         help="mark methods whose scores you have run again (magical verify)",

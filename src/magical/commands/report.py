@@ -24,11 +24,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--published",
         nargs="+",
+        action="extend",
         metavar="METHOD",
         help='rows of the published tables to show below, such as "BC (ST)" (default: those of the '
         "methods' names)",
     )
-    parser.add_argument("--title", default="MAGICAL: results")
+    parser.add_argument(
+        "--title", default="MAGICAL: results", help="of the page (default: %(default)s)"
+    )
     add_out(parser, "write a page, or what --format says, there", "FILE")
     parser.add_argument(
         "--format",
