@@ -4,7 +4,7 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
@@ -121,6 +121,11 @@ def print_json(args: argparse.Namespace, result: Mapping[str, Any]) -> None:
     """Print the one JSON object that `--json` promises, where it is given."""
     if args.json:
         print(json.dumps(result))
+
+
+def plain_interval(interval: Iterable[float]) -> list[float | None]:
+    """A figure and the ends of its interval for JSON; `None` where there is none."""
+    return [None if math.isnan(number) else number for number in interval]
 
 
 def log(message: str) -> None:
