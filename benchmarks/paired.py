@@ -52,7 +52,7 @@ def load(source: Path, task_name: str) -> dict[str, Callable[[int], Any]]:
         )
 
     def observe(observation: str) -> Callable[[int], Any]:
-        env = envs.MagicalEnv(task_name, "Demo", observation)
+        env = envs.MagicalEnv(task_name, "Demo", observation=observation)
 
         def start(seed: int) -> Any:
             env.reset(seed=seed)

@@ -25,7 +25,8 @@ class Stepper:
     """A vector environment that takes random actions."""
 
     def __init__(self, observation: str, num_envs: int, workers: int) -> None:
-        self._env = MagicalVectorEnv([f"{TASK}-v0"] * num_envs, workers, observation)
+        ids = [f"{TASK}-v0"] * num_envs
+        self._env = MagicalVectorEnv(ids, workers=workers, observation=observation)
         self._env.reset(seed=0)
         self._rng = np.random.default_rng(0)
 

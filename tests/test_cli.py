@@ -50,6 +50,22 @@ def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[
     assert capsys.readouterr().out.startswith(f"usage: magical {name}")
 
 
+def test_an_option_of_several_values_may_be_repeated() -> None:
+    for words, name, found in (
+        ("evaluate random --variants Demo --variants Jitter Colour", "variants", 3),
+        ("evaluate random --learned-from score --learned-from interaction", "learned_from", 2),
+        ("expert evaluate --env A --env B", "env", 2),
+        ("demos generate --out demos --env A B --env C", "env", 3),
+        ("demos video demos --out x.mp4 --index 0 --index 1 2", "index", 3),
+        ("report runs --published A --published B", "published", 2),
+        ("leaderboard runs --rerun A --rerun B", "rerun", 2),
+        ("train bc --out run --track wandb --track mlflow", "track", 2),
+        ("train bc --out run --task MoveToRegion --task MoveToCorner", "setting tasks", 2),
+    ):
+        values = getattr(cli.build_parser().parse_args(words.split()), name)
+        assert len(values) == found, words
+
+
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["--version"]) == 0
     assert capsys.readouterr().out == f"magical {magical.__version__}\n"

@@ -171,7 +171,7 @@ def test_a_task_within_a_class_is_found_by_workers(path: Path) -> None:
     (path / "grouped_tasks.py").write_text(f"{TASK}\nclass Tasks:\n    drive = TASK\ndel TASK\n")
     install(path, "other", "DriveThere = grouped_tasks:Tasks.drive", group="magical.tasks")
     try:
-        with closing(MagicalVectorEnv([DRIVE_THERE], 1, "state")) as envs:
+        with closing(MagicalVectorEnv([DRIVE_THERE], workers=1, observation="state")) as envs:
             envs.reset(seed=0)
     finally:
         unregister_task("DriveThere")

@@ -27,7 +27,9 @@ HUMAN = SHARED / "human-poses"
 @pytest.fixture
 def recorded(tmp_path: Path) -> Trajectory:
     """An episode of continuous actions, recorded by the wrapper."""
-    inner = MagicalEnv("MoveToCorner", "TestJitter", "state", 6, action_space="continuous")
+    inner = MagicalEnv(
+        "MoveToCorner", "TestJitter", observation="state", horizon=6, action_space="continuous"
+    )
     env = RecordTrajectories(inner, tmp_path / "recorded", demonstrator="random")
     env.reset(seed=4)
     rng = np.random.default_rng(0)

@@ -97,6 +97,12 @@ def test_a_share_outside_0_to_1_is_refused(
     assert not out.exists()
 
 
+def test_no_demonstrations_and_negative_workers_are_refused(tmp_path: Path) -> None:
+    for number, workers, message in ((0, 1, "number: expected"), (1, -1, "workers: expected")):
+        with pytest.raises(ValueError, match=message):
+            generate("magical/MoveToCorner-Demo-v0", number, tmp_path / "d", workers=workers)
+
+
 def test_several_environments_append(tmp_path: Path, run: Run) -> None:
     ids = ["magical/MoveToRegion-Demo-v0", "MoveToCorner-Demo-LoRes4E-v0"]
     status, result = run("generate", "--env", *ids, "-n", 2, "--out", tmp_path, "--workers", 1)

@@ -142,7 +142,7 @@ def test_a_vector_environment_acts_as_single_ones_do(workers: int) -> None:
 
 
 def test_a_vector_environment_names_the_row_that_is_wrong_and_stays_as_it_is() -> None:
-    envs = MagicalVectorEnv(IDS, 0, "state", action_space="continuous")
+    envs = MagicalVectorEnv(IDS, workers=0, observation="state", action_space="continuous")
     envs.reset(seed=3)
     before = [envs.get_state(row) for row in range(3)]
     wrong = np.zeros((3, 3))

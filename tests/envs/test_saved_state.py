@@ -119,7 +119,9 @@ def test_an_episode_keeps_its_variant() -> None:
 def test_the_next_episode_has_the_environments_own_horizon(workers: int) -> None:
     env = MagicalEnv(TASK, VARIANT, observation="state", horizon=5)
     env.reset(seed=0)
-    envs = MagicalVectorEnv([f"{TASK}-{VARIANT}-v0"], workers, observation="state", horizon=7)
+    envs = MagicalVectorEnv(
+        [f"{TASK}-{VARIANT}-v0"], workers=workers, observation="state", horizon=7
+    )
     envs.set_state(0, env.get_state())
     assert envs.states()[0].horizon == 5
     envs.reset(seed=0)
@@ -134,11 +136,11 @@ def test_after_a_state_at_its_episodes_end_comes_another_episode() -> None:
     with pytest.raises(ResetNeededError):
         env.step(1)
     ids = [f"{TASK}-{VARIANT}-v0"]
-    envs = MagicalVectorEnv(ids, 0, observation="state", autoreset_mode="NextStep")
+    envs = MagicalVectorEnv(ids, workers=0, observation="state", autoreset_mode="NextStep")
     envs.set_state(0, ended)
     assert not envs.step([1])[3].any()
     assert (envs.states()[0].step, envs.states()[0].horizon) == (0, 120)
-    envs = MagicalVectorEnv(ids, 0, observation="state", autoreset_mode="Disabled")
+    envs = MagicalVectorEnv(ids, workers=0, observation="state", autoreset_mode="Disabled")
     envs.set_state(0, ended)
     with pytest.raises(ResetNeededError):
         envs.step([1])

@@ -32,7 +32,14 @@ def adapter(observation: Any = "state", num_envs: int = 2, workers: int = 0, **o
 
 def test_episode_ends_follow_the_conventions_of_stable_baselines3() -> None:
     envs = adapter()
-    plain = MagicalVectorEnv(envs.envs.env_ids, 0, "state", HORIZON, "dense", "SameStep")
+    plain = MagicalVectorEnv(
+        envs.envs.env_ids,
+        workers=0,
+        observation="state",
+        horizon=HORIZON,
+        reward="dense",
+        autoreset_mode="SameStep",
+    )
     envs.seed(3)
     np.testing.assert_array_equal(envs.reset(), plain.reset(seed=3)[0])
     for step in range(2 * HORIZON):

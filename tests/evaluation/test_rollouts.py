@@ -6,6 +6,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from magical.envs import EnvId, parse_env_id
 from magical.envs.seeds import evaluation_seed
@@ -181,6 +182,8 @@ def test_horizons(env_ids: list[str], horizon: Any, steps: int) -> None:
         ({"observation": "HiRes"}, UnknownNameError, "LoRes4E"),
         ({"rollouts": 0}, ValueError, "at least 1, found 0"),
         ({"nudge": 1.0}, ValueError, "nudge: expected"),
+        ({"seed": -1}, ValueError, "seed: expected at least 0, found -1"),
+        ({"workers": -1}, ValueError, "workers: expected at least 0, or None, found -1"),
     ],
 )
 def test_wrong_settings_are_named(
@@ -188,6 +191,29 @@ def test_wrong_settings_are_named(
 ) -> None:
     with pytest.raises(error, match=message):
         evaluate(Watching(), [DEMO], **{"rollouts": 1, "workers": 0, **settings})
+
+
+def test_one_name_may_be_given_as_it_is() -> None:
+    assert environments("MoveToRegion", "Demo") == environments(["MoveToRegion"], ["Demo"])
+    assert len(evaluate("noop", DEMO, rollouts=1, horizon=2, workers=0)) == 1
+
+
+def test_an_expert_runs_in_no_negative_number_of_processes() -> None:
+    with pytest.raises(ValueError, match="workers: expected at least 0"):
+        evaluate("expert", DEMO, rollouts=1, workers=-1)
+
+
+class Continuous:
+    action_space = "continuous"
+
+    def act(
+        self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator
+    ) -> NDArray[np.float32]:
+        return np.zeros((len(env_ids), 3), np.float32)
+
+
+def test_a_policy_may_return_any_numbers_and_needs_no_reset() -> None:
+    assert len(evaluate(Continuous(), DEMO, rollouts=1, horizon=2, workers=0)) == 1  # and mypy
 
 
 @pytest.mark.parametrize("horizon", [None, 320, "320", "appendix"])

@@ -83,7 +83,7 @@ def test_what_is_done_is_not_done_again_and_a_changed_plan_runs_what_changed(
     execute(planned(("seeds = [0, 1]", "seeds = [1, 2]")), copied)
     assert [run.seed for run in inline] == [2]
     assert "earlier plan, or of other demonstrations: 1\n" in capsys.readouterr().err
-    status = read_status(copied)
+    status = read_status(str(copied))
     assert (status.counts["done"], status.others, status.active) == (2, 1, False)
     inline.clear()
     execute(planned(("seeds = [0, 1]", "seeds = [0]"), ("batches = 6", "batches = 7")), copied)
@@ -239,7 +239,7 @@ def test_a_folder_is_used_by_one_execution_at_a_time(
         with pytest.raises(ResultsError, match=f"process {os.getpid()} already runs a plan"):
             execute(planned(), copied)
     (copied / "runs" / planned()[0].folder / "result.json").write_text("{")
-    status = read_status(copied)
+    status = read_status(str(copied))
     assert not status.active
     assert [run.state for run in status.runs] == ["failed", "done"]
     assert "result.json" in status.runs[0].error

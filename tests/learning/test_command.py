@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from magical.cli import build_parser, main
+from magical.cli import main
 from magical.evaluation import read_entry
 from magical.learning import algorithm_names
 from magical.runs.folder import CHECKPOINT, PREVIOUS
@@ -124,11 +124,6 @@ def test_a_run_that_could_not_begin_leaves_no_folder(
 def test_wrong_arguments_have_status_2(wrong: list[str], demos: Path, tmp_path: Path) -> None:
     assert main(bc(demos, tmp_path / "run", *wrong)) == 2
     assert not (tmp_path / "run").exists()
-
-
-def test_repeated_tasks_add_up() -> None:
-    argv = ["train", "bc", "--task", "MoveToRegion", "--task", "MoveToCorner", "--out", "run"]
-    assert build_parser().parse_args(argv).tasks == ["MoveToRegion", "MoveToCorner"]
 
 
 def test_what_is_required_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -96,6 +96,20 @@ def test_it_trains_resumes_and_is_evaluated_like_ours(
     assert "--patience N" in capsys.readouterr().out
 
 
+def test_an_option_named_like_one_of_the_command(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, message in (
+        ("resume", "OwnConfig, resume: `magical train` has an option --resume of its own"),
+        ("run", "expected --task, --demos, found none"),  # as for any other name
+    ):
+        file = tmp_path / f"own_{name}.py"
+        file.write_text(MODULE.replace("patience", name))
+        out = ["--out", str(tmp_path / "run")]
+        assert main(["train", f"{file}:ALGORITHM", f"--{name}", "2", *out]) > 0
+        assert message in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("algorithm", ["bc", "ppo", "gail", "iq-learn"])
 def test_a_network_with_dropout_learns_the_same_again_and_resumed(
     algorithm: str, module: str, demos: Path, tmp_path: Path

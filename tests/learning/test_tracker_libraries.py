@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from magical.learning.trackers import TrackedRun, opened_trackers
-from magical.runs import opened_folder
+from magical.runs.folder import opened_folder
 
 pytestmark = pytest.mark.filterwarnings("default")  # the libraries' own
 

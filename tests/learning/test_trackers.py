@@ -14,7 +14,8 @@ from magical.errors import MissingDependencyError, UnknownNameError
 from magical.learning import train
 from magical.learning.algorithms.bc import BCConfig
 from magical.learning.trackers import Log, TrackedRun, Tracker, opened_trackers, tracker_names
-from magical.runs import opened_folder, read_metrics
+from magical.runs import read_metrics
+from magical.runs.folder import opened_folder
 from tests.learning.tiny_runs import tiny
 
 CONFIGURATION = {"algorithm": "bc", "seed": 3}

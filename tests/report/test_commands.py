@@ -1,5 +1,6 @@
 """`magical report`, `leaderboard` and `gallery`: what is checked before the work, and failures."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -26,6 +27,32 @@ def test_clips_of_nothing_are_an_error(
     policy = {"policy": "noop"}
     folder = write_entry("b", "noop", {"MoveToRegion-Demo": [0.0]}, details=policy)
     assert cli.main(["report", str(folder), "--clips", "2", "--out", str(page)]) == 0
+
+
+def test_the_last_line_is_json(
+    write_entry: WriteEntry, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = [
+        str(write_entry(method, method, {"MoveToRegion-Demo": scores}))
+        for method, scores in (("mine", [1.0, 0.0]), ("other", [0.0, 0.0]))
+    ]
+    (tmp_path / "damaged").mkdir()
+    (tmp_path / "damaged" / "entry.json").write_text("{}")
+    damaged = str(tmp_path / "damaged")
+    assert cli.main(["report", *runs, damaged, "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert [skipped["folder"] for skipped in printed["skipped"]] == [damaged]
+    mine, other = printed["rows"]
+    assert (mine["method"], mine["variant"], mine["score"]) == ("mine", "Demo", 0.5)
+    assert mine["score_low"] < 0.5 < mine["score_high"]
+    assert mine["score_std"] is None
+    assert other["score"] == 0.0
+    assert cli.main(["report", *runs, "--compare", "mine", "other", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert printed["compare"] == ["mine", "other"]
+    value, low, high = printed["differences"]["all"]
+    assert value == 0.5
+    assert low < value < high
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from magical.errors import RunFolderError
-from magical.runs import is_run, opened_folder, read_json
-from magical.runs.folder import CHECKPOINT, CONFIG, METRICS, RECORD
+from magical.runs import is_run, read_json
+from magical.runs.folder import CHECKPOINT, CONFIG, METRICS, RECORD, opened_folder
 
 CONFIGURATION: Mapping[str, Any] = {"algorithm": "bc", "demos": "demos", "seed": 0}
 
@@ -66,7 +66,7 @@ def test_a_locked_folder_is_refused_to_another_but_can_be_read(folder: Path) -> 
 
 KILLED = """
 import os, pathlib, signal, sys
-from magical.runs import opened_folder
+from magical.runs.folder import opened_folder
 os.fsync = lambda _: os.kill(os.getpid(), signal.SIGKILL)
 with opened_folder(pathlib.Path(sys.argv[1]), {}, resume=False):
     pass

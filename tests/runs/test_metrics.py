@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from magical.errors import RunFolderError
-from magical.runs import MetricsWriter, read_metrics
 from magical.runs.folder import METRICS
+from magical.runs.metrics import MetricsWriter, read_metrics
 
 
 def write(folder: Path, step: int, *rows: tuple[int, float]) -> None:

@@ -60,7 +60,8 @@ def api_index() -> str:
     """The modules with a page."""
     rows = ((f"[`{name}`]({name}.md)", what) for name, what in MODULES.items())
     return (
-        "# API\n\nFrom the docstrings. Names that are not here are not public and may change.\n\n"
+        "# API\n\nFrom the docstrings. Names that are neither here nor in the other pages are not "
+        "public and may change.\n\n"
         f"{readme_tables.table(('Module', ''), rows)}\n"
     )
 

@@ -4,7 +4,7 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
@@ -85,7 +85,13 @@ def add_count(
     """Add an option whose value is an integer of at least `least`; the help says the default."""
     kind, stated = number(int, least), "" if default is None else f" (default: {default})"
     parser.add_argument(
-        flag, type=kind, default=default, metavar=metavar, nargs=nargs, help=meaning + stated
+        flag,
+        type=kind,
+        default=default,
+        metavar=metavar,
+        nargs=nargs,
+        action="extend" if nargs else "store",
+        help=meaning + stated,
     )
 
 
@@ -129,6 +135,11 @@ def print_json(args: argparse.Namespace, result: Mapping[str, Any]) -> None:
     """Print the one JSON object that `--json` promises, where it is given."""
     if args.json:
         print(json.dumps(result))
+
+
+def plain_interval(interval: Iterable[float]) -> list[float | None]:
+    """A figure and the ends of its interval for JSON; `None` where there is none."""
+    return [None if math.isnan(number) else number for number in interval]
 
 
 def log(message: str) -> None:

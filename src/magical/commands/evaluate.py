@@ -45,7 +45,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     add_tasks(parser, "the policy's")
     parser.add_argument(
-        "--variants", nargs="+", metavar="VARIANT", help="such as Demo Jitter (default: all)"
+        "--variants",
+        nargs="+",
+        action="extend",
+        metavar="VARIANT",
+        help="such as Demo Jitter (default: all)",
     )
     add_rollouts(parser)
     parser.add_argument(
@@ -75,6 +79,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--learned-from",
         nargs="*",
+        action="extend",
         metavar="SOURCE",
         help='what the policy learned from, such as demonstrations or "rendered states"; recorded '
         "for run folders",

@@ -25,7 +25,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
     subs = parser.add_subparsers(metavar="COMMAND", required=True)
     evaluate = subs.add_parser("evaluate", help="mean scores over many episodes")
-    evaluate.add_argument("--env", nargs="+", metavar="ID", help="environments (default: all)")
+    evaluate.add_argument(
+        "--env", nargs="+", action="extend", metavar="ID", help="environments (default: all)"
+    )
     add_rollouts(evaluate)
     add_seed(evaluate, "which set of evaluation's seeds")
     add_number(evaluate, "--skill", "0 to 1", default=1.0, most=1)

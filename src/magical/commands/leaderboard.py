@@ -6,14 +6,19 @@ listed with the reason.
 """
 
 import argparse
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from magical.commands._common import add_json, add_out, log, print_json, print_table
+from magical.commands._common import (
+    add_json,
+    add_out,
+    log,
+    plain_interval,
+    print_json,
+    print_table,
+)
 
 if TYPE_CHECKING:
-    from magical.evaluation.intervals import Interval
     from magical.report.leaderboard.ranking import Standing
 
 HELP = "rank evaluated entries on a static page"
@@ -26,6 +31,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--rerun",
         nargs="+",
+        action="extend",
         default=[],
         metavar="METHOD",
         help="mark methods whose scores you have run again (magical verify)",
@@ -79,17 +85,13 @@ def run(args: argparse.Namespace) -> int:
 
 def _plain(row: "Standing") -> dict[str, Any]:
     """A method's place as plain data; a reference has no ranks, and no interval is `None`s."""
-
-    def bounds(interval: "Interval") -> list[float | None]:
-        return [None if math.isnan(number) else number for number in interval]
-
     return {
         "method": row.method,
         "rank": None if row.is_reference else row.rank,
         "rank_by_gap": None if row.is_reference else row.gap_rank,
-        "test_all": bounds(row.test_all),
-        "demo": bounds(row.demo),
-        "gap": bounds(row.gap),
+        "test_all": plain_interval(row.test_all),
+        "demo": plain_interval(row.demo),
+        "gap": plain_interval(row.gap),
         "class": row.learning_class,
         "used": row.used,
         **row.statements._asdict(),

@@ -68,6 +68,7 @@ def run(args: argparse.Namespace) -> int:
         out=args.out / "report.html",
         format="html",
         compare=None,
+        json=False,
         clips=len(plan.tasks) * (len(plan.methods) + len(plan.references)),
     )
     status = report.run(page)

@@ -7,9 +7,18 @@ at any depth. Folders with the same method are runs of it and share a row.
 import argparse
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from magical.commands._common import USAGE, add_count, add_out, log, print_table
+from magical.commands._common import (
+    USAGE,
+    add_count,
+    add_json,
+    add_out,
+    log,
+    plain_interval,
+    print_json,
+    print_table,
+)
 
 if TYPE_CHECKING:
     from magical.report.found.search import Found
@@ -24,11 +33,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--published",
         nargs="+",
+        action="extend",
         metavar="METHOD",
         help='rows of the published tables to show below, such as "BC (ST)" (default: those of the '
         "methods' names)",
     )
-    parser.add_argument("--title", default="MAGICAL: results")
+    parser.add_argument(
+        "--title", default="MAGICAL: results", help="of the page (default: %(default)s)"
+    )
     add_out(parser, "write a page, or what --format says, there", "FILE")
     parser.add_argument(
         "--format",
@@ -47,6 +59,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "show the best, median and worst rollouts of N runs, recorded again with their policies "
         "(default: none)",
     )
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -78,7 +91,13 @@ def _compare(args: argparse.Namespace, found: "Found") -> int:
     if args.out:
         comparison.write(args.out)
         log(f"wrote {args.out}")
+    differences = {name: plain_interval(interval) for name, interval in comparison.overall.items()}
+    print_json(args, {"compare": args.compare, "differences": differences, **_skipped(found)})
     return 0
+
+
+def _skipped(found: "Found") -> dict[str, Any]:
+    return {"skipped": [{"folder": str(s.folder), "reason": s.reason} for s in found.skipped]}
 
 
 def _print_tables(tables: "Iterable[TextTable]") -> None:
@@ -89,17 +108,15 @@ def _print_tables(tables: "Iterable[TextTable]") -> None:
 
 def _tabulate(args: argparse.Namespace, found: "Found", kind: str | None) -> int:
     """Print every table of the page as text, and write the file."""
-    from magical.report.pages.export import FORMATS, all_tables
+    from magical.report.pages.export import FORMATS, all_tables, plain_rows
     from magical.report.scores.differences import matching_methods
 
     published = tuple(matching_methods(found.entries) if args.published is None else args.published)
     _print_tables(all_tables(found, published))
-    if kind is None:
-        return 0
     notes: Sequence[str] = ()
-    if kind in FORMATS:
+    if kind and kind in FORMATS:
         FORMATS[kind](found, published, args.out)
-    else:
+    elif kind:
         from magical.experiments.entries import policy_of
         from magical.report.pages.evaluated import write_page
 
@@ -111,7 +128,9 @@ def _tabulate(args: argparse.Namespace, found: "Found", kind: str | None) -> int
             load_policy=lambda result: policy_of(result.folder, result.entry, result.run),
             clips=args.clips or 0,
         )
-    log(f"wrote {args.out}")
+    if kind:
+        log(f"wrote {args.out}")
     for note in notes:
         log(f"error: no rollouts of {note}")
+    print_json(args, {"rows": plain_rows(found, published), **_skipped(found)})
     return int(bool(notes))

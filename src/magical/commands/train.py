@@ -18,6 +18,7 @@ from magical.commands._common import (
     print_json,
     task_name,
 )
+from magical.errors import PluginError
 
 if TYPE_CHECKING:
     from magical.learning.config import Config, Option
@@ -125,38 +126,52 @@ def _add_options(parser: argparse.ArgumentParser, algorithm: str) -> None:
         default=None,
         help="values of all options that are not given (default: paper)",
     )
-    for option in options(kind):
-        _add_option(parser, option)
     add_count(parser, "--stop-after", "leave a checkpoint and stop after N more batches or updates")
     parser.add_argument(
         "--track",
         nargs="+",
-        default=(),
+        action="extend",
+        default=[],
         metavar=f"{{{','.join(tracker_names())}}}",
         help="log the metrics there too; or module:NAME",
     )
     add_json(parser)
     parser.set_defaults(json=False)
+    for option in options(kind):
+        try:
+            _add_option(parser, option)
+        except argparse.ArgumentError as error:  # of another distribution's configuration
+            raise PluginError(
+                f"{kind.__name__}, {option.name}: `magical train` has an option {option.flag} of "
+                "its own; give option() another name"
+            ) from error
 
 
 def _add_option(parser: argparse.ArgumentParser, option: "Option") -> None:
     """Add the option of a configuration field."""
-    stated = not option.required and option.default is not None
+    stated = not option.required and option.default not in (None, "", ())
     text = f"{option.help} (paper: {_shown(option.default)})" if stated else option.help
     flags = ["--task", "--tasks"] if option.name == "tasks" else [option.flag]
     if option.kind is bool:
-        parser.add_argument(*flags, action=argparse.BooleanOptionalAction, help=text)
+        parser.add_argument(
+            *flags, action=argparse.BooleanOptionalAction, dest=_dest(option), help=text
+        )
         return
     parser.add_argument(
         *flags,
         action="extend" if option.several else "store",
-        dest=option.name,
+        dest=_dest(option),
         type=task_name if option.name == "tasks" else option.kind,
         nargs="+" if option.several else None,
         choices=None if option.open else option.choices or None,
         metavar=f"{{{','.join(option.choices)}}}" if option.open else option.metavar,
         help=f"{text}; or module:NAME" if option.open else text,
     )
+
+
+def _dest(option: "Option") -> str:
+    """The name among the parsed arguments, apart from those of the command itself."""
+    return f"setting {option.name}"
 
 
 def _shown(value: object) -> object:
@@ -174,7 +189,7 @@ def _config(args: argparse.Namespace) -> "Config":
     given = {
         option.name: tuple(value) if option.several else value
         for option in fields
-        if (value := getattr(args, option.name, None)) is not None
+        if (value := getattr(args, _dest(option), None)) is not None
     }
     if args.resume and args.preset is None:
         recorded = read_config(args.out)

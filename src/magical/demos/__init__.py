@@ -3,7 +3,7 @@
 from magical.demos import Dataset, RecordTrajectories
 
 dataset = Dataset.open("demos").filter(task="MoveToCorner", min_score=0.9)
-arrays = dataset.arrays(preset="LoRes4E")
+arrays = dataset.arrays(observation="LoRes4E")
 """
 
 from typing import TYPE_CHECKING, Any

@@ -17,7 +17,7 @@ from magical.envs.seeds import episode_seed
 from magical.errors import DatasetError
 from magical.experts import modules_of, rollout
 from magical.experts.noise import check_share
-from magical.processes import available_cores, map_in_processes
+from magical.processes import checked_workers, map_in_processes
 from magical.tasks import with_tasks
 
 MAX_DROPPED = 20  # attempts below the score, per requested demonstration, before giving up
@@ -49,15 +49,26 @@ def generate(
 ) -> GenerateReport:
     """Append `number` demonstrations by the task's scripted expert to a dataset.
 
-    Attempt i has the scene of `reset(seed=episode_seed(seed, i))` and its own strategy; `first` is
-    the number of the first attempt, to continue a series. Attempts that score less than
-    `min_score` (appendix's rule) are dropped. In a share `perturb` of the control steps a random
-    action is executed; the expert's remain those to imitate (`Trajectory.labels`). Actions are
-    those of `action_space`. `workers` (processes; default: the available cores) change nothing.
+    Attempt i has the scene of `reset(seed=episode_seed(seed, i))` and its own strategy.
+
+    Args:
+        env_id: a preset in it is ignored.
+        number: of demonstrations to append.
+        out: the dataset's folder, created if there is none.
+        seed: of the series of attempts.
+        first: number of the first attempt, to continue a series.
+        skill: 1 acts as well as it can; below, it makes mistakes.
+        perturb: share of the control steps in which a random action is executed; the expert's
+            remain those to imitate (`Trajectory.labels`).
+        min_score: attempts that score less (appendix's rule) are dropped.
+        workers: processes; by default one for each core. The result does not depend on it.
+        action_space: of the stored actions, "discrete" or "continuous".
+        progress: called with 1 after each demonstration that is kept.
 
     Raises:
         DatasetError: too few attempts reach the score, or the dataset cannot be written.
         InvalidConfigError: `skill` or `perturb` is not between 0 and 1.
+        ValueError: less than one demonstration, or a negative number of workers.
         InvalidTaskError, NoExpertError: workers could not import the task, or it has no expert.
         UnknownNameError: there is no such environment or action space.
         InvalidSceneError: a sampled scene does not fit its task.
@@ -66,7 +77,9 @@ def generate(
     parsed, name = parse_env_id(env_id), action_spec(action_space).name
     check_share("perturb", perturb)
     check_share("skill", skill)
-    workers = available_cores() if workers is None else workers
+    if number < 1:
+        raise ValueError(f"number: expected at least 1, found {number}")
+    workers = checked_workers(workers)
     modules = modules_of(parsed.task) if workers > 1 else []
     attempt = with_tasks(partial(_attempt, parsed, seed, skill, perturb, name), modules)
     writer, scores, dropped = DatasetWriter(out), list[float](), 0

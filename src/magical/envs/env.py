@@ -86,6 +86,7 @@ class MagicalEnv(gym.Env[Any, Any]):
         self,
         task: str,
         variant: str,
+        *,
         observation: Observation = None,
         horizon: Horizon = None,
         reward: Reward = "none",

@@ -4,7 +4,7 @@ import inspect
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from magical.errors import MissingDependencyError, PolicyError, UnknownNameError
 from magical.evaluation.policy import FunctionPolicy, NoopPolicy, Policy, RandomPolicy
@@ -33,7 +33,16 @@ GROUP = "magical.policies"  # of entry points of other distributions
 LOADERS = "magical.policy_loaders"
 INTEGRATIONS = {"lerobot": "lerobot_env_magical"}  # in integrations/ of the repository, by loader
 
-PolicySource = str | os.PathLike[str] | Policy | Callable[..., Any]  # for `load_policy`
+
+class Acting(Protocol):
+    """An object with `act`: a `Policy`, or one without memory, which needs no `reset`."""
+
+    @property
+    def act(self) -> Callable[..., Any]:
+        """See `Policy.act`."""
+
+
+PolicySource = str | os.PathLike[str] | Acting | Callable[..., Any]  # for `load_policy`
 
 
 def load_policy(source: PolicySource) -> Policy:

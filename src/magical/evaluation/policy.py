@@ -39,7 +39,9 @@ class Policy(Protocol):
       scores wherever it runs. Those of a network are not.
     """
 
-    def act(self, observations: Any, env_ids: Sequence[EnvId], rng: np.random.Generator) -> Actions:
+    def act(
+        self, observations: Any, env_ids: Sequence[EnvId], rng: np.random.Generator
+    ) -> NDArray[Any]:
         """Choose one action for each environment.
 
         Args:

@@ -40,7 +40,7 @@ class Evaluation:
 
     Raises:
         InvalidConfigError: an impossible horizon.
-        ValueError: a nudge out of range, or less than one rollout.
+        ValueError: a nudge or seed out of range, or less than one rollout.
     """
 
     env_ids: tuple[EnvId, ...]
@@ -53,6 +53,8 @@ class Evaluation:
     def __post_init__(self) -> None:
         if self.rollouts < 1:
             raise ValueError(f"rollouts: expected at least 1, found {self.rollouts}")
+        if self.seed < 0:  # below are the seeds of demonstrations and of training
+            raise ValueError(f"seed: expected at least 0, found {self.seed}")
         object.__setattr__(self, "horizon", parse_horizon(self.horizon))
         object.__setattr__(self, "nudge", checked_nudge(self.nudge))
 
@@ -60,12 +62,15 @@ class Evaluation:
     def of(cls, env_ids: Iterable[str], **settings: Any) -> Self:
         """An evaluation in environments given by ids of any form, each of which counts once.
 
+        One id alone may be given as it is.
+
         Raises:
             UnknownNameError: an unknown environment, or the published horizon for tasks that have
                 one horizon only.
             InvalidConfigError, ValueError: as for the class.
         """
-        ids = dict.fromkeys(parse_env_id(env_id).without_preset for env_id in env_ids)
+        given = [env_ids] if isinstance(env_ids, str) else env_ids
+        ids = dict.fromkeys(parse_env_id(env_id).without_preset for env_id in given)
         evaluation = cls(env_ids=tuple(ids), **settings)
         if evaluation.horizon == "published":
             require_two_horizons(env_id.task for env_id in ids)
@@ -89,8 +94,12 @@ def environments(
 ) -> list[EnvId]:
     """Environment ids of the tasks' variants, by default all; short names are accepted.
 
+    One task or variant alone may be given as it is.
+
     Raises `UnknownNameError` for unknown names, and for a task with none of the variants.
     """
+    tasks = [tasks] if isinstance(tasks, str) else tasks
+    variants = [variants] if isinstance(variants, str) else variants
     wanted = None if variants is None else set(map(full_variant, variants))
     env_ids: list[EnvId] = []
     for task in map(get_task, TASKS if tasks is None else dict.fromkeys(tasks)):

@@ -19,7 +19,7 @@ from magical.evaluation.protocol import ROLLOUTS, SEED, Evaluation, environments
 from magical.evaluation.scores import RolloutScore
 from magical.evaluation.seeds import RolloutRng
 from magical.observe import Observation
-from magical.processes import available_cores, map_in_processes
+from magical.processes import checked_workers, map_in_processes
 from magical.tasks import Horizon, get_task, with_tasks
 
 NUM_ENVS = 64  # sub-environments stepped together: bounds the memory, hardly changes the speed
@@ -47,7 +47,8 @@ def evaluate(
 
     Args:
         policy: a policy, or anything that `load_policy` accepts.
-        env_ids: default: all variants of the policy's own tasks, or of all tasks; each counts once.
+        env_ids: ids, or one; by default all variants of the policy's own tasks, or of all tasks.
+            Each counts once.
         rollouts: of each environment.
         seed: which set of fixed seeds; results are reported for 0.
         observation: by default the policy's own, or `LoRes4E`; states for a privileged policy.
@@ -66,7 +67,7 @@ def evaluate(
     Raises:
         PolicyError: no policy, or it returned something else than actions.
         UnknownNameError: an unknown environment, observation or policy, or tasks with one horizon.
-        ValueError: a horizon or nudge out of range, or less than one rollout.
+        ValueError: a horizon, nudge or seed out of range, or less than one rollout.
     """
     loaded = load_policy(policy)
     evaluation = Evaluation.of(
@@ -150,7 +151,7 @@ def _in_processes(
         for env_id in evaluation.env_ids
         for first in range(0, evaluation.rollouts, SHARE)
     ]
-    count = min(available_cores() if workers is None else workers, len(shares))
+    count = min(checked_workers(workers), len(shares))
     modules = modules_for(policy, list(evaluation.by_task)) if count > 1 else []
     score = with_tasks(partial(_score_share, policy, evaluation), modules)
     yield from map_in_processes(score, shares, count)
@@ -182,7 +183,7 @@ class RepeatedEvaluation:
 
     def __init__(self, policy: Policy, evaluation: Evaluation, workers: int | None = None) -> None:
         groups = evaluation.by_task.values()
-        total = available_cores() if workers is None else workers
+        total = checked_workers(workers)
         each = -(-total // len(groups))
         self._evaluation = evaluation
         with ExitStack() as stack:

@@ -100,12 +100,16 @@ class Status:
         }
 
 
-def read_status(path: Path) -> Status:
+def read_status(folder: Path | str) -> Status:
     """Read how far a plan is; its execution is not disturbed.
+
+    Args:
+        folder: the results folder.
 
     Raises:
         ResultsError: no results folder, or a damaged one.
     """
+    path = Path(folder)
     if not is_results(path):
         raise ResultsError(
             f"{path}: expected a results folder with {EXPERIMENT} (`magical run PLAN --out DIR` "

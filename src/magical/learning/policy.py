@@ -35,7 +35,8 @@ class TrainedPolicy:
                 before, but for a network whose attribute `takes_pixels` is true.
             config: of its training: the tasks, the observation and the action space.
             compute: device and precision.
-            greedy: take the most probable action instead of sampling.
+            greedy: take the most probable action instead of sampling; without effect on
+                continuous actions.
         """
         self.network = network.eval()
         self.config = config

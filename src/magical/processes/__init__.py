@@ -12,6 +12,7 @@ from magical.processes.children import Child
 from magical.processes.pool import (
     ProcessPool,
     available_cores,
+    checked_workers,
     map_in_processes,
     outcomes_in_processes,
 )
@@ -21,6 +22,7 @@ __all__ = [
     "ProcessPool",
     "WorkerTraceback",
     "available_cores",
+    "checked_workers",
     "map_in_processes",
     "outcomes_in_processes",
     "serve",

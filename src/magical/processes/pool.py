@@ -27,6 +27,15 @@ def available_cores() -> int:
     return os.cpu_count() or 1
 
 
+def checked_workers(workers: int | None) -> int:
+    """A number of processes, by default one for each core; raises `ValueError` below 0."""
+    if workers is None:
+        return available_cores()
+    if workers < 0:
+        raise ValueError(f"workers: expected at least 0, or None, found {workers}")
+    return workers
+
+
 def map_in_processes(
     work: Callable[[Item], Result], items: Iterable[Item], workers: int
 ) -> Generator[Result, None, None]:

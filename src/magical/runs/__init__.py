@@ -5,7 +5,7 @@ of a run needs neither PyTorch nor the code that made it. The one file that need
 checkpoint, belongs to `magical.learning.running.checkpoints`; here it has only a name.
 """
 
-from magical.runs.folder import is_run, opened_folder, read_json, versions
-from magical.runs.metrics import MetricsWriter, read_metrics
+from magical.runs.folder import is_run, read_json, versions
+from magical.runs.metrics import read_metrics
 
-__all__ = ["MetricsWriter", "is_run", "opened_folder", "read_json", "read_metrics", "versions"]
+__all__ = ["is_run", "read_json", "read_metrics", "versions"]

@@ -92,7 +92,7 @@ def test_lerobot_statistics(mixed: Path, tmp_path: Path) -> None:
     dataset = Dataset.open(mixed)
     export_lerobot(dataset, tmp_path / "lerobot")
     stats = json.loads((tmp_path / "lerobot" / "meta" / "stats.json").read_text())
-    arrays = dataset.arrays(preset="LoRes4E")
+    arrays = dataset.arrays(observation="LoRes4E")
     newest = arrays["observations"][..., -3:] / 255
     for name, values, axes in (
         ("action", arrays["actions"][:, None], (0,)),

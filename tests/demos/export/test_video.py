@@ -10,7 +10,8 @@ from PIL import Image
 
 from magical.cli import main
 from magical.demos import Trajectory
-from magical.demos.export.video import BANNER, LAST_FRAME_REPEATS, video_frames
+from magical.demos.export.video import BANNER, LAST_FRAME_REPEATS, video_frames, write_video
+from magical.errors import DatasetError
 from magical.scene.poses import FIRST_BLOCK
 from tests.demos.export.conftest import MISSING, decoded
 
@@ -40,6 +41,13 @@ def test_video_as_mp4(mixed: Path, tmp_path: Path) -> None:
     assert video[0][1].shape == (416, 768, 3)
     assert [time for time, _ in video[:3]] == [0.0, 1 / 8, 2 / 8]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mixed", "video.mp4"]
+
+
+def test_a_video_of_nothing_is_refused(make_trajectory: MakeTrajectory, tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"a\.webp: expected trajectories to show, found none"):
+        write_video([], str(tmp_path / "a.webp"))
+    assert not list(tmp_path.iterdir())
+    assert write_video([make_trajectory(steps=1)], str(tmp_path / "a.WEBP")) > 0
 
 
 def test_video_has_both_views_and_the_score(make_frames_trajectory: MakeTrajectory) -> None:

@@ -126,7 +126,7 @@ def test_arrays_have_every_step(
     for trajectory in made:
         writer.append(trajectory)
     dataset = Dataset.open(tmp_path / "d")
-    arrays = dataset.arrays(preset=preset)
+    arrays = dataset.arrays(observation=preset)
     assert arrays["episodes"].tolist() == [0] * 3 + [1] * 5
     assert arrays["steps"].tolist() == [0, 1, 2, 0, 1, 2, 3, 4]
     for name in ("actions", "labels"):
@@ -138,5 +138,5 @@ def test_arrays_have_every_step(
     assert arrays["scores"].tolist() == [trajectory.score for trajectory in made]
     assert arrays["published_code_scores"].tolist() == [0.25, watched.published_code_score]
     assert arrays["demonstrators"].tolist() == ["random", "me"]
-    mixed = dataset.filter(demonstrator="unknown").arrays(preset="LoRes4E")
+    mixed = dataset.filter(demonstrator="unknown").arrays(observation="LoRes4E")
     assert len(mixed["actions"]) == 0

@@ -68,6 +68,8 @@ def test_wrong_options_are_refused() -> None:
     ):
         with pytest.raises(error):
             vector(**wrong)
+    with pytest.raises(UnknownNameError, match="expected one of: NextStep, SameStep, Disabled"):
+        vector(autoreset_mode="same_step")
 
 
 def test_workers_make_state_vectors_of_any_size() -> None:

@@ -44,7 +44,9 @@ class Stubborn:
 def collect(share: float, seed: int = 0, workers: int = 0) -> tuple[list[Trajectory], Stubborn]:
     policy = Stubborn()
     with closing(
-        MagicalVectorEnv(ENV_IDS, workers, "LoRes4E", autoreset_mode="Disabled", copy=False)
+        MagicalVectorEnv(
+            ENV_IDS, workers=workers, observation="LoRes4E", autoreset_mode="Disabled", copy=False
+        )
     ) as envs:
         return collect_labelled(envs, policy, share, np.random.default_rng(seed), round=3), policy
 

@@ -82,7 +82,9 @@ def test_rollouts_against_the_environment(bootstrap: bool, monkeypatch: pytest.M
     assert rollout.dones.any(dim=1).nonzero().tolist() == [[horizon - 1]]
     assert len(rollout.scores) == 3
     assert [len(state["actions"]) for state in states] == [2, 2, 2]
-    env = MagicalVectorEnv(["magical/MoveToRegion-Demo-v0"], 0, "state", reward="dense")
+    env = MagicalVectorEnv(
+        ["magical/MoveToRegion-Demo-v0"], workers=0, observation="state", reward="dense"
+    )
     shown, _ = env.reset(seed=0)
     for t in range(horizon):  # Demo has one scene: all episodes are alike
         np.testing.assert_array_equal(rollout.observations[t].numpy(), np.repeat(shown, 3, 0))

@@ -16,8 +16,8 @@ from magical.learning.algorithms.bc import BCConfig
 from magical.learning.config import CHECKPOINT_SECONDS, options
 from magical.learning.running.devices import restored_threads
 from magical.learning.running.run import Run
-from magical.runs import opened_folder, read_metrics
-from magical.runs.folder import METRICS
+from magical.runs import read_metrics
+from magical.runs.folder import METRICS, opened_folder
 
 CONFIGURATION = BCConfig.preset("paper", tasks=("MoveToCorner",), demos="demos")
 

@@ -77,7 +77,9 @@ def _importing(parser: argparse.ArgumentParser) -> None:
 
 def _generate(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run_demos=datasets.run_generate)
-    parser.add_argument("--env", nargs="+", required=True, metavar="ID", help="environments")
+    parser.add_argument(
+        "--env", nargs="+", action="extend", required=True, metavar="ID", help="environments"
+    )
     add_count(parser, "-n", "demonstrations of each", default=25)
     add_out(parser, DATASET, required=True)
     add_seed(parser, "of the scenes and strategies")
@@ -122,7 +124,7 @@ def _video(parser: argparse.ArgumentParser) -> None:
 def _export(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run_demos=datasets.run_export)
     _dataset(parser)
-    parser.add_argument("--to", choices=("minari", "lerobot"), required=True)
+    parser.add_argument("--to", choices=("minari", "lerobot"), required=True, help="the format")
     meaning = "lerobot: a new folder; minari: its folder of datasets (default: Minari's own)"
     add_out(parser, meaning, "FOLDER")
     parser.add_argument("--name", default="demos", help="minari: the last part of the id")

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 from fractions import Fraction
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import IO, Any, Self
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from magical.demos.store.reader import Frames
 from magical.demos.store.trajectory import VIEWS, Trajectory
 from magical.errors import DatasetError, UnknownNameError
+from magical.extras import require
 from magical.files import write_atomically
 from magical.messages import printable
 from magical.scene import Poses
@@ -27,21 +28,28 @@ _BACKGROUND, _TEXT = (255, 255, 255), (60, 60, 70)
 Image = NDArray[np.uint8]
 
 
-def write_video(trajectories: Iterable[Trajectory], path: Path) -> int:
+def write_video(trajectories: Iterable[Trajectory], path: Path | str) -> int:
     """Write one video of all trajectories, one after another; returns its number of frames.
 
     The suffix chooses the format: `.mp4` (H.264, needs the `video` extra) or `.webp` (animated).
 
     Raises:
         UnknownNameError: the suffix is another one.
-        ModuleNotFoundError: the extra is not installed.
-        DatasetError: more than `MAX_WEBP_FRAMES` frames for `.webp`.
+        MissingDependencyError: the extra is not installed.
+        DatasetError: no trajectories, or more than `MAX_WEBP_FRAMES` frames for `.webp`.
         OSError: the file cannot be written; no partial file remains.
     """
-    if path.suffix not in SUFFIXES:
-        raise UnknownNameError(f"{path}: expected the suffix {' or '.join(SUFFIXES)}")
+    target = Path(path)
+    suffix = target.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise UnknownNameError(f"{target}: expected the suffix {' or '.join(SUFFIXES)}")
+    if suffix == ".mp4":
+        require("video")
     frames = (frame for trajectory in trajectories for frame in video_frames(trajectory))
-    return (_write_mp4 if path.suffix == ".mp4" else _write_webp)(frames, path)
+    if (first := next(frames, None)) is None:
+        raise DatasetError(f"{target}: expected trajectories to show, found none")
+    write = _write_mp4 if suffix == ".mp4" else _write_webp
+    return write(chain([first], frames), target)
 
 
 def video_frames(trajectory: Trajectory) -> Iterator[Image]:

@@ -14,7 +14,7 @@ from magical.demos.store.trajectory import RECOVERY
 from magical.demos.store.writer import DatasetWriter
 from magical.errors import DatasetError, MagicalError, WorkerError
 from magical.messages import printable
-from magical.processes import available_cores, outcomes_in_processes
+from magical.processes import checked_workers, outcomes_in_processes
 
 SUFFIX = ".pkl.gz"
 # What imported trajectories hold; frames in any case where poses cannot be recovered.
@@ -63,7 +63,7 @@ def import_published(
         files: the published files.
         out: the dataset, created if there is none.
         keep: what to keep of each demonstration.
-        workers: number of processes; default: the usable cores.
+        workers: processes; by default one for each core.
         skip_duplicates: leave out files with the actions and frames of an earlier one.
         progress: called with the number of files that were finished since it was last called.
 
@@ -76,7 +76,7 @@ def import_published(
     report = ImportReport(already=[file.name for file in files if file not in set(wanted)])
     first = {entry.fingerprint: entry.source or entry.file for entry in entries}
     progress(len(report.already))
-    workers = min(workers or available_cores(), len(wanted))
+    workers = min(checked_workers(workers), len(wanted))
     convert = partial(_convert, keep=keep)
     with closing(outcomes_in_processes(convert, wanted, workers)) as results:
         for file, result in zip(wanted, results, strict=True):

@@ -194,11 +194,15 @@ class Dataset(Sequence[Trajectory]):
         spaces = (trajectory.action_space for trajectory in self)
         return "continuous" if "continuous" in spaces else "discrete"
 
-    def arrays(self, preset: Observation = "LoRes4E") -> dict[str, Any]:
+    def arrays(self, observation: Observation = "LoRes4E") -> dict[str, Any]:
         """Every step of every trajectory, N in all, as plain arrays.
 
+        Args:
+            observation: see `magical.observe.make_spec`.
+
         Returns:
-            `observations` (N, *shape), or a dict of such: the observation before each action.
+            `observations` (N, *shape), or a dict of such: the observation before each action;
+            `None` where there are no trajectories.
             `actions` (N,) int64, or (N, 3) float64 where some are continuous: those executed.
             `labels`, likewise: those to imitate; others only where the expert chose others.
             `is_demonstrated` (N,) bool: false where a policy that was watched acted by itself.
@@ -207,6 +211,7 @@ class Dataset(Sequence[Trajectory]):
             `env_ids`, `scores`, `published_code_scores`, `demonstrators`: one for each trajectory.
 
         Raises:
+            DatasetError: a file is damaged.
             ObservationError: state vectors of tasks with vectors of different lengths.
             TrajectoryError: a recording lacks what the observation needs.
             UnknownNameError: there is no such observation.
@@ -217,7 +222,7 @@ class Dataset(Sequence[Trajectory]):
         lengths = np.array([entry.length for entry in entries], np.int64)
         starts = np.cumsum(lengths) - lengths
         total = int(lengths.sum())
-        return read_all(self, total, preset) | {
+        return read_all(self, total, observation) | {
             "episodes": np.repeat(np.arange(len(lengths)), lengths),
             "steps": np.arange(total) - np.repeat(starts, lengths),
             "env_ids": np.array([str(entry.env_id) for entry in entries]),

@@ -7,12 +7,24 @@ from contextlib import suppress
 from typing import Any
 
 import numpy as np
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from magical.errors import ResetNeededError
+from magical.errors import ResetNeededError, UnknownNameError
 from magical.messages import quoted
 
 MAX_TIMEOUT = 1e6  # s, that can be waited for in one call of the system
+
+
+def parse_autoreset_mode(mode: str | AutoresetMode) -> AutoresetMode:
+    """A mode, or the mode of a value such as "SameStep"; raises `UnknownNameError`."""
+    try:
+        return AutoresetMode(mode)
+    except ValueError as error:
+        raise UnknownNameError(
+            f"autoreset mode {quoted(mode)} is unknown; expected one of: "
+            f"{', '.join(each.value for each in AutoresetMode)}"
+        ) from error
 
 
 def checked_mask(name: str, mask: Any, num_envs: int) -> NDArray[np.bool_]:

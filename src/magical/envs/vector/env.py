@@ -18,7 +18,13 @@ from magical.envs.episode import Reward
 from magical.envs.ids import EnvId, parse_env_id
 from magical.envs.saved_state import parse_state
 from magical.envs.vector.buffers import Copies, SharedMemory, VectorBuffers
-from magical.envs.vector.checks import check_timeout, checked_mask, checked_seeds, require_episodes
+from magical.envs.vector.checks import (
+    check_timeout,
+    checked_mask,
+    checked_seeds,
+    parse_autoreset_mode,
+    require_episodes,
+)
 from magical.envs.vector.infos import Bools, Infos, instruction_infos, score_infos
 from magical.envs.vector.sub_envs import Started, SubEnvs, VectorSpec, common_observation
 from magical.envs.vector.workers import RemoteSubEnvs
@@ -33,7 +39,7 @@ from magical.errors import (
 from magical.messages import quoted
 from magical.observe import Observation
 from magical.observe.arrays import copy_arrays, select
-from magical.processes import available_cores
+from magical.processes import checked_workers
 from magical.scene.poses import Poses, State
 from magical.scene.scene import Scene
 from magical.tasks import Horizon
@@ -63,11 +69,11 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         instruction: as for `MagicalEnv`.
         paraphrase: as for `MagicalEnv`.
         action_space: as for `MagicalEnv`.
-        autoreset_mode: what happens after an episode's last step. NEXT_STEP: the next step
-            ignores the action and starts another episode. SAME_STEP: that step already returns the
-            next episode's first observation; the last observation and scores are in
-            `infos["final_obs"]` and `infos["final_info"]`. DISABLED: nothing, until
-            `reset(seed=..., options={"reset_mask": ended})`.
+        autoreset_mode: what happens after an episode's last step, an `AutoresetMode` or its value.
+            "NextStep": the next step ignores the action and starts another episode. "SameStep":
+            that step already returns the next episode's first observation; the last observation
+            and scores are in `infos["final_obs"]` and `infos["final_info"]`. "Disabled": nothing,
+            until `reset(seed=..., options={"reset_mask": ended})`.
         copy: whether the caller owns returned observations; otherwise they are the
             buffers' own arrays, which the next step or reset overwrites. With workers, images are
             in memory that a forked child shares: copy what you pass on to one.
@@ -77,7 +83,10 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             By default there is no limit. Not available on Windows or without workers.
 
     Raises:
-        UnknownNameError: an unknown id, observation, reward, render mode or action space.
+        UnknownNameError: an unknown id, observation, reward, instruction, action space, autoreset
+            mode or render mode.
+        ValueError: no ids, or a number of workers or a timeout that cannot be.
+        InvalidConfigError, ObservationError: an impossible horizon or observation.
         MismatchedSpacesError: sub-environments whose observation spaces differ.
         InvalidTaskError: a task that workers could not import.
     """
@@ -85,29 +94,28 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
     def __init__(
         self,
         env_ids: Sequence[str],
+        *,
         workers: int | None = None,
         observation: Observation = None,
         horizon: Horizon = None,
         reward: Reward = "none",
+        instruction: Instruction = "attributes",
+        paraphrase: int = 0,
+        action_space: ActionSpaceName = "discrete",
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         copy: bool = True,
         render_mode: str | None = None,
         timeout: float | None = None,
-        instruction: Instruction = "attributes",
-        paraphrase: int = 0,
-        action_space: ActionSpaceName = "discrete",
     ) -> None:
         if isinstance(env_ids, str) or not env_ids:
             raise ValueError(
                 f"env_ids: expected a list of environment ids, found {quoted(env_ids)}"
             )
-        if workers is not None and workers < 0:
-            raise ValueError(f"workers: expected at least 0, or None, found {workers}")
         if render_mode not in (None, "rgb_array"):
             raise UnknownNameError(f"render mode {quoted(render_mode)}: expected rgb_array or None")
         parsed = [parse_env_id(env_id) for env_id in env_ids]
         self.env_ids = tuple(env_id.without_preset for env_id in parsed)
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.autoreset_mode = parse_autoreset_mode(autoreset_mode)
         modes = {"render_modes": ["rgb_array"], "autoreset_mode": self.autoreset_mode}
         self.metadata = {**MagicalEnv.metadata, **modes}
         self.copy, self.render_mode = copy, render_mode
@@ -124,7 +132,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         self._pending = ""  # its name
         self._process_id = os.getpid()
         self._sub_envs: SubEnvs | RemoteSubEnvs
-        self.workers = min(available_cores() if workers is None else workers, self.num_envs)
+        self.workers = min(checked_workers(workers), self.num_envs)
         check_timeout(timeout, self.workers)
         self._make_sub_envs(spec, timeout)
 

@@ -15,7 +15,8 @@ def load_policy(run: Path | str, device: str = "auto", greedy: bool = False) -> 
     Args:
         run: the run folder.
         device: `auto`, `cpu` or `cuda`.
-        greedy: take the most probable action instead of sampling.
+        greedy: take the most probable action instead of sampling. Without effect on policies of
+            continuous actions: `diffusion` always samples, `act` with such actions never does.
 
     Raises:
         RunFolderError: no run folder, or a damaged one.

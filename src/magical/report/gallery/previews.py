@@ -11,7 +11,7 @@ from magical.demos.store.reader import Frames
 from magical.envs import EnvId
 from magical.envs.vector.workers import defining_modules
 from magical.experts import has_expert, modules_of
-from magical.processes import available_cores, map_in_processes
+from magical.processes import checked_workers, map_in_processes
 from magical.render import render_frame
 from magical.report.figures.clips import Clip, encoded
 from magical.report.gallery.descriptions import describe_scene
@@ -66,7 +66,7 @@ def make_previews(
     Raises:
         InvalidTaskError: worker processes could not import a task.
     """
-    count = available_cores() if workers is None else workers
+    count = checked_workers(workers)
     tasks = {env_id.task: env_id.task_spec for env_id in env_ids}
     modules = sorted({m for task in tasks.values() for m in _modules(task)}) if count > 1 else []
     return map_in_processes(with_tasks(partial(_make, seed), modules), env_ids, count)

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -41,17 +42,22 @@ def all_tables(found: Found, published: Sequence[str]) -> list[TextTable]:
 
 
 def write_csv(found: Found, published: Sequence[str], path: Path) -> None:
-    """A line for each method and environment, numbers in full; empty where there is none.
+    """The lines of `plain_rows`, numbers in full; empty where there is none."""
+    text = io.StringIO()
+    rows = plain_rows(found, published)
+    writer = csv.DictWriter(text, rows[0], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows({name: _text(value) for name, value in row.items()} for row in rows)
+    write_text(path, text.getvalue())
+
+
+def plain_rows(found: Found, published: Sequence[str]) -> list[dict[str, Any]]:
+    """A line for each method and environment, as plain data; `None` where there is none.
 
     `score` and its interval are by the appendix's rule, `published_code_score` and the difference
     by the published code's.
     """
-    text = io.StringIO()
-    rows = [row for task in entry_tasks(found.entries) for row in _rows(task, found, published)]
-    writer = csv.DictWriter(text, rows[0], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    write_text(path, text.getvalue())
+    return [row for task in entry_tasks(found.entries) for row in _rows(task, found, published)]
 
 
 def write_markdown(found: Found, published: Sequence[str], path: Path) -> None:
@@ -134,7 +140,7 @@ def _escape_markdown(text: str) -> str:
     return re.sub(r"([\\|`*_<>\[\]])", r"\\\1", text)
 
 
-def _rows(task: str, found: Found, published: Sequence[str]) -> Iterator[dict[str, object]]:
+def _rows(task: str, found: Found, published: Sequence[str]) -> Iterator[dict[str, Any]]:
     """A line for each method and variant, by the names of the columns."""
     with_task = (entry for entry in found.entries if task in by_variant(entry.scores))
     rows = counterparts(found.entries, published if task in published_tasks() else ())
@@ -145,9 +151,7 @@ def _rows(task: str, found: Found, published: Sequence[str]) -> Iterator[dict[st
             yield {"task": task, "variant": variant, "method": method, **figures}
 
 
-def _figures(
-    task: str, variant: str, runs: Sequence[Entry], theirs: str | None
-) -> dict[str, object]:
+def _figures(task: str, variant: str, runs: Sequence[Entry], theirs: str | None) -> dict[str, Any]:
     cells = [cell for run in runs if (cell := by_variant(run.scores)[task].get(variant))]
     means = np.array([[np.mean([row.score for row in cell])] for cell in cells])
     several = len(cells) > 1
@@ -168,11 +172,14 @@ def _figures(
         "difference_low": found and found.low,
         "difference_high": found and found.high,
     }
-    texts = {name: _text(value) for name, value in numbers.items()}
-    return {"runs": len(cells), "interval_over": "runs" if several else "rollouts", **texts}
+    known = {
+        name: None if isinstance(number, float) and math.isnan(number) else number
+        for name, number in numbers.items()
+    }
+    return {"runs": len(cells), "interval_over": "runs" if several else "rollouts", **known}
 
 
 def _text(value: float | str | None) -> str:
-    if value is None or isinstance(value, str):
-        return value or ""
-    return "" if math.isnan(value) else f"{value:.{DIGITS}g}"
+    if value is None:
+        return ""
+    return f"{value:.{DIGITS}g}" if isinstance(value, float) else str(value)
