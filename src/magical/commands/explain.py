@@ -2,7 +2,9 @@
 
 RUN is the folder of a run of `program-bc`. A program is weighed by its prior probability and by how
 likely its goal makes the moves that were demonstrated. Where Demo leaves open what was meant, many
-programs share the weight; where no program explains the demonstrations, this is said.
+programs share the weight; where no program explains the demonstrations, this is said. Programs that
+agree in Demo may not elsewhere: of scenes of each variant the confidence is printed, which is how
+probable it is that what the policy would move first has to be moved.
 """
 
 import argparse
@@ -17,6 +19,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
     parser.add_argument("folder", type=Path, metavar="RUN", help="a run folder of program-bc")
     add_count(parser, "--top", "programs to print of each task", default=5)
+    meaning = "scenes of each variant to decide the first move in"
+    add_count(parser, "--scenes", meaning, default=10, least=0)
     parser.add_argument(
         "--picture",
         type=Path,
@@ -29,6 +33,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print, task by task."""
     from magical.learning.algorithms.program_bc import beliefs_of
+    from magical.learning.intent.confidence import confidence_by_variant
     from magical.learning.intent.picture import draw_beliefs
 
     beliefs = beliefs_of(args.folder)
@@ -37,12 +42,18 @@ def run(args: argparse.Namespace) -> int:
         top = belief.explanations[: args.top]
         print_table(("probability", task), [(f"{e.weight:.3f}", repr(e.program)) for e in top])
         print(f"{belief.verdict}\n")
+        confidence = confidence_by_variant(belief, task, args.scenes) if args.scenes else {}
+        if confidence:
+            rows = [(f"{mean:.2f}", variant) for variant, mean in confidence.items()]
+            print_table(("confidence", "first move in"), rows)
+            print()
         found[task] = {
             "programs": [[repr(e.program), e.weight] for e in top],
             "unexplained": belief.unexplained,
             "largest": belief.largest,
             "explained": belief.is_explained,
             "known": belief.is_known,
+            "confidence": confidence,
         }
     if args.picture:
         draw_beliefs(beliefs, args.picture)

@@ -26,6 +26,7 @@ from magical.learning.objects.data import parse_demonstrations
 from magical.learning.objects.parser import parse_frames
 from magical.learning.planning.planner import Planner, Situation
 from magical.scene import NOOP
+from magical.tasks import get_task
 from magical.tasks.programs import parse
 from tests.learning import tiny_runs
 
@@ -162,13 +163,16 @@ def test_the_command_prints_and_draws_beliefs(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     picture = tmp_path / "beliefs.png"
-    assert main(["explain", str(run), "--top", "2", "--picture", str(picture), "--json"]) == 0
+    options = ["--top", "2", "--scenes", "2", "--picture", str(picture), "--json"]
+    assert main(["explain", str(run), *options]) == 0
     *lines, last = capsys.readouterr().out.splitlines()
     found = json.loads(last)
     assert list(found) == list(TASKS)
     assert found["MoveToRegion"]["programs"][0][0] == "RobotInside()"
     assert found["MoveToRegion"]["known"] == beliefs_of(run)["MoveToRegion"].is_known
     assert len(found["FixColour"]["programs"]) == 2
+    assert list(found["MoveToRegion"]["confidence"]) == list(get_task("MoveToRegion").variants)
+    assert found["MoveToRegion"]["confidence"]["Demo"] == pytest.approx(1.0, abs=0.05)
     assert any("RobotInside()" in line for line in lines)
     assert picture.read_bytes().startswith(b"\x89PNG")
 

@@ -92,6 +92,15 @@ def test_probabilities_are_those_of_the_programs_that_move_a_block() -> None:
         assert probability == pytest.approx(1.0 if block in of_colour else 0.25)
 
 
+def test_confidence_is_the_probability_of_what_is_decided() -> None:
+    poses = Poses.at_rest(FIX)
+    divided = Intention(belief((OUT, 0.6), ("RobotInside()", 0.4)), FIX)
+    assert divided.confidence(poses) == pytest.approx(0.6)
+    done = Intention(belief((OUT, 1.0)), FIX)
+    assert done.confidence(carry_out(done, FIX, 1)) == pytest.approx(1.0)
+    assert Intention(belief((OUT, 0.2), unexplained=0.8), FIX).confidence(poses) == 0.0
+
+
 def test_programs_that_are_the_same_goal_in_the_scene_count_together() -> None:
     green, yellow = (f"Exactly(WithColour('{name}'))" for name in ("green", "yellow"))
     programs = ((yellow, 0.4), (IN_REGION, 0.35), (green, 0.25))  # the region is green

@@ -80,12 +80,35 @@ class Intention:
 
     def probabilities(self, poses: Poses) -> dict[int, float]:
         """How probable it is that each block, or the robot, has still to move."""
-        states = States(self.scene, [poses])
         found: dict[int, float] = {}
+        for things, weight in self._to_move(poses):
+            for thing in things:
+                found[thing] = found.get(thing, 0.0) + weight
+        return found
+
+    def confidence(self, poses: Poses) -> float:
+        """How probable it is that what is moved now has to move; if nothing is, that nothing has.
+
+        0 where no program fits the scene.
+        """
+        if not self.is_known:
+            return 0.0
+        decision = self.decide(poses)
+        found = self._to_move(poses)
+        return sum(
+            weight
+            for things, weight in found
+            if (not things if decision is None else decision[0] in things)
+        )
+
+    def _to_move(self, poses: Poses) -> list[tuple[set[int], float]]:
+        """What has still to move by each goal, and the goal's probability."""
+        states = States(self.scene, [poses])
+        robot = len(self.scene.blocks)
+        found = []
         for goal, weight in self.goals:
-            for thing in np.flatnonzero(states.best_way(goal)[0]).tolist():
-                number = thing if thing < len(self.scene.blocks) else ROBOT_TARGET
-                found[number] = found.get(number, 0.0) + weight
+            rows = np.flatnonzero(states.best_way(goal)[0]).tolist()
+            found.append(({ROBOT_TARGET if row == robot else row for row in rows}, weight))
         return found
 
     def _choose(self, poses: Poses) -> Decision:

@@ -1,0 +1,102 @@
+"""Does program-bc know when it does not know?
+
+python -m studies.intent.confidence RUN... [--variant All]
+
+RUN is a run folder with weights and an entry. The policy decides what it would move first in the
+true scene of each rollout that was scored. It is right if the task's own program asks for that, in
+any of the ways to reach its goal. Rollouts of all runs are pooled by the policy's confidence.
+"""
+
+import argparse
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import gymnasium
+import numpy as np
+
+from magical.envs.seeds import evaluation_seed
+from magical.evaluation import read_entry
+from magical.learning.algorithms.program_bc import beliefs_of
+from magical.learning.intent.acting import Intention
+from magical.learning.intent.posterior import Belief
+from magical.learning.objects.hindsight import ROBOT_TARGET
+from magical.scene import Poses, Scene, State
+from magical.tasks import get_task
+from magical.tasks.axes import full_variant
+from magical.tasks.programs import Goal
+from magical.tasks.programs.goals import ROBOT
+from tools.readme_tables import table
+
+EDGES = (0.0, 0.5, 0.7, 0.9, 0.99, 1.0)
+
+
+class Case(NamedTuple):
+    """A rollout's first decision."""
+
+    task: str
+    confidence: float
+    right: bool
+    score: float
+
+
+def main() -> None:
+    assert __doc__
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("runs", nargs="+", type=Path, help="run folders of program-bc")
+    parser.add_argument("--variant", default="All")
+    args = parser.parse_args()
+    cases = [case for run in args.runs for case in cases_of(run, full_variant(args.variant))]
+    header = ("Confidence", "Rollouts", "Mean confidence", "Right", "Mean score")
+    print(table(header, by_confidence(cases)))
+    tasks = {case.task: [c for c in cases if c.task == case.task] for case in cases}
+    print(table(("Task", *header[1:]), (row(task, of) for task, of in tasks.items())))
+
+
+def cases_of(run: Path, variant: str) -> Iterator[Case]:
+    """The rollouts of a run on a variant."""
+    beliefs = beliefs_of(run)
+    for score in read_entry(run).scores:
+        if score.env_id.variant == variant:
+            task = score.env_id.task
+            env = gymnasium.make(str(score.env_id))
+            env.reset(seed=evaluation_seed(score.rollout))
+            state: State = env.unwrapped.state()  # type: ignore[attr-defined]
+            program = get_task(task).program
+            assert program
+            confidence, right = first_decision(beliefs[task], program, state.scene, state.poses)
+            yield Case(task, confidence, right, score.score)
+
+
+def first_decision(belief: Belief, program: Goal, scene: Scene, poses: Poses) -> tuple[float, bool]:
+    """How sure the belief is of its first move, and whether the program asks for it."""
+    intention, ways = Intention(belief, scene), program.ways(scene, poses)
+    confidence = intention.confidence(poses)
+    decision = intention.decide(poses) if intention.is_known else None
+    if decision is None:
+        return confidence, any(not way for way in ways)
+    thing = ROBOT if decision[0] == ROBOT_TARGET else decision[0]
+    return confidence, any(thing in way for way in ways)
+
+
+def by_confidence(cases: Iterable[Case]) -> Iterator[list[str]]:
+    """A row for each range of confidence."""
+    found = list(cases)
+    ranges = np.digitize([case.confidence for case in found], EDGES[1:-1])
+    for number, low in enumerate(EDGES[:-1]):
+        chosen = [case for case, where in zip(found, ranges, strict=True) if where == number]
+        if chosen:
+            yield row(f"{low} to {EDGES[number + 1]}", chosen)
+    yield row("all", found)
+
+
+def row(name: str, cases: list[Case]) -> list[str]:
+    """Name, number and means."""
+    means = np.mean([case[1:] for case in cases], axis=0)
+    return [name, str(len(cases)), *(f"{mean:.2f}" for mean in means)]
+
+
+if __name__ == "__main__":
+    main()
