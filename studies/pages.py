@@ -70,12 +70,13 @@ SECTIONS = {  # the generated parts of each study's page
         *("program-bc-human", "program-bc-perception", "program-bc-training"),
         "object-networks-human",
     ),
-    "modern_baselines": ("sequence-learners",),
+    "modern_baselines": ("sequence-learners", "iq-learn"),
     "objects": ("baseline", "gaps", "leaderboard", "others"),
 }
 BY_TASK = ("program-bc-human", "program-bc-perception", "program-bc-training")
 BESIDE = {  # plans whose methods' means stand beside methods of other plans
     "sequence-learners": {"bc-human": "BC (ST)"},
+    "iq-learn": {"adversarial-human": "GAIL (ST)", "bc-human": "BC (ST)"},
     "object-networks-human": {"bc-human": "BC (ST)", "program-bc-human": "program-bc (ST), human"},
 }
 PICTURE = Path("published_tables", "results.png")

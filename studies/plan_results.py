@@ -38,7 +38,7 @@ PLANS = (
 )
 # Those whose rows are on pages of their own; the leaderboard has them too.
 OTHERS = (
-    *("object-bc-ablations", "bc-transformations", "sequence-learners", "held-out"),
+    *("object-bc-ablations", "bc-transformations", "sequence-learners", "iq-learn", "held-out"),
     *("program-bc-human", "program-bc-perception", "program-bc-training", "program-bc-held-out"),
     "object-networks-human",
 )
