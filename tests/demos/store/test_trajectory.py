@@ -103,6 +103,9 @@ def test_a_policys_own_steps_are_not_demonstrated() -> None:
     assert Trajectory(**GOOD, actors=actors).is_demonstrated.tolist() == [False, True]
     relabelled = Trajectory(**GOOD, actors=actors, expert_actions=np.array([1, 2]))
     assert relabelled.is_demonstrated.tolist() == [True, True]
+    same = relabelled.actions == [1, 2]
+    assert relabelled.is_intended.tolist() == same.tolist() != [True, True]
+    assert Trajectory(**GOOD, actors=actors).is_intended.tolist() == [False, True]
 
 
 @pytest.mark.parametrize("change", [{"x": 1.2}, {"angle": 2000.0}])

@@ -155,6 +155,13 @@ class Trajectory:
         return demonstrated
 
     @property
+    def is_intended(self) -> NDArray[np.bool_]:
+        """Whether each executed action, (T,), is the one that a demonstrator chose."""
+        same = (self.labels == self.actions).reshape(len(self), -1).all(axis=1)
+        intended: NDArray[np.bool_] = self.is_demonstrated & same
+        return intended
+
+    @property
     def action_space(self) -> ActionSpaceName:
         """The kind of its actions."""
         return spec_of(self.actions).name

@@ -51,10 +51,8 @@ def parsed_episode(
         rng: samples the moves that were not made.
     """
     scene = parsed_scene(parsed, 0)
-    intended = trajectory.is_demonstrated & (trajectory.labels == trajectory.actions)
-    ends: Sequence[int] = [
-        last + 1 for _, _, last in find_carries(parsed.robot, parsed.blocks, intended)
-    ]
+    carries = find_carries(parsed.robot, parsed.blocks, trajectory.is_intended)
+    ends: Sequence[int] = [last + 1 for _, _, last in carries]
     if ends:  # where a carry leaves the robot was no goal
         parsed = parsed._replace(robot=np.repeat(parsed.robot[:1], len(parsed.robot), axis=0))
     times = [0, *(ends or [len(trajectory)])]

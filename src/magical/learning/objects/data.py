@@ -104,8 +104,7 @@ def _samples(
 ) -> tuple[ObjectTable, Tensor, Tensor, Tensor, Tensor, Tensor]:
     """One demonstration's scenes, targets, destinations, actions, task, and which are not idle."""
     _, trajectory, parsed = demonstration
-    intended = trajectory.is_demonstrated & (trajectory.labels == trajectory.actions)
-    targets, destinations = find_goals(parsed.robot, parsed.blocks, intended)
+    targets, destinations = find_goals(parsed.robot, parsed.blocks, trajectory.is_intended)
     return (
         ObjectTable(*(to_tensor(column[:-1]) for column in parsed)),
         to_tensor(targets),

@@ -81,8 +81,7 @@ class TransitionBuffer:
         buffer = cls(spec, frames, len(task_names))
         for name, trajectory in demonstrations:
             length, first = len(trajectory), buffer._stored
-            done = trajectory.is_demonstrated & (trajectory.labels == trajectory.actions)
-            steps = np.flatnonzero(done)
+            steps = np.flatnonzero(trajectory.is_intended)
             windows = first + stack_indices(steps + 1, spec.frames + 1)
             task = np.full(len(steps), task_names.index(name))
             labels = trajectory.labels[steps].astype(np.int64)
