@@ -103,8 +103,12 @@ def test_a_policys_own_steps_are_not_demonstrated() -> None:
     assert Trajectory(**GOOD, actors=actors).is_demonstrated.tolist() == [False, True]
     relabelled = Trajectory(**GOOD, actors=actors, expert_actions=np.array([1, 2]))
     assert relabelled.is_demonstrated.tolist() == [True, True]
-    same = relabelled.actions == [1, 2]
-    assert relabelled.is_intended.tolist() == same.tolist() != [True, True]
+
+
+def test_intended_are_demonstrators_choices_that_were_executed() -> None:
+    perturbed = Trajectory(**GOOD, expert_actions=np.array([1, 3]))
+    assert perturbed.is_intended.tolist() == [True, False]
+    actors = np.array([Actor.POLICY, Actor.HUMAN])
     assert Trajectory(**GOOD, actors=actors).is_intended.tolist() == [False, True]
 
 
