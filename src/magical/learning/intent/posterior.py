@@ -13,6 +13,7 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import expit
 
 from magical.learning.intent.demonstrator import Episode
 from magical.learning.intent.meanings import Language, Meaning
@@ -112,7 +113,7 @@ class _Search:
         for value, meaning in found:
             prior = math.log(meaning.weight)
             gains.append(prior + (value - prior) * scale - slips)
-        return float(1.0 / (1.0 + np.exp(np.logaddexp.reduce(gains))))
+        return float(expit(-np.logaddexp.reduce(gains)))
 
     def _in_two_passes(self, meanings: Iterable[Meaning]) -> Scored:
         """Those that the first demonstration leaves most probable, held against all."""
