@@ -98,7 +98,7 @@ def in_this_process() -> Iterator[list[PlannedRun]]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("magical.experiments.execution._executor", make)
-        patch.setattr("magical.demos.generate.available_cores", lambda: 1)
+        patch.setattr("magical.processes.pool.available_cores", lambda: 1)
         yield started
 
 
