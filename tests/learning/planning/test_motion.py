@@ -20,9 +20,12 @@ from magical.scene.actions import Action, Longitudinal, to_continuous
 from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
 
 
-def demonstrations(task: str, seeds: Sequence[int]) -> list[Demonstration]:
-    trajectories = [demonstrate(f"magical/{task}-Demo-v0", seed=seed) for seed in seeds]
-    return [(parse_trajectory(t, parse_frames), t.actions) for t in trajectories]
+def demonstrations(task: str, seeds: Sequence[int], perturb: float = 0.0) -> list[Demonstration]:
+    shown = [demonstrate(f"magical/{task}-Demo-v0", seed=s, perturb=perturb) for s in seeds]
+    return [
+        Demonstration(parse_trajectory(each, parse_frames), each.actions, each.is_intended)
+        for each in shown
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +35,7 @@ def corner() -> list[Demonstration]:
 
 def test_free_motion_of_another_demonstration_is_predicted(corner: list[Demonstration]) -> None:
     motion = fit_motion(corner)
-    ((parsed, actions),) = demonstrations("MoveToRegion", (2,))
+    ((parsed, actions, _),) = demonstrations("MoveToRegion", (2,))
     steps = robot_steps(parsed.robot[:-1], parsed.robot[1:])
     commands = to_continuous(actions)[1:]
     kept, back, ahead = motion.drive[0]
@@ -53,6 +56,13 @@ def test_blocks_are_grasped_where_they_touch_the_robot(corner: list[Demonstratio
     assert ROBOT_RADIUS < nearest <= farthest < ROBOT_RADIUS + 2 * BLOCK_SIZE
 
 
+def test_random_actions_are_no_grasps(corner: list[Demonstration]) -> None:
+    perturbed = demonstrations("FindDupe", range(4), perturb=0.2)
+    aside, nearest, _ = fit_motion(perturbed).grasp
+    assert aside < BLOCK_SIZE
+    assert nearest > ROBOT_RADIUS
+
+
 def test_what_was_never_demonstrated_is_as_in_other_tasks() -> None:
     motion = fit_motion(demonstrations("MoveToRegion", (0, 1)))
     for shown, prior in ((motion.drive, PRIOR.drive), (motion.turn, PRIOR.turn)):
@@ -61,10 +71,11 @@ def test_what_was_never_demonstrated_is_as_in_other_tasks() -> None:
 
 
 def test_steps_against_a_wall_teach_nothing(corner: list[Demonstration]) -> None:
-    (parsed, actions), *_ = corner
+    (parsed, actions, intended), *_ = corner
     still = [np.concatenate([each, np.repeat(each[-1:], 60, axis=0)]) for each in parsed]
     ahead = np.append(actions, np.full(60, Action(Longitudinal.FORWARD).id))
-    motion = fit_motion([(ParsedFrames(*still), ahead), corner[1]])
+    driven = Demonstration(ParsedFrames(*still), ahead, np.append(intended, np.ones(60, np.bool_)))
+    motion = fit_motion([driven, corner[1]])
     np.testing.assert_allclose(motion.speeds, fit_motion(corner).speeds, rtol=0.1)
 
 

@@ -26,7 +26,19 @@ RESIDUAL = 0.05  # of the largest: what is farther off is taken for a contact
 HELD_UP = 0.01  # units in a step: a robot that stays slower though it drives is held up
 
 Floats = NDArray[np.float64]
-Demonstration = tuple[ParsedFrames, NDArray[Any]]  # T + 1 tracked frames, T actions
+
+
+class Demonstration(NamedTuple):
+    """What motion is learned from: T + 1 tracked frames, T actions, which were intended (T,)."""
+
+    parsed: ParsedFrames
+    actions: NDArray[Any]
+    intended: NDArray[np.bool_]
+
+    @property
+    def carries(self) -> list[tuple[int, int, int]]:
+        """Block, first and last step of each carry, in order; random pushes are none."""
+        return find_carries(self.parsed.robot, self.parsed.blocks, self.intended)
 
 
 class Motion(NamedTuple):
@@ -63,11 +75,11 @@ class _Steps(NamedTuple):
 
 def fit_motion(demonstrations: Sequence[Demonstration]) -> Motion:
     """The motion that demonstrations show, and as far as they do not, `PRIOR`."""
-    parts = [_steps(*each) for each in demonstrations]
+    parts = [_steps(each) for each in demonstrations]
     steps = _Steps(*map(np.concatenate, zip(*parts, strict=True)))
     models = [_fit(steps, row) for row in (0, 1)]
     drive, turn = map(np.stack, zip(*models, strict=True))
-    grasps = np.concatenate([_grasps(*each) for each in demonstrations])
+    grasps = np.concatenate([_grasps(each) for each in demonstrations])
     grasps = grasps if len(grasps) else np.array([[0.0, GRIP]])
     nearest, farthest = np.quantile(grasps[:, 1], (1.0 - MOST, MOST))
     aside = np.quantile(np.abs(grasps[:, 0]), MOST)
@@ -113,29 +125,26 @@ def _robust(
     return coefficients
 
 
-def _steps(parsed: ParsedFrames, actions: NDArray[Any]) -> _Steps:
-    moved = robot_steps(parsed.robot[:-1], parsed.robot[1:])
-    carried = np.zeros(len(actions), np.bool_)
-    for _, first, last in _carries(parsed, actions):
+def _steps(shown: Demonstration) -> _Steps:
+    robot = shown.parsed.robot
+    moved = robot_steps(robot[:-1], robot[1:])
+    carried = np.zeros(len(shown.actions), np.bool_)
+    for _, first, last in shown.carries:
         carried[first : last + 1] = True
-    return _Steps(moved[:-1], moved[1:], to_continuous(actions)[1:], carried[1:])
+    return _Steps(moved[:-1], moved[1:], to_continuous(shown.actions)[1:], carried[1:])
 
 
-def _grasps(parsed: ParsedFrames, actions: NDArray[Any]) -> Floats:
+def _grasps(shown: Demonstration) -> Floats:
     """Where carried blocks lay, to the right and ahead (G, 2), as fingers began to close."""
-    closed = to_continuous(actions)[:, 2] > 0
+    closed = (to_continuous(shown.actions)[:, 2] > 0) & shown.intended
     found = []
-    for block, first, last in _carries(parsed, actions):
+    for block, first, last in shown.carries:
         if closed[first : last + 1].any():
             step = first + int(closed[first : last + 1].argmax())
             while step and closed[step - 1]:
                 step -= 1
-            found.append(to_robot(parsed.robot[step], parsed.blocks[step, block]))
+            found.append(to_robot(shown.parsed.robot[step], shown.parsed.blocks[step, block]))
     return np.reshape(found, (-1, 2))
-
-
-def _carries(parsed: ParsedFrames, actions: NDArray[Any]) -> list[tuple[int, int, int]]:
-    return find_carries(parsed.robot, parsed.blocks, np.ones(len(actions), np.bool_))
 
 
 def robot_steps(before: Floats, after: Floats) -> Floats:
