@@ -68,12 +68,14 @@ SECTIONS = {  # the generated parts of each study's page
     "generated_tasks": ("held-out",),
     "intent": (
         *("program-bc-human", "program-bc-perception", "program-bc-training"),
-        "object-networks-human",
+        *("program-bc-scripted", "object-networks-human"),
     ),
     "modern_baselines": ("sequence-learners", "iq-learn"),
     "objects": ("baseline", "gaps", "leaderboard", "others"),
 }
-BY_TASK = ("program-bc-human", "program-bc-perception", "program-bc-training")
+BY_TASK = (
+    *("program-bc-human", "program-bc-perception", "program-bc-training", "program-bc-scripted"),
+)
 BESIDE = {  # plans whose methods' means stand beside methods of other plans
     "sequence-learners": {"bc-human": "BC (ST)"},
     "iq-learn": {"adversarial-human": "GAIL (ST)", "bc-human": "BC (ST)"},

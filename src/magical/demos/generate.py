@@ -1,6 +1,6 @@
 """Demonstrations from the scripted experts."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
@@ -58,8 +58,7 @@ def generate(
         seed: of the series of attempts.
         first: number of the first attempt, to continue a series.
         skill: 1 acts as well as it can; below, it makes mistakes.
-        perturb: share of the control steps in which a random action is executed; the expert's
-            remain those to imitate (`Trajectory.labels`).
+        perturb: share of steps with a random action; the expert's remain the `labels` to imitate.
         min_score: attempts that score less (appendix's rule) are dropped.
         workers: processes; by default one for each core. The result does not depend on it.
         action_space: of the stored actions, "discrete" or "continuous".
@@ -82,27 +81,35 @@ def generate(
     workers = checked_workers(workers)
     modules = modules_of(parsed.task) if workers > 1 else []
     attempt = with_tasks(partial(_attempt, parsed, seed, skill, perturb, name), modules)
-    writer, scores, dropped = DatasetWriter(out), list[float](), 0
     with closing(map_in_processes(attempt, count(first), workers)) as results:
-        while len(scores) < number:
-            if dropped > MAX_DROPPED * number:
-                raise DatasetError(f"{env_id}: {_too_few(min_score, len(scores), dropped)}")
-            entry, raw = next(results)
-            if entry.final_score < min_score:
-                dropped += 1
-                continue
-            writer.append_encoded(entry, raw)
-            scores.append(entry.final_score)
-            if progress:
-                progress(1)
+        return _keep(results, number, DatasetWriter(out), env_id, min_score, progress)
+
+
+def _keep(
+    attempts: Iterator[tuple[ManifestEntry, bytes]],
+    number: int,
+    writer: DatasetWriter,
+    env_id: str,
+    min_score: float,
+    progress: Callable[[int], None] | None,
+) -> GenerateReport:
+    """Append the first `number` attempts that reach the score."""
+    scores, dropped = list[float](), 0
+    while len(scores) < number:
+        if dropped > MAX_DROPPED * number:
+            raise DatasetError(
+                f"{env_id}: {dropped} attempts scored less than {min_score} and {len(scores)} did "
+                "not; give a lower score, a higher skill or a lower share of perturbed steps"
+            )
+        entry, raw = next(attempts)
+        if entry.final_score < min_score:
+            dropped += 1
+            continue
+        writer.append_encoded(entry, raw)
+        scores.append(entry.final_score)
+        if progress:
+            progress(1)
     return GenerateReport(env_id, len(scores), dropped, tuple(scores))
-
-
-def _too_few(min_score: float, kept: int, dropped: int) -> str:
-    return (
-        f"{dropped} attempts scored less than {min_score} and {kept} did not; give a lower score, "
-        "a higher skill or a lower share of perturbed steps"
-    )
 
 
 def demonstrate(env_id: str, seed: int, skill: float = 1.0, *, perturb: float = 0.0) -> Trajectory:

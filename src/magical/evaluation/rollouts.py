@@ -57,8 +57,7 @@ def evaluate(
         nudge: shift each rollout's initial poses by up to so many units and radians, sampled from
             its seed; with 1e-9 Demo's score is no matter of rounding (docs/determinism.md).
         num_envs: the most environments to step together (at least one for each environment id).
-        workers: processes; by default one for each core. They step the environments, and for a
-            policy with `in_processes` they run the policy too.
+        workers: processes (default: the cores), for environments and policies `in_processes`.
         progress: called with the number of rollouts that have just ended.
 
     Returns:

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, TypeVar
 
 import torch
 from torch import Tensor, nn
-from torch.optim import AdamW
+from torch.optim import AdamW, Optimizer
 
 from magical.learning.augmentation.names import Augmentations, augment_option, parse_augmentations
 from magical.learning.config import Config, DemonstrationSettings, EncoderSettings
@@ -110,10 +110,7 @@ def fit(
         network.parameters(), fitting.learning_rate, weight_decay=fitting.weight_decay, fused=True
     )
     compute = run.compute(device, config.network_precision, config.threads)
-    if run.saved:
-        with restoring(run.folder):
-            network.load_state_dict(run.saved["policy"])
-            load_optimizer(optimizer, run.saved["optimizer"])
+    _restore(run, network, optimizer)
     averages, numbers = Averages(), range(run.step, fitting.batches)
     with prefetch(partial(sample, config, data), numbers, data.batches_on_host) as batches:
         for number, batch in zip(numbers, batches, strict=False):
@@ -133,6 +130,14 @@ def fit(
                 last=number + 1 == fitting.batches,
             ):
                 return
+
+
+def _restore(run: Run, network: nn.Module, optimizer: Optimizer) -> None:
+    """Continue from the run's checkpoint, if it has one."""
+    if run.saved:
+        with restoring(run.folder):
+            network.load_state_dict(run.saved["policy"])
+            load_optimizer(optimizer, run.saved["optimizer"])
 
 
 def masked_mean(values: Tensor, mask: Tensor) -> Tensor:
