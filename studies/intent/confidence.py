@@ -9,6 +9,7 @@ any of the ways to reach its goal. Rollouts of all runs are pooled by the policy
 
 import argparse
 from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -57,11 +58,11 @@ def main() -> None:
 
 def cases_of(run: Path, variant: str) -> Iterator[Case]:
     """The rollouts of a run on a variant."""
-    beliefs = beliefs_of(run)
+    beliefs, make = beliefs_of(run), cache(gymnasium.make)
     for score in read_entry(run).scores:
         if score.env_id.variant == variant:
             task = score.env_id.task
-            env = gymnasium.make(str(score.env_id))
+            env = make(str(score.env_id))
             env.reset(seed=evaluation_seed(score.rollout))
             state: State = env.unwrapped.state()  # type: ignore[attr-defined]
             program = get_task(task).program

@@ -48,7 +48,6 @@ def evaluate(
     Args:
         policy: a policy, or anything that `load_policy` accepts.
         env_ids: ids, or one; by default all variants of the policy's own tasks, or of all tasks.
-            Each counts once.
         rollouts: of each environment.
         seed: which set of fixed seeds; results are reported for 0.
         observation: by default the policy's own, or `LoRes4E`; states for a privileged policy.
@@ -57,7 +56,8 @@ def evaluate(
         nudge: shift each rollout's initial poses by up to so many units and radians, sampled from
             its seed; with 1e-9 Demo's score is no matter of rounding (docs/determinism.md).
         num_envs: the most environments to step together (at least one for each environment id).
-        workers: processes (default: the cores), for environments and policies `in_processes`.
+        workers: processes; by default one for each core. They step the environments, and for a
+            policy with `in_processes` they run the policy too.
         progress: called with the number of rollouts that have just ended.
 
     Returns:

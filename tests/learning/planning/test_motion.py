@@ -1,16 +1,16 @@
 """The robot's motion as demonstrations show it."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from magical.demos.generate import demonstrate
-from magical.learning.objects.data import parse_trajectory
+from magical.learning.objects.data import ParsedDemonstration, parse_demonstrations
 from magical.learning.objects.parser import ParsedFrames, parse_frames
 from magical.learning.planning.motion import (
     PRIOR,
-    Demonstration,
     fit_motion,
     from_robot,
     robot_steps,
@@ -20,24 +20,25 @@ from magical.scene.actions import Action, Longitudinal, to_continuous
 from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
 
 
-def demonstrations(task: str, seeds: Sequence[int], perturb: float = 0.0) -> list[Demonstration]:
+def demonstrations(
+    task: str, seeds: Sequence[int], perturb: float = 0.0
+) -> list[ParsedDemonstration]:
     shown = [demonstrate(f"magical/{task}-Demo-v0", seed=s, perturb=perturb) for s in seeds]
-    return [
-        Demonstration(parse_trajectory(each, parse_frames), each.actions, each.is_intended)
-        for each in shown
-    ]
+    return parse_demonstrations(tuple((task, each) for each in shown), parse_frames)
 
 
 @pytest.fixture(scope="module")
-def corner() -> list[Demonstration]:
+def corner() -> list[ParsedDemonstration]:
     return demonstrations("MoveToCorner", (0, 1))
 
 
-def test_free_motion_of_another_demonstration_is_predicted(corner: list[Demonstration]) -> None:
+def test_free_motion_of_another_demonstration_is_predicted(
+    corner: list[ParsedDemonstration],
+) -> None:
     motion = fit_motion(corner)
-    ((parsed, actions, _),) = demonstrations("MoveToRegion", (2,))
+    ((_, trajectory, parsed),) = demonstrations("MoveToRegion", (2,))
     steps = robot_steps(parsed.robot[:-1], parsed.robot[1:])
-    commands = to_continuous(actions)[1:]
+    commands = to_continuous(trajectory.actions)[1:]
     kept, back, ahead = motion.drive[0]
     drive = kept * steps[:-1, 0] + np.array([back, 0.0, ahead])[commands[:, 0].astype(int) + 1]
     turn = motion.turn[0] @ [steps[:-1, 1], commands[:, 1]]
@@ -45,18 +46,18 @@ def test_free_motion_of_another_demonstration_is_predicted(corner: list[Demonstr
     assert (np.median(errors, axis=0) < (0.005, 0.03)).all()
 
 
-def test_a_block_slows_the_robot_down(corner: list[Demonstration]) -> None:
+def test_a_block_slows_the_robot_down(corner: list[ParsedDemonstration]) -> None:
     free, held = fit_motion(corner).speeds
     assert (held[1:] < free[1:]).all()
 
 
-def test_blocks_are_grasped_where_they_touch_the_robot(corner: list[Demonstration]) -> None:
+def test_blocks_are_grasped_where_they_touch_the_robot(corner: list[ParsedDemonstration]) -> None:
     aside, nearest, farthest = fit_motion(corner).grasp
     assert aside < BLOCK_SIZE
     assert ROBOT_RADIUS < nearest <= farthest < ROBOT_RADIUS + 2 * BLOCK_SIZE
 
 
-def test_random_actions_are_no_grasps(corner: list[Demonstration]) -> None:
+def test_random_actions_are_no_grasps() -> None:
     perturbed = demonstrations("FindDupe", range(4), perturb=0.2)
     aside, nearest, _ = fit_motion(perturbed).grasp
     assert aside < BLOCK_SIZE
@@ -70,12 +71,14 @@ def test_what_was_never_demonstrated_is_as_in_other_tasks() -> None:
         assert (shown[0] != prior[0]).all()
 
 
-def test_steps_against_a_wall_teach_nothing(corner: list[Demonstration]) -> None:
-    (parsed, actions, intended), *_ = corner
-    still = [np.concatenate([each, np.repeat(each[-1:], 60, axis=0)]) for each in parsed]
-    ahead = np.append(actions, np.full(60, Action(Longitudinal.FORWARD).id))
-    driven = Demonstration(ParsedFrames(*still), ahead, np.append(intended, np.ones(60, np.bool_)))
-    motion = fit_motion([driven, corner[1]])
+def test_steps_against_a_wall_teach_nothing(corner: list[ParsedDemonstration]) -> None:
+    task, trajectory, parsed = corner[0]
+    poses = trajectory.poses
+    assert poses is not None
+    still = [np.concatenate([each, np.repeat(each[-1:], 60, axis=0)]) for each in (*parsed, poses)]
+    ahead = np.append(trajectory.actions, np.full(60, Action(Longitudinal.FORWARD).id))
+    driven = replace(trajectory, actions=ahead, poses=still.pop())
+    motion = fit_motion([ParsedDemonstration(task, driven, ParsedFrames(*still)), corner[1]])
     np.testing.assert_allclose(motion.speeds, fit_motion(corner).speeds, rtol=0.1)
 
 

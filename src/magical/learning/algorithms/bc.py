@@ -218,7 +218,7 @@ class BCTrainer:
         self.network = network.to(self.device)
         self.optimizer = make_optimizer(config.cloning, self.network)
         decay = config.cloning.average_decay
-        average = get_ema_multi_avg_fn(decay)  # type: ignore[no-untyped-call]
+        average = get_ema_multi_avg_fn(decay)  # type: ignore[no-untyped-call]  # PyTorch's
         self._average = AveragedModel(self.network, multi_avg_fn=average) if decay else None
         self.compute = run.compute(self.device, config.network_precision, config.threads)
         if run.saved:

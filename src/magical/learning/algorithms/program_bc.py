@@ -38,7 +38,7 @@ from magical.learning.intent.scenes import parsed_episode, parsed_poses, parsed_
 from magical.learning.objects.data import ParsedDemonstration, parse_demonstrations
 from magical.learning.objects.hindsight import track
 from magical.learning.objects.parser import ParsedFrames
-from magical.learning.planning.motion import Demonstration, Motion, fit_motion
+from magical.learning.planning.motion import Motion, fit_motion
 from magical.learning.planning.planner import Planner, Situation
 from magical.learning.policy import TrainedPolicy, sample_actions, to_inputs
 from magical.learning.running.loading import load_policy
@@ -195,8 +195,7 @@ def train(config: ProgramBCConfig, run: Run) -> None:
     policy = make_policy(config)
     demonstrations = parse_demonstrations(load_demonstrations(config, run), policy.perception)
     if not run.saved:
-        shown = [Demonstration(p, t.actions, t.is_intended) for _, t, p in demonstrations]
-        policy.move_as(fit_motion(shown))
+        policy.move_as(fit_motion(demonstrations))
         for number, belief in enumerate(infer_beliefs(config, demonstrations).values()):
             policy.believe(number, belief)
     ObjectBCTrainer(config, run, policy).fit(demonstrations)

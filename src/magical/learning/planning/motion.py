@@ -8,15 +8,15 @@ contacts is learned: the fit is robust, so that they do not spoil it.
 
 from collections.abc import Callable, Sequence
 from itertools import product
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from magical.experts.geometry import wrap_angle
+from magical.learning.objects.data import ParsedDemonstration
 from magical.learning.objects.hindsight import find_carries
-from magical.learning.objects.parser import ParsedFrames
 from magical.learning.objects.table import GRIP
 from magical.scene.actions import to_continuous
 
@@ -26,19 +26,6 @@ RESIDUAL = 0.05  # of the largest: what is farther off is taken for a contact
 HELD_UP = 0.01  # units in a step: a robot that stays slower though it drives is held up
 
 Floats = NDArray[np.float64]
-
-
-class Demonstration(NamedTuple):
-    """What motion is learned from: T + 1 tracked frames, T actions, which were intended (T,)."""
-
-    parsed: ParsedFrames
-    actions: NDArray[Any]
-    intended: NDArray[np.bool_]
-
-    @property
-    def carries(self) -> list[tuple[int, int, int]]:
-        """Block, first and last step of each carry, in order; random pushes are none."""
-        return find_carries(self.parsed.robot, self.parsed.blocks, self.intended)
 
 
 class Motion(NamedTuple):
@@ -73,13 +60,13 @@ class _Steps(NamedTuple):
     carried: NDArray[np.bool_]  # (S,) whether a block was carried
 
 
-def fit_motion(demonstrations: Sequence[Demonstration]) -> Motion:
+def fit_motion(demonstrations: Sequence[ParsedDemonstration]) -> Motion:
     """The motion that demonstrations show, and as far as they do not, `PRIOR`."""
-    parts = [_steps(each) for each in demonstrations]
+    parts = map(_steps, demonstrations)
     steps = _Steps(*map(np.concatenate, zip(*parts, strict=True)))
     models = [_fit(steps, row) for row in (0, 1)]
     drive, turn = map(np.stack, zip(*models, strict=True))
-    grasps = np.concatenate([_grasps(each) for each in demonstrations])
+    grasps = np.concatenate(list(map(_grasps, demonstrations)))
     grasps = grasps if len(grasps) else np.array([[0.0, GRIP]])
     nearest, farthest = np.quantile(grasps[:, 1], (1.0 - MOST, MOST))
     aside = np.quantile(np.abs(grasps[:, 0]), MOST)
@@ -125,26 +112,32 @@ def _robust(
     return coefficients
 
 
-def _steps(shown: Demonstration) -> _Steps:
-    robot = shown.parsed.robot
+def _steps(shown: ParsedDemonstration) -> _Steps:
+    robot, actions = shown.parsed.robot, shown.trajectory.actions
     moved = robot_steps(robot[:-1], robot[1:])
-    carried = np.zeros(len(shown.actions), np.bool_)
-    for _, first, last in shown.carries:
+    carried = np.zeros(len(actions), np.bool_)
+    for _, first, last in _carries(shown):
         carried[first : last + 1] = True
-    return _Steps(moved[:-1], moved[1:], to_continuous(shown.actions)[1:], carried[1:])
+    return _Steps(moved[:-1], moved[1:], to_continuous(actions)[1:], carried[1:])
 
 
-def _grasps(shown: Demonstration) -> Floats:
+def _grasps(shown: ParsedDemonstration) -> Floats:
     """Where carried blocks lay, to the right and ahead (G, 2), as fingers began to close."""
-    closed = (to_continuous(shown.actions)[:, 2] > 0) & shown.intended
+    _, trajectory, parsed = shown
+    closed = (to_continuous(trajectory.actions)[:, 2] > 0) & trajectory.is_intended
     found = []
-    for block, first, last in shown.carries:
+    for block, first, last in _carries(shown):
         if closed[first : last + 1].any():
             step = first + int(closed[first : last + 1].argmax())
             while step and closed[step - 1]:
                 step -= 1
-            found.append(to_robot(shown.parsed.robot[step], shown.parsed.blocks[step, block]))
+            found.append(to_robot(parsed.robot[step], parsed.blocks[step, block]))
     return np.reshape(found, (-1, 2))
+
+
+def _carries(shown: ParsedDemonstration) -> list[tuple[int, int, int]]:
+    """Block, first and last step of each carry, in order; random pushes are none."""
+    return find_carries(shown.parsed.robot, shown.parsed.blocks, shown.trajectory.is_intended)
 
 
 def robot_steps(before: Floats, after: Floats) -> Floats:
