@@ -9,8 +9,9 @@ from magical.envs import EnvId
 from magical.evaluation import evaluate
 from magical.evaluation.policy import Actions, Mask
 from magical.learning.objects.hindsight import ROBOT_TARGET
+from magical.learning.planning.kernels import compiled_roll_out
 from magical.learning.planning.motion import Floats, Motion, fit_motion
-from magical.learning.planning.planner import Planner, Situation
+from magical.learning.planning.planner import HORIZON, PLANS, Planner, Situation
 from magical.scene import NOOP, State
 from magical.scene.actions import ACTIONS, Gripper, Longitudinal
 from magical.scene.poses import ROBOT
@@ -111,3 +112,27 @@ def test_a_robot_that_lingers_acts_more_randomly(motion: Motion) -> None:
         action = planner.act(seen._replace(before=turning[max(step - 1, 0)].pose), 0.5)
         differs.append(action != best)
     assert sum(differs[:14]) < sum(differs[15:])
+
+
+def test_plans_are_rolled_out_step_by_step(motion: Motion) -> None:
+    pose, speeds, limit = np.array([0.7, -0.2, 1.0]), np.array([0.02, -0.1]), 0.8
+    (kept, backwards, ahead), (kept_spin, turned) = motion.drive[1], motion.turn[1]
+    expected = np.empty((HORIZON, len(PLANS.steps), 3))
+    for plan, turning in enumerate(PLANS.turning):
+        (x, y, angle), (speed, spin) = pose, speeds
+        for step, drive in enumerate(PLANS.drives[:, plan]):
+            speed = kept * speed + {-1: backwards, 0: 0.0, 1: ahead}[drive]
+            spin = kept_spin * spin + turned * PLANS.turns[turning, step]
+            new = x - np.sin(angle + spin / 2) * speed, y + np.cos(angle + spin / 2) * speed
+            x, y = new if np.abs(new).max() <= limit else (x, y)
+            angle += spin
+            expected[step, plan] = x, y, angle
+    poses = np.empty_like(expected)
+    compiled_roll_out(*PLANS[1:], pose, speeds, motion.drive[1], motion.turn[1], limit, poses)
+    np.testing.assert_allclose(poses, expected, rtol=1e-9)
+
+
+def test_plans_of_each_first_action_come_one_after_the_other() -> None:
+    first = np.stack([PLANS.turns[PLANS.turning, 0], PLANS.drives[0]], axis=1).reshape(9, -1, 2)
+    assert (first == first[:, :1]).all()
+    assert len(np.unique(first[:, 0], axis=0)) == 9

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.interpolate import RegularGridInterpolator
 
-from magical.learning.planning.routes import Routes
+from magical.learning.planning.routes import SIDE, Routes
 
 NOTHING = np.zeros((0, 2))
 
@@ -59,3 +60,14 @@ def test_of_goals_at_the_same_point_the_cheaper_counts() -> None:
         found = Routes(goals, np.array(costs), NOTHING, np.zeros(0), 1.0)
         assert found.goals(np.array([0.2, 0.0])) == cheaper
         assert found.at(np.array([0.2, 0.0]))[0] == pytest.approx(0.3, abs=0.05)
+
+
+def test_lengths_are_interpolated_between_the_points_of_a_grid() -> None:
+    found = routes((0.5, 0.0), obstacles=np.array([[0.0, 0.0]]))
+    ticks = np.linspace(-1.0, 1.0, SIDE)
+    grid = np.stack(np.meshgrid(ticks, ticks, indexing="ij"), axis=-1)
+    interpolated = RegularGridInterpolator((ticks, ticks), found.at(grid)[0])
+    points = np.random.default_rng(0).uniform(-0.9, 0.9, (4, 50, 2))
+    lengths, directions = found.at(points)
+    np.testing.assert_allclose(lengths, interpolated(points), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=-1), 1.0)

@@ -1,4 +1,4 @@
-"""Compiled parts of planning: rollouts of plans, and overlaps with blocks and walls.
+"""Compiled parts of planning: rollouts of plans, overlaps with blocks and walls, and routes.
 
 They are apart from their users, which import from other rooms: the key of compiled code on disk
 has the sources of this folder alone (see `magical.compiled.cache`).
@@ -18,7 +18,9 @@ FINGER_ROOM = 0.13  # units from there to a block's centre
 
 @nogil_entry_point
 def compiled_roll_out(
-    commands: NDArray[np.int64],
+    drives: NDArray[np.int64],
+    turns: NDArray[np.int64],
+    turning: NDArray[np.int64],
     pose: Floats,
     speeds: Floats,
     drive: Floats,
@@ -26,20 +28,26 @@ def compiled_roll_out(
     limit: float,
     poses: Floats,
 ) -> None:
-    """Fill in the poses (HORIZON, M, 3) of plans' commands from a pose and its speeds."""
-    for plan in range(commands.shape[1]):
-        speed, spin = speeds[0], speeds[1]
-        x, y, angle = pose[0], pose[1], pose[2]
-        for step in range(commands.shape[0]):
+    """Fill in the poses (HORIZON, M, 3) of plans from a pose and its speeds; see `_Plans`."""
+    angles = np.empty((*turns.shape, 3))  # sine and cosine half-way in each step, and angle after
+    for each in range(turns.shape[0]):
+        angle, spin = pose[2], speeds[1]
+        for step in range(turns.shape[1]):
+            spin = turn[0] * spin + turn[1] * turns[each, step]
+            angles[each, step, 0] = math.sin(angle + spin / 2)
+            angles[each, step, 1] = math.cos(angle + spin / 2)
+            angle += spin
+            angles[each, step, 2] = angle
+    for plan in range(drives.shape[1]):
+        x, y, speed = pose[0], pose[1], speeds[0]
+        for step in range(drives.shape[0]):
+            sin, cos, angle = angles[turning[plan], step]
             speed *= drive[0]
-            if commands[step, plan, 0]:
-                speed += drive[1 + (commands[step, plan, 0] > 0)]
-            spin = turn[0] * spin + turn[1] * commands[step, plan, 1]
-            new_x = x - math.sin(angle + spin / 2) * speed
-            new_y = y + math.cos(angle + spin / 2) * speed
+            if drives[step, plan]:
+                speed += drive[1 + (drives[step, plan] > 0)]
+            new_x, new_y = x - sin * speed, y + cos * speed
             if abs(new_x) <= limit and abs(new_y) <= limit:
                 x, y = new_x, new_y
-            angle += spin
             poses[step, plan, 0], poses[step, plan, 1], poses[step, plan, 2] = x, y, angle
 
 
@@ -61,3 +69,25 @@ def compiled_overlaps(
                 deepest = max(deepest, FINGER_ROOM - away)
             overlap += deepest
         overlaps[at] = overlap
+
+
+@nogil_entry_point
+def compiled_routes(
+    where: Floats, lengths: Floats, slopes: Floats, length: Floats, direction: Floats
+) -> None:
+    """Fill in lengths (P,) and directions (P, 2) of the routes from points of the grid (P, 2).
+
+    They are interpolated between the grid's lengths (SIDE, SIDE) and their slopes (SIDE, SIDE, 2).
+    """
+    for at in range(len(where)):
+        low_x, low_y = int(where[at, 0]), int(where[at, 1])
+        part_x, part_y = where[at, 0] - low_x, where[at, 1] - low_y
+        total, slope_x, slope_y = 0.0, 0.0, 0.0
+        for i in range(2):
+            for j in range(2):
+                share = abs(1 - i - part_x) * abs(1 - j - part_y)
+                total += share * lengths[low_x + i, low_y + j]
+                slope_x += share * slopes[low_x + i, low_y + j, 0]
+                slope_y += share * slopes[low_x + i, low_y + j, 1]
+        size = max(math.sqrt(slope_x * slope_x + slope_y * slope_y), 1e-9)
+        length[at], direction[at, 0], direction[at, 1] = total, -slope_x / size, -slope_y / size

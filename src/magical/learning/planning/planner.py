@@ -58,23 +58,25 @@ class Situation(NamedTuple):
 
 
 class _Plans(NamedTuple):
-    """All M plans."""
+    """All M plans, as many for each of MOVES, in its order."""
 
-    first: NDArray[np.intp]  # (M,) the first action's place in MOVES
     steps: NDArray[np.intp]  # (M,) control steps
-    commands: NDArray[np.int64]  # (HORIZON, M, 2) drive and turn; 0 after the plan's end
+    drives: NDArray[np.int64]  # (HORIZON, M) -1, 0 or 1; 0 after the plan's end
+    turns: NDArray[np.int64]  # (N, HORIZON) the different sequences of turns, likewise
+    turning: NDArray[np.intp]  # (M,) which of them each plan has
 
 
 def _all_plans() -> _Plans:
     moves = range(len(MOVES))
     alone = [(first, steps, first, 0) for first, steps in product(moves, FIRST)]
     both = [each for each in product(moves, FIRST, moves, SECOND) if each[0] != each[2]]
-    first, steps, second, more = np.array(alone + both).T
+    first, steps, second, more = np.array(sorted(alone + both, key=lambda plan: plan[0])).T
     time = np.arange(HORIZON)[:, None]
     points = to_continuous([move.id for move in MOVES])[:, :2].astype(np.int64)
     then = np.where((time < steps + more)[..., None], points[second], 0)
-    commands = np.where((time < steps)[..., None], points[first], then)
-    return _Plans(first, steps + more, commands)
+    drives, turns = np.moveaxis(np.where((time < steps)[..., None], points[first], then), -1, 0)
+    different, turning = np.unique(turns.T, axis=0, return_inverse=True)
+    return _Plans(steps + more, np.ascontiguousarray(drives), different, turning)
 
 
 PLANS = _all_plans()
@@ -126,10 +128,9 @@ class Planner:
         """Control steps (9,) by the best plan that begins with each of MOVES."""
         poses = self._roll_out(seen.pose, speeds, int(held))
         costs = PLANS.steps + self._remaining(seen, poses[-1], held)
-        order = np.argsort(costs, kind="stable")
-        best = np.concatenate(
-            [order[PLANS.first[order] == move][:CHECKED] for move in range(len(MOVES))]
-        )
+        by_move = costs.reshape(len(MOVES), -1)
+        rows = np.argsort(by_move, axis=1, kind="stable")[:, :CHECKED]
+        best = (rows + by_move.shape[1] * np.arange(len(MOVES))[:, None]).ravel()
         costs = costs[best] + _collisions(seen, poses[1::STRIDE, best], held)
         cheapest: Floats = costs.reshape(len(MOVES), CHECKED).min(axis=1)
         cheapest[MOVES.index(Action())] += STANDING
@@ -137,10 +138,10 @@ class Planner:
 
     def _roll_out(self, pose: Floats, speeds: Floats, held: int) -> Floats:
         """The poses (HORIZON, M, 3) of all plans; the robot stops where it would leave."""
-        poses = np.empty((HORIZON, len(PLANS.first), 3))
+        poses = np.empty((HORIZON, len(PLANS.steps), 3))
         limit = max(ROBOT_LIMIT, float(np.abs(pose[:2]).max()))
         motion = self.motion.drive[held], self.motion.turn[held]
-        compiled_roll_out(PLANS.commands, pose, speeds, *motion, limit, poses)
+        compiled_roll_out(*PLANS[1:], pose, speeds, *motion, limit, poses)
         return poses
 
     def _remaining(self, seen: Situation, ends: Floats, held: bool) -> Floats:

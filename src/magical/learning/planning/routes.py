@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from magical.learning.planning.kernels import compiled_routes
 from magical.scene.constants import WORKSPACE_HALF
 
 SIDE = 29  # grid points across the workspace
@@ -75,16 +76,15 @@ class Routes:
     def at(self, points: Floats) -> tuple[Floats, Floats]:
         """Lengths (...) of the routes from points (..., 2), and their directions (..., 2)."""
         where = ((points + WORKSPACE_HALF) / _SPACING).clip(0, SIDE - 1.001)
-        low = where.astype(np.intp)
-        part = where - low
-        length, slope = np.zeros(points.shape[:-1]), np.zeros(points.shape)
-        for i, j in product((0, 1), repeat=2):
-            share = np.abs(1 - i - part[..., 0]) * np.abs(1 - j - part[..., 1])
-            cell = low[..., 0] + i, low[..., 1] + j
-            length += share * self._lengths[cell]
-            slope += share[..., None] * self._slopes[cell]
-        size = np.linalg.norm(slope, axis=-1, keepdims=True)
-        return length, -slope / np.maximum(size, 1e-9)
+        length, direction = np.empty(points.shape[:-1]), np.empty(points.shape)
+        compiled_routes(
+            where.reshape(-1, 2),
+            self._lengths,
+            self._slopes,
+            length.reshape(-1),
+            direction.reshape(-1, 2),
+        )
+        return length, direction
 
 
 class Search:
