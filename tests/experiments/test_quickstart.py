@@ -1,5 +1,6 @@
 """The main job, with little of everything."""
 
+import json
 import re
 from pathlib import Path
 
@@ -48,12 +49,13 @@ def test_a_second_quickstart_takes_up_what_is_there(
     files = [*folder.glob("runs/*/metrics.jsonl"), *folder.glob("references/*/scores.csv")]
     before = [(file, file.stat().st_ino, file.stat().st_mtime_ns) for file in files]
     assert len(before) == 3
-    assert cli.main([*ARGV, "--out", str(folder)]) == 0
+    assert cli.main([*ARGV, "--out", str(folder), "--json"]) == 0
     assert [(file, file.stat().st_ino, file.stat().st_mtime_ns) for file in files] == before
     printed = capsys.readouterr()
     assert "BC (ST), published" in printed.out
     assert "MoveToCorner" not in printed.out
-    assert f"report: {folder / 'report.html'}" in printed.out
+    assert json.loads(printed.out.splitlines()[-1])["rows"]
+    assert f"report: {folder / 'report.html'}" in printed.err
     assert re.search(r"\d s  reference policies\n +\d+ s  the page", printed.err)
 
 

@@ -14,6 +14,7 @@ from magical.commands import report
 from magical.commands._common import (
     INTERRUPTED,
     add_count,
+    add_json,
     add_out,
     add_rollouts,
     add_seed,
@@ -34,6 +35,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_rollouts(parser)
     add_count(parser, "--batches", "of training (default: 2000)")
     add_workers(parser, least=1)
+    add_json(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -68,11 +70,11 @@ def run(args: argparse.Namespace) -> int:
         out=args.out / "report.html",
         format="html",
         compare=None,
-        json=False,
+        json=args.json,
         clips=len(plan.tasks) * (len(plan.methods) + len(plan.references)),
     )
     status = report.run(page)
     for name, seconds in {**summary.seconds, "the page": time.perf_counter() - start}.items():
         log(f"{seconds:6.0f} s  {name}")
-    print(f"report: {page.out.resolve()}")
+    log(f"report: {page.out.resolve()}")
     return status

@@ -1,6 +1,7 @@
 """Videos of demonstrations."""
 
 import io
+import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,10 +19,12 @@ from tests.demos.export.conftest import MISSING, decoded
 MakeTrajectory = Callable[..., Trajectory]
 
 
-def test_video_as_webp(mixed: Path, tmp_path: Path) -> None:
+def test_video_as_webp(mixed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "video.webp"
     chosen = ["--index", "2", "3"]
-    assert main(["demos", "video", str(mixed), "--out", str(out), *chosen]) == 0
+    assert main(["demos", "video", str(mixed), "--out", str(out), *chosen, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert found == {"out": str(out), "count": 2, "frames": 6 + 5 + 2 * LAST_FRAME_REPEATS}
     with Image.open(io.BytesIO(out.read_bytes())) as video:
         assert video.size == (768, 416)
         assert video.n_frames == 6 + 5  # frames that repeat are shown longer

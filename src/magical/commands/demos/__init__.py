@@ -119,6 +119,7 @@ def _video(parser: argparse.ArgumentParser) -> None:
     add_out(parser, "FILE.mp4 or FILE.webp", "FILE", required=True)
     meaning = "which demonstrations, from 0 (default: one of each environment)"
     add_count(parser, "--index", meaning, least=0, metavar="I", nargs="+")
+    add_json(parser)
 
 
 def _export(parser: argparse.ArgumentParser) -> None:

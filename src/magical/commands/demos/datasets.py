@@ -162,6 +162,7 @@ def run_video(args: argparse.Namespace) -> int:
         raise DatasetError(f"{args.dataset}: expected demonstration {chosen}, found {len(dataset)}")
     frames = write_video((dataset[i] for i in chosen), args.out)
     print(f"wrote {args.out}: {len(chosen)} demonstrations, {frames} frames")
+    print_json(args, {"out": str(args.out), "count": len(chosen), "frames": frames})
     return 0
 
 
