@@ -6,10 +6,8 @@ python -m studies.intent.beliefs --demos FOLDER [--picture FILE]
 import argparse
 from pathlib import Path
 
-import numpy as np
-
-from magical.demos import Dataset
 from magical.learning.algorithms.program_bc import ProgramBCConfig, infer_beliefs
+from magical.learning.data.expert_data import sample_demonstrations
 from magical.learning.intent.picture import draw_beliefs
 from magical.learning.intent.posterior import Belief
 from magical.learning.objects.data import parse_demonstrations
@@ -42,14 +40,9 @@ def main() -> None:
     parser.add_argument("--demos", required=True)
     parser.add_argument("--picture", type=Path)
     args = parser.parse_args()
-    dataset, rng = Dataset.open(args.demos), np.random.default_rng(0)
-    demonstrations = tuple(
-        (task, trajectory)
-        for task in TASKS
-        for trajectory in dataset.filter(task=task).sample(DEMONSTRATIONS, rng)
-    )
     config = ProgramBCConfig.preset("quick", tasks=tuple(TASKS), demos=args.demos)
-    beliefs = infer_beliefs(config, parse_demonstrations(demonstrations, parse_frames))
+    sampled = sample_demonstrations(args.demos, config.tasks, DEMONSTRATIONS, config.seed)
+    beliefs = infer_beliefs(config, parse_demonstrations(sampled.trajectories, parse_frames))
     header = ("Task", "Its program", "p", "The most probable one", "p", "Its meaning", "None")
     print(table(header, (row(task, belief) for task, belief in beliefs.items())))
     if args.picture:
