@@ -1,5 +1,6 @@
 """`magical demos info` and `replay` on intact and damaged recordings."""
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,7 @@ import pytest
 
 from magical.cli import main
 from magical.demos import Dataset, DatasetWriter, Trajectory
+from magical.demos.store import manifest
 
 Run = Callable[..., tuple[int, dict[str, Any]]]
 
@@ -35,6 +37,19 @@ def test_info_counts_and_lists_problems(
     assert first.file in result["problems"][0]["file"]
     status, result = run("info", small_dataset, "--repair")
     assert (status, result["count"], result["problems"]) == (0, 4, [])
+
+
+def test_a_repair_does_not_call_left_out_what_it_keeps(
+    small_dataset: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, *others = Dataset.open(small_dataset).entries
+    wrong = [replace(first, score=0.125), *others]
+    (small_dataset / manifest.NAME).write_text(manifest.new_text(wrong))
+    assert main(["demos", "info", str(small_dataset), "--repair", "--json"]) == 0
+    captured = capsys.readouterr()
+    assert json.loads(captured.out.splitlines()[-1])["count"] == 3
+    described = f"{small_dataset / first.file}: the manifest described another one"
+    assert captured.err.splitlines() == [f"found: {described}"]
 
 
 def test_replay_of_recordings_is_exact(small_dataset: Path, run: Run) -> None:

@@ -49,6 +49,21 @@ def test_episode_truncates_at_the_horizon_and_scores_there() -> None:
     assert reward == info["eval_score"] == env.scores().score
 
 
+def test_a_task_with_one_rule_is_scored_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    scored: list[Poses] = []
+
+    def score(scene: Scene, poses: Poses) -> float:
+        scored.append(poses)
+        return 0.25
+
+    env = _make(horizon=1)
+    monkeypatch.setattr(env._episode, "task", replace(env.task, score_fn=score))
+    env.reset(seed=0)
+    info = env.step(0)[4]
+    assert (info["eval_score"], info["published_code_score"]) == (0.25, 0.25)
+    assert len(scored) == 1
+
+
 def test_default_reward_is_zero() -> None:
     scene = Scene(Pose(0.5, 0, 0), (Block(Shape.STAR, Colour.RED, Pose(-0.7, 0.7, 0)),))
     env = _make(horizon=1)

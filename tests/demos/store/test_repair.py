@@ -17,7 +17,7 @@ import pytest
 from magical.demos import Dataset, DatasetWriter, Trajectory
 from magical.demos.store import manifest
 from magical.demos.store.repair import repair
-from magical.errors import DatasetError, UnknownNameError
+from magical.errors import DatasetError, InvalidSceneError, UnknownNameError
 from magical.files import write_atomically
 
 MakeTrajectory = Callable[..., Trajectory]
@@ -117,6 +117,20 @@ def test_a_line_that_describes_another_trajectory_is_made_anew(small_dataset: Pa
     (problem,) = repair(small_dataset)
     assert str(problem) == f"{small_dataset / first.file}: the manifest described another one"
     assert Dataset.open(small_dataset).entries == before
+
+
+def test_listed_files_of_a_task_that_now_allows_other_scenes_are_kept(
+    small_dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = Dataset.open(small_dataset).entries
+
+    def refused(raw: bytes) -> Trajectory:
+        raise DatasetError("another file") from InvalidSceneError("at most 3 blocks")
+
+    monkeypatch.setattr("magical.demos.store.repair.decode", refused)
+    assert repair(small_dataset) == []
+    assert Dataset.open(small_dataset).entries == before
+    assert not (small_dataset / "damaged").exists()
 
 
 def test_listed_files_of_a_task_that_is_not_registered_are_kept(

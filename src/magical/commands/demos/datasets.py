@@ -51,7 +51,7 @@ def run_info(args: argparse.Namespace) -> int:
 
     if args.repair:
         for problem in repair(args.dataset):
-            log(f"left out: {problem}")
+            log(f"found: {problem}")
     dataset = Dataset.open(args.dataset, skip_damaged=True)
     summaries = summarise_dataset(dataset)
     duplicates = find_duplicates(dataset.entries)

@@ -26,7 +26,7 @@ def repair(path: Path | str) -> list[Problem]:
     """Rebuild the manifest from the intact trajectory files; returns the problems found.
 
     Damaged trajectory files are moved to the folder `damaged`. Files that are as the manifest lists
-    them are kept even where their task is not registered.
+    them are kept even where their task is not registered, or by now allows other scenes.
 
     Raises:
         DatasetError: there is no dataset; a file cannot be read, or is of a task that is not
@@ -107,8 +107,8 @@ def _recovered(
     number = re.match(r"\d{1,9}(?=-)", file.name)
     try:
         entry = ManifestEntry.of(decode(raw), raw, int(number[0]) if number else 0)
-    except DatasetError as error:
-        if known and unchanged and isinstance(error.__cause__, UnknownNameError):
+    except DatasetError:
+        if known and unchanged:
             return known
         raise
     except ValueError as error:
