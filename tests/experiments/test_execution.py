@@ -213,8 +213,8 @@ def test_other_folders_are_refused(planned: Planned, inline: Started, copied: Pa
     with pytest.raises(ResultsError, match="results of another plan, with the methods BC tiny;"):
         execute(planned(('"BC tiny"', '"BC"')), out)
     experiment = json.loads((out / "experiment.json").read_text())
-    experiment["versions"]["magical"] = "0.0.1"
-    (out / "experiment.json").write_text(json.dumps(experiment))
+    other = {**experiment, "versions": {"magical": "0.0.1"}, "more": 1}
+    (out / "experiment.json").write_text(json.dumps(other))
     with pytest.raises(ResultsError, match=r"results of magical 0\.0\.1 .*this is magical"):
         execute(runs, out)
     for damaged in ("{", json.dumps({**experiment, "demonstrations": [1]})):

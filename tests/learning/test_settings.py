@@ -11,6 +11,7 @@ pytest.importorskip("torch", reason="the learning extra is not installed")
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms.bc import BCConfig
 from magical.learning.algorithms.ppo import PPOConfig
+from magical.tasks import TASKS as REGISTRY
 
 TASKS = ("MoveToRegion",)
 
@@ -46,3 +47,9 @@ def test_paths_and_numbers_of_numpy_are_kept_as_plain_ones() -> None:
     found = BCConfig.preset("quick", tasks=TASKS, **given).to_dict()
     assert found == BCConfig.preset("quick", tasks=TASKS, **plain).to_dict()
     assert {type(found[name]) for name in plain} == {str, int, float}
+
+
+@pytest.mark.parametrize("tasks", [REGISTRY, np.array(TASKS), np.str_(*TASKS)])
+def test_tasks_may_be_any_names(tasks: Any) -> None:
+    found = BCConfig.preset("quick", tasks=tasks, demos="demos").tasks
+    assert found == (tuple(REGISTRY) if tasks is REGISTRY else TASKS)

@@ -193,11 +193,12 @@ def check_results(path: Path, runs: Sequence[PlannedRun]) -> None:
     Raises:
         ResultsError: the folder is of another version, or of another plan.
     """
-    found = read_experiment(path)
-    version = found.versions.get("magical")
-    if (found.format, version) != (FORMAT, __version__):
+    found = read_record(path / EXPERIMENT)  # of another version, it may have other fields
+    versions_then, written_in = found.get("versions"), found.get("format")
+    version = versions_then.get("magical") if isinstance(versions_then, dict) else None
+    if (written_in, version) != (FORMAT, __version__):
         raise ResultsError(
-            f"{path} holds results of magical {version} (format {found.format}), this is "
+            f"{path} holds results of magical {version} (format {written_in}), this is "
             f"magical {__version__} (format {FORMAT}): their scores may differ. Choose another "
             "folder (--out), or install that version"
         )

@@ -2,7 +2,7 @@
 
 import dataclasses
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, dataclass
 from functools import cache
 from typing import Any, TypeVar, get_origin, get_type_hints
@@ -64,8 +64,8 @@ def option(
 class Settings:
     """A record of options: a part of a configuration, or a configuration.
 
-    Paths become texts, NumPy's numbers Python's, and of a tuple's values one may be given alone: a
-    record can be written as JSON.
+    Paths become texts, NumPy's numbers Python's, and what is given for a tuple, any iterable or one
+    text, a tuple: a record can be written as JSON.
     """
 
     def __post_init__(self) -> None:
@@ -80,10 +80,12 @@ class Settings:
 
 def _plain(value: Any, hint: Any) -> Any:
     if isinstance(value, np.generic):
-        return value.item()
+        value = value.item()
     if isinstance(value, os.PathLike):
         return os.fspath(value)
-    return (value,) if get_origin(hint) is tuple and isinstance(value, str) else value
+    if get_origin(hint) is not tuple or not isinstance(value, Iterable):
+        return value
+    return (value,) if isinstance(value, str) else tuple(value)
 
 
 def _check_value(field: "dataclasses.Field[Any]", value: Any) -> None:
