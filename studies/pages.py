@@ -60,22 +60,19 @@ from studies.tables import (
 from tools.readme_tables import renew_page, table
 
 ROOT = Path(__file__).resolve().parents[1]
+BY_TASK = tuple(
+    f"program-bc-{name}" for name in ("human", "perception", "training", "scripted")
+)  # plans with a table by task
 SECTIONS = {  # the generated parts of each study's page
     "published_tables": (
         *("runs", "counts", "tasks", "far", "agreement", "claims", "orders", "cells", "rejected"),
     ),
     "demonstrations": ("variations", "variants"),
     "generated_tasks": ("held-out",),
-    "intent": (
-        *("program-bc-human", "program-bc-perception", "program-bc-training"),
-        *("program-bc-scripted", "object-networks-human"),
-    ),
+    "intent": (*BY_TASK, "object-networks-human"),
     "modern_baselines": ("sequence-learners", "iq-learn"),
     "objects": ("baseline", "gaps", "leaderboard", "others"),
 }
-BY_TASK = (
-    *("program-bc-human", "program-bc-perception", "program-bc-training", "program-bc-scripted"),
-)
 BESIDE = {  # plans whose methods' means stand beside methods of other plans
     "sequence-learners": {"bc-human": "BC (ST)"},
     "iq-learn": {"adversarial-human": "GAIL (ST)", "bc-human": "BC (ST)"},

@@ -119,31 +119,36 @@ def test_a_line_that_describes_another_trajectory_is_made_anew(small_dataset: Pa
     assert Dataset.open(small_dataset).entries == before
 
 
-def test_listed_files_of_a_task_that_now_allows_other_scenes_are_kept(
-    small_dataset: Path, monkeypatch: pytest.MonkeyPatch
+REFUSED = {
+    "not registered": UnknownNameError("unknown task 'Mine'"),
+    "by now of other scenes": InvalidSceneError("at most 3 blocks"),
+}
+
+
+def refuse(monkeypatch: pytest.MonkeyPatch, cause: str) -> None:
+    """Let no trajectory be decoded, since its task is what the cause says."""
+
+    def decode(raw: bytes) -> Trajectory:
+        raise DatasetError("another file") from REFUSED[cause]
+
+    monkeypatch.setattr("magical.demos.store.repair.decode", decode)
+
+
+@pytest.mark.parametrize("cause", REFUSED)
+def test_listed_files_are_kept_whatever_their_task_is_now(
+    small_dataset: Path, monkeypatch: pytest.MonkeyPatch, cause: str
 ) -> None:
     before = Dataset.open(small_dataset).entries
-
-    def refused(raw: bytes) -> Trajectory:
-        raise DatasetError("another file") from InvalidSceneError("at most 3 blocks")
-
-    monkeypatch.setattr("magical.demos.store.repair.decode", refused)
+    refuse(monkeypatch, cause)
     assert repair(small_dataset) == []
     assert Dataset.open(small_dataset).entries == before
     assert not (small_dataset / "damaged").exists()
 
 
-def test_listed_files_of_a_task_that_is_not_registered_are_kept(
+def test_unlisted_files_of_a_task_that_is_not_registered_are_left_where_they_are(
     small_dataset: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before = Dataset.open(small_dataset).entries
-
-    def unknown(raw: bytes) -> Trajectory:
-        raise DatasetError("another file") from UnknownNameError("unknown task 'Mine'")
-
-    monkeypatch.setattr("magical.demos.store.repair.decode", unknown)
-    assert repair(small_dataset) == []
-    assert Dataset.open(small_dataset).entries == before
+    refuse(monkeypatch, "not registered")
     (small_dataset / "manifest.jsonl").unlink()
     with pytest.raises(DatasetError, match="unknown task 'Mine'; import the module"):
         repair(small_dataset)

@@ -76,8 +76,8 @@ def _all_plans() -> _Plans:
     then = np.where((time < steps + more)[..., None], points[second], 0)
     drives, turns = np.moveaxis(np.where((time < steps)[..., None], points[first], then), -1, 0)
     different, turning = np.unique(turns.T, axis=0, return_inverse=True)
-    turning = turning.ravel()  # (M, 1) in NumPy 2.0.0
-    return _Plans(steps + more, np.ascontiguousarray(drives), different, turning)
+    # In NumPy 2.0.0 the inverse is (M, 1).
+    return _Plans(steps + more, np.ascontiguousarray(drives), different, turning.ravel())
 
 
 PLANS = _all_plans()
