@@ -4,6 +4,7 @@ python -m studies.intent.oracles RUN... [--variant Demo] [--rollouts 50] [--trut
 
 Each of the three is replaced by the truth: true poses in place of parsed ones, the task's own
 program in place of the belief, the scripted expert's driving and carrying in place of the planner.
+With "one goal" the policy acts on the most probable goal of each scene alone.
 """
 
 import argparse
@@ -32,8 +33,15 @@ from magical.scene.poses import ROBOT
 from magical.tasks import get_task
 from studies.objects.object_truth import ExpertEpisode
 
-NOTHING, PARTS = "nothing", ("perception", "program", "control")
-ROWS = (NOTHING, *PARTS, "program+control", "perception+program+control")
+ROWS = (
+    "nothing",
+    "perception",
+    "program",
+    "control",
+    "program+control",
+    "perception+program+control",
+)
+ONE_GOAL = "one goal"  # in place of all that are believed
 
 
 def main() -> None:
@@ -68,10 +76,17 @@ class OraclePolicy:
 
     privileged = True
 
-    def __init__(self, policy: ProgramPolicy, truths: Sequence[str]) -> None:
+    def __init__(
+        self,
+        policy: ProgramPolicy,
+        truths: Sequence[str],
+        beliefs: dict[str, Belief] | None = None,
+    ) -> None:
         self.tasks = policy.tasks
         self._truths, self._network = truths, policy.network
-        self._beliefs = {task: policy.network.belief(k) for k, task in enumerate(self.tasks)}
+        self._beliefs = beliefs or {
+            task: policy.network.belief(k) for k, task in enumerate(self.tasks)
+        }
         if "program" in truths:
             programs = {task: get_task(task).program for task in self.tasks}
             self._beliefs = {
@@ -122,6 +137,8 @@ class _Episode:
         self._parsed = self._parse(state)
         scene = state.scene if "perception" in truths else parsed_scene(self._parsed, 0)
         self._intention = Intention(belief, scene)
+        if ONE_GOAL in truths:
+            self._intention.goals = [(goal, 1.0) for goal, _ in self._intention.goals[:1]]
         self._before = self._poses(state).bodies[ROBOT]
 
     def act(self, state: State, uniform: float) -> int:
