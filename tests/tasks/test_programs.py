@@ -6,7 +6,7 @@ from collections.abc import Callable
 import pytest
 
 from magical.conformance import scores
-from magical.conformance.recordings import recording_path
+from magical.conformance.recordings import DATA
 from magical.errors import InvalidProgramError
 from magical.scene import Block, Colour, Pose, Poses, Region, Scene, Shape
 from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
@@ -37,7 +37,7 @@ def final(moved: Callable[..., Poses]) -> Callable[..., Poses]:
 def test_the_papers_tasks_are_programs_with_the_same_scores_on_all_recorded_states() -> None:
     assert len(PAPER) == 8
     compared = 0
-    for state in scores.load(recording_path("scores.json.gz")):
+    for state in scores.load(DATA / "scores.json.gz"):
         task, scene = TASKS[state["task"]], Scene.from_dict(state["scene"])
         poses = Poses.at_rest(Scene.from_dict(state["final"]))
         assert task.program is not None
