@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from magical.cli import main
-from magical.conformance.recordings import recording_path
+from magical.conformance.recordings import DATA
 from magical.demos.generate import generate
 from tests.demos.conftest import Published
 
@@ -26,7 +26,7 @@ settings = { batches = 2, batch_size = 2 }
 """
 EVALUATED = "--task MoveToRegion --variants Demo --rollouts 1"
 TRAINED = "--task MoveToRegion --num-demos 1 --batches 2 --batch-size 2 --preset quick"
-RECORDED = recording_path("scores.json.gz")
+RECORDED = DATA / "scores.json.gz"
 COMMANDS = {  # the command, what it needs, what it writes below --out
     "import": ("demos import {in}/published --frames-only --workers 1", "", "manifest.jsonl"),
     "generate": (f"demos generate --env {ENV} -n 1 --workers 1", "", "manifest.jsonl"),

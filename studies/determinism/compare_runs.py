@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from magical.conformance import motions
-from magical.conformance.recordings import recording_path
+from magical.conformance.recordings import DATA
 from magical.scene.poses import FIRST_BLOCK, ROBOT
 
 KINDS = ("drive", "turn", "push", "grip")
@@ -51,7 +51,7 @@ def growth(found: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArra
 def recorded() -> Runs:
     """The recorded motions in the same arrays; fingers and eyes are left 0."""
     arrays = {}
-    for name, motion in motions.load(recording_path("motions.json")).items():
+    for name, motion in motions.load(DATA / "motions.json").items():
         robot = np.array(motion["robot_pose"])[1:]
         blocks = np.array(motion["block_poses"])[1:].reshape(len(robot), -1, 3)
         poses = np.zeros((1, len(robot), FIRST_BLOCK + blocks.shape[1], 3))

@@ -32,10 +32,10 @@ def make_trajectory() -> MakeTrajectory:
         scene, dynamics = get_task(parsed.task).sample(parsed.variant, rng)
         simulation = Simulation(scene, dynamics)
         actions = rng.integers(18, size=steps)
-        poses = [simulation.poses().bodies.copy()]
+        poses = [simulation.poses().bodies]
         for action in actions.tolist():
             simulation.step(action)
-            poses.append(simulation.poses().bodies.copy())
+            poses.append(simulation.poses().bodies)
         options = {"dynamics": dynamics, "seed": seed, "demonstrator": "random", **more}
         return Trajectory.from_poses(env_id, scene, actions, np.stack(poses), **options)
 

@@ -1,22 +1,19 @@
 """`magical demos info` and `replay` on intact and damaged recordings."""
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from magical.cli import main
-from magical.demos import Dataset, DatasetWriter, Trajectory
+from magical.demos import Dataset, DatasetWriter
 from magical.demos.store import manifest
-
-Run = Callable[..., tuple[int, dict[str, Any]]]
+from tests.demos.conftest import MakeTrajectory, Run
 
 
 def test_info_counts_and_lists_problems(
-    small_dataset: Path, make_trajectory: Callable[..., Trajectory], run: Run
+    small_dataset: Path, make_trajectory: MakeTrajectory, run: Run
 ) -> None:
     first, second, _ = Dataset.open(small_dataset).entries
     writer = DatasetWriter(small_dataset)

@@ -1,6 +1,5 @@
 """Demonstrations from the scripted experts."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,9 @@ from magical.demos.generate import demonstrate, generate
 from magical.demos.replay import replay
 from magical.envs.seeds import episode_seed
 from magical.errors import DatasetError, InvalidConfigError, InvalidSceneError
+from tests.demos.conftest import Run
 
 ENV = "magical/MoveToRegion-TestAll-v0"
-Run = Callable[..., tuple[int, dict[str, Any]]]
 
 
 def poses(path: Path) -> list[bytes]:

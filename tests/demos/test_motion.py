@@ -1,13 +1,10 @@
 """Velocities estimated for recorded poses."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from magical.demos import Trajectory
 from magical.demos.store.reader import TrajectorySource, estimated_states
-
-MakeTrajectory = Callable[..., Trajectory]
+from tests.demos.conftest import MakeTrajectory
 
 
 def test_poses_are_kept_and_velocities_are_the_simulations(make_trajectory: MakeTrajectory) -> None:

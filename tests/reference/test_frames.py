@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from magical.conformance import frames
-from magical.conformance.recordings import recording_path
+from magical.conformance.recordings import DATA
 from magical.errors import RecordingError
 from magical.evaluation import published_tasks
 from magical.scene import View
@@ -21,7 +21,7 @@ ROUNDING = 0.01  # of 255: single samples on an edge, which rounding puts on eit
 
 @pytest.fixture(scope="module", params=[96, 384])
 def recording(request: pytest.FixtureRequest) -> frames.RecordedFrames:
-    return frames.load(recording_path(f"frames-{request.param}.npz"))
+    return frames.load(DATA / f"frames-{request.param}.npz")
 
 
 def test_within_limits(recording: frames.RecordedFrames) -> None:
@@ -50,7 +50,7 @@ def _only_first(recording: frames.RecordedFrames) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def records() -> str:
-    with np.load(recording_path("frames-96.npz"), allow_pickle=False) as archive:
+    with np.load(DATA / "frames-96.npz", allow_pickle=False) as archive:
         return json.dumps(json.loads(str(archive["records"]))[:3])
 
 
@@ -115,7 +115,7 @@ def test_damaged_contents(damage: Any, records: str, tmp_path: Path) -> None:
 
 
 def test_damaged_files(tmp_path: Path) -> None:
-    whole = recording_path("frames-384.npz")
+    whole = DATA / "frames-384.npz"
     shutil.copy(whole, tmp_path / "cut.npz")
     with (tmp_path / "cut.npz").open("r+b") as file:
         file.truncate(whole.stat().st_size // 2)

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from magical.conformance import motions
-from magical.conformance.recordings import recording_path
+from magical.conformance.recordings import DATA
 
 
 @pytest.fixture(scope="module")
 def recorded() -> dict[str, Any]:
-    return motions.load(recording_path("motions.json"))
+    return motions.load(DATA / "motions.json")
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from magical.conformance import scenes
-from magical.conformance.recordings import recording_path
+from magical.conformance.recordings import DATA
 from magical.envs import parse_env_id
 from magical.evaluation import published_tasks
 from magical.scene import Poses, Scene
@@ -22,7 +22,7 @@ Recorded = dict[str, list[scenes.SceneRow]]
 
 @pytest.fixture(scope="module")
 def recorded() -> Recorded:
-    return scenes.load(recording_path("scenes.json.gz"))
+    return scenes.load(DATA / "scenes.json.gz")
 
 
 def test_every_published_environment_is_recorded(recorded: Recorded) -> None:

@@ -6,14 +6,14 @@ from pathlib import Path
 import pytest
 
 from magical.conformance import scores
-from magical.conformance.recordings import recording_path
+from magical.conformance.recordings import DATA
 from magical.evaluation import published_tasks
 from magical.tasks import TASKS
 
 
 @pytest.fixture(scope="module")
 def recorded() -> list[scores.ScoredState]:
-    return scores.load(recording_path("scores.json.gz"))
+    return scores.load(DATA / "scores.json.gz")
 
 
 def test_every_score_equals_the_recorded_one(recorded: list[scores.ScoredState]) -> None:

@@ -1,6 +1,5 @@
 """ClusterColour and ClusterShape: both scores, at constructed distances."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +11,7 @@ from magical.tasks import Task
 from magical.tasks.cluster_colour import TASK as CLUSTER_COLOUR
 from magical.tasks.cluster_shape import TASK as CLUSTER_SHAPE
 from magical.tasks.scoring import centroid_distances, positions
+from tests.tasks.conftest import Move
 
 CORNERS = [(-0.7, -0.7), (0.7, -0.7), (-0.7, 0.7), (0.7, 0.7)]
 BOTH = pytest.mark.parametrize("task", [CLUSTER_COLOUR, CLUSTER_SHAPE], ids=lambda task: task.name)
@@ -34,9 +34,7 @@ def clustered(task: Task) -> dict[int, tuple[float, float]]:
 
 
 @BOTH
-def test_perfect_clusters_score_one_and_a_single_place_zero(
-    task: Task, moved: Callable[..., Poses]
-) -> None:
+def test_perfect_clusters_score_one_and_a_single_place_zero(task: Task, moved: Move) -> None:
     for places, expected in ((clustered(task), 1.0), (dict.fromkeys(range(8), (0.0, 0.0)), 0.0)):
         final = moved(task.demo, places)
         assert task.score(task.demo, final) == expected
@@ -44,7 +42,7 @@ def test_perfect_clusters_score_one_and_a_single_place_zero(
 
 
 @BOTH
-def test_the_other_tasks_attribute_does_not_count(task: Task, moved: Callable[..., Poses]) -> None:
+def test_the_other_tasks_attribute_does_not_count(task: Task, moved: Move) -> None:
     other = CLUSTER_SHAPE if task is CLUSTER_COLOUR else CLUSTER_COLOUR
     mixed = {i: CORNERS[value_of(other, b)] for i, b in enumerate(task.demo.blocks)}
     assert task.score(task.demo, moved(task.demo, mixed)) < 1.0
@@ -121,7 +119,7 @@ def test_score_rises_with_the_fraction_of_clustered_blocks(
 
 
 @pytest.mark.parametrize("apart", [1, 2])
-def test_half_or_fewer_clustered_score_zero(apart: int, moved: Callable[..., Poses]) -> None:
+def test_half_or_fewer_clustered_score_zero(apart: int, moved: Move) -> None:
     """Two blocks of each colour; `apart` colours have corners of their own, the rest one place."""
     demo = CLUSTER_COLOUR.demo
     blocks = tuple(replace(b, colour=COLOURS[i // 2]) for i, b in enumerate(demo.blocks))

@@ -1,14 +1,14 @@
 """FindDupe: query, duplicate, distractors, both scores; sampled duplicates."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from magical.errors import InvalidSceneError
-from magical.scene import Pose, Poses, Scene
+from magical.scene import Pose, Scene
 from magical.tasks.find_dupe import DEMO, TASK
+from tests.tasks.conftest import Move
 
 QUERY, DUPLICATE = 6, 5
 TWO = replace(DEMO, blocks=(replace(DEMO.blocks[-1], pose=DEMO.blocks[0].pose), *DEMO.blocks[1:]))
@@ -35,11 +35,7 @@ IN, OUT = DEMO.regions[0].centre, (0.0, 0.9)
     ],
 )
 def test_query_duplicate_and_distractors(
-    scene: Scene,
-    inside: tuple[int, ...],
-    expected: float,
-    published: float,
-    moved: Callable[..., Poses],
+    scene: Scene, inside: tuple[int, ...], expected: float, published: float, moved: Move
 ) -> None:
     final = moved(scene, {i: IN if i in inside else OUT for i in range(7)})
     assert TASK.score(scene, final) == pytest.approx(expected)

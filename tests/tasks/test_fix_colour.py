@@ -1,15 +1,15 @@
 """FixColour: each clause of the score, and the sampled mismatch."""
 
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from magical.errors import InvalidSceneError
-from magical.scene import Colour, Pose, Poses
+from magical.scene import Colour, Pose
 from magical.tasks.fix_colour import DEMO, TASK, mismatches
+from tests.tasks.conftest import Move
 
 MISMATCH = 2
 FREE = (0.8, 0.8)
@@ -31,7 +31,7 @@ CENTRES = [region.centre for region in DEMO.regions]
     ],
 )
 def test_only_the_mismatch_leaves_and_everything_else_stays(
-    places: dict[int, tuple[float, float]], expected: float, moved: Callable[..., Poses]
+    places: dict[int, tuple[float, float]], expected: float, moved: Move
 ) -> None:
     final = moved(DEMO, places)
     assert TASK.score(DEMO, final) == expected

@@ -1,27 +1,26 @@
 """MakeLine: inliers, neighbours, subsets, and both scores of three blocks."""
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 
 from magical.errors import InvalidSceneError
-from magical.scene import Poses, Scene
+from magical.scene import Scene
 from magical.tasks.make_line import DEMO, TASK
 from magical.tasks.scoring import line_through, longest_line
+from tests.tasks.conftest import Move, Point
 
-Point = tuple[float, float]
 THREE = replace(DEMO, blocks=DEMO.blocks[:3])
 FAR: Point = (-0.9, 0.9)
 
 
-def score(scene: Scene, places: list[Point], moved: Callable[..., Poses]) -> float:
+def score(scene: Scene, places: list[Point], moved: Move) -> float:
     return TASK.score(scene, moved(scene, dict(enumerate(places))))
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.4, math.pi / 2, 2.5])
-def test_a_line_in_any_direction_scores_one(angle: float, moved: Callable[..., Poses]) -> None:
+def test_a_line_in_any_direction_scores_one(angle: float, moved: Move) -> None:
     along = (-0.6, -0.2, 0.2, 0.6)
     places = [(t * math.cos(angle), t * math.sin(angle)) for t in along]
     assert score(DEMO, places, moved) == 1.0
@@ -40,7 +39,7 @@ def test_a_line_in_any_direction_scores_one(angle: float, moved: Callable[..., P
     ],
 )
 def test_inliers_are_near_the_line_and_neighbours_close_along_it(
-    places: list[Point], expected: float, moved: Callable[..., Poses]
+    places: list[Point], expected: float, moved: Move
 ) -> None:
     assert score(DEMO, places, moved) == expected
 
@@ -72,7 +71,7 @@ def test_the_largest_subset_counts_without_the_pair_that_spans_it() -> None:
     ],
 )
 def test_missing_blocks_and_the_published_rule_for_three(
-    places: list[Point], expected: float, published: float, moved: Callable[..., Poses]
+    places: list[Point], expected: float, published: float, moved: Move
 ) -> None:
     scene = DEMO if len(places) == 4 else THREE
     final = moved(scene, dict(enumerate(places)))

@@ -1,14 +1,14 @@
 """MatchRegions: target bonus, distractor penalty, sampled colours and counts."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from magical.errors import InvalidSceneError
-from magical.scene import COLOURS, Colour, Poses
+from magical.scene import COLOURS, Colour
 from magical.tasks.match_regions import DEMO, TASK
+from tests.tasks.conftest import Move
 
 TARGETS, DISTRACTORS = (0, 1), (2, 3, 4)
 
@@ -28,14 +28,14 @@ TARGETS, DISTRACTORS = (0, 1), (2, 3, 4)
     ],
 )
 def test_target_bonus_times_distractor_penalty(
-    inside: tuple[int, ...], expected: float, moved: Callable[..., Poses]
+    inside: tuple[int, ...], expected: float, moved: Move
 ) -> None:
     final = moved(DEMO, dict.fromkeys(inside, DEMO.regions[0].centre))
     assert TASK.score(DEMO, final) == pytest.approx(expected)
     assert TASK.published_code_score(DEMO, final) == TASK.score(DEMO, final)
 
 
-def test_a_block_on_the_edge_is_inside(moved: Callable[..., Poses]) -> None:
+def test_a_block_on_the_edge_is_inside(moved: Move) -> None:
     region = DEMO.regions[0]
     edge = (region.x, region.y)
     assert TASK.score(DEMO, moved(DEMO, {0: edge})) == 0.5

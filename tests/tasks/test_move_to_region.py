@@ -1,13 +1,12 @@
 """MoveToRegion: inside or not, edges included."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 
 from magical.errors import InvalidSceneError
-from magical.scene import Poses
 from magical.tasks.move_to_region import DEMO, TASK
+from tests.tasks.conftest import Move
 
 REGION = DEMO.regions[0]
 LEFT, TOP = REGION.x, REGION.y
@@ -28,7 +27,7 @@ RIGHT, BOTTOM = REGION.x + REGION.width, REGION.y - REGION.height
     ],
 )
 def test_score_is_whether_the_robots_centre_is_inside(
-    robot: tuple[float, float], expected: float, moved: Callable[..., Poses]
+    robot: tuple[float, float], expected: float, moved: Move
 ) -> None:
     final = moved(DEMO, robot=robot)
     assert TASK.score(DEMO, final) == expected

@@ -1,18 +1,18 @@
 """The language of goals: types, text, meaning, words."""
 
 import math
-from collections.abc import Callable
 
 import pytest
 
 from magical.conformance import scores
-from magical.conformance.recordings import recording_path
+from magical.conformance.recordings import DATA
 from magical.errors import InvalidProgramError
 from magical.scene import Block, Colour, Pose, Poses, Region, Scene, Shape
 from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
 from magical.tasks import TASKS, Task
 from magical.tasks.programs import Lined, instruction, parse, problem, progress
 from magical.tasks.programs.goals import UNFINISHED
+from tests.tasks.conftest import Move
 
 PAPER = [task for task in TASKS.values() if task.section]
 
@@ -30,14 +30,14 @@ SCENE = Scene(
 
 
 @pytest.fixture
-def final(moved: Callable[..., Poses]) -> Callable[..., Poses]:
+def final(moved: Move) -> Move:
     return lambda places: moved(SCENE, places)
 
 
 def test_the_papers_tasks_are_programs_with_the_same_scores_on_all_recorded_states() -> None:
     assert len(PAPER) == 8
     compared = 0
-    for state in scores.load(recording_path("scores.json.gz")):
+    for state in scores.load(DATA / "scores.json.gz"):
         task, scene = TASKS[state["task"]], Scene.from_dict(state["scene"])
         poses = Poses.at_rest(Scene.from_dict(state["final"]))
         assert task.program is not None
@@ -109,7 +109,7 @@ INSIDE, OUTSIDE = (0.6, 0.6), (0.0, 0.5)
     ],
 )
 def test_scores(
-    goal: str, places: dict[int, tuple[float, float]], expected: float, final: Callable[..., Poses]
+    goal: str, places: dict[int, tuple[float, float]], expected: float, final: Move
 ) -> None:
     program = parse(goal)
     assert program.score(SCENE, final(places)) == pytest.approx(expected)
@@ -117,9 +117,7 @@ def test_scores(
     assert finished == (expected == 1.0)
 
 
-def test_progress_rises_to_zero_and_is_a_function_of_the_state(
-    final: Callable[..., Poses],
-) -> None:
+def test_progress_rises_to_zero_and_is_a_function_of_the_state(final: Move) -> None:
     goal = parse("Each(WithColour('green'), InRegion())")
     values = [
         progress(goal, SCENE, final({2: place}))
@@ -145,11 +143,7 @@ def test_progress_rises_to_zero_and_is_a_function_of_the_state(
     ],
 )
 def test_progress_is_that_of_the_best_way(
-    goal: str,
-    places: dict[int, tuple[float, float]],
-    block: int,
-    way: float,
-    final: Callable[..., Poses],
+    goal: str, places: dict[int, tuple[float, float]], block: int, way: float, final: Move
 ) -> None:
     program, poses = parse(goal), final(places)
     x, y, _ = poses.robot

@@ -123,7 +123,8 @@ def test_too_many_blocks_are_rejected() -> None:
     ("fields", "message"),
     [
         ({"name": "Move-To"}, "letters and digits"),
-        ({"horizon": 0}, "positive horizon"),
+        ({"horizon": 0}, "positive horizon, found 0"),
+        ({"published_horizon": -5}, "positive horizon, found -5"),
         ({"axes": Axis.COUNT | Axis.LAYOUT}, "for the axis COUNT"),
     ],
 )

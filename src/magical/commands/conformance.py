@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from magical.commands._common import USAGE, add_json, add_out, log, print_json, print_table
-from magical.conformance.recordings import RECORDINGS, Comparison, recording_path
+from magical.conformance.recordings import DATA, RECORDINGS, Comparison
 
 HELP = "compare with recordings of the published environments"
 
@@ -36,7 +36,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Check each recording, print the figures, report whether all passed."""
     kinds = [args.kind] if args.kind else RECORDINGS
-    recordings = [(kind, recording_path(name)) for kind in kinds for name in RECORDINGS[kind]]
+    recordings = [(kind, DATA / name) for kind in kinds for name in RECORDINGS[kind]]
     if args.recording:
         recordings = [(args.kind, args.recording)]
     if args.out and len(recordings) > 1:

@@ -15,7 +15,7 @@ import msgspec
 from magical.errors import MagicalError, RecordingError
 from magical.files import write_atomically
 
-DATA = Path(__file__).parent / "data"
+DATA = Path(__file__).parent / "data"  # the recordings in the package
 RECORDINGS = {
     "frames": ("frames-96.npz", "frames-384.npz"),
     "motions": ("motions.json",),
@@ -67,8 +67,3 @@ def expecting(path: Path | str, expected: str) -> Iterator[None]:
         raise RecordingError(f"{path}: cannot be read: {error}") from error
     except _DAMAGE as error:
         raise RecordingError(f"{path}: expected {expected}; found: {error!r}") from error
-
-
-def recording_path(name: str) -> Path:
-    """The path of a recording in the package."""
-    return DATA / name

@@ -26,13 +26,13 @@ class PoseFollower:
 
     def __init__(self, scene: Scene, dynamics: Dynamics | None = None) -> None:
         self._simulation = Simulation(scene, dynamics)
-        self.states: States = self._simulation.read().copy()
+        self.states: States = self._simulation.read()
 
     def predict(self, action: AnyAction) -> Bodies:
         """Simulate one control step from the current poses and velocities; the predicted poses."""
         self._simulation.write(self.states)
         self._simulation.step(action)
-        self._predicted = self._simulation.read().copy()
+        self._predicted = self._simulation.read()
         return self._predicted[:, :3].copy()
 
     def correct(self, bodies: Bodies) -> None:

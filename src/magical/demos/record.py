@@ -69,7 +69,7 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
         result = super().reset(seed=seed, options=options)
         self._seed = seed
         state = self._inner.state()
-        self._scene, self._poses = state.scene, [state.poses.bodies.copy()]
+        self._scene, self._poses = state.scene, [state.poses.bodies]
         return result
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
@@ -78,7 +78,7 @@ class RecordTrajectories(gym.Wrapper[Any, Any, Any, Any]):
         state = self._inner.state()
         if state.scene is not self._scene:  # `set_state` makes another, even of the same episode
             raise TrajectoryError("the episode was not recorded from its start; reset() first")
-        self._poses.append(state.poses.bodies.copy())
+        self._poses.append(state.poses.bodies)
         if result[2] or result[3]:
             self._store()
         return result

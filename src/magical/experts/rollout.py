@@ -76,7 +76,7 @@ def rollout(
     expert = EpisodeExpert(expert_for(task, seed=seed, skill=skill))
     random_actions = perturbation(perturb, rng.spawn(1)[0])  # the strategy has the scene's numbers
     simulation = Simulation(scene, dynamics)
-    chosen, tables = [], [simulation.read().copy()]
+    chosen, tables = [], [simulation.read()]
     for step in range(spec.horizon):
         poses, velocities = Poses(tables[-1][:, :3]), tables[-1][:, 3:]
         expert_action = expert.act(State(scene, poses, velocities, step, spec.horizon))
@@ -84,7 +84,7 @@ def rollout(
         expert.note_executed(action)
         simulation.step(action)
         chosen.append((action, expert_action))
-        tables.append(simulation.read().copy())
+        tables.append(simulation.read())
     actions, expert_actions = np.array(chosen).T
     path = np.stack(tables)[:, :, :3]
     score = spec.score(scene, Poses(path[-1]))

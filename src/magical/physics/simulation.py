@@ -83,8 +83,9 @@ class Simulation:
         """Pose and velocity of every body in one pass.
 
         Returns:
-            (5 + number of blocks, 6) in the rows of `Poses`: x, y, angle and their velocities, in
-            units, radians and seconds. Eyes have no position of their own; theirs is the robot's.
+            A new array (5 + number of blocks, 6) in the rows of `Poses`: x, y, angle and their
+            velocities, in units, radians and seconds. Eyes have no position of their own; theirs
+            is the robot's.
         """
         if self._compiled:
             found = np.empty((len(self._addresses), 6))

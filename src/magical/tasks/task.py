@@ -59,10 +59,8 @@ class Task:
             )
         if not self.published_horizon:
             object.__setattr__(self, "published_horizon", self.horizon)
-        if self.horizon < 1 or self.published_horizon < 1:
-            raise InvalidTaskError(
-                f"{self.name}: expected a positive horizon, found {self.horizon}"
-            )
+        if (least := min(self.horizon, self.published_horizon)) < 1:
+            raise InvalidTaskError(f"{self.name}: expected a positive horizon, found {least}")
         needed = VARIANTS["TestCountPlus"]
         if Axis.COUNT in self.axes and needed not in self.axes:
             raise InvalidTaskError(

@@ -1,14 +1,13 @@
 """A dataset to export, and reading videos."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from magical.demos import Dataset, DatasetWriter, Trajectory
+from magical.demos import Dataset, DatasetWriter
+from tests.demos.conftest import MakeTrajectory
 
-MakeTrajectory = Callable[..., Trajectory]
 MISSING = "an optional extra that the pinned development environment has"
 
 

@@ -5,23 +5,23 @@ import hashlib
 import http.server
 import json
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from magical.cli import main
-from magical.demos import Dataset, DatasetWriter, Trajectory
+from magical.demos import Dataset, DatasetWriter
 from magical.errors import DatasetError
 
 pytest.importorskip("huggingface_hub", reason="the hub extra is not installed")
 
 from magical.demos.export.hub import pull, push
+from tests.demos.conftest import MakeTrajectory, Run
 
 REPO = "someone/demos"
 SHA = "0" * 40  # of the only commit
-Run = Callable[..., tuple[int, dict[str, Any]]]
 
 
 class Hub(http.server.ThreadingHTTPServer):
@@ -127,7 +127,7 @@ def hub(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Hub]:
 
 
 @pytest.fixture
-def dataset(make_trajectory: Callable[..., Trajectory], tmp_path: Path) -> Dataset:
+def dataset(make_trajectory: MakeTrajectory, tmp_path: Path) -> Dataset:
     recorded = {"recorded": "2026-03-01T10:00:00+00:00", "versions": {"pymunk": "7.3.0"}}
     writer = DatasetWriter(tmp_path / "demos")
     for seed in range(2):
@@ -167,7 +167,7 @@ def test_the_card_says_what_was_recorded(hub: Hub, dataset: Dataset) -> None:
 
 
 def test_published_demonstrations_are_refused(
-    hub: Hub, make_trajectory: Callable[..., Trajectory], tmp_path: Path
+    hub: Hub, make_trajectory: MakeTrajectory, tmp_path: Path
 ) -> None:
     writer = DatasetWriter(tmp_path / "mixed")
     writer.append(make_trajectory())

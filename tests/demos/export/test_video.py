@@ -2,7 +2,6 @@
 
 import io
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +13,8 @@ from magical.demos import Trajectory
 from magical.demos.export.video import BANNER, LAST_FRAME_REPEATS, video_frames, write_video
 from magical.errors import DatasetError
 from magical.scene.poses import FIRST_BLOCK
+from tests.demos.conftest import MakeTrajectory
 from tests.demos.export.conftest import MISSING, decoded
-
-MakeTrajectory = Callable[..., Trajectory]
 
 
 def test_video_as_webp(mixed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -80,10 +78,7 @@ def test_invalid_video_options(mixed: Path, change: list[str]) -> None:
 
 
 def test_a_webp_of_too_many_frames_is_refused(
-    mixed: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    mixed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("magical.demos.export.video.MAX_WEBP_FRAMES", 3)
     out = tmp_path / "video.webp"

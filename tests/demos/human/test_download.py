@@ -20,8 +20,8 @@ from magical.demos import Dataset
 from magical.demos.human.download import _Redirects, fetch_all
 from magical.demos.human.published import published_sums
 from magical.errors import DownloadError
+from tests.demos.conftest import Run
 
-Run = Callable[..., tuple[int, dict[str, Any]]]
 Reply = Callable[[http.server.BaseHTTPRequestHandler], None]
 
 

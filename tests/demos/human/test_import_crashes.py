@@ -1,7 +1,6 @@
 """A published file whose reading crashes costs that file alone."""
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +9,8 @@ import pytest
 from magical.demos import Dataset
 from magical.demos.human.importing import import_published
 from tests.demos import crashes
+from tests.demos.conftest import Run
 
-Run = Callable[..., tuple[int, dict[str, Any]]]
 BAD = {
     "exit": "a worker process ended with exit status 3",
     "segfault": "a worker process was killed by signal 11 (SIGSEGV)",

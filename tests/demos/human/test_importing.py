@@ -4,7 +4,6 @@ import gzip
 import hashlib
 import pickle
 from collections import OrderedDict, namedtuple
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +15,7 @@ from magical.demos import Dataset, Trajectory
 from magical.demos.human.importing import find_published, import_published
 from magical.demos.human.published import published_sums, read_demonstration
 from magical.errors import DatasetError
-
-Run = Callable[..., tuple[int, dict[str, Any]]]
+from tests.demos.conftest import Run
 
 
 @pytest.fixture(scope="session")

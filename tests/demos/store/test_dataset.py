@@ -3,7 +3,6 @@
 import subprocess
 import sys
 import tracemalloc
-from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import fields, replace
 from pathlib import Path
@@ -16,8 +15,7 @@ from magical.demos import Dataset, DatasetWriter, Trajectory
 from magical.demos.store.codec import decode, encode
 from magical.errors import DatasetError, UnknownNameError
 from magical.tasks import get_task, register_task, unregister_task
-
-MakeTrajectory = Callable[..., Trajectory]
+from tests.demos.conftest import MakeTrajectory
 
 
 def assert_equal(a: Trajectory, b: Trajectory) -> None:

@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 
 from magical.cli import main
-from magical.demos import Dataset, DatasetWriter, Trajectory
+from magical.demos import Dataset, DatasetWriter
 from magical.demos.store import manifest
 from magical.demos.store.codec import MAX_HEADER, decode, encode
 from magical.demos.store.repair import repair
 from magical.errors import DatasetError, TrajectoryError
 from magical.files import LOCK
+from tests.demos.conftest import MakeTrajectory
 
-MakeTrajectory = Callable[..., Trajectory]
 ESCAPES = "\x1b[2J\x07\r\u202e"
 
 

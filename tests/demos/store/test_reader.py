@@ -14,8 +14,8 @@ from magical.demos.record import RecordTrajectories
 from magical.demos.store.codec import decode, encode
 from magical.errors import TrajectoryError
 from magical.observe import PRESETS, PixelSpec
+from tests.demos.conftest import MakeTrajectory
 
-MakeTrajectory = Callable[..., Trajectory]
 STEPS = 7
 OBSERVATIONS: dict[str, Any] = {
     **{preset: preset for preset in PRESETS},
@@ -102,9 +102,7 @@ def test_missing_view_is_an_error(make_frames_trajectory: MakeTrajectory) -> Non
         observations(ego, "LoRes3EA")
 
 
-def test_states_that_the_simulation_does_not_reproduce(
-    make_trajectory: MakeTrajectory,
-) -> None:
+def test_states_that_the_simulation_does_not_reproduce(make_trajectory: MakeTrajectory) -> None:
     good = make_trajectory()
     assert good.poses is not None
     poses = good.poses.copy()

@@ -3,7 +3,7 @@
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -19,8 +19,7 @@ from magical.demos.store import manifest
 from magical.demos.store.repair import repair
 from magical.errors import DatasetError, InvalidSceneError, UnknownNameError
 from magical.files import write_atomically
-
-MakeTrajectory = Callable[..., Trajectory]
+from tests.demos.conftest import MakeTrajectory
 
 
 def flipped(raw: bytes, rng: np.random.Generator) -> bytes:

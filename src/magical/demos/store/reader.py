@@ -104,10 +104,10 @@ class TrajectorySource:
         if trajectory.is_recovered:
             return estimated_states(trajectory)
         simulation = Simulation(trajectory.scene, trajectory.dynamics)
-        states = [simulation.read().copy()]
+        states = [simulation.read()]
         for time, action in enumerate(trajectory.actions.tolist(), 1):
             simulation.step(action)
-            states.append(simulation.read().copy())
+            states.append(simulation.read())
             if not np.array_equal(states[-1][:, :3], trajectory.poses[time]):
                 raise TrajectoryError(
                     f"{trajectory.env_id}: the simulation departs from the recorded poses at step "

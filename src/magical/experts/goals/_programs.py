@@ -67,8 +67,7 @@ def _goals(program: Goal) -> Iterator[Goal]:
         yield from _goals(program.first)
         yield from _goals(program.second)
     elif isinstance(program, Exactly):
-        yield Each(program.selection, InRegion())
-        yield Only(program.selection)
+        yield from _goals(program.both)
     else:
         yield program
 

@@ -23,6 +23,11 @@ class Attribute(StrEnum):
     SHAPE = "shape"
     KIND = "kind"  # colour and shape
 
+    @property
+    def words(self) -> str:
+        """The attribute in English."""
+        return "colour and shape" if self is Attribute.KIND else str(self)
+
 
 class Expression:
     """A typed expression.
@@ -69,7 +74,7 @@ def field_types(kind: Any) -> Mapping[str, Any]:
     return _types(kind)
 
 
-@cache
+@cache  # apart from `field_types`, whose callers give classes that mypy takes for unhashable
 def _types(kind: Any) -> Mapping[str, Any]:
     hints = typing.get_type_hints(kind)
     return {field.name: hints[field.name] for field in fields(kind)}

@@ -21,10 +21,8 @@ from magical.scene.solids import Solid
 from magical.tasks.attributes import cycle_blocks, sample_attributes, sample_count, sample_item
 from magical.tasks.axes import EVERYTHING, Axis
 from magical.tasks.placement import Placement, sample_placement
-from magical.tasks.programs.goals import Clustered, Goal, instruction
-from magical.tasks.programs.places import AtWall, InCorner
+from magical.tasks.programs import AtWall, Clustered, Goal, InCorner, instruction, problem
 from magical.tasks.programs.sampling import Family, sample_program
-from magical.tasks.programs.validity import problem
 from magical.tasks.task import Task
 
 GENERATOR = 0  # the version of everything that a number's task depends on

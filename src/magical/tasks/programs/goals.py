@@ -158,16 +158,17 @@ class Exactly(_OfBlocks):
     """All of a selection and no others in the regions: the product of `Each` and `Only`."""
 
     def score(self, scene: Scene, poses: Poses) -> float:
-        return self._both.score(scene, poses)
+        return self.both.score(scene, poses)
 
     def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
-        return self._both.ways(scene, poses)
+        return self.both.ways(scene, poses)
 
     def sentence(self, scene: Scene, style: Style) -> str:
-        return self._both.sentence(scene, style)
+        return self.both.sentence(scene, style)
 
     @cached_property
-    def _both(self) -> Goal:
+    def both(self) -> "Together":
+        """The two goals that it stands for."""
         return Together(Each(self.selection, InRegion()), Only(self.selection))
 
 
@@ -263,8 +264,7 @@ class Clustered(Goal):
 
     def sentence(self, scene: Scene, style: Style) -> str:
         verb = style.of(("Push", "Move", "Sort"))
-        what = "colour and shape" if self.attribute == Attribute.KIND else self.attribute
-        return f"{verb} the blocks into clusters of the same {what}."
+        return f"{verb} the blocks into clusters of the same {self.attribute.words}."
 
     def distances(self, scene: Scene, poses: Poses) -> tuple[Distances, Distances]:
         """See `centroid_distances`: of each block to its own value's centroid, to another's."""

@@ -10,44 +10,42 @@ from types import MappingProxyType
 import numpy as np
 
 from magical.scene import COLOURS, SHAPES
-from magical.scene.vocabulary import Corner, Landmark, Wall
 from magical.tasks.attributes import sample_item
-from magical.tasks.programs.expressions import Attribute
-from magical.tasks.programs.goals import (
-    Clustered,
-    Each,
-    Every,
-    Exactly,
-    Goal,
-    Lined,
-    OneOf,
-    Only,
-    Together,
-    Undisturbed,
-)
-from magical.tasks.programs.places import (
+from magical.tasks.programs import (
+    AllBut,
+    And,
+    Attribute,
     AtWall,
     Beside,
+    Clustered,
+    Corner,
+    Each,
+    Enclosed,
+    Every,
+    Exactly,
+    Farthest,
+    Goal,
     InCorner,
     InOwnColour,
     InRegion,
-    OutOfRegions,
-    Place,
-)
-from magical.tasks.programs.selections import (
-    AllBut,
-    And,
-    Enclosed,
-    Farthest,
+    Landmark,
     LikeEnclosed,
+    Lined,
     Matched,
     Mismatched,
     MostCommon,
     Nearest,
     OddOneOut,
     OfRegionColour,
+    OneOf,
+    Only,
+    OutOfRegions,
     Outside,
+    Place,
     Selection,
+    Together,
+    Undisturbed,
+    Wall,
     WithColour,
     WithShape,
 )

@@ -136,11 +136,6 @@ class Matched(Selection):
 class _ByAttribute(Selection):
     attribute: Attribute
 
-    @property
-    def what(self) -> str:
-        """The attribute in English."""
-        return "colour and shape" if self.attribute == Attribute.KIND else self.attribute
-
 
 class LikeEnclosed(_ByAttribute):
     """The blocks that have an attribute in common with a block that starts inside a region.
@@ -164,7 +159,7 @@ class OddOneOut(_ByAttribute):
     """The block whose value of an attribute no other has, if there is one such block."""
 
     single = True
-    template = "whose {0.what} no other block has"
+    template = "whose {0.attribute.words} no other block has"
 
     def blocks(self, scene: Scene) -> Blocks:
         values = [value_of(block, self.attribute) for block in scene.blocks]
@@ -175,7 +170,7 @@ class OddOneOut(_ByAttribute):
 class MostCommon(_ByAttribute):
     """The blocks with the most common value of an attribute, if one is the most common."""
 
-    template = "of the most common {0.what}"
+    template = "of the most common {0.attribute.words}"
 
     def blocks(self, scene: Scene) -> Blocks:
         values = [value_of(block, self.attribute) for block in scene.blocks]

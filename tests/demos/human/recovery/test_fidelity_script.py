@@ -2,13 +2,12 @@
 
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from magical.demos import DatasetWriter, Trajectory
+from magical.demos import DatasetWriter
+from tests.demos.conftest import MakeTrajectory
 
-MakeTrajectory = Callable[..., Trajectory]
 RECOVERY = {
     "wrong_pixels": [0.0, 1e-4],
     "deviations": {

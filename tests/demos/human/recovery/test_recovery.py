@@ -1,6 +1,5 @@
 """Recovering poses from frames, against the poses that the frames were rendered from."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,15 +8,14 @@ import numpy as np
 import pytest
 
 from magical.demos import Frames, Trajectory, observations
-from magical.demos.human.published import PublishedDemonstration, pack
+from magical.demos.human.published import pack
 from magical.demos.human.recovery.fit import FAR_STAGES, PoseFitter
 from magical.demos.human.recovery.recovery import LIMIT, recover, recovered_trajectory
 from magical.demos.store.codec import decode, encode
 from magical.scene import View
 from magical.scene.poses import EYES, FIRST_BLOCK, ROBOT
-from tests.demos.human.recovery.conftest import render
+from tests.demos.human.recovery.conftest import Record, render
 
-Record = Callable[[Trajectory, int], PublishedDemonstration]
 STEPS = 30  # of the episode; the block moves from the twelfth on
 
 

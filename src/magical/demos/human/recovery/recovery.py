@@ -152,7 +152,8 @@ class Tracker:
     def start(self, frames: ViewFrames) -> Moment:
         """The first time step: the scene's own poses."""
         self._frames = frames
-        return self._moment(frames, Fit(self._bodies, np.zeros_like(self._bodies)), 0)
+        bodies = self._bodies
+        return Moment(bodies, np.zeros_like(bodies), self._share(bodies, frames), 0)
 
     def follow(self, action: int, frames: ViewFrames) -> Moment:
         """The next time step, which an action led to."""
@@ -166,7 +167,7 @@ class Tracker:
             unseen = self._keep(fit)
         self._follower.correct(fit.bodies)
         self._frames, self._bodies = frames, fit.bodies
-        return self._moment(frames, fit, unseen)
+        return Moment(fit.bodies, fit.deviations, self._share(fit.bodies, frames), unseen)
 
     def _fit(self, predicted: Bodies, frames: ViewFrames) -> Fit:
         """The best fit from some first guesses, the simulated one first."""
@@ -204,9 +205,6 @@ class Tracker:
             block_x, block_y, _ = self._bodies[row]
             if (np.hypot(x - block_x, y - block_y) < _REACH).any():
                 yield row
-
-    def _moment(self, frames: ViewFrames, fit: Fit, unseen: int) -> Moment:
-        return Moment(fit.bodies.copy(), fit.deviations, self._share(fit.bodies, frames), unseen)
 
     def _share(self, bodies: Bodies, frames: ViewFrames) -> float:
         return float(np.mean([self._wrong(view, bodies, frames).mean() for view in View]))
