@@ -88,7 +88,7 @@ def _faults(result: Result) -> list[str]:
     for name in result.tasks:
         task = get_task(name)
         if not is_comparable(task, entry):
-            steps = task.published_horizon
+            steps = task.resolve_horizon("published")
             faults.append(f"{name} with another horizon than {steps} control steps")
     return [*faults, *incompleteness(entry), *misstatements(entry, stated_looks)]
 

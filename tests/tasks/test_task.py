@@ -133,6 +133,11 @@ def test_contradictory_fields_are_rejected(fields: dict[str, object], message: s
         replace(MOVE_TO_CORNER, **fields)  # type: ignore[arg-type]
 
 
+def test_a_task_made_from_another_has_one_horizon() -> None:
+    task = replace(MOVE_TO_CORNER, horizon=50)
+    assert (task.resolve_horizon("published"), task.has_two_horizons) == (50, False)
+
+
 def test_an_invalid_demo_scene_is_rejected() -> None:
     with pytest.raises(InvalidSceneError, match="expected 1 block"):
         replace(MOVE_TO_CORNER, demo=replace(MOVE_TO_CORNER.demo, blocks=()))

@@ -39,7 +39,7 @@ class Task:
     summary: str  # one line: what the robot must do
     section: str = ""  # of the appendix; tasks are listed in its order, those without come last
     horizon: int  # control steps (appendix A.2)
-    published_horizon: int = 0  # that of the published code; 0: the same
+    published_horizon: int | None = None  # the published code's, where different
     demo: Scene  # the Demo variant's scene (docs/specification.md, section 8)
     axes: Axis  # the axes that its variants may change (appendix, Table 2)
     randomise_fn: RandomiseFn  # samples counts, colours and shapes along the given axes; not poses
@@ -57,9 +57,7 @@ class Task:
             raise InvalidTaskError(
                 f"task name: expected letters and digits as in environment ids, found {self.name!r}"
             )
-        if not self.published_horizon:
-            object.__setattr__(self, "published_horizon", self.horizon)
-        if (least := min(self.horizon, self.published_horizon)) < 1:
+        if (least := min(self.horizon, self.resolve_horizon("published"))) < 1:
             raise InvalidTaskError(f"{self.name}: expected a positive horizon, found {least}")
         needed = VARIANTS["TestCountPlus"]
         if Axis.COUNT in self.axes and needed not in self.axes:
@@ -71,13 +69,13 @@ class Task:
     @property
     def has_two_horizons(self) -> bool:
         """Whether the published code's horizon differs from the appendix's."""
-        return self.published_horizon != self.horizon
+        return self.resolve_horizon("published") != self.horizon
 
     def resolve_horizon(self, horizon: Horizon) -> int:
         """The control steps of an episode: a given number, the published code's, the appendix's."""
-        if horizon is None:
-            return self.horizon
-        return self.published_horizon if horizon == "published" else horizon
+        if horizon == "published":
+            horizon = self.published_horizon
+        return self.horizon if horizon is None else horizon
 
     @property
     def variants(self) -> tuple[str, ...]:

@@ -42,7 +42,7 @@ def horizon_of(task: Task, run: Entry) -> int:
 
 def is_comparable(task: Task, run: Entry) -> bool:
     """Whether a run was evaluated with the horizon of the published rows of a task."""
-    return horizon_of(task, run) == task.published_horizon
+    return horizon_of(task, run) == task.resolve_horizon("published")
 
 
 def differences(task: Task, runs: Sequence[Entry], method: str) -> Mapping[str, Interval]:

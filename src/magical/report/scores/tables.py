@@ -228,14 +228,15 @@ def _horizon_note(task: Task, runs: Mapping[str, Sequence[Entry]]) -> str:
 def _other_horizons(task: Task, entries: Sequence[Entry]) -> list[str]:
     """The horizons of the task's entries that are not the published code's, in control steps."""
     found = {horizon_of(task, entry) for entry in entries}
-    return list(map(str, sorted(found - {task.published_horizon})))
+    return list(map(str, sorted(found - {task.resolve_horizon("published")})))
 
 
 def _left_out_note(task: Task, other: Sequence[str]) -> str:
     """Why published rows are left out: which horizons are not theirs."""
-    asked = "published" if task.has_two_horizons else task.published_horizon
+    steps = task.resolve_horizon("published")
+    asked = "published" if task.has_two_horizons else steps
     return (
-        f" The published rows are left out: their horizon is {task.published_horizon} control "
+        f" The published rows are left out: their horizon is {steps} control "
         f"steps, not {' or '.join(other)}; evaluate with --horizon {asked} to compare."
     )
 
