@@ -1,6 +1,6 @@
 """Reinforcement learning with Stable-Baselines3, then the benchmark's evaluation.
 
-    pip install "magical-benchmark[sb3]"
+    pip install ".[sb3]"
 
 PPO is trained on MoveToRegion with state vectors and the dense reward, then evaluated on every
 variant.
