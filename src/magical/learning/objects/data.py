@@ -11,7 +11,7 @@ from torch import Tensor
 from magical.demos.store.reader import TrajectorySource
 from magical.demos.store.trajectory import Trajectory
 from magical.errors import DemonstrationsError
-from magical.learning.data.expert_data import TaskTrajectories
+from magical.learning.data.expert_data import Rows, TaskTrajectories
 from magical.learning.objects.goals import relate_blocks
 from magical.learning.objects.hindsight import ROBOT_TARGET, find_goals, track
 from magical.learning.objects.parser import ParsedFrames
@@ -22,8 +22,6 @@ from magical.observe import PRESETS
 OBSERVATION = "LoRes4A"  # the allocentric camera sees every object
 CHUNK = 256  # frames or samples at a time
 STILL, STILL_FINGERS = 0.004, 0.02  # units or rad in a step, rad: more is motion
-
-Rows = NDArray[np.int64]
 
 
 class ParsedDemonstration(NamedTuple):
@@ -79,10 +77,6 @@ class ObjectData:
                     f"{name}: expected steps that were demonstrated, found only those of a watched "
                     "policy"
                 )
-
-    def __len__(self) -> int:
-        """The number of samples."""
-        return len(self.actions)
 
     def sample_eventful(self, size: int, rng: np.random.Generator) -> Tensor:
         """Sample rows with replacement, without idle ones while a block is the target.
