@@ -1,23 +1,21 @@
 """What entries say about trained policies."""
 
+from typing import Any
+
 import pytest
 
-pytest.importorskip("torch", reason="the learning extra is not installed")
-
-from magical.learning import Config, algorithm_names, find_algorithm
-from magical.learning.config import options
+from magical.learning import algorithm_names, find_algorithm
 from magical.runs.sources import SOURCES, learned_from
+from tests.learning.tiny_runs import tiny
 
 
-def config(algorithm: str, **fields: object) -> Config:
-    kind = find_algorithm(algorithm).config
-    required = {"demos": "demos"} if "demos" in {o.name for o in options(kind)} else {}
-    return kind.preset("paper", tasks=("MoveToRegion",), **required, **fields)
+def details_of(algorithm: str, **fields: object) -> dict[str, Any]:
+    return tiny(find_algorithm(algorithm).config, "paper", **fields).training_details
 
 
 @pytest.mark.parametrize("algorithm", algorithm_names())
 def test_every_algorithm_says_what_it_learns_from(algorithm: str) -> None:
-    details = config(algorithm, seed=3).training_details
+    details = details_of(algorithm, seed=3)
     assert details["algorithm"] == algorithm
     assert details["training_seed"] == 3
     assert learned_from(details)
@@ -34,7 +32,7 @@ def test_every_algorithm_says_what_it_learns_from(algorithm: str) -> None:
         ("dagger", {}, ("demonstrations", "interaction", "expert labels")),
         (
             "dagger",
-            {"variants": ("Demo", "Layout")},
+            {"variants": ("Demo", "Layout"), "episodes": 2},
             ("demonstrations", "interaction", "expert labels", "test variants"),
         ),
     ],
@@ -42,10 +40,10 @@ def test_every_algorithm_says_what_it_learns_from(algorithm: str) -> None:
 def test_sources_by_algorithm(
     algorithm: str, fields: dict[str, object], expected: tuple[str, ...]
 ) -> None:
-    assert learned_from(config(algorithm, **fields).training_details) == expected
+    assert learned_from(details_of(algorithm, **fields)) == expected
     assert set(expected) <= set(SOURCES)
 
 
 def test_the_number_of_demonstrations_is_said() -> None:
-    assert config("bc", num_demos=7).training_details["demonstrations"] == "7 of each task"
-    assert "demonstrations" not in config("ppo").training_details
+    assert details_of("bc", num_demos=7)["demonstrations"] == "7 of each task"
+    assert "demonstrations" not in details_of("ppo")

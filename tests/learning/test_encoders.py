@@ -21,7 +21,7 @@ from magical.learning.encoders import FrameFeatures, FrozenEncoder
 from magical.learning.models import PolicyNetwork, Trunk
 from magical.learning.networks import find_network, is_pretrained
 from magical.runs import read_metrics
-from tests.learning.tiny_runs import checkpoint, tiny
+from tests.learning.tiny_runs import checkpoint, same_weights, tiny
 
 MEAN, STD = (0.1, 0.2, 0.3), (0.5, 0.25, 1.0)
 
@@ -186,8 +186,7 @@ def test_it_is_resumed_bit_equal_evaluated_and_declared(
     assert main([*command, "--out", str(whole)]) == 0
     assert main([*command, "--out", str(run), "--stop-after", "2"]) == 0
     assert main(["train", "bc", "--out", str(run), "--resume"]) == 0
-    first, second = (checkpoint(folder)["policy"] for folder in (whole, run))
-    assert all(torch.equal(first[name], second[name]) for name in first)
+    assert same_weights(whole, run)
     rollouts = ["--task", "MoveToRegion", "--variants", "Demo", "--rollouts", "1", "--workers", "0"]
     assert main(["evaluate", str(run), *rollouts, "--out", str(tmp_path / "scores")]) == 0
     entry = json.loads((tmp_path / "scores" / "entry.json").read_text())

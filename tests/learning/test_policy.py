@@ -17,13 +17,12 @@ from magical.evaluation import Policy, evaluate
 from magical.evaluation.protocol import Evaluation
 from magical.learning import NetworkPolicy, is_run, load_policy, train
 from magical.learning.algorithms.bc import BCConfig
-from magical.learning.running.devices import Compute
 from magical.observe import NAMED, PRESETS
 from magical.report.figures.clips import record_rollouts
 from magical.runs.folder import CHECKPOINT
 from tests.learning.conftest import TASKS
+from tests.learning.tiny_runs import CPU
 
-CPU = Compute("cpu", "float32")
 IDS = [f"magical/{task}-Demo-v0" for task in TASKS]
 
 

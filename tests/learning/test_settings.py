@@ -6,8 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("torch", reason="the learning extra is not installed")
-
 from magical.errors import InvalidConfigError
 from magical.learning.algorithms.bc import BCConfig
 from magical.learning.algorithms.ppo import PPOConfig

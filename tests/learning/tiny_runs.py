@@ -9,9 +9,11 @@ from torch import Tensor
 from magical.learning import Config
 from magical.learning.config import options
 from magical.learning.running.checkpoints import load_checkpoint
+from magical.learning.running.devices import Compute
 from magical.runs.folder import CHECKPOINT
 
 AnyConfig = TypeVar("AnyConfig", bound=Config)
+CPU = Compute("cpu", "float32")
 
 # Settings of all algorithms, by option; each takes those that it has.
 TINY: dict[str, Any] = {

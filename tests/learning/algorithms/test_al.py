@@ -32,10 +32,9 @@ from magical.learning.data.expert_data import ExpertData
 from magical.learning.reinforcement.monitoring import Metrics
 from magical.learning.reinforcement.replay_buffer import ReplayBuffer
 from magical.learning.reinforcement.rollouts import Rollout
-from magical.learning.running.devices import Compute
 from magical.observe import PRESETS
 from tests.learning.conftest import TASKS
-from tests.learning.tiny_runs import assert_same, checkpoint, tiny
+from tests.learning.tiny_runs import CPU, assert_same, checkpoint, tiny
 
 Weigh = Callable[[torch.Tensor, torch.Tensor], tuple[torch.Tensor, torch.Tensor]]
 
@@ -151,9 +150,6 @@ def test_paper_settings_are_appendix_bs() -> None:
 def test_not_defined_for_several_tasks() -> None:
     with pytest.raises(InvalidConfigError, match="al: expected one task"):
         small("", tasks=TASKS)
-
-
-CPU = Compute("cpu", "float32")
 
 
 @pytest.fixture(scope="module")

@@ -17,12 +17,11 @@ from magical.learning.algorithms.diffusion import (
     diffusion_losses,
     make_policy,
 )
-from magical.learning.running.devices import Compute
 from magical.learning.sequences.chunks import Chunks
 from tests.learning.conftest import TASKS
+from tests.learning.tiny_runs import CPU
 
 LENGTH = 4
-CPU = Compute("cpu", "float32")
 
 
 def config(**settings: Any) -> DiffusionConfig:

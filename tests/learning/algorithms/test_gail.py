@@ -31,10 +31,9 @@ from magical.learning.algorithms.wgail_gp import (
 from magical.learning.augmentation.augment import Randoms
 from magical.learning.data.expert_data import ExpertData
 from magical.learning.reinforcement.replay_buffer import ROLLOUTS, ReplayBuffer
-from magical.learning.running.devices import Compute
 from magical.observe import PRESETS
 from tests.learning.conftest import TASKS
-from tests.learning.tiny_runs import tiny
+from tests.learning.tiny_runs import CPU, tiny
 
 
 class Linear(nn.Module):
@@ -139,8 +138,8 @@ def trainer(
         TASKS,
         PRESETS["LoRes4E"],
     )
-    replay_buffer, compute = ReplayBuffer(2, np.array([0, 1])), Compute("cpu", "float32")
-    subject = DiscriminatorTrainer(config, expert, replay_buffer, compute, gail_loss, reward)
+    replay_buffer = ReplayBuffer(2, np.array([0, 1]))
+    subject = DiscriminatorTrainer(config, expert, replay_buffer, CPU, gail_loss, reward)
     return subject, replay_buffer
 
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from magical.cli import main
-from magical.demos import Dataset, ObservationReader
+from magical.demos import Dataset, observations
 from magical.demos.generate import demonstrate
 from magical.errors import CheckpointError
 from magical.evaluation import evaluate
@@ -31,7 +31,23 @@ from magical.tasks.programs import parse
 from tests.learning import tiny_runs
 
 TASKS = ("MoveToRegion", "FixColour")
+FIX = "magical/FixColour-Demo-v0"
 OUT = "Every(Mismatched(), OutOfRegions())"
+
+
+def load(run: Path, unexplained: float = 0.0) -> ProgramPolicy:
+    """The policy, which believes of FixColour what moves the mismatched block out, or nothing."""
+    policy = load_policy(run)
+    assert isinstance(policy, ProgramPolicy)
+    policy.network.believe(1, Belief([Explanation(parse(OUT), 1.0)], unexplained, 1.0))
+    policy.reset(np.ones(1, np.bool_))
+    return policy
+
+
+@pytest.fixture(scope="module")
+def stacks() -> Any:
+    """What is observed in a demonstration of FixColour: (T + 1, 96, 96, 12)."""
+    return observations(demonstrate(FIX, seed=3), "LoRes4A")
 
 
 @pytest.fixture(scope="module")
@@ -64,23 +80,15 @@ def test_the_policy_acts_in_test_variants(run: Path) -> None:
     assert len(evaluate(load_policy(run), names, rollouts=2, workers=0)) == 4
 
 
-def test_what_is_done_stops_the_robot(run: Path) -> None:
-    policy = load_policy(run)
-    assert isinstance(policy, ProgramPolicy)
-    policy.network.believe(1, Belief([Explanation(parse(OUT), 1.0)], 0.0, 1.0))
-    trajectory = demonstrate("magical/FixColour-Demo-v0", seed=3)
-    policy.reset(np.ones(1, np.bool_))
-    rng = np.random.default_rng(0)
-    actions = [
-        int(policy.act(stack[None], ["magical/FixColour-Demo-v0"], rng)[0])
-        for stack in ObservationReader(trajectory, "LoRes4A").read(np.arange(len(trajectory) + 1))
-    ]
+def test_what_is_done_stops_the_robot(run: Path, stacks: Any) -> None:
+    policy, rng = load(run), np.random.default_rng(0)
+    actions = [int(policy.act(stack[None], [FIX], rng)[0]) for stack in stacks]
     assert NOOP != actions[0]
     assert actions[-1] == NOOP
 
 
 def test_the_planner_sees_where_the_robot_was_a_step_ago(
-    run: Path, monkeypatch: pytest.MonkeyPatch
+    run: Path, stacks: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: list[Situation] = []
 
@@ -89,24 +97,18 @@ def test_the_planner_sees_where_the_robot_was_a_step_ago(
         return NOOP
 
     monkeypatch.setattr(Planner, "act", noted)
-    policy = load_policy(run)
-    assert isinstance(policy, ProgramPolicy)
-    policy.network.believe(1, Belief([Explanation(parse(OUT), 1.0)], 0.0, 1.0))
-    trajectory = demonstrate("magical/FixColour-Demo-v0", seed=3)
-    policy.reset(np.ones(1, np.bool_))
-    for stack in ObservationReader(trajectory, "LoRes4A").read(np.arange(4)):
-        policy.act(stack[None], ["magical/FixColour-Demo-v0"], np.random.default_rng(0))
+    policy = load(run)
+    for stack in stacks[:4]:
+        policy.act(stack[None], [FIX], np.random.default_rng(0))
     poses = [each.pose.tolist() for each in seen]
     assert [each.before.tolist() for each in seen] == [poses[0], *poses[:-1]]
     assert poses[3] != poses[2] != poses[1]
 
 
 def test_relations_decide_where_no_program_explains_demonstrations(
-    run: Path, monkeypatch: pytest.MonkeyPatch
+    run: Path, stacks: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    policy = load_policy(run)
-    assert isinstance(policy, ProgramPolicy)
-    policy.network.believe(1, Belief([Explanation(parse(OUT), 1.0)], 0.9, 1.0))
+    policy = load(run, unexplained=0.9)
     seen = []
 
     def control(*inputs: Any) -> torch.Tensor:
@@ -114,40 +116,28 @@ def test_relations_decide_where_no_program_explains_demonstrations(
         return torch.zeros(1, 18)
 
     monkeypatch.setattr(policy.network, "control", control)
-    trajectory = demonstrate("magical/FixColour-Demo-v0", seed=3)
-    stacks = ObservationReader(trajectory, "LoRes4A").read(np.arange(1))
-    policy.reset(np.ones(1, np.bool_))
-    policy.act(stacks, ["magical/FixColour-Demo-v0"], np.random.default_rng(0))
+    policy.act(stacks[:1], [FIX], np.random.default_rng(0))
     ((table, _, targets, destinations),) = seen
     expected = policy.network.goals.decide(table, torch.ones(1, dtype=torch.int64))
     assert targets == expected[0]
     torch.testing.assert_close(destinations, expected[1])
 
 
-def test_what_relations_decide_does_not_depend_on_other_episodes(run: Path) -> None:
-    policy = load_policy(run)
-    assert isinstance(policy, ProgramPolicy)
-    policy.network.believe(1, Belief([Explanation(parse(OUT), 1.0)], 0.9, 1.0))
-    episodes = [
-        demonstrate("magical/MoveToRegion-Demo-v0", seed=1),
-        demonstrate("magical/FixColour-Demo-v0", seed=3),
-    ]
-    stacks = [ObservationReader(e, "LoRes4A").read(np.arange(1))[0] for e in episodes]
+def test_what_relations_decide_does_not_depend_on_other_episodes(run: Path, stacks: Any) -> None:
+    policy, region = load(run, unexplained=0.9), "magical/MoveToRegion-Demo-v0"
+    shown = np.stack([observations(demonstrate(region, seed=1), "LoRes4A", [0])[0], stacks[0]])
 
     def act(rows: list[int]) -> list[int]:
         policy.reset(np.ones(len(rows), np.bool_))
-        env_ids = [str(episodes[row].env_id) for row in rows]
-        rng = RolloutRng(env_ids, rows)
-        actions = policy.act(np.stack([stacks[row] for row in rows]), env_ids, rng)
+        env_ids = [(region, FIX)[row] for row in rows]
+        actions = policy.act(shown[rows], env_ids, RolloutRng(env_ids, rows))
         return [int(action) for action in actions]
 
     assert act([0, 1]) == [*act([0]), *act([1])]
 
 
 def test_a_damaged_belief_is_refused(run: Path) -> None:
-    policy = load_policy(run)
-    assert isinstance(policy, ProgramPolicy)
-    network = policy.network
+    network = load(run).network
     for text, message in (
         (b"?", "expected JSON"),
         (b'[[], "x", 1]', "expected float, found 'x'"),

@@ -19,14 +19,13 @@ from magical.learning.algorithms.transformer_bc import (
 )
 from magical.learning.augmentation.augment import to_unit
 from magical.learning.data.expert_data import ExpertData
-from magical.learning.running.devices import Compute
 from magical.observe import PRESETS
 from magical.scene import NOOP
 from tests.learning.conftest import TASKS, picture_demo
+from tests.learning.tiny_runs import CPU
 
 WINDOW = 4
 ID = "magical/MoveToCorner-Demo-v0"
-CPU = Compute("cpu", "float32")
 
 
 def config(**settings: Any) -> TransformerBCConfig:

@@ -20,6 +20,13 @@ def episode() -> tuple[np.ndarray, np.ndarray]:
     return robot, blocks
 
 
+def parsed(robot: np.ndarray, blocks: np.ndarray, colours: np.ndarray) -> ParsedFrames:
+    """Frames of closed fingers, without regions; blocks are of one shape."""
+    count, shapes = len(robot), np.where(colours >= 0, 0, -1)
+    nothing = np.zeros((count, 3, 4)), np.full((count, 3), -1)
+    return ParsedFrames(robot, np.zeros((count, 2)), blocks, colours, shapes, *nothing)
+
+
 def test_the_target_is_the_block_that_is_moved_next_and_then_the_robot() -> None:
     robot, blocks = episode()
     targets, destinations = find_goals(robot, blocks, np.ones(30, np.bool_))
@@ -64,22 +71,12 @@ def test_tracking_keeps_numbers_when_blocks_are_found_in_another_order_or_not_at
     blocks[0, :2], colours[0, :2] = [[0.0, 0.0], [0.5, 0.5]], [2, 1]
     blocks[1, :2], colours[1, :2] = [[0.52, 0.5], [0.01, 0.0]], [1, 2]
     blocks[2, :1], colours[2, :1] = [[0.02, 0.0]], [2]  # the other one is hidden
-    shapes = np.where(colours >= 0, 0, -1)
-    parsed = ParsedFrames(
-        np.zeros((3, 3)), np.zeros((3, 2)), blocks, colours, shapes, np.zeros((3, 3, 4)),
-        np.full((3, 3), -1),
-    )  # fmt: skip
-    tracked = track(parsed)
+    tracked = track(parsed(np.zeros((3, 3)), blocks, colours))
     assert np.allclose(tracked.blocks[:, 0], [[0.0, 0.0], [0.01, 0.0], [0.02, 0.0]])
     assert np.allclose(tracked.blocks[:, 1], [[0.5, 0.5], [0.52, 0.5], [0.52, 0.5]])
     assert tracked.colours[:, :2].tolist() == [[2, 1]] * 3
 
 
 def test_waiting_is_told_from_moving() -> None:
-    robot, blocks = episode()
-    still = np.zeros((31, 2))
-    parsed = ParsedFrames(
-        robot, still, blocks, still.astype(int), still.astype(int), np.zeros((31, 3, 4)),
-        np.full((31, 3), -1),
-    )  # fmt: skip
-    assert np.flatnonzero(_moves(parsed)).tolist() == [*range(5, 15), 18, 19, *range(22, 30)]
+    frames = parsed(*episode(), np.zeros((31, 2), int))
+    assert np.flatnonzero(_moves(frames)).tolist() == [*range(5, 15), 18, 19, *range(22, 30)]

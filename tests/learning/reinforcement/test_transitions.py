@@ -1,5 +1,6 @@
 """Transitions whose frames are stored once, against lists of whole observations."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -158,14 +159,7 @@ def test_what_was_not_executed_is_left_out() -> None:
     plain = picture_demo("MoveToCorner", 0)
     labels = plain.actions.copy()
     labels[3] = (labels[3] + 1) % 18
-    labelled = Trajectory(
-        env_id=plain.env_id,
-        scene=plain.scene,
-        actions=plain.actions,
-        expert_actions=labels,
-        published_code_score=1.0,
-        frames=plain.frames,
-    )
+    labelled = replace(plain, expert_actions=labels)
     spec = PixelSpec(((View.EGO, 1),))
     buffer = TransitionBuffer.of_demonstrations(
         [("MoveToCorner", labelled)], ["MoveToCorner"], spec, "cpu"

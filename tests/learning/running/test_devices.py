@@ -12,7 +12,7 @@ import torch
 
 from magical import cli
 from magical.evaluation import evaluate
-from magical.learning import algorithm_names, find_algorithm, load_policy, train
+from magical.learning import algorithm_names, find_algorithm, train
 from magical.learning.algorithms.bc import BCConfig
 from magical.learning.config import options
 from magical.learning.running.devices import (
@@ -26,6 +26,7 @@ from magical.learning.running.devices import (
 from magical.learning.running.speed import training_speeds
 from magical.runs import read_json
 from magical.runs.folder import RECORD
+from tests.learning.tiny_runs import same_weights
 
 
 @pytest.mark.parametrize("ability", ["amx_bf16", "avx512_bf16"])
@@ -77,8 +78,7 @@ def test_the_same_command_gives_the_same_weights_under_load(demos: Path, tmp_pat
                 process.kill()
                 process.wait()
     assert read_json(idle / RECORD)["compute"] == read_json(loaded / RECORD)["compute"]
-    first, second = (load_policy(run).network.state_dict() for run in (idle, loaded))
-    assert all(torch.equal(first[name], second[name]) for name in first)
+    assert same_weights(idle, loaded)
 
 
 def test_every_way_is_measured() -> None:

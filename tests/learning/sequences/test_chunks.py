@@ -14,13 +14,12 @@ from magical.errors import InvalidConfigError
 from magical.learning.algorithms.act import ACTConfig, ACTPolicy
 from magical.learning.algorithms.diffusion import DiffusionConfig
 from magical.learning.data.expert_data import ExpertData
-from magical.learning.running.devices import Compute
 from magical.learning.sequences.chunks import ChunkPolicy, sample_chunks
 from magical.observe import PRESETS
 from magical.scene.actions import to_continuous
 from tests.learning.conftest import TASKS, picture_demo
+from tests.learning.tiny_runs import CPU
 
-CPU = Compute("cpu", "float32")
 LENGTH = 5
 
 

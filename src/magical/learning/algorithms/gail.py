@@ -23,7 +23,6 @@ from torch import Tensor
 from torch.nn import functional
 from torch.optim import Adam
 
-from magical.errors import InvalidConfigError
 from magical.learning.algorithms import Algorithm
 from magical.learning.algorithms.ppo import PPOTrainer, ReinforcementConfig, make_policy
 from magical.learning.augmentation.augment import Randoms, to_unit
@@ -73,12 +72,7 @@ class AdversarialConfig(ReinforcementConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        size = self.discriminator.batch_size
-        if size < 2 * len(self.tasks) or size % 2:
-            raise InvalidConfigError(
-                "discriminator_batch_size: expected an even number, at least two for each task, "
-                f"found {size}"
-            )
+        self.require_halves("discriminator_batch_size", self.discriminator.batch_size)
 
     @property
     def discriminator_samples(self) -> int:

@@ -112,12 +112,8 @@ class IQLearnConfig(InteractionConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        iq, tasks = self.iq, len(self.tasks)
-        if iq.batch_size < 2 * tasks or iq.batch_size % 2:
-            raise InvalidConfigError(
-                f"batch_size: expected an even number, at least two for each task, found "
-                f"{iq.batch_size}"
-            )
+        iq = self.iq
+        self.require_halves("batch_size", iq.batch_size)
         # Two frames a step, where an episode ends; and a stack before them.
         least = iq.num_envs * (self.observation_spec.frames + 2)
         if iq.buffer_size < least:

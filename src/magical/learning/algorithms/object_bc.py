@@ -142,8 +142,7 @@ class ObjectPolicy(nn.Module):
     def forward(self, observations: Tensor, tasks: Tensor) -> Tensor:
         """Logits (B, 18) of stacks (B, 12, 96, 96), uint8."""
         newest, oldest = (stacked_frames(observations, k) for k in (STACK - 1, 0))
-        parsed = to_table(self.perception(newest))
-        table = ObjectTable(*(column.to(tasks.device) for column in parsed))
+        table = to_table(self.perception(newest), tasks.device)
         before = torch.from_numpy(self.perception(oldest, robot_alone=True).robot).to(table.robot)
         plain = torch.autocast(tasks.device.type, enabled=False)  # positions need float32
         with cpu_threads(1):

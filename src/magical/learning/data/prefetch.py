@@ -27,19 +27,15 @@ def prefetch(
         yield map(make, numbers)
         return
     num_threads = torch.get_num_threads()
-    thread = ThreadPoolExecutor(1, "batches")
-    thread.submit(_use_one_core).result()
-    # The number set in one thread is also the default of threads started later.
+    thread = ThreadPoolExecutor(1, "batches", torch.set_num_threads, (1,))
+    # The number set in one thread is also the default of threads started later, and a thread takes
+    # the default of now when it first asks.
+    thread.submit(torch.get_num_threads).result()
     torch.set_num_threads(num_threads)
     try:
         yield _ahead(thread, make, numbers)
     finally:
         thread.shutdown(cancel_futures=True)
-
-
-def _use_one_core() -> None:
-    torch.set_num_threads(1)
-    torch.get_num_threads()  # a thread takes the default of now, 1, when it first asks
 
 
 def _ahead(

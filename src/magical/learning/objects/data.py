@@ -11,19 +11,17 @@ from torch import Tensor
 from magical.demos.store.reader import TrajectorySource
 from magical.demos.store.trajectory import Trajectory
 from magical.errors import DemonstrationsError
-from magical.learning.data.expert_data import TaskTrajectories
+from magical.learning.data.expert_data import Rows, TaskTrajectories
 from magical.learning.objects.goals import relate_blocks
 from magical.learning.objects.hindsight import ROBOT_TARGET, find_goals, track
 from magical.learning.objects.parser import ParsedFrames
 from magical.learning.objects.perception import Perception
-from magical.learning.objects.table import ObjectTable, to_tensor
+from magical.learning.objects.table import to_table, to_tensor
 from magical.observe import PRESETS
 
 OBSERVATION = "LoRes4A"  # the allocentric camera sees every object
 CHUNK = 256  # frames or samples at a time
 STILL, STILL_FINGERS = 0.004, 0.02  # units or rad in a step, rad: more is motion
-
-Rows = NDArray[np.int64]
 
 
 class ParsedDemonstration(NamedTuple):
@@ -59,30 +57,31 @@ class ObjectData:
         Raises:
             DemonstrationsError: no samples are left of a task.
         """
-        parts = [_samples(each, task_names.index(each.task)) for each in demonstrations]
-        tables, targets, destinations, actions, tasks, eventful = zip(*parts, strict=True)
-        demonstrated = np.concatenate([each.trajectory.is_demonstrated for each in demonstrations])
-        columns = zip(*tables, strict=True)
-        self.table = ObjectTable(*(torch.cat(column).to(device) for column in columns))
+        trajectories = [each.trajectory for each in demonstrations]
+        columns = zip(*(each.parsed for each in demonstrations), strict=True)
+        parsed = ParsedFrames(*(np.concatenate([c[:-1] for c in column]) for column in columns))
+        goals = [find_goals(p.robot, p.blocks, t.is_intended) for _, t, p in demonstrations]
+        targets, destinations = map(np.concatenate, zip(*goals, strict=True))
+        actions = np.concatenate([each.labels for each in trajectories])
+        of_each = [task_names.index(each.task) for each in demonstrations]
+        tasks = np.repeat(of_each, list(map(len, trajectories)))
+        demonstrated = np.concatenate([each.is_demonstrated for each in trajectories])
+        moves = np.concatenate([_moves(each.parsed) for each in demonstrations])
+        self.table = to_table(parsed, device)
         self.targets, self.destinations, self.actions, self.tasks = (
-            torch.cat(column).to(device) for column in (targets, destinations, actions, tasks)
+            to_tensor(column).to(device) for column in (targets, destinations, actions, tasks)
         )
         starts = range(0, len(self.actions), CHUNK)
         chunks = [relate_blocks(self.table.select(slice(k, k + CHUNK))) for k in starts]
         self.relations = torch.cat(chunks)
-        numbers = self.tasks.cpu().numpy()
-        self._rows = [np.flatnonzero((numbers == k) & demonstrated) for k in range(len(task_names))]
-        self._eventful = np.flatnonzero(torch.cat(eventful).numpy() & demonstrated)
+        self._rows = [np.flatnonzero((tasks == k) & demonstrated) for k in range(len(task_names))]
+        self._eventful = np.flatnonzero((moves | (targets == ROBOT_TARGET)) & demonstrated)
         for name, rows in zip(task_names, self._rows, strict=True):
             if not len(rows):
                 raise DemonstrationsError(
                     f"{name}: expected steps that were demonstrated, found only those of a watched "
                     "policy"
                 )
-
-    def __len__(self) -> int:
-        """The number of samples."""
-        return len(self.actions)
 
     def sample_eventful(self, size: int, rng: np.random.Generator) -> Tensor:
         """Sample rows with replacement, without idle ones while a block is the target.
@@ -97,22 +96,6 @@ class ObjectData:
 
     def _index(self, rows: Rows) -> Tensor:
         return torch.from_numpy(rows).to(self.actions.device)
-
-
-def _samples(
-    demonstration: ParsedDemonstration, task: int
-) -> tuple[ObjectTable, Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """One demonstration's scenes, targets, destinations, actions, task, and which are not idle."""
-    _, trajectory, parsed = demonstration
-    targets, destinations = find_goals(parsed.robot, parsed.blocks, trajectory.is_intended)
-    return (
-        ObjectTable(*(to_tensor(column[:-1]) for column in parsed)),
-        to_tensor(targets),
-        to_tensor(destinations),
-        to_tensor(trajectory.labels),
-        torch.full((len(trajectory),), task),
-        torch.from_numpy(_moves(parsed) | (targets == ROBOT_TARGET)),
-    )
 
 
 def _moves(parsed: ParsedFrames) -> NDArray[np.bool_]:

@@ -62,9 +62,9 @@ class ObjectTable(NamedTuple):
         return self.robot[:, :2] + GRIP * torch.stack([-angle.sin(), angle.cos()], dim=1)
 
 
-def to_table(parsed: ParsedFrames) -> ObjectTable:
-    """The objects of B frames as tensors."""
-    return ObjectTable(*map(to_tensor, parsed))
+def to_table(parsed: ParsedFrames, device: str | torch.device = "cpu") -> ObjectTable:
+    """The objects of B frames as tensors on a device."""
+    return ObjectTable(*(to_tensor(column).to(device) for column in parsed))
 
 
 def to_tensor(array: NDArray[Any]) -> Tensor:

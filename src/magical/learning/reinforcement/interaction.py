@@ -49,6 +49,13 @@ class InteractionConfig(Config):
                 f"found {self.interaction.num_envs}"
             )
 
+    def require_halves(self, option: str, size: int) -> None:
+        """Raise `InvalidConfigError` unless a batch has two halves with samples of every task."""
+        if size < 2 * len(self.tasks) or size % 2:
+            raise InvalidConfigError(
+                f"{option}: expected an even number, at least two for each task, found {size}"
+            )
+
     @property
     def interaction(self) -> InteractionSettings:
         """The record."""

@@ -28,7 +28,7 @@ from magical.runs.folder import CHECKPOINT, PREVIOUS, RECORD, read_json, write_j
 from magical.runs.metrics import MetricsWriter
 
 Metrics = Mapping[str, float | str]
-OnMetrics = Callable[[int, int, Metrics], None]  # step, total number of steps, metrics
+Callback = Callable[[int, Metrics], object]  # step, metrics
 
 SAVING_SHARE = 0.05  # of training time is for saving checkpoints, at most
 
@@ -43,6 +43,7 @@ class Run:
         folder: the run folder.
         saved: the checkpoint to resume from, or `None` in a new run.
         step: the steps (batches or updates) that the newest checkpoint has behind it.
+        callbacks: functions that are called after each line of metrics.
     """
 
     def __init__(
@@ -50,19 +51,17 @@ class Run:
         folder: Path,
         config: Config,
         *,
-        on_metrics: OnMetrics = lambda step, total, metrics: None,
         interrupts: Interrupts | None = None,
         stop_after: int | None = None,
     ) -> None:
-        """See `magical.learning.train`; `on_metrics` is called after each line of metrics.
+        """See `magical.learning.train`.
 
         Raises:
             CheckpointError: the newest checkpoint is damaged.
         """
         self.folder = folder
-        self._total, self._checkpoint_every = config.num_updates, config.checkpoint_every
-        self._seed = config.seed
-        self._on_metrics = on_metrics
+        self._seed, self._checkpoint_every = config.seed, config.checkpoint_every
+        self.callbacks: list[Callback] = []
         self._interrupts = interrupts or Interrupts()
         self.record = read_json(folder / RECORD) if (folder / RECORD).exists() else {}
         begun = any((folder / name).exists() for name in (CHECKPOINT, PREVIOUS))
@@ -142,7 +141,8 @@ class Run:
         if stops or last or step % log_every == 0:
             found = metrics()
             self._metrics.write(step, found)
-            self._on_metrics(step, self._total, found)
+            for callback in self.callbacks:
+                callback(step, found)
             self._require_finite(step, found)
         if stops or last or self._checkpoint_is_due(step):
             begun = time.monotonic()

@@ -1,9 +1,8 @@
 """Start or resume a run of any algorithm."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +20,12 @@ from magical.learning.running.devices import (
 )
 from magical.learning.running.interrupts import Interrupts
 from magical.learning.running.loading import load_policy
-from magical.learning.running.run import Metrics, Run
+from magical.learning.running.run import Callback, Run
 from magical.learning.running.streams import restored_generators
 from magical.learning.trackers import opened_trackers
 from magical.progress import ProgressBar
 from magical.runs.folder import opened_folder
 from magical.runs.metrics import read_metrics
-
-Callback = Callable[[int, Metrics], object]  # step, metrics
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +77,7 @@ def train(
     Args:
         config: an algorithm's configuration, such as `BCConfig.preset("quick", ...)`.
         out: a new or an empty folder; with `resume`, one that holds this run.
-        resume: continue from the newest checkpoint; on a CPU the result is bit-equal to that of a
-            run without interruption.
+        resume: continue from the newest checkpoint; on a CPU bit-equal to an uninterrupted run.
         previous_checkpoint: with `resume`, continue from the checkpoint before the newest.
         stop_after: save a checkpoint and return after this many more batches or updates.
         progress: show a progress bar on standard error.
@@ -98,19 +94,20 @@ def train(
         InvalidConfigError: `previous_checkpoint` without `resume`.
         MissingDependencyError: a tracker's library is not installed.
     """
-    folder, algorithm = Path(out), find_algorithm(config.algorithm)
-    display = ProgressBar(config.algorithm, transient=False) if progress else nullcontext(None)
-    with _opened(folder, config, resume, previous_checkpoint), Interrupts() as stop, display as bar:
-        callbacks = [callback] if callback else []
-        show = partial(_show, bar, callbacks)
-        with (
-            Run(folder, config, on_metrics=show, interrupts=stop, stop_after=stop_after) as run,
-            opened_trackers(track, folder, run.step) as log,
-        ):
-            callbacks.insert(0, log)
-            algorithm.train(config, run)
+    folder, algorithm, total = Path(out), find_algorithm(config.algorithm), config.num_updates
+    with (
+        _opened(folder, config, resume, previous_checkpoint),
+        Interrupts() as stop,
+        ProgressBar(config.algorithm, transient=False) if progress else nullcontext() as bar,
+        Run(folder, config, interrupts=stop, stop_after=stop_after) as run,
+        opened_trackers(track, folder, run.step) as log,
+    ):
+        if bar:
+            run.callbacks.append(lambda step, metrics: bar.update(step, total, metrics))
+        run.callbacks += [log, callback] if callback else [log]
+        algorithm.train(config, run)
     newest = (read_metrics(folder) or [{"step": run.step}])[-1]
-    return TrainResult(folder, run.step, config.num_updates, stop.seen, newest)
+    return TrainResult(folder, run.step, total, stop.seen, newest)
 
 
 @contextmanager
@@ -129,12 +126,3 @@ def _opened(folder: Path, config: Config, resume: bool, previous: bool) -> Itera
         if previous:
             restore_previous_checkpoint(folder)
         yield
-
-
-def _show(
-    bar: ProgressBar | None, callbacks: Sequence[Callback], step: int, total: int, metrics: Metrics
-) -> None:
-    if bar is not None:
-        bar.update(step, total, metrics)
-    for callback in callbacks:
-        callback(step, metrics)
