@@ -49,6 +49,11 @@ def test_episode_truncates_at_the_horizon_and_scores_there() -> None:
     assert reward == info["eval_score"] == env.scores().score
 
 
+def test_rendering_without_a_render_mode_is_warned_of() -> None:
+    with pytest.warns(UserWarning, match='expected render_mode="rgb_array" or "human"'):
+        assert _make().render() is None
+
+
 def test_a_task_with_one_rule_is_scored_once(monkeypatch: pytest.MonkeyPatch) -> None:
     scored: list[Poses] = []
 

@@ -175,8 +175,11 @@ class MagicalEnv(gym.Env[Any, Any]):
     def render(self) -> Any:
         """Both views side by side, egocentric left: uint8 (384, 768, 3).
 
-        `None` without a render mode, and with "human": `reset` and `step` show each frame.
+        `None` with "human", where `reset` and `step` show each frame, and without a render mode,
+        which is warned of.
         """
+        if self.render_mode is None:
+            gym.logger.warn('render: expected render_mode="rgb_array" or "human", found none')
         return self._frame() if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:

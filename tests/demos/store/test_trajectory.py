@@ -134,3 +134,8 @@ def test_from_poses_scores_by_both_rules() -> None:
     )
     with pytest.raises(TrajectoryError, match="shape"):
         Trajectory.from_poses("ClusterColour-Demo-v0", task.demo, [0], poses[0])
+
+
+def test_a_trajectory_is_printed_in_a_line() -> None:
+    expected = "Trajectory('magical/MoveToCorner-Demo-v0', 2 steps, score 0.5, by 'unknown')"
+    assert repr(Trajectory(**GOOD)) == expected

@@ -44,7 +44,7 @@ class Actor(IntEnum):
     HUMAN = 2
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False, repr=False, kw_only=True)
 class Trajectory:
     """A recorded episode of T control steps, with T + 1 time steps from `reset` to its end.
 
@@ -114,6 +114,10 @@ class Trajectory:
                 f"found {quoted(self.demonstrator)}"
             )
         put("metadata", _checked_metadata(self.metadata))
+
+    def __repr__(self) -> str:
+        by = f"score {self.score}, by {self.demonstrator!r}"
+        return f"Trajectory({str(self.env_id)!r}, {len(self)} steps, {by})"
 
     @staticmethod
     def from_poses(
