@@ -5,6 +5,7 @@ import io
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 import tomllib
@@ -121,6 +122,15 @@ def test_errors_become_exit_statuses(
 ) -> None:
     assert fail_with(error) == status
     assert capsys.readouterr().err == message
+
+
+def test_a_terminated_command_ends_like_an_interrupted_one(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(envs, "run", lambda _: signal.raise_signal(signal.SIGTERM))
+    assert cli.main(["envs"]) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
 
 
 def test_a_missing_library_is_answered_with_the_extra_that_brings_it(

@@ -8,13 +8,14 @@ from typing import Self
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-LINE_INTERVAL = 30.0  # s between lines of metrics where standard error is no terminal
+LINE_INTERVAL = 30.0  # s between lines where standard error is no terminal
 
 
 class ProgressBar:
     """A bar with a count, the time left and, in `update`, metrics.
 
-    Without a terminal there is no bar; `update` then prints a line every `LINE_INTERVAL` seconds.
+    Without a terminal there is a line every `LINE_INTERVAL` seconds instead, and one at the last
+    `update`.
     """
 
     def __init__(self, title: str, total: int | None = None, *, transient: bool = True) -> None:
@@ -30,9 +31,8 @@ class ProgressBar:
             transient=transient,
             disable=not console.is_terminal,
         )
-        self._title = title
         self._task = self._progress.add_task(title, total=total, metrics="")
-        self._last_line = 0.0
+        self._last_line = time.monotonic()
 
     def __enter__(self) -> Self:
         self._progress.start()
@@ -44,15 +44,21 @@ class ProgressBar:
     def advance(self, count: int = 1) -> None:
         """Count more of what the bar counts."""
         self._progress.advance(self._task, count)
+        self._print_line("")
 
     def update(self, step: int, total: int, metrics: Mapping[str, float | str]) -> None:
         """Show that `step` of `total` steps are done, and the latest metrics."""
         text = "  ".join(_format(name, value) for name, value in metrics.items())
         self._progress.update(self._task, completed=step, total=total, metrics=text)
+        self._print_line(text, at_once=step == total)
+
+    def _print_line(self, text: str, at_once: bool = False) -> None:
         now = time.monotonic()
-        if self._progress.disable and (step == total or now - self._last_line > LINE_INTERVAL):
+        if self._progress.disable and (at_once or now - self._last_line > LINE_INTERVAL):
             self._last_line = now
-            self._progress.console.print(f"{self._title} {step}/{total}  {text}", highlight=False)
+            (task,) = self._progress.tasks
+            line = f"{task.description} {task.completed:.0f}/{task.total:.0f}  {text}"
+            self._progress.console.print(line.rstrip(), highlight=False)
 
 
 @contextmanager

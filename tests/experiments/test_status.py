@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from magical.experiments import display
 from magical.experiments.status import RunStatus, Status
 
 
@@ -28,3 +29,16 @@ def test_time_left_is_that_of_the_methods_finished_runs_or_of_all(
     )
     assert Status(Path(), True, slots, runs, 0).seconds_left() == pytest.approx(expected)
     assert Status(Path(), True, slots, runs[3:], 0).seconds_left() is None
+
+
+def test_without_a_terminal_a_line_now_and_then_says_how_far_the_plan_is(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = (run("a", "done", seconds=10.0), run("a", "running", step=5), run("a", "waiting"))
+    monkeypatch.setattr(display, "read_status", lambda path: Status(path, True, 1, runs, 0))
+    with display.Display(Path()) as shown:
+        shown.refresh()  # too soon
+        monkeypatch.setattr(display, "LINE_INTERVAL", -1.0)
+        shown.refresh()
+    line = "1 of 3 runs done, 1 in progress: 5 of 10 steps; about 0:00:15 left\n"
+    assert capsys.readouterr().err == line

@@ -1,5 +1,6 @@
 """The live view of an execution, and the table of `magical status`."""
 
+import time
 from collections.abc import Iterable
 from datetime import timedelta
 from operator import attrgetter
@@ -17,6 +18,7 @@ from magical.experiments.status import RUNNING, STATES, RunStatus, Status, read_
 from magical.grouping import group_by
 
 SHOWN = 20  # runs in progress or failed that are listed
+LINE_INTERVAL = 60.0  # s between lines where standard error is no terminal
 
 
 class Display:
@@ -27,6 +29,7 @@ class Display:
         self._path = path
         self._console = Console(stderr=True)
         self._live = Live(console=self._console, auto_refresh=False, transient=True)
+        self._last_line = time.monotonic()
 
     def __enter__(self) -> Self:
         if self._console.is_terminal:
@@ -40,13 +43,17 @@ class Display:
 
     def ended(self, run: PlannedRun, outcome: Outcome) -> None:
         """Print a line about a run that has ended."""
+        took = f" ({duration(outcome.seconds)})" if outcome.seconds else ""
         error = f": {outcome.error}" if outcome.error else ""
-        self._print(f"{outcome.state}: {run} ({duration(outcome.seconds)}){error}")
+        self._print(f"{outcome.state}: {run}{took}{error}")
 
     def refresh(self) -> None:
-        """Show the present state."""
+        """Show the present state, without a terminal every `LINE_INTERVAL` seconds."""
         if self._live.is_started:
             self._live.update(status_table(read_status(self._path)), refresh=True)
+        elif time.monotonic() - self._last_line > LINE_INTERVAL:
+            self._last_line = time.monotonic()
+            self._print(_summary(read_status(self._path)))
 
     def _print(self, *lines: str) -> None:
         for line in lines:
@@ -77,9 +84,23 @@ def _add_row(table: Table, name: str, runs: Iterable[RunStatus]) -> None:
     table.add_row(Text(name), *counts, str(len(states)))
 
 
+def _summary(status: Status) -> str:
+    """The same in a line."""
+    running, left = _running(status), status.seconds_left()
+    steps, total = sum(run.step for run in running), sum(run.total for run in running)
+    return (
+        f"{status.counts[DONE]} of {len(status.runs)} runs done, {len(running)} in progress: "
+        f"{steps} of {total} steps" + (f"; about {duration(left)} left" if left is not None else "")
+    )
+
+
+def _running(status: Status) -> list[RunStatus]:
+    return [run for run in status.runs if run.state == RUNNING]
+
+
 def _lines(status: Status) -> Iterable[str]:
     yield ""
-    running = [run for run in status.runs if run.state == RUNNING]
+    running = _running(status)
     for run in running[:SHOWN]:
         yield f"running: {run}: {run.step} of {run.total}"
     failed = [run for run in status.runs if run.state == FAILED]
