@@ -21,6 +21,7 @@ from magical.commands._common import (
     add_out,
     add_rollouts,
     add_seed,
+    add_several,
     add_tasks,
     add_workers,
     explained,
@@ -44,13 +45,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "policy", metavar="POLICY", help="a run folder, random, noop, expert or module:name"
     )
     add_tasks(parser, "the policy's")
-    parser.add_argument(
-        "--variants",
-        nargs="+",
-        action="extend",
-        metavar="VARIANT",
-        help="such as Demo Jitter (default: all)",
-    )
+    add_several(parser, "--variants", "such as Demo Jitter (default: all)", "VARIANT")
     add_rollouts(parser)
     parser.add_argument(
         "--horizon",
