@@ -62,7 +62,6 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Execute the plan, or describe what it would do."""
-    from magical.experiments.execution import Resources, execute
     from magical.experiments.plan import find_plan, planned_references, planned_runs, read_plan
 
     path = find_plan(args.plan)
@@ -70,6 +69,8 @@ def run(args: argparse.Namespace) -> int:
     out = args.out or Path("runs") / path.stem
     if args.dry_run:
         return _dry_run(args, planned_runs(plan), out)
+    from magical.experiments.execution import Resources, execute  # imports PyTorch
+
     resources = Resources(
         executor="ray" if args.address else args.executor,
         address=args.address,
