@@ -77,7 +77,4 @@ def _requirements(extra: str) -> str:
 
 
 def _is_installed(module: str) -> bool:
-    try:
-        return importlib.util.find_spec(module) is not None
-    except ValueError:  # sys.modules holds None in its place
-        return False
+    return importlib.util.find_spec(module) is not None

@@ -1,5 +1,7 @@
 """Plans: the files of the repository, the runs that follow, and what is refused."""
 
+import subprocess
+import sys
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -171,3 +173,9 @@ def test_a_wrong_plan_is_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixtu
         "missing.toml: expected a file with a plan in TOML, or one of paper, quick"
         in capsys.readouterr().err
     )
+
+
+def test_a_wrong_plan_is_named_without_pytorch() -> None:
+    program = "import sys; sys.modules['torch'] = None; from magical.cli import main; "
+    command = [sys.executable, "-c", f"{program}sys.exit(main(['run', 'missing.toml']))"]
+    assert subprocess.run(command, check=False).returncode == 2

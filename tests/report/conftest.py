@@ -1,6 +1,5 @@
 """Entries as `magical evaluate` writes them."""
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ import pytest
 from magical.envs import EnvId
 from magical.envs.seeds import evaluation_seed
 from magical.evaluation import Entry, RolloutScore
+from magical.runs.folder import write_json
 
 WriteEntry = Callable[..., Path]
 
@@ -44,8 +44,3 @@ def write_entry(tmp_path: Path) -> WriteEntry:
         return folder
 
     return write
-
-
-def write_json(path: Path, data: Any) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(data))

@@ -26,14 +26,22 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 
 def add_tasks(parser: argparse.ArgumentParser, default: str = "all") -> None:
     """Add `--task A B`; `args.task` is a list of names, or `None` for the default."""
-    parser.add_argument(
-        "--task",
-        nargs="+",
-        action="extend",
-        type=task_name,
-        metavar="TASK",
-        help=f"or module:TASK (default: {default})",
-    )
+    meaning = f"or module:TASK (default: {default})"
+    add_several(parser, "--task", meaning, "TASK", kind=task_name)
+
+
+def add_several(
+    parser: argparse.ArgumentParser,
+    flag: str,
+    meaning: str,
+    metavar: str,
+    *,
+    kind: Callable[[str], Any] = str,
+    **options: Any,
+) -> None:
+    """Add an option of several values, which may be repeated; a list of what `kind` returns."""
+    options |= {"metavar": metavar, "help": meaning}
+    parser.add_argument(flag, nargs="+", action="extend", type=kind, **options)
 
 
 def task_name(text: str) -> str:
@@ -80,19 +88,10 @@ def add_count(
     default: int | None = None,
     least: int = 1,
     metavar: str = "N",
-    nargs: str | None = None,
 ) -> None:
     """Add an option whose value is an integer of at least `least`; the help says the default."""
     kind, stated = number(int, least), "" if default is None else f" (default: {default})"
-    parser.add_argument(
-        flag,
-        type=kind,
-        default=default,
-        metavar=metavar,
-        nargs=nargs,
-        action="extend" if nargs else "store",
-        help=meaning + stated,
-    )
+    parser.add_argument(flag, type=kind, default=default, metavar=metavar, help=meaning + stated)
 
 
 def add_number(

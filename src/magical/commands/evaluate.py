@@ -21,6 +21,7 @@ from magical.commands._common import (
     add_out,
     add_rollouts,
     add_seed,
+    add_several,
     add_tasks,
     add_workers,
     explained,
@@ -44,13 +45,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "policy", metavar="POLICY", help="a run folder, random, noop, expert or module:name"
     )
     add_tasks(parser, "the policy's")
-    parser.add_argument(
-        "--variants",
-        nargs="+",
-        action="extend",
-        metavar="VARIANT",
-        help="such as Demo Jitter (default: all)",
-    )
+    add_several(parser, "--variants", "such as Demo Jitter (default: all)", "VARIANT")
     add_rollouts(parser)
     parser.add_argument(
         "--horizon",
@@ -154,6 +149,7 @@ def print_scores(scores: "Sequence[RolloutScore]") -> None:
     """Print a row for each environment, then the generalisation gap over all tasks."""
     from magical.evaluation import by_variant
     from magical.evaluation.intervals import rollout_mean
+    from magical.evaluation.statistics import gap_weights, over_rollouts
 
     header = ("task", "variant", "mean", "95% interval", "std", "gap", "published code's rule")
     rows = []
@@ -167,15 +163,8 @@ def print_scores(scores: "Sequence[RolloutScore]") -> None:
             interval, std = f"{low:.3f} to {high:.3f}", f"{rollouts.std():.3f}"
             rows.append((task, variant, f"{value:.3f}", interval, std, gap, f"{published:.3f}"))
     print_table(header, rows)
-    _print_gap(scores)
-    print("Intervals are over rollouts and do not include the spread between training runs.")
-
-
-def _print_gap(scores: "Sequence[RolloutScore]") -> None:
-    """Print the generalisation gap, if any task has both Demo and TestAll."""
-    from magical.evaluation.statistics import gap_weights, over_rollouts
-
     env_ids = list(dict.fromkeys(row.env_id for row in scores))
-    with suppress(ValueError):
+    with suppress(ValueError):  # no task has both Demo and TestAll
         value, low, high = over_rollouts([scores], env_ids, gap_weights(env_ids))
         print(f"generalisation gap (Demo minus TestAll): {value:.3f} ({low:.3f} to {high:.3f})")
+    print("Intervals are over rollouts and do not include the spread between training runs.")

@@ -12,6 +12,7 @@ from magical.commands._common import (
     add_number,
     add_rollouts,
     add_seed,
+    add_several,
     add_workers,
     print_json,
     print_table,
@@ -25,9 +26,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
     subs = parser.add_subparsers(metavar="COMMAND", required=True)
     evaluate = subs.add_parser("evaluate", help="mean scores over many episodes")
-    evaluate.add_argument(
-        "--env", nargs="+", action="extend", metavar="ID", help="environments (default: all)"
-    )
+    add_several(evaluate, "--env", "environments (default: all)", "ID")
     add_rollouts(evaluate)
     add_seed(evaluate, "which set of evaluation's seeds")
     add_number(evaluate, "--skill", "0 to 1", default=1.0, most=1)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from magical.commands._common import (
     add_json,
     add_out,
+    add_several,
     log,
     plain_interval,
     print_json,
@@ -28,14 +29,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
     parser.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="entries")
     add_out(parser, "write index.html and pages there")
-    parser.add_argument(
-        "--rerun",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="METHOD",
-        help="mark methods whose scores you have run again (magical verify)",
-    )
+    meaning = "mark methods whose scores you have run again (magical verify)"
+    add_several(parser, "--rerun", meaning, "METHOD", default=[])
     add_json(parser)
 
 

@@ -7,7 +7,7 @@ without a display, forward the port (`ssh -L 8000:127.0.0.1:8000 server`) and op
 import argparse
 from pathlib import Path
 
-from magical.commands._common import add_count, log
+from magical.commands._common import add_count, add_several, log
 
 HELP = "play, record and look at demonstrations and policies in the browser"
 
@@ -23,10 +23,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--record", type=Path, metavar="DIR", help="the dataset that kept episodes are added to"
     )
-    _add_several(parser, "--datasets", "datasets to look at; that of --record is always among them")
-    _add_several(
-        parser, "--runs", "run folders, or folders with runs in them, whose policies can be watched"
-    )
+    meaning = "datasets to look at; that of --record is always among them"
+    add_several(parser, "--datasets", meaning, "DIR", kind=Path, default=[])
+    meaning = "run folders, or folders with runs in them, whose policies can be watched"
+    add_several(parser, "--runs", meaning, "DIR", kind=Path, default=[])
     parser.add_argument(
         "--host",
         default="127.0.0.1",
@@ -36,20 +36,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     add_count(parser, "--port", "to listen on; 0 takes a free one", default=8000, least=0)
     meaning = "other names under which browsers address this server"
-    _add_several(parser, "--allow-host", meaning, str, "NAME")
+    add_several(parser, "--allow-host", meaning, "NAME", default=[])
     add_count(parser, "--max-players", "environments at the same time", default=16)
-
-
-def _add_several(
-    parser: argparse.ArgumentParser,
-    flag: str,
-    meaning: str,
-    kind: type[Path | str] = Path,
-    metavar: str = "DIR",
-) -> None:
-    parser.add_argument(
-        flag, type=kind, nargs="+", action="extend", default=[], metavar=metavar, help=meaning
-    )
 
 
 def run(args: argparse.Namespace) -> int:

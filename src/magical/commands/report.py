@@ -14,6 +14,7 @@ from magical.commands._common import (
     add_count,
     add_json,
     add_out,
+    add_several,
     log,
     plain_interval,
     print_json,
@@ -30,14 +31,11 @@ HELP = "make a page of tables from evaluated runs"
 def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
     parser.add_argument("folders", nargs="+", type=Path, metavar="DIR", help="evaluated runs")
-    parser.add_argument(
-        "--published",
-        nargs="+",
-        action="extend",
-        metavar="METHOD",
-        help='rows of the published tables to show below, such as "BC (ST)" (default: those of the '
-        "methods' names)",
+    meaning = (
+        'rows of the published tables to show below, such as "BC (ST)" (default: those of the '
+        "methods' names)"
     )
+    add_several(parser, "--published", meaning, "METHOD")
     parser.add_argument(
         "--title", default="MAGICAL: results", help="of the page (default: %(default)s)"
     )

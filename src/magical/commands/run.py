@@ -22,7 +22,7 @@ from magical.commands._common import (
 )
 
 if TYPE_CHECKING:
-    from magical.experiments.plan import Plan, PlannedRun
+    from magical.experiments.plan import PlannedRun
 
 HELP = "run a plan of training runs, here or on a Ray cluster"
 
@@ -62,30 +62,14 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Execute the plan, or describe what it would do."""
-    from magical.experiments.plan import find_plan, planned_runs, read_plan
+    from magical.experiments.plan import find_plan, planned_references, planned_runs, read_plan
 
     path = find_plan(args.plan)
     plan = read_plan(path, args.demos)
     out = args.out or Path("runs") / path.stem
     if args.dry_run:
         return _dry_run(args, planned_runs(plan), out)
-    return _execute(args, plan, out)
-
-
-def _dry_run(args: argparse.Namespace, runs: "Sequence[PlannedRun]", out: Path) -> int:
-    from magical.experiments.forecast import HEADER, forecast
-
-    expected = forecast(runs, out, retry_failed=args.retry_failed)
-    print_table(HEADER, expected.rows())
-    for line in expected.lines():
-        print(line)
-    print_json(args, expected.to_dict())
-    return 0
-
-
-def _execute(args: argparse.Namespace, plan: "Plan", out: Path) -> int:
-    from magical.experiments.execution import Resources, execute
-    from magical.experiments.plan import planned_references, planned_runs
+    from magical.experiments.execution import Resources, execute  # imports PyTorch
 
     resources = Resources(
         executor="ray" if args.address else args.executor,
@@ -105,3 +89,14 @@ def _execute(args: argparse.Namespace, plan: "Plan", out: Path) -> int:
     if summary.interrupted:
         return INTERRUPTED
     return 0 if summary.complete else 1
+
+
+def _dry_run(args: argparse.Namespace, runs: "Sequence[PlannedRun]", out: Path) -> int:
+    from magical.experiments.forecast import HEADER, forecast
+
+    expected = forecast(runs, out, retry_failed=args.retry_failed)
+    print_table(HEADER, expected.rows())
+    for line in expected.lines():
+        print(line)
+    print_json(args, expected.to_dict())
+    return 0

@@ -14,6 +14,7 @@ from magical.commands._common import (
     add_count,
     add_json,
     add_out,
+    add_several,
     log,
     print_json,
     task_name,
@@ -127,14 +128,9 @@ def _add_options(parser: argparse.ArgumentParser, algorithm: str) -> None:
         help="values of all options that are not given (default: paper)",
     )
     add_count(parser, "--stop-after", "leave a checkpoint and stop after N more batches or updates")
-    parser.add_argument(
-        "--track",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar=f"{{{','.join(tracker_names())}}}",
-        help="log the metrics there too; or module:NAME",
-    )
+    trackers = f"{{{','.join(tracker_names())}}}"
+    meaning = "log the metrics there too; or module:NAME"
+    add_several(parser, "--track", meaning, trackers, default=[])
     add_json(parser)
     parser.set_defaults(json=False)
     for option in options(kind):

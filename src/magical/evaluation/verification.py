@@ -12,6 +12,7 @@ from magical.errors import PolicyError
 from magical.evaluation.entry import Entry
 from magical.evaluation.intervals import CONFIDENCE, Interval, t_interval
 from magical.evaluation.policy import NO_OBSERVATION, Policy, observed
+from magical.evaluation.protocol import Evaluation
 from magical.evaluation.rollouts import evaluate_round
 from magical.evaluation.scores import RolloutScore
 from magical.grouping import group_by
@@ -107,8 +108,8 @@ def verify(
     Raises:
         PolicyError: it is not shown what the entry says.
     """
-    _check_policy(entry, policy)
     evaluation = entry.evaluation(policy)
+    _check_policy(entry, policy, evaluation)
     again: list[RolloutScore] = []
     for env_ids in evaluation.by_task.values():
         part = replace(evaluation, env_ids=tuple(env_ids))
@@ -140,9 +141,8 @@ def is_elsewhere(
     return not (same_machine and libraries.items() <= versions.items())
 
 
-def _check_policy(entry: Entry, policy: Policy) -> None:
+def _check_policy(entry: Entry, policy: Policy, evaluation: Evaluation) -> None:
     """Raise `PolicyError` where the policy is not shown what the entry says."""
-    evaluation = entry.evaluation(policy)
     shown, privileged = observed(policy, evaluation.observation, evaluation.env_ids[0].task_spec)
     if shown == NO_OBSERVATION:
         return  # whatever an entry says that it was shown, it needs less

@@ -19,8 +19,6 @@ from magical.experiments.plan import DemonstrationSource, PlannedRun
 from magical.experiments.results import DEMOS, Results, read_experiment
 from magical.learning.config import DemonstrationSettings
 
-Progress = Callable[[int], None]
-
 
 def generate_missing(folder: Path, tasks: Iterable[str], count: int, **settings: Any) -> None:
     """Generate those of `count` expert demonstrations of each task's Demo variant that are missing.
@@ -101,8 +99,8 @@ def _wanted(runs: Iterable[PlannedRun]) -> tuple[dict[str, int], DemonstrationSo
 def prepare_demonstrations(
     runs: Sequence[PlannedRun],
     results: Results,
-    workers: int | None = None,
-    progress: Progress | None = None,
+    workers: int | None,
+    progress: Callable[[int], None],
 ) -> Path | None:
     """The dataset that the runs of a plan learn from; `None` if they learn from none.
 
@@ -116,11 +114,11 @@ def prepare_demonstrations(
         return None
     tasks = list(counts)
     dataset = open_dataset(runs, results)
-    if dataset is None:
-        return _generated(source, tasks, results, workers, progress)
-    if source.expert_demos is None:
+    if dataset is not None and source.expert_demos is None:
         return dataset.path
-    generated = Dataset.open(_generated(source, tasks, results, workers, progress))
+    generated = _generated(source, tasks, results, workers=workers, progress=progress)
+    if dataset is None:
+        return generated.path
     pooled = results.path / DEMOS / f"dataset-and-{generated.path.name}"
     _pool([dataset, generated], tasks, pooled)
     _require_enough(Dataset.open(pooled), counts)
@@ -128,22 +126,17 @@ def prepare_demonstrations(
 
 
 def _generated(
-    source: DemonstrationSource,
-    tasks: Iterable[str],
-    results: Results,
-    workers: int | None,
-    progress: Progress | None,
-) -> Path:
-    """The folder of the scripted experts' demonstrations; what is missing is generated."""
+    source: DemonstrationSource, tasks: Iterable[str], results: Results, **settings: Any
+) -> Dataset:
+    """The scripted experts' demonstrations; those that are missing are generated."""
     assert source.expert_demos is not None
     parts = (f"{name.replace('_', '-')}-{value:g}" for name, value in source.generation.items())
     folder = results.path / DEMOS / "-".join([f"expert-{source.expert_demos}", *parts])
-    settings = {**source.generation, "workers": workers, "progress": progress}
-    generate_missing(folder, tasks, source.expert_demos, **settings)
+    generate_missing(folder, tasks, source.expert_demos, **source.generation, **settings)
     dataset = Dataset.open(folder)
     digests = {f"{folder.name}/{task}": _digest_of_actions(dataset, task) for task in tasks}
     _require_known(digests, dataset, results, "generated_demonstrations")
-    return folder
+    return dataset
 
 
 def _pool(datasets: Sequence[Dataset], tasks: Iterable[str], folder: Path) -> None:

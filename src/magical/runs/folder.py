@@ -126,10 +126,8 @@ def versions() -> dict[str, str]:
     """Versions of what results may depend on: Python, this package, libraries, plug-ins."""
     found = {"magical": __version__, "python": platform.python_version()}
     for name in VERSIONED:
-        try:
+        with suppress(metadata.PackageNotFoundError):  # an extra that is not installed
             found[name] = metadata.version(name)
-        except metadata.PackageNotFoundError:  # an extra that is not installed
-            continue
     return {**found, **distributions()}
 
 

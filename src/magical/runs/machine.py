@@ -1,7 +1,6 @@
 """With what, and where, a result was made."""
 
 import platform
-import shutil
 import subprocess
 from functools import cache
 from pathlib import Path
@@ -54,14 +53,11 @@ def _processor() -> str:
 
 def _git(folder: Path, *arguments: str) -> str | None:
     """The output of a git command in a folder; `None` if it fails."""
-    git = shutil.which("git")
-    if git is None:
-        return None
-    command = [git, "-C", str(folder), *arguments]
+    command = ["git", "-C", str(folder), *arguments]
     try:
         done = subprocess.run(
             command, capture_output=True, text=True, check=False, timeout=_TIMEOUT
         )
-    except (OSError, subprocess.TimeoutExpired):
+    except (OSError, subprocess.TimeoutExpired):  # git is not installed, or does not end
         return None
     return done.stdout.strip() if done.returncode == 0 else None

@@ -11,12 +11,7 @@ from pathlib import Path
 
 from magical.envs.action_spec import DISCRETE
 from magical.envs.ids import EnvId
-from magical.errors import (
-    MagicalError,
-    NotFoundError,
-    PolicyError,
-    RunFolderError,
-)
+from magical.errors import MagicalError, NotFoundError, PolicyError, RunFolderError
 from magical.evaluation.loading import load_policy
 from magical.evaluation.policy import Policy, action_spec_of
 from magical.experts import has_expert

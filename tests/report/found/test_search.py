@@ -11,10 +11,22 @@ from magical.report.found import search
 from magical.report.found.missing import find_missing
 from magical.report.found.search import find_results, search_results
 from magical.report.pages.evaluated import write_page
+from magical.runs.folder import write_json
 from magical.runs.plan import ListedRun, listed_runs
-from tests.report.conftest import WriteEntry, write_json
+from tests.report.conftest import WriteEntry
 
 LINE = {"MakeLine-Demo": [1.0, 0.0]}
+REGION = {
+    f"MoveToRegion-{variant}": [1.0]
+    for variant in ("Demo", "TestJitter", "TestLayout", "TestColour", "TestDynamics", "TestAll")
+}
+
+
+def write_plan(folder: Path, *names: str, task: str = "MakeLine") -> None:
+    """Write the plan of runs in folders of these names, with the seeds 0, 1, and so on."""
+    run = {"method": "a", "tasks": [task], "total": 1}
+    runs = [{**run, "folder": name, "seed": seed} for seed, name in enumerate(names)]
+    write_json(folder / "plan.json", {"runs": runs})
 
 
 def test_entries_are_found_at_any_depth_in_order(write_entry: WriteEntry, tmp_path: Path) -> None:
@@ -51,8 +63,7 @@ def test_collections_are_read_like_folders(write_entry: WriteEntry, tmp_path: Pa
     write_collection(
         folder, {"runs/b": read_entry(tmp_path / "a"), "runs/old": read_entry(tmp_path / "a")}
     )
-    run = {"folder": "b", "method": "a", "tasks": ["MakeLine"], "seed": 0, "total": 1}
-    write_json(folder / "plan.json", {"runs": [run]})
+    write_plan(folder, "b")
     write_entry("half", "half", LINE).rename(tmp_path / "other")
     (tmp_path / "damaged").mkdir()
     (tmp_path / "damaged" / "entries.json").write_text("{}")
@@ -96,11 +107,9 @@ def test_nothing_but_damaged_entries_is_an_error(write_entry: WriteEntry, tmp_pa
 def test_missing_tasks_runs_seeds_and_variants_are_named(
     write_entry: WriteEntry, tmp_path: Path
 ) -> None:
-    region = {f"MoveToRegion-{v}": [1.0] for v in ("Demo", "TestJitter", "TestLayout")}
-    rest = {f"MoveToRegion-{v}": [1.0] for v in ("TestColour", "TestDynamics", "TestAll")}
-    write_entry("a0", "a", region | rest, seed=0)
-    write_entry("a1", "a", region, seed=1)
-    write_entry("b0", "b", region | rest, seed=0)
+    write_entry("a0", "a", REGION, seed=0)
+    write_entry("a1", "a", dict([*REGION.items()][:3]), seed=1)
+    write_entry("b0", "b", REGION, seed=0)
     write_entry("c0", "c", {"MakeLine-Demo": [1.0]}, seed=0)
     write_entry("c1", "c", {"MakeLine-Demo": [0.5]}, seed=1)
     write_json(tmp_path / "d0" / "config.json", {"seed": 0})
@@ -140,31 +149,22 @@ def test_of_two_evaluations_of_a_run_the_more_complete_one_counts(
 
 
 def test_runs_of_a_plan_may_lie_in_several_folders(write_entry: WriteEntry, tmp_path: Path) -> None:
-    run = {"method": "a", "tasks": ["MakeLine"], "total": 1}
-    runs = [{**run, "folder": f"run{seed}", "seed": seed} for seed in (0, 1, 2)]
     for part in (0, 1):
         scores = {"MakeLine-Demo": [0.1 * (part + 1), 0.0, 1.0]}
         write_entry(f"part{part}/runs/run{part}", "a", scores, seed=part)
-        write_json(tmp_path / f"part{part}" / "plan.json", {"runs": runs})
+        write_plan(tmp_path / f"part{part}", "run0", "run1", "run2")
     planned = find_results([tmp_path / "part0", tmp_path / "part1"]).planned
     assert planned is not None
     assert [run.seed for run in planned] == [2]
 
 
 def test_a_plan_says_which_runs_are_missing(write_entry: WriteEntry, tmp_path: Path) -> None:
-    region = {
-        f"MoveToRegion-{v}": [1.0]
-        for v in ("Demo", "TestJitter", "TestLayout", "TestColour", "TestDynamics", "TestAll")
-    }
-    write_entry("runs/done", "a", region, seed=0)
+    write_entry("runs/done", "a", REGION, seed=0)
     write_json(tmp_path / "runs" / "failed" / "config.json", {"seed": 1})
     write_json(tmp_path / "runs" / "failed" / "result.json", {"state": "failed", "error": "oh"})
     write_json(tmp_path / "runs" / "begun" / "config.json", {"seed": 2})
-    run = {"method": "a", "tasks": ["MoveToRegion"], "total": 1}
-    names = ("done", "failed", "begun", "waiting")
-    runs = [{**run, "folder": name, "seed": seed} for seed, name in enumerate(names)]
-    write_json(tmp_path / "plan.json", {"runs": runs})
-    write_entry("runs/earlier", "a", region, seed=9)
+    write_plan(tmp_path, "done", "failed", "begun", "waiting", task="MoveToRegion")
+    write_entry("runs/earlier", "a", REGION, seed=9)
     found = find_results([tmp_path])
     assert [result.folder.name for result in found.results] == ["done"]
     assert [item.folder.name for item in found.skipped] == ["earlier"]
@@ -236,8 +236,7 @@ def test_entries_inside_a_run_that_is_no_longer_the_plans_are_skipped(
 ) -> None:
     for name in ("runs/old/leaderboard", "runs/now/leaderboard", "runs/now"):
         write_entry(name, "bc", LINE)
-    plan = {"folder": "now", "method": "bc", "tasks": ["MakeLine"], "seed": 0, "total": 1}
-    write_json(tmp_path / "plan.json", {"runs": [plan]})
+    write_plan(tmp_path, "now")
     found = search_results([tmp_path])
     assert [r.folder.parent.name for r in found.results] == ["runs", "now"]
     (skipped,) = found.skipped
@@ -249,11 +248,9 @@ def test_entries_inside_a_run_that_is_no_longer_the_plans_are_skipped(
 def test_a_plan_is_read_once_whatever_the_number_of_its_runs(
     write_entry: WriteEntry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = {"method": "a", "tasks": ["MakeLine"], "total": 1}
     for seed in range(3):
         write_entry(f"runs/run{seed}", "a", {"MakeLine-Demo": [0.1 * seed, 0.0]}, seed=seed)
-    runs = [{**run, "folder": f"run{seed}", "seed": seed} for seed in range(3)]
-    write_json(tmp_path / "plan.json", {"runs": runs})
+    write_plan(tmp_path, "run0", "run1", "run2")
     read: list[Path] = []
 
     def noted(results: Path) -> tuple[ListedRun, ...]:

@@ -74,7 +74,7 @@ def test_latex_is_well_formed(results: Path, tmp_path: Path) -> None:
     cli.main(["report", str(results), "--out", str(out)])
     text = out.read_text()
     assert text.isascii()
-    assert r"50\% \& \$x\_1\$ | \textasciitilde{}" in text
+    assert r"50\% \& \$x\_1\$ \textbar{} \textasciitilde{}" in text
     for name in ("table", "tabular"):
         assert text.count(rf"\begin{{{name}}}") == text.count(rf"\end{{{name}}}") >= 3
     plain = text.replace(r"\{", "").replace(r"\}", "")

@@ -12,7 +12,9 @@ from magical.commands._common import (
     add_number,
     add_out,
     add_seed,
+    add_several,
     add_workers,
+    number,
 )
 from magical.commands.demos import datasets, human
 
@@ -77,9 +79,7 @@ def _importing(parser: argparse.ArgumentParser) -> None:
 
 def _generate(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(run_demos=datasets.run_generate)
-    parser.add_argument(
-        "--env", nargs="+", action="extend", required=True, metavar="ID", help="environments"
-    )
+    add_several(parser, "--env", "environments", "ID", required=True)
     add_count(parser, "-n", "demonstrations of each", default=25)
     add_out(parser, DATASET, required=True)
     add_seed(parser, "of the scenes and strategies")
@@ -118,7 +118,7 @@ def _video(parser: argparse.ArgumentParser) -> None:
     _dataset(parser)
     add_out(parser, "FILE.mp4 or FILE.webp", "FILE", required=True)
     meaning = "which demonstrations, from 0 (default: one of each environment)"
-    add_count(parser, "--index", meaning, least=0, metavar="I", nargs="+")
+    add_several(parser, "--index", meaning, "I", kind=number(int, 0))
     add_json(parser)
 
 

@@ -120,6 +120,7 @@ _LATEX = {
     **{character: f"\\{character}" for character in "&%$#_{}"},
     "~": r"\textasciitilde{}",
     "^": r"\textasciicircum{}",
+    "|": r"\textbar{}",  # a dash in LaTeX's default encoding
     "±": r"$\pm$",
     "−": "$-$",
     "–": "--",

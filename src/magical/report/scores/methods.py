@@ -103,8 +103,7 @@ def _method(name: str, group: Sequence[Entry], env_ids: Sequence[EnvId]) -> Comp
 
 def _environments(runs: Sequence[Entry]) -> list[EnvId]:
     """The environments that all of a method's runs on their task have, in the order they come."""
-    counts = Counter(env_id for run in runs for env_id in by_environment(run.scores))
-    tasks = Counter(
-        task for run in runs for task in {env_id.task for env_id in by_environment(run.scores)}
-    )
+    found = [list(by_environment(run.scores)) for run in runs]
+    counts = Counter(env_id for env_ids in found for env_id in env_ids)
+    tasks = Counter(task for env_ids in found for task in {env_id.task for env_id in env_ids})
     return [env_id for env_id in counts if counts[env_id] == tasks[env_id.task]]

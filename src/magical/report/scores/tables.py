@@ -163,14 +163,12 @@ def _method_row(task: Task, method: str, runs: Sequence[Entry], rule: str) -> Ro
 def _beside(row: Row, task: Task, runs: Sequence[Entry], theirs: Mapping[str, str]) -> Row:
     """A row of ours with its differences from the published row that it is held against."""
     method = theirs.get(runs[0].method)
-    if method is None:
+    found = differences(task, runs, method) if method else {}
+    if not found:
         return row
-    found = differences(task, runs, method)
     cells = {
         variant: replace(cell, difference=found.get(variant)) for variant, cell in row.cells.items()
     }
-    if not found:
-        return row
     exact = ", Demo left out: it is nudged" if any(run.nudge for run in runs) else ""
     return replace(row, cells=cells, note=f"{row.note}; difference from {method}{exact}")
 

@@ -230,8 +230,7 @@ async def body(request: Request) -> bytes:
 
 
 def _status(error: MagicalError) -> int:
-    kinds = {MessageError: 400, NotFoundError: 404, BusyError: 503}
-    return next((status for kind, status in kinds.items() if isinstance(error, kind)), 422)
+    return {MessageError: 400, NotFoundError: 404, BusyError: 503}.get(type(error), 422)
 
 
 def _problem(status: int, what: str) -> AsciiJSON:
