@@ -190,7 +190,7 @@ def check_reward(task: Task, reward: str) -> None:
     """Raise `UnknownNameError` for a reward that the task does not have."""
     if reward not in get_args(Reward):
         raise UnknownNameError(
-            f"reward {quoted(reward)} is unknown; expected one of {get_args(Reward)}"
+            f"reward {quoted(reward)} is unknown; expected one of: {', '.join(get_args(Reward))}"
         )
     if reward == "dense" and task.program is None:
         having = [name for name, other in TASKS.items() if other.program is not None]

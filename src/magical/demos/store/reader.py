@@ -100,7 +100,10 @@ class TrajectorySource:
         """
         trajectory = self.trajectory
         if trajectory.poses is None:
-            raise TrajectoryError(f"{trajectory.env_id}: a recording of frames has no states")
+            raise TrajectoryError(
+                f"{trajectory.env_id}: a recording of frames has no states; those of human "
+                "demonstrations are recovered by an import without --frames-only"
+            )
         if trajectory.is_recovered:
             return estimated_states(trajectory)
         simulation = Simulation(trajectory.scene, trajectory.dynamics)

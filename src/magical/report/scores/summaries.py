@@ -25,10 +25,9 @@ THRESHOLDS = np.linspace(0.0, 1.0, 50, endpoint=False)  # no score exceeds 1
 AXES = tuple(variant for variant in VARIANTS if variant != "Demo")
 SHOWN = 6  # names in a note
 NOTE = (
-    "95% intervals over training runs. Where a method has one run, the intervals of its mean, its "
-    "generalisation gap and its difference are over rollouts and do not include the spread "
-    "between training runs; its interquartile mean and its optimality gap have none. Where some "
-    "environments have several runs and others one, there is no interval."
+    "95% intervals over training runs; with a single run, over its rollouts, which says nothing "
+    "of the spread between runs. No interval: a statistic of runs where there is one run, or some "
+    "environments with several runs and others with one."
 )
 
 
@@ -107,9 +106,9 @@ def improvement_table(methods: Sequence[ComparedMethod]) -> ScoreTable | None:
     )
     note = (
         "How probably a run of the row's method scores more than one of the column's, averaged "
-        "over environments; ties count half. 95% intervals over runs, which are wide: they cover "
-        "99 to 100%, and with five runs of one policy exclude one half only where at least 94% of "
-        "the pairs of runs are won. Which method is better is told by the difference of the means."
+        "over environments; ties count half. The 95% intervals over runs are wide (they cover 99 "
+        "to 100%): with five runs they exclude 0.5 only where one method wins at least 94% of the "
+        "pairs of runs. To decide which method is better, look at the difference of the means."
     )
     return ScoreTable("Probability of improvement", names, rows, note)
 
