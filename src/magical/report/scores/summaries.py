@@ -25,9 +25,9 @@ THRESHOLDS = np.linspace(0.0, 1.0, 50, endpoint=False)  # no score exceeds 1
 AXES = tuple(variant for variant in VARIANTS if variant != "Demo")
 SHOWN = 6  # names in a note
 NOTE = (
-    "95% intervals over training runs; with a single run, over its rollouts, which says nothing "
-    "of the spread between runs. No interval: a statistic of runs where there is one run, or some "
-    "environments with several runs and others with one."
+    "95% intervals over training runs; those over the rollouts of a single run do not include the "
+    "spread between training runs. Interquartile mean and optimality gap have none for a single "
+    "run. Where some environments have several runs and others one, there is no interval."
 )
 
 
