@@ -43,6 +43,10 @@ def command_lines() -> Iterator[list[str]]:
 
 COMMANDS = list(command_lines())
 MAGICAL = [words[1:] for words in COMMANDS if words[0] == "magical"]
+# Blocks that a page names as files, such as `# my_bc.py`.
+FILES = {
+    match[1]: block for _, block in blocks("python") if (match := re.match(r"# (\w+\.py)\n", block))
+}
 OTHERS = [words for words in COMMANDS if words[0] != "magical"]
 
 
@@ -52,10 +56,13 @@ def test_magical_commands_work(
 ) -> None:
     if argv[0] == "train":
         pytest.importorskip("torch", reason="the learning extra is not installed")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    for name, code in FILES.items():
+        Path(name).write_text(code)
     if argv[0] not in QUICK:
         cli.build_parser().parse_args(argv)
         return
-    monkeypatch.chdir(tmp_path)
     assert cli.main(argv) == 0
 
 

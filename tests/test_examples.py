@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from magical import cli
 from magical.evaluation import environments, evaluate, load_policy
 from magical.tasks import unregister_task
 
@@ -118,6 +119,25 @@ def test_the_training_of_five_minutes_runs(root: Path, tmp_path: Path) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert len(done.stdout.splitlines()) == 6
+
+
+def test_the_algorithm_of_the_documentation_trains(
+    root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("torch", reason="the learning extra is not installed")
+    page = (root / "docs" / "how-to" / "algorithm.md").read_text()
+    (block,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    (tmp_path / "my_bc.py").write_text(block)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    train = "train my_bc:ALGORITHM --out run"
+    for command in (
+        "demos generate --env magical/MoveToRegion-Demo-v0 -n 1 --out demos",
+        f"{train} --task MoveToRegion --demos demos --num-demos 1 --batches 3 --stop-after 2",
+        f"{train} --resume",
+        "evaluate run --variants Demo --rollouts 1 --workers 0",
+    ):
+        assert cli.main(command.split()) == 0
 
 
 def test_the_tutorial_runs(root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
