@@ -15,7 +15,18 @@ from scipy.stats import qmc
 from magical.scene import Poses, Scene
 from magical.scene.constants import WORKSPACE_HALF
 from magical.scene.poses import FIRST_BLOCK, ROBOT
-from magical.tasks.programs import Each, Every, Goal, OneOf, Place, Together
+from magical.tasks.programs import (
+    AllBut,
+    Each,
+    Every,
+    Exactly,
+    Goal,
+    OneOf,
+    Only,
+    OutOfRegions,
+    Place,
+    Together,
+)
 from magical.tasks.programs.goals import UNFINISHED
 from magical.tasks.scoring import positions
 
@@ -56,9 +67,13 @@ class States:
 
     def _ways(self, goal: Goal) -> Floats:
         """The same of each of W ways: (P, W, N + 1), with what beginning costs for each thing."""
+        if isinstance(goal, Exactly):
+            goal = goal.both
         if isinstance(goal, Together):
             first, second = self._ways(goal.first)[:, :, None], self._ways(goal.second)[:, None]
             return np.where(second > 0.0, second, first).reshape(len(first), -1, first.shape[-1])
+        if isinstance(goal, Only):
+            goal = Each(AllBut(goal.selection), OutOfRegions())
         if isinstance(goal, Each | Every | OneOf):
             return self._placed(goal)
         if goal not in self._known:
