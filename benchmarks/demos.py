@@ -106,10 +106,10 @@ def random_trajectory(task: str, seed: int = 0) -> Trajectory:
     scene, dynamics = TASKS[task].sample("TestAll", rng)
     simulation = Simulation(scene, dynamics)
     actions = rng.integers(18, size=TASKS[task].horizon)
-    poses = [simulation.poses().bodies.copy()]
+    poses = [simulation.poses().bodies]
     for action in actions.tolist():
         simulation.step(action)
-        poses.append(simulation.poses().bodies.copy())
+        poses.append(simulation.poses().bodies)
     env_id = f"magical/{task}-TestAll-v0"
     return Trajectory.from_poses(env_id, scene, actions, np.stack(poses), dynamics=dynamics)
 

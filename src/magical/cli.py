@@ -58,8 +58,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 @contextmanager
 def _termination_as_interrupt() -> Iterator[None]:
     """SIGTERM raises `KeyboardInterrupt`, as Ctrl-C does, where nothing else handles it."""
-    main = threading.current_thread() is threading.main_thread()  # only it may set handlers
-    ours = main and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    ours = (
+        threading.current_thread() is threading.main_thread()  # only it may set handlers
+        and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+    )
     if ours:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:

@@ -77,4 +77,7 @@ def _requirements(extra: str) -> str:
 
 
 def _is_installed(module: str) -> bool:
-    return importlib.util.find_spec(module) is not None
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ValueError:  # imported, without a `__spec__`: a stand-in
+        return False

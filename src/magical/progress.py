@@ -31,6 +31,7 @@ class ProgressBar:
             transient=transient,
             disable=not console.is_terminal,
         )
+        self._title = title
         self._task = self._progress.add_task(title, total=total, metrics="")
         self._last_line = time.monotonic()
 
@@ -56,9 +57,16 @@ class ProgressBar:
         now = time.monotonic()
         if self._progress.disable and (at_once or now - self._last_line > LINE_INTERVAL):
             self._last_line = now
-            (task,) = self._progress.tasks
-            line = f"{task.description} {task.completed:.0f}/{task.total:.0f}  {text}"
-            self._progress.console.print(line.rstrip(), highlight=False)
+            print_line(self._progress.console, f"{self._title} {self._count()}  {text}".rstrip())
+
+    def _count(self) -> str:
+        (task,) = self._progress.tasks
+        return f"{task.completed:.0f}" + ("" if task.total is None else f"/{task.total:.0f}")
+
+
+def print_line(console: Console, line: str) -> None:
+    """Print a line as it is, however long."""
+    console.print(line, highlight=False, markup=False, soft_wrap=True)
 
 
 @contextmanager

@@ -33,14 +33,8 @@ from magical.scene.poses import ROBOT
 from magical.tasks import get_task
 from studies.objects.object_truth import ExpertEpisode
 
-ROWS = (
-    "nothing",
-    "perception",
-    "program",
-    "control",
-    "program+control",
-    "perception+program+control",
-)
+PARTS = "perception", "program", "control"
+ROWS = ("nothing", *PARTS, "program+control", "+".join(PARTS))
 ONE_GOAL = "one goal"  # in place of all that are believed
 
 
@@ -51,7 +45,9 @@ def main() -> None:
     parser.add_argument("runs", nargs="+", help="run folders of program-bc")
     parser.add_argument("--variant", default="Demo")
     parser.add_argument("--rollouts", type=int, default=50)
-    parser.add_argument("--truths", nargs="+", default=ROWS, help="such as program+control")
+    parser.add_argument(
+        "--truths", nargs="+", default=ROWS, help=f"such as program+control, or {ONE_GOAL!r}"
+    )
     args = parser.parse_args()
     torch.set_num_threads(1)
     policies = [load_policy(run, device="cpu") for run in args.runs]

@@ -20,6 +20,7 @@ import torch
 
 from magical.demos import Dataset
 from magical.demos.generate import generate
+from magical.envs import EnvId
 from magical.envs.seeds import evaluation_seed
 from magical.evaluation import environments, evaluate
 from magical.evaluation.protocol import NUDGE
@@ -30,7 +31,6 @@ from magical.learning.objects.data import parse_demonstrations
 from magical.learning.running.loading import load_policy
 from magical.learning.running.streams import Purpose, stream
 from magical.scene import State
-from magical.tasks import get_task
 from studies.intent.confidence import first_decision
 from studies.intent.oracles import OraclePolicy
 from tools.readme_tables import table
@@ -88,7 +88,7 @@ def cases_of(run: Path, moves: int, rollouts: int) -> Iterator[Case]:
         oracle = OraclePolicy(policy, (), {task: belief})
         scores = evaluate(oracle, env_ids, rollouts=rollouts, nudge=NUDGE, workers=1)
         score = float(np.mean([each.score for each in scores]))
-        yield Case(name, task, share_right(task, belief, str(env_ids[0]), moves), score)
+        yield Case(name, task, share_right(belief, env_ids[0], moves), score)
 
 
 def beliefs(policy: ProgramPolicy, task: str) -> Iterator[tuple[str, Belief]]:
@@ -106,9 +106,9 @@ def beliefs(policy: ProgramPolicy, task: str) -> Iterator[tuple[str, Belief]]:
             yield f"{number} of {variant}", infer(episodes)
 
 
-def share_right(task: str, belief: Belief, env_id: str, moves: int) -> float:
+def share_right(belief: Belief, env_id: EnvId, moves: int) -> float:
     """The share of scenes in which the task's program asks for the first move."""
-    env, program = gymnasium.make(env_id), get_task(task).program
+    env, program = gymnasium.make(str(env_id)), env_id.task_spec.program
     assert program
     right = []
     for number in range(moves):

@@ -41,7 +41,7 @@ KINDS: dict[str, Update] = {
 
 
 def present(simulation: Simulation, scene: Scene, step: int, horizon: int) -> State:
-    table = simulation.read().copy()
+    table = simulation.read()
     return State(scene, Poses(table[:, :3]), table[:, 3:], step, horizon)
 
 

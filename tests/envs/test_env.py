@@ -50,7 +50,7 @@ def test_episode_truncates_at_the_horizon_and_scores_there() -> None:
 
 
 def test_rendering_without_a_render_mode_is_warned_of() -> None:
-    with pytest.warns(UserWarning, match='expected render_mode="rgb_array" or "human"'):
+    with pytest.warns(UserWarning, match='with render_mode="rgb_array" or "human"'):
         assert _make().render() is None
 
 

@@ -175,7 +175,9 @@ def test_a_wrong_plan_is_wrong_usage(tmp_path: Path, capsys: pytest.CaptureFixtu
     )
 
 
-def test_a_wrong_plan_is_named_without_pytorch() -> None:
+def test_a_missing_plan_is_refused_without_pytorch() -> None:
     program = "import sys; sys.modules['torch'] = None; from magical.cli import main; "
     command = [sys.executable, "-c", f"{program}sys.exit(main(['run', 'missing.toml']))"]
-    assert subprocess.run(command, check=False).returncode == 2
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "missing.toml: expected a file with a plan" in done.stderr

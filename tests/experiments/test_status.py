@@ -1,11 +1,14 @@
 """How far a plan is."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from magical.experiments import display
+from magical.experiments.plan import PlannedRun
+from magical.experiments.results import Outcome
 from magical.experiments.status import RunStatus, Status
 
 
@@ -40,5 +43,14 @@ def test_without_a_terminal_a_line_now_and_then_says_how_far_the_plan_is(
         shown.refresh()  # too soon
         monkeypatch.setattr(display, "LINE_INTERVAL", -1.0)
         shown.refresh()
-    line = "1 of 3 runs done, 1 in progress: 5 of 10 steps; about 0:00:15 left\n"
-    assert capsys.readouterr().err == line
+    assert capsys.readouterr().err == "1 of 3 runs done, 1 in progress, about 0:00:15 left\n"
+
+
+def test_the_end_of_a_run_is_a_line_with_its_time_where_that_is_known(
+    planned: Callable[..., list[PlannedRun]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    shown, (ended, _) = display.Display(Path()), planned()
+    shown.ended(ended, Outcome("done", 61.0))
+    shown.ended(ended, Outcome("interrupted"))
+    lines = [f"done: {ended} (0:01:01)", f"interrupted: {ended}"]
+    assert capsys.readouterr().err.splitlines() == lines

@@ -1,5 +1,6 @@
 """What a belief is worth in other scenes."""
 
+from magical.envs import parse_env_id
 from magical.learning.intent.posterior import Belief, Explanation
 from magical.tasks import get_task
 from magical.tasks.programs import Goal, parse
@@ -9,7 +10,7 @@ from studies.intent.scenes import share_right
 def test_only_the_tasks_own_program_moves_the_right_blocks_in_every_scene() -> None:
     def share(program: Goal) -> float:
         belief = Belief([Explanation(program, 1.0)], unexplained=0.0, largest=1.0)
-        return share_right("MatchRegions", belief, "magical/MatchRegions-TestAll-v0", moves=5)
+        return share_right(belief, parse_env_id("magical/MatchRegions-TestAll-v0"), moves=5)
 
     program = get_task("MatchRegions").program
     assert program

@@ -19,7 +19,8 @@ from magical.demos import Dataset
 ADDRESS = re.compile(r"(http://127\.0\.0\.1:\d+/)\?token=([\w-]{22,})\n")
 
 
-def test_the_first_line_is_the_address_with_the_token(tmp_path: Path) -> None:
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
+def test_the_first_line_is_the_address_with_the_token(tmp_path: Path, end: signal.Signals) -> None:
     command = [sys.executable, "-m", "magical", "play", "--port", "0", "--record", "demos"]
     process = subprocess.Popen(
         command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
@@ -33,7 +34,7 @@ def test_the_first_line_is_the_address_with_the_token(tmp_path: Path) -> None:
             assert json.load(answer)["tasks"]
         with pytest.raises(urllib.error.HTTPError, match="403"):
             urllib.request.urlopen(f"{url}api/library?token={token[:-1]}", timeout=60)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(end)
         out, errors = process.communicate(timeout=60)
     finally:
         process.kill()

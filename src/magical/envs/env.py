@@ -179,7 +179,9 @@ class MagicalEnv(gym.Env[Any, Any]):
         which is warned of.
         """
         if self.render_mode is None:
-            gym.logger.warn('render: expected render_mode="rgb_array" or "human", found none')
+            gym.logger.warn(
+                'no frames: make the environment with render_mode="rgb_array" or "human"'
+            )
         return self._frame() if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:

@@ -116,7 +116,7 @@ def prepare_demonstrations(
     dataset = open_dataset(runs, results)
     if dataset is not None and source.expert_demos is None:
         return dataset.path
-    generated = _generated(source, tasks, results, workers=workers, progress=progress)
+    generated = _generated(source, tasks, results, workers, progress)
     if dataset is None:
         return generated.path
     pooled = results.path / DEMOS / f"dataset-and-{generated.path.name}"
@@ -126,13 +126,18 @@ def prepare_demonstrations(
 
 
 def _generated(
-    source: DemonstrationSource, tasks: Iterable[str], results: Results, **settings: Any
+    source: DemonstrationSource,
+    tasks: Iterable[str],
+    results: Results,
+    workers: int | None,
+    progress: Callable[[int], None],
 ) -> Dataset:
     """The scripted experts' demonstrations; those that are missing are generated."""
     assert source.expert_demos is not None
     parts = (f"{name.replace('_', '-')}-{value:g}" for name, value in source.generation.items())
     folder = results.path / DEMOS / "-".join([f"expert-{source.expert_demos}", *parts])
-    generate_missing(folder, tasks, source.expert_demos, **source.generation, **settings)
+    settings = {**source.generation, "workers": workers, "progress": progress}
+    generate_missing(folder, tasks, source.expert_demos, **settings)
     dataset = Dataset.open(folder)
     digests = {f"{folder.name}/{task}": _digest_of_actions(dataset, task) for task in tasks}
     _require_known(digests, dataset, results, "generated_demonstrations")

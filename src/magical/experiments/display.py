@@ -16,9 +16,9 @@ from magical.experiments.plan import PlannedRun
 from magical.experiments.results import DONE, FAILED, Outcome
 from magical.experiments.status import RUNNING, STATES, RunStatus, Status, read_status
 from magical.grouping import group_by
+from magical.progress import LINE_INTERVAL, print_line
 
 SHOWN = 20  # runs in progress or failed that are listed
-LINE_INTERVAL = 60.0  # s between lines where standard error is no terminal
 
 
 class Display:
@@ -57,7 +57,7 @@ class Display:
 
     def _print(self, *lines: str) -> None:
         for line in lines:
-            self._console.print(line, highlight=False, markup=False, soft_wrap=True)
+            print_line(self._console, line)
 
 
 def status_table(status: Status) -> RenderableType:
@@ -85,22 +85,19 @@ def _add_row(table: Table, name: str, runs: Iterable[RunStatus]) -> None:
 
 
 def _summary(status: Status) -> str:
-    """The same in a line."""
-    running, left = _running(status), status.seconds_left()
-    steps, total = sum(run.step for run in running), sum(run.total for run in running)
+    """How far a plan is, in a line."""
+    failed = f", {status.counts[FAILED]} failed" if status.counts[FAILED] else ""
+    left = status.seconds_left()
     return (
-        f"{status.counts[DONE]} of {len(status.runs)} runs done, {len(running)} in progress: "
-        f"{steps} of {total} steps" + (f"; about {duration(left)} left" if left is not None else "")
+        f"{status.counts[DONE]} of {len(status.runs)} runs done{failed}, "
+        f"{status.counts[RUNNING]} in progress"
+        + (f", about {duration(left)} left" if left is not None else "")
     )
-
-
-def _running(status: Status) -> list[RunStatus]:
-    return [run for run in status.runs if run.state == RUNNING]
 
 
 def _lines(status: Status) -> Iterable[str]:
     yield ""
-    running = _running(status)
+    running = [run for run in status.runs if run.state == RUNNING]
     for run in running[:SHOWN]:
         yield f"running: {run}: {run.step} of {run.total}"
     failed = [run for run in status.runs if run.state == FAILED]

@@ -57,8 +57,9 @@ class Task:
             raise InvalidTaskError(
                 f"task name: expected letters and digits as in environment ids, found {self.name!r}"
             )
-        if (least := min(self.horizon, self.resolve_horizon("published"))) < 1:
-            raise InvalidTaskError(f"{self.name}: expected a positive horizon, found {least}")
+        for horizon in (self.horizon, self.published_horizon):
+            if horizon is not None and horizon < 1:
+                raise InvalidTaskError(f"{self.name}: expected a positive horizon, found {horizon}")
         needed = VARIANTS["TestCountPlus"]
         if Axis.COUNT in self.axes and needed not in self.axes:
             raise InvalidTaskError(

@@ -9,7 +9,7 @@ from magical.demos.record import recorded_trajectory
 from magical.demos.store.trajectory import Actor, Trajectory
 from magical.envs.env import MagicalEnv
 from magical.envs.ids import EnvId
-from magical.scene import Poses, State
+from magical.scene import State
 
 RECORDER = "magical play"  # in the metadata of episodes
 
@@ -45,14 +45,12 @@ class PlayedEpisode:
         return truncated
 
     def _note_poses(self) -> None:
-        self.poses.append(self.env.state().poses.bodies.copy())
+        self.poses.append(self.env.state().poses.bodies)
 
     @property
     def seen(self) -> tuple[State, int | None]:
-        """A copy of the present state, and the action that led to it."""
-        state = self.env.state()
-        poses, velocities = Poses(state.poses.bodies.copy()), state.velocities.copy()
-        return replace(state, poses=poses, velocities=velocities), self.last_action
+        """The present state, and the action that led to it."""
+        return self.env.state(), self.last_action
 
     @property
     def steps(self) -> int:

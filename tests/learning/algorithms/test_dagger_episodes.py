@@ -57,7 +57,7 @@ def expert_on(trajectory: Trajectory) -> tuple[list[int], NDArray[np.float64]]:
     expert, memory = expert_for(trajectory.task.name, seed=trajectory.seed), Memory()
     labels, poses = [], [simulation.read()[:, :3].copy()]
     for step, action in enumerate(trajectory.actions.tolist()):
-        table = simulation.read().copy()
+        table = simulation.read()
         state = State(
             trajectory.scene, Poses(table[:, :3]), table[:, 3:], step, trajectory.task.horizon
         )
