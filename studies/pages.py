@@ -69,13 +69,14 @@ SECTIONS = {  # the generated parts of each study's page
     ),
     "demonstrations": ("variations", "variants"),
     "generated_tasks": ("held-out",),
-    "intent": (*BY_TASK, "object-networks-human"),
+    "intent": (*BY_TASK, "program-bc-few", "object-networks-human"),
     "modern_baselines": ("sequence-learners", "iq-learn"),
     "objects": ("baseline", "gaps", "leaderboard", "others"),
 }
 BESIDE = {  # plans whose methods' means stand beside methods of other plans
     "sequence-learners": {"bc-human": "BC (ST)"},
     "iq-learn": {"adversarial-human": "GAIL (ST)", "bc-human": "BC (ST)"},
+    "program-bc-few": {"program-bc-held-out": "program-bc (ST)"},
     "object-networks-human": {"bc-human": "BC (ST)", "program-bc-human": "program-bc (ST), human"},
 }
 PICTURE = Path("published_tables", "results.png")

@@ -40,7 +40,7 @@ PLANS = (
 OTHERS = (
     *("object-bc-ablations", "bc-transformations", "sequence-learners", "iq-learn", "held-out"),
     *("program-bc-human", "program-bc-perception", "program-bc-training", "program-bc-held-out"),
-    *("program-bc-scripted", "object-networks-human"),
+    *("program-bc-scripted", "program-bc-few", "object-networks-human"),
 )
 LEADERBOARD = "leaderboard"  # in a run's folder: its evaluation by the leaderboard's protocol
 
