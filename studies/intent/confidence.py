@@ -9,21 +9,22 @@ any of the ways to reach its goal. Rollouts of all runs are pooled by the policy
 
 import argparse
 from collections.abc import Iterable, Iterator
-from functools import cache
+from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
 import gymnasium
 import numpy as np
 
+from magical.envs import EnvId
 from magical.envs.seeds import evaluation_seed
 from magical.evaluation import read_entry
+from magical.grouping import group_by
 from magical.learning.algorithms.program_bc import beliefs_of
 from magical.learning.intent.acting import Intention
 from magical.learning.intent.posterior import Belief
 from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.scene import Poses, Scene, State
-from magical.tasks import get_task
 from magical.tasks.axes import full_variant
 from magical.tasks.programs import Goal
 from magical.tasks.programs.goals import ROBOT
@@ -58,17 +59,24 @@ def main() -> None:
 
 def cases_of(run: Path, variant: str) -> Iterator[Case]:
     """The rollouts of a run on a variant."""
-    beliefs, make = beliefs_of(run), cache(gymnasium.make)
-    for score in read_entry(run).scores:
-        if score.env_id.variant == variant:
-            task = score.env_id.task
-            env = make(str(score.env_id))
-            env.reset(seed=evaluation_seed(score.rollout))
-            state: State = env.unwrapped.state()  # type: ignore[attr-defined]
-            program = get_task(task).program
-            assert program
-            confidence, right = first_decision(beliefs[task], program, state.scene, state.poses)
-            yield Case(task, confidence, right, score.score)
+    beliefs = beliefs_of(run)
+    scores = [score for score in read_entry(run).scores if score.env_id.variant == variant]
+    for env_id, group in group_by(scores, attrgetter("env_id")).items():
+        found = decisions(beliefs[env_id.task], env_id, [score.rollout for score in group])
+        for score, (confidence, right) in zip(group, found, strict=True):
+            yield Case(env_id.task, confidence, right, score.score)
+
+
+def decisions(
+    belief: Belief, env_id: EnvId, rollouts: Iterable[int]
+) -> Iterator[tuple[float, bool]]:
+    """The belief's first decision in the scenes of evaluation's rollouts."""
+    env, program = gymnasium.make(str(env_id)), env_id.task_spec.program
+    assert program
+    for rollout in rollouts:
+        env.reset(seed=evaluation_seed(rollout))
+        state: State = env.unwrapped.state()  # type: ignore[attr-defined]
+        yield first_decision(belief, program, state.scene, state.poses)
 
 
 def first_decision(belief: Belief, program: Goal, scene: Scene, poses: Poses) -> tuple[float, bool]:

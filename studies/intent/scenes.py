@@ -14,24 +14,19 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-import gymnasium
 import numpy as np
 import torch
 
 from magical.demos import Dataset
 from magical.demos.generate import generate
 from magical.envs import EnvId
-from magical.envs.seeds import evaluation_seed
 from magical.evaluation import environments, evaluate
 from magical.evaluation.protocol import NUDGE
-from magical.learning.algorithms.program_bc import ProgramPolicy
-from magical.learning.intent.posterior import Belief, infer
-from magical.learning.intent.scenes import parsed_episode
+from magical.learning.algorithms.program_bc import ProgramBCConfig, ProgramPolicy, infer_beliefs
+from magical.learning.intent.posterior import Belief
 from magical.learning.objects.data import parse_demonstrations
 from magical.learning.running.loading import load_policy
-from magical.learning.running.streams import Purpose, stream
-from magical.scene import State
-from studies.intent.confidence import first_decision
+from studies.intent.confidence import decisions
 from studies.intent.oracles import OraclePolicy
 from tools.readme_tables import table
 
@@ -94,6 +89,8 @@ def cases_of(run: Path, moves: int, rollouts: int) -> Iterator[Case]:
 def beliefs(policy: ProgramPolicy, task: str) -> Iterator[tuple[str, Belief]]:
     """The run's own belief, then those after demonstrations of several scenes."""
     yield "ten of the Demo scene", policy.network.belief(0)
+    config = policy.config.replace(seed=SEED)
+    assert isinstance(config, ProgramBCConfig)
     for variant in VARIED:
         with tempfile.TemporaryDirectory() as folder:
             (env_id,) = environments([task], [variant])
@@ -101,21 +98,12 @@ def beliefs(policy: ProgramPolicy, task: str) -> Iterator[tuple[str, Belief]]:
             named = [(task, trajectory) for trajectory in Dataset.open(folder)]
         parsed = parse_demonstrations(tuple(named), policy.network.perception)
         for number in NUMBERS:
-            rng = stream(SEED, Purpose.PROGRAMS)
-            episodes = [parsed_episode(t, p, rng) for _, t, p in parsed[:number]]
-            yield f"{number} of {variant}", infer(episodes)
+            yield f"{number} of {variant}", infer_beliefs(config, parsed[:number])[task]
 
 
 def share_right(belief: Belief, env_id: EnvId, moves: int) -> float:
     """The share of scenes in which the task's program asks for the first move."""
-    env, program = gymnasium.make(str(env_id)), env_id.task_spec.program
-    assert program
-    right = []
-    for number in range(moves):
-        env.reset(seed=evaluation_seed(number))
-        state: State = env.unwrapped.state()  # type: ignore[attr-defined]
-        right.append(first_decision(belief, program, state.scene, state.poses)[1])
-    return float(np.mean(right))
+    return float(np.mean([right for _, right in decisions(belief, env_id, range(moves))]))
 
 
 if __name__ == "__main__":
