@@ -77,7 +77,11 @@ BESIDE = {  # plans whose methods' means stand beside methods of other plans
     "sequence-learners": {"bc-human": "BC (ST)"},
     "iq-learn": {"adversarial-human": "GAIL (ST)", "bc-human": "BC (ST)"},
     "program-bc-few": {"program-bc-held-out": "program-bc (ST)"},
-    "object-networks-human": {"bc-human": "BC (ST)", "program-bc-human": "program-bc (ST), human"},
+    "object-networks-human": {
+        "bc-human": "BC (ST)",
+        "bc-ablations-human": "BC (ST, allo.)",
+        "program-bc-human": "program-bc (ST), human",
+    },
 }
 PICTURE = Path("published_tables", "results.png")
 BASELINE = ("object-bc (ST)", HUNDRED)  # from the same demonstrations
