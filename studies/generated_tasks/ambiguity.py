@@ -163,8 +163,8 @@ def main() -> None:
     args = parser.parse_args()
     names = [name for name, task in TASKS.items() if task.section]
     names += [task_name(number) for number in HELD_OUT[: args.generated]]
-    print("| Demo scene | of 1 or 10 demos, with score 1 | programs of one goal | of one or two", end="")
-    print(" | entropy | own bits | own p |")
+    print("| Demo scene | of 1 or 10 demos, with score 1 | programs of one goal ", end="")
+    print("| of one or two | entropy | own bits | own p |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
     for name, demonstrations in product(names, (1, 10)):
         print(row(name, demonstrations), flush=True)
