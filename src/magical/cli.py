@@ -73,10 +73,8 @@ def _termination_as_interrupt() -> Iterator[None]:
 
 def build_parser() -> argparse.ArgumentParser:
     """The parser of the whole command line."""
-    parser = argparse.ArgumentParser(
-        prog="magical",
-        description="The MAGICAL benchmark for robust imitation learning.",
-        allow_abbrev=False,
+    parser = _Parser(
+        prog="magical", description="The MAGICAL benchmark for robust imitation learning."
     )
     parser.add_argument("--version", action="version", version=f"magical {__version__}")
     _add_import(parser)
@@ -87,6 +85,13 @@ def build_parser() -> argparse.ArgumentParser:
         module.configure(sub)
         sub.set_defaults(run=module.run)
     return parser
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that takes options by their whole names alone, as do those of its commands."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**{"allow_abbrev": False, **settings})
 
 
 class _PublishedOption(argparse.Action):

@@ -180,7 +180,7 @@ def import_user_module(name: str) -> ModuleType:
         if package not in sys.modules and importlib.util.find_spec(package) is None:
             _search_last(Path.cwd())
         return importlib.import_module(name)
-    except (ModuleNotFoundError, ValueError) as error:
+    except (ModuleNotFoundError, TypeError, ValueError) as error:
         raise PluginError(
             f"module {name!r} cannot be imported: {error}; give a module on the import path or in "
             "the working directory, or a path ending in .py"

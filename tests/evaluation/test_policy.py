@@ -100,10 +100,16 @@ def test_a_policy_that_only_acts_keeps_all_that_it_states() -> None:
         "action_space": "continuous",
         "tasks": ("MoveToRegion",),
         "exact": True,
+        "in_processes": True,
+        "modules": None,
     }
     policy = load_policy(type("Stating", (OnlyActs,), stated)())
     assert isinstance(policy, FunctionPolicy)
     assert {name: getattr(policy, name) for name in stated} == stated
+
+
+def test_a_wrapped_function_is_a_policy() -> None:
+    assert isinstance(load_policy(lambda *given: function(*given)), FunctionPolicy)
 
 
 def test_a_compiled_function_without_a_signature_is_a_policy() -> None:
@@ -158,6 +164,7 @@ FORMS = "random, noop, expert, a run folder, module:name"
         ("{}:make_nothing", PolicyError, "found None"),
         ("{}:absent", PluginError, "no 'absent' in the module, which has: .*Still"),
         ("no_such_module:policy", PluginError, "no_such_module"),
+        ("./policy:Needy", PluginError, "a path ending in .py"),
         ("no/such/file.py:policy", PluginError, "no/such/file.py"),
         ("randon", UnknownNameError, FORMS),
         ("module:", UnknownNameError, FORMS),

@@ -110,7 +110,7 @@ def test_a_repeated_evaluation_gives_the_same_scores_in_the_same_environments(
 
 def test_rows_come_by_environment_then_rollout_and_tasks_may_mix() -> None:
     ids = [LAYOUT, "magical/FixColour-Demo-v0", DEMO]
-    twice = [*ids, DEMO, "magical/MoveToRegion-Demo-LoRes4A-v0"]  # these count once
+    twice = [*ids, DEMO]  # which counts once
     seen: list[int] = []
     scores = evaluate(
         NoopPolicy(), twice, rollouts=5, horizon=1, num_envs=6, workers=0, progress=seen.append
@@ -137,7 +137,9 @@ def test_policies_see_the_observation_they_were_made_for_and_are_told_of_episode
     ("own", "asked_for", "shape"),
     [
         (None, None, (1, 96, 96, 12)),
-        ("LoRes4A", "LoResCHW4E", (1, 12, 96, 96)),
+        ("LoRes4A", None, (1, 96, 96, 12)),
+        ("LoRes4A", "LoRes4A", (1, 96, 96, 12)),
+        (None, "LoResCHW4E", (1, 12, 96, 96)),
         ("nothing", "LoRes4A", None),
     ],
 )
@@ -180,6 +182,14 @@ def test_horizons(env_ids: list[str], horizon: Any, steps: int) -> None:
         ),
         ({"horizon": "published"}, UnknownNameError, "ClusterShape.*found.*MoveToRegion"),
         ({"observation": "HiRes"}, UnknownNameError, "LoRes4E"),
+        ({"policy": "noop", "observation": "HiRes"}, UnknownNameError, "LoRes4E"),
+        (
+            {"policy": Watching(observation="LoRes4A"), "observation": "LoRes4E"},
+            PolicyError,
+            "its own",
+        ),
+        ({"env_ids": []}, ValueError, "at least one environment, found none"),
+        ({"env_ids": [f"{DEMO[:-3]}-LoRes4A-v0"]}, ValueError, "stated by observation='LoRes4A'"),
         ({"rollouts": 0}, ValueError, "at least 1, found 0"),
         ({"nudge": 1.0}, ValueError, "nudge: expected"),
         ({"seed": -1}, ValueError, "seed: expected at least 0, found -1"),
@@ -189,8 +199,9 @@ def test_horizons(env_ids: list[str], horizon: Any, steps: int) -> None:
 def test_wrong_settings_are_named(
     settings: dict[str, Any], error: type[Exception], message: str
 ) -> None:
+    given: dict[str, Any] = {"policy": Watching(), "env_ids": [DEMO], "rollouts": 1, "workers": 0}
     with pytest.raises(error, match=message):
-        evaluate(Watching(), [DEMO], **{"rollouts": 1, "workers": 0, **settings})
+        evaluate(**(given | settings))
 
 
 def test_one_name_may_be_given_as_it_is() -> None:

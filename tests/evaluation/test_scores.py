@@ -113,7 +113,7 @@ def test_what_could_not_be_read_back_is_not_written(tmp_path: Path, fields: dict
     [
         ({}, None, ("LoRes4E", False)),
         ({"observation": "LoRes4A"}, None, ("LoRes4A", False)),
-        ({"observation": "LoRes4A"}, "LoResStack", ("LoResStack", False)),
+        ({}, "LoResStack", ("LoResStack", False)),
         ({"observation": "state"}, None, ("state", True)),
         ({}, "state", ("state", True)),
         ({"privileged": True}, "LoRes4E", ("state", True)),

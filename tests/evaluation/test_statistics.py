@@ -7,9 +7,10 @@ import pytest
 import scipy.stats
 
 from magical.envs import EnvId
+from magical.errors import UnknownNameError
 from magical.evaluation import RolloutScore
 from magical.evaluation import statistics as stats
-from magical.evaluation.intervals import Interval
+from magical.evaluation.intervals import Interval, rollout_mean
 
 NAN = math.nan
 T2, T3, T4 = 4.302653, 3.182446, 2.776445  # 97.5% quantiles of Student's t
@@ -228,6 +229,8 @@ def test_over_rollouts_is_the_weighted_sum_of_environments() -> None:
     )
     runs = [rollouts(IDS[0], 1.0), rollouts(IDS[0], 0.0, 0.0, 0.0)]  # weighed equally
     assert stats.over_rollouts(runs, IDS[:1], [1.0]).value == 0.5
+    with pytest.raises(ValueError, match="expected rollouts in magical/MakeLine-TestJitter-v0"):
+        stats.over_rollouts(runs, IDS, [1.0] * 3)
 
 
 # Wrong input.
@@ -248,6 +251,18 @@ def test_wrong_scores_are_refused_with_what_was_expected(
 ) -> None:
     with pytest.raises(ValueError, match=message):
         stats.mean(scores)
+
+
+def test_wrong_words_and_confidences_are_named() -> None:
+    runs = [rollouts(IDS[0], 0.5), rollouts(IDS[0], 1.0)]
+    with pytest.raises(ValueError, match="confidence: expected more than 0"):
+        stats.mean([[0.5], [0.6]], 95)
+    with pytest.raises(ValueError, match="confidence: expected more than 0"):
+        rollout_mean([0.5, 0.6], 95)
+    with pytest.raises(UnknownNameError, match="one of: score, published_code_score"):
+        stats.run_means(runs, IDS, "seed")
+    with_preset = [f"{IDS[0][:-3]}-LoRes4E-v0"]
+    np.testing.assert_array_equal(stats.run_means(runs, with_preset), [[0.5], [1.0]])
 
 
 def test_a_contrast_weighs_methods() -> None:

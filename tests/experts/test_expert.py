@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import magical.experts
-from magical.errors import InvalidConfigError
+from magical.errors import InvalidConfigError, UnknownNameError
 from magical.evaluation import evaluate
 from magical.evaluation.expert import ExpertPolicy
 from magical.experts import Memory, expert_for, rollout
@@ -92,6 +92,11 @@ def test_lower_skill_scores_lower() -> None:
         for skill in (1.0, 0.6, 0.1)
     ]
     assert means[0] > means[1] > means[2]
+
+
+def test_a_misspelt_task_is_named() -> None:
+    with pytest.raises(UnknownNameError, match="MoveToRegion"):
+        expert_for("MoveToRegoin")
 
 
 @pytest.mark.parametrize("skill", [-0.1, 1.5, float("nan")])

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from magical.errors import InvalidConfigError
+from magical.errors import InvalidConfigError, UnknownNameError
 from magical.learning.algorithms.bc import BCConfig
 from magical.learning.algorithms.ppo import PPOConfig
 from magical.tasks import TASKS as REGISTRY
@@ -45,6 +45,11 @@ def test_paths_and_numbers_of_numpy_are_kept_as_plain_ones() -> None:
     found = BCConfig.preset("quick", tasks=TASKS, **given).to_dict()
     assert found == BCConfig.preset("quick", tasks=TASKS, **plain).to_dict()
     assert {type(found[name]) for name in plain} == {str, int, float}
+
+
+def test_a_misspelt_setting_is_named_before_a_missing_one() -> None:
+    with pytest.raises(UnknownNameError, match="'demo'"):
+        BCConfig.preset("quick", tasks=TASKS, demo="demos")
 
 
 @pytest.mark.parametrize("tasks", [REGISTRY, np.array(TASKS), np.str_(*TASKS)])

@@ -99,12 +99,12 @@ def add_number(
     flag: str,
     meaning: str,
     *,
-    default: float = 0.0,
+    default: float | None = 0.0,
     most: float = math.inf,
     metavar: str = "X",
 ) -> None:
     """Add an option whose value is a number from 0 to `most`; the help says the default."""
-    kind, stated = number(float, 0, most), f" (default: {default:g})"
+    kind, stated = number(float, 0, most), "" if default is None else f" (default: {default:g})"
     parser.add_argument(flag, type=kind, default=default, metavar=metavar, help=meaning + stated)
 
 
@@ -118,9 +118,9 @@ def add_rollouts(parser: argparse.ArgumentParser) -> None:
     add_count(parser, "--rollouts", "on each variant", default=100)
 
 
-def add_workers(parser: argparse.ArgumentParser, least: int = 0) -> None:
+def add_workers(parser: argparse.ArgumentParser) -> None:
     """Add `--workers N`; `args.workers` is `None` for the number of cores."""
-    add_count(parser, "--workers", "processes (default: the cores)", least=least)
+    add_count(parser, "--workers", "processes (default: the cores)", least=0)
 
 
 def add_out(

@@ -29,6 +29,7 @@ from magical.commands._common import (
     print_json,
     print_table,
 )
+from magical.runs.sources import parse_source
 from magical.scene.constants import MAX_NUDGE
 from magical.tasks import parse_horizon
 
@@ -57,7 +58,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "shift initial poses by up to X units and radians, sampled from each rollout's seed; 1e-9 "
         "averages over what rounding decides"
     )
-    add_number(parser, "--nudge", meaning, most=MAX_NUDGE)
+    add_number(parser, "--nudge", meaning, default=None, most=MAX_NUDGE)
     add_seed(parser, "which set of fixed seeds")
     parser.add_argument(
         "--observation", metavar="PRESET", help="default: the policy's own, or LoRes4E"
@@ -75,6 +76,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--learned-from",
         nargs="*",
         action="extend",
+        type=explained(parse_source),
         metavar="SOURCE",
         help='what the policy learned from, such as demonstrations or "rendered states"; recorded '
         "for run folders",
@@ -97,14 +99,19 @@ def run(args: argparse.Namespace) -> int:
     if args.observation and own not in (None, args.observation):
         log(f"error: --observation {args.observation}: the policy states its own, {own}")
         return USAGE
+    nudge = NUDGE if args.leaderboard else 0.0
     evaluation = Evaluation.of(
         environments(args.task or getattr(policy, "tasks", None), args.variants),
         rollouts=args.rollouts,
         seed=args.seed,
         observation=args.observation,
         horizon=args.horizon,
-        nudge=args.nudge or (NUDGE if args.leaderboard else 0.0),
+        nudge=nudge if args.nudge is None else args.nudge,
     )
+    stated = {"--method": args.method, "--learned-from": args.learned_from, "--looks": args.looks}
+    if (given := [flag for flag, value in stated.items() if value is not None]) and not args.out:
+        log(f"error: {given[0]} is for the entry that --out writes")
+        return USAGE
     method = args.method or Path(args.policy).absolute().name  # of "." too
     if args.out:
         entry = Entry.of(policy, evaluation, method=method, details=_details(args))

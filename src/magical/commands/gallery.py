@@ -25,7 +25,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_out(parser, "write index.html and images there", required=True)
     add_tasks(parser)
     add_seed(parser, "which scenes are sampled")
-    add_workers(parser, least=1)
+    add_workers(parser)
     add_json(parser)
 
 

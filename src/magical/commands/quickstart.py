@@ -19,7 +19,6 @@ from magical.commands._common import (
     add_rollouts,
     add_seed,
     add_tasks,
-    add_workers,
     log,
 )
 
@@ -34,7 +33,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_seed(parser, "of training")
     add_rollouts(parser)
     add_count(parser, "--batches", "of training (default: 2000)")
-    add_workers(parser, least=1)
+    add_count(parser, "--workers", "trainings at a time (default: the cores)")
     add_json(parser)
 
 

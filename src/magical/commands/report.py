@@ -66,6 +66,9 @@ def run(args: argparse.Namespace) -> int:
     from magical.report.found.search import find_results
     from magical.report.pages.export import format_of
 
+    if args.format and not args.out:
+        log("error: --format is that of --out FILE")
+        return USAGE
     kind = args.format or format_of(args.out) if args.out else None
     if args.compare and kind not in (None, "html"):
         log("error: --compare writes a page: --out FILE.html")

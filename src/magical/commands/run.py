@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from magical.commands._common import (
     INTERRUPTED,
+    USAGE,
     add_count,
     add_json,
     add_number,
@@ -69,6 +70,9 @@ def run(args: argparse.Namespace) -> int:
     out = args.out or Path("runs") / path.stem
     if args.dry_run:
         return _dry_run(args, planned_runs(plan), out)
+    if args.gpus and not (args.address or args.executor == "ray"):
+        log("error: --gpus is for --executor ray")
+        return USAGE
     from magical.experiments.execution import Resources, execute  # imports PyTorch
 
     resources = Resources(

@@ -56,6 +56,9 @@ def run(args: argparse.Namespace) -> int:
         if "evaluation_score" in metrics:
             save_learning_curves(args.out)
 
+    if args.previous_checkpoint and not args.resume:
+        log("error: --previous-checkpoint is for --resume: a new run has no checkpoints")
+        return USAGE
     try:
         config = _config(args)
     except InvalidConfigError as error:  # wrong arguments, not a failure

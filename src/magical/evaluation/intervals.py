@@ -68,6 +68,7 @@ def welch_interval(
     """
     from scipy.special import stdtrit  # slow to import
 
+    _check_confidence(confidence)
     parts = np.asarray(variances, np.float64)
     total = float(parts.sum())
     welch = total**2 / (parts**2 / np.asarray(freedom)).sum() if total > 0.0 else 1.0
@@ -83,6 +84,7 @@ def wilson_interval(value: float, count: float, confidence: float = CONFIDENCE) 
         count: how many independent zeros and ones it is worth as much as.
         confidence: nominal coverage.
     """
+    _check_confidence(confidence)
     ratio = NormalDist().inv_cdf((1.0 + confidence) / 2.0) ** 2 / count
     centre = value + ratio / 2.0
     root = math.sqrt(max(centre**2 - (1.0 + ratio) * value**2, 0.0))
@@ -127,6 +129,11 @@ def weighted_sum(intervals: Sequence[Interval], weights: ArrayLike) -> Interval:
     above = factors * np.where(factors > 0, highs - values, lows - values)
     value = float(factors @ values)
     return Interval(value, value - math.hypot(*below), value + math.hypot(*above))
+
+
+def _check_confidence(confidence: float) -> None:
+    if not 0.0 < confidence < 1.0:
+        raise ValueError(f"confidence: expected more than 0 and less than 1, found {confidence:g}")
 
 
 def check_range(scores: Floats) -> None:

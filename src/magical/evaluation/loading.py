@@ -122,10 +122,12 @@ _EXPECTED = (
 
 def _needs_arguments(thing: Callable[..., Any]) -> bool:
     try:
-        inspect.signature(thing).bind()
+        signature = inspect.signature(thing)
+        signature.bind()
     except (TypeError, ValueError):  # compiled functions need not have a signature
         return True
-    return False
+    takes_any = any(p.kind is p.VAR_POSITIONAL for p in signature.parameters.values())
+    return takes_any and not inspect.isclass(thing)
 
 
 def _attribute(name: str) -> Any:

@@ -11,6 +11,7 @@ from magical.envs import EnvId
 from magical.envs.action_spec import Actions as Actions
 from magical.envs.action_spec import ActionSpec, action_spec
 from magical.envs.vector import MagicalVectorEnv
+from magical.errors import PolicyError
 from magical.observe import STATE, Observation, make_spec
 from magical.scene import NOOP, NUM_ACTIONS
 from magical.tasks import Task
@@ -76,11 +77,14 @@ def action_spec_of(policy: Policy) -> ActionSpec:
 def observation_for(policy: Policy, observation: Observation = None) -> Observation:
     """The observation to make environments with: the one given, the policy's own, or `LoRes4E`.
 
-    Nothing is rendered for a policy that gets true states, or nothing.
+    Nothing is rendered for a policy that gets true states, or nothing. Raises `PolicyError` if the
+    policy states another one than is given.
     """
     own = getattr(policy, "observation", None)
     if is_privileged(policy) or own == NO_OBSERVATION:
         return STATE
+    if observation is not None and own not in (None, observation):
+        raise PolicyError(f"observation {observation!s}: the policy states its own, {own!s}")
     chosen: Observation = own if observation is None else observation
     return DEFAULT_OBSERVATION if chosen is None else chosen
 
@@ -141,8 +145,8 @@ class NoopPolicy:
 class FunctionPolicy:
     """A policy without memory from a function `(observations, env_ids, rng) -> actions`.
 
-    Its attributes `privileged`, `observation`, `action_space`, `tasks` and `exact` are those of the
-    function, or of the object whose `act` that is.
+    Its other attributes (see `Policy`) are those of the function, or of the object whose `act` that
+    is.
     """
 
     def __init__(self, function: Callable[..., Any], owner: object = None) -> None:
@@ -152,6 +156,8 @@ class FunctionPolicy:
         self.observation = getattr(stated, "observation", None)
         self.action_space = getattr(stated, "action_space", None)
         self.tasks = getattr(stated, "tasks", None)
+        self.in_processes = bool(getattr(stated, "in_processes", False))
+        self.modules = getattr(stated, "modules", None)
         self.exact = bool(getattr(stated, "exact", False))
 
     def act(self, observations: Any, env_ids: Sequence[str], rng: np.random.Generator) -> Actions:

@@ -9,7 +9,7 @@ from magical.envs import EnvId, parse_env_id
 from magical.envs.episode import checked_nudge
 from magical.errors import UnknownNameError
 from magical.grouping import group_by
-from magical.observe import Observation
+from magical.observe import Observation, make_spec
 from magical.tasks import (
     TASKS,
     Horizon,
@@ -40,7 +40,7 @@ class Evaluation:
 
     Raises:
         InvalidConfigError: an impossible horizon.
-        ValueError: a nudge or seed out of range, or less than one rollout.
+        ValueError: no environment, a nudge or seed out of range, or less than one rollout.
     """
 
     env_ids: tuple[EnvId, ...]
@@ -51,6 +51,8 @@ class Evaluation:
     nudge: float = 0.0
 
     def __post_init__(self) -> None:
+        if not self.env_ids:
+            raise ValueError("env_ids: expected at least one environment, found none")
         if self.rollouts < 1:
             raise ValueError(f"rollouts: expected at least 1, found {self.rollouts}")
         if self.seed < 0:  # below are the seeds of demonstrations and of training
@@ -65,13 +67,23 @@ class Evaluation:
         One id alone may be given as it is.
 
         Raises:
-            UnknownNameError: an unknown environment, or the published horizon for tasks that have
-                one horizon only.
-            InvalidConfigError, ValueError: as for the class.
+            UnknownNameError: an unknown environment or observation, or the published horizon for
+                tasks that have one horizon only.
+            InvalidConfigError, ValueError: as for the class; an id with another preset than the
+                observation.
         """
         given = [env_ids] if isinstance(env_ids, str) else env_ids
-        ids = dict.fromkeys(parse_env_id(env_id).without_preset for env_id in given)
-        evaluation = cls(env_ids=tuple(ids), **settings)
+        ids = dict.fromkeys(map(parse_env_id, given))
+        observation = settings.get("observation")
+        for env_id in ids:
+            if env_id.preset not in (None, observation):
+                raise ValueError(
+                    f"{env_id}: what a policy is shown is stated by observation={env_id.preset!r}, "
+                    "or by the policy, not by the ids of environments"
+                )
+        evaluation = cls(env_ids=tuple(dict.fromkeys(i.without_preset for i in ids)), **settings)
+        if observation is not None:
+            make_spec(observation, evaluation.env_ids[0].task_spec)
         if evaluation.horizon == "published":
             require_two_horizons(env_id.task for env_id in ids)
         return evaluation

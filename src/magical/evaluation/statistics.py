@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from magical.envs import EnvId, parse_env_id
+from magical.errors import UnknownNameError
 from magical.evaluation.intervals import (
     CONFIDENCE,
     Floats,
@@ -33,6 +34,7 @@ from magical.evaluation.scores import RolloutScore
 from magical.grouping import group_by
 from magical.tasks.axes import full_variant
 
+RULES = ("score", "published_code_score")
 ROUNDING = 1e-12  # means that differ by less are equal
 
 
@@ -47,6 +49,8 @@ def by_environment(
     rollouts: Iterable[RolloutScore], rule: str = "score"
 ) -> dict[EnvId, list[float]]:
     """The scores of a run's rollouts by environment; `rule` as for `run_means`."""
+    if rule not in RULES:
+        raise UnknownNameError(f"rule {rule!r} is unknown; expected one of: {', '.join(RULES)}")
     scores: dict[EnvId, list[float]] = {}
     value = attrgetter(rule)
     for env_id, rows in groupby(rollouts, attrgetter("env_id")):  # mostly in order: a few groups
@@ -55,7 +59,7 @@ def by_environment(
 
 
 def run_means(
-    runs: Sequence[Iterable[RolloutScore]], env_ids: Sequence[EnvId], rule: str = "score"
+    runs: Sequence[Iterable[RolloutScore]], env_ids: Iterable[str], rule: str = "score"
 ) -> Floats:
     """Each run's mean score in each environment (runs, environments); NaN where it has none.
 
@@ -63,10 +67,14 @@ def run_means(
         runs: every run's rollouts, such as `Entry.scores`.
         env_ids: the columns' environments.
         rule: `score` or `published_code_score`.
+
+    Raises:
+        UnknownNameError: an unknown environment or rule.
     """
     scores = [by_environment(run, rule) for run in runs]
+    ids = [parse_env_id(env_id).without_preset for env_id in env_ids]
     return np.array(
-        [[np.mean(run[i]) if i in run else np.nan for i in env_ids] for run in scores], np.float64
+        [[np.mean(run[i]) if i in run else np.nan for i in ids] for run in scores], np.float64
     )
 
 
@@ -81,11 +89,16 @@ def over_rollouts(
         runs: every run's rollouts, such as `Entry.scores`; each environment has some.
         env_ids: the environments.
         weights: (environments,), such as 1 / environments, or `gap_weights`.
+
+    Raises:
+        ValueError: an environment without a rollout.
     """
     scores = [by_environment(run) for run in runs]
     cells, factors = [], []
     for env_id, weight in zip(env_ids, np.asarray(weights), strict=True):
         rollouts = [run[env_id] for run in scores if env_id in run]
+        if not rollouts:
+            raise ValueError(f"runs: expected rollouts in {env_id}, found none")
         cells += [rollout_mean(column) for column in rollouts]
         factors += [weight / len(rollouts)] * len(rollouts)
     return weighted_sum(cells, factors)

@@ -198,11 +198,12 @@ def expert_for(
             sometimes wrong goals.
 
     Raises:
+        UnknownNameError: no such task.
         NoExpertError: the task has none.
         InvalidConfigError: the skill is not between 0 and 1.
     """
-    planner = get_planner(task)
+    spec, planner = get_task(task), get_planner(task)
     rng = np.random.default_rng(seed) if rng is None else rng
     strategy = Strategy.sample(rng)
     noise = None if skill == 1.0 else ActionNoise(skill, rng)
-    return Expert(get_task(task), planner, strategy, noise)
+    return Expert(spec, planner, strategy, noise)

@@ -15,7 +15,7 @@ from magical.runs import is_run
 
 if TYPE_CHECKING:
     from magical.learning.ensemble import EnsemblePolicy
-    from magical.learning.policy import NetworkPolicy
+    from magical.learning.policy import NetworkPolicy, TrainedPolicy
     from magical.learning.running.loading import load_policy
     from magical.learning.running.training import TrainResult, train
 
@@ -25,6 +25,7 @@ __all__ = [
     "EnsemblePolicy",
     "NetworkPolicy",
     "TrainResult",
+    "TrainedPolicy",
     "algorithm_names",
     "find_algorithm",
     "is_run",
@@ -36,6 +37,7 @@ __all__ = [
 _NEEDS_TORCH = {
     "EnsemblePolicy": "ensemble",
     "NetworkPolicy": "policy",
+    "TrainedPolicy": "policy",
     "load_policy": "running.loading",
     "TrainResult": "running.training",
     "train": "running.training",

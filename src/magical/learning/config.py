@@ -274,9 +274,9 @@ class Config(Settings):
     @classmethod
     def _of(cls, settings: Mapping[str, Any]) -> Self:
         """The configuration of settings by the options' names, the others being the defaults."""
+        fields, parts = by_part(cls, settings)
         if missing := [o.name for o in options(cls) if o.required and o.name not in settings]:
             raise InvalidConfigError(f"expected the setting {missing[0]}, found none")
-        fields, parts = by_part(cls, settings)
         hints = type_hints(cls)
         for field in dataclasses.fields(cls):
             if field.name in parts:

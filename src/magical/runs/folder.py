@@ -131,9 +131,9 @@ def versions() -> dict[str, str]:
     return {**found, **distributions()}
 
 
-def read_json(path: Path) -> dict[str, Any]:
+def read_json(path: Path | str) -> dict[str, Any]:
     """Read a JSON object of a run; raises `RunFolderError` if it is missing or damaged."""
-    return untrusted.read_json(path, dict[str, Any], RunFolderError)
+    return untrusted.read_json(Path(path), dict[str, Any], RunFolderError)
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:

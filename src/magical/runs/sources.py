@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any
 
+from magical.errors import UnknownNameError
 from magical.messages import quoted
 
 DEMONSTRATIONS = "demonstrations"
@@ -42,6 +43,16 @@ SOURCES: Mapping[str, str] = MappingProxyType(
 CLASSES: Mapping[str, str] = MappingProxyType(
     {"P": DEMONSTRATIONS, "R": RENDERED_STATES, "X": SIMULATOR, "B": BENCHMARK_PRIOR}
 )
+
+
+def parse_source(name: str) -> str:
+    """The name of a source as it is; raises `UnknownNameError` for one that is not in `SOURCES`."""
+    if name not in SOURCES:
+        known = ", ".join(SOURCES)
+        raise UnknownNameError(
+            f"{quoted(name)} is no source of learning; expected some of: {known}"
+        )
+    return name
 
 
 def learning_class(names: Iterable[str]) -> str:

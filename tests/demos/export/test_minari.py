@@ -7,7 +7,7 @@ import pytest
 
 from magical.demos import Dataset, RecordTrajectories, observations
 from magical.envs.env import MagicalEnv
-from magical.errors import DatasetError
+from magical.errors import DatasetError, UnknownNameError
 from magical.observe import PRESETS
 from tests.demos.export.conftest import MISSING
 
@@ -70,8 +70,10 @@ def test_refused_minari_export_leaves_no_files(mixed: Path, tmp_path: Path) -> N
     before = sorted(root.rglob("*"))
     with pytest.raises(DatasetError, match="a dataset of that name exists"):
         export_minari(part, root=root)
-    with pytest.raises(DatasetError, match="expected one of LoResStack"):
+    with pytest.raises(UnknownNameError, match="expected one of LoResStack"):
         export_minari(part, preset="raw", root=root)
+    with pytest.raises(DatasetError, match="expected trajectories, found none"):
+        export_minari(part.filter(task="MakeLine"), root=root)
     for name in ("", "a b", "../a"):
         with pytest.raises(DatasetError, match="name: expected letters"):
             export_minari(part, name=name, root=root)

@@ -228,3 +228,10 @@ def test_reading_many_needs_the_memory_of_one(
         return found
 
     assert peak(40) < peak(2) + size / 2
+
+
+def test_a_folder_with_something_else_is_no_dataset(tmp_path: Path) -> None:
+    (tmp_path / "config.json").touch()
+    with pytest.raises(DatasetError, match=r"found one with \['config.json'\]"):
+        DatasetWriter(tmp_path)
+    assert [file.name for file in tmp_path.iterdir()] == ["config.json"]

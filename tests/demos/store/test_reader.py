@@ -12,7 +12,8 @@ import pytest
 from magical.demos import Dataset, DatasetWriter, ObservationReader, Trajectory, observations
 from magical.demos.record import RecordTrajectories
 from magical.demos.store.codec import decode, encode
-from magical.errors import TrajectoryError
+from magical.demos.store.reader import Frames
+from magical.errors import TrajectoryError, UnknownNameError
 from magical.observe import PRESETS, PixelSpec
 from tests.demos.conftest import MakeTrajectory
 
@@ -93,13 +94,17 @@ def test_recorded_frames_give_no_other_observation(
         observations(recorded, observation)
 
 
-def test_missing_view_is_an_error(make_frames_trajectory: MakeTrajectory) -> None:
+def test_missing_view_is_an_error(
+    make_frames_trajectory: MakeTrajectory, make_trajectory: MakeTrajectory
+) -> None:
     both = make_frames_trajectory()
     assert both.frames is not None
     ego = make_frames_trajectory(actions=both.actions, frames={"ego": both.frames["ego"]})
     assert_same(observations(ego, "LoRes4E"), observations(both, "LoRes4E"))
     with pytest.raises(TrajectoryError, match="not allo frames"):
         observations(ego, "LoRes3EA")
+    with pytest.raises(UnknownNameError, match="expected one of: ego, allo"):
+        Frames(make_trajectory(), "egoo")
 
 
 def test_states_that_the_simulation_does_not_reproduce(make_trajectory: MakeTrajectory) -> None:

@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from magical import cli
+from magical.errors import DeviceError
 from magical.evaluation import evaluate
 from magical.learning import algorithm_names, find_algorithm, train
 from magical.learning.algorithms.bc import BCConfig
@@ -18,6 +19,7 @@ from magical.learning.config import options
 from magical.learning.running.devices import (
     Compute,
     choose_compute,
+    choose_device,
     cpu_threads,
     full_float32,
     has_bfloat16,
@@ -170,3 +172,8 @@ def test_overlapping_contexts_of_several_threads_leave_everything_as_it_was() ->
     third.join()
     assert (torch.get_num_threads(), [part.fp32_precision for part in parts]) == before
     assert later == [before[0]]
+
+
+def test_an_unknown_device_is_named() -> None:
+    with pytest.raises(DeviceError, match="'gpu': expected one of auto, cpu, cuda"):
+        choose_device("gpu")

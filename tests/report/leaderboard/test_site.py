@@ -103,7 +103,7 @@ def test_the_page_explains_its_words_and_says_what_was_run_again(
         assert f"<dt>{word}</dt>" in text
     assert "Scores are as submitted, unless marked" in text
     assert text.count("<small>run again</small>") == 1
-    assert cli.main([*argv, "old"]) == 1
+    assert cli.main([*argv, "old"]) == 2
     assert "expected ranked methods to mark as run again, found ['old']" in capsys.readouterr().err
 
 

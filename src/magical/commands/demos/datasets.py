@@ -159,7 +159,10 @@ def run_video(args: argparse.Namespace) -> int:
     first = {entry.env_id: i for i, entry in reversed(list(enumerate(dataset.entries)))}
     chosen = args.index or sorted(first.values())
     if not chosen or max(chosen) >= len(dataset):
-        raise DatasetError(f"{args.dataset}: expected demonstration {chosen}, found {len(dataset)}")
+        wanted = f"number {max(chosen)}" if chosen else "one"
+        raise DatasetError(
+            f"{args.dataset}: expected demonstrations, {wanted} included, found {len(dataset)}"
+        )
     frames = write_video((dataset[i] for i in chosen), args.out)
     print(f"wrote {args.out}: {len(chosen)} demonstrations, {frames} frames")
     print_json(args, {"out": str(args.out), "count": len(chosen), "frames": frames})

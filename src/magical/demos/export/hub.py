@@ -66,7 +66,7 @@ def push(dataset: Dataset, repo: str, licence: str, *, private: bool = False) ->
     return str(made)
 
 
-def pull(repo: str, out: Path, revision: str | None = None) -> Dataset:
+def pull(repo: str, out: Path | str, revision: str | None = None) -> Dataset:
     """Download a dataset; it is complete, and every file has its checksum, or nothing remains.
 
     Args:
@@ -82,6 +82,7 @@ def pull(repo: str, out: Path, revision: str | None = None) -> Dataset:
     require("hub")
     from huggingface_hub import snapshot_download
 
+    out = Path(out)
     if out.exists():
         raise DatasetError(f"{out}: expected a new folder, found one that exists; choose another")
     out.parent.mkdir(parents=True, exist_ok=True)

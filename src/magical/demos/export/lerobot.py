@@ -64,7 +64,7 @@ Stats = dict[str, NDArray[Any]]  # min, max, mean, std: (D,), or (3, 1, 1) for c
 
 def export_lerobot(
     dataset: Dataset,
-    folder: Path,
+    folder: Path | str,
     action_space: ActionSpaceName | None = None,
     instruction: Instruction = "attributes",
 ) -> int:
@@ -88,6 +88,7 @@ def export_lerobot(
         DatasetError: the folder exists, the dataset is empty or a trajectory is damaged; no partial
             export remains.
     """
+    folder = Path(folder)
     if folder.exists() or not len(dataset):
         found = f"{folder}, which exists" if len(dataset) else "no trajectories"
         raise DatasetError(f"export: expected trajectories and a new folder, found {found}")

@@ -26,7 +26,7 @@ from magical.demos.store.reader import observations
 from magical.demos.store.trajectory import Trajectory
 from magical.envs.action_spec import DISCRETE, ActionSpaceName, ActionSpec, action_spec
 from magical.envs.ids import EnvId
-from magical.errors import DatasetError
+from magical.errors import DatasetError, UnknownNameError
 from magical.observe import PRESETS
 
 _ROOT = "MINARI_DATASETS_PATH"
@@ -50,13 +50,16 @@ def export_minari(
     exported actions, by default each environment's own in the dataset, continuous where some are.
 
     Raises:
-        DatasetError: the name is invalid, a dataset of that name exists, or a trajectory is
-            damaged; nothing is written then.
+        UnknownNameError: an unknown preset.
+        DatasetError: the name is invalid, a dataset of that name exists, the dataset is empty or a
+            trajectory is damaged; nothing is written then.
         TrajectoryError: a recording of frames lacks those of the preset, or continuous actions are
             no discrete ones, where those are asked for.
     """
     if preset not in PRESETS:
-        raise DatasetError(f"preset: expected one of {', '.join(PRESETS)}, found {preset!r}")
+        raise UnknownNameError(f"preset: expected one of {', '.join(PRESETS)}, found {preset!r}")
+    if not len(dataset):
+        raise DatasetError("export: expected trajectories, found none")
     if not re.fullmatch(r"[\w-]+", name):
         raise DatasetError(f"name: expected letters, digits, - and _, found {name!r}")
     env_ids = list(dict.fromkeys(entry.env_id for entry in dataset.entries))

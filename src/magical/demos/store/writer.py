@@ -8,7 +8,15 @@ from magical.demos.store.dataset import stored_files
 from magical.demos.store.manifest import ManifestEntry
 from magical.demos.store.trajectory import Trajectory
 from magical.errors import DatasetError
-from magical.files import LOCK, locked, make_folder, remove_partial_files, write_atomically
+from magical.files import (
+    LOCK,
+    is_partial,
+    locked,
+    make_folder,
+    remove_partial_files,
+    write_atomically,
+)
+from magical.messages import quoted
 
 
 class DatasetWriter:
@@ -61,6 +69,11 @@ class DatasetWriter:
             raise
 
     def _create(self) -> None:
+        if self.path.is_dir() and (others := _others(self.path)):
+            raise DatasetError(
+                f"{self.path}: expected a dataset, or an empty or a new folder, found one with "
+                f"{quoted(others)}"
+            )
         make_folder(self.path / manifest.FOLDER)
         with locked(self.path / LOCK):  # which all writers of these files hold
             found = stored_files(self.path)  # raises where their folder is a symbolic link
@@ -73,3 +86,12 @@ class DatasetWriter:
                     )
                 with write_atomically(self.path / manifest.NAME) as file:
                     file.write(manifest.new_text([]).encode())
+
+
+def _others(folder: Path) -> list[str]:
+    """The names of what is in a folder without a manifest that no writer has put there."""
+    if (folder / manifest.NAME).exists():
+        return []
+    written = (LOCK, manifest.FOLDER, manifest.NAME)  # by another process, meanwhile
+    others = (f for f in folder.iterdir() if f.name not in written)
+    return sorted(file.name for file in others if not is_partial(file, manifest.NAME))

@@ -64,7 +64,7 @@ def find_algorithm(name: str) -> Algorithm:
     return _ALGORITHMS.get(name)
 
 
-def read_config(folder: Path) -> Config:
+def read_config(folder: Path | str) -> Config:
     """The configuration recorded in a run folder.
 
     It may name modules of others, which are not imported from the working folder on its word.
@@ -74,7 +74,7 @@ def read_config(folder: Path) -> Config:
             not installed.
         InvalidConfigError: its settings cannot be.
     """
-    path = folder / CONFIG
+    path = Path(folder) / CONFIG
     if not is_run(folder):
         raise RunFolderError(f"{folder}: expected a run folder with {CONFIG}, found none")
     data = read_json(path)

@@ -13,11 +13,13 @@ from torch import Tensor
 
 from magical.errors import DeviceError, RunFolderError
 from magical.learning.settings import MAX_THREADS
+from magical.messages import quoted
 from magical.runs.folder import RECORD
 from magical.untrusted import convert
 
 Device = Literal["cpu", "cuda"]
 Precision = Literal["float32", "bfloat16"]
+DEVICES = ("auto", "cpu", "cuda")
 OLDER_INSTRUCTIONS = ("DEFAULT", "NO AVX", "AVX2")  # PyTorch's names
 
 
@@ -60,7 +62,9 @@ def read_compute(record: Mapping[str, Any], folder: Path) -> Compute | None:
 
 
 def choose_device(device: str) -> Device:
-    """`cuda` or `cpu`; raises `DeviceError` if `cuda` is asked for and there is none."""
+    """`cuda` or `cpu`, of `auto` what there is; raises `DeviceError` for what there is not."""
+    if device not in DEVICES:
+        raise DeviceError(f"device {quoted(device)}: expected one of {', '.join(DEVICES)}")
     available = torch.cuda.is_available()
     if device == "cuda" and not available:
         raise DeviceError(

@@ -7,7 +7,7 @@ from operator import attrgetter
 from pathlib import Path
 
 from magical import __version__
-from magical.errors import ScoresError, SiteError
+from magical.errors import ScoresError, SiteError, UnknownNameError
 from magical.evaluation.protocol import NUDGE, ROLLOUTS
 from magical.grouping import group_by
 from magical.report.found.search import Found, Result, search_results
@@ -84,7 +84,8 @@ def make_leaderboard(
         rerun: methods whose scores were run again, and are marked so.
 
     Raises:
-        ScoresError: a folder is missing, or no method to mark is ranked.
+        ScoresError: a folder is missing.
+        UnknownNameError: a method to mark is not ranked.
     """
     places = list(map(Path, folders))
     for place in places:
@@ -93,7 +94,7 @@ def make_leaderboard(
     accepted, rejected = check_entries(search_results(places, without=site))
     methods = {result.entry.method for result in accepted}
     if unknown := sorted(set(rerun) - methods):
-        raise ScoresError(f"expected ranked methods to mark as run again, found {unknown}")
+        raise UnknownNameError(f"expected ranked methods to mark as run again, found {unknown}")
     return Leaderboard(make_boards(accepted), accepted, rejected, frozenset(rerun))
 
 
