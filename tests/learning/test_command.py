@@ -70,8 +70,8 @@ def test_a_damaged_checkpoint_is_named_and_the_previous_one_resumed(
         assert f"{out / PREVIOUS} of step 2, is intact: resume from it with --resume" in error
     assert main([*resume, "--previous-checkpoint"]) == 0
     assert "finished" in capsys.readouterr().err
-    assert main(bc(demos, tmp_path / "new", "--previous-checkpoint")) == 1
-    assert "needs resume" in capsys.readouterr().err
+    assert main(bc(demos, tmp_path / "new", "--previous-checkpoint")) == 2
+    assert "is for --resume" in capsys.readouterr().err
 
 
 def test_errors_say_what_to_do_and_have_status_1(
