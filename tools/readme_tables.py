@@ -59,6 +59,7 @@ def results() -> str:
             "scripted expert" if row.is_reference else row.method + row.statements.mark,
             f"{row.demo.value:.2f}",
             f"{row.test_all.value:.2f}",
+            "–" if row.is_reference else row.unit.removeprefix("rollouts of ").partition(" ")[0],
             ", ".join(row.used),
             row.statements.demonstrations or "none",
         )
@@ -70,8 +71,8 @@ def results() -> str:
         f"{fmean(paper[task, PAPER, variant].mean for task in published_tasks()):.2f}"
         for variant in ("Demo", "All")
     )
-    rows.append((f"{PAPER}, published", *means, "demonstrations", "10 of each task (human)"))
-    return table(("Method", "Demo", "TestAll", "Used", "Demonstrations"), rows)
+    rows.append((f"{PAPER}, published", *means, "5", "demonstrations", "10 of each task (human)"))
+    return table(("Method", "Demo", "TestAll", "Runs", "Used", "Demonstrations"), rows)
 
 
 def programs() -> str:
