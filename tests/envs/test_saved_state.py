@@ -111,8 +111,9 @@ def test_an_episode_keeps_its_variant() -> None:
     env = MagicalEnv(TASK, "Demo", observation="state")
     env.set_state(SAVED)
     assert env.get_state() == SAVED
+    assert env.env_id.variant == SAVED["variant"] != "Demo"
     env.reset(seed=0)
-    assert env.get_state()["variant"] == "Demo"
+    assert env.env_id.variant == env.get_state()["variant"] == "Demo"
 
 
 @pytest.mark.parametrize("workers", [0, 1])

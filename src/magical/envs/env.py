@@ -100,6 +100,7 @@ class MagicalEnv(gym.Env[Any, Any]):
         self.task.axes_of(variant)  # raises for a variant that the task lacks
         self.variant = variant
         self.observation_spec = make_spec(observation, self.task)
+        self._episode = Episode(self.task, variant, self.observation_spec, horizon, reward)
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise UnknownNameError(
                 f"render mode {quoted(render_mode)} is unknown; expected rgb_array, human or None"
@@ -113,13 +114,12 @@ class MagicalEnv(gym.Env[Any, Any]):
         self.observation_space = self.observation_spec.space
         self.action_spec = action_spec(action_space)
         self.action_space: spaces.Space[Any] = self.action_spec.space
-        self._episode = Episode(self.task, variant, self.observation_spec, horizon, reward)
         self._running = False
 
     @property
     def env_id(self) -> EnvId:
-        """The id of this task and variant, without a preset."""
-        return EnvId(self.task.name, self.variant)
+        """The id of the task and the episode's variant, without a preset."""
+        return EnvId(self.task.name, self._episode.variant)
 
     @property
     def horizon(self) -> int:
