@@ -34,7 +34,7 @@ from magical.scene.constants import MAX_NUDGE
 from magical.tasks import parse_horizon
 
 if TYPE_CHECKING:
-    from magical.evaluation import Entry, RolloutScore
+    from magical.evaluation import Entry, Policy, RolloutScore
     from magical.evaluation.protocol import Evaluation
 
 HELP = "score a policy on the test variants"
@@ -95,9 +95,8 @@ def run(args: argparse.Namespace) -> int:
     from magical.progress import progress_bar
 
     policy = load_policy(args.policy)
-    own = getattr(policy, "observation", None)
-    if args.observation and own not in (None, args.observation):
-        log(f"error: --observation {args.observation}: the policy states its own, {own}")
+    if wrong := _misused(args, policy):
+        log(f"error: {wrong}")
         return USAGE
     nudge = NUDGE if args.leaderboard else 0.0
     evaluation = Evaluation.of(
@@ -108,15 +107,11 @@ def run(args: argparse.Namespace) -> int:
         horizon=args.horizon,
         nudge=nudge if args.nudge is None else args.nudge,
     )
-    stated = {"--method": args.method, "--learned-from": args.learned_from, "--looks": args.looks}
-    if (given := [flag for flag, value in stated.items() if value is not None]) and not args.out:
-        log(f"error: {given[0]} is for the entry that --out writes")
-        return USAGE
     method = args.method or Path(args.policy).absolute().name  # of "." too
     if args.out:
         entry = Entry.of(policy, evaluation, method=method, details=_details(args))
         entry.check_writable(args.out)
-    if args.leaderboard and (why := _why_unranked(entry, evaluation) if args.out else ["no --out"]):
+    if args.leaderboard and (why := _why_unranked(entry, evaluation)):
         log(f"error: --leaderboard: the entry would not be ranked: {'; '.join(why)}")
         return USAGE
     if args.out:
@@ -129,6 +124,18 @@ def run(args: argparse.Namespace) -> int:
         log(f"wrote scores.csv and entry.json to {args.out}")
     print_json(args, summarise(scores))
     return 0
+
+
+def _misused(args: argparse.Namespace, policy: "Policy") -> str:
+    """What is wrong with the options; empty if nothing is."""
+    own = getattr(policy, "observation", None)
+    if args.observation and own not in (None, args.observation):
+        return f"--observation {args.observation}: the policy states its own, {own}"
+    for option in ("leaderboard", "method", "learned_from", "looks"):
+        value = getattr(args, option)
+        if not args.out and value is not None and value is not False:
+            return f"--{option.replace('_', '-')} is for the entry that --out writes"
+    return ""
 
 
 def _details(args: argparse.Namespace) -> dict[str, Any]:
