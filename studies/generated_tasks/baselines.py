@@ -9,9 +9,10 @@ import numpy as np
 from magical.envs import EnvId
 from magical.evaluation.intervals import Floats
 from magical.evaluation.scores import RolloutScore
-from magical.evaluation.statistics import mean, run_means
+from magical.evaluation.statistics import generalisation_gap, mean, run_means
 from magical.grouping import group_by
 from magical.report.found.search import search_results
+from magical.report.scores.tables import signed
 from magical.tasks.axes import SHORT_VARIANTS, full_variant
 from studies.plan_results import LEADERBOARD, NOTHING, PlanResults
 from studies.tables import mean_text, task_names
@@ -83,11 +84,13 @@ def method_table(root: Path, name: str, beside: Mapping[str, str]) -> str:
         if all(np.isfinite(_means(runs, [task], ENDS[0])).any() for runs, _ in rows.values())
     ]
     published = [f"{variant}, published rule" for variant in ENDS]
-    header = (f"Mean over {task_names(tasks)}", *SHORT_VARIANTS, *published, "Minutes of training")
+    last = ("Gap", *published, "Minutes of training")
+    header = (f"Mean over {task_names(tasks)}", *SHORT_VARIANTS, *last)
     lines = [
         [
             f"{method} ({_runs([r for r in runs if any(s.env_id.task in tasks for s in r)])})",
             *(_over_tasks(runs, tasks, variant) for variant in SHORT_VARIANTS),
+            _gap(runs, tasks),
             *(_over_tasks(runs, tasks, variant, "published_code_score") for variant in ENDS),
             f"{results.training_minutes(tasks)[method]:.1f}",
         ]
@@ -132,6 +135,13 @@ def _means(runs: Runs, tasks: Sequence[str], variant: str, rule: str = "score") 
 
 def _pair(scores: tuple[float, ...]) -> str:
     return " / ".join("–" if np.isnan(score) else f"{score:.2f}" for score in scores)
+
+
+def _gap(runs: Runs, tasks: Sequence[str]) -> str:
+    """Demo's mean less that of All, with an interval over runs."""
+    env_ids = [EnvId(task, full_variant(variant)) for task in tasks for variant in ENDS]
+    scores = run_means(runs, env_ids)
+    return signed(generalisation_gap(scores[~np.isnan(scores).all(axis=1)], env_ids))
 
 
 def _over_tasks(runs: Runs, tasks: Sequence[str], variant: str, rule: str = "score") -> str:
