@@ -77,4 +77,4 @@ quickstart: $(READY) ## the package's main job, from nothing to a result
 
 clean: ## remove the virtual environments, caches and build products
 	rm -rf .venv .nox build dist site .pytest_cache .mypy_cache .ruff_cache .import_linter_cache
-	find src tests benchmarks studies examples tools -name __pycache__ -type d -prune -exec rm -rf {} +
+	find src tests benchmarks studies examples tools integrations -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -2,7 +2,7 @@
 
     python tools/check_tag.py v1.0.0
 
-The changelog's entry must have a date.
+The changelog's entry must have a date, and nothing may be unreleased.
 """
 
 import re
@@ -12,6 +12,7 @@ from pathlib import Path
 import magical
 
 ROOT = Path(__file__).resolve().parents[1]
+UNRELEASED = re.compile(r"^## \[Unreleased\]\s+(?!## )\S", re.MULTILINE)
 ENTRY = re.compile(r"^## \[(?P<version>[^\]]+)\] - (?P<date>.+)$", re.MULTILINE)
 DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
 
@@ -36,6 +37,8 @@ def main(tag: str = "") -> int:
     """Print what is wrong; 1 if anything is."""
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     found = disagreements(tag, magical.__version__, changelog)
+    if UNRELEASED.search(changelog):
+        found.append("expected no unreleased changes in the changelog, found some")
     print(*found, sep="\n", end="\n" if found else "", file=sys.stderr)
     return 1 if found else 0
 

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from magical.errors import MagicalError
-from magical.files import open_regular, sha256_sum, write_atomically
+from magical.files import LOCK, open_regular, sha256_sum, write_atomically
 from magical.report.found.search import Found, search_results
 from magical.report.leaderboard.checks import check_entries
 from magical.untrusted import read_json
@@ -82,8 +82,12 @@ def _file_faults(folder: Path, submission: Submission) -> Iterator[str]:
 def _files(folder: Path) -> Iterator[str]:
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
-        if path.is_file() and name not in (SUBMISSION, README) and "__pycache__" not in path.parts:
+        if path.is_file() and name not in (SUBMISSION, README) and not _is_left_over(path):
             yield name
+
+
+def _is_left_over(path: Path) -> bool:
+    return path.name == LOCK or "__pycache__" in path.parts
 
 
 def _digest(path: Path) -> str:

@@ -80,6 +80,7 @@ def test_it_trains_resumes_and_is_evaluated_like_ours(
     settings = ["--network", f"{module}:NETWORK", "--observation", f"{module}:OBSERVATION"]
     more = ["--task", "MoveToCorner", "--demos", str(demos), *settings, *SIZE, "--patience", "7"]
     assert main([*command, *more, "--stop-after", "2"]) == 0
+    assert "--resume --import own_learner\n" in capsys.readouterr().err
     recorded = json.loads((run / CONFIG).read_text())
     assert {name: recorded[name] for name in ("algorithm", "network", "observation")} == {
         "algorithm": "own_learner:ALGORITHM",

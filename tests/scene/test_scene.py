@@ -48,7 +48,6 @@ REGIONS: tuple[Any, ...] = (
 )
 WRONG_SCENES: tuple[Any, ...] = (
     *(5, None, [], {}),
-    {"robot": [0, 0, 0], "block": []},
     *({"robot": robot} for robot in ROBOTS),
     *({"robot": [0, 0, 0], "blocks": blocks} for blocks in BLOCKS),
     *({"robot": [0, 0, 0], "regions": regions} for regions in REGIONS),

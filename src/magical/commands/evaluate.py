@@ -43,7 +43,10 @@ HELP = "score a policy on the test variants"
 def configure(parser: argparse.ArgumentParser) -> None:
     """Describe the command's arguments."""
     parser.add_argument(
-        "policy", metavar="POLICY", help="a run folder, random, noop, expert or module:name"
+        "policy",
+        metavar="POLICY",
+        help="a run folder, random, noop, expert, the name of a plug-in, LOADER:PATH, module:name, "
+        "file.py:name",
     )
     add_tasks(parser, "the policy's")
     add_several(parser, "--variants", "such as Demo Jitter (default: all)", "VARIANT")

@@ -76,12 +76,25 @@ def run(args: argparse.Namespace) -> int:
     )
     save_learning_curves(args.out)
     print_json(args, result.summary())
+    folder, imports = shlex.quote(str(result.folder)), _imports(config)
     if result.finished:
-        log(f"{result.folder}: finished; magical evaluate {shlex.quote(str(result.folder))}")
+        log(f"{result.folder}: finished; magical evaluate {folder}{imports}")
         return 0
-    again = f"magical train {args.algorithm} --out {shlex.quote(str(result.folder))} --resume"
+    again = f"magical train {args.algorithm} --out {folder} --resume{imports}"
     log(f"{result.folder}: stopped at step {result.step}; to continue: {again}")
     return INTERRUPTED if result.interrupted else 0
+
+
+def _imports(config: "Config") -> str:
+    """`--import` for each module that the configuration names, which new processes need."""
+    from magical.learning.config import options
+    from magical.learning.networks import TIMM
+
+    plain = config.to_dict()
+    named = [plain["algorithm"], *(plain[o.name] for o in options(type(config)) if o.open)]
+    texts = (n for n in named if isinstance(n, str) and not n.startswith(TIMM))
+    modules = dict.fromkeys(name.rpartition(":")[0] for name in texts)
+    return "".join(f" --import {shlex.quote(module)}" for module in modules if module)
 
 
 class _ParseOptions(argparse.Action):
@@ -97,6 +110,7 @@ class _ParseOptions(argparse.Action):
         """See `argparse.Action`."""
         options = argparse.ArgumentParser(
             prog=f"{parser.prog} {namespace.algorithm}",
+            allow_abbrev=False,
             argument_default=argparse.SUPPRESS,  # the preset's value is used
         )
         _add_options(options, namespace.algorithm)

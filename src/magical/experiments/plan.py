@@ -16,7 +16,7 @@ from typing import Annotated, Any
 from msgspec import Meta
 
 from magical.envs.episode import checked_nudge
-from magical.errors import MagicalError, PlanError
+from magical.errors import MagicalError, PlanError, PluginError
 from magical.evaluation import BUILT_IN
 from magical.evaluation.protocol import ROLLOUTS, Evaluation, environments
 from magical.experts import get_planner
@@ -143,7 +143,7 @@ def _plan_errors(prefix: str = "") -> Iterator[None]:
     """Raise what is wrong with a value as `PlanError`."""
     try:
         yield
-    except ValueError as error:
+    except (PluginError, ValueError) as error:
         raise PlanError(f"{prefix}{error}") from error
 
 

@@ -204,8 +204,6 @@ class Scene:
         Raises `InvalidSceneError` or `UnknownNameError`.
         """
         try:
-            if unknown := set(data) - {field.name for field in fields(Scene)}:
-                raise KeyError(*unknown)
             return Scene(
                 robot=data["robot"],
                 blocks=tuple(Block(b[0], b[1], b[2:]) for b in data.get("blocks", ())),

@@ -35,7 +35,7 @@ def run_generate(args: argparse.Namespace) -> int:
     )
     if copies := len(find_duplicates(Dataset.open(args.out).entries)):
         log(
-            f"warning: {args.out}: {copies} demonstrations equal earlier ones of the dataset; an "
+            f"warning: {args.out}: demonstrations that equal earlier ones: {copies}; an "
             "expert repeats itself where the scene is the same, unless its actions are perturbed "
             "(--perturb); another series needs another --seed, or --first to continue one"
         )
