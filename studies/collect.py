@@ -42,7 +42,6 @@ from magical.experiments.results import (
     DONE,
     EXPERIMENT,
     is_results,
-    is_same_run,
     read_experiment,
     read_state,
     run_folders,
@@ -120,7 +119,7 @@ class Collected:
         for run in planned.values():
             if run.folder in self.runs:
                 continue
-            name = next((name for name in earlier if is_same_run(run, earlier[name])), None)
+            name = next((name for name in earlier if _is_same_run(run, earlier[name])), None)
             if name:
                 self.runs[run.folder] = self.runs.pop(name)
                 for key in [key for key in self.entries if Path(key).parts[1] == name]:
@@ -213,6 +212,19 @@ def evaluate_for_leaderboard(run: PlannedRun, folder: Path) -> None:
         env_ids = tuple(environments(run.tasks))
         evaluation = Evaluation(env_ids=env_ids, nudge=NUDGE)
         evaluate_run(run, folder, folder / LEADERBOARD, evaluation)
+
+
+def _is_same_run(run: PlannedRun, record: Mapping[str, Any]) -> bool:
+    """Whether a final record is of a run with these settings, whatever names they had then."""
+    settings = record.get("settings")
+    if record.get("method") != run.method or not isinstance(settings, dict):
+        return False
+    try:
+        config = type(run.config).from_dict(settings.get("config", {})).to_dict()
+    except (AttributeError, MagicalError, TypeError):  # another run's, or damaged
+        return False
+    then, now = {**settings, "config": config}, run.settings()
+    return json.dumps(then, sort_keys=True) == json.dumps(now, sort_keys=True)
 
 
 def _commit(entry: Entry) -> str:

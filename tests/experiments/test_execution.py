@@ -289,27 +289,6 @@ def test_failed_runs_are_left_only_where_they_are_tried_again(
         assert list(found.lines())[1].startswith(f"left, one run at a time: {left}")
 
 
-def test_runs_recorded_in_an_earlier_form_are_not_run_again(
-    planned: Planned, inline: Started, copied: Path
-) -> None:
-    first, second = planned()
-    damaged = copied / "runs" / first.folder.replace(first.identity, "")
-    damaged.mkdir()
-    of_another = {"state": "done", "method": first.method, "settings": {"config": [1]}}
-    (damaged / "result.json").write_text(json.dumps(of_another))
-    for run, spoilt in ((first, {}), (second, {"batches": 5})):
-        old = copied / "runs" / run.folder.replace(run.identity, "0" * 10)
-        (copied / "runs" / run.folder).rename(old)
-        record = json.loads((old / "result.json").read_text())
-        config = {**record["settings"]["config"], "pixel_range": "unit", "graphs": "auto", **spoilt}
-        del config["conventions"]
-        record["settings"]["config"] = config
-        (old / "result.json").write_text(json.dumps(record))
-    assert results.planned_states(copied, [first, second]) == ["done", "waiting"]
-    assert execute([first, second], copied).complete
-    assert [run.seed for run in inline] == [second.seed]
-
-
 def test_a_first_run_that_has_changed_since_is_noticed(
     planned: Planned, inline: Started, out: Path, finished: Path, tmp_path: Path
 ) -> None:

@@ -8,8 +8,6 @@
 - `runs/<name>/`: a run's folder, with `scores.csv`, `entry.json` and last of all `result.json`
 """
 
-import glob
-import json
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -154,7 +152,6 @@ def opened(path: Path, runs: Sequence[PlannedRun]) -> Iterator[Results]:
             (path / PROGRESS).unlink(missing_ok=True)  # of a command that was killed
         else:
             write_json(path / EXPERIMENT, asdict(Experiment(FORMAT, uuid.uuid4().hex, versions())))
-        _adopt_earlier(path, runs)
         yield Results(path, read_experiment(path).id)
 
 
@@ -245,41 +242,9 @@ def planned_states(path: Path, runs: Sequence[PlannedRun]) -> list[str]:
     """
     if is_results(path):
         check_results(path, runs)
-        return [read_state(_found(path, run)) or WAITING for run in runs]
+        return [read_state(path / RUNS / run.folder) or WAITING for run in runs]
     _owned(path).require_new()
     return [WAITING] * len(runs)
-
-
-def _adopt_earlier(path: Path, runs: Sequence[PlannedRun]) -> None:
-    """Rename the folders of finished runs whose settings were recorded in an earlier form."""
-    for run in runs:
-        found, folder = _found(path, run), path / RUNS / run.folder
-        if found != folder:
-            found.replace(folder)
-
-
-def _found(path: Path, run: PlannedRun) -> Path:
-    """A run's folder, or that of the same run whose settings were recorded in an earlier form."""
-    folder = path / RUNS / run.folder
-    if not folder.exists():
-        prefix = glob.escape(run.folder.removesuffix(run.identity))
-        for old in sorted((path / RUNS).glob(f"{prefix}*")):
-            if (old / RESULT).is_file() and is_same_run(run, read_record(old / RESULT)):
-                return old
-    return folder
-
-
-def is_same_run(run: PlannedRun, record: Mapping[str, Any]) -> bool:
-    """Whether a final record is of a run with these settings, whatever names they had then."""
-    settings = record.get("settings")
-    if record.get("method") != run.method or not isinstance(settings, dict):
-        return False
-    try:
-        config = type(run.config).from_dict(settings.get("config", {})).to_dict()
-    except (AttributeError, MagicalError, TypeError):  # another run's, or damaged
-        return False
-    then, now = {**settings, "config": config}, run.settings()
-    return json.dumps(then, sort_keys=True) == json.dumps(now, sort_keys=True)
 
 
 def read_record(path: Path) -> dict[str, Any]:
