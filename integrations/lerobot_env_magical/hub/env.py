@@ -1,6 +1,6 @@
 """MAGICAL for LeRobot's environment hub: this file is a repository's `env.py`.
 
-It needs the distribution `integrations/lerobot_env_magical` of the repository. LeRobot calls `make_env`.
+It needs the distribution in `integrations/lerobot_env_magical`. LeRobot calls `make_env`.
 """
 
 from functools import partial

@@ -92,11 +92,8 @@ def train(
         DemonstrationsError, DatasetError: too few demonstrations, or damaged ones.
         DivergedError: the loss or the weights are not finite; the newest good checkpoint is kept.
         InvalidConfigError: `previous_checkpoint` without `resume`.
-        ValueError: `stop_after` less than 1.
         MissingDependencyError: a tracker's library is not installed.
     """
-    if stop_after is not None and stop_after < 1:
-        raise ValueError(f"stop_after: expected at least 1, found {stop_after}")
     folder, algorithm, total = Path(out), find_algorithm(config.algorithm), config.num_updates
     with (
         _opened(folder, config, resume, previous_checkpoint),
