@@ -89,7 +89,6 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
         ["demos", "info", "--jso", "demos"],
         ["report", "runs", "--format", "csv"],
         ["run", "quick", "--gpus", "1"],
-        ["train", "bc", "--out", "run", "--previous-checkpoint"],
         ["show"],
         ["show", "magical/MoveToCorner-Demo-v0", "--seed", "-1"],
         ["show", "magical/MoveToCorner-Demo-v0", "--seed", "one"],

@@ -65,14 +65,14 @@ def run(args: argparse.Namespace) -> int:
     """Execute the plan, or describe what it would do."""
     from magical.experiments.plan import find_plan, planned_references, planned_runs, read_plan
 
+    if args.gpus and not (args.address or args.executor == "ray"):
+        log("error: --gpus is for --executor ray")
+        return USAGE
     path = find_plan(args.plan)
     plan = read_plan(path, args.demos)
     out = args.out or Path("runs") / path.stem
     if args.dry_run:
         return _dry_run(args, planned_runs(plan), out)
-    if args.gpus and not (args.address or args.executor == "ray"):
-        log("error: --gpus is for --executor ray")
-        return USAGE
     from magical.experiments.execution import Resources, execute  # imports PyTorch
 
     resources = Resources(
