@@ -91,7 +91,7 @@ class _Parser(argparse.ArgumentParser):
     """A parser that takes options by their whole names alone, as do those of its commands."""
 
     def __init__(self, **settings: Any) -> None:
-        super().__init__(**{"allow_abbrev": False, **settings})
+        super().__init__(allow_abbrev=False, **settings)
 
 
 class _PublishedOption(argparse.Action):
