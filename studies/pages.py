@@ -70,11 +70,12 @@ SECTIONS = {  # the generated parts of each study's page
     "demonstrations": ("variations", "variants"),
     "generated_tasks": ("held-out",),
     "intent": (*BY_TASK, "program-bc-few", "object-networks-human"),
-    "modern_baselines": ("sequence-learners", "iq-learn"),
-    "objects": ("baseline", "gaps", "leaderboard", "others"),
+    "modern_baselines": ("sequence-learners", "sequence-learners-hundred", "iq-learn"),
+    "objects": ("baseline", "gaps", "object-bc-ablations-human", "leaderboard", "others"),
 }
 BESIDE = {  # plans whose methods' means stand beside methods of other plans
     "sequence-learners": {"bc-human": "BC (ST)"},
+    "sequence-learners-hundred": {},
     "iq-learn": {"adversarial-human": "GAIL (ST)", "bc-human": "BC (ST)"},
     "program-bc-few": {"program-bc-held-out": "program-bc (ST)"},
     "object-networks-human": {
@@ -82,6 +83,7 @@ BESIDE = {  # plans whose methods' means stand beside methods of other plans
         "bc-ablations-human": "BC (ST, allo.)",
         "program-bc-human": "program-bc (ST), human",
     },
+    "object-bc-ablations-human": {},
 }
 PICTURE = Path("published_tables", "results.png")
 BASELINE = ("object-bc (ST)", HUNDRED)  # from the same demonstrations

@@ -38,7 +38,8 @@ PLANS = (
 )
 # Those whose rows are on pages of their own; the leaderboard has them too.
 OTHERS = (
-    *("object-bc-ablations", "bc-transformations", "sequence-learners", "iq-learn"),
+    *("object-bc-ablations", "object-bc-ablations-human", "bc-transformations"),
+    *("sequence-learners", "sequence-learners-hundred", "iq-learn"),
     *("held-out", "sequence-learners-held-out"),
     *("program-bc-human", "program-bc-perception", "program-bc-training", "program-bc-held-out"),
     *("program-bc-scripted", "program-bc-few", "object-networks-human"),

@@ -70,8 +70,10 @@ def method_table(root: Path, name: str, beside: Mapping[str, str]) -> str:
         name: of a plan, whose methods are all shown.
         beside: methods of other plans, by the plan's name.
     """
-    if not PlanResults.read(root, name).collected:
+    shown = PlanResults.read(root, name)
+    if not shown.collected:
         return NOTHING
+    variants = shown.plan.get("variants", SHORT_VARIANTS)
     rows: dict[str, tuple[Runs, PlanResults]] = {}
     for plan, wanted in ((name, None), *beside.items()):
         results = PlanResults.read(root, plan)
@@ -80,16 +82,16 @@ def method_table(root: Path, name: str, beside: Mapping[str, str]) -> str:
                 rows[method] = runs, results
     tasks = [
         task
-        for task in PlanResults.read(root, name).plan["tasks"]
+        for task in shown.plan["tasks"]
         if all(np.isfinite(_means(runs, [task], ENDS[0])).any() for runs, _ in rows.values())
     ]
     published = [f"{variant}, published rule" for variant in ENDS]
     last = ("Gap", *published, "Minutes of training")
-    header = (f"Mean over {task_names(tasks)}", *SHORT_VARIANTS, *last)
+    header = (f"Mean over {task_names(tasks)}", *variants, *last)
     lines = [
         [
             f"{method} ({_runs([r for r in runs if any(s.env_id.task in tasks for s in r)])})",
-            *(_over_tasks(runs, tasks, variant) for variant in SHORT_VARIANTS),
+            *(_over_tasks(runs, tasks, variant) for variant in variants),
             _gap(runs, tasks),
             *(_over_tasks(runs, tasks, variant, "published_code_score") for variant in ENDS),
             f"{results.training_minutes(tasks)[method]:.1f}",
