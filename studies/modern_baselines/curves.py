@@ -39,9 +39,7 @@ def main() -> None:
     for config, rows in runs:
         (task,) = config["tasks"]
         panels[task if scored else learner(config)].append((task, rows))
-    figure = Figure(
-        figsize=(PANEL * max(3, len(panels)), PANEL + scored * 0.2), layout="constrained"
-    )
+    figure = Figure(figsize=(PANEL * max(3, len(panels)), PANEL), layout="constrained")
     all_axes = np.ravel(figure.subplots(1, len(panels), sharey=scored))
     for axes, (title, lines) in zip(all_axes, panels.items(), strict=True):
         axes.set_title(title, fontsize="medium")
@@ -56,7 +54,7 @@ def main() -> None:
 def learner(config: dict[str, Any]) -> str:
     """The algorithm, and whether it has past actions."""
     without = config.get("past_actions") is False
-    return config["algorithm"] + (", no past actions" if without else "")
+    return f"{config['algorithm']}{', no past actions' if without else ''}"
 
 
 def plot_scores(axes: Axes, lines: list[tuple[str, Rows]]) -> None:
@@ -70,9 +68,9 @@ def plot_scores(axes: Axes, lines: list[tuple[str, Rows]]) -> None:
 
 def plot_losses(axes: Axes, lines: list[tuple[str, Rows]]) -> None:
     """Losses over batches."""
-    for (task, rows), colour in zip(lines, colormaps["tab10"].colors, strict=False):
+    for number, (task, rows) in enumerate(lines):
         steps, losses = np.array([(row["step"], row["loss"]) for row in rows]).T
-        axes.plot(steps, losses, color=colour, linewidth=1.0, label=task)
+        axes.plot(steps, losses, color=colormaps["tab10"](number), linewidth=1.0, label=task)
     axes.set(xlabel="batches", yscale="log")
 
 
