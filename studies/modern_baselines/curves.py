@@ -47,7 +47,9 @@ def main() -> None:
         (plot_scores if scored else plot_losses)(axes, lines)
     all_axes[0].set_ylabel("score of episodes in training" if scored else "training loss")
     if not scored:
-        figure.legend(*all_axes[0].get_legend_handles_labels(), loc="outside right", frameon=False)
+        figure.legend(
+            *all_axes[0].get_legend_handles_labels(), loc="outside right center", frameon=False
+        )
     figure.savefig(args.out, dpi=110)
 
 
