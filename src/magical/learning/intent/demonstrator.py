@@ -15,18 +15,7 @@ from scipy.stats import qmc
 from magical.scene import Poses, Scene
 from magical.scene.constants import WORKSPACE_HALF
 from magical.scene.poses import FIRST_BLOCK, ROBOT
-from magical.tasks.programs import (
-    AllBut,
-    Each,
-    Every,
-    Exactly,
-    Goal,
-    OneOf,
-    Only,
-    OutOfRegions,
-    Place,
-    Together,
-)
+from magical.tasks.programs import Each, Every, Exactly, Goal, OneOf, Only, Place, Together
 from magical.tasks.programs.goals import UNFINISHED
 from magical.tasks.scoring import positions
 
@@ -73,7 +62,7 @@ class States:
             first, second = self._ways(goal.first)[:, :, None], self._ways(goal.second)[:, None]
             return np.where(second > 0.0, second, first).reshape(len(first), -1, first.shape[-1])
         if isinstance(goal, Only):
-            goal = Each(AllBut(goal.selection), OutOfRegions())
+            goal = goal.others
         if isinstance(goal, Each | Every | OneOf):
             return self._placed(goal)
         if goal not in self._known:
