@@ -139,7 +139,7 @@ class ProgramPolicy(TrainedPolicy):
         actions = np.full(len(tasks), NOOP)
         unknown = []
         for row, task in enumerate(tasks.tolist()):
-            now = _rows(parsed, slice(row, row + 1))
+            now = parsed.select(slice(row, row + 1))
             episode = self._episodes[row]
             if episode is None:
                 intention = Intention(self._beliefs[task], parsed_scene(parsed, row))
@@ -170,9 +170,8 @@ class _Episode:
 
     def see(self, parsed: ParsedFrames) -> None:
         """The next frame, with blocks numbered as in the first."""
-        frames = [self._now, parsed]
-        pair = track(ParsedFrames(*map(np.concatenate, zip(*frames, strict=True))))
-        self._before, self._now = self._now, _rows(pair, slice(1, 2))
+        pair = track(ParsedFrames.joined([self._now, parsed]))
+        self._before, self._now = self._now, pair.select(slice(1, 2))
 
     def act(self, uniform: float | None) -> int:
         """See `Planner`; without anything left to do, none."""
@@ -184,10 +183,6 @@ class _Episode:
         pose, blocks = poses.bodies[ROBOT], poses.blocks[:, :2]
         seen = Situation(pose, self._before.robot[0], blocks, target, np.array(place))
         return self._planner.act(seen, uniform)
-
-
-def _rows(parsed: ParsedFrames, rows: Any) -> ParsedFrames:
-    return ParsedFrames(*(column[rows] for column in parsed))
 
 
 def train(config: ProgramBCConfig, run: Run) -> None:

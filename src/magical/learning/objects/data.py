@@ -58,8 +58,7 @@ class ObjectData:
             DemonstrationsError: no samples are left of a task.
         """
         trajectories = [each.trajectory for each in demonstrations]
-        columns = zip(*(each.parsed for each in demonstrations), strict=True)
-        parsed = ParsedFrames(*(np.concatenate([c[:-1] for c in column]) for column in columns))
+        parsed = ParsedFrames.joined(each.parsed.select(slice(-1)) for each in demonstrations)
         goals = [find_goals(p.robot, p.blocks, t.is_intended) for _, t, p in demonstrations]
         targets, destinations = map(np.concatenate, zip(*goals, strict=True))
         actions = np.concatenate([each.labels for each in trajectories])
@@ -125,4 +124,4 @@ def parse_trajectory(trajectory: Trajectory, perception: Perception) -> ParsedFr
     for start in range(0, len(steps), CHUNK):
         frames = component.read(source, steps[start : start + CHUNK])  # (B, 3, 96, 96)
         parts.append(perception(frames.transpose(0, 2, 3, 1)))
-    return track(ParsedFrames(*map(np.concatenate, zip(*parts, strict=True))))
+    return track(ParsedFrames.joined(parts))
