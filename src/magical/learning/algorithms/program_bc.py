@@ -203,7 +203,7 @@ def infer_beliefs(
     beliefs = {}
     for task in config.tasks:
         rng = stream(config.seed, Purpose.PROGRAMS)
-        episodes = [parsed_episode(t, p, rng) for name, t, p in demonstrations if name == task]
+        episodes = [parsed_episode(each, rng) for each in demonstrations if each.task == task]
         beliefs[task] = infer(episodes)
     return beliefs
 

@@ -13,7 +13,7 @@ from magical.demos.store.trajectory import Trajectory
 from magical.errors import DemonstrationsError
 from magical.learning.data.expert_data import Rows, TaskTrajectories
 from magical.learning.objects.goals import relate_blocks
-from magical.learning.objects.hindsight import ROBOT_TARGET, find_goals, track
+from magical.learning.objects.hindsight import ROBOT_TARGET, find_carries, find_goals, track
 from magical.learning.objects.parser import ParsedFrames
 from magical.learning.objects.perception import Perception
 from magical.learning.objects.table import to_table, to_tensor
@@ -30,6 +30,11 @@ class ParsedDemonstration(NamedTuple):
     task: str
     trajectory: Trajectory  # of T steps
     parsed: ParsedFrames  # T + 1 frames, tracked
+
+    @property
+    def carries(self) -> list[tuple[int, int, int]]:
+        """See `find_carries`."""
+        return find_carries(self.parsed.robot, self.parsed.blocks, self.trajectory.is_intended)
 
 
 class ObjectData:
