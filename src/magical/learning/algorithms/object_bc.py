@@ -46,13 +46,11 @@ from magical.runs.sources import BENCHMARK_PRIOR, OBJECT_PARSER
 from magical.scene.actions import MIRRORED_ACTIONS
 
 STANDS, STANDS_ANGLE = 0.01, 0.05  # units, rad: a robot that moved less over the stack stands still
-HIDDEN = 256  # units in the controller's layers
 WEIGHT_DECAY = 1e-2  # of the controller
 DESTINATION_NOISE = 0.03  # units: standard deviation of the noise on the controller's destinations
 GOAL_EVERY = 8  # batches between updates of the goal model
 GOAL_BATCH_SIZE = 64  # samples of each task in an update of the goal model
 GOAL_LEARNING_RATE = 0.05  # of the goal model; annealed linearly to 0
-GOAL_SMOOTHNESS = 0.01  # weight of the goal model's squared second differences
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,7 +131,7 @@ class ObjectPolicy(nn.Module):
         super().__init__()
         self.perception = get_perception(config.perception)
         self.goals = GoalModel(len(config.tasks))
-        self.controller = Controller(HIDDEN)
+        self.controller = Controller()
         self.ranges = config.block_range, config.wall_range
         self.temperature, self.stuck_temperature = config.temperature, config.stuck_temperature
         blank = torch.zeros((1, *config.input_shape), dtype=torch.uint8)
@@ -162,8 +160,7 @@ class ObjectPolicy(nn.Module):
             inputs = control_inputs(table, targets, destinations, *self.ranges)
         logits: Tensor = self.controller(*inputs).float()
         stuck = _stands(table.robot, before) & (targets != ROBOT_TARGET)
-        hot, cool = (logits.new_tensor(t) for t in (self.stuck_temperature, self.temperature))
-        return logits / torch.where(stuck, hot, cool)[:, None]
+        return logits / torch.where(stuck, self.stuck_temperature, self.temperature)[:, None]
 
 
 def stacked_frames(observations: Tensor, number: int) -> Pixels:
@@ -278,8 +275,7 @@ class ObjectBCTrainer:
             data.tasks[rows],
             torch.from_numpy(places).to(self.device),
         )
-        sparsity = config.goal_sparsity * (REFITTED if refit >= 0 else 1.0)
-        penalty = goals.penalty(sparsity, GOAL_SMOOTHNESS)
+        penalty = goals.penalty(config.goal_sparsity * (REFITTED if refit >= 0 else 1.0))
         self.goal_optimizer.zero_grad()
         torch.autograd.backward(target_loss + destination_loss + penalty)
         self.goal_optimizer.step()
