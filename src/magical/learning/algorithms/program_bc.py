@@ -51,7 +51,7 @@ from magical.tasks.programs import parse
 from magical.untrusted import parse_json
 
 MAX_BYTES = 1 << 16  # of a task's programs as text
-MOTION_SHAPES = {"drive": (2, 3), "turn": (2, 2), "grasp": (3,)}
+MOTION_SHAPES = {"drive": (2, 3), "turn": (2, 2), "grasp": (3,)}  # float64: see `Motion`
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,9 +67,6 @@ class ProgramNetwork(ObjectPolicy):
     """An object-centred policy with a belief about each task's program."""
 
     beliefs: Tensor  # (tasks, MAX_BYTES) uint8: JSON, filled up with zeros
-    drive: Tensor  # (2, 3), turn (2, 2), grasp (3,) float64: see `Motion`
-    turn: Tensor
-    grasp: Tensor
 
     def __init__(self, config: ProgramBCConfig) -> None:
         super().__init__(config)
