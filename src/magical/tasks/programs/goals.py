@@ -334,11 +334,6 @@ def _units_to_line(i: int, j: int, points: list[Point]) -> list[float]:
     return units
 
 
-def is_success(score: float) -> bool:
-    """Whether a score is a success (`SUCCESS`); the score itself stays the measure."""
-    return score > SUCCESS
-
-
 def instruction(goal: Goal, scene: Scene, *, paraphrase: int = 0, attributes: bool = True) -> str:
     """A goal in a scene as an English instruction.
 
