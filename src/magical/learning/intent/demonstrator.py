@@ -37,7 +37,6 @@ class States:
     """
 
     def __init__(self, scene: Scene, poses: Sequence[Poses]) -> None:
-        """Create the states."""
         self.scene, self.poses = scene, poses
         self._points = [positions(scene, each) for each in poses]
         self._known: dict[Goal, Floats] = {}
@@ -87,14 +86,13 @@ class States:
 
 
 class Episode:
-    """A demonstration as states, from each of which a move led to the next.
+    """A demonstration as states: a move led from each to the next, none from the last.
 
     Attributes:
         scene: what it started from.
     """
 
     def __init__(self, scene: Scene, states: Sequence[Poses], rng: np.random.Generator) -> None:
-        """Create an episode whose demonstrator stopped in the last state."""
         self.scene, self._count = scene, len(states)
         others = [move for state in states for move in _random_moves(state, rng)]
         self._states = States(scene, [*states, *others])

@@ -85,10 +85,9 @@ PLANS = _all_plans()
 
 
 class Planner:
-    """Chooses the actions of one episode."""
+    """Chooses the actions of one episode, from its beginning."""
 
     def __init__(self, motion: Motion) -> None:
-        """Create the planner of an episode that begins."""
         self.motion = motion
         self._search = Search()
         self._still_steps = 0  # for which the robot has been standing still
