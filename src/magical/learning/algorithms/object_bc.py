@@ -117,10 +117,6 @@ class ObjectBCConfig(Config):
         """The samples of all the controller's batches."""
         return self.batches * self.batch_size
 
-    def annealed(self, learning_rate: float, batch: int) -> float:
-        """A learning rate in a batch: annealed linearly to 0."""
-        return learning_rate * (1.0 - batch / self.batches)
-
 
 class ObjectPolicy(nn.Module):
     """Frame stacks to logits of the 18 actions, through objects and a goal."""
@@ -233,7 +229,7 @@ class ObjectBCTrainer:
     ) -> dict[str, Tensor]:
         """Clone a batch of actions, given the goals of hindsight."""
         config = self.config
-        set_learning_rate(self.optimizer, config.annealed(config.learning_rate, number))
+        set_learning_rate(self.optimizer, config.learning_rate * (1.0 - number / config.batches))
         rows = data.sample_eventful(config.batch_size, rng)
         noise = rng.normal(0.0, DESTINATION_NOISE, (len(rows), 2)).astype(np.float32)
         destinations = data.destinations[rows] + torch.from_numpy(noise).to(self.device)
@@ -263,7 +259,7 @@ class ObjectBCTrainer:
         refit = number - config.batches // 2
         if config.goal_sparsity and 0 <= refit < GOAL_EVERY:  # its first step
             goals.leave_out()
-        set_learning_rate(self.goal_optimizer, config.annealed(GOAL_LEARNING_RATE, number))
+        set_learning_rate(self.goal_optimizer, GOAL_LEARNING_RATE * (1.0 - number / config.batches))
         rows = data.sample_each(GOAL_BATCH_SIZE, rng)
         places = rng.uniform(-BORDER, BORDER, (len(rows), CANDIDATES, 2)).astype(np.float32)
         target_loss, destination_loss = goal_losses(
