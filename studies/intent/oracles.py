@@ -9,7 +9,6 @@ With "one goal" the policy acts on the most probable goal of each scene alone.
 
 import argparse
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import torch
@@ -155,10 +154,8 @@ class _Episode:
     def _poses(self, state: State) -> Poses:
         if "perception" in self._truths:
             return state.poses
-        frames = [self._parsed, self._parse(state)]
-        pair = track(ParsedFrames(*map(np.concatenate, zip(*frames, strict=True))))
-        newest: Any = slice(1, 2)
-        self._parsed = ParsedFrames(*(column[newest] for column in pair))
+        pair = track(ParsedFrames.joined([self._parsed, self._parse(state)]))
+        self._parsed = pair.select(slice(1, 2))
         return parsed_poses(self._parsed, 0, self._intention.scene)
 
     def _parse(self, state: State) -> ParsedFrames:

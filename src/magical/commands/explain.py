@@ -33,7 +33,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print, task by task."""
     from magical.learning.algorithms.program_bc import beliefs_of
-    from magical.learning.intent.confidence import confidence_by_variant
+    from magical.learning.intent.acting import confidence_by_variant
     from magical.learning.intent.picture import draw_beliefs
 
     beliefs = beliefs_of(args.folder)

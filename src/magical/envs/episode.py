@@ -23,7 +23,7 @@ from magical.scene.constants import MAX_NUDGE
 from magical.scene.poses import Poses, State
 from magical.scene.scene import Dynamics, Scene
 from magical.tasks import TASKS, Horizon, Task, parse_horizon
-from magical.tasks.programs import is_success, progress
+from magical.tasks.programs import SUCCESS, progress
 
 RESET_OPTIONS = ("scene", "dynamics", "nudge")
 Reward = Literal["none", "score", "dense"]
@@ -39,7 +39,7 @@ class Scores:
     @property
     def is_success(self) -> bool:
         """Whether the score is above `programs.SUCCESS`."""
-        return is_success(self.score)
+        return self.score > SUCCESS
 
 
 class Episode:

@@ -17,6 +17,7 @@ from magical.experts.geometry import (
     TURN_STEP,
     Floats,
     bearing,
+    lengths,
     segment_distance,
     wrap_angle,
 )
@@ -101,8 +102,7 @@ def _cell(point: Point) -> int:
 def _cell_costs(obstacles: Sequence[Point], goal: Point, clearance: float) -> list[float]:
     """Cost of each cell, per unit travelled."""
     kept = [max(0.01, _kept_distance(obstacle, goal, clearance)) for obstacle in obstacles]
-    offsets = _GRID[:, None] - np.array(obstacles)  # (cells, obstacles, 2)
-    depth = 1.0 - np.sqrt((offsets * offsets).sum(axis=2)) / kept
+    depth = 1.0 - lengths(_GRID[:, None] - np.array(obstacles)) / kept  # (cells, obstacles)
     cost: list[float] = (1.0 + OBSTACLE_COST * np.maximum(depth, 0.0).sum(axis=1)).tolist()
     return cost
 

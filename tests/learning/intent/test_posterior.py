@@ -6,14 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from magical.demos import Trajectory
 from magical.demos.generate import demonstrate
 from magical.learning.intent import demonstrator
 from magical.learning.intent.demonstrator import MOVE_COST, RATIONALITY, SLIPS, Episode, States
 from magical.learning.intent.meanings import Language
 from magical.learning.intent.posterior import Belief, infer
 from magical.learning.intent.scenes import parsed_episode
-from magical.learning.objects.data import parse_trajectory
+from magical.learning.objects.data import parse_demonstrations
 from magical.learning.objects.parser import parse_frames
 from magical.scene import Poses, Scene
 from magical.scene.poses import FIRST_BLOCK
@@ -37,14 +36,12 @@ def moved(scene: Scene, block: int, place: tuple[float, float]) -> Poses:
     return Poses(bodies)
 
 
-def episode_of(trajectory: Trajectory) -> Episode:
-    return parsed_episode(trajectory, parse_trajectory(trajectory, parse_frames), rng())
-
-
 @pytest.fixture(scope="module")
 def fixed() -> list[Episode]:
-    names = ("magical/FixColour-Demo-v0",) * 2
-    return [episode_of(demonstrate(name, seed=seed)) for seed, name in enumerate(names)]
+    shown = [("FixColour", demonstrate("magical/FixColour-Demo-v0", seed)) for seed in range(2)]
+    return [
+        parsed_episode(each, rng()) for each in parse_demonstrations(tuple(shown), parse_frames)
+    ]
 
 
 def plain_work(goal: Goal, scene: Scene, poses: Poses) -> float:

@@ -255,9 +255,9 @@ def test_relations_that_explain_nothing_are_left_out() -> None:
     for _ in range(300):
         loss = ((functions(numbers, sets) - 2.0 * numbers[:, 1]) ** 2).mean()
         optimizer.zero_grad()
-        torch.autograd.backward(loss + functions.penalty(sparsity=0.05, smoothness=0.01))
+        torch.autograd.backward(loss + functions.penalty(sparsity=0.05))
         optimizer.step()
-    functions.leave_out(0.25)
+    functions.leave_out()
     assert functions.used[0, :, 0].tolist() == [0.0, 1.0, 0.0]
     changed = numbers.clone()
     changed[:, 0] = UNKNOWN

@@ -68,21 +68,19 @@ def _goals(program: Goal) -> Iterator[Goal]:
         yield from _goals(program.second)
     elif isinstance(program, Exactly):
         yield from _goals(program.both)
+    elif isinstance(program, Only):
+        yield program.others
     else:
         yield program
 
 
 def _moves(goal: Goal, view: StateView, strategy: Strategy) -> list[Move]:
     """Moves for one goal."""
-    scene = view.scene
-    if isinstance(goal, Only):
-        others = set(range(len(view.blocks))) - goal.selection.blocks(scene)
-        return moves_out(view, strategy, others)
     if isinstance(goal, Undisturbed):
         return _back(goal, view, strategy)
     if not isinstance(goal, Each | Every | OneOf):
         raise NotImplementedError(f"no expert for {goal!r}")
-    blocks = sorted(goal.selection.blocks(scene))
+    blocks = sorted(goal.selection.blocks(view.scene))
     if isinstance(goal, OneOf) and any(_is_there(goal.place, view, i) for i in blocks):
         return []
     return [move for i in blocks for move in _to_place(goal.place, view, strategy, i)]

@@ -7,7 +7,6 @@ where they are, and the cheapest of these is made.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from heapq import nsmallest
 from itertools import combinations, pairwise, permutations
 from typing import NamedTuple
@@ -63,8 +62,7 @@ def plan_line(
     if is_line_made(blocks, resting):
         return MovePlan()
     places = _best_places(blocks, strategy, last.places)
-    moves = (replace(move, block=chosen[move.block or 0]) for move in _moves(blocks, places))
-    return MovePlan(tuple(moves), places)
+    return MovePlan(tuple(_moves(chosen, blocks, places)), places)
 
 
 def is_line_made(blocks: Sequence[Point], resting: Sequence[Point]) -> bool:
@@ -74,9 +72,9 @@ def is_line_made(blocks: Sequence[Point], resting: Sequence[Point]) -> bool:
     return is_line(blocks, RESTING)
 
 
-def _moves(blocks: Sequence[Point], places: Places) -> Iterator[Move]:
-    """Moves of the blocks that do not stay; short ones are made more exactly."""
-    for i, (place, block) in enumerate(zip(places, blocks, strict=True)):
+def _moves(chosen: Sequence[int], blocks: Sequence[Point], places: Places) -> Iterator[Move]:
+    """Moves of the chosen blocks that do not stay; short ones are made more exactly."""
+    for i, place, block in zip(chosen, places, blocks, strict=True):
         if place != block:
             share = TOLERANCE_SHARE * math.dist(place, block)
             yield Move(place, min(TOLERANCE, share), i)

@@ -46,13 +46,11 @@ from magical.runs.sources import BENCHMARK_PRIOR, OBJECT_PARSER
 from magical.scene.actions import MIRRORED_ACTIONS
 
 STANDS, STANDS_ANGLE = 0.01, 0.05  # units, rad: a robot that moved less over the stack stands still
-HIDDEN = 256  # units in the controller's layers
 WEIGHT_DECAY = 1e-2  # of the controller
 DESTINATION_NOISE = 0.03  # units: standard deviation of the noise on the controller's destinations
 GOAL_EVERY = 8  # batches between updates of the goal model
 GOAL_BATCH_SIZE = 64  # samples of each task in an update of the goal model
 GOAL_LEARNING_RATE = 0.05  # of the goal model; annealed linearly to 0
-GOAL_SMOOTHNESS = 0.01  # weight of the goal model's squared second differences
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,10 +117,6 @@ class ObjectBCConfig(Config):
         """The samples of all the controller's batches."""
         return self.batches * self.batch_size
 
-    def annealed(self, learning_rate: float, batch: int) -> float:
-        """A learning rate in a batch: annealed linearly to 0."""
-        return learning_rate * (1.0 - batch / self.batches)
-
 
 class ObjectPolicy(nn.Module):
     """Frame stacks to logits of the 18 actions, through objects and a goal."""
@@ -133,7 +127,7 @@ class ObjectPolicy(nn.Module):
         super().__init__()
         self.perception = get_perception(config.perception)
         self.goals = GoalModel(len(config.tasks))
-        self.controller = Controller(HIDDEN)
+        self.controller = Controller()
         self.ranges = config.block_range, config.wall_range
         self.temperature, self.stuck_temperature = config.temperature, config.stuck_temperature
         blank = torch.zeros((1, *config.input_shape), dtype=torch.uint8)
@@ -162,8 +156,7 @@ class ObjectPolicy(nn.Module):
             inputs = control_inputs(table, targets, destinations, *self.ranges)
         logits: Tensor = self.controller(*inputs).float()
         stuck = _stands(table.robot, before) & (targets != ROBOT_TARGET)
-        hot, cool = (logits.new_tensor(t) for t in (self.stuck_temperature, self.temperature))
-        return logits / torch.where(stuck, hot, cool)[:, None]
+        return logits / torch.where(stuck, self.stuck_temperature, self.temperature)[:, None]
 
 
 def stacked_frames(observations: Tensor, number: int) -> Pixels:
@@ -236,7 +229,7 @@ class ObjectBCTrainer:
     ) -> dict[str, Tensor]:
         """Clone a batch of actions, given the goals of hindsight."""
         config = self.config
-        set_learning_rate(self.optimizer, config.annealed(config.learning_rate, number))
+        set_learning_rate(self.optimizer, config.learning_rate * (1.0 - number / config.batches))
         rows = data.sample_eventful(config.batch_size, rng)
         noise = rng.normal(0.0, DESTINATION_NOISE, (len(rows), 2)).astype(np.float32)
         destinations = data.destinations[rows] + torch.from_numpy(noise).to(self.device)
@@ -266,7 +259,7 @@ class ObjectBCTrainer:
         refit = number - config.batches // 2
         if config.goal_sparsity and 0 <= refit < GOAL_EVERY:  # its first step
             goals.leave_out()
-        set_learning_rate(self.goal_optimizer, config.annealed(GOAL_LEARNING_RATE, number))
+        set_learning_rate(self.goal_optimizer, GOAL_LEARNING_RATE * (1.0 - number / config.batches))
         rows = data.sample_each(GOAL_BATCH_SIZE, rng)
         places = rng.uniform(-BORDER, BORDER, (len(rows), CANDIDATES, 2)).astype(np.float32)
         target_loss, destination_loss = goal_losses(
@@ -278,8 +271,7 @@ class ObjectBCTrainer:
             data.tasks[rows],
             torch.from_numpy(places).to(self.device),
         )
-        sparsity = config.goal_sparsity * (REFITTED if refit >= 0 else 1.0)
-        penalty = goals.penalty(sparsity, GOAL_SMOOTHNESS)
+        penalty = goals.penalty(config.goal_sparsity * (REFITTED if refit >= 0 else 1.0))
         self.goal_optimizer.zero_grad()
         torch.autograd.backward(target_loss + destination_loss + penalty)
         self.goal_optimizer.step()

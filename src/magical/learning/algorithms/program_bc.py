@@ -51,7 +51,7 @@ from magical.tasks.programs import parse
 from magical.untrusted import parse_json
 
 MAX_BYTES = 1 << 16  # of a task's programs as text
-MOTION_SHAPES = {"drive": (2, 3), "turn": (2, 2), "grasp": (3,)}
+MOTION_SHAPES = {"drive": (2, 3), "turn": (2, 2), "grasp": (3,)}  # float64: see `Motion`
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,9 +67,6 @@ class ProgramNetwork(ObjectPolicy):
     """An object-centred policy with a belief about each task's program."""
 
     beliefs: Tensor  # (tasks, MAX_BYTES) uint8: JSON, filled up with zeros
-    drive: Tensor  # (2, 3), turn (2, 2), grasp (3,) float64: see `Motion`
-    turn: Tensor
-    grasp: Tensor
 
     def __init__(self, config: ProgramBCConfig) -> None:
         super().__init__(config)
@@ -139,7 +136,7 @@ class ProgramPolicy(TrainedPolicy):
         actions = np.full(len(tasks), NOOP)
         unknown = []
         for row, task in enumerate(tasks.tolist()):
-            now = _rows(parsed, slice(row, row + 1))
+            now = parsed.select(slice(row, row + 1))
             episode = self._episodes[row]
             if episode is None:
                 intention = Intention(self._beliefs[task], parsed_scene(parsed, row))
@@ -170,9 +167,8 @@ class _Episode:
 
     def see(self, parsed: ParsedFrames) -> None:
         """The next frame, with blocks numbered as in the first."""
-        frames = [self._now, parsed]
-        pair = track(ParsedFrames(*map(np.concatenate, zip(*frames, strict=True))))
-        self._before, self._now = self._now, _rows(pair, slice(1, 2))
+        pair = track(ParsedFrames.joined([self._now, parsed]))
+        self._before, self._now = self._now, pair.select(slice(1, 2))
 
     def act(self, uniform: float | None) -> int:
         """See `Planner`; without anything left to do, none."""
@@ -184,10 +180,6 @@ class _Episode:
         pose, blocks = poses.bodies[ROBOT], poses.blocks[:, :2]
         seen = Situation(pose, self._before.robot[0], blocks, target, np.array(place))
         return self._planner.act(seen, uniform)
-
-
-def _rows(parsed: ParsedFrames, rows: Any) -> ParsedFrames:
-    return ParsedFrames(*(column[rows] for column in parsed))
 
 
 def train(config: ProgramBCConfig, run: Run) -> None:
@@ -208,7 +200,7 @@ def infer_beliefs(
     beliefs = {}
     for task in config.tasks:
         rng = stream(config.seed, Purpose.PROGRAMS)
-        episodes = [parsed_episode(t, p, rng) for name, t, p in demonstrations if name == task]
+        episodes = [parsed_episode(each, rng) for each in demonstrations if each.task == task]
         beliefs[task] = infer(episodes)
     return beliefs
 

@@ -22,6 +22,7 @@ from magical.learning.planning.routes import MOVED, Routes
 from magical.scene import Poses, Scene
 from magical.scene.geometry import Point, to_workspace
 from magical.scene.poses import FIRST_BLOCK, ROBOT
+from magical.tasks import get_task
 from magical.tasks.programs import Goal, problem
 
 GOALS = 8  # the most probable ones that are acted on
@@ -149,6 +150,20 @@ class Intention:
         weights = [weight for _, weight in self.goals]
         expected: Floats = np.dot(weights, [states.work(goal) for goal, _ in self.goals])
         return expected
+
+
+def confidence_by_variant(belief: Belief, task: str, scenes: int) -> dict[str, float]:
+    """The mean over sampled scenes of each of a task's variants; see `Intention.confidence`.
+
+    The same scenes each time.
+    """
+    found = {}
+    for variant in get_task(task).variants:
+        rng = np.random.default_rng(0)
+        sampled = [get_task(task).sample(variant, rng)[0] for _ in range(scenes)]
+        each = [Intention(belief, scene).confidence(Poses.at_rest(scene)) for scene in sampled]
+        found[variant] = float(np.mean(each))
+    return found
 
 
 def _row(thing: int) -> int:

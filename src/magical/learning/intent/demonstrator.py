@@ -15,18 +15,7 @@ from scipy.stats import qmc
 from magical.scene import Poses, Scene
 from magical.scene.constants import WORKSPACE_HALF
 from magical.scene.poses import FIRST_BLOCK, ROBOT
-from magical.tasks.programs import (
-    AllBut,
-    Each,
-    Every,
-    Exactly,
-    Goal,
-    OneOf,
-    Only,
-    OutOfRegions,
-    Place,
-    Together,
-)
+from magical.tasks.programs import Each, Every, Exactly, Goal, OneOf, Only, Place, Together
 from magical.tasks.programs.goals import UNFINISHED
 from magical.tasks.scoring import positions
 
@@ -48,7 +37,6 @@ class States:
     """
 
     def __init__(self, scene: Scene, poses: Sequence[Poses]) -> None:
-        """Create the states."""
         self.scene, self.poses = scene, poses
         self._points = [positions(scene, each) for each in poses]
         self._known: dict[Goal, Floats] = {}
@@ -73,7 +61,7 @@ class States:
             first, second = self._ways(goal.first)[:, :, None], self._ways(goal.second)[:, None]
             return np.where(second > 0.0, second, first).reshape(len(first), -1, first.shape[-1])
         if isinstance(goal, Only):
-            goal = Each(AllBut(goal.selection), OutOfRegions())
+            goal = goal.others
         if isinstance(goal, Each | Every | OneOf):
             return self._placed(goal)
         if goal not in self._known:
@@ -98,14 +86,13 @@ class States:
 
 
 class Episode:
-    """A demonstration as states, from each of which a move led to the next.
+    """A demonstration as states: a move led from each to the next, none from the last.
 
     Attributes:
         scene: what it started from.
     """
 
     def __init__(self, scene: Scene, states: Sequence[Poses], rng: np.random.Generator) -> None:
-        """Create an episode whose demonstrator stopped in the last state."""
         self.scene, self._count = scene, len(states)
         others = [move for state in states for move in _random_moves(state, rng)]
         self._states = States(scene, [*states, *others])

@@ -9,7 +9,7 @@ import operator
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
-from typing import Any, TypeVar, cast
+from typing import TypeVar, cast
 
 from magical.scene import Scene
 from magical.tasks.programs import (
@@ -34,7 +34,6 @@ from magical.tasks.programs import (
     Together,
     Undisturbed,
 )
-from magical.tasks.programs.expressions import field_types
 from magical.tasks.programs.prior import bits_of_part, choice, simple_expressions
 from magical.tasks.programs.selections import Blocks
 
@@ -167,7 +166,7 @@ def outer_selections(expression: Expression) -> Iterator[Selection]:
     if isinstance(expression, Selection):
         yield expression
         return
-    for part in _fields(expression):
+    for part in expression.values:
         if isinstance(part, Expression):
             yield from outer_selections(part)
 
@@ -181,10 +180,6 @@ def replace_selections(
     return type(expression)(
         *(
             replace_selections(part, replace) if isinstance(part, Expression) else part
-            for part in _fields(expression)
+            for part in expression.values
         )
     )
-
-
-def _fields(expression: Expression) -> list[Any]:
-    return [getattr(expression, name) for name in field_types(type(expression))]

@@ -1,12 +1,9 @@
 """Scenes, poses and episodes from parsed frames."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from magical.demos.store.trajectory import Trajectory
 from magical.learning.intent.demonstrator import Episode
-from magical.learning.objects.hindsight import find_carries
+from magical.learning.objects.data import ParsedDemonstration
 from magical.learning.objects.parser import ABSENT, ParsedFrames
 from magical.scene import COLOURS, SHAPES, Block, Poses, Region, Scene
 from magical.scene.poses import FIRST_BLOCK, ROBOT
@@ -40,20 +37,11 @@ def parsed_poses(parsed: ParsedFrames, frame: int, scene: Scene) -> Poses:
     return Poses(bodies)
 
 
-def parsed_episode(
-    trajectory: Trajectory, parsed: ParsedFrames, rng: np.random.Generator
-) -> Episode:
-    """A demonstration by its carries; without any, by where the robot went.
-
-    Args:
-        trajectory: of T steps.
-        parsed: its T + 1 frames, tracked.
-        rng: samples the moves that were not made.
-    """
-    scene = parsed_scene(parsed, 0)
-    carries = find_carries(parsed.robot, parsed.blocks, trajectory.is_intended)
-    ends: Sequence[int] = [last + 1 for _, _, last in carries]
+def parsed_episode(shown: ParsedDemonstration, rng: np.random.Generator) -> Episode:
+    """A demonstration by its carries; without any, by where the robot went."""
+    parsed, scene = shown.parsed, parsed_scene(shown.parsed, 0)
+    ends = [last + 1 for _, _, last in shown.carries]
     if ends:  # where a carry leaves the robot was no goal
         parsed = parsed._replace(robot=np.repeat(parsed.robot[:1], len(parsed.robot), axis=0))
-    times = [0, *(ends or [len(trajectory)])]
+    times = [0, *(ends or [len(shown.trajectory)])]
     return Episode(scene, [parsed_poses(parsed, t, scene) for t in times], rng)

@@ -15,6 +15,7 @@ from magical.scene import NUM_ACTIONS
 
 FOCUS = 0.15  # units: the length scale of nearness
 HELD = 2  # blocks nearest to the fingers, which have inputs of their own
+HIDDEN = 256  # units in the layers
 
 
 def control_inputs(
@@ -125,17 +126,17 @@ def _held(blocks: Tensor, is_target: Tensor, present: Tensor, limit: float) -> T
 class Controller(nn.Module):
     """Logits of the 18 actions; pooling blocks by their maximum makes their order irrelevant."""
 
-    def __init__(self, hidden: int) -> None:
+    def __init__(self) -> None:
         super().__init__()
         self.block = nn.Sequential(nn.LazyLinear(64), nn.ReLU(), nn.Linear(64, 64), nn.ReLU())
         self.layers = nn.Sequential(
-            nn.LazyLinear(hidden),
+            nn.LazyLinear(HIDDEN),
             nn.ReLU(),
-            nn.Linear(hidden, hidden),
+            nn.Linear(HIDDEN, HIDDEN),
             nn.ReLU(),
-            nn.Linear(hidden, hidden),
+            nn.Linear(HIDDEN, HIDDEN),
             nn.ReLU(),
-            nn.Linear(hidden, NUM_ACTIONS),
+            nn.Linear(HIDDEN, NUM_ACTIONS),
         )
 
     def forward(self, own: Tensor, blocks: Tensor, near: Tensor) -> Tensor:

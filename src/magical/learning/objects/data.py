@@ -13,7 +13,7 @@ from magical.demos.store.trajectory import Trajectory
 from magical.errors import DemonstrationsError
 from magical.learning.data.expert_data import Rows, TaskTrajectories
 from magical.learning.objects.goals import relate_blocks
-from magical.learning.objects.hindsight import ROBOT_TARGET, find_goals, track
+from magical.learning.objects.hindsight import ROBOT_TARGET, find_carries, find_goals, track
 from magical.learning.objects.parser import ParsedFrames
 from magical.learning.objects.perception import Perception
 from magical.learning.objects.table import to_table, to_tensor
@@ -30,6 +30,11 @@ class ParsedDemonstration(NamedTuple):
     task: str
     trajectory: Trajectory  # of T steps
     parsed: ParsedFrames  # T + 1 frames, tracked
+
+    @property
+    def carries(self) -> list[tuple[int, int, int]]:
+        """See `find_carries`."""
+        return find_carries(self.parsed.robot, self.parsed.blocks, self.trajectory.is_intended)
 
 
 class ObjectData:
@@ -58,8 +63,7 @@ class ObjectData:
             DemonstrationsError: no samples are left of a task.
         """
         trajectories = [each.trajectory for each in demonstrations]
-        columns = zip(*(each.parsed for each in demonstrations), strict=True)
-        parsed = ParsedFrames(*(np.concatenate([c[:-1] for c in column]) for column in columns))
+        parsed = ParsedFrames.joined(each.parsed.select(slice(-1)) for each in demonstrations)
         goals = [find_goals(p.robot, p.blocks, t.is_intended) for _, t, p in demonstrations]
         targets, destinations = map(np.concatenate, zip(*goals, strict=True))
         actions = np.concatenate([each.labels for each in trajectories])
@@ -125,4 +129,4 @@ def parse_trajectory(trajectory: Trajectory, perception: Perception) -> ParsedFr
     for start in range(0, len(steps), CHUNK):
         frames = component.read(source, steps[start : start + CHUNK])  # (B, 3, 96, 96)
         parts.append(perception(frames.transpose(0, 2, 3, 1)))
-    return track(ParsedFrames(*map(np.concatenate, zip(*parts, strict=True))))
+    return track(ParsedFrames.joined(parts))

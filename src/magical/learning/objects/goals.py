@@ -30,6 +30,7 @@ LARGE = 30.0  # logits: where there is no block, the highest score counts as its
 DESTINATION = 2.0  # sparsity of the destinations' functions, times that of the others
 LEFT_OUT = 0.25  # norm of a function's values below which its relation is left out
 REFITTED = 0.2  # share of the sparsity that is kept after that
+SMOOTHNESS = 0.01  # weight of the squared second differences
 AT_PLACE, OUT_OF_GRIP = 0.06, 0.1  # units: less than any move; from the point between the fingers
 
 CELL = 2 * BORDER / CELLS  # units
@@ -82,7 +83,7 @@ class PiecewiseLinear(nn.Module):
         upper, lower = values.gather(1, first + above), values.gather(1, first + above - 1)
         return (upper * share + lower * (1.0 - share)).sum(dim=0).view(numbers.shape[:-1])
 
-    def penalty(self, sparsity: float, smoothness: float) -> Tensor:
+    def penalty(self, sparsity: float) -> Tensor:
         """A group lasso on the functions, which leaves few of them, and squared second differences.
 
         Yuan and Lin, "Model selection and estimation in regression with grouped variables" (2006).
@@ -91,12 +92,12 @@ class PiecewiseLinear(nn.Module):
         known = (self.values * self.used)[..., :-1]
         bends = known[..., 2:] - 2 * known[..., 1:-1] + known[..., :-2]
         sparse = (self.weights * norms).sum()
-        return sparsity * sparse + smoothness * (bends**2).sum()
+        return sparsity * sparse + SMOOTHNESS * (bends**2).sum()
 
     @torch.no_grad()
-    def leave_out(self, norm: float) -> None:
-        """Leave out, for good, the functions whose values have a smaller norm than this."""
-        self.used.mul_(self.values.norm(dim=2, keepdim=True) >= norm)
+    def leave_out(self) -> None:
+        """Leave out, for good, the functions whose values have a smaller norm than LEFT_OUT."""
+        self.used.mul_(self.values.norm(dim=2, keepdim=True) >= LEFT_OUT)
 
 
 class GoalModel(nn.Module):
@@ -188,16 +189,16 @@ class GoalModel(nn.Module):
         weights = self.destination_logits(table, targets, places, tasks).softmax(dim=1)
         return (weights[..., None] * places).sum(dim=1)
 
-    def penalty(self, sparsity: float, smoothness: float) -> Tensor:
+    def penalty(self, sparsity: float) -> Tensor:
         """The functions' penalties, a mean over tasks."""
-        choice = self.choice.penalty(sparsity, smoothness) + self.grip.penalty(sparsity, smoothness)
-        destination = self.destination.penalty(DESTINATION * sparsity, smoothness)
+        choice = self.choice.penalty(sparsity) + self.grip.penalty(sparsity)
+        destination = self.destination.penalty(DESTINATION * sparsity)
         return (choice + destination) / len(self.finished_bias)
 
     def leave_out(self) -> None:
-        """Leave out, for good, the functions whose values have a smaller norm than LEFT_OUT."""
+        """Leave out, for good, the functions with small values."""
         for part in (self.choice, self.grip, self.destination):
-            part.leave_out(LEFT_OUT)
+            part.leave_out()
 
 
 def goal_losses(

@@ -8,6 +8,8 @@ rectangle of a region colour, and the robot's body the disc of grey around the e
 """
 
 import math
+from collections.abc import Iterable
+from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -77,6 +79,15 @@ class ParsedFrames(NamedTuple):
     shapes: Ints  # (B, MAX_BLOCKS) positions in SHAPES
     regions: Floats  # (B, MAX_REGIONS, 4) centre x and y, half the width and the height
     region_colours: Ints  # (B, MAX_REGIONS)
+
+    def select(self, frames: slice) -> "ParsedFrames":
+        """Some of the frames."""
+        return ParsedFrames(*map(itemgetter(frames), self))
+
+    @staticmethod
+    def joined(parts: Iterable["ParsedFrames"]) -> "ParsedFrames":
+        """All frames of the parts, in order."""
+        return ParsedFrames(*map(np.concatenate, zip(*parts, strict=True)))
 
 
 def parse_frames(

@@ -180,7 +180,7 @@ def _nearest(distances: Tensor, mask: Tensor) -> Tensor:
 
 
 def _nearest_block(
-    scene: _Scene, colour: bool | None, shape: bool | None, in_region: bool | None = None
+    scene: _Scene, colour: bool | None, shape: bool | None, in_region: bool | None
 ) -> Tensor:
     """The distance to the nearest other block; None: whether or not it is so."""
     mask = scene.others

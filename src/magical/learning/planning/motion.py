@@ -16,7 +16,6 @@ from scipy.optimize import least_squares
 
 from magical.experts.geometry import wrap_angle
 from magical.learning.objects.data import ParsedDemonstration
-from magical.learning.objects.hindsight import find_carries
 from magical.learning.objects.table import GRIP
 from magical.scene.actions import to_continuous
 
@@ -116,7 +115,7 @@ def _steps(shown: ParsedDemonstration) -> _Steps:
     robot, actions = shown.parsed.robot, shown.trajectory.actions
     moved = robot_steps(robot[:-1], robot[1:])
     carried = np.zeros(len(actions), np.bool_)
-    for _, first, last in _carries(shown):
+    for _, first, last in shown.carries:
         carried[first : last + 1] = True
     return _Steps(moved[:-1], moved[1:], to_continuous(actions)[1:], carried[1:])
 
@@ -126,18 +125,13 @@ def _grasps(shown: ParsedDemonstration) -> Floats:
     _, trajectory, parsed = shown
     closed = (to_continuous(trajectory.actions)[:, 2] > 0) & trajectory.is_intended
     found = []
-    for block, first, last in _carries(shown):
+    for block, first, last in shown.carries:
         if closed[first : last + 1].any():
             step = first + int(closed[first : last + 1].argmax())
             while step and closed[step - 1]:
                 step -= 1
             found.append(to_robot(parsed.robot[step], parsed.blocks[step, block]))
     return np.reshape(found, (-1, 2))
-
-
-def _carries(shown: ParsedDemonstration) -> list[tuple[int, int, int]]:
-    """Block, first and last step of each carry, in order; random pushes are none."""
-    return find_carries(shown.parsed.robot, shown.parsed.blocks, shown.trajectory.is_intended)
 
 
 def robot_steps(before: Floats, after: Floats) -> Floats:

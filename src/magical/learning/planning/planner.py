@@ -25,7 +25,8 @@ from magical.learning.planning.remaining import (
     steps_to_place,
 )
 from magical.learning.planning.routes import Search
-from magical.scene.actions import Action, Gripper, Longitudinal, Turn, to_continuous
+from magical.scene import NOOP
+from magical.scene.actions import ACTIONS, Action, Gripper, to_continuous
 
 FIRST, SECOND = (1, 2, 3, 5), (1, 2, 4, 7)  # control steps of a plan's actions
 HORIZON = 13  # control steps that are rolled out: in the last one, what glides comes to rest
@@ -39,7 +40,7 @@ STILL, STILL_ANGLE = 0.01, 0.05  # units, rad in a step: a robot that moves less
 STUCK = 3  # control steps of standing still
 NEAR, LINGERING = 0.08, 15  # units, control steps: a robot that stays so near for so long is stuck
 
-MOVES = tuple(Action(drive, turn) for turn, drive in product(Turn, Longitudinal))
+MOVES = [each for each in ACTIONS if each.gripper is Gripper.OPEN]  # by their numbers
 
 
 class Situation(NamedTuple):
@@ -72,7 +73,7 @@ def _all_plans() -> _Plans:
     both = [each for each in product(moves, FIRST, moves, SECOND) if each[0] != each[2]]
     first, steps, second, more = np.array(sorted(alone + both, key=lambda plan: plan[0])).T
     time = np.arange(HORIZON)[:, None]
-    points = to_continuous([move.id for move in MOVES])[:, :2].astype(np.int64)
+    points = to_continuous(moves)[:, :2].astype(np.int64)
     then = np.where((time < steps + more)[..., None], points[second], 0)
     drives, turns = np.moveaxis(np.where((time < steps)[..., None], points[first], then), -1, 0)
     different, turning = np.unique(turns.T, axis=0, return_inverse=True)
@@ -84,10 +85,9 @@ PLANS = _all_plans()
 
 
 class Planner:
-    """Chooses the actions of one episode."""
+    """Chooses the actions of one episode, from its beginning."""
 
     def __init__(self, motion: Motion) -> None:
-        """Create the planner of an episode that begins."""
         self.motion = motion
         self._search = Search()
         self._still_steps = 0  # for which the robot has been standing still
@@ -109,11 +109,11 @@ class Planner:
         if held and self._held_steps <= CLOSING:
             return Action(gripper=grip).id
         costs = self._costs(seen, speeds, held)
-        if uniform is None:
-            return MOVES[int(costs.argmin())]._replace(gripper=grip).id
-        spread = STUCK_SPREAD if stuck else SPREAD
-        cumulative = np.exp((costs.min() - costs) / spread).cumsum()
-        chosen = int((uniform * cumulative[-1] >= cumulative).sum())
+        chosen = int(costs.argmin())
+        if uniform is not None:
+            spread = STUCK_SPREAD if stuck else SPREAD
+            cumulative = np.exp((costs.min() - costs) / spread).cumsum()
+            chosen = int((uniform * cumulative[-1] >= cumulative).sum())
         return MOVES[chosen]._replace(gripper=grip).id
 
     def _holds(self, seen: Situation) -> bool:
@@ -134,7 +134,7 @@ class Planner:
         best = (rows + by_move.shape[1] * np.arange(len(MOVES))[:, None]).ravel()
         costs = costs[best] + _collisions(seen, poses[1::STRIDE, best], held)
         cheapest: Floats = costs.reshape(len(MOVES), CHECKED).min(axis=1)
-        cheapest[MOVES.index(Action())] += STANDING
+        cheapest[NOOP] += STANDING
         return cheapest
 
     def _roll_out(self, pose: Floats, speeds: Floats, held: int) -> Floats:

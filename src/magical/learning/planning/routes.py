@@ -91,7 +91,6 @@ class Search:
     """Finds routes, anew only if something has moved since the last time."""
 
     def __init__(self) -> None:
-        """Create a search that has not found any."""
         self._arguments = np.empty(0)
 
     def __call__(

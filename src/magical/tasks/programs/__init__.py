@@ -24,7 +24,6 @@ from magical.tasks.programs.goals import (
     Together,
     Undisturbed,
     instruction,
-    is_success,
     progress,
 )
 from magical.tasks.programs.parsing import VOCABULARY, parse
@@ -103,7 +102,6 @@ __all__ = [
     "WithColour",
     "WithShape",
     "instruction",
-    "is_success",
     "parse",
     "problem",
     "progress",

@@ -4,11 +4,9 @@ An expression is a frozen dataclass. Its fields are expressions, or words such a
 are checked when it is made. Its `repr` is its text, which `magical.tasks.programs.parse` reads.
 """
 
-import typing
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from enum import StrEnum
-from functools import cache
 from typing import Any
 
 from magical.errors import InvalidProgramError, UnknownNameError
@@ -37,7 +35,7 @@ class Expression:
     """
 
     def __post_init__(self) -> None:
-        for name, kind in self._fields.items():
+        for name, kind in field_types(type(self)).items():
             value = getattr(self, name)
             if issubclass(kind, StrEnum):
                 try:
@@ -51,30 +49,23 @@ class Expression:
                 )
 
     @property
-    def _fields(self) -> Mapping[str, type]:
-        return field_types(type(self))
+    def values(self) -> list[Any]:
+        """The values of its fields, in order."""
+        return [getattr(self, name) for name in field_types(type(self))]
 
     def __repr__(self) -> str:
-        values = (getattr(self, name) for name in self._fields)
-        texts = (repr(str(v)) if isinstance(v, StrEnum) else repr(v) for v in values)
+        texts = (repr(str(v)) if isinstance(v, StrEnum) else repr(v) for v in self.values)
         return f"{type(self).__name__}({', '.join(texts)})"
 
     @property
     def parts(self) -> Iterator["Expression"]:
         """The expression and all within it."""
         yield self
-        for name in self._fields:
-            value = getattr(self, name)
+        for value in self.values:
             if isinstance(value, Expression):
                 yield from value.parts
 
 
 def field_types(kind: Any) -> Mapping[str, Any]:
     """The fields of a class of expressions, with their types."""
-    return _types(kind)
-
-
-@cache  # apart from `field_types`, whose callers give classes that mypy takes for unhashable
-def _types(kind: Any) -> Mapping[str, Any]:
-    hints = typing.get_type_hints(kind)
-    return {field.name: hints[field.name] for field in fields(kind)}
+    return {field.name: field.type for field in fields(kind)}

@@ -17,8 +17,8 @@ from magical.scene import Poses, Scene
 from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
 from magical.scene.geometry import Point, to_workspace
 from magical.tasks.programs.expressions import Attribute, Expression
-from magical.tasks.programs.places import InRegion, Place, depth_inside
-from magical.tasks.programs.selections import AllBlocks, Blocks, Selection, value_of
+from magical.tasks.programs.places import InRegion, OutOfRegions, Place, depth_inside
+from magical.tasks.programs.selections import AllBlocks, AllBut, Blocks, Selection, value_of
 from magical.tasks.programs.wording import Style, describe, name_regions, stay
 from magical.tasks.scoring import (
     INLIER_DISTANCE,
@@ -141,10 +141,7 @@ class Only(_OfBlocks):
         return 1.0 - len(inside - chosen) / len(inside) if inside else 1.0
 
     def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
-        points = positions(scene, poses)
-        others = AllBlocks().blocks(scene) - self.selection.blocks(scene)
-        units = {block: depth_inside(scene, points[block]) for block in others}
-        return [{block: left for block, left in units.items() if left > 0.0}]
+        return self.others.ways(scene, poses)
 
     def moved(self, scene: Scene) -> Blocks:
         return frozenset()
@@ -152,6 +149,11 @@ class Only(_OfBlocks):
     def sentence(self, scene: Scene, style: Style) -> str:
         place = name_regions(scene, style, "any")
         return f"{style.of(KEEP)} all other blocks out of {place}."
+
+    @cached_property
+    def others(self) -> Each:
+        """The goal that has the same ways: the other blocks at a place."""
+        return Each(AllBut(self.selection), OutOfRegions())
 
 
 class Exactly(_OfBlocks):
@@ -330,11 +332,6 @@ def _units_to_line(i: int, j: int, points: list[Point]) -> list[float]:
         gap = ux * (points[b][0] - points[a][0]) + uy * (points[b][1] - points[a][1])
         units[b] += max(0.0, gap - NEIGHBOUR_DISTANCE)
     return units
-
-
-def is_success(score: float) -> bool:
-    """Whether a score is a success (`SUCCESS`); the score itself stays the measure."""
-    return score > SUCCESS
 
 
 def instruction(goal: Goal, scene: Scene, *, paraphrase: int = 0, attributes: bool = True) -> str:

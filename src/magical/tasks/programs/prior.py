@@ -23,8 +23,8 @@ def bits(program: Expression) -> float:
 
 def bits_of_part(part: Expression) -> float:
     """Bits of an expression with its words, without those within it."""
-    words = (math.log2(len(each)) for each in field_types(type(part)).values() if _is_word(each))
-    return choice(type(part)) + sum(words)
+    kinds = field_types(type(part)).values()
+    return choice(type(part)) + sum(math.log2(len(k)) for k in kinds if issubclass(k, StrEnum))
 
 
 def choice(kind: type[Expression]) -> float:
@@ -37,9 +37,5 @@ def simple_expressions(base: type[Kind]) -> Iterator[Kind]:
     """All expressions of a kind whose fields are words."""
     for kind in VOCABULARY.values():
         words = field_types(kind).values()
-        if issubclass(kind, base) and all(map(_is_word, words)):
+        if issubclass(kind, base) and all(issubclass(word, StrEnum) for word in words):
             yield from (kind(*values) for values in product(*words))
-
-
-def _is_word(kind: object) -> bool:
-    return isinstance(kind, type) and issubclass(kind, StrEnum)

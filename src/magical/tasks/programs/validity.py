@@ -3,7 +3,7 @@
 import math
 
 from magical.scene import Poses, Scene
-from magical.tasks.programs.goals import Clustered, Goal, Together, is_success
+from magical.tasks.programs.goals import SUCCESS, Clustered, Goal, Together
 from magical.tasks.programs.selections import Selection, value_of
 
 
@@ -14,7 +14,7 @@ def problem(goal: Goal, scene: Scene) -> str:
             return f"{part!r} selects no block of the scene"
         if isinstance(part, Goal) and (reason := _unreachable(part, scene)):
             return f"{part!r}: {reason}"
-    if is_success(goal.score(scene, Poses.at_rest(scene))):
+    if goal.score(scene, Poses.at_rest(scene)) > SUCCESS:
         return f"{goal!r} is solved at the start"
     return ""
 
