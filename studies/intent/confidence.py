@@ -27,7 +27,7 @@ from magical.learning.objects.hindsight import ROBOT_TARGET
 from magical.scene import Poses, Scene, State
 from magical.tasks.axes import full_variant
 from magical.tasks.programs import Goal
-from magical.tasks.programs.goals import ROBOT
+from magical.tasks.programs.goals import ways_at_start
 from tools.readme_tables import table
 
 EDGES = (0.0, 0.5, 0.7, 0.9, 0.99, 1.0)
@@ -81,13 +81,13 @@ def decisions(
 
 def first_decision(belief: Belief, program: Goal, scene: Scene, poses: Poses) -> tuple[float, bool]:
     """How sure the belief is of its first move, and whether the program asks for it."""
-    intention, ways = Intention(belief, scene), program.ways(scene, poses)
+    intention, ways = Intention(belief, scene), ways_at_start(program, scene)
     confidence = intention.confidence(poses)
     decision = intention.decide(poses) if intention.is_known else None
     if decision is None:
-        return confidence, any(not way for way in ways)
-    thing = ROBOT if decision[0] == ROBOT_TARGET else decision[0]
-    return confidence, any(thing in way for way in ways)
+        return confidence, not ways.any(axis=1).all()
+    thing = -1 if decision[0] == ROBOT_TARGET else decision[0]
+    return confidence, bool(ways[:, thing].any())
 
 
 def by_confidence(cases: Iterable[Case]) -> Iterator[list[str]]:

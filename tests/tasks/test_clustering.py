@@ -68,7 +68,7 @@ def line_of_four(own: float, other: float) -> tuple[Scene, Poses]:
 @pytest.mark.parametrize(("own", "other"), [(0.3, 0.5), (0.1, 0.9)])
 def test_distances_are_squared_and_to_the_nearest_other_centroid(own: float, other: float) -> None:
     scene, poses = line_of_four(own, other)
-    found, nearest = centroid_distances(colours(scene), positions(scene, poses))
+    found, nearest = centroid_distances(colours(scene), np.array(positions(scene, poses)))
     assert found[0] == pytest.approx(own**2)
     assert nearest[0] == pytest.approx(other**2)
 
@@ -126,7 +126,7 @@ def test_half_or_fewer_clustered_score_zero(apart: int, moved: Move) -> None:
     scene = replace(demo, blocks=blocks)
     places = {i: CORNERS[i // 2] if i // 2 < apart else (0.0, 0.0) for i in range(8)}
     final = moved(scene, places)
-    own, other = centroid_distances(colours(scene), positions(scene, final))
+    own, other = centroid_distances(colours(scene), np.array(positions(scene, final)))
     assert np.count_nonzero(own < other / 3) == 2 * apart
     assert CLUSTER_COLOUR.score(scene, final) == 0.0
 

@@ -14,7 +14,7 @@ from magical.scene.geometry import Point
 INLIER_DISTANCE = 0.18  # units from a line, d_i (appendix A.2.4)
 NEIGHBOUR_DISTANCE = 0.42  # units along a line, d_c (appendix A.2.4)
 
-Distances = NDArray[np.float64]  # (number of blocks,) squared units
+Distances = NDArray[np.float64]  # (..., number of blocks) squared units
 
 
 def positions(scene: Scene, poses: Poses) -> list[Point]:
@@ -56,23 +56,23 @@ def line_through(a: Point, b: Point, blocks: Sequence[Point]) -> int:
 
 
 def centroid_distances(
-    values: Sequence[str], points: Sequence[Point]
+    values: Sequence[str], points: NDArray[np.float64]
 ) -> tuple[Distances, Distances]:
     """Squared distances to centroids.
 
     Args:
         values: of each block's attribute.
-        points: the blocks' centres, in units.
+        points: the blocks' centres (..., blocks, 2), in units.
 
     Returns:
-        Two arrays (blocks,) in squared units: each block's squared distance to the centroid of its
-        own value, and to the nearest centroid of another value.
+        Two arrays (..., blocks) in squared units: each block's squared distance to the centroid of
+        its own value, and to the nearest centroid of another value.
     """
     present = sorted(set(values))
-    centres = np.array(points)  # (blocks, 2)
     member = np.array([[value == a for a in present] for value in values])  # (blocks, values)
-    centroids = (member.T @ centres) / member.sum(axis=0)[:, None]  # (values, 2)
-    squared = np.square(centres[:, None] - centroids).sum(axis=2)  # (blocks, values)
-    own = np.where(member, squared, np.inf).min(axis=1)
-    other = np.where(member, np.inf, squared).min(axis=1)
+    centroids = (member.T @ points) / member.sum(axis=0)[:, None]  # (..., values, 2)
+    offsets = points[..., :, None, :] - centroids[..., None, :, :]
+    squared = np.square(offsets).sum(axis=-1)  # (..., blocks, values)
+    own = np.where(member, squared, np.inf).min(axis=-1)
+    other = np.where(member, np.inf, squared).min(axis=-1)
     return own, other

@@ -7,12 +7,11 @@ left to do.
 """
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
 from magical.experts.geometry import CONTACT_DISTANCE
-from magical.learning.intent.demonstrator import MOVE_COST, Floats, States
+from magical.learning.intent.demonstrator import MOVE_COST
 from magical.learning.intent.meanings import Chosen, replace_selections
 from magical.learning.intent.posterior import Belief
 from magical.learning.objects.hindsight import ROBOT_TARGET
@@ -24,6 +23,7 @@ from magical.scene.geometry import Point, to_workspace
 from magical.scene.poses import FIRST_BLOCK, ROBOT
 from magical.tasks import get_task
 from magical.tasks.programs import Goal, problem
+from magical.tasks.programs.states import Floats, States
 
 GOALS = 8  # the most probable ones that are acted on
 PRESSING = 0.8  # of the highest probability: what must move less probably comes later
@@ -71,8 +71,11 @@ class Intention:
         if len(blocks) and not robot_moves and (np.abs(blocks - self._blocks) < MOVED).all():
             return self._decision
         self._blocks = blocks.copy()
-        after = poses if self._decision is None else _moved(poses, *self._decision)
-        now, then = self._expected_work([poses, after]).tolist()
+        after = poses.bodies.copy()
+        if self._decision is not None:
+            thing, place = self._decision
+            after[_row(thing), :2] = place
+        now, then = self._expected_work(np.stack([poses.bodies, after])).tolist()
         kept = abs(now - self._work) < CHANGE if self._decision is None else now - then > MOVE_COST
         if not kept:
             self._decision = self._choose(poses)
@@ -104,7 +107,7 @@ class Intention:
 
     def _to_move(self, poses: Poses) -> list[tuple[set[int], float]]:
         """What has still to move by each goal, and the goal's probability."""
-        states = States(self.scene, [poses])
+        states = States(self.scene, poses.bodies[None])
         robot = len(self.scene.blocks)
         found = []
         for goal, weight in self.goals:
@@ -114,7 +117,7 @@ class Intention:
 
     def _choose(self, poses: Poses) -> Decision:
         """The best move of what must move most probably, else of the rest, if it is worth one."""
-        now = float(self._expected_work([poses])[0])
+        now = float(self._expected_work(poses.bodies[None])[0])
         if now <= MOVE_COST:
             return None
         wanted = self.probabilities(poses)
@@ -138,15 +141,18 @@ class Intention:
 
     def work_at_places(self, thing: int, poses: Poses) -> Floats:
         """Expected work if the thing lay at each place; more if it touched a block there."""
-        work = self._expected_work([_moved(poses, thing, (x, y)) for x, y in PLACES.tolist()])
+        bodies = np.repeat(poses.bodies[None], len(PLACES), axis=0)
+        bodies[:, _row(thing), :2] = PLACES
+        work = self._expected_work(bodies)
         if thing != ROBOT_TARGET:
             others = np.delete(poses.blocks[:, :2], thing, axis=0)
             gaps = np.linalg.norm(PLACES[:, None] - others, axis=2)
             work += CROWDED * (gaps < CLEARANCE).any(axis=1)
         return work
 
-    def _expected_work(self, poses: Sequence[Poses]) -> Floats:
-        states = States(self.scene, poses)
+    def _expected_work(self, bodies: Floats) -> Floats:
+        """In each state (P, 5 + N, 3)."""
+        states = States(self.scene, bodies)
         weights = [weight for _, weight in self.goals]
         expected: Floats = np.dot(weights, [states.work(goal) for goal, _ in self.goals])
         return expected
@@ -168,13 +174,6 @@ def confidence_by_variant(belief: Belief, task: str, scenes: int) -> dict[str, f
 
 def _row(thing: int) -> int:
     return ROBOT if thing == ROBOT_TARGET else FIRST_BLOCK + thing
-
-
-def _moved(poses: Poses, thing: int, place: Point) -> Poses:
-    """The poses after a thing was moved to a place."""
-    bodies = poses.bodies.copy()
-    bodies[_row(thing), :2] = place
-    return Poses(bodies)
 
 
 def _ways_to_places(thing: int, poses: Poses) -> Floats:

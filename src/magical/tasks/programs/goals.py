@@ -5,20 +5,21 @@ instruction. Goals are combined by `Together`, whose score is the product.
 """
 
 import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations, pairwise, product
+from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from magical.grouping import group_by
 from magical.scene import Poses, Scene
 from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
 from magical.scene.geometry import Point, to_workspace
 from magical.tasks.programs.expressions import Attribute, Expression
-from magical.tasks.programs.places import InRegion, OutOfRegions, Place, depth_inside
+from magical.tasks.programs.places import InRegion, OutOfRegions, Place, depths_in_regions
 from magical.tasks.programs.selections import AllBlocks, AllBut, Blocks, Selection, value_of
+from magical.tasks.programs.states import Floats, States
 from magical.tasks.programs.wording import Style, describe, name_regions, stay
 from magical.tasks.scoring import (
     INLIER_DISTANCE,
@@ -34,9 +35,6 @@ CLUSTER_NO_SCORE = 0.5  # fraction of blocks clustered up to which the score is 
 UNFINISHED = 0.5  # what every block that must move costs in `progress`, in units
 MOVE = ("Push", "Move", "Bring")  # one a paraphrase
 KEEP = ("Keep", "Leave", "Hold")
-ROBOT = None  # in place of a block's index
-
-Remaining = Mapping[int | None, float]  # block or `ROBOT` -> units that it has still to go
 
 
 @dataclass(frozen=True, repr=False)
@@ -47,8 +45,12 @@ class Goal(Expression):
         """The score, 0 to 1, of final poses in an episode that started from `scene`."""
         raise NotImplementedError
 
-    def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
-        """The ways to reach the goal: the blocks that must still move, and how far each."""
+    def ways(self, states: States) -> Floats:
+        """The W ways to reach the goal from each of P states: (P, W, N + 1).
+
+        A way is what each block, and last the robot, has still to do: 0 once it is where it should
+        be, otherwise `UNFINISHED` and the units that it has to go.
+        """
         raise NotImplementedError
 
     def moved(self, scene: Scene) -> Blocks:
@@ -80,15 +82,14 @@ class _Placed(_OfBlocks):
         chosen = sorted(self.selection.blocks(scene))
         return [self.place.degree(scene, block, points) for block in chosen]
 
-    def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
-        points = positions(scene, poses)
-        chosen = self.selection.blocks(scene)
-        units = {block: self.place.remaining(scene, block, points) for block in chosen}
-        return [{block: left for block, left in units.items() if left > 0.0}]
+    def ways(self, states: States) -> Floats:
+        chosen = sorted(self.selection.blocks(states.scene))
+        units = states.units(self.place)[:, chosen]
+        return _one_way(states, chosen, units, units > 0.0)
 
     def sentence(self, scene: Scene, style: Style) -> str:
         what = describe(self.selection, scene, style)
-        if not all(self.ways(scene, Poses.at_rest(scene))):
+        if not ways_at_start(self, scene).any(axis=1).all():
             return f"{style.of(KEEP)} {what} {stay(what, self.moved(scene))}."
         return f"{style.of(MOVE)} {what} {self.place.phrase(scene, style)}."
 
@@ -115,11 +116,10 @@ class OneOf(_Placed):
     def score(self, scene: Scene, poses: Poses) -> float:
         return float(max(self.degrees(scene, poses), default=0.0) >= 1.0)
 
-    def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
-        (remaining,) = super().ways(scene, poses)
-        if self.score(scene, poses) == 1.0:
-            return [{}]
-        return [{block: left} for block, left in remaining.items()] or [{}]
+    def ways(self, states: States) -> Floats:
+        ways = super().ways(states)
+        chosen = np.array(sorted(self.selection.blocks(states.scene)) or [-1])[:, None]
+        return np.where(np.arange(ways.shape[-1]) == chosen, ways, 0.0)
 
     def sentence(self, scene: Scene, style: Style) -> str:
         chosen = self.selection.blocks(scene)
@@ -140,8 +140,8 @@ class Only(_OfBlocks):
         inside = {i for i in range(len(points)) if InRegion().degree(scene, i, points)}
         return 1.0 - len(inside - chosen) / len(inside) if inside else 1.0
 
-    def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
-        return self.others.ways(scene, poses)
+    def ways(self, states: States) -> Floats:
+        return self.others.ways(states)
 
     def moved(self, scene: Scene) -> Blocks:
         return frozenset()
@@ -162,8 +162,8 @@ class Exactly(_OfBlocks):
     def score(self, scene: Scene, poses: Poses) -> float:
         return self.both.score(scene, poses)
 
-    def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
-        return self.both.ways(scene, poses)
+    def ways(self, states: States) -> Floats:
+        return self.both.ways(states)
 
     def sentence(self, scene: Scene, style: Style) -> str:
         return self.both.sentence(scene, style)
@@ -178,15 +178,13 @@ class Undisturbed(_OfBlocks):
     """Every region in which a selected block starts has the same blocks at the end: 1, else 0."""
 
     def score(self, scene: Scene, poses: Poses) -> float:
-        return float(all(before == after for before, after in self._contents(scene, poses)))
+        left, came = self._changes(scene, np.array(positions(scene, poses)))
+        return float(not (left | came).any())
 
-    def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
-        contents = self._contents(scene, poses)
-        left = {block for before, after in contents for block in before - after}
-        came = {block for before, after in contents for block in after - before}
-        points = positions(scene, poses)
-        units: dict[int | None, float] = {i: InRegion().remaining(scene, i, points) for i in left}
-        return [{**units, **{i: depth_inside(scene, points[i]) for i in came}}]
+    def ways(self, states: States) -> Floats:
+        left, came = self._changes(states.scene, states.points)
+        units = np.where(came, states.units(OutOfRegions()), states.units(InRegion()))
+        return _one_way(states, slice(len(states.scene.blocks)), units, left | came)
 
     def moved(self, scene: Scene) -> Blocks:
         return frozenset()
@@ -195,15 +193,16 @@ class Undisturbed(_OfBlocks):
         what = describe(self.selection, scene, style)
         return f"{style.of(KEEP)} {what} {stay(what, self.selection.blocks(scene))}."
 
-    def _contents(self, scene: Scene, poses: Poses) -> list[tuple[set[int], set[int]]]:
-        """The blocks at the start and now in each region that the goal is about."""
-        chosen, points = self.selection.blocks(scene), positions(scene, poses)
-        starts = [block.pose[:2] for block in scene.blocks]
-        both = [
-            [{i for i, xy in enumerate(at) if region.contains(*xy)} for at in (starts, points)]
-            for region in scene.regions
-        ]
-        return [(before, after) for before, after in both if before & chosen]
+    def _changes(self, scene: Scene, points: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Whether blocks at points (..., N, 2) left a region, or came into one: (..., N) each.
+
+        Of the regions in which a selected block starts.
+        """
+        starts = np.array([block.pose[:2] for block in scene.blocks])
+        before, after = (depths_in_regions(scene, at) >= 0.0 for at in (starts, points))
+        about = before[sorted(self.selection.blocks(scene))].any(axis=0)  # (R,)
+        left, came = before & ~after & about, after & ~before & about
+        return np.logical_or.reduce(left, axis=-1), np.logical_or.reduce(came, axis=-1)
 
 
 class Lined(_OfBlocks):
@@ -214,15 +213,14 @@ class Lined(_OfBlocks):
         missing = len(points) - longest_line(points)
         return {0: 1.0, 1: 0.5}.get(missing, 0.0) if len(points) > 1 else 0.0
 
-    def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
-        points, chosen = self._points(scene, poses), sorted(self.selection.blocks(scene))
-        if len(points) < 2:
-            return [{ROBOT: math.inf}]
-        lines = [_units_to_line(i, j, points) for i, j in combinations(range(len(points)), 2)]
-        return [
-            {block: left for block, left in zip(chosen, units, strict=True) if left > 0.0}
-            for units in lines
-        ]
+    def ways(self, states: States) -> Floats:
+        chosen = sorted(self.selection.blocks(states.scene))
+        if len(chosen) < 2:
+            return np.full((len(states.points), 1, len(states.scene.blocks) + 1), np.inf)
+        units = _units_to_lines(states.points[:, chosen])  # (P, W, K)
+        ways = np.zeros((*units.shape[:2], len(states.scene.blocks) + 1))
+        ways[..., chosen] = np.where(units > 0.0, UNFINISHED + units, 0.0)
+        return ways
 
     def sentence(self, scene: Scene, style: Style) -> str:
         verb = style.of(("Arrange", "Put", "Place"))
@@ -244,22 +242,18 @@ class Clustered(Goal):
         fraction = float(np.mean(own < other / 3))
         return max(0.0, fraction - CLUSTER_NO_SCORE) / (1.0 - CLUSTER_NO_SCORE)
 
-    def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
-        own, other = self.distances(scene, poses)
-        if (own < other / 3).all():
-            return [{}]
-        points = positions(scene, poses)
-        blocks = range(len(scene.blocks))
-        kinds = group_by(blocks, lambda i: value_of(scene.blocks[i], self.attribute))
-        gathered: dict[int | None, float] = {}
-        for alike in kinds.values():
-            ways: list[Remaining] = [_units_to_gather(centre, alike, points) for centre in alike]
-            nearest: Remaining = min(ways, key=_total)
-            gathered.update(nearest)
+    def ways(self, states: States) -> Floats:
+        scene, blocks = states.scene, range(len(states.scene.blocks))
+        own, other = centroid_distances(self._values(scene), states.points)  # (P, N) each
         too_far = np.sqrt(own) - np.sqrt(other / 3)
-        for block in np.flatnonzero(too_far >= 0.0).tolist():
-            gathered[block] = gathered.get(block, 0.0) + float(too_far[block])
-        return [gathered]
+        units = too_far.clip(min=0.0)
+        unfinished = too_far >= 0.0
+        for alike in group_by(blocks, self._values(scene).__getitem__).values():
+            gather = _units_to_gather(states.points[:, alike])
+            units[:, alike] += gather
+            unfinished[:, alike] |= gather > 0.0
+        unfinished &= (own >= other / 3).any(axis=1, keepdims=True)
+        return _one_way(states, slice(len(blocks)), units, unfinished)
 
     def moved(self, scene: Scene) -> Blocks:
         return AllBlocks().blocks(scene)
@@ -270,8 +264,10 @@ class Clustered(Goal):
 
     def distances(self, scene: Scene, poses: Poses) -> tuple[Distances, Distances]:
         """See `centroid_distances`: of each block to its own value's centroid, to another's."""
-        values = [value_of(block, self.attribute) for block in scene.blocks]
-        return centroid_distances(values, positions(scene, poses))
+        return centroid_distances(self._values(scene), np.array(positions(scene, poses)))
+
+    def _values(self, scene: Scene) -> list[str]:
+        return [value_of(block, self.attribute) for block in scene.blocks]
 
 
 class RobotInside(Goal):
@@ -281,9 +277,9 @@ class RobotInside(Goal):
         x, y, _ = poses.robot
         return float(any(region.contains(x, y) for region in scene.regions))
 
-    def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
-        way = InRegion().remaining(scene, 0, [poses.robot[:2]])
-        return [{ROBOT: way} if way > 0.0 else {}]
+    def ways(self, states: States) -> Floats:
+        units = InRegion().remaining(states.scene, states.robot[:, None])  # (P, 1)
+        return _one_way(states, [-1], units, units > 0.0)
 
     def sentence(self, scene: Scene, style: Style) -> str:
         verb = style.of(("Drive", "Go", "Move"))
@@ -300,9 +296,11 @@ class Together(Goal):
     def score(self, scene: Scene, poses: Poses) -> float:
         return self.first.score(scene, poses) * self.second.score(scene, poses)
 
-    def ways(self, scene: Scene, poses: Poses) -> list[Remaining]:
-        both = product(self.first.ways(scene, poses), self.second.ways(scene, poses))
-        return [{**first, **second} for first, second in both]
+    def ways(self, states: States) -> Floats:
+        first = states.ways_of_part(self.first)[:, :, None]
+        second = states.ways_of_part(self.second)[:, None]
+        both: Floats = np.where(second > 0.0, second, first)
+        return both.reshape(len(both), -1, both.shape[-1])
 
     def moved(self, scene: Scene) -> Blocks:
         return self.first.moved(scene) | self.second.moved(scene)
@@ -312,25 +310,45 @@ class Together(Goal):
         return f"{first} {second}"
 
 
-def _units_to_gather(centre: int, blocks: Sequence[int], points: list[Point]) -> Remaining:
-    """Units that blocks have to go to be beside one of them, without those that are there."""
-    units = {i: math.dist(points[i], points[centre]) - NEIGHBOUR_DISTANCE for i in blocks}
-    return {i: left for i, left in units.items() if left > 0.0}
+def _one_way(
+    states: States, which: slice | list[int], units: Floats, unfinished: NDArray[np.bool_]
+) -> Floats:
+    """The only way from each state: units (P, K) that K things have to go, if unfinished."""
+    ways = np.zeros((len(units), 1, len(states.scene.blocks) + 1))
+    ways[:, 0, which] = np.where(unfinished, UNFINISHED + units, 0.0)
+    return ways
 
 
-def _total(remaining: Remaining) -> float:
-    return sum(UNFINISHED + left for left in remaining.values())
+def ways_at_start(goal: Goal, scene: Scene) -> Floats:
+    """The ways (W, N + 1) to reach a goal from the scene."""
+    ways: Floats = goal.ways(States(scene, Poses.at_rest(scene).bodies[None]))[0]
+    return ways
 
 
-def _units_to_line(i: int, j: int, points: list[Point]) -> list[float]:
-    """Units that each block has to go for a line through blocks i and j."""
-    (x, y), length = points[i], math.dist(points[i], points[j]) or 1.0
-    ux, uy = (points[j][0] - x) / length, (points[j][1] - y) / length
-    units = [max(0.0, abs(ux * (py - y) - uy * (px - x)) - INLIER_DISTANCE) for px, py in points]
-    order = sorted(range(len(points)), key=lambda k: ux * points[k][0] + uy * points[k][1])
-    for a, b in pairwise(order):
-        gap = ux * (points[b][0] - points[a][0]) + uy * (points[b][1] - points[a][1])
-        units[b] += max(0.0, gap - NEIGHBOUR_DISTANCE)
+def _units_to_gather(points: Floats) -> Floats:
+    """Units (P, K) that blocks at (P, K, 2) have to go to be beside the best one of them."""
+    offsets = points[:, :, None] - points[:, None]
+    units = (np.hypot(*np.moveaxis(offsets, -1, 0)) - NEIGHBOUR_DISTANCE).clip(min=0.0)
+    work = np.where(units > 0.0, UNFINISHED + units, 0.0).sum(axis=2)  # (P, K) around each
+    best: Floats = units[np.arange(len(points)), work.argmin(axis=1)]
+    return best
+
+
+def _units_to_lines(points: Floats) -> Floats:
+    """Units (P, W, K) that blocks at (P, K, 2) have to go for lines through each two of them."""
+    first, second = np.array(list(combinations(range(points.shape[1]), 2))).T
+    start = points[:, first]  # (P, W, 2)
+    along = points[:, second] - start
+    length = np.hypot(along[..., :1], along[..., 1:])
+    ux, uy = np.moveaxis(along / np.where(length > 0.0, length, 1.0), -1, 0)[..., None]
+    x, y = np.moveaxis(points[:, None] - start[:, :, None], -1, 0)  # (P, W, K) each
+    units: Floats = (np.abs(ux * y - uy * x) - INLIER_DISTANCE).clip(min=0.0)
+    place = ux * x + uy * y
+    order = place.argsort(axis=-1, kind="stable")
+    gaps = np.diff(np.take_along_axis(place, order, axis=-1), axis=-1)
+    following = order[..., 1:]
+    more = np.take_along_axis(units, following, axis=-1) + (gaps - NEIGHBOUR_DISTANCE).clip(min=0.0)
+    np.put_along_axis(units, following, more, axis=-1)
     return units
 
 
@@ -360,12 +378,13 @@ def progress(goal: Goal, scene: Scene, poses: Poses) -> float:
     to zero over a loop, and it falls neither where a block is finished and the next one is far nor
     where another way becomes better.
     """
-    points = positions(scene, poses)
+    states = States(scene, poses.bodies[None])
     between_fingers = to_workspace((0.0, ROBOT_RADIUS + BLOCK_SIZE), poses.robot)
+    points = positions(scene, poses)
+    ways: list[list[float]] = goal.ways(states)[0].tolist()
     return -min(
-        _total(remaining)
-        + _way_along(between_fingers, [points[i] for i in remaining if i is not None])
-        for remaining in goal.ways(scene, poses)
+        sum(way) + _way_along(between_fingers, [point for i, point in enumerate(points) if way[i]])
+        for way in ways
     )
 
 

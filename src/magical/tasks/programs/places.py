@@ -4,12 +4,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from magical.scene import Region, Scene
+import numpy as np
+
+from magical.scene import Scene
 from magical.scene.constants import WORKSPACE_HALF
 from magical.scene.geometry import Point
 from magical.scene.vocabulary import Corner, Wall
 from magical.tasks.programs.expressions import Expression
 from magical.tasks.programs.selections import Selection
+from magical.tasks.programs.states import Floats
 from magical.tasks.programs.wording import Style, describe, name_regions
 from magical.tasks.scoring import NEIGHBOUR_DISTANCE
 
@@ -24,14 +27,14 @@ CORNERS = {
 
 @dataclass(frozen=True, repr=False)
 class Place(Expression):
-    """Where a block may be. `points` are all blocks' centres in units, by index."""
+    """Where a block may be. `points` are all N blocks' centres in units."""
 
     def degree(self, scene: Scene, block: int, points: Sequence[Point]) -> float:
         """How well a block is placed, from 0 to 1 (there)."""
-        return float(self.remaining(scene, block, points) <= 0.0)
+        return float(self.remaining(scene, np.array(points))[block] <= 0.0)
 
-    def remaining(self, scene: Scene, block: int, points: Sequence[Point]) -> float:
-        """Units that a block has still to go, 0.0 once it is there."""
+    def remaining(self, scene: Scene, points: Floats) -> Floats:
+        """Units (..., N) that blocks at points (..., N, 2) have still to go, 0.0 once there."""
         raise NotImplementedError
 
     def phrase(self, scene: Scene, style: Style) -> str:
@@ -45,8 +48,9 @@ class InRegion(Place):
     def degree(self, scene: Scene, block: int, points: Sequence[Point]) -> float:
         return float(any(region.contains(*points[block]) for region in scene.regions))
 
-    def remaining(self, scene: Scene, block: int, points: Sequence[Point]) -> float:
-        return min((_distance_to(r, points[block]) for r in scene.regions), default=math.inf)
+    def remaining(self, scene: Scene, points: Floats) -> Floats:
+        nearest: Floats = _distances_to_regions(scene, points).min(axis=-1, initial=np.inf)
+        return nearest
 
     def phrase(self, scene: Scene, style: Style) -> str:
         return f"into {name_regions(scene, style)}"
@@ -55,10 +59,12 @@ class InRegion(Place):
 class InOwnColour(Place):
     """Inside a region of the block's own colour."""
 
-    def remaining(self, scene: Scene, block: int, points: Sequence[Point]) -> float:
-        colour = scene.blocks[block].colour
-        own = (_distance_to(r, points[block]) for r in scene.regions if r.colour == colour)
-        return min(own, default=math.inf)
+    def remaining(self, scene: Scene, points: Floats) -> Floats:
+        colours = np.array([region.colour for region in scene.regions])
+        others = np.array([block.colour for block in scene.blocks])[:, None] != colours  # (N, R)
+        distances = np.where(others, np.inf, _distances_to_regions(scene, points))
+        nearest: Floats = distances.min(axis=-1, initial=np.inf)
+        return nearest
 
     def phrase(self, scene: Scene, style: Style) -> str:
         return "into the region of its colour"
@@ -70,8 +76,9 @@ class OutOfRegions(Place):
     def degree(self, scene: Scene, block: int, points: Sequence[Point]) -> float:
         return float(not any(region.contains(*points[block]) for region in scene.regions))
 
-    def remaining(self, scene: Scene, block: int, points: Sequence[Point]) -> float:
-        return depth_inside(scene, points[block])
+    def remaining(self, scene: Scene, points: Floats) -> Floats:
+        deepest: Floats = depths_in_regions(scene, points).max(axis=-1, initial=0.0)
+        return deepest
 
     def phrase(self, scene: Scene, style: Style) -> str:
         return f"out of {name_regions(scene, style, 'any')}"
@@ -84,13 +91,16 @@ class InCorner(Place):
     corner: Corner
 
     def degree(self, scene: Scene, block: int, points: Sequence[Point]) -> float:
-        beyond = self.remaining(scene, block, points)
+        beyond = max(0.0, math.dist(points[block], self._point) - CORNER_FULL_SCORE)
         return max(0.0, 1.0 - beyond / (CORNER_NO_SCORE - CORNER_FULL_SCORE))
 
-    def remaining(self, scene: Scene, block: int, points: Sequence[Point]) -> float:
+    def remaining(self, scene: Scene, points: Floats) -> Floats:
+        return (_norm(points - self._point) - CORNER_FULL_SCORE).clip(min=0.0)
+
+    @property
+    def _point(self) -> Point:
         x, y = CORNERS[self.corner]
-        corner = x * WORKSPACE_HALF, y * WORKSPACE_HALF
-        return max(0.0, math.dist(points[block], corner) - CORNER_FULL_SCORE)
+        return x * WORKSPACE_HALF, y * WORKSPACE_HALF
 
     def phrase(self, scene: Scene, style: Style) -> str:
         return f"to the {self.corner} corner"
@@ -102,10 +112,11 @@ class AtWall(Place):
 
     wall: Wall
 
-    def remaining(self, scene: Scene, block: int, points: Sequence[Point]) -> float:
-        x, y = points[block]
+    def remaining(self, scene: Scene, points: Floats) -> Floats:
+        x, y = points[..., 0], points[..., 1]
         along = {Wall.LEFT: -x, Wall.RIGHT: x, Wall.BOTTOM: -y, Wall.TOP: y}[self.wall]
-        return max(0.0, WORKSPACE_HALF - WALL_ZONE - along)
+        left: Floats = (WORKSPACE_HALF - WALL_ZONE - along).clip(min=0.0)
+        return left
 
     def phrase(self, scene: Scene, style: Style) -> str:
         return f"to the {self.wall} wall"
@@ -117,29 +128,41 @@ class Beside(Place):
 
     selection: Selection
 
-    def remaining(self, scene: Scene, block: int, points: Sequence[Point]) -> float:
-        others = self.selection.blocks(scene) - {block}
-        nearest = min((math.dist(points[block], points[i]) for i in others), default=math.inf)
-        return max(0.0, nearest - NEIGHBOUR_DISTANCE)
+    def remaining(self, scene: Scene, points: Floats) -> Floats:
+        chosen = np.array(sorted(self.selection.blocks(scene)), np.intp)
+        away = _norm(points[..., :, None, :] - points[..., None, chosen, :])
+        away[..., chosen, np.arange(len(chosen))] = np.inf  # no block is beside itself
+        left: Floats = away.min(axis=-1, initial=np.inf) - NEIGHBOUR_DISTANCE
+        return left.clip(min=0.0)
 
     def phrase(self, scene: Scene, style: Style) -> str:
         return f"next to {describe(self.selection, scene, style)}"
 
 
-def depth_inside(scene: Scene, point: Point) -> float:
-    """Units from a point to the nearest edge of a region that it is inside, 0.0 outside all."""
-    x, y = point
-    depths = (
-        min(x - r.x, r.x + r.width - x, r.y - y, y - r.y + r.height)
-        for r in scene.regions
-        if r.contains(x, y)
-    )
-    return max(depths, default=0.0)
+def depths_in_regions(scene: Scene, points: Floats) -> Floats:
+    """Units (..., R) from points (..., 2) to the nearest edge of each region, negative outside."""
+    x, y = points[..., 0, None], points[..., 1, None]
+    left, top, width, height = _rectangles(scene)
+    across = np.minimum(x - left, left + width - x)
+    depths: Floats = np.minimum(across, np.minimum(top - y, y - (top - height)))
+    return depths
 
 
-def _distance_to(region: Region, point: Point) -> float:
-    """Units from a point to a region, 0.0 inside."""
-    x, y = point
-    across = max(region.x - x, 0.0, x - region.x - region.width)
-    down = max(region.y - region.height - y, 0.0, y - region.y)
-    return math.hypot(across, down)
+def _distances_to_regions(scene: Scene, points: Floats) -> Floats:
+    """Units (..., R) from points (..., 2) to each region, 0.0 inside."""
+    x, y = points[..., 0, None], points[..., 1, None]
+    left, top, width, height = _rectangles(scene)
+    across = np.maximum(left - x, x - left - width).clip(min=0.0)
+    down = np.maximum(top - height - y, y - top).clip(min=0.0)
+    distances: Floats = np.hypot(across, down)
+    return distances
+
+
+def _rectangles(scene: Scene) -> Floats:
+    """Left and top edges, widths and heights of the regions: (4, R)."""
+    return np.array([(r.x, r.y, r.width, r.height) for r in scene.regions]).reshape(-1, 4).T
+
+
+def _norm(offsets: Floats) -> Floats:
+    """The lengths (...) of offsets (..., 2)."""
+    return np.hypot(offsets[..., 0], offsets[..., 1])

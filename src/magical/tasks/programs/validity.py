@@ -1,9 +1,9 @@
 """Whether an episode can have a program as its goal in a given scene."""
 
-import math
+import numpy as np
 
 from magical.scene import Poses, Scene
-from magical.tasks.programs.goals import SUCCESS, Clustered, Goal, Together
+from magical.tasks.programs.goals import SUCCESS, Clustered, Goal, Together, ways_at_start
 from magical.tasks.programs.selections import Selection, value_of
 
 
@@ -26,6 +26,5 @@ def _unreachable(goal: Goal, scene: Scene) -> str:
         return "" if len(kinds) > 1 else "expected blocks of at least two values, found fewer"
     if isinstance(goal, Together):
         return ""
-    ways = goal.ways(scene, Poses.at_rest(scene))
-    reachable = any(math.inf not in remaining.values() for remaining in ways)
+    reachable = np.isfinite(ways_at_start(goal, scene)).all(axis=1).any()
     return "" if reachable else "there is no such place in the scene"
