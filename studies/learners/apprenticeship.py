@@ -156,7 +156,7 @@ def imitate(
     torch.manual_seed(seed)
     envs, network = PoseEnvs(config, rng), PoseActorCritic()
     optimizer = torch.optim.Adam(network.parameters(), LEARNING_RATE)
-    normaliser = RewardNormaliser(1, config.reward_std, "cpu", reward_floor(config.networks))
+    normaliser = RewardNormaliser(1, config.reward_std, reward_floor(config.networks))
     expert_features = encode_expert(expert, encode)
     novice: deque[Tensor] = deque(maxlen=ROLLOUTS)
     updates = steps // config.ppo.steps_per_update

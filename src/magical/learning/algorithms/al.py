@@ -248,8 +248,8 @@ def imitate(
 ) -> None:
     """Compute w and update the policy, in alternation."""
     replay_buffer = ReplayBuffer(ROLLOUTS, ppo.envs.task_of)
-    floor = reward_floor(config.networks)
-    normaliser = RewardNormaliser(1, config.reward_std, ppo.device, floor)
+    normaliser = RewardNormaliser(1, config.reward_std, reward_floor(config.networks))
+    normaliser.to(ppo.device)
     if run.saved and "apprentice" in run.saved:
         saved = run.saved["apprentice"]
         with restoring(run.folder):

@@ -188,11 +188,8 @@ class DiscriminatorTrainer:
         self._expert = expert
         self._replay_buffer = replay_buffer
         self._normaliser = RewardNormaliser(
-            len(config.tasks),
-            config.discriminator.reward_std,
-            compute.device,
-            reward_floor(config.networks),
-        )
+            len(config.tasks), config.discriminator.reward_std, reward_floor(config.networks)
+        ).to(compute.device)
         self._augmentations = config.networks.augmentations(config.discriminator.augment)
         self._compute = compute
         self._loss = loss
