@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
 import torch
@@ -253,8 +252,8 @@ class BCTrainer:
         self,
         data: ExpertData,
         until: int,
-        extra_metrics: Mapping[str, float] = MappingProxyType({}),
-        extra_state: Mapping[str, Any] = MappingProxyType({}),
+        extra_metrics: Mapping[str, float] = {},
+        extra_state: Mapping[str, Any] = {},
     ) -> bool:
         """Train on `data` from the run's step until step `until`; true if the run stops before.
 
