@@ -16,6 +16,7 @@ from magical.errors import InvalidConfigError, PluginError, UnknownNameError
 from magical.learning.augmentation.names import Augmentations, parse_augmentations
 from magical.learning.networks import is_pretrained, network_names
 from magical.learning.settings import (
+    DEVICES,
     MAX_THREADS,
     NOT_NEGATIVE,
     POSITIVE,
@@ -133,7 +134,7 @@ class Config(Settings):
     seed: int = option(
         0, "determines demonstrations, initialisation, minibatches and episodes", NOT_NEGATIVE
     )
-    device: str = option("auto", "where to compute", choices=("auto", "cpu", "cuda"))
+    device: str = option("auto", "where to compute", choices=DEVICES)
     # PPO compares ratios with a clip range of 0.01: bfloat16's resolution is nearly as coarse.
     precision: str = option(
         "float32",

@@ -14,6 +14,7 @@ from magical.messages import quoted
 from magical.plugins import is_plugin
 from magical.untrusted import convert
 
+DEVICES = ("auto", "cpu", "cuda")
 MAX_THREADS = 4096  # of a CPU
 Check = tuple[Callable[[float], bool], str]
 POSITIVE: Check = (lambda number: number > 0, "a number above 0")

@@ -12,14 +12,13 @@ from msgspec import Meta
 from torch import Tensor
 
 from magical.errors import DeviceError, RunFolderError
-from magical.learning.settings import MAX_THREADS
+from magical.learning.settings import DEVICES, MAX_THREADS
 from magical.messages import quoted
 from magical.runs.folder import RECORD
 from magical.untrusted import convert
 
 Device = Literal["cpu", "cuda"]
 Precision = Literal["float32", "bfloat16"]
-DEVICES = ("auto", "cpu", "cuda")
 OLDER_INSTRUCTIONS = ("DEFAULT", "NO AVX", "AVX2")  # PyTorch's names
 
 
