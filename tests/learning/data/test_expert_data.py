@@ -9,18 +9,17 @@ import pytest
 
 from magical.demos import Actor, Dataset, DatasetWriter, Trajectory, observations
 from magical.errors import DemonstrationsError
+from magical.learning.config import IMAGE_OBSERVATIONS
 from magical.learning.data.expert_data import ExpertData, sample_demonstrations, split_evenly
 from magical.observe import PRESETS
 from tests.learning.conftest import STEPS, TASKS, picture_demo
-
-ONE_ARRAY = [name for name, spec in PRESETS.items() if not spec.separate]
 
 
 def pairs(trajectories: list[Trajectory], task: str) -> list[tuple[str, Trajectory]]:
     return [(task, t) for t in trajectories if t.task.name == task]
 
 
-@pytest.mark.parametrize("preset", ONE_ARRAY)
+@pytest.mark.parametrize("preset", IMAGE_OBSERVATIONS)
 def test_images_are_what_the_environment_showed(
     preset: str, trajectories: list[Trajectory]
 ) -> None:

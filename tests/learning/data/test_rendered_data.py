@@ -16,6 +16,7 @@ from magical.learning import train
 from magical.learning.algorithms.bc import BCConfig
 from magical.learning.augmentation.augment import NOISE_STD
 from magical.learning.augmentation.names import SETS, parse_augmentations
+from magical.learning.config import IMAGE_OBSERVATIONS
 from magical.learning.data.expert_data import ExpertData
 from magical.learning.data.rendered_data import RenderedExpertData, choose_image_data
 from magical.observe import PRESETS
@@ -23,7 +24,6 @@ from magical.runs.folder import RECORD, read_json
 from tests.learning.conftest import picture_demo
 from tests.learning.tiny_runs import tiny
 
-PIXELS = [name for name, spec in PRESETS.items() if not spec.separate]
 TASKS = ("MoveToRegion", "MatchRegions")
 Pairs = list[tuple[str, Trajectory]]
 
@@ -48,7 +48,7 @@ def both(pairs: Pairs, preset: str) -> tuple[ExpertData, RenderedExpertData]:
     return stored, RenderedExpertData(pairs, TASKS, spec, remove_noops=True)
 
 
-@pytest.mark.parametrize("preset", PIXELS)
+@pytest.mark.parametrize("preset", IMAGE_OBSERVATIONS)
 def test_without_augmentation_the_frames_are_the_stored_ones(pairs: Pairs, preset: str) -> None:
     stored, rendered = both(pairs, preset)
     assert len(stored) == len(rendered)
