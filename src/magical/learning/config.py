@@ -311,12 +311,12 @@ class Config(Settings):
             InvalidConfigError: unknown or missing settings, or settings that cannot be.
         """
         try:
-            return cls._of(cls.modernised(data))
+            return cls._of(cls._modernised(data))
         except ValueError as error:
             raise InvalidConfigError(f"{what}: {error}") from error
 
     @classmethod
-    def modernised(cls, data: Mapping[str, Any]) -> dict[str, Any]:
+    def _modernised(cls, data: Mapping[str, Any]) -> dict[str, Any]:
         """The settings that a configuration of an older version means, by today's names.
 
         What it did in training with options that are constants now is not kept; `runs` refuses to
@@ -324,8 +324,10 @@ class Config(Settings):
         """
         known = {name_of(field) for _, field, _ in all_fields(cls)}
         settings = {RENAMED.get(name, name): value for name, value in data.items()}
-        if "conventions" not in settings and settings.get("pixel_range") == "symmetric":
-            settings["conventions"] = PUBLISHED
+        if settings.get("pixel_range") == "symmetric":
+            settings.setdefault("conventions", PUBLISHED)
+        if "autoencoder" in known and settings.get("linear_features") is True:
+            settings.setdefault("autoencoder", "refined")
         return {n: value for n, value in settings.items() if n in known or n not in REMOVED}
 
 

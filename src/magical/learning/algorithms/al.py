@@ -130,12 +130,6 @@ class ALConfig(ReinforcementConfig):
         pretraining = self.pretraining_batches * self.pretraining_batch_size
         return 2 * pretraining + super().training_samples
 
-    @classmethod
-    def modernised(cls, data: Mapping[str, Any]) -> dict[str, Any]:
-        """As `Config.modernised`; older versions had an option for each refinement."""
-        refined = {"autoencoder": REFINED} if data.get("linear_features") is True else {}
-        return super().modernised({**refined, **data})
-
 
 def train(config: ALConfig, run: Run) -> None:
     """Pretrain the autoencoder, then imitate demonstrations."""
