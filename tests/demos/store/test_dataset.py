@@ -41,26 +41,6 @@ def test_round_trip_is_exact(
         assert encode(trajectory) == encode(decode(encode(trajectory)))
 
 
-def test_labels_in_the_metadata_of_earlier_versions_are_read(
-    make_trajectory: MakeTrajectory,
-) -> None:
-    metadata = {"expert_actions": [0, 17, 3], "round": 1}
-    earlier = make_trajectory(steps=3, demonstrator="dagger", metadata=metadata)
-    read = decode(encode(earlier))
-    assert read.actions.tolist() == earlier.actions.tolist()
-    assert (read.labels.tolist(), read.metadata) == ([0, 17, 3], {"round": 1})
-    assert_equal(read, decode(encode(read)))
-    other = make_trajectory(steps=3, metadata=metadata)
-    assert_equal(other, decode(encode(other)))
-    malformed: list[Any] = [[0, 17], [0, 17, 18], ["a"] * 3, [[1], [2, 3]], 3, {}]
-    for wrong in malformed:
-        damaged = make_trajectory(
-            steps=3, demonstrator="dagger", metadata={"expert_actions": wrong}
-        )
-        with pytest.raises(DatasetError, match="expected a trajectory"):
-            decode(encode(damaged))
-
-
 def test_a_task_that_is_not_registered_is_named(make_trajectory: MakeTrajectory) -> None:
     register_task(replace(get_task("MakeLine"), name="Gone", section=""))
     try:

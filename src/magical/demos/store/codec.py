@@ -237,14 +237,7 @@ def _trajectory(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Traj
         actions=arrays["actions"],
         poses=arrays.get("poses"),
         frames=frames or None,
-        expert_actions=_expert_actions(header, arrays),
+        expert_actions=arrays.get("expert_actions"),
         actors=arrays.get("actors"),
         policy_actions=arrays.get("policy_actions"),
     )
-
-
-def _expert_actions(header: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Any:
-    """The expert's actions; they were once stored in the metadata of DAgger's episodes."""
-    if "expert_actions" in arrays or header["demonstrator"] != "dagger":
-        return arrays.get("expert_actions")
-    return header["metadata"].pop("expert_actions", None)
