@@ -13,7 +13,7 @@ such, or `dict[str, Any]`. Ranges and lengths are written in its fields
 its `ValueError` is reported with the field's name in front. A field that the type does not have is
 refused, an integer is accepted as a float, and nothing else is converted.
 
-- `parse_json`, `parse_toml`: from the text or bytes of a message.
+- `parse_json`: from the text or bytes of a message.
 - `read_json`, `read_toml`, `read_json_lines`: from a regular file of bounded size.
 - `convert`: from plain data that has been parsed already.
 """
@@ -66,22 +66,6 @@ def parse_json(data: bytes | str, kind: Kind[T], what: str, error: type[MagicalE
     return convert(plain, kind, what, error)
 
 
-def parse_toml(data: bytes, kind: Kind[T], what: str, error: type[MagicalError]) -> T:
-    """A record from TOML of at most `MAX_TOML_BYTES`; arguments and errors as in `parse_json`."""
-    try:
-        text = data.decode()
-        if len(data) > MAX_TOML_BYTES or max(map(len, text.split("\n"))) > MAX_TOML_LINE:
-            raise ValueError(
-                f"more than {MAX_TOML_BYTES} bytes, or than {MAX_TOML_LINE} characters in a line"
-            )
-        plain = tomllib.loads(text)
-    except (ValueError, RecursionError) as problem:
-        raise error(
-            f"{what}: expected TOML, found something else: {printable(str(problem))}"
-        ) from problem
-    return convert(plain, kind, what, error)
-
-
 def read_json(
     path: Path, kind: Kind[T], error: type[MagicalError], *, max_bytes: int = MAX_BYTES
 ) -> T:
@@ -102,7 +86,17 @@ def read_json(
 
 def read_toml(path: Path, kind: Kind[T], error: type[MagicalError]) -> T:
     """A record from a TOML file; arguments and errors as in `read_json`."""
-    return parse_toml(_read(path, MAX_TOML_BYTES, error), kind, str(path), error)
+    data = _read(path, MAX_TOML_BYTES, error)
+    try:
+        text = data.decode()
+        if max(map(len, text.split("\n"))) > MAX_TOML_LINE:
+            raise ValueError(f"more than {MAX_TOML_LINE} characters in a line")
+        plain = tomllib.loads(text)
+    except (ValueError, RecursionError) as problem:
+        raise error(
+            f"{path}: expected TOML, found something else: {printable(str(problem))}"
+        ) from problem
+    return convert(plain, kind, str(path), error)
 
 
 def read_json_lines(path: Path, kind: Kind[T], error: type[MagicalError]) -> Iterator[T]:
