@@ -247,7 +247,7 @@ def read_manifest(folder: Path) -> tuple[list[ManifestEntry], list[Problem]]:
     ]
     listed = {entry.file for entry in entries}
     problems += [
-        Problem(printable(str(path), MAX_MESSAGE), f"not in the manifest; {manifest.ADVICE}")
+        Problem(str(path), f"not in the manifest; {manifest.ADVICE}")
         for path in stored_files(folder)
         if f"{manifest.FOLDER}/{path.name}" not in listed
     ]

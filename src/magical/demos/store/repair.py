@@ -8,18 +8,10 @@ from pathlib import Path
 
 from magical.demos.store import manifest
 from magical.demos.store.codec import MAX_FILE, decode
-from magical.demos.store.dataset import (
-    MAX_MESSAGE,
-    Dataset,
-    Problem,
-    read_file,
-    read_manifest,
-    stored_files,
-)
+from magical.demos.store.dataset import Dataset, Problem, read_file, read_manifest, stored_files
 from magical.demos.store.manifest import ManifestEntry
 from magical.errors import DatasetError, UnknownNameError
 from magical.files import LOCK, locked, write_atomically
-from magical.messages import printable
 
 
 def repair(path: Path | str) -> list[Problem]:
@@ -44,7 +36,7 @@ def repair(path: Path | str) -> list[Problem]:
         listed = {entry.file: entry for entry in entries}
         kept, damaged, files = [], [], stored_files(folder)
         for name in sorted(listed.keys() - {f"{manifest.FOLDER}/{file.name}" for file in files}):
-            problems.append(Problem(printable(str(folder / name), MAX_MESSAGE), "is missing"))
+            problems.append(Problem(str(folder / name), "is missing"))
         for file in files:
             raw = _read(file)
             try:
@@ -56,7 +48,7 @@ def repair(path: Path | str) -> list[Problem]:
                     raise DatasetError(
                         f"{file}: {error.__cause__}; import the module that registers its task"
                     ) from error
-                problems.append(Problem(printable(str(file), MAX_MESSAGE), str(error)))
+                problems.append(Problem(str(file), str(error)))
                 damaged.append(file)
         for file in damaged:
             _set_aside(file, folder / "damaged")
