@@ -22,7 +22,7 @@ from pathlib import Path
 from magical.errors import MagicalError, ResultsError
 from magical.evaluation import Entry, read_entry
 from magical.experiments.results import DONE, read_state
-from magical.files import open_regular, sha256_sum, write_atomically
+from magical.files import sha256_sum, write_atomically
 from magical.learning.running.checkpoints import load_newest_checkpoint, save_checkpoint
 from magical.runs.folder import CHECKPOINT, CONFIG, RECORD, read_json, write_json
 from magical.runs.plan import RUNS
@@ -62,7 +62,7 @@ def pack(source: Path, results: Path, out: Path, seed: int = 0) -> list[str]:
         {
             "file": out.name,
             "bytes": out.stat().st_size,
-            "sha256": _digest(out),
+            "sha256": sha256_sum(out, follow_links=True),
             "seed": seed,
             "runs": list(entries),
         },
@@ -80,7 +80,7 @@ def unpack(archive: Path, results: Path, out: Path) -> list[str]:
     if not (results / WEIGHTS).exists():
         raise ResultsError(f"{results}: expected {WEIGHTS}, found none: no weights were packed")
     stated = read_json(results / WEIGHTS)
-    if (found := _digest(archive)) != stated["sha256"]:
+    if (found := sha256_sum(archive, follow_links=True)) != stated["sha256"]:
         raise ResultsError(
             f"{archive}: expected {stated['file']} with SHA-256 {stated['sha256']}, found {found}"
         )
@@ -115,11 +115,6 @@ def _files(folder: Path, entry: Entry) -> Iterator[tuple[str, bytes]]:
         entry.write(out)
         for path in sorted(out.iterdir()):
             yield path.name, path.read_bytes()
-
-
-def _digest(path: Path) -> str:
-    with open_regular(path, follow_links=True) as file:
-        return sha256_sum(file)
 
 
 def main(arguments: Sequence[str]) -> int:

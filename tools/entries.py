@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from magical.errors import MagicalError
-from magical.files import LOCK, open_regular, sha256_sum, write_atomically
+from magical.files import LOCK, sha256_sum, write_atomically
 from magical.report.found.search import Found, search_results
 from magical.report.leaderboard.checks import check_entries
 from magical.untrusted import read_json
@@ -73,7 +73,7 @@ def _file_faults(folder: Path, submission: Submission) -> Iterator[str]:
             yield f"{name}: expected a path in the entry's folder"
         elif not path.is_file() or path.is_symlink():
             yield f"{name}: expected a file, found none"
-        elif (found := _digest(path)) != stated:
+        elif (found := sha256_sum(path)) != stated:
             yield f"{name}: expected the SHA-256 sum {stated}, found {found}"
     for name in sorted(set(_files(folder)) - set(submission.files)):
         yield f"{name}: expected in {SUBMISSION}, or not at all"
@@ -88,11 +88,6 @@ def _files(folder: Path) -> Iterator[str]:
 
 def _is_left_over(path: Path) -> bool:
     return path.name == LOCK or "__pycache__" in path.parts
-
-
-def _digest(path: Path) -> str:
-    with open_regular(path) as file:
-        return sha256_sum(file)
 
 
 def _protocol_faults(folder: Path, submission: Submission, others: Sequence[Path]) -> Iterator[str]:
@@ -133,7 +128,7 @@ def _contradictions(folder: Path, submission: Submission) -> Iterator[str]:
 
 def describe(folder: Path, policies: Mapping[str, str]) -> None:
     """Write an entry's `submission.json`."""
-    files = {name: _digest(folder / name) for name in _files(folder)}
+    files = {name: sha256_sum(folder / name) for name in _files(folder)}
     text = json.dumps({"policies": dict(policies), "files": files}, indent=2)
     with write_atomically(folder / SUBMISSION) as file:
         file.write(f"{text}\n".encode())

@@ -18,7 +18,7 @@ from typing import Any, Literal
 from magical import __version__
 from magical.errors import MagicalError, ResultsError
 from magical.experiments.plan import PlannedRun
-from magical.files import OwnedFolder, open_regular, sha256_sum
+from magical.files import OwnedFolder, sha256_sum
 from magical.messages import quoted
 from magical.runs.folder import CHECKPOINT, versions, write_json
 from magical.runs.plan import PLAN, RESULT, RUNS, listed_runs
@@ -170,8 +170,7 @@ def require_same_first_runs(runs: Iterable[PlannedRun], results: Results) -> Non
     digests: dict[str, str] = {}
     for folder in sorted(folders):
         if (Path(folder) / CHECKPOINT).is_file():
-            with open_regular(Path(folder) / CHECKPOINT, follow_links=True) as file:
-                digests[folder] = sha256_sum(file)
+            digests[folder] = sha256_sum(Path(folder) / CHECKPOINT, follow_links=True)
     results.require_same(
         "first_runs", digests, lambda folder: f"another checkpoint of {folder} than there is now"
     )

@@ -74,10 +74,11 @@ def reading(path: Path, error: type[MagicalError]) -> Iterator[None]:
         raise error(f"{name}: expected a readable file, found {found}") from problem
 
 
-def sha256_sum(file: IO[bytes]) -> str:
-    """The SHA-256 sum of the rest of a file."""
-    # `IO` does not declare `readinto`, which every file opened as binary has.
-    return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
+def sha256_sum(path: Path, *, follow_links: bool = False) -> str:
+    """The SHA-256 sum of a file; arguments and errors as in `open_regular`."""
+    with open_regular(path, follow_links=follow_links) as file:
+        # `IO` does not declare `readinto`, which every file opened as binary has.
+        return hashlib.file_digest(file, "sha256").hexdigest()  # type: ignore[arg-type]
 
 
 def _check_regular(status: os.stat_result, path: Path) -> None:

@@ -78,11 +78,9 @@ def read_demonstration(path: Path) -> PublishedDemonstration:
         TrajectoryError: its arrays do not fit together.
     """
     with naming_errors(path):
-        with open_regular(path, follow_links=True) as file:
-            source = sha256_sum(file)
-            file.seek(0)
-            with gzip.open(file) as unpacked:
-                data = load(unpacked, pack)
+        source = sha256_sum(path, follow_links=True)
+        with open_regular(path, follow_links=True) as file, gzip.open(file) as unpacked:
+            data = load(unpacked, pack)
         return _demonstration(data, {"source": path.name, "source_sha256": source})
 
 
@@ -167,8 +165,7 @@ def _frame(observation: Any, view: str) -> NDArray[np.uint8]:
 def file_sum(path: Path, *, follow_links: bool = False) -> str:
     """The SHA-256 of a file; empty if there is none, or it cannot be read."""
     try:
-        with open_regular(path, follow_links=follow_links) as file:
-            return sha256_sum(file)
+        return sha256_sum(path, follow_links=follow_links)
     except OSError:
         return ""
 
