@@ -12,6 +12,6 @@ def test_without_a_terminal_there_are_lines_now_and_then(
         advance(1)  # too soon
         monkeypatch.setattr(progress, "LINE_INTERVAL", -1.0)
         advance(2)
-    with progress.ProgressBar("bc") as bar:
-        bar.update(1, 2, {"loss": 0.25})
+    with progress.ProgressBar("bc", 2) as bar:
+        bar.update(1, {"loss": 0.25})
     assert capsys.readouterr().err == "rollouts 3/3\nbc 1/2  loss 0.25\n"

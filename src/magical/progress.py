@@ -18,7 +18,7 @@ class ProgressBar:
     `update`.
     """
 
-    def __init__(self, title: str, total: int | None = None, *, transient: bool = True) -> None:
+    def __init__(self, title: str, total: int, *, transient: bool = True) -> None:
         """`transient` bars disappear when they are closed."""
         console = Console(stderr=True)
         self._progress = Progress(
@@ -31,7 +31,7 @@ class ProgressBar:
             transient=transient,
             disable=not console.is_terminal,
         )
-        self._title = title
+        self._title, self._total = title, total
         self._task = self._progress.add_task(title, total=total, metrics="")
         self._last_line = time.monotonic()
 
@@ -47,21 +47,18 @@ class ProgressBar:
         self._progress.advance(self._task, count)
         self._print_line("")
 
-    def update(self, step: int, total: int, metrics: Mapping[str, float | str]) -> None:
-        """Show that `step` of `total` steps are done, and the latest metrics."""
+    def update(self, step: int, metrics: Mapping[str, float | str]) -> None:
+        """Show that `step` steps are done, and the latest metrics."""
         text = "  ".join(_format(name, value) for name, value in metrics.items())
-        self._progress.update(self._task, completed=step, total=total, metrics=text)
-        self._print_line(text, at_once=step == total)
+        self._progress.update(self._task, completed=step, metrics=text)
+        self._print_line(text, at_once=step == self._total)
 
     def _print_line(self, text: str, at_once: bool = False) -> None:
         now = time.monotonic()
         if self._progress.disable and (at_once or now - self._last_line > LINE_INTERVAL):
             self._last_line = now
-            print_line(self._progress.console, f"{self._title} {self._count()}  {text}".rstrip())
-
-    def _count(self) -> str:
-        (task,) = self._progress.tasks
-        return f"{task.completed:.0f}" + ("" if task.total is None else f"/{task.total:.0f}")
+            done = f"{self._progress.tasks[0].completed:.0f}/{self._total}"
+            print_line(self._progress.console, f"{self._title} {done}  {text}".rstrip())
 
 
 def print_line(console: Console, line: str) -> None:

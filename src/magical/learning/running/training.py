@@ -98,12 +98,12 @@ def train(
     with (
         _opened(folder, config, resume, previous_checkpoint),
         Interrupts() as stop,
-        ProgressBar(config.algorithm, transient=False) if progress else nullcontext() as bar,
+        ProgressBar(config.algorithm, total, transient=False) if progress else nullcontext() as bar,
         Run(folder, config, interrupts=stop, stop_after=stop_after) as run,
         opened_trackers(track, folder, run.step) as log,
     ):
         if bar:
-            run.callbacks.append(lambda step, metrics: bar.update(step, total, metrics))
+            run.callbacks.append(bar.update)
         run.callbacks += [log, callback] if callback else [log]
         algorithm.train(config, run)
     newest = (read_metrics(folder) or [{"step": run.step}])[-1]
