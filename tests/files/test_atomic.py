@@ -142,7 +142,7 @@ def test_a_file_under_a_second_name(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 KILLED = """
 import os, signal, sys
-from magical.files import link_atomically, remove_partial_files, write_atomically
+from magical.files import write_atomically
 with write_atomically(sys.argv[1]) as file:
     file.write(b"half")
     os.kill(os.getpid(), signal.SIGKILL)

@@ -32,10 +32,6 @@ class LockedError(Exception):
         self.process_id = process_id
 
 
-class NoLocksError(OSError):
-    """A file system has no file locks: some network file systems, as they are mounted."""
-
-
 @contextmanager
 def locked(path: Path, *, reading: bool = False) -> Iterator[None]:
     """Hold a lock on the file `path`: exclusive, or with `reading` shared with other readers.
@@ -50,11 +46,7 @@ def locked(path: Path, *, reading: bool = False) -> Iterator[None]:
         yield
         return
     with open_regular(path, "rb" if reading else "ab") as file:
-        try:
-            _lock(file, path, reading=reading, wait=True)
-        except NoLocksError:
-            if not reading:
-                raise
+        _lock(file, path, reading=reading, wait=True)
         try:
             yield
         finally:
@@ -102,8 +94,6 @@ def is_locked(path: Path) -> bool:
             _lock(file, path, reading=True, wait=False)
         except (BlockingIOError, PermissionError):
             return True
-        except NoLocksError:
-            return False
         _unlock(file)
         return False
 
@@ -134,6 +124,7 @@ if sys.platform == "win32":
         msvcrt.locking(file.fileno(), msvcrt.LK_UNLCK, 1)
 
 else:
+    # Of file systems without locks: some network file systems, as they are mounted.
     _NO_LOCKS = errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP
 
     def _lock(file: IO[bytes], path: Path, *, reading: bool, wait: bool) -> None:
@@ -143,8 +134,9 @@ else:
         except OSError as error:
             if error.errno not in _NO_LOCKS:
                 raise
-            problem = "expected a file system with file locks, found none; use another folder"
-            raise NoLocksError(error.errno, problem, str(path)) from error
+            if not reading:
+                problem = "expected a file system with file locks, found none; use another folder"
+                raise OSError(error.errno, problem, str(path)) from error
 
     def _unlock(file: IO[bytes]) -> None:
         with suppress(OSError):  # there was no lock; closing the file releases one anyway
