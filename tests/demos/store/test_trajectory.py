@@ -51,7 +51,7 @@ def test_labels_are_the_experts_actions_where_it_has_others() -> None:
 def test_preset_is_dropped_from_the_id() -> None:
     trajectory = Trajectory(**{**GOOD, "env_id": "MoveToCorner-TestAll-LoRes4E-v0"})
     assert trajectory.env_id == "magical/MoveToCorner-TestAll-v0"
-    assert (trajectory.task.name, trajectory.variant) == ("MoveToCorner", "TestAll")
+    assert (trajectory.task.name, trajectory.env_id.variant) == ("MoveToCorner", "TestAll")
 
 
 @pytest.mark.parametrize(

@@ -131,7 +131,6 @@ class ObservationReader:
 
     def __init__(self, trajectory: Trajectory, observation: Observation = "LoRes4E") -> None:
         self.spec = make_spec(observation, trajectory.task)
-        self.num_steps = len(trajectory) + 1  # observations, T + 1
         self._source = TrajectorySource(trajectory)
 
     def read(self, times: ArrayLike, out: Any = None) -> Any:
@@ -151,10 +150,10 @@ class ObservationReader:
                 the observation needs.
         """
         steps = np.atleast_1d(np.asarray(times, np.intp))
-        if len(steps) and (steps.min() < 0 or steps.max() >= self.num_steps):
+        last = len(self._source)
+        if len(steps) and (steps.min() < 0 or steps.max() > last):
             raise TrajectoryError(
-                f"time steps: expected 0 to {self.num_steps - 1}, "
-                f"found {steps.min()} to {steps.max()}"
+                f"time steps: expected 0 to {last}, found {steps.min()} to {steps.max()}"
             )
         return self.spec.read(self._source, steps, out)
 

@@ -129,7 +129,7 @@ class Trajectory:
             raise TrajectoryError(
                 f"poses: expected shape (T + 1, 5 + blocks, 3), found {table.shape}"
             )
-        parsed, last = parse_env_id(env_id).without_preset, Poses(table[-1])
+        parsed, last = parse_env_id(env_id), Poses(table[-1])
         task = parsed.task_spec
         return Trajectory(
             env_id=parsed,
@@ -193,11 +193,6 @@ class Trajectory:
     def task(self) -> Task:
         """The task that was demonstrated."""
         return self.env_id.task_spec
-
-    @property
-    def variant(self) -> str:
-        """The variant, such as `Demo`."""
-        return self.env_id.variant
 
     @property
     def is_recovered(self) -> bool:
