@@ -36,7 +36,6 @@ FPS = int(CONTROL_RATE)
 CAMERAS = {view: f"observation.images.{view}" for view in VIEWS}
 _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 _STATE = ["robot_x", "robot_y", "robot_angle", "left_finger_angle", "right_finger_angle"]
-_NAMES = {"observation.state": _STATE}  # of the parts of a feature
 _ACTION_NAMES = {"discrete": ["action"], "continuous": list(PARTS)}
 
 # Chroma at full resolution: with the usual subsampling, outlines two pixels wide lose their colour.
@@ -228,7 +227,7 @@ class _Writer:
         return row
 
     def _info(self) -> dict[str, Any]:
-        names = {**_NAMES, "action": _ACTION_NAMES[self._action_space]}
+        names = {"observation.state": _STATE, "action": _ACTION_NAMES[self._action_space]}
         features = {
             name: {
                 "dtype": column.dtype.name,

@@ -101,7 +101,7 @@ def recovered_trajectory(
     if recovery.problem:
         return demonstration.trajectory(**metadata)
     return Trajectory.from_poses(
-        str(demonstration.env_id),
+        demonstration.env_id,
         demonstration.env_id.task_spec.demo,
         demonstration.actions,
         recovery.poses,
