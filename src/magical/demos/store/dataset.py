@@ -12,6 +12,7 @@ import numpy as np
 from magical.demos.store import manifest
 from magical.demos.store.codec import MAX_FILE, decode
 from magical.demos.store.manifest import ManifestEntry
+from magical.demos.store.reader import read_all
 from magical.demos.store.trajectory import Trajectory
 from magical.envs.action_spec import ActionSpaceName
 from magical.envs.ids import parse_env_id, split_env_id
@@ -216,8 +217,6 @@ class Dataset(Sequence[Trajectory]):
             TrajectoryError: a recording lacks what the observation needs.
             UnknownNameError: there is no such observation.
         """
-        from magical.demos.store.reader import read_all  # imports the physics: only when needed
-
         entries = self.entries
         lengths = np.array([entry.length for entry in entries], np.int64)
         starts = np.cumsum(lengths) - lengths
