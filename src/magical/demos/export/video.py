@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import IO, Any, Self
 
 import numpy as np
+import PIL.Image
 from numpy.typing import NDArray
+from PIL import ImageDraw, ImageFont
 
 from magical.demos.store.reader import Frames
 from magical.demos.store.trajectory import VIEWS, Trajectory
@@ -74,9 +76,6 @@ def video_frames(trajectory: Trajectory) -> Iterator[Image]:
 
 
 def _banner(trajectory: Trajectory, time: int, width: int) -> Image:
-    import PIL.Image
-    from PIL import ImageDraw, ImageFont  # imported only where an image is made
-
     image = PIL.Image.new("RGB", (width, BANNER), _BACKGROUND)
     draw = ImageDraw.Draw(image)
     font = ImageFont.load_default(size=16)
@@ -142,8 +141,6 @@ def _write_mp4(frames: Iterable[Image], path: Path) -> int:
 
 
 def _write_webp(frames: Iterable[Image], path: Path) -> int:
-    import PIL.Image
-
     images = [PIL.Image.fromarray(frame) for frame in islice(frames, MAX_WEBP_FRAMES + 1)]
     if len(images) > MAX_WEBP_FRAMES:
         raise DatasetError(
