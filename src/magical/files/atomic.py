@@ -116,15 +116,11 @@ def remove_partial_files(folder: Path, *names: str) -> None:
     if folder.is_symlink() or not folder.is_dir():
         return
     for file in folder.iterdir():
-        if is_partial(file, *names):
+        if is_partial(file, *names) and file.is_file():
             file.unlink(missing_ok=True)
 
 
 def is_partial(file: Path, *names: str) -> bool:
-    """Whether a file is a temporary one of a file with a name that matches one of the patterns."""
+    """Whether a name is a temporary one of a file whose name matches one of the patterns."""
     found = _PARTIAL.fullmatch(file.name)
-    return (
-        found is not None
-        and any(fnmatchcase(found["name"], name) for name in names)
-        and file.is_file()
-    )
+    return found is not None and any(fnmatchcase(found["name"], name) for name in names)

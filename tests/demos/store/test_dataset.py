@@ -215,3 +215,8 @@ def test_a_folder_with_something_else_is_no_dataset(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"found one with \['config.json'\]"):
         DatasetWriter(tmp_path)
     assert [file.name for file in tmp_path.iterdir()] == ["config.json"]
+
+
+def test_a_file_that_another_writer_has_renamed_meanwhile(tmp_path: Path) -> None:
+    (tmp_path / ".manifest.jsonl.1a.part").symlink_to("gone")  # listed, and no file any more
+    assert len(Dataset.open(DatasetWriter(tmp_path).path)) == 0
