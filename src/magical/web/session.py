@@ -20,7 +20,7 @@ from magical.scene.constants import CONTROL_RATE
 from magical.web import messages
 from magical.web.driver import Driver, Proposal
 from magical.web.episode import PlayedEpisode
-from magical.web.frames import FrameEncoder
+from magical.web.frames import render_webp
 from magical.web.messages import PAGE_VIEWS, Message
 from magical.web.policies import Policies
 
@@ -151,7 +151,6 @@ class Session:
                 self.pause()
             case messages.Show(view):
                 self.view = view
-                self._new_encoder()
             case messages.Keep(demonstrator):
                 self._require(Phase.ENDED, "keep")
                 policy = self._driver.name if self._driver else None
@@ -315,7 +314,8 @@ class Session:
 
     def frame(self) -> bytes:
         """The present frame as a WebP file."""
-        return self._encoder.webp(self.episode.poses[-1])
+        state = self.episode.env.state()
+        return render_webp(state.scene, state.poses, PAGE_VIEWS[self.view])
 
     def _next_episode(self, policy: int | None) -> None:
         seed = self.episode.seed if self._fixed_seed else None
@@ -336,11 +336,6 @@ class Session:
         self._pending = None
         self.phase = Phase.READY if driver is None else Phase.PLAYING
         self._pressed = frozenset()
-        self._new_encoder()
-
-    def _new_encoder(self) -> None:
-        scene = self.episode.env.state().scene
-        self._encoder = FrameEncoder(scene, PAGE_VIEWS[self.view])
 
     def _changed(self) -> None:
         self.changes += 1

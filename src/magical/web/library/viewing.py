@@ -4,21 +4,19 @@ import struct
 from functools import cached_property
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from magical.demos.store.trajectory import Trajectory
 from magical.errors import NotFoundError, TrajectoryError
 from magical.scene import Poses
-from magical.web.frames import FrameEncoder, encode_webp
+from magical.web.frames import encode_webp, render_webp
 from magical.web.messages import PAGE_VIEWS
 
 MAX_STEPS = 5000  # of an episode that can be looked at: ten minutes
-STORED_GAP = 2  # white pixels between two stored frames
 
 
 class ViewedEpisode:
-    """One episode, opened to be looked at. Not for several threads at once.
+    """One episode, opened to be looked at.
 
     Raises:
         TrajectoryError: it is longer than can be shown.
@@ -30,7 +28,6 @@ class ViewedEpisode:
                 f"expected an episode of at most {MAX_STEPS} steps, found {len(trajectory)}"
             )
         self.trajectory = trajectory
-        self._encoders: dict[str, FrameEncoder] = {}
 
     @cached_property
     def details(self) -> dict[str, Any]:
@@ -87,13 +84,11 @@ class ViewedEpisode:
         return b"".join(struct.pack(">I", len(file)) + file for file in files)
 
     def _frame(self, view: str, time: int) -> bytes:
-        episode = self.trajectory
-        if episode.poses is None:
-            assert episode.frames is not None
-            return encode_webp(_side_by_side([episode.frames[v][time] for v in PAGE_VIEWS[view]]))
-        if view not in self._encoders:
-            self._encoders[view] = FrameEncoder(episode.scene, PAGE_VIEWS[view])
-        return self._encoders[view].webp(episode.poses[time])
+        episode, views = self.trajectory, PAGE_VIEWS[view]
+        if episode.poses is not None:
+            return render_webp(episode.scene, Poses(episode.poses[time]), views)
+        assert episode.frames is not None
+        return encode_webp([episode.frames[name][time] for name in views])
 
     def _scores(self) -> list[float] | None:
         episode = self.trajectory
@@ -107,9 +102,3 @@ class ViewedEpisode:
 
 def _plain(array: NDArray[Any] | None) -> list[Any] | None:
     return None if array is None else array.tolist()
-
-
-def _side_by_side(frames: list[NDArray[np.uint8]]) -> NDArray[np.uint8]:
-    gap = np.full((len(frames[0]), STORED_GAP, 3), 255, np.uint8)
-    parts = [part for frame in frames for part in (gap, frame)]
-    return np.concatenate(parts[1:], axis=1)
