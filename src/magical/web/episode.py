@@ -28,7 +28,7 @@ class PlayedEpisode:
         self.policy_actions: list[int] = []  # of the policy that is watched, if any
         self._note_poses()
 
-    def step(self, action: int, actor: Actor = Actor.HUMAN, chosen: int | None = None) -> bool:
+    def step(self, action: int, actor: Actor, chosen: int | None = None) -> bool:
         """Step the environment; returns whether that was the last step.
 
         Args:

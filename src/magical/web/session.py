@@ -152,12 +152,12 @@ class Session:
             case messages.Show(view):
                 self.view = view
             case messages.Keep(demonstrator):
-                self._require(Phase.ENDED, "keep")
+                self._require_finished("keep")
                 policy = self._driver.name if self._driver else None
                 self._pending = self.episode.trajectory(demonstrator, self.view, policy)
                 self.phase = Phase.SAVING
             case messages.Discard():
-                self._require(Phase.ENDED, "discard")
+                self._require_finished("discard")
                 self._next_episode(self._policy)
             case messages.Watch(policy):
                 self._require_decision()
@@ -201,8 +201,8 @@ class Session:
         if self.phase is Phase.SAVING or (self.phase is Phase.ENDED and self.can_keep):
             raise MessageError("keep or discard this episode first")
 
-    def _require(self, phase: Phase, what: str) -> None:
-        if self.phase is not phase or not self.can_keep:
+    def _require_finished(self, what: str) -> None:
+        if self.phase is not Phase.ENDED or not self.can_keep:
             raise MessageError(f"{what}: there is no finished episode to {what}")
 
     # The policy that is watched

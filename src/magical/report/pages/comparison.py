@@ -49,8 +49,8 @@ class ComparisonPage:
             if table is not None
         ]
 
-    def html(self) -> str:
-        """The page's source, with everything inline."""
+    def write(self, path: Path | str) -> None:
+        """Write the page, with everything inline; raises `OSError` where that is not possible."""
         label = f"mean score of {self.methods[0].name} minus that of {self.methods[1].name}"
         figures = [
             Figure(
@@ -63,11 +63,7 @@ class ComparisonPage:
                 "above τ.",
             ),
         ]
-        return render_template("comparison.html.j2", page=self, figures=figures)
-
-    def write(self, path: Path | str) -> None:
-        """Write the page; raises `OSError` where that is not possible."""
-        write_text(path, self.html())
+        write_text(path, render_template("comparison.html.j2", page=self, figures=figures))
 
 
 def compare(results: Sequence[Result], first: str, second: str) -> ComparisonPage:

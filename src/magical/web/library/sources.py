@@ -56,15 +56,14 @@ class RolloutSource:
     name = "Rollouts of policies"
     version: object = None  # the number of an episode is never used again
 
-    def __init__(self, limit: int = MAX_ROLLOUTS) -> None:
-        self._limit = limit
+    def __init__(self) -> None:
         self._episodes: Mapping[int, Trajectory] = {}  # replaced, never changed: threads read it
         self._numbers = count()
 
     def add(self, episode: Trajectory) -> int:
         """Keep an episode; returns its number."""
         number = next(self._numbers)
-        self._episodes = dict([*self._episodes.items(), (number, episode)][-self._limit :])
+        self._episodes = dict([*self._episodes.items(), (number, episode)][-MAX_ROLLOUTS:])
         return number
 
     def episodes(self) -> Mapping[int, Trajectory]:
@@ -83,7 +82,6 @@ def summary(number: int, episode: Trajectory | ManifestEntry) -> dict[str, Any]:
     return {
         "number": number,
         "env_id": episode.env_id,
-        "length": episode.length if isinstance(episode, ManifestEntry) else len(episode),
         "score": episode.score,  # of the last state; None: poses unknown
         "published_code_score": episode.published_code_score,
         "demonstrator": episode.demonstrator,

@@ -39,7 +39,6 @@ function hold(source, control, down) {
 }
 
 export function keyDown(event) {
-  if (event.ctrlKey || event.metaKey || event.altKey) return;
   if (event.key === "Escape") return element("stage").focus();
   if (isField(event.target) || (event.key === " " && event.target.matches("input"))) return;
   const control = KEYS[event.key];

@@ -175,8 +175,7 @@ const KEYS = {
 };
 
 export function keyDown(event) {
-  if (event.ctrlKey || event.metaKey || event.altKey || !panes.length) return;
-  if (!(event.key in KEYS) || event.target.matches("input, select")) return;
+  if (!panes.length || !(event.key in KEYS) || event.target.matches("input, select")) return;
   if (event.key === " " && event.target.matches("button")) return; // which it presses
   event.preventDefault();
   KEYS[event.key]();

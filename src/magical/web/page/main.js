@@ -41,6 +41,7 @@ function enterLook() {
 }
 
 function keyDown(event) {
+  if (event.ctrlKey || event.metaKey || event.altKey) return;
   if (shown === "play") input.keyDown(event);
   else look.keyDown(event);
 }
