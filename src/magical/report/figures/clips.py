@@ -19,8 +19,8 @@ from magical.evaluation.protocol import Evaluation
 from magical.evaluation.rollouts import play
 from magical.observe.arrays import select
 from magical.observe.presets import make_spec
-from magical.render import Renderer
-from magical.scene import State, View
+from magical.render import render_frame
+from magical.scene import View
 from magical.scene.constants import CONTROL_RATE
 
 SIZE = 160  # pixels across
@@ -102,26 +102,15 @@ def record_rollouts(
         frames = []
         played = play(policy, envs, env_ids, seeds, evaluation.nudge)
         for step, (observations, infos) in enumerate(played):
-            states = envs.states()
-            if step == 0:
-                renderers = [Renderer(state.scene, View.ALLO, size) for state in states]
             if step == (last - 1) // 2 and not is_privileged(policy):
                 spec = make_spec(observation, env_ids[0].task_spec)
                 shown = [spec.picture(select(observations, row)) for row in range(len(env_ids))]
             if step % every == 0 or step == last:
-                frames.append(_frames(renderers, states))
+                states = envs.states()
+                frames.append([render_frame(s.scene, s.poses, View.ALLO, size) for s in states])
             scores: Any = infos.get("eval_score")  # at the end
     parts = zip(env_ids, scores.tolist(), np.swapaxes(frames, 0, 1), shown, strict=True)
     return [Clip(env_id, score, own, every, image) for env_id, score, own, image in parts]
-
-
-def _frames(renderers: Sequence[Renderer], states: Sequence[State]) -> NDArray[np.uint8]:
-    """Every rollout's present state, (R, H, W, 3)."""
-    size = renderers[0].size
-    frames = np.empty((len(states), size, size, 3), np.uint8)
-    for renderer, frame, state in zip(renderers, frames, states, strict=True):
-        renderer.render(state.poses.bodies, frame)
-    return frames
 
 
 def data_uri(data: bytes, kind: str) -> str:

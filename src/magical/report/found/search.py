@@ -173,7 +173,9 @@ def search_results(folders: Iterable[Path | str], without: Path | None = None) -
         new = [place for place in _places(root, without) if place.resolve() not in known]
         places += new
         known.update(place.resolve() for place in new)
-        for place, entry in _entries(root, new):
+        # A root without any entry is read nevertheless: the error says what was expected.
+        found = [*_entries(new)] or [(place, _read_entry(place)) for place in new if place == root]
+        for place, entry in found:
             if place != root and not _is_planned(place, root, listed):
                 skipped.append(Skipped(place, "not a run of the plan, but of an earlier one"))
             elif isinstance(entry, Entry):
@@ -192,25 +194,17 @@ def search_results(folders: Iterable[Path | str], without: Path | None = None) -
     return Found(results, skipped, runs, _planned(places, evaluated, listed))
 
 
-def _entries(root: Path, places: Iterable[Path]) -> Iterator[tuple[Path, Entry | Exception]]:
-    """Every entry in some folders, or why it cannot be read.
-
-    A root without any entry is read nevertheless: the error says what was expected.
-    """
-    empty = root in places
+def _entries(places: Iterable[Path]) -> Iterator[tuple[Path, Entry | Exception]]:
+    """Every entry in some folders, or why it cannot be read."""
     for place in places:
         if is_collection(place):
-            empty = False
             try:
                 for name, entry in read_collection(place).items():
                     yield place / name, entry
             except ScoresError as error:
                 yield place, error
         if (place / SCORES_FILE).exists() or (place / ENTRY_FILE).exists():
-            empty = False
             yield place, _read_entry(place)
-    if empty:
-        yield root, _read_entry(root)
 
 
 def _read_entry(place: Path) -> Entry | Exception:

@@ -119,7 +119,7 @@ def task_table(task: str, entries: Iterable[Entry], published: Iterable[str] = (
         rows = [_beside(row, found, runs[row.label], theirs) for row in rows] + published_rows
     variants = tuple(map(short_variant, found.variants))
     kept = tuple(row for row in rows if row.cells)
-    one_run = any(len(runs[row.label]) == 1 for row in kept if row.label in runs)
+    one_run = any(len(group) == 1 for group in runs.values())
     note = _rule_note(found, compared)
     note += "" if compared else _horizon_note(found, runs)
     note += _left_out_note(found, other) if methods and other else ""
