@@ -106,7 +106,7 @@ def test_reports_and_the_leaderboard_read_it(
     write_collection(out, kept)
     found = search_results([out])
     assert [entry.method for entry in found.entries] == ["BC tiny"]
-    assert [(run.seed, run.state) for run in found.planned or ()] == [(1, "not run")]
+    assert [(run.seed, why) for run, why in found.planned or ()] == [(1, "not run")]
     (rejected,) = make_leaderboard([out]).rejected
     assert any("without Jitter" in reason for reason in rejected.reasons)
 

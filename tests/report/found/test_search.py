@@ -155,7 +155,7 @@ def test_runs_of_a_plan_may_lie_in_several_folders(write_entry: WriteEntry, tmp_
         write_plan(tmp_path / f"part{part}", "run0", "run1", "run2")
     planned = find_results([tmp_path / "part0", tmp_path / "part1"]).planned
     assert planned is not None
-    assert [run.seed for run in planned] == [2]
+    assert [run.seed for run, _ in planned] == [2]
 
 
 def test_a_plan_says_which_runs_are_missing(write_entry: WriteEntry, tmp_path: Path) -> None:

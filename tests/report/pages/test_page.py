@@ -31,7 +31,7 @@ def test_a_clip_becomes_an_animation_and_a_strip() -> None:
     frames = np.zeros((9, 16, 16, 3), np.uint8)
     for step, frame in enumerate(frames):
         frame[:, step] = 255
-    clip = Clip(EnvId("MoveToRegion", "Demo"), 1.0, frames)
+    clip = Clip(1.0, frames)
     with Image.open(io.BytesIO(clip.webp())) as picture:
         assert getattr(picture, "n_frames", 1) == 9
         assert picture.size == (16, 16)

@@ -31,7 +31,6 @@ LAST_FRAME = 1.5  # seconds that an animation shows its last frame
 class Clip:
     """One rollout, the allocentric view every few control steps, and its final score."""
 
-    env_id: EnvId
     score: float
     frames: NDArray[np.uint8]  # (F, H, W, 3)
     every: int = 1  # control steps between frames
@@ -109,8 +108,8 @@ def record_rollouts(
                 states = envs.states()
                 frames.append([render_frame(s.scene, s.poses, View.ALLO, size) for s in states])
             scores: Any = infos.get("eval_score")  # at the end
-    parts = zip(env_ids, scores.tolist(), np.swapaxes(frames, 0, 1), shown, strict=True)
-    return [Clip(env_id, score, own, every, image) for env_id, score, own, image in parts]
+    parts = zip(scores.tolist(), np.swapaxes(frames, 0, 1), shown, strict=True)
+    return [Clip(score, own, every, image) for score, own, image in parts]
 
 
 def data_uri(data: bytes, kind: str) -> str:

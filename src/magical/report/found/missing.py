@@ -24,20 +24,18 @@ def find_missing(found: Found) -> list[Missing]:
     another has, with as many runs, with the same seeds of training where those are known. A run is
     expected to have all variants of its tasks.
     """
-    planned = found.planned
-    runs = (
-        _unplanned(found.results)
-        if planned is None
-        else [
-            Missing(run.method, ", ".join(run.tasks), f"seed {run.seed}: {run.state}")
-            for run in planned
-        ]
-    )
-    folders = [
+    variants = _variants(found.results)
+    if found.planned is not None:
+        runs = (
+            Missing(run.method, ", ".join(run.tasks), f"seed {run.seed}: {why}")
+            for run, why in found.planned
+        )
+        return [*runs, *variants]
+    folders = (
         Missing("–", "–", f"{folder}: a training run without an entry")
-        for folder in (found.not_evaluated if planned is None else ())
-    ]
-    return [*runs, *_variants(found.results), *folders]
+        for folder in found.not_evaluated
+    )
+    return [*_unplanned(found.results), *variants, *folders]
 
 
 def _unplanned(results: Sequence[Result]) -> Iterator[Missing]:

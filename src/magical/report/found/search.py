@@ -4,7 +4,7 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
@@ -66,20 +66,14 @@ class Skipped:
 
 
 @dataclass(frozen=True, slots=True)
-class Planned(ListedRun):
-    """A run of a plan that has no scores, and why, in words."""
-
-    state: str
-
-
-@dataclass(frozen=True, slots=True)
 class Found:
     """What was found below some folders."""
 
     results: Sequence[Result]
     skipped: Sequence[Skipped] = ()
     not_evaluated: Sequence[Path] = ()  # run folders without an entry
-    planned: Sequence[Planned] | None = None  # without scores; `None` where there is no plan
+    # The runs of plans without scores, and why in words; `None` where there is no plan.
+    planned: Sequence[tuple[ListedRun, str]] | None = None
 
     @property
     def entries(self) -> list[Entry]:
@@ -260,8 +254,8 @@ def _is_planned(place: Path, root: Path, listed: Listed) -> bool:
 
 def _planned(
     places: Iterable[Path], evaluated: Iterable[Path | None], listed: Listed
-) -> list[Planned] | None:
-    """The runs without scores of all plans among the folders."""
+) -> list[tuple[ListedRun, str]] | None:
+    """The runs without scores of all plans among the folders, and why."""
     plans = [place for place in places if (place / PLAN).is_file()]
     if not plans:
         return None
@@ -269,9 +263,7 @@ def _planned(
     # A plan's runs may lie in several folders. The name of a run's folder has its digest.
     left = {name: (run, plan) for plan in plans for name, run in listed(plan).items()}
     return [
-        Planned(**asdict(run), state=_state(plan / RUNS / name))
-        for name, (run, plan) in left.items()
-        if name not in done
+        (run, _state(plan / RUNS / name)) for name, (run, plan) in left.items() if name not in done
     ]
 
 

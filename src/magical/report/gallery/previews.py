@@ -81,7 +81,7 @@ def _make(seed: int, env_id: EnvId) -> EnvPreview:
     last = len(trajectory)
     frames = Frames(trajectory, View.ALLO, SIZE).take([*range(0, last, EVERY), last])
     assert trajectory.score is not None  # its poses are known
-    clip = Clip(env_id, trajectory.score, frames, EVERY)
+    clip = Clip(trajectory.score, frames, EVERY)
     return EnvPreview(
         env_id,
         describe_scene(trajectory.scene),

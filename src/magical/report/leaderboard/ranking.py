@@ -19,13 +19,13 @@ from magical.runs.sources import (
     learning_class,
 )
 from magical.tasks import TASKS
+from magical.tasks.axes import DEMO, TEST_ALL
 from magical.tasks.programs.suite import HELD_OUT, TRAINING, task_name
 
 ALL_TASKS, HELD_OUT_TASKS = "All tasks", "Held-out tasks"
 WITH_PRIOR = ", with a benchmark prior"  # after the name of a board
 DEMOS = 10  # of a held-out task, without pre-training
 FINE_TUNED = (1, 5, 10)  # demonstrations of a held-out task after pre-training
-DEMO, TEST_ALL = "Demo", "TestAll"
 STATE = "state"  # what a privileged policy is shown, among what an entry used
 
 
@@ -118,8 +118,7 @@ def held_out_board(runs: Sequence[Result]) -> str:
     before = [stated.get(PRETRAINED_ON) for stated in details]
     if not all(isinstance(tasks, list) and allowed.issuperset(map(str, tasks)) for tasks in before):
         return ""
-    known = [number for number in FINE_TUNED if numbers == {number}]
-    return pretrained_board(known[0]) if known else ""
+    return next((pretrained_board(n) for n in FINE_TUNED if numbers == {n}), "")
 
 
 def _method(runs: Sequence[Result]) -> ComparedMethod:
