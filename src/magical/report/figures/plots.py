@@ -58,8 +58,7 @@ def svg(figure: Any, name: str, label: str) -> str:
         label: what it shows, for those who cannot see it.
     """
     file = io.StringIO()
-    no_metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-    figure.savefig(file, format="svg", metadata=no_metadata)
+    figure.savefig(file, format="svg")
     text = file.getvalue()
     text = text[text.index("<svg") :]
     # Metadata, and a style sheet that would hold for the whole page: the page has one of its own.
