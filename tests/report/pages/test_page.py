@@ -3,7 +3,6 @@
 import io
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +18,7 @@ from magical.evaluation import (
     environments,
 )
 from magical.report.figures.clips import Clip
+from tests.report.conftest import WriteEntry
 from tests.report.html_elements import Elements
 
 pytest.importorskip("jinja2", reason="the report extra is not installed")
@@ -64,6 +64,15 @@ def test_the_report_command_prints_tables_and_writes_a_page(
         assert heading not in text  # empty parts
 
 
+def test_only_addresses_of_pages_become_links(write_entry: WriteEntry, tmp_path: Path) -> None:
+    details = {"a": "https://example.org/x", "b": "javascript:alert(1)", "c": "https://a.b see"}
+    folder = write_entry("run", "m", {"MoveToRegion-Demo": [1.0]}, details=details)
+    page = tmp_path / "page.html"
+    assert cli.main(["report", str(folder), "--out", str(page)]) == 0
+    addresses = Elements(page.read_text()).values("href", "a")
+    assert [address for address in addresses if ":" in address] == ["https://example.org/x"]
+
+
 def test_the_report_command_names_what_is_missing(
     evaluated: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -74,7 +83,7 @@ def test_the_report_command_names_what_is_missing(
 
 
 def test_the_report_of_a_folder_says_everything(
-    write_entry: Callable[..., Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    write_entry: WriteEntry, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scores = {"MoveToRegion-Demo": [1.0, 0.0], "MoveToRegion-TestAll": [0.0, 0.0]}
     for seed in (0, 1):

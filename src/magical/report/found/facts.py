@@ -16,20 +16,8 @@ from magical.runs.folder import CONFIG, CURVES, METRICS, RECORD
 FILES = (SCORES_FILE, ENTRY_FILE)  # of an entry
 RUN_FILES = (CONFIG, RECORD, METRICS, CURVES)
 MAX_TEXT = 300  # characters of a value
-WEB = ("https://", "http://")
 
-
-@dataclass(frozen=True, slots=True)
-class Fact:
-    """A setting, version or anything else that is recorded, as text."""
-
-    name: str
-    value: str
-
-    @property
-    def link(self) -> str:
-        """The address that the value is, or nothing."""
-        return self.value if self.value.startswith(WEB) and " " not in self.value else ""
+Facts = Mapping[str, str]  # settings, versions and whatever else is recorded, as text
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +25,7 @@ class RunFacts:
     """One run: what it differs in from the other runs of its method, and links to its files."""
 
     folder: str
-    facts: Sequence[Fact]
+    facts: Facts
     links: Mapping[str, str] = field(default_factory=dict)  # addresses relative to the page
 
 
@@ -46,7 +34,7 @@ class MethodFacts:
     """One method: what all its runs have in common, and each run."""
 
     method: str
-    common: Sequence[Fact]
+    common: Facts
     runs: Sequence[RunFacts]
 
 
@@ -66,12 +54,12 @@ def _describe(method: str, results: Sequence[Result], page: Path | None) -> Meth
     runs = [
         RunFacts(
             str(result.folder),
-            [Fact(name, value) for name, value in own.items() if name not in common],
+            {name: value for name, value in own.items() if name not in common},
             {} if page is None else dict(_links(result, page)),
         )
         for result, own in zip(results, facts, strict=True)
     ]
-    return MethodFacts(method, [Fact(name, value) for name, value in common.items()], runs)
+    return MethodFacts(method, common, runs)
 
 
 def _facts(result: Result) -> dict[str, str]:

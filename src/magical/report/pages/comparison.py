@@ -165,7 +165,7 @@ def _differences(first: ComparedMethod, second: ComparedMethod) -> dict[str, Int
 
 def _settings(described: Sequence[MethodFacts]) -> TextTable | None:
     """Settings that all runs of a method share and the two methods do not."""
-    a, b = ({fact.name: fact.value for fact in method.common} for method in described)
+    a, b = (method.common for method in described)
     names = [name for name in {**a, **b} if a.get(name) != b.get(name)]
     rows = [(name, a.get(name, "–"), b.get(name, "–")) for name in names]
     header = ("setting", *(method.method for method in described))
