@@ -9,7 +9,8 @@ import pytest
 from magical import cli
 from magical.errors import UnknownNameError
 from magical.report.found.search import Result, find_results
-from magical.report.pages.comparison import compare
+from magical.report.pages.comparison import ComparisonPage, compare
+from magical.report.scores.tables import TextTable
 from tests.report.conftest import WriteEntry
 
 
@@ -23,6 +24,10 @@ def results(write_entry: WriteEntry, tmp_path: Path) -> Path:
     return tmp_path
 
 
+def by_title(page: ComparisonPage) -> dict[str, TextTable]:
+    return {table.title: table for table in page.tables}
+
+
 def test_differences_are_those_of_the_statistics(results: Path) -> None:
     found = compare(find_results([results]).results, "a", "b")
     # Both have the standard deviation 0.1 over three runs, so 4 degrees of freedom.
@@ -32,8 +37,9 @@ def test_differences_are_those_of_the_statistics(results: Path) -> None:
     assert found.overall["Demo"].value == pytest.approx(0.6)
     assert "0.60 higher" in found.headline
     assert "does not show" not in found.headline
-    assert found.environments.rows[1][:2] == ("MakeLine", "All")
-    assert found.environments.rows[1][2:] == (
+    environments = by_title(found)["Environment by environment"]
+    assert environments.rows[1][:2] == ("MakeLine", "All")
+    assert environments.rows[1][2:] == (
         "0.70 [0.45, 0.95]",
         "0.10 [0.00, 0.35]",
         "+0.60 [+0.37, +0.83]",
@@ -41,8 +47,7 @@ def test_differences_are_those_of_the_statistics(results: Path) -> None:
 
 
 def test_settings_that_differ_are_shown(results: Path) -> None:
-    settings = compare(find_results([results]).results, "a", "b").settings
-    assert settings is not None
+    settings = by_title(compare(find_results([results]).results, "a", "b"))["Settings that differ"]
     assert settings.rows == [("demonstrations", "10", "25")]
 
 

@@ -32,22 +32,10 @@ class ComparisonPage:
     """What is known about the difference between two methods."""
 
     headline: str
-    summary: TextTable
-    gaps: TextTable | None
-    environments: TextTable
+    tables: Sequence[TextTable]
     overall: dict[str, Interval]  # differences of means, by task and all together
     methods: Sequence[ComparedMethod]
-    settings: TextTable | None  # what the methods' runs do not have in common
     described: Sequence[MethodFacts]
-
-    @property
-    def tables(self) -> list[TextTable]:
-        """All tables."""
-        return [
-            table
-            for table in (self.summary, self.gaps, self.environments, self.settings)
-            if table is not None
-        ]
 
     def write(self, path: Path | str) -> None:
         """Write the page, with everything inline; raises `OSError` where that is not possible."""
@@ -79,14 +67,12 @@ def compare(results: Sequence[Result], first: str, second: str) -> ComparisonPag
             f"{first!r} and {second!r}"
         )
     described = describe_methods([result for runs in chosen for result in runs])
+    tables = [_summary(*methods), gap_table(methods), _environments(*methods), _settings(described)]
     return ComparisonPage(
         _headline(*methods),
-        _summary(*methods),
-        gap_table(methods),
-        _environments(*methods),
+        [table for table in tables if table],
         _differences(*methods),
         methods,
-        _settings(described),
         described,
     )
 
