@@ -165,10 +165,10 @@ def episode_probabilities(policy: Any, episode: Trajectory) -> NDArray[np.float6
             "remembers the episode; watch it act instead"
         )
     reader = ObservationReader(episode, policy.observation)
-    parts = []
-    for first in range(0, len(episode), BATCH):
-        times = range(first, min(first + BATCH, len(episode)))
-        with _one_thread():
-            env_ids = [episode.env_id] * len(times)
-            parts.append(policy.probabilities(reader.read(list(times)), env_ids))
+    steps = np.arange(len(episode))
+    with _one_thread():
+        parts = [
+            policy.probabilities(reader.read(times), [episode.env_id] * len(times))
+            for times in np.split(steps, steps[BATCH::BATCH])
+        ]
     return np.concatenate(parts)

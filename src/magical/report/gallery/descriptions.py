@@ -1,6 +1,5 @@
 """Tasks and scenes in words: what the registry's docstrings and scenes say."""
 
-import functools
 import inspect
 import re
 import sys
@@ -37,9 +36,7 @@ def describe_task(task: Task) -> Description:
     the list after it. Otherwise the score rule is the first paragraph of the docstring of the
     score function, or of the program's class where the score is the program's.
     """
-    score_fn: Any = task.score_fn
-    while isinstance(score_fn, functools.partial):
-        score_fn = score_fn.func
+    score_fn: Any = getattr(task.score_fn, "func", task.score_fn)  # of a partial, its function
     if task.program is not None and score_fn == task.program.score:
         score_fn = task.program
     held = ((m, getattr(m, "__dict__", {})) for m in list(sys.modules.values()))
