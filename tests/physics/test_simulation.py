@@ -85,23 +85,6 @@ def test_the_robot_cannot_leave_through_a_wall() -> None:
     assert simulation.poses().robot.y < 0.85
 
 
-BLOCK = SCENE.blocks[0]
-
-
-@pytest.mark.parametrize(
-    "scene",
-    [
-        Scene(Pose(1e308, 0, 0)),
-        Scene(Pose(0, 0, -1e308)),
-        Scene(Pose(0, 0, 0), (Block(Shape.STAR, Colour.RED, Pose(0, -1e308, 0)),)),
-        Scene(Pose(0, 0, 0), (BLOCK,) * 3000),
-    ],
-)
-def test_scenes_that_the_solver_cannot_be_given(scene: Scene) -> None:
-    with pytest.raises(InvalidSceneError, match=r"expected at most 100 blocks|numbers up to 1000"):
-        Simulation(scene)
-
-
 def test_states_that_the_solver_cannot_be_given() -> None:
     simulation = Simulation(SCENE)
     for value in (np.nan, np.inf, -1e308):

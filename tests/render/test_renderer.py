@@ -4,7 +4,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from magical.errors import RenderError, UnknownNameError
 from magical.render import Renderer, default_samples, render_frame, render_views
 from magical.render.frame import compiled_render
-from magical.scene import Colour, Pose, Poses, Region, Scene, View
+from magical.scene import Poses, View
 from tests.render.cases import Case, random_case
 
 Image = NDArray[np.uint8]
@@ -119,26 +118,6 @@ def test_poses_out_of_range(value: float, place: tuple[int, int], case: Case) ->
     for view in View:
         with pytest.raises(RenderError, match="finite"):
             Renderer(case[0], view).render(bodies, np.empty((96, 96, 3), np.uint8))
-
-
-@pytest.mark.parametrize("value", [1e308, 1e200, -1e9])
-def test_regions_out_of_range(value: float) -> None:
-    regions = (
-        Region(Colour.RED, 0.0, 0.0, 0.1, 0.1),
-        Region(Colour.BLUE, value, 0.0, 0.5, abs(value)),
-    )
-    with pytest.raises(RenderError, match=r"regions within 1e\+06 units"):
-        Renderer(Scene(Pose(0.0, 0.0, 0.0), (), regions), "ego")
-
-
-def test_more_bodies_than_can_be_rendered(case: Case) -> None:
-    scene = case[0]
-    for many in (
-        replace(scene, blocks=scene.blocks * 26),
-        replace(scene, regions=scene.regions * 16),
-    ):
-        with pytest.raises(RenderError, match="at most 100 blocks and 30 regions, found"):
-            render_frame(many, Poses.at_rest(many), "ego")
 
 
 def test_arrays_of_other_shapes_and_types(case: Case) -> None:

@@ -37,14 +37,17 @@ def test_numbers_of_numpy_become_floats() -> None:
 ROBOTS: tuple[Any, ...] = (
     *(5, None, "abc", [0, 0]),
     *([0, 0, float("nan")], [0, 0, 10**400], [0, 0, "0"], [0, 0, None], [0, 0, [0]]),
+    *([1e308, 0, 0], [0, 0, -1e308], [0, -1000.5, 0]),
 )
 BLOCKS: tuple[Any, ...] = (
     *(5, None, [5], [[]], [["star", "red"]]),
     *([["cube", "red", 0, 0, 0]], [[[], "red", 0, 0, 0]], [[{}, "red", 0, 0, 0]]),
+    *([["star", "red", 0, -1e308, 0]], [["star", "red", 0, 0, 0]] * 101),
 )
 REGIONS: tuple[Any, ...] = (
     *(5, [5], [["red"]], [{"colour": "red"}], [["pink", 0, 0, 1, 1]]),
     *([["red", 0, 0, 1, 0]], [["red", 0, 0, 1, "1"]], [["red", 0, 0, 1, 10**400]]),
+    *([["red", -1e9, 0, 1, 1]], [["red", 0, 0, 1, 1e308]], [["red", 0, 0, 1, 1]] * 31),
 )
 WRONG_SCENES: tuple[Any, ...] = (
     *(5, None, [], {}),

@@ -22,17 +22,9 @@ class Simulation:
 
     Bodies are added to the space in rendering order, walls first: the solver's result depends on
     the order (docs/specification.md, section 6).
-
-    Raises:
-        InvalidSceneError: more than `MAX_BLOCKS` blocks, or a pose beyond `MAX_COORDINATE`.
     """
 
     def __init__(self, scene: Scene, dynamics: Dynamics | None = None) -> None:
-        if len(scene.blocks) > c.MAX_BLOCKS:
-            raise InvalidSceneError(
-                f"scene: expected at most {c.MAX_BLOCKS} blocks, found {len(scene.blocks)}"
-            )
-        _check_range(np.array([scene.robot, *(block.pose for block in scene.blocks)]))
         self.scene = scene
         self.dynamics = dynamics or Dynamics()
         self._space = pymunk.Space()
@@ -106,7 +98,11 @@ class Simulation:
 
         Raises `InvalidSceneError` for a value that is not finite or beyond `MAX_COORDINATE`.
         """
-        _check_range(bodies)
+        furthest = np.abs(bodies).max()
+        if not furthest <= c.MAX_COORDINATE:  # NaN too
+            raise InvalidSceneError(
+                f"poses: expected finite numbers up to {c.MAX_COORDINATE:g}, found {furthest:g}"
+            )
         for body, row in zip(self._bodies, bodies.tolist(), strict=True):
             x, y, angle, velocity_x, velocity_y, spin = row
             body.position, body.angle = (x, y), angle
@@ -121,11 +117,3 @@ def compiled() -> tuple[Callable[..., None], Callable[..., None]] | None:
     from magical.physics.substeps import compiled_substeps, read  # imports numba
 
     return compiled_substeps(functions), read
-
-
-def _check_range(bodies: NDArray[np.float64]) -> None:
-    furthest = np.abs(bodies).max()
-    if not furthest <= c.MAX_COORDINATE:  # NaN too
-        raise InvalidSceneError(
-            f"poses: expected finite numbers up to {c.MAX_COORDINATE:g}, found {furthest:g}"
-        )

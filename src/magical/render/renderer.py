@@ -53,8 +53,7 @@ class Renderer:
 
     Raises:
         UnknownNameError: no such view.
-        RenderError: an invalid size or number of samples, too many blocks or regions, or a region
-            far outside the workspace.
+        RenderError: an invalid size or number of samples.
     """
 
     def __init__(

@@ -69,8 +69,7 @@ MAX_FRAME_SIZE = 4096  # pixels that can be asked for: some 50 MB a frame
 # Of a scene. No more blocks fit into the workspace; beyond, solver and renderer take minutes.
 MAX_BLOCKS, MAX_REGIONS = 100, 30
 
-# Of the poses that a simulation is given, in units and radians; beyond, the solver's results are no
-# numbers.
+# Of a scene and of poses, in units and radians; beyond, the solver's results are no numbers.
 MAX_COORDINATE = 1e3
 
 # Of initial poses, in units and radians; more can be seen, and is what the Jitter variant is for.

@@ -9,6 +9,7 @@ import numpy as np
 
 from magical.errors import InvalidSceneError
 from magical.messages import quoted
+from magical.scene.constants import MAX_BLOCKS, MAX_COORDINATE, MAX_REGIONS
 from magical.scene.vocabulary import Colour, Shape, parse_word
 
 _NUMBERS = (float, int, np.floating, np.integer)
@@ -153,7 +154,8 @@ class Scene:
     robot comes before (under) the blocks, as in MoveToCorner (docs/specification.md, section 6).
 
     Raises:
-        InvalidSceneError: the robot's pose is not three finite numbers.
+        InvalidSceneError: the robot's pose is not three finite numbers, there are more than
+            `MAX_BLOCKS` or `MAX_REGIONS`, or a number is beyond `MAX_COORDINATE`.
     """
 
     robot: Pose
@@ -165,6 +167,18 @@ class Scene:
         object.__setattr__(self, "robot", _pose("robot", self.robot))
         object.__setattr__(self, "blocks", tuple(self.blocks))
         object.__setattr__(self, "regions", tuple(self.regions))
+        if len(self.blocks) > MAX_BLOCKS or len(self.regions) > MAX_REGIONS:
+            raise InvalidSceneError(
+                f"scene: expected at most {MAX_BLOCKS} blocks and {MAX_REGIONS} regions, "
+                f"found {len(self.blocks)} and {len(self.regions)}"
+            )
+        poses = [self.robot, *(block.pose for block in self.blocks)]
+        areas = [(r.x, r.y, r.height, r.width) for r in self.regions]
+        furthest = max(abs(number) for numbers in (*poses, *areas) for number in numbers)
+        if furthest > MAX_COORDINATE:
+            raise InvalidSceneError(
+                f"scene: expected numbers up to {MAX_COORDINATE:g}, found {furthest:g}"
+            )
 
     def nudged(self, amount: float, rng: np.random.Generator) -> "Scene":
         """The scene with robot and blocks shifted and turned by uniform samples.

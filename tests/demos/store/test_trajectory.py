@@ -112,10 +112,9 @@ def test_intended_are_demonstrators_choices_that_were_executed() -> None:
     assert Trajectory(**GOOD, actors=actors).is_intended.tolist() == [False, True]
 
 
-@pytest.mark.parametrize("change", [{"x": 1.2}, {"angle": 2000.0}])
-def test_scene_that_no_episode_can_start_from_is_refused(change: dict[str, float]) -> None:
-    scene = replace(GOOD["scene"], robot=GOOD["scene"].robot._replace(**change))
-    with pytest.raises(ValueError, match=r"outside the workspace|angles of at most 1000 rad"):
+def test_scene_that_no_episode_can_start_from_is_refused() -> None:
+    scene = replace(GOOD["scene"], robot=GOOD["scene"].robot._replace(x=1.2))
+    with pytest.raises(ValueError, match="outside the workspace"):
         Trajectory(**{**GOOD, "scene": scene})
 
 

@@ -23,7 +23,7 @@ from magical.envs.ids import EnvId, parse_env_id
 from magical.errors import InvalidActionError, TrajectoryError
 from magical.messages import quoted
 from magical.scene import Dynamics, Poses, Scene, View
-from magical.scene.constants import FRAME_SIZE, MAX_COORDINATE, MAX_NUDGE
+from magical.scene.constants import FRAME_SIZE, MAX_NUDGE
 from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import Task
 from magical.untrusted import MAX_BITS, check_plain
@@ -86,8 +86,6 @@ class Trajectory:
         put = partial(object.__setattr__, self)
         put("env_id", parse_env_id(self.env_id).without_preset)
         self.task.validate(self.scene, MAX_NUDGE)
-        if not np.abs(Poses.at_rest(self.scene).bodies).max() <= MAX_COORDINATE:
-            raise TrajectoryError(f"scene: expected angles of at most {MAX_COORDINATE:g} rad")
         put("actions", checked_actions("actions", self.actions, np.ndim(self.actions)))
         published = checked_score("published_code_score", self.published_code_score)
         put("published_code_score", published)
