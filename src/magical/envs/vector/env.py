@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from magical.envs.action_spec import ActionSpaceName, action_spec
-from magical.envs.env import Instruction, MagicalEnv, names_attributes, not_picklable
+from magical.envs.env import SCORE_KEYS, Instruction, MagicalEnv, names_attributes, not_picklable
 from magical.envs.episode import Reward
 from magical.envs.ids import EnvId, parse_env_id
 from magical.envs.saved_state import parse_state
@@ -25,7 +25,6 @@ from magical.envs.vector.checks import (
     parse_autoreset_mode,
     require_episodes,
 )
-from magical.envs.vector.infos import Bools, Infos, instruction_infos, score_infos
 from magical.envs.vector.sub_envs import Started, SubEnvs, VectorSpec, common_observation
 from magical.envs.vector.workers import RemoteSubEnvs
 from magical.errors import (
@@ -43,7 +42,10 @@ from magical.processes import checked_workers
 from magical.scene.poses import Poses, State
 from magical.scene.scene import Scene
 from magical.tasks import Horizon
+from magical.tasks.programs import SUCCESS
 
+Bools = NDArray[np.bool_]
+Infos = dict[str, Any]
 _CLOSING = (WorkerDiedError, WorkerTimeoutError)  # errors after which the environment is closed
 
 
@@ -183,7 +185,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             wanted = [(row, seeds[row]) for row in rows]
             started = self._exchange(lambda: self._sub_envs.reset(wanted, chosen), rows)
             self._start(started)
-            infos = score_infos(np.zeros((2, self.num_envs)), mask)
+            infos = _score_infos(np.zeros((2, self.num_envs)), mask)
             return self._observations(-1), infos | self._instructions(started)
 
     def step(
@@ -212,14 +214,22 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
             truncations = self._buffers.truncations.copy()
             if self.autoreset_mode is AutoresetMode.DISABLED:
                 self._running[truncations] = False
-            infos = self._infos(acting, truncations)
-            infos |= self._instructions(started)
+            infos = self._infos(acting, truncations) | self._instructions(started)
             terminations = np.zeros(self.num_envs, np.bool_)
             rewards = self._buffers.rewards.copy()
             return self._observations(copy), rewards, terminations, truncations, infos
 
     def _instructions(self, started: Started) -> Infos:
-        return instruction_infos(started, self.env_ids, self._paraphrase, self._named)
+        """The instructions of the sub-environments that have started an episode."""
+        if not started:
+            return {}
+        words, mask = np.full(self.num_envs, None, dtype=object), np.zeros(self.num_envs, np.bool_)
+        for row, scene in started:
+            task, mask[row] = self.env_ids[row].task_spec, True
+            words[row] = task.instruction(
+                scene, paraphrase=self._paraphrase, attributes=self._named
+            )
+        return {"instruction": words, "_instruction": mask}
 
     def states(self) -> list[State]:
         """The true state of every sub-environment, for experts and privileged policies."""
@@ -328,15 +338,15 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         """The infos of a step, as Gymnasium's own vector environments build them."""
         scores = self._buffers.scores
         if self.autoreset_mode is not AutoresetMode.SAME_STEP or not ended.any():
-            return score_infos(scores.copy(), acting)
+            return _score_infos(scores.copy(), acting)
         observations = np.full(self.num_envs, None, dtype=object)
         for row in np.flatnonzero(ended).tolist():
             observations[row] = copy_arrays(select(self._buffers.final_observations, row))
         return {
-            **score_infos(np.zeros_like(scores), acting),
+            **_score_infos(np.zeros_like(scores), acting),
             "final_obs": observations,
             "_final_obs": ended.copy(),
-            "final_info": score_infos(np.where(ended, scores, 0.0), ended),
+            "final_info": _score_infos(np.where(ended, scores, 0.0), ended),
             "_final_info": ended.copy(),
         }
 
@@ -374,6 +384,12 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
         require_episodes(what, running, self.env_ids)
 
 
+def _score_infos(scores: NDArray[np.float64], mask: Bools) -> Infos:
+    """Scores (2, N) and success under their names, each with its mask (N,), as Gymnasium's own."""
+    values = dict(zip(SCORE_KEYS, scores, strict=True)) | {"is_success": scores[0] > SUCCESS}
+    return values | {f"_{key}": mask.copy() for key in values}
+
+
 def make_vector_env(
     task: str, variant: str, num_envs: int = 1, observation: Observation = None, **options: Any
 ) -> MagicalVectorEnv:
@@ -381,5 +397,4 @@ def make_vector_env(
 
     `options` are those of `MagicalVectorEnv`: workers, horizon, reward, autoreset_mode, copy, ...
     """
-    env_ids = [EnvId(task, variant)] * num_envs
-    return MagicalVectorEnv(env_ids, observation=observation, **options)
+    return MagicalVectorEnv([EnvId(task, variant)] * num_envs, observation=observation, **options)
