@@ -274,11 +274,9 @@ def test_impossible_reset_options(options: Any, expected: str) -> None:
 
 
 def test_action_names_and_keys() -> None:
-    env = _make()
-    assert env.action_names == ACTION_NAMES
     assert ACTION_NAMES[0] == "stop-straight-open"
     assert ACTION_NAMES[1 + 3 * 2 + 9] == "forward-right-closed"
-    keys = env.get_keys_to_action()
+    keys = _make().get_keys_to_action()
     assert keys[("w", "a", " ")] == 1 + 3 * 1 + 9
     assert sorted(keys.values()) == list(range(1, 18))
 

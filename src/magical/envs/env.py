@@ -18,7 +18,6 @@ from magical.errors import NotPicklableError, ResetNeededError, UnknownNameError
 from magical.messages import quoted
 from magical.observe import Observation, make_spec
 from magical.observe.arrays import copy_arrays
-from magical.scene.actions import ACTION_NAMES
 from magical.scene.constants import CONTROL_RATE
 from magical.scene.poses import State
 from magical.tasks import Horizon, Task, get_task
@@ -80,7 +79,6 @@ class MagicalEnv(gym.Env[Any, Any]):
         "render_modes": ["rgb_array", "human"],
         "render_fps": int(CONTROL_RATE),
     }
-    action_names = ACTION_NAMES
 
     def __init__(
         self,

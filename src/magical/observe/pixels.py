@@ -197,7 +197,7 @@ class PixelObserver:
     `update` shifts the frames by one towards the oldest and renders the newest.
     """
 
-    def __init__(self, spec: PixelSpec, out: Any = None) -> None:
+    def __init__(self, spec: PixelSpec, out: Any) -> None:
         self.spec = spec
         self.out = empty(spec.fields) if out is None else out
         self._stacks = spec.stacks(self.out)

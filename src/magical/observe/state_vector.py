@@ -136,7 +136,7 @@ class StateSpec:
 class StateObserver:
     """Writes a running episode's state vector into a given array, or into one of its own."""
 
-    def __init__(self, spec: StateSpec, out: NDArray[np.float32] | None = None) -> None:
+    def __init__(self, spec: StateSpec, out: NDArray[np.float32] | None) -> None:
         self.spec = spec
         self.out = np.zeros(spec.size, np.float32) if out is None else out
         blocks_end = len(_ROBOT) + len(_BLOCK) * spec.max_blocks

@@ -64,10 +64,5 @@ class State:
     scene: Scene
     poses: Poses
     velocities: NDArray[np.float64]  # (5 + number of blocks, 3): x, y, angular, per second
-    step: int = 0  # control steps since reset
-    horizon: int = 0  # control steps in the episode
-
-    @property
-    def steps_left(self) -> int:
-        """Control steps until the episode ends."""
-        return self.horizon - self.step
+    step: int  # control steps since reset
+    horizon: int  # control steps in the episode
