@@ -111,8 +111,8 @@ def test_as_many_scenes_are_written_as_were_recorded(tmp_path: Path) -> None:
     path, out = tmp_path / "in.json", tmp_path / "out.json"
     path.write_text(json.dumps(stripped))
     data = scenes.load(path)
-    computed, other = (scenes.compute(data, seed, samples=5) for seed in (0, 1))
-    assert computed == scenes.compute(data, samples=5) != other
+    computed = scenes.compute(data, samples=5)
+    assert computed == scenes.compute(data, samples=5)
     assert {env: len(rows) for env, rows in computed.scenes.items()} == {
         "MakeLine-TestAll-v0": 5,
         "MakeLine-Demo-v0": 1,

@@ -61,16 +61,14 @@ def load(path: Path | str) -> dict[str, list[SceneRow]]:
     return recorded
 
 
-def compute(
-    data: Mapping[str, Sequence[SceneRow]], seed: int = 0, samples: int = SAMPLES
-) -> SampledScenes:
+def compute(data: Mapping[str, Sequence[SceneRow]], samples: int = SAMPLES) -> SampledScenes:
     """Sample at least `samples` scenes of every environment (Demo: one).
 
-    The random numbers of an environment depend on `seed` and its position in `data` alone.
+    The random numbers of an environment depend on its position in `data` alone.
     """
     scenes = {}
     for i, (env, rows) in enumerate(data.items()):
-        env_id, rng = parse_env_id(env), np.random.default_rng((seed, i))
+        env_id, rng = parse_env_id(env), np.random.default_rng((0, i))
         task = get_task(env_id.task)
         count = max(len(rows), 1 if env_id.variant == DEMO else samples)
         scenes[env] = [row_of(*task.sample(env_id.variant, rng)) for _ in range(count)]
