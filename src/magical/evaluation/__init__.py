@@ -1,7 +1,7 @@
 """Policies, evaluation with fixed seeds, statistics, and the published scores. Needs no torch."""
 
 from magical.evaluation.entry import Entry, read_entry
-from magical.evaluation.loading import BUILT_IN, as_policy, load_policy, policy_names
+from magical.evaluation.loading import BUILT_IN, load_policy, policy_names
 from magical.evaluation.policy import FunctionPolicy, NoopPolicy, Policy, RandomPolicy
 from magical.evaluation.protocol import Evaluation, environments
 from magical.evaluation.published import (
@@ -23,7 +23,6 @@ __all__ = [
     "Policy",
     "RandomPolicy",
     "RolloutScore",
-    "as_policy",
     "by_variant",
     "difference_from_published",
     "environments",

@@ -69,7 +69,7 @@ def load_policy(source: PolicySource) -> Policy:
         MissingDependencyError: a run folder, without PyTorch; or a loader's distribution.
     """
     if not isinstance(source, str | os.PathLike):
-        return as_policy(source)
+        return _as_policy(source)
     name = os.fspath(source)
     if name in BUILT_IN:
         return BUILT_IN[name]()
@@ -78,13 +78,13 @@ def load_policy(source: PolicySource) -> Policy:
         return policy
     loader, colon, what = name.partition(":")
     if colon and loader in plugins(LOADERS):
-        return as_policy(load_plugin(LOADERS, loader)(what), name)
+        return _as_policy(load_plugin(LOADERS, loader)(what), name)
     if colon and loader in INTEGRATIONS:
         raise MissingDependencyError(
             f"policy {name!r}: this needs {INTEGRATIONS[loader]}, which is not installed; in a "
             f"clone of the repository: pip install ./integrations/{INTEGRATIONS[loader]}"
         )
-    return as_policy(_attribute(name), name)
+    return _as_policy(_attribute(name), name)
 
 
 def policy_names() -> tuple[str, ...]:
@@ -95,7 +95,7 @@ def policy_names() -> tuple[str, ...]:
     return (*BUILT_IN, *plugins(GROUP))
 
 
-def as_policy(thing: Any, name: str = "policy") -> Policy:
+def _as_policy(thing: Any, name: str = "policy") -> Policy:
     """Return or make a policy from what `load_policy` accepts; raises `PolicyError`."""
     if not inspect.isclass(thing) and callable(getattr(thing, "act", None)):
         return thing if isinstance(thing, Policy) else FunctionPolicy(thing.act, thing)
@@ -105,7 +105,7 @@ def as_policy(thing: Any, name: str = "policy") -> Policy:
         made = thing()
         if not callable(getattr(made, "act", None)):
             raise PolicyError(f"{name}: called without arguments; {_EXPECTED}, found {made!r}")
-        return as_policy(made)
+        return _as_policy(made)
     if inspect.isclass(thing):
         raise PolicyError(
             f"{name}: expected a class that can be instantiated without arguments, found "
