@@ -206,7 +206,6 @@ class RepeatedEvaluation:
 def play(
     policy: Policy,
     envs: MagicalVectorEnv,
-    env_ids: Sequence[EnvId],
     seeds: Sequence[int],
     nudge: float = 0.0,
     active: Mask | None = None,
@@ -215,7 +214,7 @@ def play(
 
     Yields observations and infos of the reset, then of every step.
     """
-    rng = RolloutRng(env_ids, seeds)
+    rng = RolloutRng(envs.env_ids, seeds)
     options = {"nudge": nudge} if nudge else None
     observations, infos = envs.reset(seed=list(seeds), options=options)
     policy.reset(np.ones(len(seeds), np.bool_))
@@ -223,7 +222,7 @@ def play(
     ended = False
     while not ended:
         given = given_to(policy, envs, observations)
-        actions = policy.act(given, env_ids, rng)
+        actions = policy.act(given, envs.env_ids, rng)
         try:
             observations, _, _, truncated, infos = envs.step(actions, active)
         except InvalidActionError as error:
@@ -252,9 +251,8 @@ class _Rollouts:
         self.policy = policy
         self.seed = evaluation.seed
         self.nudge = evaluation.nudge
-        self.env_ids = tuple(env_id for env_id in env_ids for _ in range(self.copies))
         self.envs = MagicalVectorEnv(
-            self.env_ids,
+            [env_id for env_id in env_ids for _ in range(self.copies)],
             workers=workers,
             observation=observation_for(policy, evaluation.observation),
             horizon=evaluation.horizon,  # observations are copies: the policy may change them
@@ -271,16 +269,15 @@ class _Rollouts:
         """The scores of the rollouts with these numbers in every environment, round by round."""
         for first in numbers[:: self.copies]:
             each = np.arange(first, first + self.copies)
-            rollouts = np.tile(each, len(self.env_ids) // self.copies)
+            rollouts = np.tile(each, self.envs.num_envs // self.copies)
             active = rollouts < numbers.stop
             seeds = [evaluation_seed(number, self.seed) for number in rollouts.tolist()]
-            played = play(self.policy, self.envs, self.env_ids, seeds, self.nudge, active)
-            for _, infos in played:
+            for _, infos in play(self.policy, self.envs, seeds, self.nudge, active):
                 final = infos
             scores, published = final["eval_score"], final["published_code_score"]
             yield [
                 RolloutScore(
-                    self.env_ids[row],
+                    self.envs.env_ids[row],
                     int(rollouts[row]),
                     seeds[row],
                     float(scores[row]),

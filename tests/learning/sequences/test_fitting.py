@@ -72,16 +72,16 @@ class Recorded:
 
 def actions_of(policy: TrainedPolicy, seeds: list[int]) -> Any:
     """The actions (T, B) or (T, B, 3) of episodes that are rolled out together."""
-    recorded, ids = Recorded(policy), [EnvId("MoveToRegion", "TestAll")] * len(seeds)
+    recorded = Recorded(policy)
     envs = MagicalVectorEnv(
-        ids,
+        [EnvId("MoveToRegion", "TestAll")] * len(seeds),
         workers=0,
         observation=policy.observation,
         horizon=6,
         action_space=policy.action_space,
     )
     with closing(envs):
-        for _ in play(recorded, envs, ids, seeds):
+        for _ in play(recorded, envs, seeds):
             pass
     return np.array(recorded.actions)
 

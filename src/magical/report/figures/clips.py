@@ -99,7 +99,7 @@ def record_rollouts(
         last = env_ids[0].task_spec.resolve_horizon(evaluation.horizon)
         shown: list[NDArray[np.uint8] | None] = [None for _ in env_ids]
         frames = []
-        played = play(policy, envs, env_ids, seeds, evaluation.nudge)
+        played = play(policy, envs, seeds, evaluation.nudge)
         for step, (observations, infos) in enumerate(played):
             if step == (last - 1) // 2 and not is_privileged(policy):
                 spec = make_spec(observation, env_ids[0].task_spec)
