@@ -222,8 +222,7 @@ def _finish(
     modules: Sequence[str],
 ) -> Returned:
     """A run's task on a node of the cluster."""
-    for module in modules:
-        load_tasks(module)
+    load_tasks(modules)
     shared = Path(folder)
     if _is_shared(shared, identity):
         return finish(run, shared, None if demos is None else Path(demos[0])), None

@@ -112,11 +112,12 @@ def possible_variants(name: str) -> tuple[str, ...]:
     return _tasks[name].variants if name in _tasks else tuple(VARIANTS)
 
 
-def load_tasks(module: str) -> None:
-    """Import a module by name and register the tasks that it holds, if it has not done so."""
-    for task in vars(importlib.import_module(module)).values():
-        if isinstance(task, Task) and task.name not in _tasks:
-            register_task(task)
+def load_tasks(modules: Iterable[str]) -> None:
+    """Import modules by name and register the tasks that they hold, if they have not done so."""
+    for module in modules:
+        for task in vars(importlib.import_module(module)).values():
+            if isinstance(task, Task) and task.name not in _tasks:
+                register_task(task)
 
 
 def with_tasks(work: Callable[[Item], Result], modules: Iterable[str]) -> Callable[[Item], Result]:
@@ -125,8 +126,7 @@ def with_tasks(work: Callable[[Item], Result], modules: Iterable[str]) -> Callab
 
 
 def _with_tasks(work: Callable[[Item], Result], modules: Iterable[str], item: Item) -> Result:
-    for module in modules:
-        load_tasks(module)
+    load_tasks(modules)
     return work(item)
 
 

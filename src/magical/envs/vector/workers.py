@@ -237,8 +237,7 @@ def main(requests: IO[bytes], replies: IO[bytes]) -> None:
 
 
 def _start(modules: Sequence[str], spec: VectorSpec, handle: int | str, rows: range) -> SubEnvs:
-    for module in modules:
-        load_tasks(module)
+    load_tasks(modules)
     layout = spec.layout()
     memory = open_memory(handle, layout.size)
     if isinstance(handle, int):
