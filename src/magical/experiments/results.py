@@ -189,7 +189,8 @@ def check_results(path: Path, runs: Sequence[PlannedRun]) -> None:
     Raises:
         ResultsError: the folder is of another version, or of another plan.
     """
-    found = read_record(path / EXPERIMENT)  # of another version, it may have other fields
+    # Of another version, it may have other fields.
+    found = read_json(path / EXPERIMENT, dict[str, Any], ResultsError)
     versions_then, written_in = found.get("versions"), found.get("format")
     version = versions_then.get("magical") if isinstance(versions_then, dict) else None
     if (written_in, version) != (FORMAT, __version__):
@@ -224,7 +225,7 @@ def read_result(folder: Path) -> dict[str, Any]:
     """
     if not (folder / RESULT).is_file():
         return {}
-    record = read_record(folder / RESULT)
+    record = read_json(folder / RESULT, dict[str, Any], ResultsError)
     if (state := record.get("state")) not in (DONE, FAILED):
         raise ResultsError(
             f"{folder / RESULT}: expected a state, {DONE} or {FAILED}, found {quoted(state)}; "
@@ -244,12 +245,3 @@ def planned_states(path: Path, runs: Sequence[PlannedRun]) -> list[str]:
         return [read_state(path / RUNS / run.folder) or WAITING for run in runs]
     _owned(path).require_new()
     return [WAITING] * len(runs)
-
-
-def read_record(path: Path) -> dict[str, Any]:
-    """A JSON object of a results folder.
-
-    Raises:
-        ResultsError: it is missing or damaged.
-    """
-    return read_json(path, dict[str, Any], ResultsError)
