@@ -25,7 +25,6 @@ from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,21 +48,15 @@ PHASES = ("driving", "pushing", "gripping")
 Array = NDArray[np.float64]
 
 
-class Quantity(NamedTuple):
-    """What is compared: a name, and the unit that tables and figures show."""
-
-    name: str
-    unit: str
-    scale: float  # of the unit
-
-
-QUANTITIES = (
-    Quantity("robot position", "1e-3 units", 1e3),
-    Quantity("robot angle", "1e-3 rad", 1e3),
-    Quantity("finger angle", "1e-3 rad", 1e3),
-    Quantity("block position", "1e-3 units", 1e3),
-    Quantity("block angle", "1e-3 rad", 1e3),
-)
+# What is compared, with the unit of tables and figures.
+QUANTITIES = {
+    "robot position": "1e-3 units",
+    "robot angle": "1e-3 rad",
+    "finger angle": "1e-3 rad",
+    "block position": "1e-3 units",
+    "block angle": "1e-3 rad",
+}
+SCALE = 1e3  # of these units
 
 
 @dataclass(frozen=True, slots=True)
@@ -276,12 +269,12 @@ def print_predictions(windows: list[Window], own: list[Window]) -> None:
     )
     for kind in PHASES:
         for horizon in HORIZONS:
-            for name, unit, scale in QUANTITIES:
+            for name, unit in QUANTITIES.items():
                 errors, sensitivity = values(windows, kind, horizon, name)
                 control, _ = values(own, kind, horizon, name)
                 if len(errors) and len(control):
                     kinds = (errors, sensitivity, control)
-                    found = [np.percentile(v, q) * scale for v in kinds for q in (50, 95)]
+                    found = [np.percentile(v, q) * SCALE for v in kinds for q in (50, 95)]
                     cells = [f"{value:.2f}" for value in found]
                     print_row(kind, horizon, len(errors), f"{name}, {unit}", *cells)
 
@@ -292,14 +285,14 @@ def draw(windows: list[Window], own: list[Window], path: Path) -> None:
 
     figure, axes = plt.subplots(2, len(QUANTITIES), figsize=(16, 6), sharex=True)
     for row, horizon in enumerate(HORIZONS):
-        for axis, (name, unit, scale) in zip(axes[row], QUANTITIES, strict=True):
+        for axis, (name, unit) in zip(axes[row], QUANTITIES.items(), strict=True):
             for colour, kind in zip(("C0", "C1", "C2"), PHASES, strict=True):
                 errors, _ = values(windows, kind, horizon, name)
                 control, _ = values(own, kind, horizon, name)
                 if len(errors) and len(control):
                     shares = np.linspace(0, 100, 201)
                     for found, style in ((errors, "-"), (control, ":")):
-                        quantiles = np.percentile(found, shares) * scale
+                        quantiles = np.percentile(found, shares) * SCALE
                         axis.semilogy(shares, quantiles, style, color=colour, label=kind)
             steps = "1 step" if horizon == 1 else f"{horizon} steps"
             axis.set(title=f"{name}, {steps}", ylabel=unit)
