@@ -46,7 +46,6 @@ class Row(NamedTuple):
     rollouts: int
     mean: float
     variance: float  # over rollouts
-    published_mean: float  # by the published code's rule
 
 
 def main() -> None:
@@ -118,9 +117,8 @@ def summary(
 ) -> Row:
     """One row from the rollouts of one start."""
     values = np.array([row.score for row in scores])
-    published = float(np.mean([row.published_code_score for row in scores]))
     mean, variance = float(values.mean()), float(values.var(ddof=1))
-    return Row(str(run), task, variant, start, number, len(values), mean, variance, published)
+    return Row(str(run), task, variant, start, number, len(values), mean, variance)
 
 
 class Spread(NamedTuple):
