@@ -38,6 +38,8 @@ STRIDE = 4  # pixels of a cell
 CELLS = FRAME_SIZE // STRIDE
 CELL = 2 * VIEW_HALF / CELLS  # units
 WIDTH, DILATIONS = 48, (1, 2, 4, 1, 2, 1)
+BATCH_SIZE = 64  # scenes
+LEARNING_RATE = 3e-3  # the highest: it rises for a tenth of the batches, then falls to nearly 0
 
 # The channels of each kind of object: centre, offset from the cell's centre, then its own.
 ROBOT = 3 + 4  # cosine and sine of the angle, how far the fingers are open
@@ -259,23 +261,16 @@ def losses(channels: Tensor, batch: Batch) -> dict[str, Tensor]:
     }
 
 
-def train(batches: int, out: Path, batch_size: int = 64, learning_rate: float = 3e-3) -> None:
-    """Train a network on random scenes, and write its weights.
-
-    Args:
-        batches: at least 11.
-        out: the file of the weights.
-        batch_size: scenes of each batch.
-        learning_rate: the highest; it rises for a tenth of the batches and then falls to nearly 0.
-    """
+def train(batches: int, out: Path) -> None:
+    """Train a network on random scenes, for at least 11 batches, and write its weights."""
     torch.manual_seed(0)
     rng = np.random.default_rng(0)
     detector = Detector()
-    optimizer = torch.optim.AdamW(detector.parameters(), learning_rate, weight_decay=1e-4)
-    annealed = torch.optim.lr_scheduler.OneCycleLR(optimizer, learning_rate, batches, pct_start=0.1)
+    optimizer = torch.optim.AdamW(detector.parameters(), LEARNING_RATE, weight_decay=1e-4)
+    annealed = torch.optim.lr_scheduler.OneCycleLR(optimizer, LEARNING_RATE, batches, pct_start=0.1)
     means: dict[str, float] = {}
     for number in range(batches):
-        batch = Batch([random_sample(rng) for _ in range(batch_size)])
+        batch = Batch([random_sample(rng) for _ in range(BATCH_SIZE)])
         with torch.autocast("cpu", torch.bfloat16):
             channels = detector(to_images(batch.frames))
         parts = losses(channels.float(), batch)
