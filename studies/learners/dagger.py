@@ -30,7 +30,7 @@ Row = dict[str, Any]
 
 def dagger(arguments: argparse.Namespace, task: str, seed: int) -> DAggerConfig:
     """DAgger with what was asked for in place of the preset's settings."""
-    names = ("variants", "rounds", "batches", "episodes", "network", "beta_decay", "keep_noops")
+    names = ("variants", "batches", "episodes", "network", "beta_decay")
     given = {name: getattr(arguments, name) for name in names}
     return DAggerConfig.preset(
         "quick",
@@ -139,12 +139,10 @@ def main() -> None:
     add("--rollouts", type=int, default=20, help="on each variant (default: 20)")
     add("--demos", type=int, default=5, help="demonstrations that DAgger begins with (default: 5)")
     add("--variants", nargs="+", type=str, help="that DAgger's learner acts in (default: Demo)")
-    add("--rounds", type=int, help="default: the quick preset's, as for all below")
-    add("--batches", type=int, help="in each round")
+    add("--batches", type=int, help="in each round (default: the quick preset's, as for all below)")
     add("--episodes", type=int, help="in each round")
     add("--network", help="paper, small or light")
     add("--beta-decay", type=float)
-    add("--keep-noops", action="store_true", default=None, help="DAgger keeps no-op labels")
     add("--workers", type=int, default=0, help="processes for the environments (default: none)")
     arguments = parser.parse_args()
     if arguments.variants:
