@@ -170,7 +170,8 @@ def collect(
             del runs[name]
             yield f"does not count any more: {out / RUNS / name}: not a run of {plan}"
     collected.write(out, [asdict(run.listed()) for run in planned.values()])
-    commits = Counter(_commit(collected.entries[f"{RUNS}/{name}"]) for name in collected.runs)
+    entries = (collected.entries[f"{RUNS}/{name}"] for name in collected.runs)
+    commits = Counter(str(entry.details.get("commit") or "unknown") for entry in entries)
     if len(commits) > 1:
         shown = ", ".join(f"{count} of {commit:.7}" for commit, count in commits.items())
         yield f"note: runs of several commits: {shown}"
@@ -225,11 +226,6 @@ def _is_same_run(run: PlannedRun, record: Mapping[str, Any]) -> bool:
         return False
     then, now = {**settings, "config": config}, run.settings()
     return json.dumps(then, sort_keys=True) == json.dumps(now, sort_keys=True)
-
-
-def _commit(entry: Entry) -> str:
-    """The commit of the package that a collected run was made with."""
-    return str(entry.details.get("commit") or "unknown")
 
 
 def _entry(folder: Path, version: str, looks: int | None = None, dataset: str = DATASET) -> Entry:

@@ -169,7 +169,8 @@ class Page:
 
     def count_table(self) -> str:
         """A row for each method: cells within one and two pooled standard deviations."""
-        header = ("Row", "Published", "Cells", *_within_header(), "Below", "Above")
+        within = (f"Within {limit} (expected)" for limit in LIMITS)
+        header = ("Row", "Published", "Cells", *within, "Below", "Above")
         return table(header, map(self._count_row, self.methods))
 
     def _count_row(self, method: str) -> list[str]:
@@ -347,10 +348,6 @@ def _stated(statements: Statements) -> tuple[str, str]:
 def _together_header(pairs: Sequence[tuple[Finding, Finding]]) -> str:
     """How many findings were tested; the verdicts below are right together in 95 of 100 cases."""
     return f"All {sum(found.ours is not None for found, _ in pairs)} at once"
-
-
-def _within_header() -> list[str]:
-    return [f"Within {limit} (expected)" for limit in LIMITS]
 
 
 def _count_cells(found: Count) -> list[str]:

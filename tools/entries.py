@@ -82,12 +82,9 @@ def _file_faults(folder: Path, submission: Submission) -> Iterator[str]:
 def _files(folder: Path) -> Iterator[str]:
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
-        if path.is_file() and name not in (SUBMISSION, README) and not _is_left_over(path):
+        left_over = path.name == LOCK or "__pycache__" in path.parts
+        if path.is_file() and name not in (SUBMISSION, README) and not left_over:
             yield name
-
-
-def _is_left_over(path: Path) -> bool:
-    return path.name == LOCK or "__pycache__" in path.parts
 
 
 def _protocol_faults(folder: Path, submission: Submission, others: Sequence[Path]) -> Iterator[str]:
