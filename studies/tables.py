@@ -66,15 +66,15 @@ def task_names(tasks: Sequence[str]) -> str:
 
 def order_table(rows: Sequence[MethodRuns], part: str) -> str:
     """A table of methods in the order of our means; empty for fewer than two."""
-    ordering = order(rows, part)
-    if len(ordering.places) < 2:
+    tasks, places = order(rows, part)
+    if len(places) < 2:
         return ""
     header = ("Rank", "Row", "Ours", "Published", "Published rank")
     lines = (
         (p.rank, p.method, mean_text(p.ours), mean_text(p.published), p.published_rank)
-        for p in ordering.places
+        for p in places
     )
-    return f"{part}, {task_names(ordering.tasks)}:\n\n{table(header, lines)}"
+    return f"{part}, {task_names(tasks)}:\n\n{table(header, lines)}"
 
 
 def mean_text(interval: Interval) -> str:

@@ -19,14 +19,12 @@ class ComparedCell:
     """A mean of ours beside a published one.
 
     Attributes:
-        method: ours.
         task: the task's name.
         variant: short, such as `Jitter`.
         means: (runs,), each run's mean score.
         published: the published mean and standard deviation.
     """
 
-    method: str
     task: str
     variant: str
     means: Floats
@@ -83,9 +81,7 @@ def make_cells(row: MethodRuns) -> list[ComparedCell]:
         variant = short_variant(env_id.variant)
         spread = table.get((env_id.task, row.published, variant))
         if spread is not None:
-            cells.append(
-                ComparedCell(row.method, env_id.task, variant, row.runs_in(env_id), spread)
-            )
+            cells.append(ComparedCell(env_id.task, variant, row.runs_in(env_id), spread))
     return cells
 
 

@@ -230,36 +230,24 @@ class Place:
     rank: int
 
 
-@dataclass(frozen=True, slots=True)
-class Ordering:
-    """Methods by their mean over the environments of a part that all have.
+def order(rows: Sequence[MethodRuns], part: str) -> tuple[list[str], list[Place]]:
+    """The methods with the name of a published one, by our rank, and before them their tasks.
 
-    Attributes:
-        part: `Demo` or `test variants`.
-        tasks: of these environments.
-        places: by our rank.
+    Means are over the environments of a part that all have.
     """
-
-    part: str
-    tasks: tuple[str, ...]
-    places: tuple[Place, ...]
-
-
-def order(rows: Sequence[MethodRuns], part: str) -> Ordering:
-    """The order of the methods with the name of a published one."""
     rows = [row for row in rows if row.published == row.method]
     env_ids = _shared(rows, part)
     cells = [(env_id.task, env_id.variant) for env_id in env_ids]
     if not env_ids:
-        return Ordering(part, (), ())
+        return [], []
     theirs = {row.method: published_contrast({row.method: 1.0}, cells) for row in rows}
     ours = {row.method: mean(row.on(env_ids)) for row in rows}
     places = [
         Place(name, theirs[name], ours[name], _rank(name, theirs), _rank(name, ours))
         for name in theirs
     ]
-    tasks = tuple(dict.fromkeys(env_id.task for env_id in env_ids))
-    return Ordering(part, tasks, tuple(sorted(places, key=lambda place: place.rank)))
+    tasks = list(dict.fromkeys(env_id.task for env_id in env_ids))
+    return tasks, sorted(places, key=lambda place: place.rank)
 
 
 def _rank(name: str, means: Mapping[str, Interval]) -> int:

@@ -12,7 +12,7 @@ from studies.published_tables.rows import MethodRuns
 
 
 def cell(means: list[float], mean: float, std: float, variant: str = "Demo") -> ComparedCell:
-    return ComparedCell("A", "MoveToRegion", variant, np.array(means), Spread(mean, std))
+    return ComparedCell("MoveToRegion", variant, np.array(means), Spread(mean, std))
 
 
 def test_a_distance_by_hand() -> None:

@@ -108,14 +108,15 @@ def test_orders() -> None:
         row("BC (ST)", [0.9, 0.1], [0.8, 0.1]),
         row("BC (ST), scripted experts", [1.0, 1.0], [1.0, 1.0]),
     ]
-    demo, tests = order(rows, DEMO), order(rows, TESTS)
-    assert [(p.method, p.rank, p.published_rank) for p in demo.places] == [
+    (tasks, demo), (_, tests) = order(rows, DEMO), order(rows, TESTS)
+    assert tasks == ["MoveToCorner"]
+    assert [(p.method, p.rank, p.published_rank) for p in demo] == [
         ("BC (ST)", 1, 1),
         ("BC (ST, no aug.)", 2, 2),
     ]
-    assert [(p.method, p.published_rank) for p in tests.places] == [
+    assert [(p.method, p.published_rank) for p in tests] == [
         ("BC (ST, no aug.)", 2),
         ("BC (ST)", 1),
     ]
-    assert demo.places[0].published.value == 0.98
-    assert order([], DEMO).places == ()
+    assert demo[0].published.value == 0.98
+    assert order([], DEMO) == ([], [])
