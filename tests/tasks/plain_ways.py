@@ -137,7 +137,8 @@ def units_to_line(a: Point, b: Point, chosen: list[int], points: list[Point]) ->
 
 def to_clusters(goal: Clustered, scene: Scene, poses: Poses) -> Way:
     own, other = goal.distances(scene, poses)
-    points, way = positions(scene, poses), Way()
+    points = positions(scene, poses)
+    way: Way = {}
     if (own < other / 3).all():
         return way
     values = [value_of(block, goal.attribute) for block in scene.blocks]
