@@ -147,7 +147,8 @@ def to_clusters(goal: Clustered, scene: Scene, poses: Poses) -> Way:
         for centre in alike:
             gaps = {i: math.dist(points[i], points[centre]) - NEIGHBOUR_DISTANCE for i in alike}
             ways.append({i: left for i, left in gaps.items() if left > 0.0})
-        way.update(min(ways, key=work))
+        shortest: Way = min(ways, key=work)
+        way.update(shortest)
     for i in range(len(points)):
         too_far = math.sqrt(own[i]) - math.sqrt(other[i] / 3)
         if too_far >= 0.0:
