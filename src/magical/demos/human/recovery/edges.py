@@ -26,11 +26,13 @@ from magical.demos.human.recovery.edge_search import (
     Near,
     compiled_search,
 )
-from magical.render.display import DisplayList, display_list
+from magical.errors import RenderError
+from magical.render.display import FURTHEST, DisplayList, display_list
 from magical.render.frame import ROBOT_HEIGHT, VIEW_WIDTH
 from magical.render.palette import OUTSIDE, WHITE, lanes
 from magical.render.polygons import Floats
 from magical.scene.constants import RAW_FRAME_SIZE as SIZE
+from magical.scene.poses import FIRST_BLOCK
 from magical.scene.scene import Scene
 from magical.scene.vocabulary import View
 
@@ -62,6 +64,7 @@ class EdgeFinder:
 
     def __init__(self, scene: Scene, view: View) -> None:
         self._is_ego = view == View.EGO
+        self._bodies = FIRST_BLOCK + len(scene.blocks)
         self._palette, self._layers = _layers(display_list(scene))
 
     def label(self, frame: NDArray[np.uint8]) -> Labels:
@@ -73,7 +76,12 @@ class EdgeFinder:
         Returns:
             (384, 384) uint8, lowest row first: numbers of the scene's colours, and
             `edge_search.MIXED` for any other colour, as smoothed lines have it.
+
+        Raises:
+            RenderError: a frame of another shape.
         """
+        if frame.shape != (SIZE, SIZE, 3):
+            raise RenderError(f"expected a frame {SIZE} across, found {frame.shape}")
         labels = np.empty((SIZE, SIZE), np.uint8)
         _compiled_label()(frame, self._palette, labels)
         return labels
@@ -88,7 +96,12 @@ class EdgeFinder:
             labels: a frame's, from `label`.
             band: pixels.
             wanted: (5 + blocks,), the bodies whose edges matter.
+
+        Raises:
+            RenderError: the poses are not finite, or not one for each body.
         """
+        if bodies.shape != (self._bodies, 3) or not np.abs(bodies).max() <= FURTHEST:
+            raise RenderError(f"expected {self._bodies} finite poses within {FURTHEST:g} units")
         near, numbers, margins = _working_memory()
         placement = FramePlacement(
             frames=np.empty((len(bodies) + 1, 4)),
