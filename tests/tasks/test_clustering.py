@@ -94,11 +94,11 @@ def test_published_margin_is_twice_the_squared_distance(
 
 
 def partly_clustered(fraction: float) -> tuple[Scene, Poses]:
-    """Thirty blocks of each colour, a part of them spread evenly over the other corners."""
-    task, misplaced = CLUSTER_COLOUR, round((1 - fraction) * 30)
+    """Twenty blocks of each colour, a part of them spread over the other corners."""
+    task, misplaced = CLUSTER_COLOUR, round((1 - fraction) * 20)
     blocks, places = [], []
     for value, colour in enumerate(COLOURS):
-        for i in range(30):
+        for i in range(20):
             blocks.append(replace(task.demo.blocks[0], colour=colour))
             places.append(CORNERS[(value + (1 + i % 3 if i < misplaced else 0)) % 4])
     scene = replace(task.demo, blocks=tuple(blocks))

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from magical.scene import Poses, Scene
+from magical.scene import Pose, Poses, Scene
 from magical.scene.poses import FIRST_BLOCK
 from magical.tasks import TASKS
-from magical.tasks.programs import parse
+from magical.tasks.programs import parse, problem
 from magical.tasks.programs.states import Floats, States
 from tests.tasks.plain_ways import plain_ways, work
 
@@ -48,3 +48,9 @@ def test_work_is_that_of_the_best_of_the_plain_ways(task: str, text: str) -> Non
     expected = [min(map(work, plain_ways(goal, scene, Poses(each)))) for each in bodies]
     np.testing.assert_allclose(states.work(goal), expected, atol=1e-12)
     np.testing.assert_allclose(states.best_way(goal).sum(axis=1), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("text", GOALS)
+def test_without_blocks_every_goal_is_a_problem(text: str) -> None:
+    scene, goal = Scene(Pose(0.0, 0.0, 0.0), (), ()), parse(text)
+    assert problem(goal, scene)

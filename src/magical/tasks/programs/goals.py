@@ -178,7 +178,7 @@ class Undisturbed(_OfBlocks):
     """Every region in which a selected block starts has the same blocks at the end: 1, else 0."""
 
     def score(self, scene: Scene, poses: Poses) -> float:
-        left, came = self._changes(scene, np.array(positions(scene, poses)))
+        left, came = self._changes(scene, np.reshape(positions(scene, poses), (-1, 2)))
         return float(not (left | came).any())
 
     def ways(self, states: States) -> Floats:
@@ -198,7 +198,7 @@ class Undisturbed(_OfBlocks):
 
         Of the regions in which a selected block starts.
         """
-        starts = np.array([block.pose[:2] for block in scene.blocks])
+        starts = np.reshape([block.pose[:2] for block in scene.blocks], (-1, 2))
         before, after = (depths_in_regions(scene, at) >= 0.0 for at in (starts, points))
         about = before[sorted(self.selection.blocks(scene))].any(axis=0)  # (R,)
         left, came = before & ~after & about, after & ~before & about
