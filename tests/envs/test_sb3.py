@@ -2,6 +2,7 @@
 
 import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -18,6 +19,11 @@ sb3 = pytest.importorskip("stable_baselines3", reason="the extra sb3 is not inst
 HORIZON = 4
 # Warnings of Stable-Baselines3 and PyTorch.
 pytestmark = pytest.mark.filterwarnings("ignore")
+
+
+@pytest.fixture(autouse=True)
+def logs_in_the_tests_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SB3_LOGDIR", str(tmp_path))
 
 
 def adapter(observation: Any = "state", num_envs: int = 2, workers: int = 0, **options: Any) -> Any:

@@ -109,7 +109,7 @@ class Tab:
 def start_browser(program: str, folder: Path) -> Iterator[Browser]:
     """A browser that keeps its files in a folder, ended with the block."""
     command = [program, *FLAGS, f"--user-data-dir={folder}", "--remote-debugging-port=0"]
-    environment = {**os.environ, "HOME": str(folder)}
+    environment = {**os.environ, "HOME": str(folder), "TMPDIR": str(folder)}
     process = subprocess.Popen(
         command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
     )
