@@ -197,13 +197,8 @@ def read_rows(path: Path) -> list[Row]:
         return []
     with path.open(newline="", encoding="utf-8") as file:
         return [
-            Row(
-                *(
-                    kind(value)
-                    for kind, value in zip(Row.__annotations__.values(), line, strict=True)
-                )
-            )
-            for line in list(csv.reader(file))[1:]
+            Row(*(kind(line[name]) for name, kind in Row.__annotations__.items()))
+            for line in csv.DictReader(file)
         ]
 
 

@@ -50,7 +50,7 @@ def plain_ways(goal: Goal, scene: Scene, poses: Poses) -> list[Way]:
         units = {i: units_to(goal.place, scene, i, points) for i in chosen}
         if not isinstance(goal, OneOf):
             return [{i: left for i, left in units.items() if left > 0.0}]
-        return [{i: left} if left > 0.0 else {} for i, left in units.items()]
+        return [{i: left} for i, left in units.items()] if all(units.values()) else [{}]
     if isinstance(goal, Undisturbed):
         return [disturbed(goal, scene, points)]
     if isinstance(goal, Lined):

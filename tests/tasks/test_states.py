@@ -26,6 +26,7 @@ GOALS = (
     "Undisturbed(AllBlocks())",
     "Together(Every(Mismatched(), OutOfRegions()), Undisturbed(Matched()))",
     "Together(OneOf(AllBlocks(), InRegion()), Lined(AllBlocks()))",
+    "Together(Each(AllBlocks(), AtWall('left')), OneOf(AllBlocks(), InRegion()))",
 )
 
 

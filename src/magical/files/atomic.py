@@ -121,6 +121,6 @@ def remove_partial_files(folder: Path, *names: str) -> None:
 
 
 def is_partial(file: Path, *names: str) -> bool:
-    """Whether a name is a temporary one of a file whose name matches one of the patterns."""
+    """Whether a file is a temporary one, for a file whose name matches one of the patterns."""
     found = _PARTIAL.fullmatch(file.name)
     return found is not None and any(fnmatchcase(found["name"], name) for name in names)

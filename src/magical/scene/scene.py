@@ -155,7 +155,7 @@ class Scene:
 
     Raises:
         InvalidSceneError: the robot's pose is not three finite numbers, there are more than
-            `MAX_BLOCKS` or `MAX_REGIONS`, or a number is beyond `MAX_COORDINATE`.
+            `MAX_BLOCKS` blocks or `MAX_REGIONS` regions, or a number is beyond `MAX_COORDINATE`.
     """
 
     robot: Pose

@@ -13,7 +13,7 @@ from magical.scene.constants import RAW_FRAME_SIZE
 
 SIZE = RAW_FRAME_SIZE  # pixels: height, and width of each view
 SAMPLES = 2  # across a pixel, for smooth edges
-GAP = 8  # white pixels between two views; as much less as they are smaller
+GAP = 8  # white pixels between two views; in proportion, for smaller frames
 
 
 def render_webp(scene: Scene, poses: Poses, views: Sequence[View]) -> bytes:

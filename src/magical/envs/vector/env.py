@@ -385,7 +385,7 @@ class MagicalVectorEnv(VectorEnv[Any, Any, NDArray[Any]]):
 
 
 def _score_infos(scores: NDArray[np.float64], mask: Bools) -> Infos:
-    """Scores (2, N) and success under their names, each with its mask (N,), as Gymnasium's own."""
+    """Scores (2, N) and success under their names, each with its mask (N,), as in Gymnasium."""
     values = dict(zip(SCORE_KEYS, scores, strict=True)) | {"is_success": scores[0] > SUCCESS}
     return values | {f"_{key}": mask.copy() for key in values}
 

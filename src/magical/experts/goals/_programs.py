@@ -33,6 +33,7 @@ from magical.tasks.programs import (
 
 MARGIN = 0.06  # units within a corner, wall zone or neighbourhood that are aimed at
 TOLERANCE = 0.06  # units
+AROUND = MARGIN * np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])
 
 
 def program_planner(program: Goal) -> Planner:
@@ -109,12 +110,9 @@ def _is_there(place: Place, view: StateView, block: int) -> bool:
 
 def _is_well_within(place: Place, view: StateView, block: int, point: Point) -> bool:
     """Whether a block would be at a place at the point, and at all points `MARGIN` around it."""
-    points = list(view.blocks)
-    for dx, dy in ((MARGIN, 0.0), (-MARGIN, 0.0), (0.0, MARGIN), (0.0, -MARGIN)):
-        points[block] = point[0] + dx, point[1] + dy
-        if place.degree(view.scene, block, points) < 1.0:
-            return False
-    return True
+    points = np.repeat(np.array(view.blocks)[None], len(AROUND), axis=0)
+    points[:, block] = point + AROUND
+    return bool((place.remaining(view.scene, points)[:, block] <= 0.0).all())
 
 
 def _back(goal: Undisturbed, view: StateView, strategy: Strategy) -> list[Move]:

@@ -6,6 +6,7 @@ import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from magical.scene import Scene
@@ -36,7 +37,9 @@ def describe_task(task: Task) -> Description:
     the list after it. Otherwise the score rule is the first paragraph of the docstring of the
     score function, or of the program's class where the score is the program's.
     """
-    score_fn: Any = getattr(task.score_fn, "func", task.score_fn)  # of a partial, its function
+    score_fn: Any = task.score_fn
+    if isinstance(score_fn, partial):
+        score_fn = score_fn.func
     if task.program is not None and score_fn == task.program.score:
         score_fn = task.program
     held = ((m, getattr(m, "__dict__", {})) for m in list(sys.modules.values()))

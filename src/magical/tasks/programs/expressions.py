@@ -28,7 +28,7 @@ class Attribute(StrEnum):
 
 
 class Expression:
-    """A typed expression.
+    """A typed expression; the types of its fields are classes.
 
     Raises:
         InvalidProgramError: a field of another type; the message names expression and field.

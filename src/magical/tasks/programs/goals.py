@@ -119,7 +119,9 @@ class OneOf(_Placed):
     def ways(self, states: States) -> Floats:
         ways = super().ways(states)
         chosen = np.array(sorted(self.selection.blocks(states.scene)) or [-1])[:, None]
-        return np.where(np.arange(ways.shape[-1]) == chosen, ways, 0.0)
+        ways = np.where(np.arange(ways.shape[-1]) == chosen, ways, 0.0)
+        shortest = ways.sum(axis=2, keepdims=True).min(axis=1, keepdims=True)
+        return np.where(shortest > 0.0, ways, 0.0)  # where one is there, nothing is left
 
     def sentence(self, scene: Scene, style: Style) -> str:
         chosen = self.selection.blocks(scene)
@@ -152,7 +154,7 @@ class Only(_OfBlocks):
 
     @cached_property
     def others(self) -> Each:
-        """The goal that has the same ways: the other blocks at a place."""
+        """The goal with the same ways: all other blocks out of the regions."""
         return Each(AllBut(self.selection), OutOfRegions())
 
 
@@ -196,7 +198,7 @@ class Undisturbed(_OfBlocks):
     def _changes(self, scene: Scene, points: Floats) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Whether blocks at points (..., N, 2) left a region, or came into one: (..., N) each.
 
-        Of the regions in which a selected block starts.
+        Only regions in which a selected block starts count.
         """
         starts = np.reshape([block.pose[:2] for block in scene.blocks], (-1, 2))
         before, after = (depths_in_regions(scene, at) >= 0.0 for at in (starts, points))
@@ -216,7 +218,8 @@ class Lined(_OfBlocks):
     def ways(self, states: States) -> Floats:
         chosen = sorted(self.selection.blocks(states.scene))
         if len(chosen) < 2:
-            return np.full((len(states.points), 1, len(states.scene.blocks) + 1), np.inf)
+            never = np.full((len(states.points), 1), np.inf)
+            return _one_way(states, [-1], never, never > 0.0)
         units = _units_to_lines(states.points[:, chosen])  # (P, W, K)
         ways = np.zeros((*units.shape[:2], len(states.scene.blocks) + 1))
         ways[..., chosen] = np.where(units > 0.0, UNFINISHED + units, 0.0)

@@ -38,7 +38,7 @@ class States:
         return self._units[place]
 
     def ways_of_part(self, goal: "Goal") -> Floats:
-        """A goal's ways, found once: several goals may have it as a part."""
+        """A goal's ways, which are kept, because several goals may share a part."""
         if goal not in self._parts:
             self._parts[goal] = goal.ways(self)
         return self._parts[goal]
@@ -49,7 +49,7 @@ class States:
         return work
 
     def best_way(self, goal: "Goal") -> Floats:
-        """What that way leaves to be done for each block, and last for the robot: (P, N + 1)."""
+        """What the way with the least work leaves for each block and the robot: (P, N + 1)."""
         ways = goal.ways(self)
         best: Floats = ways[np.arange(len(ways)), ways.sum(axis=2).argmin(axis=1)]
         return best
