@@ -7,7 +7,6 @@ instruction. Goals are combined by `Together`, whose score is the product.
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,6 @@ from magical.tasks.programs.wording import Style, describe, name_regions, stay
 from magical.tasks.scoring import (
     INLIER_DISTANCE,
     NEIGHBOUR_DISTANCE,
-    Distances,
     centroid_distances,
     longest_line,
     positions,
@@ -265,7 +263,7 @@ class Clustered(Goal):
         verb = style.of(("Push", "Move", "Sort"))
         return f"{verb} the blocks into clusters of the same {self.attribute.words}."
 
-    def distances(self, scene: Scene, poses: Poses) -> tuple[Distances, Distances]:
+    def distances(self, scene: Scene, poses: Poses) -> tuple[Floats, Floats]:
         """See `centroid_distances`: of each block to its own value's centroid, to another's."""
         return centroid_distances(self._values(scene), np.array(positions(scene, poses)))
 
@@ -339,7 +337,7 @@ def _units_to_gather(points: Floats) -> Floats:
 
 def _units_to_lines(points: Floats) -> Floats:
     """Units (P, W, K) that blocks at (P, K, 2) have to go for lines through each two of them."""
-    first, second = np.array(list(combinations(range(points.shape[1]), 2))).T
+    first, second = np.triu_indices(points.shape[1], 1)
     start = points[:, first]  # (P, W, 2)
     along = points[:, second] - start
     length = np.hypot(along[..., :1], along[..., 1:])
