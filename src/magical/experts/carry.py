@@ -25,7 +25,6 @@ from magical.experts.geometry import (
     Floats,
     Ints,
     excess,
-    lengths,
     wrap_angle,
 )
 from magical.experts.paths import next_waypoint
@@ -33,7 +32,7 @@ from magical.experts.state_view import StateView
 from magical.scene import NUM_ACTIONS
 from magical.scene.actions import Action, Gripper, Longitudinal, Turn
 from magical.scene.constants import CONTROL_RATE
-from magical.scene.geometry import Point
+from magical.scene.geometry import Point, lengths
 
 GRIP_STEPS = 2  # control steps of closing before a block is carried; measured
 GRIPPED_OPENING = 0.33  # rad: smaller openings hold a block already; measured

@@ -18,7 +18,7 @@ from magical.scene.constants import (
     TURN_MAX_BIAS,
     WORKSPACE_HALF,
 )
-from magical.scene.geometry import Point
+from magical.scene.geometry import Point, lengths
 from magical.scene.solids import robot_silhouette
 
 Floats = NDArray[np.float64]
@@ -62,11 +62,6 @@ def segment_distance(start: Point, end: Point, point: Point) -> float:
     square = dx * dx + dy * dy
     along = 0.0 if square == 0.0 else max(0.0, min(1.0, (px * dx + py * dy) / square))
     return math.hypot(px - along * dx, py - along * dy)
-
-
-def lengths(vectors: Floats) -> Floats:
-    """Lengths (...) of vectors (..., 2)."""
-    return np.sqrt(vectors[..., 0] ** 2 + vectors[..., 1] ** 2)
 
 
 def excess(points: Floats, limit: float) -> Floats:

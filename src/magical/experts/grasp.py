@@ -23,14 +23,13 @@ from magical.experts.geometry import (
     bearing,
     excess,
     is_within,
-    lengths,
     project_on_segments,
     wrap_angle,
 )
 from magical.experts.planning import GRASP_SIDES
 from magical.experts.state_view import StateView
 from magical.scene.constants import BLOCK_SIZE
-from magical.scene.geometry import Point
+from magical.scene.geometry import Point, lengths
 
 REACH = 0.42  # units ahead up to which closing fingers catch a block; measured
 HALF_WIDTH = 0.12  # units to the side up to which they do; measured, for near blocks

@@ -17,11 +17,10 @@ from magical.experts.geometry import (
     TURN_STEP,
     Floats,
     bearing,
-    lengths,
     segment_distance,
     wrap_angle,
 )
-from magical.scene.geometry import Point
+from magical.scene.geometry import Point, lengths
 
 SPACING = 0.1  # units between grid points: one control step of driving; tuned
 OBSTACLE_COST = 15.0  # extra cost, per unit travelled, at an obstacle's centre; swept

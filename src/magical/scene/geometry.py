@@ -9,6 +9,9 @@ from collections.abc import Iterable
 from functools import cache
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from magical.scene import constants as c
 from magical.scene.scene import Pose
 from magical.scene.vocabulary import Shape
@@ -34,6 +37,11 @@ def to_workspace(point: Point, pose: Pose) -> Point:
     """A point given in a body's frame, in workspace coordinates."""
     x, y = rotate(point, pose.angle)
     return pose.x + x, pose.y + y
+
+
+def lengths(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lengths (...) of vectors (..., 2)."""
+    return np.sqrt(vectors[..., 0] ** 2 + vectors[..., 1] ** 2)
 
 
 def rectangle(width: float, height: float) -> Polygon:

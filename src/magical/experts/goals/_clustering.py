@@ -18,13 +18,13 @@ from magical.experts.geometry import (
     Bools,
     Floats,
     Ints,
-    lengths,
     project_on_segments,
 )
 from magical.experts.goals._moves import DISTANCE_COST, MOVE_COST, place_costs
 from magical.experts.grasp import make_mutual_grasps
 from magical.experts.planning import Move, MovePlan, Planner, Strategy
 from magical.experts.state_view import StateView
+from magical.scene.geometry import lengths
 from magical.tasks.programs import Attribute, value_of
 
 # When blocks count as clustered, and which anchors are considered.

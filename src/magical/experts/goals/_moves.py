@@ -9,14 +9,13 @@ from magical.experts.geometry import (
     DRIVE_STEP,
     Floats,
     excess,
-    lengths,
     project_on_segments,
 )
 from magical.experts.planning import Move, Strategy
 from magical.experts.state_view import StateView
 from magical.scene import Colour, Region
 from magical.scene.constants import BLOCK_SIZE
-from magical.scene.geometry import Point
+from magical.scene.geometry import Point, lengths
 
 MOVE_COST = 40.0  # control steps besides the way, for driving up and grasping; swept
 DISTANCE_COST = 1.0 / DRIVE_STEP  # control steps per unit of way

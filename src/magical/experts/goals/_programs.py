@@ -33,7 +33,7 @@ from magical.tasks.programs import (
 
 MARGIN = 0.06  # units within a corner, wall zone or neighbourhood that are aimed at
 TOLERANCE = 0.06  # units
-AROUND = MARGIN * np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])
+AROUND = MARGIN * np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])  # (4, 2)
 
 
 def program_planner(program: Goal) -> Planner:

@@ -58,7 +58,7 @@ MOTION_SHAPES = {"drive": (2, 3), "turn": (2, 2), "grasp": (3,)}  # float64: see
 class ProgramBCConfig(ObjectBCConfig):
     """Settings of cloning by programs."""
 
-    seconds_each: ClassVar[tuple[float, float] | None] = 1.2e-4, 5e-3  # measured
+    seconds_each: ClassVar[tuple[float, float] | None] = 1.2e-4, 1.2e-3  # measured
 
     algorithm: str = "program-bc"
 

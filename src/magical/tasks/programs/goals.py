@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from magical.grouping import group_by
 from magical.scene import Poses, Scene
 from magical.scene.constants import BLOCK_SIZE, ROBOT_RADIUS
-from magical.scene.geometry import Point, to_workspace
+from magical.scene.geometry import Point, lengths, to_workspace
 from magical.tasks.programs.expressions import Attribute, Expression
 from magical.tasks.programs.places import InRegion, OutOfRegions, Place, depths_in_regions
 from magical.tasks.programs.selections import AllBlocks, AllBut, Blocks, Selection, value_of
@@ -328,8 +328,7 @@ def ways_at_start(goal: Goal, scene: Scene) -> Floats:
 
 def _units_to_gather(points: Floats) -> Floats:
     """Units (P, K) that blocks at (P, K, 2) have to go to be beside the best one of them."""
-    offsets = points[:, :, None] - points[:, None]
-    units = (np.hypot(*np.moveaxis(offsets, -1, 0)) - NEIGHBOUR_DISTANCE).clip(min=0.0)
+    units = (lengths(points[:, :, None] - points[:, None]) - NEIGHBOUR_DISTANCE).clip(min=0.0)
     work = np.where(units > 0.0, UNFINISHED + units, 0.0).sum(axis=2)  # (P, K) around each
     best: Floats = units[np.arange(len(points)), work.argmin(axis=1)]
     return best
@@ -340,7 +339,7 @@ def _units_to_lines(points: Floats) -> Floats:
     first, second = np.triu_indices(points.shape[1], 1)
     start = points[:, first]  # (P, W, 2)
     along = points[:, second] - start
-    length = np.hypot(along[..., :1], along[..., 1:])
+    length = lengths(along)[..., None]
     ux, uy = np.moveaxis(along / np.where(length > 0.0, length, 1.0), -1, 0)[..., None]
     x, y = np.moveaxis(points[:, None] - start[:, :, None], -1, 0)  # (P, W, K) each
     units: Floats = (np.abs(ux * y - uy * x) - INLIER_DISTANCE).clip(min=0.0)

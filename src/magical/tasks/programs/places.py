@@ -8,7 +8,7 @@ import numpy as np
 
 from magical.scene import Scene
 from magical.scene.constants import WORKSPACE_HALF
-from magical.scene.geometry import Point
+from magical.scene.geometry import Point, lengths
 from magical.scene.vocabulary import Corner, Wall
 from magical.tasks.programs.expressions import Expression
 from magical.tasks.programs.selections import Selection
@@ -95,7 +95,7 @@ class InCorner(Place):
         return max(0.0, 1.0 - beyond / (CORNER_NO_SCORE - CORNER_FULL_SCORE))
 
     def remaining(self, scene: Scene, points: Floats) -> Floats:
-        return (_norm(points - self._point) - CORNER_FULL_SCORE).clip(min=0.0)
+        return (lengths(points - self._point) - CORNER_FULL_SCORE).clip(min=0.0)
 
     @property
     def _point(self) -> Point:
@@ -130,7 +130,7 @@ class Beside(Place):
 
     def remaining(self, scene: Scene, points: Floats) -> Floats:
         chosen = np.array(sorted(self.selection.blocks(scene)), np.intp)
-        away = _norm(points[..., :, None, :] - points[..., None, chosen, :])
+        away = lengths(points[..., :, None, :] - points[..., None, chosen, :])
         away[..., chosen, np.arange(len(chosen))] = np.inf  # no block is beside itself
         left: Floats = away.min(axis=-1, initial=np.inf) - NEIGHBOUR_DISTANCE
         return left.clip(min=0.0)
@@ -161,8 +161,3 @@ def _distances_to_regions(scene: Scene, points: Floats) -> Floats:
 def _rectangles(scene: Scene) -> Floats:
     """Left and top edges, widths and heights of the regions: (4, R)."""
     return np.array([(r.x, r.y, r.width, r.height) for r in scene.regions]).reshape(-1, 4).T
-
-
-def _norm(offsets: Floats) -> Floats:
-    """The lengths (...) of offsets (..., 2)."""
-    return np.hypot(offsets[..., 0], offsets[..., 1])
