@@ -34,19 +34,22 @@ Floats = NDArray[np.float64]
 Values = TypeVar("Values", Floats, Tensor)
 
 
-def augment(images: Tensor, which: Augmentations, rng: np.random.Generator) -> Tensor:
+def augment(
+    images: Tensor, which: Augmentations, rng: np.random.Generator, together: int = 1
+) -> Tensor:
     """Augment a batch of frame stacks: on a CPU in compiled code, if they are uint8.
 
     Args:
         images: (B, 3 * frames, H, W), uint8 or float in [0, 1]. Not changed.
         which: the augmentations to apply.
         rng: the source of all random numbers.
+        together: so many consecutive stacks have the same parameters.
 
     Returns:
         (B, 3 * frames, H, W) float32 in [0, 1], in channels-last memory. Uint8 is scaled from
         [0, 255] whatever is switched on.
     """
-    parameters = sample_parameters(len(images), which, rng)
+    parameters = sample_parameters(len(images), which, rng, together)
     if images.device.type == "cpu" and images.dtype == torch.uint8:
         return resampled(images, which, parameters, noise_seeds(len(images), rng))
     generator = torch.Generator(images.device).manual_seed(int(rng.integers(2**63)))

@@ -211,9 +211,7 @@ class ExpertData:
         So many consecutive ones are augmented with the same parameters.
         """
         if transformed is None:
-            images = self.images(rows)
-            joined = images.view(len(rows) // together, -1, *images.shape[2:])
-            return augment(joined, which, rng).reshape(images.shape)
+            return augment(self.images(rows), which, rng, together)
         images = self.images(rows, transformed.newest_only)
         mirrored = self._index(transformed.mirrored)
         images[mirrored] = images[mirrored].flip(-1)
