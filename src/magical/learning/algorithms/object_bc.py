@@ -195,9 +195,14 @@ class ObjectBCTrainer:
         self.device = choose_device(config.device)
         self.policy = policy.to(self.device)
         self.compute = run.compute(self.device, config.network_precision, config.threads)
-        self.goal_optimizer = torch.optim.Adam(self.policy.goals.parameters(), GOAL_LEARNING_RATE)
+        self.goal_optimizer = torch.optim.Adam(
+            self.policy.goals.parameters(), GOAL_LEARNING_RATE, fused=True
+        )
         self.optimizer = torch.optim.AdamW(
-            self.policy.controller.parameters(), config.learning_rate, weight_decay=WEIGHT_DECAY
+            self.policy.controller.parameters(),
+            config.learning_rate,
+            weight_decay=WEIGHT_DECAY,
+            fused=True,
         )
         if run.saved:
             with restoring(run.folder):

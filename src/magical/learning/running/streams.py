@@ -37,9 +37,13 @@ def stream(seed: int, purpose: Purpose, number: int = 0) -> np.random.Generator:
 
 
 def seed_torch(seed: int, purpose: Purpose, number: int = 0) -> None:
-    """Make PyTorch's global random numbers those of a stream."""
+    """Make PyTorch's global random numbers, of CPU and GPUs, those of a stream."""
+    value = int(stream(seed, purpose, number).integers(2**63))
+    # `torch.manual_seed` records the stack of its callers, too, for each kind of device not in use.
     with _lock:
-        torch.manual_seed(int(stream(seed, purpose, number).integers(2**63)))
+        torch.default_generator.manual_seed(value)
+        if torch.cuda.is_available():
+            torch.cuda.manual_seed_all(value)
 
 
 def restored_generators(device: str = "cpu") -> AbstractContextManager[None]:
