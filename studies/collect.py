@@ -114,7 +114,7 @@ class Collected:
         return {**facts, "settings": {**settings, "config": config}}
 
     def adopt(self, planned: Mapping[str, PlannedRun]) -> None:
-        """Give runs whose settings were recorded in an earlier form the names of the plan's."""
+        """Give runs that were made before an option existed the names of the plan's."""
         earlier = {name: self.record(name) for name in self.runs.keys() - planned.keys()}
         for run in planned.values():
             if run.folder in self.runs:
@@ -216,7 +216,7 @@ def evaluate_for_leaderboard(run: PlannedRun, folder: Path) -> None:
 
 
 def _is_same_run(run: PlannedRun, record: Mapping[str, Any]) -> bool:
-    """Whether a final record is of a run with these settings, whatever names they had then."""
+    """Whether a final record is of a run with these settings; later options have their defaults."""
     settings = record.get("settings")
     if record.get("method") != run.method or not isinstance(settings, dict):
         return False

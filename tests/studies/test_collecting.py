@@ -221,15 +221,14 @@ def test_runs_that_are_no_longer_the_plans_count_nowhere(
     )
 
 
-def test_runs_whose_settings_had_other_names_are_the_plans(
+def test_runs_from_before_an_option_existed_are_the_plans(
     copied: Path, tiny: Path, out: Path, planned: Planned, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(collect_results, "Evaluation", partial(Evaluation, rollouts=1))
     list(collect_results.collect([copied], out, tiny, leaderboard=True))
     before, names = entries(out), [run.folder for run in planned()]
-    text = (
-        (out / "plan.json").read_text().replace('"log_every": 1', '"log_every": 1, "compile": ""')
-    )
+    text = (out / "plan.json").read_text().replace('"average_decay": 0.0,', "")
+    assert "average_decay" not in text
     earlier = {name: f"{name[:-10]}0123456789" for name in names}
     for name in names:
         text = text.replace(name, earlier[name])

@@ -45,27 +45,6 @@ CHECKPOINT_SECONDS = 30  # between checkpoints, unless a number of steps is conf
 
 METAVARS = {int: "N", float: "X", str: "NAME", bool: None}
 
-# Options that configurations of older versions have under other names.
-RENAMED = {
-    "time_steps": "num_steps",
-    "discount": "gamma",
-    "clip": "clip_range",
-    "entropy_bonus": "ent_coef",
-    "block_sight": "block_range",
-    "wall_sight": "wall_range",
-}
-# Options of older versions that are constants now, or follow from `conventions` and `autoencoder`.
-REMOVED = {
-    *("compile", "graphs", "pixel_range", "last_layer_init", "borders", "linear_light"),
-    *("action_input", "reward_floor", "replay_batches", "decorrelate", "evaluation_rollouts"),
-    *("penalty_batch_norm", "decoder_batch_norm", "augment_features", "feature_batch_norm"),
-    *("pretraining_anneal", "relative_image_error", "linear_features", "statistics_batches"),
-    "restart",  # of dagger
-    # of object-bc
-    *("network", "observation", "augment", "weight_decay", "hidden", "goal_every"),
-    *("goal_batch_size", "goal_learning_rate", "goal_smoothness", "destination_noise"),
-}
-
 
 @dataclass(frozen=True, kw_only=True)
 class EncoderSettings(Settings):
@@ -301,7 +280,7 @@ class Config(Settings):
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], what: str = "configuration") -> Self:
-        """The inverse of `to_dict`; reads what older versions have written, too.
+        """The inverse of `to_dict`.
 
         Args:
             data: checked here, as it may come from a file of any origin.
@@ -311,24 +290,9 @@ class Config(Settings):
             InvalidConfigError: unknown or missing settings, or settings that cannot be.
         """
         try:
-            return cls._of(cls._modernised(data))
+            return cls._of(data)
         except ValueError as error:
             raise InvalidConfigError(f"{what}: {error}") from error
-
-    @classmethod
-    def _modernised(cls, data: Mapping[str, Any]) -> dict[str, Any]:
-        """The settings that a configuration of an older version means, by today's names.
-
-        What it did in training with options that are constants now is not kept; `runs` refuses to
-        resume such a run.
-        """
-        known = {name_of(field) for _, field, _ in all_fields(cls)}
-        settings = {RENAMED.get(name, name): value for name, value in data.items()}
-        if settings.get("pixel_range") == "symmetric":
-            settings.setdefault("conventions", PUBLISHED)
-        if "autoencoder" in known and settings.get("linear_features") is True:
-            settings.setdefault("autoencoder", "refined")
-        return {n: value for n, value in settings.items() if n in known or n not in REMOVED}
 
 
 @dataclass(frozen=True, slots=True)
