@@ -162,14 +162,13 @@ def test_mirrored_samples_have_mirrored_actions(
     assert set(labels[-1].tolist()) == {left, right}
 
 
-def test_trimmed_tables_keep_all_blocks() -> None:
-    table = _table()
-    gone = torch.zeros_like(table.present)
-    gone[:, 0] = True
-    some = table.without(gone)
-    assert some.trimmed().present.sum() == some.present.sum() > 0
-    assert some.trimmed().present.shape[1] < table.present.shape[1]
-    assert table.without(torch.ones_like(gone)).trimmed().present.shape[1] == 2
+def test_tables_have_columns_for_the_blocks_of_any_frame() -> None:
+    parsed = parse_frames(_frames())
+    table = to_table(parsed)
+    assert table.present.sum() == (parsed.colours >= 0).sum() > 0
+    assert 2 < table.present.shape[1] < parsed.colours.shape[1]
+    nothing = parsed._replace(colours=np.full_like(parsed.colours, -1))
+    assert to_table(nothing).present.shape[1] == 2
 
 
 def _stacks() -> np.ndarray:
@@ -178,8 +177,12 @@ def _stacks() -> np.ndarray:
     return np.ascontiguousarray(stacks.transpose(0, 3, 1, 2))
 
 
+def _frames() -> np.ndarray:
+    return np.ascontiguousarray(_stacks().transpose(0, 2, 3, 1)[..., 9:])
+
+
 def _table() -> ObjectTable:
-    return to_table(parse_frames(np.ascontiguousarray(_stacks().transpose(0, 2, 3, 1)[..., 9:])))
+    return to_table(parse_frames(_frames()))
 
 
 def test_mirrored_inputs_are_those_of_the_mirrored_scene() -> None:

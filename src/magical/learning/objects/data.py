@@ -71,7 +71,7 @@ class ObjectData:
         tasks = np.repeat(of_each, list(map(len, trajectories)))
         demonstrated = np.concatenate([each.is_demonstrated for each in trajectories])
         moves = np.concatenate([_moves(each.parsed) for each in demonstrations])
-        self.table = to_table(parsed, device).trimmed()
+        self.table = to_table(parsed, device)
         self.targets, self.destinations, self.actions, self.tasks = (
             to_tensor(column).to(device) for column in (targets, destinations, actions, tasks)
         )

@@ -156,7 +156,6 @@ class GoalModel(nn.Module):
         that lies at its destination, out of the gripper, gives way to the next likely one, and the
         last one to the robot.
         """
-        table = table.trimmed()
         which = self.choice.wanted(tasks)
         logits = self.target_logits(table, relate_blocks(table, which), tasks, which)
         finished = logits.softmax(dim=1)[:, -1] > SURE

@@ -35,16 +35,6 @@ class ObjectTable(NamedTuple):
             shapes=self.shapes.masked_fill(gone, ABSENT),
         )
 
-    def trimmed(self) -> "ObjectTable":
-        """The same scenes without the columns after the last block of any scene (but two)."""
-        used = self.present.any(dim=0).nonzero()[:, 0].tolist()
-        count = 1 + max([1, *used])
-        return self._replace(
-            blocks=self.blocks[:, :count],
-            colours=self.colours[:, :count],
-            shapes=self.shapes[:, :count],
-        )
-
     @property
     def size(self) -> int:
         """The number of scenes."""
@@ -63,7 +53,14 @@ class ObjectTable(NamedTuple):
 
 
 def to_table(parsed: ParsedFrames, device: str | torch.device = "cpu") -> ObjectTable:
-    """The objects of B frames as tensors on a device."""
+    """The objects of B frames as tensors on a device, with as many blocks as any frame has.
+
+    They are two at least.
+    """
+    used = np.flatnonzero((parsed.colours != ABSENT).any(axis=0))
+    count = 1 + max([1, *used.tolist()])
+    names = ("blocks", "colours", "shapes")
+    parsed = parsed._replace(**{name: getattr(parsed, name)[:, :count] for name in names})
     return ObjectTable(*(to_tensor(column).to(device) for column in parsed))
 
 
