@@ -48,21 +48,20 @@ def control_inputs(
     blocks = view.see(table.blocks)
     numbers = torch.arange(blocks.shape[1], device=blocks.device)
     is_target = (numbers == targets[:, None])[..., None].float()
+    ends = torch.stack([table.robot[:, :2], start, destinations], dim=1)
     own = torch.cat(
         [
             robot[:, None].float(),
-            _polar(target),
-            _polar(end),
-            _polar(end - target),
+            _polar(torch.stack([target, end, end - target], dim=1)),
             _held(blocks, is_target, table.present, block_range),
             view.fingers(),
-            *(view.walls(p, wall_range) for p in (table.robot[:, :2], start, destinations)),
+            view.walls(ends, wall_range),
         ],
         dim=1,
     )
-    parts = _polar(blocks), _polar(blocks - end[:, None]), _polar(blocks - target[:, None])
+    offsets = blocks, blocks - end[:, None], blocks - target[:, None]
     near = table.present & (blocks.norm(dim=2) < block_range)
-    return own, torch.cat([*parts, is_target], dim=2), near
+    return own, torch.cat([_polar(torch.stack(offsets, dim=2)), is_target], dim=2), near
 
 
 class _RobotView:
@@ -72,6 +71,8 @@ class _RobotView:
         self._table = table
         none = torch.zeros(table.size, dtype=torch.bool, device=table.robot.device)
         self._mirrored = (none if mirrored is None else mirrored)[:, None]  # (B, 1)
+        angle = table.robot[:, 2:]  # (B, 1)
+        self._cos, self._sin = angle.cos(), angle.sin()
 
     def see(self, places: Tensor) -> Tensor:
         """Places (B, K, 2) as seen from the robot."""
@@ -79,10 +80,8 @@ class _RobotView:
 
     def turn(self, vectors: Tensor) -> Tensor:
         """Vectors (B, K, 2) in the robot's frame."""
-        angle = self._table.robot[:, 2:]  # (B, 1)
-        cos, sin = angle.cos(), angle.sin()
-        right = vectors[..., 0] * cos + vectors[..., 1] * sin
-        ahead = vectors[..., 1] * cos - vectors[..., 0] * sin
+        right = vectors[..., 0] * self._cos + vectors[..., 1] * self._sin
+        ahead = vectors[..., 1] * self._cos - vectors[..., 0] * self._sin
         return torch.stack([torch.where(self._mirrored, -right, right), ahead], dim=-1)
 
     def fingers(self) -> Tensor:
@@ -91,23 +90,21 @@ class _RobotView:
         return torch.where(self._mirrored, values.flip(1), values)
 
     def walls(self, places: Tensor, limit: float) -> Tensor:
-        """Direction and nearness of the two walls next to each place, nearer one first: (B, 6)."""
-        across = torch.where(places > 0, 1.0 - places, -1.0 - places)  # (B, 2)
-        vectors = self.turn(torch.diag_embed(across))  # (B, 2, 2)
-        distances = vectors.norm(dim=2)
-        order = distances.argsort(dim=1)
-        vectors = vectors.gather(1, order[..., None].expand(-1, -1, 2))
-        distances = distances.gather(1, order)[..., None]
+        """Direction and nearness of the walls next to places (B, K, 2), nearer first: (B, 6K)."""
+        across = torch.where(places > 0, 1.0 - places, -1.0 - places)
+        vectors = self.turn(torch.diag_embed(across).flatten(1, 2)).view(*places.shape, 2)
+        distances, order = vectors.norm(dim=3).sort(dim=2)  # (B, K, 2)
+        vectors = vectors.gather(2, order[..., None].expand(-1, -1, -1, 2))
+        distances = distances[..., None]
         nearness = (1.0 - distances / limit).clamp(0.0, 1.0)
-        return torch.cat([vectors / (distances + 0.05) * nearness, nearness], dim=2).flatten(1)
+        return torch.cat([vectors / (distances + 0.05) * nearness, nearness], dim=3).flatten(1)
 
 
 def _polar(vectors: Tensor) -> Tensor:
-    """Vectors (..., 2) with length, direction and nearness: (..., 6)."""
+    """Vectors (..., K, 2) with length, direction and nearness: (..., 6K)."""
     length = vectors.norm(dim=-1, keepdim=True)
-    return torch.cat(
-        [vectors, length, vectors / (length + 0.05), torch.exp(-length / FOCUS)], dim=-1
-    )
+    parts = vectors, length, vectors / (length + 0.05), torch.exp(-length / FOCUS)
+    return torch.cat(parts, dim=-1).flatten(-2)
 
 
 def _held(blocks: Tensor, is_target: Tensor, present: Tensor, limit: float) -> Tensor:
