@@ -1,4 +1,4 @@
-"""Playing, recording and looking in the browser.
+"""Playing, recording and viewing in the browser.
 
 - `security`: the token, which hosts and origins are accepted, rates and deadlines.
 - `messages`: what the page may send, as records.
